@@ -23,13 +23,13 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest date that a zip can hold
 
 
 def lasting_folder() -> Path:
-    """A new folder among the temporary files of the user, which outlives the command that makes it."""
+    """Returns a new temporary folder of the user, which outlives the command that makes it."""
     return Path(tempfile.mkdtemp(prefix="l1-depth-", dir=os.environ.get(TEMPORARY_VARIABLE)))
 
 
 @contextmanager
 def open_atomically(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
-    """A stream of bytes that becomes `path` when the context ends; after an error nothing of it is left.
+    """Yields a stream of bytes that becomes `path` at the end; after an error nothing of it is left.
 
     A file that was at `path` stays until then. The folder is made if it is missing.
     mode: the permissions of the file, of which the user's umask takes some away
@@ -48,29 +48,29 @@ def open_atomically(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
 
 
 def write_bytes_atomically(path: Path, data: bytes, mode: int = 0o666) -> None:
-    """Write a file of bytes, with the permissions of `open_atomically`."""
+    """Writes a file of bytes, with the permissions of `open_atomically`."""
     with open_atomically(path, mode) as stream:
         stream.write(data)
 
 
 def write_text_atomically(path: Path, text: str) -> None:
-    """Write a file of UTF-8, its line ends as they are."""
+    """Writes a file of UTF-8, its line ends as they are."""
     write_bytes_atomically(path, text.encode("utf-8"))
 
 
 def write_json_atomically(path: Path, content: object) -> None:
-    """Write plain data as JSON; ValueError for a number that JSON does not have."""
+    """Writes plain data as JSON; ValueError for a number that JSON does not have."""
     write_text_atomically(path, json.dumps(content, indent=2, allow_nan=False))
 
 
 def write_archive(path: Path, members: Mapping[str, bytes]) -> Path:
-    """Write a zip of these members, as `packed`."""
+    """Writes a zip of these members, as `packed`."""
     write_bytes_atomically(path, packed(members))
     return path
 
 
 def packed(members: Mapping[str, bytes]) -> bytes:
-    """A zip of these members, sorted by name; equal members give the same, byte for byte."""
+    """Returns a zip of these members, sorted by name; equal members give the same, byte for byte."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
         for name in sorted(members):
@@ -82,13 +82,13 @@ def packed(members: Mapping[str, bytes]) -> bytes:
 
 
 def xml_document(root: ElementTree.Element) -> bytes:
-    """A whole XML file, indented."""
+    """Returns a whole XML file, indented."""
     ElementTree.indent(root)
     return ElementTree.tostring(root, xml_declaration=True, encoding="UTF-8")
 
 
 def too_large(members: Sequence[zipfile.ZipInfo], packed: int) -> str:
-    """Why members are not unpacked from an archive of `packed` bytes; empty for what tools write."""
+    """Returns why members of an archive of `packed` bytes are too large to unpack; else empty."""
     size = sum(member.file_size for member in members)
     if len(members) > _MOST_MEMBERS:
         return f"{len(members)} files: expected at most {_MOST_MEMBERS}"
@@ -100,7 +100,7 @@ def too_large(members: Sequence[zipfile.ZipInfo], packed: int) -> str:
 
 
 def extract_archive(path: Path, folder: Path, members: Sequence[str] | None = None) -> None:
-    """Unpack all of a zip, or some members; ValueError, with nothing written, if it is larger than any FMU
+    """Unpacks all of a zip, or some members; ValueError, with nothing written, if it is larger than any FMU
     that a tool writes.
     """
     with zipfile.ZipFile(path) as archive:

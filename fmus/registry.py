@@ -1,4 +1,4 @@
-"""Which blocks are installed, and where scenarios find their FMUs; nothing is loaded or built here.
+"""Registry of the installed blocks and the paths of their FMUs; nothing is loaded or built here.
 
 Blocks are entry points of the group `l1_depth.blocks`, so that another package's blocks build the same way:
 `MyBlock = "my_package.my_module:BLOCK"`.
@@ -20,14 +20,14 @@ FOLDER_VARIABLE = "L1_DEPTH_FMUS"
 
 
 class Flavour(StrEnum):
-    """How an FMU runs: compiled, or on the Python of whoever imports it."""
+    """Flavour of an FMU: compiled, or on the Python of whoever imports it."""
 
     NATIVE = "native"
     PYTHON = "python"
 
 
 def block_entry_points() -> dict[str, EntryPoint]:
-    """Entry point of every installed block, by its name, sorted."""
+    """Returns the entry point of every installed block, by its name, sorted."""
     return dict(_read_entry_points(entry_points, tuple(map(_version, sys.path))))
 
 
@@ -35,24 +35,24 @@ def block_entry_points() -> dict[str, EntryPoint]:
 def _read_entry_points(
     read: Callable[..., Iterable[EntryPoint]], folders: tuple[tuple[str, int], ...]
 ) -> dict[str, EntryPoint]:
-    """What `read` gives, once as long as these folders of packages stay as they are: it opens many files."""
+    """Returns `read()`, read once while these folders of packages are unchanged: it opens many files."""
     return {point.name: point for point in sorted(read(group=GROUP), key=lambda point: point.name)}
 
 
 def _version(folder: str) -> tuple[str, int]:
-    """A folder, and when a member of it was last added or removed."""
+    """Returns a folder, and when a member of it was last added or removed."""
     with suppress(OSError):
         return folder, os.stat(folder or ".").st_mtime_ns  # noqa: PTH116
     return folder, 0
 
 
 def block_names() -> list[str]:
-    """Names of all installed blocks, sorted."""
+    """Returns the names of all installed blocks, sorted."""
     return list(block_entry_points())
 
 
 def fmu_folder(flavour: Flavour = Flavour.NATIVE) -> Path:
-    """Folder of the FMUs that scenarios run.
+    """Returns the folder of the FMUs that scenarios run.
 
     It is in the user's cache, another one for each installation, so that two versions do not overwrite each
     other's FMUs. The environment variable L1_DEPTH_FMUS names another folder. FMUs that another user can have
@@ -63,7 +63,7 @@ def fmu_folder(flavour: Flavour = Flavour.NATIVE) -> Path:
 
 
 def fmu_path(block: str, flavour: Flavour = Flavour.NATIVE) -> Path:
-    """File of a block's FMU, whether or not it is built."""
+    """Returns the file of a block's FMU, whether or not it is built."""
     return fmu_folder(flavour) / f"{block}.fmu"
 
 
@@ -73,7 +73,7 @@ def is_in_cache(path: Path) -> bool:
 
 
 def block_fmus(paths: Iterable[Path]) -> list[tuple[str, Flavour]]:
-    """(block, flavour) of those paths that `fmu_path` gives."""
+    """Returns (block, flavour) of those paths that `fmu_path` gives."""
     folders = {flavour: fmu_folder(flavour) for flavour in Flavour}
     known = {
         folders[flavour] / f"{name}.fmu": (name, flavour) for flavour in Flavour for name in block_names()

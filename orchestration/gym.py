@@ -91,14 +91,14 @@ class FmuEnv(_Agent, gymnasium.Env[Array, Array]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Begin another episode, with other seeds and parameters where the task draws them."""
+        """Begins another episode, with other seeds and parameters where the task draws them."""
         super().reset(seed=seed)
         self._runs.reset(self.np_random)
         self._look()
         return self._observation(), self._info()
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """One action: (observation, reward, whether an FMU terminated, whether time is up, {"time": s})."""
+        """Acts once: (observation, reward, whether an FMU terminated, whether time is up, {"time": s})."""
         self._runs.act(*self._own_units(action, self.action_space).tolist())
         reward = 0.0
         for _ in range(self._task.steps):
@@ -109,7 +109,7 @@ class FmuEnv(_Agent, gymnasium.Env[Array, Array]):
         return self._observation(), reward, self._terminated, truncated, self._info()
 
     def recording(self) -> Recording:
-        """The recording of the present episode until now."""
+        """Returns the recording of the present episode until now."""
         return self._runs.simulator.recording()
 
     def close(self) -> None:
@@ -155,7 +155,7 @@ class FmuVectorEnv(_Agent, VectorEnv[Array, Array, Array]):
         return self._observation(), self._info()
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        """One action in each environment; those that were done begin an episode, with a reward of 0."""
+        """Takes one action in each environment; those that were done begin an episode, with a reward of 0."""
         values = self._own_units(actions, self.action_space)
         rewards, is_running = np.zeros(self.num_envs), ~self._done
         if self._done.any():
@@ -173,7 +173,7 @@ class FmuVectorEnv(_Agent, VectorEnv[Array, Array, Array]):
         return self._observation(), rewards, self._terminated, truncated, self._info()
 
     def recordings(self) -> list[Recording]:
-        """The recording of the present episode of each environment until now."""
+        """Returns the recording of the present episode of each environment until now."""
         return self._runs.recordings()
 
     def close_extras(self, **kwargs: Any) -> None:

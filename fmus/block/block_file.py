@@ -55,7 +55,7 @@ def from_sources() -> Iterator[None]:
 
 @contextmanager
 def blocks_in(path: Path) -> Iterator[tuple[Block, ...]]:
-    """The blocks that a file defines at its top level, in their order; building them ends with the context.
+    """Yields the blocks that a file defines at its top level, in order. Building them ends with the context.
 
     The file imports modules beside it as a script does. Whatever it has loaded is forgotten at the end, so
     that a changed file is read again.
@@ -113,7 +113,7 @@ def _imported(path: Path) -> ModuleType:
 
 
 def origin(error: BaseException, folder: Path) -> str:
-    """FILE:LINE of the deepest line of an error that lies in a folder of the user's."""
+    """Returns FILE:LINE of the deepest line of an error that lies in a folder of the user's."""
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}:{error.lineno}"
     lines = traceback.extract_tb(error.__traceback__)
@@ -129,7 +129,7 @@ def _lies_in(folder: Path, name: str) -> bool:
 
 
 def _defined(module: ModuleType, path: Path) -> tuple[Block, ...]:
-    """The blocks of a module, without those that it imports."""
+    """Returns the blocks of a module, without those that it imports."""
     statements = ast.parse(path.read_bytes()).body
     imports = [statement for statement in statements if isinstance(statement, ast.ImportFrom)]
     imported = {alias.asname or alias.name for statement in imports for alias in statement.names}

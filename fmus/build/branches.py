@@ -73,7 +73,7 @@ class Schedule:
             yield Branch(number, *(list(self._steps((*path, way))) for way in (number, ~number)))
 
     def _needed(self, number: int) -> set[int]:
-        """The operations that must come before one: its arguments, and the conditions of its branch."""
+        """Returns the operations that must come before one: its arguments, its branch's conditions."""
         conditions = (max(condition, ~condition) for condition in self._paths[number])
         used = {*self._operations[number].arguments, *conditions}
         return {argument for argument in used if self._operations[argument].arguments}
@@ -86,7 +86,7 @@ class Schedule:
 
 
 def _paths(operations: Sequence[Operation], results: Sequence[int]) -> dict[int, Path]:
-    """The branch of each operation that is needed."""
+    """Returns the branch of each operation that is needed."""
     cheap: set[Path] = set()
     while True:
         paths = _needs(operations, results, cheap)
@@ -102,7 +102,7 @@ def _paths(operations: Sequence[Operation], results: Sequence[int]) -> dict[int,
 
 
 def _needs(operations: Sequence[Operation], results: Sequence[int], cheap: set[Path]) -> dict[int, Path]:
-    """For each operation the conditions under which alone it is needed, but for branches that are cheap."""
+    """Returns the conditions under which alone each operation is needed, except cheap branches."""
     paths: dict[int, Path] = dict.fromkeys(results, ())
     for number in range(len(operations) - 1, -1, -1):
         if number not in paths:
@@ -117,7 +117,7 @@ def _needs(operations: Sequence[Operation], results: Sequence[int], cheap: set[P
 
 
 def _condition(operations: Sequence[Operation], operation: Operation, index: int) -> int | None:
-    """The condition under which alone an operation needs one of its arguments, if there is one."""
+    """Returns the condition under which alone an operation needs one of its arguments, if there is one."""
     if not index or operation.name not in ("IF_ELSE_ZERO", "CHOICE"):
         return None
     number, holds = operation.arguments[0], index == 1

@@ -183,7 +183,7 @@ def c_functions(
 
 
 def _follows_from(operations: Sequence[Operation], names: Collection[str]) -> list[bool]:
-    """Of each operation whether it follows from one of these arguments."""
+    """Returns for each operation whether it follows from one of these arguments."""
     follows: list[bool] = []
     for operation in operations:
         is_one = operation.name == "INPUT" and operation.text.split("[")[0] in names
@@ -192,7 +192,7 @@ def _follows_from(operations: Sequence[Operation], names: Collection[str]) -> li
 
 
 def _constants(operations: Sequence[Operation], varies: Sequence[bool]) -> list[int]:
-    """The operations that do not vary, and that others or the results use."""
+    """Returns the operations that do not vary, and that others or the results use."""
     users = [o.arguments for o, v in zip(operations, varies, strict=True) if v or o.name == "RESULT"]
     used = {argument for arguments in users for argument in arguments}
     return sorted(number for number in used if operations[number].arguments and not varies[number])
@@ -201,7 +201,7 @@ def _constants(operations: Sequence[Operation], varies: Sequence[bool]) -> list[
 def _calls_of_inputs(
     operations: Sequence[Operation], varies: Sequence[bool], varies_in_any_step: Sequence[bool]
 ) -> list[int]:
-    """The dear calls whose argument changes with inputs alone, which may be the same for many steps."""
+    """Returns the dear calls whose argument changes with inputs alone: it may stay for many steps."""
     return [
         number
         for number, operation in enumerate(operations)

@@ -18,7 +18,7 @@ _WORD = 32  # bits of the set of items
 
 
 def c_sources(block: Block, guid: str, reals_only: bool = False) -> dict[str, str]:
-    """File name -> text of everything in the folder `sources` of the FMU: all but FMI's own headers (2.3).
+    """Returns file name -> text of the FMU's folder `sources`: all but FMI's own headers (2.3).
 
     reals_only: every variable is a Real, what is an item, truth value or Integer one that is a whole number
     Raises ExportError for a block that cannot be traced.
@@ -33,7 +33,7 @@ def c_sources(block: Block, guid: str, reals_only: bool = False) -> dict[str, st
 
 
 def _tables(functions: Traced, reals_only: bool) -> dict[str, object]:
-    """What `model.h.in` leaves open."""
+    """Returns the values for the placeholders of `model.h.in`."""
     block = functions.block
     not_real = [index for index, v in enumerate(block.of_causality("output")) if v.type != "Real"]
     return {
@@ -68,7 +68,7 @@ def _access(v: BlockVariable, reals_only: bool) -> str:
 
 
 def _range(v: BlockVariable) -> tuple[float, float]:
-    """What the C layer lets pass: without declared limits, what the type can hold."""
+    """Returns the range that the C layer lets pass: without declared limits, that of the type."""
     if items := [0, 1] if v.type == "Boolean" else _items(v):
         return float(min(items)), float(max(items))
     widest = INTEGER_RANGE[1] if v.type == "Integer" else sys.float_info.max
@@ -78,7 +78,7 @@ def _range(v: BlockVariable) -> tuple[float, float]:
 
 
 def _items(v: BlockVariable) -> list[int]:
-    """Numbers of an enumeration's items, none of another type."""
+    """Returns the numbers of an enumeration's items, none of another type."""
     numbers = [int(item) for item in v.enumeration or ()]
     if not all(0 <= number < _WORD for number in numbers):
         raise ExportError(f"{v.name}: items {numbers}: expected numbers from 0 to {_WORD - 1}")
@@ -86,6 +86,6 @@ def _items(v: BlockVariable) -> list[int]:
 
 
 def _string(text: str) -> str:
-    """A C string literal of the UTF-8 bytes: everything but plain printable ASCII as octal."""
+    """Returns a C string literal of the UTF-8 bytes: everything but plain printable ASCII as octal."""
     plain = set(range(32, 127)) - set(b'"\\?')  # ?? would begin a trigraph
     return '"' + "".join(chr(b) if b in plain else f"\\{b:03o}" for b in text.encode()) + '"'

@@ -27,7 +27,7 @@ _CAPABILITIES = {
 
 
 def content(block: Block, reals_only: bool = False) -> tuple[str, dict[str, bytes]]:
-    """(GUID, path -> content) of the FMU without its libraries.
+    """Returns (GUID, path -> content) of the FMU without its libraries.
 
     reals_only: whether every variable is a Real, for importers that know no other type
     """
@@ -55,7 +55,7 @@ def _build_description(name: str) -> bytes:
 
 
 def libraries(name: str, members: dict[str, bytes], platforms: Sequence[str]) -> dict[str, bytes]:
-    """Path inside the FMU -> library, from the sources among the members; by default for this platform.
+    """Returns path inside the FMU -> library, made from its sources; by default for this platform.
 
     Raises ExportError for an unknown platform.
     """
@@ -67,7 +67,7 @@ def libraries(name: str, members: dict[str, bytes], platforms: Sequence[str]) ->
 def compiled_libraries(
     name: str, members: dict[str, bytes], platforms: Sequence[str]
 ) -> Iterator[Callable[[], dict[str, bytes]]]:
-    """As `libraries`: they are compiled beside this process, until the function that this gives is called."""
+    """Starts compiling `libraries` beside this process; the returned function waits for them."""
     sources = {Path(path).name: members[path].decode() for path in members if path.startswith("sources/")}
     with ExitStack() as stack:
         ends = {

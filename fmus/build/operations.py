@@ -80,7 +80,7 @@ def operations_of(function: casadi.Function) -> list[Operation]:
 
 
 def _choice(operations: Sequence[Operation], terms: Sequence[int]) -> Operation | None:
-    """One operation in place of a sum of two terms, of which one or the other is 0, as CasADi has a choice.
+    """Returns one operation in place of CasADi's choice: a sum of two terms, one of which is 0.
 
     The sum with 0 makes 0 of -0.
     """

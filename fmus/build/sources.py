@@ -21,7 +21,7 @@ SHARED_BY_EVERY_FMU = ("fmus.build.slave",)
 
 
 def defined_as(block: Block) -> tuple[str, str]:
-    """(module, name) under which a block can be imported, first in the module of its `output`.
+    """Returns (module, name) under which a block can be imported, first in the module of its `output`.
 
     Raises ExportError for a block that no loaded module holds at its top level.
     """
@@ -65,7 +65,7 @@ def source_closure(module: str) -> dict[str, str]:
 
 
 def in_package(sources: dict[str, str], package: str) -> dict[str, str]:
-    """Path inside the FMU's resources -> source, every module moved into `package`."""
+    """Returns path inside the FMU's resources -> source, every module moved into `package`."""
     tops = "|".join(sorted({name.partition(".")[0] for name in sources}))
     members = re.compile(rf"^(\s*from\s+)({tops})(?=[.\s])", re.MULTILINE)
     modules = re.compile(rf"^(\s*import\s+)((?:{tops})(?:\.\w+)*)(?![.\w,])(\s+as\s+\w+)?", re.MULTILINE)
@@ -87,7 +87,7 @@ def _text(file: str) -> str:
 
 
 def _refuse_unmoved(importer: str, statement: ast.stmt) -> None:
-    """Refuse an import that `in_package` cannot rewrite."""
+    """Refuses an import that `in_package` cannot rewrite."""
     match statement:
         case ast.Import(names=[ast.alias(name=name, asname=asname), *others]):
             if others or ("." in name and not asname):

@@ -1,4 +1,4 @@
-"""What a built FMU was made from, so that an unchanged one is known without tracing its block again.
+"""Stamps of built FMUs: an unchanged one is known without tracing its block again.
 
 A stamp names FMUs by their content and lists what decided about it: the files of the block and of what it
 imports. The files of this package, the libraries that build, and the options are in its key in the store. A
@@ -32,7 +32,7 @@ _RECENT_S = 2.0  # a file that changed so shortly before the process began may h
 
 @dataclass(frozen=True)
 class Order:
-    """What is to be built.
+    """A build order.
 
     source: name of an installed block, or path of a Python file; platforms: by default this one
     with_cross_check: with the files of the FMI cross-check beside each FMU
@@ -58,13 +58,13 @@ class Order:
 
 
 def order_of_file(path: Path, flavour: Flavour) -> Order:
-    """The FMU of a Python file's block that a command runs, in a folder of the user's cache."""
+    """Returns the FMU of a Python file's block that a command runs, in a folder of the user's cache."""
     folder = store.digest(str(path.absolute()).encode())[:12]
     return Order(str(path), fmu_folder(flavour) / folder, flavour)
 
 
 def stale(paths: Iterable[Path]) -> list[Path]:
-    """Those of the paths at which scenarios find FMUs of blocks that may have to be built."""
+    """Returns the paths, among those at which scenarios find FMUs, whose block may have to be built."""
     stamps = Stamps()
     orders = {
         fmu_path(name, flavour): Order(name, fmu_folder(flavour), flavour)
@@ -75,7 +75,7 @@ def stale(paths: Iterable[Path]) -> list[Path]:
 
 @dataclass(frozen=True)
 class Sources:
-    """What an order depends on.
+    """Sources of an order.
 
     key: of its stamp, which follows from everything but the modules
     modules: name -> (file, digest), or `_NO_FILE`
@@ -106,7 +106,7 @@ class Stamps:
         store.keep_fmus()
 
     def current(self, order: Order, to_run: bool = False) -> list[Path] | None:
-        """The FMUs of an order, if they are what would be built now; None if that is not known.
+        """Returns the FMUs of an order, if they are what would be built now; None if that is not known.
 
         to_run: whether they may differ in what runs do not need, such as their icons
         """
@@ -121,7 +121,7 @@ class Stamps:
         return None
 
     def sources(self, order: Order) -> Sources | None:
-        """What an order depends on, as it is now; None if that cannot be known from files alone."""
+        """Returns the present sources of an order; None if they cannot be known from files alone."""
         with suppress(ImpureError, ImportError, OSError, SyntaxError, ValueError):
             root = Path(order.file).stem if order.file else self._origin(order).partition(":")[0]
             names = self._modules.closure([root], partial(self._followed, order), order.beside)
@@ -131,7 +131,7 @@ class Stamps:
         return None
 
     def write(self, sources: Sources | None, fmus: Mapping[str, bytes], was_built: bool = True) -> None:
-        """Stamp FMUs, unless one of the sources may have changed since it was imported.
+        """Stamps FMUs, unless one of the sources may have changed since it was imported.
 
         sources: from before they were imported, and only if they were loaded
         fmus: content by the name of the file, where another process may have written since
@@ -151,7 +151,7 @@ class Stamps:
         return store.digest(*parts, self._libraries, self._own_files[1])
 
     def _origin(self, order: Order) -> str:
-        """MODULE:NAME of an installed block, or the path of a file."""
+        """Returns MODULE:NAME of an installed block, or the path of a file."""
         point = block_entry_points().get(order.source)
         if not order.file and point is None:
             raise ImpureError(order.source)
@@ -186,7 +186,7 @@ class Stamps:
                 yield base, members
 
     def _module(self, name: str, order: Order) -> tuple[str, str]:
-        """File and digest of the module that an import of this name loads; `_NO_FILE` if there is none."""
+        """Returns file and digest of the module that an import of this name loads; `_NO_FILE` if none."""
         file = self._modules.file(name, order.beside)
         return (
             (file, store.digest(self._modules.read(file) if file else b"")) if file is not None else _NO_FILE

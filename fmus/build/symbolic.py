@@ -89,7 +89,7 @@ class Traced:
                 )
 
     def functions(self) -> dict[str, casadi.Function]:
-        """Everything that an FMU needs, by name."""
+        """Returns everything that an FMU needs, by name."""
         return {name: value for name, value in vars(self).items() if isinstance(value, casadi.Function)}
 
     def c_code(self) -> dict[str, str]:

@@ -11,7 +11,7 @@ from fmus.compliance.variable import Variable
 def accepted(
     probe: Probe, pairs: Sequence[tuple[Variable, Any]], begun: Callable[[], Script]
 ) -> list[tuple[Variable, Any]]:
-    """The variables and values with which the FMU takes a step: all, or those that it accepts alone."""
+    """Returns the variables and values with which the FMU takes a step: all, or those accepted alone."""
     if not pairs or _takes(probe, [pairs], begun)[0]:
         return list(pairs)
     succeeded = _takes(probe, [[pair] for pair in pairs], begun)
@@ -21,7 +21,7 @@ def accepted(
 def accepted_together(
     probe: Probe, pairs: Sequence[tuple[Variable, Any]], begun: Callable[[], Script]
 ) -> list[tuple[Variable, Any]]:
-    """The variables and values with which the FMU takes a step at once: those accepted alone, less those
+    """Returns variables and values with which the FMU takes a step at once: those accepted alone, less those
     that it refuses beside others; found once for all rules that begin alike.
     """
     values = [(v.name, x) for v, x in pairs]

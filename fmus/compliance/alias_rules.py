@@ -12,7 +12,7 @@ _CLAUSE = "2.2.7 Definition of Model Variables (ModelVariables), alias variables
 
 @lru_cache(maxsize=1)
 def _sets(fmu: FmuFile) -> tuple[list[Variable], ...]:
-    """Variables of one base type with one value reference, where there are several."""
+    """Returns the variables of one base type with one value reference, where there are several."""
     sets: dict[tuple[str, int | None], list[Variable]] = {}
     for v in fmu.variables:
         if v.reference is not None and v.kind:

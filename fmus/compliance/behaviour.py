@@ -36,7 +36,7 @@ def behaviour(
     of_libraries: Callable[[], Sequence[Result]] = tuple,
     started: WorkerProcess | None = None,
 ) -> Iterator[Result]:
-    """One result for each behaviour rule.
+    """Yields one result for each behaviour rule.
 
     timeout: seconds for one rule; started: a process that does not know an FMU yet
     of_libraries: the results of the rules of libraries, which LIEF reads meanwhile; asked for when a
@@ -54,7 +54,7 @@ def behaviour(
 
 
 def _needs_first(names: Sequence[str]) -> list[str]:
-    """The names in their order, but each after those that its rule needs, and the last ones at the end."""
+    """Returns the names in order, but each after those that its rule needs, and the last ones at the end."""
     rules = {rule.name: rule for rule in registered(Stage.BEHAVIOUR)}
     ordered: dict[str, None] = {}
 
@@ -71,7 +71,7 @@ def _needs_first(names: Sequence[str]) -> list[str]:
 
 
 def obstacle(fmu: FmuFile) -> str:
-    """The reason why no behaviour can be judged, if there is one."""
+    """Returns the reason why no behaviour can be judged, if there is one."""
     if fmu.archive_problem or fmu.too_large or fmu.description_problem:
         return "the FMU cannot be read"
     if fmu.other_version:
@@ -86,7 +86,7 @@ def _unreadable_variable(fmu: FmuFile) -> str:
 
 
 def _broken_library(fmu: FmuFile, results: Sequence[Result]) -> str:
-    """The rule of libraries that the library of this platform breaks, if any."""
+    """Returns the rule of libraries that the library of this platform breaks, if any."""
     broken = (r.rule.name for r in results if any(m.startswith(f"{fmu.host_library} ") for m in r.messages))
     return next(
         (f"{name}{IS_BROKEN}" for name in broken if name in ("library-format", "library-exports")), ""
@@ -100,7 +100,7 @@ def _judged(
     of_libraries: Callable[[], Sequence[Result]],
     started: WorkerProcess | None,
 ) -> dict[str, Result]:
-    """Rule name -> result, of the unpacked FMU."""
+    """Returns rule name -> result, of the unpacked FMU."""
     rules = {rule.name: rule for rule in registered(Stage.BEHAVIOUR)}
     with host_errors(), _temporary_folder() as temporary:
         folder = Path(temporary, "unpacked")
@@ -122,7 +122,7 @@ def _judged_unpacked(
     of_libraries: Callable[[], Sequence[Result]],
     started: WorkerProcess | None,
 ) -> dict[str, Result]:
-    """Rule name -> result. After a crash or a hang a new process goes on with the next rule."""
+    """Returns rule name -> result. After a crash or a hang a new process goes on with the next rule."""
     results: dict[str, Result] = {}
     shared: dict[str, Any] = {}
     shared_alone: dict[str, Any] = {}  # of instances that are alone in their processes
@@ -153,7 +153,7 @@ def _judged_unpacked(
 
 
 def _crash_of_a_format(rule: Rule, probe: Probe, formats: Rule, timeout: float) -> dict[str, Result]:
-    """The results of a rule that ended with the process and of the one of formats, if that is the cause."""
+    """Returns results of a rule that ended with the process and of that of formats, if it is the cause."""
     (result,) = judged_by_one_process(probe, [formats], {}, timeout)
     if not result.messages or result.messages[0].startswith(ENDED):
         return {}
@@ -178,7 +178,7 @@ def _is_no_instance(result: Result) -> bool:
 def _without_instances_before(
     result: Result, results: Mapping[str, Result], only_once: bool, judge_alone: Callable[[], Result]
 ) -> dict[str, Result]:
-    """The results that follow from a rule's: a crash, or no instance, that instances before it cause is a
+    """Returns results that follow from a rule's: a crash, or no instance, that instances before it cause is a
     finding of one rule.
 
     only_once: whether the FMU asks for a process for each instance
@@ -210,7 +210,7 @@ def _judged_alone(
     results: Mapping[str, Result],
     timeout: float,
 ) -> Result:
-    """The verdict where no instance was in the process before, as 4.3.1 lets an FMU ask for."""
+    """Returns the verdict where no instance was in the process before, as 4.3.1 lets an FMU ask for."""
     probe = Probe(fmu, folder, time.monotonic() + START_S, shared, one_instance=True)
     return next(judged_by_one_process(probe, [rule], results, timeout))
 
@@ -224,7 +224,7 @@ def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
 
 @contextmanager
 def host_errors() -> Iterator[None]:
-    """A context in which a full disk, or another lack of the machine, is a HostError."""
+    """Turns a full disk, or another lack of the machine, into a HostError while the context lasts."""
     try:
         yield
     except OSError as error:

@@ -37,7 +37,7 @@ def allowed_calls_succeed(probe: Probe) -> Iterator[str]:
 def _setting(
     probe: Probe, causality: str, variability: str | None, kind: str = ""
 ) -> tuple[Variable, float | str] | None:
-    """A variable with a start value, and that value.
+    """Returns a variable with a start value, and that value.
 
     variability: None for any but constant; kind: of the variable, any but String without
     """

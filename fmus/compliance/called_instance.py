@@ -35,7 +35,7 @@ _STATUS_TYPES = {
 
 
 def _not_numbers(count: int) -> Any:
-    """An array of results, each of which the FMU must write."""
+    """Returns an array of results, each of which the FMU must write."""
     return (ctypes.c_double * count)(*[math.nan] * count)
 
 
@@ -86,7 +86,7 @@ class CalledInstance(BoundInstance):
             structure.freeMemory = FreeMemory()
 
     def create(self) -> bool:
-        """Call fmi2Instantiate; False if it returns NULL."""
+        """Calls fmi2Instantiate; False if it returns NULL."""
         options = self._options
         strings = [
             ctypes.create_string_buffer(options.get(key, default).encode())
@@ -110,7 +110,7 @@ class CalledInstance(BoundInstance):
         self.last_status = status
 
     def call(self, function: str, *arguments: Any) -> None:
-        """Call a function, and note if one that is watched writes into an array that is constant to it."""
+        """Calls a function, and notes if one that is watched writes into an array that is constant to it."""
         arrays = [x for x in arguments if self.watched and isinstance(x, ctypes.Array)]
         if function.startswith(_RETURN_ARRAYS):
             arrays = arrays[:-1]
@@ -119,13 +119,13 @@ class CalledInstance(BoundInstance):
         self._overwritten |= before != [bytes(array) for array in arrays]
 
     def new_messages(self) -> list[list[Any]]:
-        """[status, message, instance, category, whether the environment is right] of each new message."""
+        """Returns [status, message, instance, category, right environment or not] of each new message."""
         messages = self.messages.messages + self._unknown.messages
         self.messages.messages, self._unknown.messages = [], []
         return messages
 
     def changed_settings(self) -> list[list[str]]:
-        """[setting, before, after] of those that differ from when the FMU was loaded; they are set back."""
+        """Returns [setting, before, after] of those changed since the FMU was loaded, and sets them back."""
         changed = self._settings.changed()
         if self.messages.changed_in_callback:
             self.messages.changed_in_callback = False
@@ -144,7 +144,7 @@ class CalledInstance(BoundInstance):
     def set_up_experiment_with(
         self, tolerance: list[float], start: float, stop: list[float], undefined: float = 0.0
     ) -> None:
-        """fmi2SetupExperiment. tolerance, stop: empty if not defined, and then `undefined`."""
+        """Calls fmi2SetupExperiment. tolerance, stop: empty if not defined, and then `undefined`."""
         self.call(
             "fmi2SetupExperiment", int(bool(tolerance)), *(tolerance or [undefined]), start,
             int(bool(stop)), *(stop or [undefined]),
@@ -156,7 +156,7 @@ class CalledInstance(BoundInstance):
         return values if kind != "String" else [None if x is None else bytes(x).hex() for x in values]
 
     def _guarded_values(self, kind: str, references: Sequence[int]) -> list[Any]:
-        """The values, with an element behind them that the FMU may not write."""
+        """Returns the values, with an element behind them that the FMU may not write."""
         count, size = len(references), ctypes.sizeof(element_type(kind))
         buffer = (element_type(kind) * (count + 1))()
         mark = bytes([_GUARD]) * size if self.watched and kind != "String" else b""
@@ -169,7 +169,7 @@ class CalledInstance(BoundInstance):
         return buffer[:count]
 
     def set(self, kind: str, references: Sequence[int], values: Sequence[Any]) -> None:
-        """Set values. Strings are hexadecimal bytes; their memory is overwritten after the call."""
+        """Sets values. Strings are hexadecimal bytes; their memory is overwritten after the call."""
         if kind != "String":
             self.set_values(kind, references, values)
             return
@@ -180,17 +180,17 @@ class CalledInstance(BoundInstance):
             ctypes.memset(buffer, ord("#"), len(buffer) - 1)
 
     def remove_link(self, location: str) -> None:
-        """Remove the link through which the resources were found: their path is no more."""
+        """Removes the link through which the resources were found: their path is no more."""
         from urllib.request import url2pathname  # which imports an HTTP client
 
         Path(url2pathname(urlsplit(location).path)).parent.unlink()
 
     def transfer_nothing(self, function: str) -> None:
-        """Get or set no values, with NULL for both arrays."""
+        """Gets or sets no values, with NULL for both arrays."""
         self.call(function, None, 0, None)
 
     def set_debug_logging(self, on: bool, categories: Sequence[str]) -> None:
-        """fmi2SetDebugLogging; the memory of the categories is overwritten after the call."""
+        """Calls fmi2SetDebugLogging; the memory of the categories is overwritten after the call."""
         buffers = [ctypes.create_string_buffer(category.encode()) for category in categories]
         names = [ctypes.cast(buffer, ctypes.c_char_p) for buffer in buffers]
         array = (ctypes.c_char_p * len(names))(*names) if names else None
@@ -200,14 +200,14 @@ class CalledInstance(BoundInstance):
             ctypes.memset(buffer, ord("#"), len(buffer) - 1)
 
     def do_step(self, t: float, h: float, no_going_back: bool = False) -> None:
-        """Advance from t to t + h seconds; a pending step is waited for."""
+        """Advances from t to t + h seconds; a pending step is waited for."""
         self.call("fmi2DoStep", t, h, int(no_going_back))
         if self.last_status == PENDING:
             self.pending_steps += 1
             self.wait()
 
     def wait(self) -> None:
-        """Wait until a pending step has ended; the time limit of the rule ends a wait without end."""
+        """Waits until a pending step has ended; the time limit of the rule ends a wait without end."""
         status = ctypes.c_int(PENDING)
         while status.value == PENDING:
             time.sleep(0.001)
@@ -218,14 +218,14 @@ class CalledInstance(BoundInstance):
         self.last_status = status.value
 
     def begin_step(self, t: float, h: float) -> bool:
-        """Call fmi2DoStep; whether the step is pending, which is no failure."""
+        """Calls fmi2DoStep; returns whether the step is pending, which is no failure."""
         self.call("fmi2DoStep", t, h, 0)
         pending = self.last_status == PENDING
         self.last_status = 0 if pending else self.last_status
         return pending
 
     def poll_step(self) -> list[list[int]]:
-        """[status of fmi2GetStatus, status of the step] of each question, until a pending step has ended."""
+        """Returns [status of fmi2GetStatus, of the step] of each question, until a pending step has ended."""
         answers: list[list[int]] = []
         step = ctypes.c_int(PENDING)
         while step.value == PENDING and not self.last_status:
@@ -236,19 +236,19 @@ class CalledInstance(BoundInstance):
         return answers
 
     def derive_nothing(self) -> None:
-        """Directional derivatives of no unknowns with respect to no knowns."""
+        """Reads directional derivatives of no unknowns with respect to no knowns."""
         self.call("fmi2GetDirectionalDerivative", None, 0, None, 0, None, None)
 
     def call_plain(self, function: str) -> None:
-        """Call a function of FMI that has no argument but the instance."""
+        """Calls a function of FMI that has no argument but the instance."""
         self.call(function)
 
     def end(self) -> None:
-        """fmi2Terminate after a step that was discarded."""
+        """Calls fmi2Terminate after a step that was discarded."""
         self.call("fmi2Terminate")
 
     def status_of(self, kind: str, status_kind: int) -> Any:
-        """The value of fmi2GetXXXStatus; XXX is the type `kind`."""
+        """Returns the value of fmi2GetXXXStatus; XXX is the type `kind`."""
         value = _STATUS_TYPES[kind]()
         self.call(f"fmi2Get{kind}Status", status_kind, ctypes.byref(value))
         return value.value.hex() if isinstance(value.value, bytes) else value.value
@@ -272,7 +272,7 @@ class CalledInstance(BoundInstance):
         self.call("fmi2SetRealInputDerivatives", reference_array(references), count, *arrays)
 
     def output_derivatives(self, references: Sequence[int], order: int | Sequence[int]) -> list[float]:
-        """Derivatives of outputs, all of one order or each of its own."""
+        """Returns derivatives of outputs, all of one order or each of its own."""
         count = len(references)
         result = _not_numbers(count)
         orders = (ctypes.c_int * count)(*([order] * count if isinstance(order, int) else order))

@@ -24,7 +24,7 @@ def check(
     format_name: str = "text",
     out: Path | None = None,
 ) -> int:
-    """Judge FMUs and print the findings; returns the number of errors.
+    """Judges FMUs and prints the findings; returns the number of errors.
 
     every: print each rule, also those that hold; format_name: one of `FORMATS`; out: a file for the findings
     in that format, and then they are printed as text too. Raises OSError for a file that is not there,
@@ -59,7 +59,7 @@ def explain(name: str) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Exit status: 0 without an error, 1 with one, 2 for bad usage, 3 if this machine allows no verdict."""
+    """Returns 0 without an error, 1 with one, 2 for bad usage, 3 if this machine allows no verdict."""
     parser = argparse.ArgumentParser(prog="python -m fmus.compliance", description="Judge FMUs by FMI 2.0.5.")
     parser.add_argument("fmus", nargs="*", type=Path, metavar="FMU")
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON, to - for standard output")

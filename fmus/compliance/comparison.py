@@ -40,7 +40,7 @@ def same(a: Any, b: Any, tolerance: float = 0.0, scale: float = 0.0) -> bool:
 def unlike(
     expected: Iterable[tuple[Variable, Any, Reading]], tolerance: float
 ) -> Iterator[tuple[Variable, str, str]]:
-    """The first reading of each variable whose value is not the expected one, and both values as texts."""
+    """Yields the first reading of each variable that is not as expected, and both values as texts."""
     named = set()
     for v, value, reading in expected:
         got = read_value(reading.values[v.name])
@@ -53,7 +53,7 @@ def unlike(
 def differing(
     expected: Sequence[Reading], got: Sequence[Reading], when: str, tolerance: float = 0.0
 ) -> Iterator[str]:
-    """The first value of each variable that is not the same; a tolerance is relative to the largest number,
+    """Yields each variable's first value that is not the same; a tolerance is relative to the largest number,
     a large one to the variable's own, or a hundredth of the largest.
     """
     before, after = ([reading.values for reading in readings] for readings in (expected, got))
@@ -73,7 +73,7 @@ def differing(
 
 
 def _steady(probe: Probe) -> set[str]:
-    """Names of the variables that are the same in every instance: no clock of the computer."""
+    """Returns the names of the variables that are the same in every instance: no clock of the computer."""
 
     def names() -> set[str]:
         one, other = probe.script().begin(), probe.script().begin()
@@ -88,7 +88,7 @@ def _steady(probe: Probe) -> set[str]:
 
 
 def steadily(probe: Probe, messages: Iterator[str]) -> Iterator[str]:
-    """The messages about variables that are the same in every instance."""
+    """Returns the messages about variables that are the same in every instance."""
     steady = _steady(probe)
     return (message for message in messages if message.split(" is ", 1)[0] in steady)
 
@@ -101,7 +101,7 @@ def failing_or_differing(
     tolerance: float = 0.0,
     failing: str | None = None,
 ) -> Iterator[str]:
-    """A message where a call of a script that was played has failed, otherwise as `differing`.
+    """Yields a message where a call of a script that was played has failed, otherwise as `differing`.
 
     failing: when it fails, unless that is `when`
     """

@@ -69,7 +69,7 @@ def fixed_values_stay(probe: Probe) -> Iterator[str]:
 
 
 def _moved(readings: Sequence[Reading], when: str) -> Iterator[str]:
-    """The first change of each variable."""
+    """Yields the first change of each variable."""
     named = set()
     for reading in readings[1:]:
         for name, value in reading.values.items():
@@ -102,7 +102,7 @@ def fixed_values_follow_nothing(probe: Probe) -> Iterator[str]:
 def _around_a_change(
     probe: Probe, pairs: list[tuple[Variable, object]], chosen: list[Variable]
 ) -> list[Reading]:
-    """Before and after all values are set that the FMU accepts alone; nothing where it accepts none."""
+    """Returns readings before and after values that the FMU accepts alone are set; nothing without any."""
     script = probe.script().begin().step()
     before = script.read(chosen)
     script.step()

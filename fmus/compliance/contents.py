@@ -21,7 +21,7 @@ def unless_there(path: str) -> Condition:
 
 @cache
 def schema_of(path: Path) -> Any:
-    """An XML schema, read once in a process."""
+    """Returns an XML schema, read once in a process."""
     return etree.XMLSchema(etree.parse(path))
 
 
@@ -33,7 +33,7 @@ def schema_errors(root: Any, path: Path) -> list[Any]:
 
 
 def fmi3_schema_errors(root: Any, name: str) -> list[str]:
-    """By a schema of FMI 3.0; any version of FMI may be stated, as FMI 2.0 does not say which."""
+    """Returns errors by a schema of FMI 3.0; any version may be stated, as FMI 2.0 does not say which."""
     stated = root.attrib.pop("fmiVersion", None)
     root.set("fmiVersion", "3.0")
     errors = [f"line {error.line}: {error.message}" for error in schema_errors(root, SCHEMAS / "fmi3" / name)]
@@ -41,7 +41,7 @@ def fmi3_schema_errors(root: Any, name: str) -> list[str]:
 
 
 def parsed_member(fmu: FmuFile, path: str) -> tuple[Any, str]:
-    """(root element, what is wrong): the root is nothing if the file cannot be read."""
+    """Returns (root element, what is wrong): the root is nothing if the file cannot be read."""
     try:
         return parsed_xml(fmu.read(path, _LARGEST)), ""
     except ValueError as error:

@@ -35,13 +35,13 @@ def _unknowns(probe: Probe) -> list[Variable]:
 
 
 def declared(probe: Probe, section: str = "InitialUnknowns") -> dict[str, set[int | None]]:
-    """Unknown -> indices of the knowns that it declares; without a declaration it is left out."""
+    """Returns unknown -> indices of the knowns that it declares; without a declaration it is left out."""
     listed = probe.fmu.dependencies[section]
     return {unknown.name: set(knowns) for unknown, knowns, _ in listed if knowns is not None}
 
 
 def _changed(probe: Probe, pairs: list[tuple[Point, Variable, Any]]) -> list[tuple[Variable, set[str]]]:
-    """Known -> the unknowns that change when it has another value, at each point that the FMU accepts."""
+    """Returns known -> unknowns that change when it has another value, at each point that the FMU accepts."""
     tried = []
     for point, known, value in pairs:
         scripts = [probe.script().initialise() for _ in range(2)]
@@ -61,7 +61,7 @@ def _changed(probe: Probe, pairs: list[tuple[Point, Variable, Any]]) -> list[tup
 
 
 def _influences(probe: Probe) -> list[tuple[Variable, set[str]]]:
-    """Known -> the initial unknowns that it changes, at the start values."""
+    """Returns known -> the initial unknowns that it changes, at the start values."""
     knowns = settable_in_initialization(probe.fmu)[:_MOST_KNOWNS]
     pairs: list[tuple[Point, Variable, Any]] = [([], known, value) for known, value in other_values(knowns)]
     return probe.once("change of what initial values depend on", lambda: _changed(probe, pairs))
@@ -80,7 +80,7 @@ def initial_dependencies_are_declared(probe: Probe) -> Iterator[str]:
 
 
 def _noise(probe: Probe, known: Variable, names: set[str]) -> set[str]:
-    """The unknowns that change as much between two values that are almost one: an iteration leaves it."""
+    """Returns unknowns that change as much between two values that are almost one: an iteration leaves it."""
     start, value = start_value(known), other_value(known)
     if not names or not isinstance(start, float) or not isinstance(value, float):
         return set()
@@ -147,7 +147,7 @@ def initial_dependencies_exist(probe: Probe) -> Iterator[str]:
 
 
 def _finite(probe: Probe) -> set[str]:
-    """The continuous initial unknowns that are finite numbers at the start values."""
+    """Returns the continuous initial unknowns that are finite numbers at the start values."""
     script = probe.script().initialise()
     unknowns = [v for v in _unknowns(probe) if v.kind == "Real" and v.variability == "continuous"]
     reading = script.read(unknowns)
@@ -164,7 +164,7 @@ def _unmoved(
 
 
 def _points(knowns: list[Variable], chance: random.Random) -> Iterator[Point]:
-    """Values of inputs anywhere, with each other item of each choice, then with some other knowns changed."""
+    """Yields values of inputs anywhere, each other item of each choice, then some other knowns changed."""
     switches = [v for v in knowns if v.base_kind not in {"Real", "String"}]
     chosen: list[list[tuple[Variable, Any]]] = [
         [(v, x)] for v in switches for x in sorted(v.items or {0, 1}) if x != start_value(v)
@@ -208,7 +208,7 @@ def constant_factors_are_constant(probe: Probe) -> Iterator[str]:
 
 
 def _constant_factors(probe: Probe) -> list[tuple[Variable, list[Variable]]]:
-    """Real knowns that can be set, each with the Real unknowns that list it with the kind constant."""
+    """Returns settable Real knowns, each with the Real unknowns that list it with the kind constant."""
     settable = {v.index: v for v in settable_in_initialization(probe.fmu) if v.kind == "Real"}
     initial = {v.index for v in _unknowns(probe)}
     result: dict[int, list[Variable]] = {}

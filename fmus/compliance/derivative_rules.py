@@ -27,7 +27,7 @@ def derivatives_are_slopes(probe: Probe) -> Iterator[str]:
 
 
 def _no_slope(run: _Run, step_size: float) -> list[str]:
-    """A message if neither the integral of a derivative nor its values are right."""
+    """Returns a message if neither the integral of a derivative nor its values are right."""
     v, state, values, slopes = run
     if _difference_of_integral(values, slopes, step_size) is None:
         return []
@@ -58,7 +58,7 @@ def _usual_runs(probe: Probe) -> list[_Run]:
 
 
 def _runs(probe: Probe, part: float) -> list[_Run]:
-    """The values of each continuous derivative and its variable in a run, if all are finite.
+    """Returns the values of each continuous derivative and its variable in a run, if all are finite.
 
     part: of the step size, for each step
     """
@@ -83,7 +83,7 @@ def _runs(probe: Probe, part: float) -> list[_Run]:
 def _difference_of_integral(
     values: list[float], slopes: list[float], step_size: float
 ) -> tuple[float, float] | None:
-    """The change of a variable and the integral of its derivative, if they are not about the same."""
+    """Returns the change of a variable and the integral of its derivative, if they are not about the same."""
     integral = step_size * (sum(slopes) - (slopes[0] + slopes[-1]) / 2)
     variation = sum(abs(b - a) for a, b in itertools.pairwise(slopes))
     margin = step_size * (variation + _INTEGRATED * sum(map(abs, slopes)))

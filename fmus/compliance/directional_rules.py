@@ -35,7 +35,7 @@ def directional_derivatives(probe: Probe) -> Iterator[str]:
 
 
 def _pairs(fmu: FmuFile) -> dict[int, list[Variable]]:
-    """Index of a Real known that can be set -> Real outputs, calculated parameters and state derivatives that
+    """Returns settable Real known's index -> Real outputs, calculated parameters and state derivatives that
     depend on it at first.
     """
     derivatives = {index for index, _ in fmu.unknowns("Derivatives")}
@@ -69,12 +69,12 @@ def _compared(probe: Probe, known: Variable, unknowns: list[Variable]) -> Iterat
 
 
 def derivatives_by(script: Script, unknowns: Sequence[Variable], known: Variable) -> Reply:
-    """The partial derivatives of unknowns."""
+    """Returns the partial derivatives of unknowns."""
     return script.call("directional_derivatives", references_of(unknowns), references_of([known]), [1.0])
 
 
 def other_quotients(derivative: float, quotients: Sequence[float], rounding: float) -> str:
-    """The range of difference quotients, as text, if a derivative lies outside of it."""
+    """Returns the range of difference quotients, as text, if a derivative lies outside of it."""
     tolerance = AGREEMENT * max([abs(derivative), *map(abs, quotients)]) + rounding
     low, high = min(quotients, default=-math.inf), max(quotients, default=math.inf)
     return "" if low - tolerance <= derivative <= high + tolerance else f"{low:.9g}..{high:.9g}"
@@ -83,7 +83,7 @@ def other_quotients(derivative: float, quotients: Sequence[float], rounding: flo
 def _quotients(
     probe: Probe, known: Variable, unknowns: list[Variable], before: float, sign: int, middle: Reading
 ) -> dict[str, float]:
-    """Difference quotients of all unknowns on one side; none where the FMU refuses the value."""
+    """Returns difference quotients of all unknowns on one side; none where the FMU refuses the value."""
     low, high = known.number("min"), known.number("max")
     value = before + sign * DIFFERENCE * max(1.0, abs(before))
     if (low is not None and value < low) or (high is not None and value > high):
@@ -131,7 +131,7 @@ def _other_sums(
 
 
 def _in_mode(probe: Probe, stepping: bool) -> Script:
-    """A script in step mode, after a step, or in initialization mode."""
+    """Returns a script in step mode, after a step, or in initialization mode."""
     script = probe.script(logging=True)
     return script.begin().step() if stepping else script.initialise()
 
@@ -166,6 +166,6 @@ def directional_derivatives_are_zero_without_dependency(probe: Probe) -> Iterato
 
 
 def states_of(fmu: FmuFile) -> list[Variable]:
-    """The continuous states that Derivatives exposes."""
+    """Returns the continuous states that Derivatives exposes."""
     indices = [integer(v.typed.get("derivative")) for v, *_ in fmu.dependencies["Derivatives"]]
     return [fmu.variables[i - 1] for i in indices if i is not None and 1 <= i <= len(fmu.variables)]

@@ -24,7 +24,7 @@ class _DiscardedStep:
 
 
 def _discarded(probe: Probe) -> _DiscardedStep:
-    """The first of some equal steps that the FMU discards. Raises NotApplicableError if there is none."""
+    """Returns the first of equal steps that the FMU discards, or raises NotApplicableError."""
     discarded = probe.once("discarded step of a run", lambda: _first_discarded(probe))
     if discarded is None:
         raise NotApplicableError("no step is discarded")
@@ -90,7 +90,7 @@ def discarded_steps_can_be_left(probe: Probe) -> Iterator[str]:
 
 
 def _failure_after_the_discard(script: Script) -> Reply | None:
-    """The first reply after the discarded step that is not ok, if there is one."""
+    """Returns the first reply after the discarded step that is not ok, if there is one."""
     replies = [reply for reply in script.replies if reply.status is not None]
     ends = [i for i, r in enumerate(replies) if r.function == "fmi2DoStep" and r.status == DISCARD]
     return next((r for r in replies[ends[0] + 1 :] if not r.ok), None) if ends else None

@@ -18,7 +18,7 @@ _STATIC = (Stage.FILE, Stage.DESCRIPTION, Stage.LIBRARY)
 
 
 def examine(path: Path, timeout: float = DEFAULT_TIMEOUT_S) -> list[Result]:
-    """One result for every rule, in the order of `all_rules`.
+    """Returns one result for every rule, in the order of `all_rules`.
 
     timeout: seconds that one behaviour, or LIEF for one library, may take. The process of LIEF stays for the
     next FMU until `close_reader`, or the end of this process. Raises OSError if there is no such file,
@@ -43,7 +43,7 @@ def examine(path: Path, timeout: float = DEFAULT_TIMEOUT_S) -> list[Result]:
 
 
 def static_results(fmu: FmuFile, stages: Sequence[Stage] = _STATIC) -> Iterator[Result]:
-    """One result for every rule of what the file holds: no code of the FMU runs."""
+    """Yields one result for every rule of what the file holds: no code of the FMU runs."""
     for stage in stages:
         reason = "" if stage is Stage.FILE else _unread(fmu)
         yield from (_result(rule, fmu, reason) for rule in registered(stage))

@@ -24,7 +24,7 @@ _NO_DTD = "it has a document type declaration: expected none, it is not read (en
 
 
 def parsed_xml(content: bytes) -> Any:
-    """The root element. Raises BrokenMemberError for what is not well-formed, or has a document type
+    """Returns the root element. Raises BrokenMemberError for what is not well-formed, or has a document type
     declaration.
     """
     parser = etree.XMLParser(
@@ -187,7 +187,7 @@ class FmuFile:
         return frozenset(self.state_derivatives.values())
 
     def unknowns(self, section: str) -> Iterator[tuple[int | None, Any]]:
-        """(index or nothing if it is none of a variable, element) of a section of ModelStructure."""
+        """Yields (index or nothing if it is none of a variable, element) of a section of ModelStructure."""
         for element in self.root.iterfind(f"ModelStructure/{section}/Unknown"):
             index = integer(element.get("index"))
             exists = index is not None and 1 <= index <= len(self.variables)
@@ -207,11 +207,11 @@ class FmuFile:
         return sections
 
     def platforms(self) -> list[str]:
-        """Names of the folders below binaries that hold a file."""
+        """Returns the names of the folders below binaries that hold a file."""
         return sorted({path.split("/")[1] for path in self.names if re.match("binaries/[^/]+/.*[^/]$", path)})
 
     def libraries(self) -> dict[str, str]:
-        """Path inside the archive -> folder below binaries, of shared libraries called as a modelIdentifier.
+        """Returns path inside the archive -> folder below binaries, of libraries named as a modelIdentifier.
 
         Others in the same folder are libraries that these need.
         """
@@ -233,7 +233,7 @@ class FmuFile:
         return (library_member(self.names, identifier) or "") if C_IDENTIFIER.fullmatch(identifier) else ""
 
     def read(self, member: str, most: int = _LARGEST_MEMBER) -> bytes:
-        """Content of a member.
+        """Returns the content of a member.
 
         Raises UnreadableMemberError, and BrokenMemberError where there is none, or one of more than `most`
         bytes.
@@ -253,5 +253,5 @@ class FmuFile:
                 raise UnreadableMemberError(f"{member} cannot be unpacked: {error}") from error
 
     def extract(self, folder: Path) -> None:
-        """Unpack everything; zipfile keeps odd paths inside the folder. Raises what zipfile raises."""
+        """Unpacks everything; zipfile keeps odd paths inside the folder. Raises what zipfile raises."""
         extract_archive(self.path, folder)

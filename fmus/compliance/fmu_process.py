@@ -16,7 +16,7 @@ _POLL_S = 0.01
 
 
 def start_process() -> WorkerProcess:
-    """A process for calls of an FMU, which it does not know yet."""
+    """Returns a process for calls of an FMU, which it does not know yet."""
     from fmus.compliance.instance import call_fmu
 
     return WorkerProcess(call_fmu, trusted=False)
@@ -46,7 +46,7 @@ class FmuProcess:
         process.send((process.folder, *self._files))
 
     def calls(self, calls: Sequence[Call]) -> list[Any]:
-        """The results of calls of `LoadedFmu`. Raises CallError for the first that fails."""
+        """Returns the results of calls of `LoadedFmu`. Raises CallError for the first that fails."""
         if not self.one_instance:
             return self._calls(calls)
         results = []
@@ -63,7 +63,7 @@ class FmuProcess:
         return results
 
     def _start_anew(self) -> None:
-        """Go on in a new process; its start takes no time of the deadline."""
+        """Continues in a new process; its start takes no time of the deadline."""
         left = self.deadline - time.monotonic()
         self.close()
         self.deadline = time.monotonic() + START_S
@@ -73,7 +73,7 @@ class FmuProcess:
 
     @contextmanager
     def in_new_processes(self) -> Iterator[None]:
-        """A context in which each instance is the first one of its process."""
+        """Yields a context in which each instance is the first one of its process."""
         before, self.one_instance, self._has_created = self.one_instance, True, True
         try:
             yield
@@ -103,7 +103,7 @@ class FmuProcess:
         return began > 0
 
     def _began(self) -> float:
-        """When the call that is under way began; 0 if there is none."""
+        """Returns when the call that is under way began; 0 if there is none."""
         try:
             return self._called.stat().st_mtime
         except OSError:

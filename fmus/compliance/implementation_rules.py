@@ -128,12 +128,12 @@ def _has_sources(fmu: FmuFile) -> bool:
 
 
 def _source_path(name: str) -> str:
-    """The path in the archive of a file that is listed relative to the directory sources."""
+    """Returns the path in the archive of a file that is listed relative to the directory sources."""
     return posixpath.normpath(f"{SOURCES}{name}")
 
 
 def _listed_sources(fmu: FmuFile) -> dict[str, list[str]]:
-    """Interface -> names of SourceFiles."""
+    """Returns interface -> names of SourceFiles."""
     return {
         kind: [file.get("name", "") for file in fmu.root.iterfind(f"{kind}/SourceFiles/File")]
         for kind in fmu.interfaces

@@ -25,7 +25,7 @@ def derive(script: Script, v: Variable, value: float) -> None:
 
 
 def set_input_derivatives(probe: Probe, script: Script, value: float = 1.0) -> None:
-    """First derivatives of all continuous Real inputs, if the FMU interpolates."""
+    """Sets first derivatives of all continuous Real inputs, if the FMU interpolates."""
     references = references_of(continuous_reals(probe, "input"))
     if references and probe.fmu.claims(INTERPOLATES):
         count = len(references)

@@ -65,7 +65,7 @@ def _run(
 
 
 def _wrong_effect(probe: Probe, v: Variable, change: float) -> Iterator[str]:
-    """A message if each output that can be judged is moved otherwise by the derivative of the input."""
+    """Yields a message if the derivative of the input moves each output that can be judged otherwise."""
     start = start_value(v)
     runs = [
         _run(probe, v, lambda _: start, 1),

@@ -28,7 +28,7 @@ _AFTER_A_FAILURE = {  # status -> methods of `CalledInstance` that FMI allows th
 
 
 def _failed(method: str, status: int) -> int:
-    """The status that ends a run, if it is one."""
+    """Returns the status that ends a run, if it is one."""
     ends = status in (ERROR, FATAL) or (status == DISCARD and method in ("do_step", "begin_step"))
     return status if ends else 0
 
@@ -47,7 +47,7 @@ class LoadedFmu:
         self._instances: dict[int, CalledInstance] = {}
 
     def load(self) -> None:
-        """Nothing: the library is loaded by now."""
+        """Does nothing: the library is loaded by now."""
 
     def text(self, function: str) -> str:
         """Returns the text of a function without arguments."""
@@ -67,18 +67,18 @@ class LoadedFmu:
         return self._memory.foreign_frees
 
     def resources_in_use(self) -> dict[str, int]:
-        """Open files and threads of the process, and bytes of its heap; what the system does not tell
+        """Returns open files and threads of the process, and bytes of its heap; what the system does not tell
         is 0.
         """
         return self._settings.resources_in_use()
 
     def set_search_path(self, path: str) -> str:
-        """Set the search path for programs; returns the one before."""
+        """Sets the search path for programs; returns the one before."""
         before, os.environ["PATH"] = os.environ.get("PATH", ""), path
         return before
 
     def link(self, name: str) -> str:
-        """The location of the resources, as a URI, through a link of that name."""
+        """Returns the location of the resources, as a URI, through a link of that name."""
         link = self._resources.parent.parent / name
         if not link.exists():
             link.symlink_to(self._resources.parent, target_is_directory=True)
@@ -91,7 +91,7 @@ class LoadedFmu:
         self._library.fmi2FreeInstance(None)
 
     def create(self, number: int, options: dict[str, Any]) -> list[Any]:
-        """Create an instance: whether the FMU returned one, messages, changed settings, bytes printed.
+        """Creates an instance; returns whether the FMU did, messages, changed settings, bytes printed.
 
         options: see `CalledInstance`
         """
@@ -101,7 +101,7 @@ class LoadedFmu:
         return self._observed(instance, instance.create)
 
     def play(self, number: int, calls: Sequence[Sequence[Any]], keep_going: bool) -> list[list[Any]]:
-        """[status, value, messages, changed settings, bytes printed] of each call, up to one that fails.
+        """Returns [status, value, messages, changed settings, bytes printed] of calls, up to one that fails.
 
         keep_going: also after a call that fails; what FMI forbids then is not called, and has no answer
         """
@@ -162,7 +162,7 @@ class LoadedFmu:
         return [instance.pending_steps, instance.finished_steps]
 
     def free(self, number: int) -> list[Any]:
-        """Free an instance, unless there is none or it is fatal: as `create`, without a value."""
+        """Frees an instance, unless there is none or it is fatal: as `create`, without a value."""
         instance = self._instances.pop(number)
         observed = self._observed(instance, instance.free)
         self._settings.restore()
@@ -170,7 +170,7 @@ class LoadedFmu:
 
 
 def call_fmu(parent: Parent) -> None:
-    """Receive a working folder and the paths of library and resources, then calls of `LoadedFmu`.
+    """Receives a working folder and the paths of library and resources, then calls of `LoadedFmu`.
 
     Sends [results, error]: results of the calls up to the first error, and that error, or null.
     """
@@ -198,7 +198,7 @@ def call_fmu(parent: Parent) -> None:
 
 
 def _print_to(file: Path) -> Path:
-    """Let standard output and standard error go to a file."""
+    """Lets standard output and standard error go to a file."""
     with file.open("wb") as stream:
         for standard in (sys.stdout, sys.stderr):
             os.dup2(stream.fileno(), standard.fileno())
@@ -206,7 +206,7 @@ def _print_to(file: Path) -> Path:
 
 
 def _limit_resources() -> None:
-    """Limit memory, and the size of a file, where the operating system does that; no core is dumped."""
+    """Limits memory, and the size of a file, where the operating system does that; no core is dumped."""
     try:
         import resource
     except ImportError:  # of Windows

@@ -85,7 +85,7 @@ def error_leaves_other_instances_unchanged(probe: Probe) -> Iterator[str]:
 
 
 def unknown_reference(probe: Probe) -> int:
-    """A value reference that no variable has, far from others: variables without an entry may lie between."""
+    """Returns a value reference far from the variables': some without an entry may lie between."""
     used = {v.reference or 0 for v in probe.fmu.variables}
     far = max(used, default=0) + 1000
     return far if far <= _LARGEST_REFERENCE else next(i for i in itertools.count() if i not in used)

@@ -50,7 +50,7 @@ _MACH_O = (b"\xcf\xfa\xed\xfe", b"\xce\xfa\xed\xfe", b"\xca\xfe\xba\xbe", b"\xca
 
 
 def check_lief() -> None:
-    """MissingExtraError where LIEF is not installed."""
+    """Raises MissingExtraError where LIEF is not installed."""
     with imports_of("check", "a check of FMUs"):
         if find_spec("lief") is None:
             raise ModuleNotFoundError(name="lief")
@@ -105,13 +105,13 @@ class Reading:
 
 @cache
 def _reader() -> WorkerProcess:
-    """The process of LIEF, one for all FMUs until it is closed. Raises OSError where it cannot be started."""
+    """Returns the process of LIEF, one for all FMUs until it is closed; OSError if it does not start."""
     return WorkerProcess(_read)
 
 
 @atexit.register
 def close_reader() -> None:
-    """End the process of LIEF, if there is one; the next libraries start another."""
+    """Ends the process of LIEF, if there is one; the next libraries start another."""
     if _reader.cache_info().currsize:
         _reader().close()
         _reader.cache_clear()
@@ -130,7 +130,7 @@ def _read(parent: Parent) -> None:
 
 
 def _slices(lief: Any, content: bytes) -> Iterator[Any]:
-    """The library, or each architecture's of a macOS one; none if it is no library.
+    """Yields the library, or each architecture's of a macOS one; none if it is no library.
 
     A slice is used before the next is asked for: it lives no longer than what LIEF read it from.
     """

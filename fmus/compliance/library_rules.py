@@ -62,7 +62,7 @@ def start_reading(fmu: FmuFile, timeout: float = LIMIT_S) -> Reading:
 
 
 def _libraries(fmu: FmuFile) -> Sequence[Library]:
-    """Every library that LIEF can read. Raises NotJudgedError if it crashes or hangs on one."""
+    """Returns every library that LIEF can read. Raises NotJudgedError if it crashes or hangs on one."""
     reading = start_reading(fmu)
     if reading.failure:
         raise NotJudgedError(f"library-format{IS_BROKEN}")

@@ -50,7 +50,7 @@ def messages_have_the_instance_name(probe: Probe) -> Iterator[str]:
 
 
 def _of_another(probe: Probe) -> Iterator[str]:
-    """A message that carries the name of another instance, of two that live side by side."""
+    """Yields a message that carries the name of another instance, of two that live side by side."""
     first, second = (probe.script(name=f"instance {i} of two", logging=True).forbidden() for i in (1, 2))
     for script in (first, second):
         script.begin().step().pause()

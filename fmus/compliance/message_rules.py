@@ -63,7 +63,7 @@ def percent_signs_before_words_are_doubled(probe: Probe) -> Iterator[str]:
 
 
 def _formats(probe: Probe) -> list[str]:
-    """The formats of messages, as they are before printf."""
+    """Returns the formats of messages, as they are before printf."""
 
     def collected() -> list[str]:
         script = probe.script(name=_NAME_WITH_A_PERCENT_SIGN, logging=True, callbacks="formats")
@@ -106,7 +106,7 @@ def disabled_categories_alone_are_disabled(probe: Probe) -> Iterator[str]:
 
 
 def _sent(probe: Probe, settings: list[tuple[bool, list[str]]]) -> set[str]:
-    """Declared categories of the messages that arrive in a run after these calls of fmi2SetDebugLogging."""
+    """Returns declared categories of the messages in a run after these calls of fmi2SetDebugLogging."""
     script = probe.script()
     for on, categories in settings:
         script.call("set_debug_logging", on, categories)

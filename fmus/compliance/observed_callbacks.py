@@ -35,7 +35,7 @@ class RefusingAllocator(CountingAllocator):
 
 
 def logger_of_formats(messages: MessageLog) -> Any:
-    """A logger that keeps the format of each message, as arguments do not reach Python."""
+    """Returns a logger that keeps the format of each message, as arguments do not reach Python."""
 
     def log(_: int | None, name: bytes, status: int, category: bytes, message: bytes) -> None:
         texts = [None if text is None else text.decode("utf-8", "replace") for text in (name, category)]
@@ -45,7 +45,7 @@ def logger_of_formats(messages: MessageLog) -> Any:
 
 
 def set_traps(structure: Any, usual: Any, traps: list[str]) -> list[Any]:
-    """Replace the callbacks of a structure, which the FMU may not look at any more, and return them.
+    """Replaces the callbacks of a structure, which the FMU may not look at any more, and returns them.
 
     usual: a structure with the callbacks that they call; traps: gets the name of each that the FMU calls
     """

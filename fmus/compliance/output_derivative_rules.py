@@ -38,7 +38,7 @@ def output_derivatives(probe: Probe) -> Iterator[str]:
 
 
 def _derivatives(probe: Probe) -> list[tuple[str, int, float]]:
-    """(name of an output, order, derivative) after a step."""
+    """Returns (name of an output, order, derivative) after a step."""
     chosen = continuous_reals(probe, "output")
     script = probe.script(logging=True).begin().step(2)
     replies = [
@@ -96,7 +96,7 @@ def output_derivatives_are_not_zero(probe: Probe) -> Iterator[str]:
 
 
 def _slopes(probe: Probe, part: float) -> dict[str, list[Comparison]]:
-    """Name of an output -> its derivatives at communication points, beside its slopes.
+    """Returns the name of an output -> its derivatives at communication points, beside its slopes.
 
     part: of the step size, for each step
     """
@@ -163,7 +163,7 @@ def higher_output_derivatives_are_right(probe: Probe) -> Iterator[str]:
 def _of_other_orders(
     chosen: Sequence[Variable], mixed: Sequence[tuple[Sequence[int], Reply]], expected: Sequence[Reply]
 ) -> Iterator[str]:
-    """Messages of derivatives that are others where one call reads several orders.
+    """Yields messages of derivatives that are others where one call reads several orders.
 
     mixed: the order of each output in a call, and its reply; expected: a reply for each order
     """

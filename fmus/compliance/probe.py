@@ -61,7 +61,7 @@ class Probe:
         self.tolerance = min(number(get("tolerance")) or _TOLERANCE, _MOST_TOLERANCE)
 
     def ask(self, method: str, *arguments: Any) -> Any:
-        """The result of a method of `LoadedFmu`."""
+        """Returns the result of a method of `LoadedFmu`."""
         return self.process.calls([(method, *arguments)])[0]
 
     def script(self, **options: Any) -> Script:
@@ -71,7 +71,7 @@ class Probe:
         return Script(self, {"guid": self.fmu.guid, **options})
 
     def play(self, *scripts: Script, keep_going: bool = False) -> None:
-        """Create an instance for each script, play the scripts part by part in turn, then free the instances.
+        """Creates an instance for each script, plays the scripts in turn by parts, then frees the instances.
 
         Raises CallError for a call that fails, unless `keep_going`, and where the FMU returns no instance;
         NotJudgedError where it discards a step, or terminates the simulation by itself.
@@ -102,7 +102,7 @@ class Probe:
         self._judge_steps(scripts)
 
     def play_usual_steps(self, script: Script) -> None:
-        """Play a script of equal steps of the default experiment's size.
+        """Plays a script of equal steps of the default experiment's size.
 
         Raises as `play` does, and NotJudgedError where the FMU may refuse that size (4.2.2), now and from
         now on in each script that fails by a step: it discards it, or its description states none.
@@ -120,7 +120,7 @@ class Probe:
             raise NotJudgedError(reason) from None
 
     def _judge_steps(self, scripts: Sequence[Script]) -> None:
-        """Raise NotJudgedError for a step that fails where the FMU may refuse it: it refuses those of the
+        """Raises NotJudgedError for a step that fails where the FMU may refuse it: it refuses those of the
         usual size, discards one of them, or is used beyond the stop time of its default experiment.
         """
         for script in scripts:
@@ -155,7 +155,7 @@ class Probe:
                     break
 
     def find_discarded_step(self, steps: int) -> None:
-        """Note, for all rules, whether the FMU discards one of some equal steps of the usual size."""
+        """Notes, for all rules, whether the FMU discards one of some equal steps of the usual size."""
         script = self.script().begin().step(steps)
         with suppress(NotJudgedError):  # a step beyond the stop time
             self.play_each([script])
@@ -164,7 +164,7 @@ class Probe:
             self._shared[_DISCARDED_STEP] = "the FMU discards a step of the usual size"
 
     def play_each(self, scripts: Sequence[Script]) -> None:
-        """Play scripts one after the other in one message; an instance is freed before the next is created.
+        """Plays scripts one after the other in one message; an instance is freed before the next is created.
 
         A call that fails ends nothing. Raises CallError where the FMU returns no instance.
         """
@@ -186,7 +186,7 @@ class Probe:
         self._judge_steps(scripts)
 
     def hold(self, script: Script) -> int:
-        """Play a script to its end, whatever fails, and leave its instance alive: its number, for
+        """Plays a script to its end, whatever fails, and leaves its instance alive: returns its number, for
         `let_go`.
         """
         number = next(self._instances)
@@ -243,7 +243,7 @@ class Probe:
         return self._shared[key]
 
     def point(self, i: int) -> float:
-        """Time of communication point number i [s]."""
+        """Returns the time of communication point number i [s]."""
         return self.start_time + i * self.step_size
 
     @property
@@ -251,12 +251,12 @@ class Probe:
         return [v for v in self.fmu.variables if v.causality == "output"]
 
     def real(self, causality: str) -> list[Variable]:
-        """The Real variables of a causality."""
+        """Returns the Real variables of a causality."""
         return [v for v in self.fmu.variables if v.causality == causality and v.kind == "Real"]
 
 
 def _refused(messages: Sequence[Message]) -> Exception:
-    """The error of an FMU that returns no instance; what lacks a licence now is not judged."""
+    """Returns the error of an FMU that returns no instance; what lacks a licence now is not judged."""
     text = refusal(messages)
     return NotJudgedError(text) if _LICENCE.search(text) else CallError(text)
 

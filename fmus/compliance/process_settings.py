@@ -98,18 +98,18 @@ class ProcessSettings:
         self._process, self._floating_point = self._process_now(), self._floating_point_now()
 
     def flush(self) -> None:
-        """Let what was printed leave the buffers of the C library."""
+        """Lets what was printed leave the buffers of the C library."""
         if self._flush is not None:
             self._flush(None)
 
     def _floating_point_now(self) -> tuple[int, int, bool, str]:
-        """Rounding mode, exceptions that trap, whether numbers near zero are kept, x87 control word."""
+        """Returns rounding mode, trapped exceptions, whether numbers near zero are kept, x87 control word."""
         rounding = self._rounding() if self._rounding is not None else 0
         traps = self._traps() if self._traps is not None else 0
         return rounding, traps, float.fromhex("0x1p-1022") / _TWO != 0.0, self._control_word()
 
     def _control_word(self) -> str:
-        """The control word of the x87, where there is one: its precision."""
+        """Returns the control word of the x87, where there is one: its precision."""
         if self._get_environment is None:
             return ""
         self._get_environment(self._x87)
@@ -120,7 +120,7 @@ class ProcessSettings:
         return self._floating_point_now() != self._floating_point
 
     def changed(self) -> list[list[str]]:
-        """[setting, before, after] of those that are others than when this was made, or noticed last."""
+        """Returns [setting, before, after] of those changed since this was made, or noticed last."""
         now, rows = self._floating_point_now(), []
         self.restore_floating_point()
         if now != self._floating_point:
@@ -131,12 +131,12 @@ class ProcessSettings:
         return rows
 
     def restore(self) -> None:
-        """Set back what can be."""
+        """Sets back what can be."""
         self.restore_floating_point()
         self._restore_process()
 
     def restore_floating_point(self) -> None:
-        """Set back rounding mode and traps."""
+        """Sets back rounding mode and traps."""
         rounding, traps, *_ = self._floating_point
         if self._set_rounding is not None:
             self._set_rounding(rounding)
@@ -175,7 +175,7 @@ class ProcessSettings:
         }
 
     def _environment_now(self) -> str:
-        """The environment variables that differ from those at the start, with their values."""
+        """Returns the environment variables that differ from those at the start, with their values."""
         if self._environment is None:
             return ""
         rows, index = [], 0
@@ -198,7 +198,7 @@ class ProcessSettings:
             self._locale(_LC_ALL, before["locale"].encode())
 
     def _heap_now(self) -> int:
-        """Bytes of the heap in use, and of large blocks beside it."""
+        """Returns the bytes of the heap in use, and of large blocks beside it."""
         if self._heap is None:
             return 0
         information = self._heap()

@@ -34,7 +34,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_collection_modifyitems(
     session: pytest.Session, config: pytest.Config, items: list[pytest.Item]
 ) -> None:
-    """Add the rules after what the project's own tests are."""
+    """Adds the rules after what the project's own tests are."""
     for path in config.getoption("--fmu") or ():
         file = FmuTests.from_parent(session, path=Path(path).resolve(), name=str(path))
         items.extend(file.collect())
@@ -42,7 +42,7 @@ def pytest_collection_modifyitems(
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """End the process that reads libraries."""
+    """Ends the process that reads libraries."""
     if session.config.getoption("--fmu"):
         from fmus.compliance.library_reader import close_reader
 

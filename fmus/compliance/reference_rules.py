@@ -58,7 +58,7 @@ def reference_results_are_reproduced(probe: Probe) -> Iterator[str]:
 
 
 def _differences(probe: Probe, element: Any) -> Iterator[str]:
-    """The first difference of each output."""
+    """Yields the first difference of each output."""
     experiment = _experiment(probe.fmu, element)
     chosen = {v.name: v for v in probe.fmu.variables}
     unknown = sorted((experiment.inputs.keys() | experiment.outputs.keys()) - chosen.keys() - {"time"})
@@ -136,7 +136,7 @@ def _replayed(
 
 
 def _indices(experiment: _Experiment) -> list[int]:
-    """The communication points at which there are reference results."""
+    """Returns the communication points at which there are reference results."""
     steps = (np.array(experiment.outputs["time"]) - experiment.start) / experiment.step_size
     indices = np.rint(steps)
     if not np.all(np.abs(steps - indices) < _NEAR) or np.any(np.diff(indices, prepend=-1) <= 0):
@@ -147,7 +147,7 @@ def _indices(experiment: _Experiment) -> list[int]:
 
 
 def _at(points: np.ndarray, inputs: Columns, variable: Variable) -> list[Any]:
-    """Values of an input: on straight lines between its rows if it is continuous, held otherwise."""
+    """Returns values of an input: on straight lines between its rows if it is continuous, held otherwise."""
     times, values = np.array(inputs["time"]), np.array(inputs[variable.name])
     if variable.kind == "Real" and variable.variability == "continuous":
         return np.interp(points, times, values).tolist()

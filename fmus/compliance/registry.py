@@ -58,7 +58,7 @@ MODULES = (
 
 
 def registered(stage: Stage) -> tuple[Rule, ...]:
-    """The rules of a stage, in the order of `MODULES`, and of their definitions in each."""
+    """Returns the rules of a stage, in the order of `MODULES`, and of their definitions in each."""
     names = [module.__name__ for module in MODULES]
     rules = (rule for rule in RULES.values() if rule.stage is stage)
     return tuple(sorted(rules, key=lambda rule: names.index(rule.check.__module__)))

@@ -22,13 +22,13 @@ def count(findings: Findings, outcome: str) -> int:
 
 
 def summary(results: Sequence[Result]) -> str:
-    """One line: how many rules passed, and so on."""
+    """Returns one line: how many rules passed, and so on."""
     counts = Counter(result.outcome for result in results)
     return ", ".join(f"{counts[outcome]} {outcome}" for outcome in OUTCOMES if counts[outcome])
 
 
 def total(findings: Findings) -> str:
-    """One line on all FMUs."""
+    """Returns one line on all FMUs."""
     errors, warnings = (count(findings, outcome) for outcome in ("error", "warning"))
     bad = sum(any(r.outcome == "error" for r in results) for results in findings.values())
     return f"{len(findings)} FMUs, {bad} with errors: {errors} errors, {warnings} warnings"
@@ -45,7 +45,7 @@ def _is_unloaded(result: Result) -> bool:
 
 
 def lines(results: Sequence[Result], every: bool = False) -> list[str]:
-    """A line for each message: outcome, rule, clause, message; also where the library cannot be loaded.
+    """Returns a line for each message (outcome, rule, clause, message), also where the library cannot load.
 
     every: a line for the other rules too
     """
@@ -94,7 +94,7 @@ def _rule(result: Result) -> dict[str, Any]:
 
 
 def sarif(findings: Findings) -> str:
-    """SARIF 2.1.0, which code scanning of GitHub and others read."""
+    """Returns SARIF 2.1.0, which code scanning of GitHub and others read."""
     broken = [(path, result) for path, results in findings.items() for result in results if result.messages]
     rules = {result.rule.name: result.rule for _, result in broken}
     driver = {
@@ -125,7 +125,7 @@ def sarif(findings: Findings) -> str:
 
 
 def junit(findings: Findings) -> str:
-    """JUnit's XML: a suite for each FMU, a test for each rule; warnings are output of a test that passes."""
+    """Returns JUnit's XML: a suite for each FMU, a test for each rule; tests that pass print warnings."""
     root = ElementTree.Element("testsuites", name="l1-depth check")
     for path, results in findings.items():
         outcomes = Counter(result.outcome for result in results)
@@ -147,7 +147,7 @@ def junit(findings: Findings) -> str:
 
 
 def github(findings: Findings) -> str:
-    """Workflow commands of GitHub: each message is an annotation of its FMU."""
+    """Returns workflow commands of GitHub: each message is an annotation of its FMU."""
     commands = [
         f"::{result.outcome} file={_property(str(path))},title={result.rule.name}::{_data(message)}\n"
         for path, results in findings.items()

@@ -45,7 +45,7 @@ def _with_start(probe: Probe) -> list[Variable]:
 def _not_at_start(
     probe: Probe, initialise: Callable[[], Script], when: str, keep_going: bool = False
 ) -> Iterator[str]:
-    """Messages of values that are not the start values.
+    """Yields messages of values that are not the start values.
 
     initialise: a new script, up to initialization mode; keep_going: whether its calls may fail
     """
@@ -116,7 +116,7 @@ def reset_gives_the_start_values(probe: Probe) -> Iterator[str]:
 
 
 def _reset_after_other_values(probe: Probe) -> Script:
-    """A script that sets other values, resets and enters initialization mode."""
+    """Returns a script that sets other values, resets and enters initialization mode."""
     script = probe.script(logging=True)
     _set_others(script, settable_before(probe.fmu))
     script.reset()

@@ -51,7 +51,7 @@ def _used_instances(probe: Probe) -> list[dict[str, int]]:
 
 
 def _use_an_instance(probe: Probe) -> None:
-    """An instantiation that fails, and an instance that is used and freed: values, steps, saved states and
+    """Plays an instantiation that fails, and an instance that is used and freed: values, steps, states and
     fmi2Reset.
     """
     probe.creates(guid="no GUID of this FMU")

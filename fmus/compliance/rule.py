@@ -100,7 +100,7 @@ def rule(
     needs: str = "",
     last: bool = False,
 ) -> Callable[[Check], Check]:
-    """Make a function a rule: its name with dashes is the rule's, its docstring what the rule claims.
+    """Makes a function a rule: its name with dashes is the rule's, its docstring what the rule claims.
 
     clause: section of FMI 2.0.5 with its title's words, or who else demands it.
     needs: names of rules, with blanks between; if one of these has an error, this one is not judged: it would
@@ -127,12 +127,12 @@ def behaviour_rule(
     needs: str = "",
     last: bool = False,
 ) -> Callable[[Check], Check]:
-    """Make a function a rule of behaviour; arguments as of `rule`."""
+    """Makes a function a rule of behaviour; arguments as of `rule`."""
     return rule(clause, Stage.BEHAVIOUR, level, condition, needs, last)
 
 
 def messages_of(check: Iterable[str]) -> tuple[str, ...]:
-    """The messages of a check, each on one line: as many and as much of each as somebody may read.
+    """Returns the messages of a check, each on one line: as many and as much of each as somebody may read.
 
     What an FMU puts into one cannot move the cursor of a terminal, or begin a line of its own.
     """

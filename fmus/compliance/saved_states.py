@@ -27,7 +27,7 @@ class SavedStates:
         return bool(self._pointers.get(slot, ctypes.c_void_p()).value)
 
     def get_fmu_state(self, slot: int) -> bool:
-        """Save the state in a slot, over the state that is there; whether the FMU gave an address."""
+        """Saves the state in a slot, over the one there; returns whether the FMU gave an address."""
         pointer = self._pointers.setdefault(slot, ctypes.c_void_p())
         self._instance.call("fmi2GetFMUstate", ctypes.byref(pointer))
         return bool(pointer.value)
@@ -36,7 +36,7 @@ class SavedStates:
         self._instance.call("fmi2SetFMUstate", self._pointers[slot])
 
     def free_fmu_state(self, slot: int) -> bool:
-        """Free a saved state, or an empty slot; whether the FMU left NULL."""
+        """Frees a saved state, or an empty slot; returns whether the FMU left NULL."""
         pointer = self._pointers.pop(slot, ctypes.c_void_p())
         self._instance.call("fmi2FreeFMUstate", ctypes.byref(pointer))
         return not pointer.value
@@ -47,7 +47,7 @@ class SavedStates:
         return size.value
 
     def serialize_fmu_state(self, slot: int) -> list[Any]:
-        """[the state as hexadecimal bytes, whether nothing was written behind its size]."""
+        """Returns [the state as hexadecimal bytes, whether nothing was written behind its size]."""
         size = self.serialized_fmu_state_size(slot)
         if self._instance.last_status:
             return ["", True]
@@ -56,7 +56,7 @@ class SavedStates:
         return [content.raw[:size].hex(), content.raw[size:] == _GUARD_BYTE * _GUARD]
 
     def deserialize_fmu_state(self, slot: int, content: str) -> bool:
-        """Make a saved state of bytes, which are overwritten after the call."""
+        """Makes a saved state of bytes, which are overwritten after the call."""
         data = bytes.fromhex(content)
         buffer, pointer = ctypes.create_string_buffer(data, len(data)), ctypes.c_void_p()
         self._instance.call("fmi2DeSerializeFMUstate", buffer, len(data), ctypes.byref(pointer))
@@ -65,6 +65,6 @@ class SavedStates:
         return bool(pointer.value)
 
     def copy_fmu_state(self, slot: int, other: int) -> bool:
-        """Make another saved state of the bytes of one."""
+        """Makes another saved state of the bytes of one."""
         content, _ = self.serialize_fmu_state(slot)
         return not self._instance.last_status and self.deserialize_fmu_state(other, content)

@@ -71,7 +71,7 @@ def _set_back(
 
 
 def _moving(probe: Probe, pairs: list[tuple[Variable, Any]]) -> Script:
-    """A run of two steps with values that are set before the second one, and derivatives of inputs before
+    """Returns a run of two steps with values set before the second one, and derivatives of inputs before
     that and before the next.
     """
     script = probe.script().begin().step()
@@ -84,7 +84,7 @@ def _moving(probe: Probe, pairs: list[tuple[Variable, Any]]) -> Script:
 
 
 def _slopes(probe: Probe, script: Script) -> list[Reading]:
-    """The first derivatives of continuous outputs, as a reading, if they are claimed."""
+    """Returns the first derivatives of continuous outputs, as a reading, if they are claimed."""
     chosen = continuous_reals(probe, "output") if probe.fmu.output_derivative_order else []
     return [script.read_output_derivatives(chosen)] if chosen else []
 
@@ -121,7 +121,7 @@ def bytes_hold_every_value(probe: Probe) -> Iterator[str]:
 
 
 def _serialised_with_other_values(probe: Probe) -> tuple[Any, list[Reading]]:
-    """The bytes of a state, and all variables in it and in the steps that follow."""
+    """Returns the bytes of a state, and all variables in it and in the steps that follow."""
     script = probe.script()
     pairs = other_values(settable_before(probe.fmu)[:_MOST_CHANGED])
     for v, x in accepted_together(probe, pairs, probe.script):

@@ -144,17 +144,17 @@ class Script:
         return self
 
     def pause(self) -> "Script":
-        """End a part: scripts that are played together take turns."""
+        """Ends a part: scripts that are played together take turns."""
         self.parts.append(len(self.calls))
         return self
 
     def part(self, index: int) -> list[tuple[Any, ...]]:
-        """The calls of a part; none if there are fewer parts."""
+        """Returns the calls of a part; none if there are fewer parts."""
         ends = [*self.parts[1:], len(self.calls)]
         return self.calls[self.parts[index] : ends[index]] if index < len(self.parts) else []
 
     def call(self, method: str, *arguments: Any) -> Reply:
-        """A call of a method of `CalledInstance`."""
+        """Adds a call of a method of `CalledInstance`."""
         function = _FUNCTIONS.get(method)
         if function is None and method in ("get", "set"):
             function = f"fmi2{method.title()}{arguments[0]}"
@@ -166,7 +166,7 @@ class Script:
         return reply
 
     def plain(self, function: str) -> Reply:
-        """A function of FMI without arguments."""
+        """Adds a call of a function of FMI without arguments."""
         return self.call("call_plain", function)
 
     def set_up(
@@ -190,16 +190,16 @@ class Script:
         return self
 
     def initialise(self, start: float | None = None) -> "Script":
-        """Set the experiment up and enter initialization mode."""
+        """Sets the experiment up and enters initialization mode."""
         return self.set_up(start).enter_initialization_mode()
 
     def begin(self, start: float | None = None) -> "Script":
-        """Initialise, up to where steps are allowed."""
+        """Initialises, up to where steps are allowed."""
         self._step = 0
         return self.initialise(start).exit_initialization_mode()
 
     def step(self, count: int = 1, no_going_back: bool = False) -> "Script":
-        """Steps of the default experiment's size, from where the script is."""
+        """Adds steps of the default experiment's size, from where the script is."""
         for _ in range(count):
             t = self._probe.point(self._step)
             self.call("do_step", t, self._probe.step_size, no_going_back)
@@ -207,7 +207,7 @@ class Script:
         return self
 
     def go_to(self, step: int) -> "Script":
-        """The next step is number `step`."""
+        """Makes the next step number `step`."""
         self._step = step
         return self
 
@@ -236,7 +236,7 @@ class Script:
         return Reading(groups, replies)
 
     def read_output_derivatives(self, outputs: Sequence[Variable]) -> Reading:
-        """The first derivatives of continuous Real outputs."""
+        """Reads the first derivatives of continuous Real outputs."""
         reply = self.call("output_derivatives", [v.reference or 0 for v in outputs], 1)
         return Reading({"Real": list(outputs)}, {"Real": reply})
 
@@ -246,13 +246,13 @@ class Script:
         return self._probe.fmu.variables
 
     def run(self, steps: int) -> list[Reading]:
-        """Readings of the outputs after each of some steps."""
+        """Returns readings of the outputs after each of some steps."""
         return [self.step().read(self._probe.outputs) for _ in range(steps)]
 
     # playing
 
     def play(self, keep_going: bool = False) -> "Script":
-        """Play it alone; raises as `Probe.play` does."""
+        """Plays it alone; raises as `Probe.play` does."""
         self._probe.play(self, keep_going=keep_going)
         return self
 
@@ -263,7 +263,7 @@ class Script:
             reply.messages = [Message(*message) for message in messages]
 
     def fill(self, part: int, answers: Sequence[Sequence[Any]]) -> None:
-        """Give each call of a part its reply."""
+        """Gives each call of a part its reply."""
         end = len(self.part(part))
         for reply, answer in zip(self.replies[self.parts[part] :][:end], answers, strict=False):
             if not answer:

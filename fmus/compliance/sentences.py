@@ -45,17 +45,17 @@ def _files() -> tuple[Mapping[str, Any], ...]:
 
 @cache
 def sentences() -> tuple[Sentence, ...]:
-    """All sentences, in the order of the standard."""
+    """Returns all sentences, in the order of the standard."""
     entries = [entry for file in _files() for entry in file["sentence"]]
     return tuple(Sentence(**entry | {"rules": tuple(entry.get("rules", ()))}) for entry in entries)
 
 
 @cache
 def titles() -> dict[str, str]:
-    """Clause -> its title in the standard, of every clause that holds sentences."""
+    """Returns clause -> its title in the standard, of every clause that holds sentences."""
     return {clause: title for file in _files() for clause, title in file["titles"].items()}
 
 
 def sentences_of(rule_name: str) -> tuple[Sentence, ...]:
-    """The sentences that a rule checks; none for advice."""
+    """Returns the sentences that a rule checks; none for advice."""
     return tuple(sentence for sentence in sentences() if rule_name in sentence.rules)

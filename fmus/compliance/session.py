@@ -105,7 +105,7 @@ class Session:
 
 
 def run_with_tolerance(probe: Probe) -> Script:
-    """A run in which tolerance and stop time are defined, played once for all rules."""
+    """Returns a run in which tolerance and stop time are defined, played once for all rules."""
 
     def played() -> Script:
         script = probe.script(logging=True).set_up(stop=probe.point(1000), tolerance=TOLERANCE)
@@ -115,5 +115,5 @@ def run_with_tolerance(probe: Probe) -> Script:
 
 
 def session(probe: Probe) -> Session:
-    """The session, played once for all rules, with logging and with the settings of the process watched."""
+    """Returns the session, played once for all rules, with logging and settings of the process watched."""
     return probe.once("complete session", lambda: Session(probe, logging=True, watched=True))

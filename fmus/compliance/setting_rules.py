@@ -186,7 +186,7 @@ def inputs_that_are_set_are_read(probe: Probe) -> Iterator[str]:
 
 
 def _set_after_a_step(probe: Probe, v: Variable, value: Any) -> _Setting:
-    """A script that sets the value after a step and reads it after another."""
+    """Returns a script that sets the value after a step and reads it after another."""
     script = probe.script().begin().step()
     script.set(v, value)
     return v, value, script, script.step().read([v])

@@ -49,7 +49,7 @@ def compared(values: Sequence[float], derivatives: Sequence[float], step_size: f
 def wrong_slope(
     name: str, comparisons: Sequence[Comparison], judged: Callable[[float], bool] = bool
 ) -> Iterator[str]:
-    """A message if more than half of the derivatives are wrong, and are to be judged: those that are not 0,
+    """Yields a message if over half of the derivatives are wrong, and are to be judged: those that are not 0,
     unless `judged` is given.
     """
     wrong = [comparison for comparison in comparisons if judged(comparison[0]) and _is_wrong(*comparison)]

@@ -25,7 +25,7 @@ _OF_THE_LANGUAGE = re.compile(
 
 @lru_cache(maxsize=1)
 def _sources(fmu: FmuFile) -> dict[str, bytes]:
-    """Path of each C file and header below sources -> its text without comments."""
+    """Returns the path of each C file and header below sources -> its text without comments."""
     paths = [path for path in fmu.names if path.startswith(SOURCES) and path.endswith((*TO_COMPILE, ".h"))]
     return {path: _COMMENT.sub(b"", fmu.read(path)) for path in paths}
 
@@ -71,7 +71,7 @@ def source_prefix_is_defined(fmu: FmuFile) -> Iterator[str]:
 
 
 def _unconditional(text: bytes) -> bytes:
-    """The lines that every compiler reads: those in no #if but the guard of a header."""
+    """Returns the lines that every compiler reads: those in no #if but the guard of a header."""
     lines, conditions = [], []
     written = [line for line in text.splitlines() if line.strip()]
     for line, after in zip_longest(written, written[1:], fillvalue=b""):

@@ -135,7 +135,7 @@ def listed_inputs_move_outputs(probe: Probe) -> Iterator[str]:
 
 
 def _finite(probe: Probe) -> set[str]:
-    """The outputs that are not constant, and no infinite numbers after a step."""
+    """Returns the outputs that are not constant, and no infinite numbers after a step."""
     script = probe.script().begin().step()
     reading = script.read([v for v in probe.outputs if v.variability != "constant"])
     script.play()

@@ -53,7 +53,7 @@ def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
 
 
 def _step_pairs(fmu: FmuFile, states: list[Variable]) -> dict[int, list[Variable]]:
-    """Index of a Real input or state with initial exact -> continuous unknowns of step mode that list it."""
+    """Returns index of a Real input or exact state -> continuous unknowns of step mode that list it."""
     settable = {
         v.index
         for v in settable_in_initialization(fmu)
@@ -75,7 +75,7 @@ def _other_derivatives(
     unknowns: list[Variable],
     states: list[Variable],
 ) -> Iterator[str]:
-    """Messages of derivatives outside of the quotients, unless a state follows the known when it is set."""
+    """Yields messages of derivatives outside of quotients, unless a state follows the known at once."""
     width = DIFFERENCE * max(1.0, abs(start))
     scripts = [_in_step_mode(probe, point, known, x) for x in (start, start - width, start + width)]
     readings = [script.read([*unknowns, *states]) for script in scripts]
@@ -96,7 +96,7 @@ def _other_derivatives(
 
 
 def _in_step_mode(probe: Probe, point: list[tuple[Variable, Any]], known: Variable, value: float) -> Script:
-    """A run in step mode after initialisation at a point, but with another value of one variable."""
+    """Returns a run in step mode after initialisation at a point, but with another value of one variable."""
     script = probe.script().initialise()
     for v, x in point:
         if v is not known:
@@ -138,7 +138,7 @@ def factors_change_as_declared(probe: Probe) -> Iterator[str]:
 
 
 def _declared_factors(fmu: FmuFile) -> list[tuple[Variable, Variable, str]]:
-    """(unknown, known, kind) of the Real ones that change seldom, of Outputs and Derivatives."""
+    """Returns (unknown, known, kind) of the Real ones that change seldom, of Outputs and Derivatives."""
     factors, initial = [], {index for index, _ in fmu.unknowns("InitialUnknowns")}
     settable = settable_in_initialization(fmu)
     for unknown, knowns, kinds in [*fmu.dependencies["Outputs"], *fmu.dependencies["Derivatives"]]:

@@ -177,7 +177,7 @@ def variable_step_size(probe: Probe) -> Iterator[str]:
 def _discarded(
     probe: Probe, script: Script, failure: Reply, ends: list[tuple[float, float]]
 ) -> Iterator[str]:
-    """Returns what is wrong with a discarded step: the master cannot know where it ended."""
+    """Yields what is wrong with a discarded step: the master cannot know where it ended."""
     steps = [reply for reply in script.replies if reply.function == "fmi2DoStep"]
     number = steps.index(failure)
     again = probe.script(logging=True).begin()
@@ -221,7 +221,7 @@ def two_steps_are_one_of_twice_the_size(probe: Probe) -> Iterator[str]:
 
 
 def _in_steps(probe: Probe, script: Script, count: int) -> Script:
-    """A script that goes two usual steps further, after the first, in equal steps of a number."""
+    """Returns a script that goes two usual steps further, after the first, in equal steps of a number."""
     h = 2 * probe.step_size / count
     script.step()
     for i in range(count):

@@ -88,7 +88,7 @@ def state_derivatives_are_listed(fmu: FmuFile) -> Iterator[str]:
 
 
 def _unlisted_derivatives(fmu: FmuFile) -> Iterator[tuple[Variable, Variable]]:
-    """(derivative that Derivatives lacks, its variable): neither a state, nor its alias, nor a derivative."""
+    """Yields (derivative that Derivatives lacks, its variable): no state, nor its alias, nor a derivative."""
     listed = set(_indices(fmu, "Derivatives"))
     states = {(v.base_kind, v.reference) for v in (fmu.variables[i - 1] for i in fmu.states | listed)}
     for v in fmu.variables:
@@ -135,7 +135,7 @@ _Dependencies = tuple[str, str, Variable | None, list[str], Any]
 
 @lru_cache(maxsize=1)
 def _dependencies(fmu: FmuFile) -> tuple[_Dependencies, ...]:
-    """(section, text that names the unknown, unknown, its dependencies, element)."""
+    """Returns (section, text that names the unknown, unknown, its dependencies, element)."""
     return tuple(_of_unknowns(fmu))
 
 
@@ -192,7 +192,7 @@ _LATER = "an input, a continuous-time state or the independent variable"
 
 
 def _knowns(fmu: FmuFile) -> Iterator[tuple[Variable, str, str]]:
-    """(dependency that is none of the Knowns, its unknown, what is expected)."""
+    """Yields (dependency that is none of the Knowns, its unknown, what is expected)."""
     states = _possible_states(fmu)
     for section, where, _, listed, _ in _dependencies(fmu):
         for index in map(integer, listed):

@@ -13,7 +13,7 @@ _VARIABLES = "2.2.7 Definition of Model Variables (ModelVariables)"
 
 
 def _limits(fmu: FmuFile) -> Iterator[tuple[str, dict[str, float | None]]]:
-    """(type or variable, its min, max and nominal); a variable inherits from its type, each is told once."""
+    """Yields (type or variable, its min, max and nominal), each once; a variable inherits from its type."""
     names = ("min", "max", "nominal")
     for name, element in fmu.types.items():
         yield f"type {name}", {attribute: number(element.get(attribute)) for attribute in names}
@@ -95,7 +95,7 @@ def declared_type_fits(fmu: FmuFile) -> Iterator[str]:
 
 
 def _items(fmu: FmuFile) -> Iterator[tuple[int, list[int]]]:
-    """(index of an Enumeration variable, sorted values of its items)."""
+    """Yields (index of an Enumeration variable, sorted values of its items)."""
     for v in fmu.variables:
         declared = fmu.types.get(v.typed.get("declaredType", "")) if v.kind == "Enumeration" else None
         if declared is not None and declared.tag == "Enumeration":

@@ -19,7 +19,7 @@ def _units(fmu: FmuFile) -> dict[str, Any]:
 
 
 def _used(fmu: FmuFile) -> Iterator[tuple[str, str | None, str | None]]:
-    """(what uses them, unit, display unit) of types and variables; variables inherit from their types."""
+    """Yields (what uses them, unit, display unit) of types and variables, which inherit from types."""
     for simple in fmu.root.iterfind("TypeDefinitions/SimpleType[Real]"):
         real = simple.find("Real")
         yield f"type {simple.get('name')}", real.get("unit"), real.get("displayUnit")

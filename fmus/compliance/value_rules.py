@@ -47,7 +47,7 @@ def outputs_are_finite(probe: Probe) -> Iterator[str]:
 
 
 def _run(probe: Probe) -> list[Reading]:
-    """Readings of a run: the outputs in initialization mode, and all variables after some steps."""
+    """Returns readings of a run: the outputs in initialization mode, and all variables after some steps."""
 
     def read() -> list[Reading]:
         script = probe.script(logging=True).initialise()
@@ -87,7 +87,7 @@ def values_belong_to_references(probe: Probe) -> Iterator[str]:
 
 
 def _impossible(values: dict[str, Any], variables: Sequence[Variable]) -> Iterator[str]:
-    """Messages of aliases that differ, and of Booleans that are neither 0 nor 1."""
+    """Yields messages of aliases that differ, and of Booleans that are neither 0 nor 1."""
     first: dict[tuple[str, int | None], str] = {}
     for v in variables:
         other = first.setdefault((v.base_kind, v.reference), v.name)

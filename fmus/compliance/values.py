@@ -18,17 +18,17 @@ _PART = 0.01  # of a value or its nominal value: a change that is felt, and seld
 
 
 def unless_claimed(capability: str) -> Condition:
-    """The condition of rules about a capability."""
+    """Returns the condition of rules about a capability."""
     return lambda fmu: "" if fmu.claims(capability) else f"{capability} is not claimed"
 
 
 def if_not_claimed(flag: str) -> Condition:
-    """The condition of rules that a flag takes back."""
+    """Returns the condition of rules that a flag takes back."""
     return lambda fmu: f"{flag} is claimed" if fmu.claims(flag) else ""
 
 
 def start_value(v: Variable) -> Any:
-    """The start value as the setter takes it; None if there is none, or none that can be read."""
+    """Returns the start value as the setter takes it; None if there is none, or none that can be read."""
     text = v.start
     if text is None or v.base_kind == "String":
         return text
@@ -41,7 +41,7 @@ def start_value(v: Variable) -> Any:
 
 
 def other_value(v: Variable) -> Any:
-    """A legal value near the start value but another one; None if there is none."""
+    """Returns a legal value near the start value but another one; None if there is none."""
     start = start_value(v)
     if start is None:
         return None
@@ -59,7 +59,7 @@ def other_value(v: Variable) -> Any:
 
 
 def far_values(v: Variable) -> list[Any]:
-    """Legal values far from the start value: Reals three times as large or the limits, texts.
+    """Returns legal values far from the start value: Reals three times as large or the limits, texts.
 
     A parameter gets no other sign beyond what its limits tell: many, such as a period, mean nothing there.
     """
@@ -95,12 +95,12 @@ def values_out_of_range(v: Variable) -> list[Any]:
 
 
 def read_value(value: Any) -> Any:
-    """A value that was read, as it is set: Strings as text; None for NULL."""
+    """Returns a value that was read, as it is set: Strings as text; None for NULL."""
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
 
 
 def random_value(v: Variable, chance: random.Random) -> Any:
-    """A legal value anywhere in the range, or the start value; None for a String, or without a start
+    """Returns a legal value anywhere in the range, or the start value; None for a String, or without a start
     value.
     """
     start = start_value(v)
@@ -180,5 +180,5 @@ def is_utf_8(content: bytes) -> bool:
 
 
 def other_values(variables: Iterable[Variable]) -> list[tuple[Variable, Any]]:
-    """Each variable that has another legal value, with that value."""
+    """Returns each variable that has another legal value, with that value."""
     return [(v, x) for v in variables if (x := other_value(v)) is not None]

@@ -75,7 +75,7 @@ class Variable:
         return TRANSFER_TYPE.get(self.kind, self.kind)
 
     def get(self, attribute: str) -> str | None:
-        """An attribute of the type element, or else of its declared type (2.2.3)."""
+        """Returns an attribute of the type element, or else of its declared type (2.2.3)."""
         return self.typed.get(attribute, self.declared.get(attribute))
 
     def number(self, attribute: str) -> float | None:
@@ -94,7 +94,7 @@ class Variable:
 
 
 def number(text: str | None) -> float | None:
-    """A finite number; nothing for what is none, which the schema tells."""
+    """Returns a finite number; nothing for what is none, which the schema tells."""
     try:
         value = float(text) if text is not None else math.nan
     except ValueError:
@@ -103,7 +103,7 @@ def number(text: str | None) -> float | None:
 
 
 def integer(text: str | None) -> int | None:
-    """A whole number in decimal digits; nothing for what is none."""
+    """Returns a whole number in decimal digits; nothing for what is none."""
     try:
         return int(text) if text is not None else None
     except ValueError:

@@ -71,7 +71,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         return (self.handle and self.handle.value) or 0
 
     def function(self, name: str) -> int:
-        """Address of a function of the FMU's library."""
+        """Returns the address of a function of the FMU's library."""
         return ctypes.cast(getattr(self.library, name), ctypes.c_void_p).value or 0
 
     def reset(self) -> bool:

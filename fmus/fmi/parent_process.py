@@ -27,7 +27,7 @@ _page: mmap.mmap | None = None
 
 
 def run_watched(program: Callable[[], int]) -> int:
-    """The exit status of a program, which runs in a child process where the platform allows that.
+    """Returns the exit status of a program, which runs in a child process where the platform allows that.
 
     Where the child ends before the program does, the status is not 0, and a line on standard error tells why.
     The child receives interrupts as it would without this process, and one when this process is killed.
@@ -57,7 +57,7 @@ def run_watched(program: Callable[[], int]) -> int:
 
 
 def _end_without_clearing_up(status: int) -> None:
-    """End this process, but do not free each imported object, which takes a fifth of a short command.
+    """Ends this process, but does not free each imported object, which takes a fifth of a short command.
 
     Functions that were registered for the end are called before. Does nothing while other threads are at
     work, and where output cannot be written: the interpreter then ends as it always does.
@@ -74,20 +74,20 @@ def _end_without_clearing_up(status: int) -> None:
 
 
 def end_is_meant() -> None:
-    """Call this before the process ends: who waits for it then takes its exit status as it is."""
+    """Notes that the process means to end: its exit status is then taken as it is."""
     if _page:
         _page[0] = 1
 
 
 def share_temporary_folder(folder: str) -> None:
-    """Let the process that waits for this one remove a folder where this one cannot."""
+    """Lets the process that waits for this one remove a folder where this one cannot."""
     if _page:
         content = folder.encode()
         _page[_FOLDER : _FOLDER + len(content)] = content
 
 
 def share_names(names: Iterable[str]) -> None:
-    """Let the process that waits for this one know the FMUs, in the order in which a report counts them."""
+    """Lets the process that waits for this one know the FMUs, in the order in which a report counts them."""
     if _page:
         texts = [name.encode()[:_NAME_SIZE].ljust(_NAME_SIZE, b"\0") for name in names]
         content = b"".join(texts)[: _PAGE - _NAMES]
@@ -95,19 +95,19 @@ def share_names(names: Iterable[str]) -> None:
 
 
 def report_memory(size: int) -> memoryview | None:
-    """Memory for the report of a run that the process which waits for this one can read, if there is one."""
+    """Returns memory for the report of a run, shared with the process that waits for this one, if any."""
     return memoryview(_page)[_REPORT : _REPORT + size] if _page else None
 
 
 def _interrupt_without_parent(lifeline: int) -> None:
-    """Wait until the other process is killed, which closes its end, and interrupt this one."""
+    """Waits until the other process is killed, which closes its end, and interrupts this one."""
     with suppress(OSError):  # an FMU has closed it
         os.read(lifeline, 1)
         os.kill(os.getpid(), signal.SIGTERM)
 
 
 def _status_of(child: int, page: mmap.mmap) -> int:
-    """Wait for the child. Interrupts are passed on, but for those of a terminal that reach it too."""
+    """Waits for the child. Interrupts are passed on, but for those of a terminal that reach it too."""
     while True:
         received = signal.sigwaitinfo({*_INTERRUPTS, signal.SIGCHLD})
         if received.si_signo == signal.SIGCHLD:
@@ -120,7 +120,7 @@ def _status_of(child: int, page: mmap.mmap) -> int:
 
 
 def _exit_status(status: int, page: mmap.mmap) -> int:
-    """The exit status for that of the child, after a line on standard error if its end was not meant."""
+    """Returns the exit status for the child's; prints a line on standard error if its end was not meant."""
     if page[0]:
         return status if status >= 0 else 128 - status
     folder = _text(page, _FOLDER, _NAMES - _FOLDER)
@@ -128,7 +128,7 @@ def _exit_status(status: int, page: mmap.mmap) -> int:
         import shutil
 
         shutil.rmtree(folder, ignore_errors=True)
-    if status == UNEXPECTED_END:  # an FMU called exit: `process_guard.h` has told that
+    if status == UNEXPECTED_END:  # an FMU called exit: `loop.c` has told that
         return status
     if -status in _INTERRUPTS:
         print("l1-depth: interrupted", file=sys.stderr)

@@ -65,7 +65,7 @@ class Parent:
         return pickle.loads(content)
 
     def send(self, message: object, pickled: Callable[[object], bytes] = pickle.dumps) -> None:
-        """Send an answer to the message received last; `pickled` turns it into bytes."""
+        """Sends an answer to the message received last; `pickled` turns it into bytes."""
         if os.getpid() != self._pid:
             with contextlib.suppress(OSError):
                 self._forked.touch()
@@ -73,7 +73,7 @@ class Parent:
         _write_message(self._outgoing, self._number, pickled(message))
 
     def send_json(self, message: object) -> None:
-        """Send a message to a parent that does not trust this process."""
+        """Sends a message to a parent that does not trust this process."""
         self.send(message, lambda content: json.dumps(content).encode())
 
 
@@ -115,7 +115,7 @@ class WorkerProcess:
         return self._process.pid
 
     def send(self, message: object, request: int | None = None) -> None:
-        """Send a message; to a process that has ended nothing is sent, `receive` raises.
+        """Sends a message; to a process that has ended nothing is sent, `receive` raises.
 
         request: the one that the message belongs to, by default a new one
         """
@@ -147,7 +147,7 @@ class WorkerProcess:
                 raise ValueError(f"an answer to request {number}: expected one to request {expected}")
 
     def kill(self) -> None:
-        """End the process and those that it started at once, also from another thread."""
+        """Ends the process and those that it started at once, also from another thread."""
         self._process.kill()
         if not self._group_ended and hasattr(os, "killpg"):
             self._group_ended = True  # its number may become another's once the process is waited for
@@ -156,14 +156,14 @@ class WorkerProcess:
         self._process.wait()
 
     def close(self) -> None:
-        """End the process at once, also from another thread, and remove its folder."""
+        """Ends the process at once, also from another thread, and removes its folder."""
         self.kill()
         with contextlib.suppress(OSError):  # of a message that was not sent
             self._outgoing.close()
         self._temporary.cleanup()
 
     def _read(self, incoming: IO[bytes]) -> None:
-        """Queue the messages; None is the end. An untrusted process that sends too much has ended."""
+        """Queues the messages; None is the end. An untrusted process that sends too much has ended."""
         most = None if self._trusted else _MOST_OF_MESSAGE
         with incoming:
             with contextlib.suppress(Exception):  # of a message that was cut off
@@ -225,7 +225,7 @@ def _read_bytes(stream: BinaryIO | IO[bytes], count: int) -> bytes:
 
 
 def _started(worker: Worker, folder: Path) -> subprocess.Popen[bytes]:
-    """The process. It imports from no folder that it enters: all paths are absolute, and -P adds none."""
+    """Starts the process. It imports from no folder that it enters: paths are absolute, and -P adds none."""
     paths = [str(Path(path).absolute()) if Path(path).is_dir() else path for path in sys.path]
     call = f"from {__name__} import serve; from {worker.__module__} import {worker.__name__} as worker"
     temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))
@@ -241,13 +241,13 @@ def _started(worker: Worker, folder: Path) -> subprocess.Popen[bytes]:
 
 
 def serve(worker: Worker) -> None:
-    """Run a worker in this process, whose standard input and output are for messages."""
+    """Runs a worker in this process, whose standard input and output are for messages."""
     outgoing, incoming = _private_stream(sys.stdout.fileno(), "wb"), _private_stream(sys.stdin.fileno(), "rb")
     worker(Parent(incoming, outgoing))
 
 
 def _private_stream(descriptor: int, mode: str) -> BinaryIO:
-    """A standard stream for the caller alone: what an FMU prints or reads goes to the null device."""
+    """Returns a standard stream for the caller alone: what an FMU prints or reads goes to the null device."""
     stream = os.fdopen(os.dup(descriptor), mode)
     null = os.open(os.devnull, os.O_RDWR)
     os.dup2(null, descriptor)
@@ -256,7 +256,7 @@ def _private_stream(descriptor: int, mode: str) -> BinaryIO:
 
 
 def ending(status: int) -> str:
-    """The return code of a process in words: "SIGSEGV", "exit status 1"."""
+    """Returns the return code of a process in words: "SIGSEGV", "exit status 1"."""
     if status >= 0:
         return f"exit status {status if status < 256 else hex(status)}"  # of Windows, where it is a code
     try:

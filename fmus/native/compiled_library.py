@@ -37,7 +37,7 @@ def is_compiled(source: Path, options: Sequence[str] = ()) -> bool:
 
 
 def compile_source(source: Path, platform: str, options: Sequence[str] = ()) -> bytes:
-    """A new library of a source for an FMI platform; ExportError without a compiler."""
+    """Returns a new library of a source for an FMI platform; ExportError without a compiler."""
     try:
         from fmus.native.toolchain import compile_library
     except ImportError as error:

@@ -57,7 +57,7 @@ def compile_library(
     fmi_platform: str,
     more_options: Sequence[str] = (),
 ) -> bytes:
-    """The shared library MODEL of some sources, of which `compiled` are given to the compiler."""
+    """Returns the shared library MODEL of some sources, of which `compiled` are given to the compiler."""
     with compiling(model, sources, compiled, fmi_platform, more_options) as library:
         return library()
 
@@ -70,7 +70,7 @@ def compiling(
     fmi_platform: str,
     more_options: Sequence[str] = (),
 ) -> Iterator[Callable[[], bytes]]:
-    """As `compile_library`, beside this process until the function that it gives is called."""
+    """Starts `compile_library` beside this process; the returned function waits for it."""
     targets, suffix = TARGETS[fmi_platform]
     file = f"{model}.{suffix}"
     with tempfile.TemporaryDirectory(prefix="l1-depth-build-") as name, ExitStack() as stack:
@@ -96,14 +96,14 @@ def compiling(
 
 
 def zig(arguments: Sequence[str], folder: Path) -> None:
-    """Run zig in a folder; ExportError with what it printed if it fails."""
+    """Runs zig in a folder; ExportError with what it printed if it fails."""
     with _running(arguments, folder) as end:
         end()
 
 
 @contextmanager
 def _running(arguments: Sequence[str], folder: Path) -> Iterator[Callable[[], None]]:
-    """Zig at work; the function that this gives waits for its end.
+    """Starts zig; the returned function waits for its end.
 
     Zig outlives neither the context nor this process.
     """
@@ -124,7 +124,7 @@ def _running(arguments: Sequence[str], folder: Path) -> Iterator[Callable[[], No
 
 
 def _end(name: str, process: subprocess.Popen[bytes], output: IO[bytes]) -> None:
-    """Wait for a process of zig; ExportError with what it printed if it fails.
+    """Waits for a process of zig; ExportError with what it printed if it fails.
 
     A long wait is announced on standard error: zig prints nothing while another has the lock of its cache.
     """
@@ -145,7 +145,7 @@ def _end(name: str, process: subprocess.Popen[bytes], output: IO[bytes]) -> None
 
 
 def _universal(slices: Sequence[bytes]) -> bytes:
-    """A universal Mach-O of thin ones: big-endian header, each slice at a page boundary (mach-o/fat.h)."""
+    """Returns a universal Mach-O of thin ones: big-endian header, slices at pages (mach-o/fat.h)."""
     page = 14  # 2^14 bytes, the page size of Apple silicon
     table, body = b"", b""
     start = 1 << page

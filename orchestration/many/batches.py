@@ -40,7 +40,7 @@ class Batches:
         return batch
 
     def note(self, count: int, seconds: float, rest: Sequence[Run] = ()) -> None:
-        """Note how long so many runs took, one after another; rest: of their batch, to hand out again."""
+        """Notes how long so many runs took, one after another; rest: of their batch, to hand out again."""
         self._run_s = max(seconds / count, 1e-9)
         self._returned += rest
         self.left += len(rest)

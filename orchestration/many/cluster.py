@@ -44,7 +44,7 @@ _AHEAD = 3  # batches for each thread: one runs, the others wait
 
 @contextmanager
 def remote(address: str) -> Iterator["ClusterRuns"]:
-    """The workers of a scheduler somewhere, such as tcp://host:8786, as a place of runs."""
+    """Yields the workers of a scheduler somewhere, such as tcp://host:8786, as a place of runs."""
     try:
         client = Client(address, timeout=PATIENCE_S, name="l1-depth sweep")
     except (OSError, ValueError) as error:
@@ -157,7 +157,7 @@ class _Dispatch:
             self.client.cancel(list(self.running))
 
     def _fill(self) -> bool:
-        """Give every thread work; False if there is none and nothing runs."""
+        """Gives every thread work; False if there is none and nothing runs."""
         threads = self._threads()
         while len(self.running) < _AHEAD * threads and (batch := self._next(threads)):
             self._submit(batch)
@@ -174,7 +174,7 @@ class _Dispatch:
         self.running[task] = batch
 
     def _threads(self) -> int:
-        """Of all workers; workers that are replaced may be none for a while."""
+        """Returns the threads of all workers; workers that are replaced may be none for a while."""
         threads_by_worker: dict[str, int] = self.client.nthreads()  # type: ignore[assignment]
         if threads_by_worker:
             self.last_time_with_workers = time.monotonic()

@@ -79,7 +79,7 @@ class Ensemble(LoadedSystem):
         threads: int = 1,
         progress: Callable[[int, int], object] | None = None,
     ) -> EnsembleRecording:
-        """Run as many instances of an experiment as there are values to vary, and return what they recorded.
+        """Runs as many instances of an experiment as there are values to vary; returns their recordings.
 
         vary: name of a parameter or of a constant input -> its values, shape (instances,); of an input with a
         signal in the experiment -> the signals in its place
@@ -100,7 +100,7 @@ class Ensemble(LoadedSystem):
     def start(
         self, experiment: Experiment, vary: Vary, instances: int, external: Sequence[str]
     ) -> SteppedEnsemble:
-        """So many instances at the start time, to be led step by step.
+        """Starts that many instances, which the caller steps.
 
         external: inputs that the caller sets between the steps, as of `Simulator.start`; at least one
         Raises what `run` raises; OrchestrationError if an instance cannot begin.
@@ -138,7 +138,7 @@ class Ensemble(LoadedSystem):
     def _initialised(
         self, prepared: PreparedRun, groups: Sequence[ConnectionGroup], values: Values, signals: Signals
     ) -> EnsembleLoop:
-        """The instances with their initial values; `failure` of those that cannot begin is not 0.
+        """Returns the instances with their initial values; `failure` of those that cannot begin is not 0.
 
         What they have in common is taken from the FMUs, initialised as the first instance that can begin.
         """
@@ -167,7 +167,7 @@ class Ensemble(LoadedSystem):
     def _reason(
         self, prepared: PreparedRun, groups: Sequence[ConnectionGroup], values: Values, instance: int
     ) -> str:
-        """Why an instance cannot begin, empty if it can: the FMUs are initialised as it."""
+        """Returns why an instance cannot begin, empty if it can: the FMUs are initialised as it."""
         own = {name: of_all[instance] for name, of_all in values.items()}
         settings = [(port, own.pop(port.name, value)) for port, value in prepared.initial_settings]
         settings += [(prepared.system.ports[name], value) for name, value in own.items()]
@@ -179,7 +179,7 @@ class Ensemble(LoadedSystem):
         return ""
 
     def _values(self, name: str) -> np.ndarray:
-        """The variables of an initialised FMU by value reference."""
+        """Returns the variables of an initialised FMU by value reference."""
         instance = self._instances[name]
         state = instance.get_fmu_state()
         try:

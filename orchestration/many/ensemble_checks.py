@@ -1,4 +1,4 @@
-"""What an ensemble can run, where that pays, and which values can be varied."""
+"""Checks of an ensemble: what it can run, where that pays, and which values can be varied."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -32,7 +32,7 @@ def check_ensemble(
     external: Sequence[str] = (),
     threads: int = 1,
 ) -> int:
-    """Bytes of the values that a group of an ensemble records.
+    """Returns the bytes of the values that a group of an ensemble records.
 
     instances: how many are run in all; is_asked_for: also where it does not pay
     external: inputs that the caller sets between the steps; FMUs are then compiled only if it is asked for
@@ -55,7 +55,7 @@ def check_ensemble(
 
 
 def _check_pays(system: System, instances: int, steps: int, group_bytes: int, threads: int) -> None:
-    """EnsembleError where simulators run as fast, or in much less memory."""
+    """Raises EnsembleError where simulators run as fast, or in much less memory."""
     if instances < LANES:
         raise EnsembleError(f"{instances} runs are less than the {LANES} that step at once")
     if (n_bytes := threads * group_bytes) > _MOST_BYTES:
@@ -67,7 +67,7 @@ def _check_pays(system: System, instances: int, steps: int, group_bytes: int, th
 
 
 def check_supported(prepared: PreparedRun, groups: Sequence[ConnectionGroup]) -> None:
-    """EnsembleError for an experiment with something that steps of whole groups do not have."""
+    """Raises EnsembleError for an experiment with something that steps of whole groups do not have."""
     experiment = prepared.experiment
     reasons = {
         "extrapolation": experiment.extrapolation,
@@ -90,7 +90,7 @@ def check_supported(prepared: PreparedRun, groups: Sequence[ConnectionGroup]) ->
 
 
 def instance_count(vary: Vary) -> int:
-    """How many values each variable has; SystemDefinitionError if not all have as many, at least one."""
+    """Returns the number of values, at least 1; SystemDefinitionError unless variables have equally many."""
     lengths = {name: len(values) for name, values in vary.items()}
     if len({*lengths.values()}) != 1 or 0 in lengths.values():
         raise SystemDefinitionError(f"vary: expected lists of one length, at least 1, got {lengths}")
@@ -98,7 +98,7 @@ def instance_count(vary: Vary) -> int:
 
 
 def checked_values(prepared: PreparedRun, vary: Vary) -> dict[str, list[FmiValue]]:
-    """The values to vary, but signals, as the FMUs take them.
+    """Returns the values to vary, but signals, as the FMUs take them.
 
     Raises SystemDefinitionError for what cannot be varied so.
     """
@@ -123,7 +123,7 @@ def checked_values(prepared: PreparedRun, vary: Vary) -> dict[str, list[FmiValue
 
 
 def varied_signals(prepared: PreparedRun, vary: Vary) -> dict[str, np.ndarray]:
-    """Input -> the signal to vary, of each instance at each point, shape (groups, points, lanes).
+    """Returns input -> the signal to vary, of each instance at each point, shape (groups, points, lanes).
 
     Raises SystemDefinitionError for what is no signal or has a value that the input cannot have,
     EnsembleError for a number that is no item.
@@ -148,7 +148,7 @@ def _lanes(prepared: PreparedRun, name: str, signals: Sequence[Signal]) -> np.nd
 
 
 def _check_items(port: Port, values: np.ndarray) -> None:
-    """EnsembleError for a signal with a number that the Enumeration does not have."""
+    """Raises EnsembleError for a signal with a number that the Enumeration does not have."""
     _refuse_if(bool(_not_items(port, values)), "a signal with a number that is no item")
 
 
@@ -158,5 +158,5 @@ def _refuse_if(is_used: bool, name: str) -> None:
 
 
 def _not_items(port: Port, values: Iterable[FmiValue] | np.ndarray) -> set[FmiValue]:
-    """The numbers that an Enumeration does not have: none for another type."""
+    """Returns the numbers that an Enumeration does not have: none for another type."""
     return {*values} - {*items(port).values()} if port.variable.type == "Enumeration" else set()

@@ -56,12 +56,12 @@ class EnsembleLoop:
         self._groups = [self._group(group) for group in range(groups)]
 
     def exchange(self, point: int) -> None:
-        """Set what signals and connections drive at a communication point, and record it."""
+        """Sets what signals and connections drive at a communication point, and records it."""
         for group, _ in self._groups:
             self._functions.ensemble_exchange(group, point)
 
     def run_points(self, group: int, first: int, last: int) -> None:
-        """Run a group from one communication point to another, with the changes of events."""
+        """Runs a group from one communication point to another, with the changes of events."""
         is_end = last + 1 == len(self.prepared.points)
         changes = (p for p in self.prepared.changes if first < p and (p < last or (is_end and p == last)))
         starts = sorted({first, *changes})
@@ -116,13 +116,13 @@ class EnsembleLoop:
         return (ctypes.c_int64 * len(values))(*values), list(members.values())
 
     def _addresses(self, group: int, names: Sequence[str]) -> Array:
-        """Of the lanes of variables."""
+        """Returns the addresses of the lanes of variables."""
         ports = [self.prepared.system.ports[name] for name in names]
         first = {name: memory[group].ctypes.data for name, memory in self.memory.items()}
         return _integers([first[p.component] + 8 * LANES * int(p.variable.valueReference) for p in ports])
 
     def reason(self, instance: int) -> str:
-        """Why an instance ended early."""
+        """Returns why an instance ended early."""
         failure, count = self.failure.ravel()[instance], self.recorded.ravel()[instance]
         time = f"t = {self.prepared.points[count - 1]:.9g} s"
         if failure < 0:
@@ -132,12 +132,12 @@ class EnsembleLoop:
         return f"{component} at {time}: the step is refused; Simulator.run of this instance says why"
 
     def values(self, port: Port) -> Array:
-        """A variable of all instances, shape (groups, lanes): a view of the memory."""
+        """Returns a variable of all instances, shape (groups, lanes): a view of the memory."""
         first = LANES * int(port.variable.valueReference)
         return self.memory[port.component][:, first : first + LANES]
 
     def initialise(self, group: ConnectionGroup | None = None) -> None:
-        """Compute what follows from parameters and inputs, and exchange it over connections.
+        """Computes what follows from parameters and inputs, and exchanges it over connections.
 
         group: of `connection_groups`, one connection; without one, every component is computed
         """
@@ -158,7 +158,7 @@ class EnsembleLoop:
             self.failure[bad], self.recorded[bad] = number, 0
 
     def _change(self, group: int, point: int) -> None:
-        """Set what events change at a communication point."""
+        """Sets what events change at a communication point."""
         changes = self.prepared.changes.get(point, ())
         for port, value in changes:
             self.values(port)[group] = float(value)
@@ -166,7 +166,7 @@ class EnsembleLoop:
             self.libraries[component].parameters_changed(self.memory[component][group])
 
     def _note_refused(self, group: int, component: str, refused: int) -> None:
-        """The instances of the refused lanes do not begin."""
+        """Notes that the instances of the refused lanes do not begin."""
         for lane in range(LANES) if refused else ():
             if refused >> lane & 1 and not self.failure[group, lane]:
                 self.failure[group, lane] = 1 + list(self.libraries).index(component)
@@ -176,7 +176,7 @@ class EnsembleLoop:
 def check_memory(
     prepared: PreparedRun, libraries: Mapping[str, LaneLibrary], count: int, varied: int
 ) -> None:
-    """SystemDefinitionError for more than the memory of this machine.
+    """Raises SystemDefinitionError for more than the memory of this machine.
 
     count: of instances, each with so many varied signals, and its rows beside the recording made of them
     """
@@ -196,7 +196,7 @@ def _integers(values: Sequence[int]) -> Array:
 
 @lru_cache
 def loop_library(instructions: str) -> ctypes.CDLL:
-    """The compiled loop, for every ensemble of these instructions; EnsembleError if it cannot be compiled."""
+    """Returns the compiled loop for these instructions; EnsembleError if it cannot be compiled."""
     try:
         library = load_compiled(Path(__file__).with_name("ensemble.c"), instructions)
     except (ExportError, OSError) as error:

@@ -33,7 +33,7 @@ class Isolated:
         self.use(job, vectors)
 
     def use(self, job: Job, vectors: bool) -> None:
-        """Make runs of this job from now on, in the same process."""
+        """Makes runs of this job from now on, in the same process."""
         self._job, self._vectors, self._ready = job, vectors, False
 
     def run(self, runs: Sequence[Run]) -> list[Done]:
@@ -63,7 +63,7 @@ class Isolated:
         return [Done(failure)] if len(runs) == 1 else [done for run in runs for done in self._made([run])]
 
     def close(self) -> None:
-        """End the process at once, also from another thread during a run."""
+        """Ends the process at once, also from another thread during a run."""
         with self._lock:
             self._closed = True
         self._replace()
@@ -77,7 +77,7 @@ class Isolated:
             return self._process
 
     def _wait_until_ready(self, process: WorkerProcess) -> None:
-        """Wait until the FMUs are loaded. SweepError if that takes too long or Python cannot start."""
+        """Waits until the FMUs are loaded. SweepError if that takes too long or Python cannot start."""
         if self._ready:
             return
         try:
@@ -93,7 +93,7 @@ class Isolated:
         self._ready = True
 
     def _replace(self) -> None:
-        """The next run gets another process."""
+        """Replaces the process for the next run."""
         with self._lock:
             if self._process is not None:
                 self._process.close()
@@ -101,14 +101,14 @@ class Isolated:
 
 
 def answer(parent: Parent) -> None:
-    """In the process: receive a job and load its FMUs, make the runs that follow, until the next job."""
+    """Serves in the process: receives a job, loads its FMUs and makes its runs, until the next job."""
     job = parent.receive()
     while True:
         job = _next_job(parent, job)
 
 
 def _next_job(parent: Parent, received: tuple[bytes, bool]) -> tuple[bytes, bool]:
-    """Make runs of a job until another one is received."""
+    """Makes runs of a job until another one is received."""
     pickled, vectors = received
     job: Job = cloudpickle.loads(pickled)
     with _runner(job, vectors) as runner:

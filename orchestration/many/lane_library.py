@@ -52,7 +52,7 @@ class LaneLibrary:
         self._initialize.restype = ctypes.c_int64
 
     def memory(self, groups: int, values: np.ndarray) -> np.ndarray:
-        """Memory of so many groups, shape (groups, words).
+        """Returns memory of so many groups, shape (groups, words).
 
         values: of the variables by value reference, those of every instance
         """
@@ -68,11 +68,11 @@ class LaneLibrary:
         self._change(group.ctypes.data)
 
     def initialise(self, group: np.ndarray, time: float) -> int:
-        """Compute states and outputs at the start time [s]; the lanes that are refused, as bits."""
+        """Computes states and outputs at the start time [s]; the lanes that are refused, as bits."""
         return self._initialize(group.ctypes.data, time)
 
     def values(self, state: bytes) -> np.ndarray:
-        """The variables of an instance by value reference, from its serialised FMU state."""
+        """Returns the variables of an instance by value reference, from its serialised FMU state."""
         words = np.frombuffer(state, "<f8", offset=_HEAD, count=(len(state) - _HEAD) // 8)
         if not state.startswith(_MAGIC + bytes([_FORMAT])) or len(words) < self.variables + self.states:
             raise EnsembleError("a state of another version of l1-depth: build the FMU again")
@@ -82,7 +82,7 @@ class LaneLibrary:
 
 
 def aligned(*shape: int) -> np.ndarray:
-    """An array at an address that vectors need, of any values."""
+    """Returns an array at an address that vectors need, of any values."""
     memory, count = np.empty(math.prod(shape) + LANES), math.prod(shape)
     first = -memory.ctypes.data % (8 * LANES) // 8
     return memory[first : first + count].reshape(shape)
@@ -120,7 +120,7 @@ def _loaded(fmu: FileVersion, instructions: str) -> LaneLibrary:
 
 @contextmanager
 def _written_source(fmu: Path) -> Iterator[Path]:
-    """The C source of the library of an FMU, in a folder with its headers while the context lasts.
+    """Yields the C source of the library of an FMU, in a folder with its headers while the context lasts.
 
     Raises ExportError for an FMU that has no such headers.
     """
@@ -139,7 +139,7 @@ def _written_source(fmu: Path) -> Iterator[Path]:
 
 
 def load_compiled(source: Path, instructions: str) -> ctypes.CDLL:
-    """The library of a C source for groups of instances, from this user's cache if it is there."""
+    """Returns the library of a C source for groups of instances, from this user's cache if it is there."""
     return compiled_library.load(source, _options(instructions))
 
 

@@ -127,19 +127,19 @@ class LocalRuns(AbstractContextManager["LocalRuns"]):
         return self._isolated
 
     def _end_runs(self) -> None:
-        """End what runs, also from another thread; runs that follow are made by new runners."""
+        """Ends what runs, also from another thread; runs that follow are made by new runners."""
         self._job = None
         for runner in (*self._in_process, *self._isolated):
             runner.close()
         self._in_process = self._isolated = ()
 
     def _free(self) -> None:
-        """Free what was loaded for a job."""
+        """Frees what was loaded for a job."""
         self._in_process = ()
         self._loaded.close()
 
     def close(self) -> None:
-        """End what runs, also from another thread; no run follows."""
+        """Ends what runs, also from another thread; no run follows."""
         self._closed = True
         self._end_runs()
 

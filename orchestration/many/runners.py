@@ -78,7 +78,7 @@ class Simulated(AbstractContextManager["Simulated"]):
             return Done(Failure(self._job.error_line(error)))
 
     def close(self) -> None:
-        """End a run of another thread soon."""
+        """Ends a run of another thread soon."""
         self._closed = True
 
     def __exit__(self, *_: object) -> None:
@@ -157,7 +157,7 @@ class Vectorised(AbstractContextManager["Vectorised"]):
         ]
 
     def close(self) -> None:
-        """End a run of a simulator soon."""
+        """Ends a run of a simulator soon."""
         self._alone.close()
 
     def __exit__(self, *error: object) -> None:

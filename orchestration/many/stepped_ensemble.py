@@ -85,7 +85,7 @@ class SteppedEnsemble:
         return self.point + 1 == len(self._prepared.points)
 
     def step(self) -> None:
-        """Step to the next communication point; SimulationError if an instance cannot, or at the end."""
+        """Steps to the next communication point; SimulationError if an instance cannot, or at the end."""
         if self.is_done:
             raise OrchestrationError(
                 f"the run is at its stop time, {self.time:.9g} s: expected no further step"
@@ -113,14 +113,14 @@ class SteppedEnsemble:
         self._note_failures()
 
     def read(self, names: Sequence[str]) -> np.ndarray:
-        """The present values of variables, shape (names, instances); Booleans are 0.0 and 1.0."""
+        """Returns the present values of variables, shape (names, instances); Booleans are 0.0 and 1.0."""
         ports = [self._prepared.system.port(name, "read") for name in names]
         if not self._driven.isdisjoint(names):
             self._loop.exchange(self.point)
         return np.array([self._loop.values(port).reshape(-1)[: self._count] for port in ports])
 
     def write(self, names: Sequence[str], values: np.ndarray) -> None:
-        """Set external inputs from the present point on; values: shape (names, instances).
+        """Sets external inputs from the present point on; values: shape (names, instances).
 
         Raises SystemDefinitionError, and sets none, for another variable or shape, and for a value that is
         not finite or outside of the declared range.
@@ -141,7 +141,7 @@ class SteppedEnsemble:
             lanes[:] = np.resize(of_instances, lanes.shape)
 
     def recordings(self) -> EnsembleRecording:
-        """The values recorded until now, those of the present communication point included."""
+        """Returns the values recorded until now, those of the present communication point included."""
         self._loop.exchange(self.point)
         return self._recording()
 
@@ -164,14 +164,14 @@ class SteppedEnsemble:
 
 
 def _check(port: Port, values: np.ndarray) -> None:
-    """SystemDefinitionError for a value that the input cannot have."""
+    """Raises SystemDefinitionError for a value that the input cannot have."""
     low, high = value_range(port)
     for value in values[~(possible_values(port, values)[1] & (low <= values) & (values <= high))]:
         fmi_value(port, float(value))  # which refuses it
 
 
 def _as_plain_data(value: Value | Signal) -> Value:
-    """A value itself; of a signal its text with all numbers and digits, without addresses in memory."""
+    """Returns a value itself, of a signal its text with all numbers and digits, without addresses."""
     if not callable(value):
         return value
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):

@@ -29,13 +29,13 @@ _DIFFERENCE = 1.5e-8  # relative change for a difference quotient, about the roo
 
 
 class NoSolutionError(Exception):
-    """Why values could not be found."""
+    """Error of values that could not be found."""
 
 
 def exchange_once(
     connections: Sequence[Connection], instances: Mapping[str, FmuInstance], transformations: Transformations
 ) -> list[float]:
-    """Read each output and set its input, one connection after the other; returns the values as numbers."""
+    """Reads each output and sets its input, one connection after the other; returns the values as numbers."""
     values = []
     for source, target in connections:
         value = arriving_value(source, target, instances, transformations)
@@ -50,14 +50,14 @@ def exchange_once(
 
 
 def _number(value: FmiValue) -> float:
-    """The value; of a String, a number that tells it from others."""
+    """Returns the value; of a String, a number that tells it from others."""
     return float(zlib.crc32(value.encode()) if isinstance(value, str) else value)
 
 
 def arriving_value(
     source: Port, target: Port, instances: Mapping[str, FmuInstance], transformations: Transformations
 ) -> FmiValue:
-    """The value of an output as it arrives at an input."""
+    """Returns the value of an output as it arrives at an input."""
     value = instances[source.component].get(source.variable)
     return transformations[target.name](value) if target.name in transformations else value
 
@@ -68,7 +68,7 @@ def solve_loop(
     transformations: Transformations,
     method: Initialisation,
 ) -> None:
-    """Find inputs that equal their outputs, and set them.
+    """Finds inputs that equal their outputs, and sets them.
 
     Raises OrchestrationError if no method finds a solution, FmuError for a call that an FMU refuses.
     """
@@ -102,31 +102,31 @@ class _Loop:
         self.names = ", ".join(target.name for _, target in connections)
 
     def values(self) -> np.ndarray:
-        """The present inputs x, shape (n,)."""
+        """Returns the present inputs x, shape (n,)."""
         return np.array([_number(self.instances[t.component].get(t.variable)) for _, t in self.connections])
 
     def outputs(self, values: np.ndarray) -> np.ndarray:
-        """F(x): set the inputs, then read the outputs."""
+        """Returns F(x): sets the inputs, then reads the outputs."""
         for (_, target), value in zip(self.connections, values.tolist(), strict=True):
             self.instances[target.component].set(target.variable, value)
         arriving = (arriving_value(*c, self.instances, self.transformations) for c in self.connections)
         return np.array(list(arriving))
 
     def relative_size(self, change: np.ndarray, values: np.ndarray) -> float:
-        """The largest change of a value, relative to it or its nominal; infinite if it is not a number."""
+        """Returns the largest change of a value over it or its nominal; infinite if it is not a number."""
         with np.errstate(invalid="ignore", over="ignore"):
             largest = np.max(np.abs(change) / np.maximum(np.abs(values), self.nominal))
         return float(largest) if math.isfinite(largest) else math.inf
 
 
 def _nominal(connection: Connection) -> float:
-    """The input's nominal, or the output's, or 1."""
+    """Returns the input's nominal, or the output's, or 1."""
     declared = (port.variable.nominal for port in reversed(connection))
     return abs(float(next((nominal for nominal in declared if nominal is not None), 1.0))) or 1.0
 
 
 def _iterate(loop: _Loop, start: np.ndarray) -> None:
-    """Fixed-point iteration: exchange until the values no longer change."""
+    """Iterates to a fixed point: exchanges until the values no longer change."""
     before, least, change = np.full(start.shape, math.inf), math.inf, math.inf
     for _ in range(_MOST_ITERATIONS):
         try:
@@ -147,7 +147,7 @@ def _iterate(loop: _Loop, start: np.ndarray) -> None:
 
 
 def _solve_by_newton(loop: _Loop, start: np.ndarray) -> None:
-    """Newton's method (Powell's hybrid one) on F(x) - x, in units of the nominals.
+    """Solves F(x) - x = 0 by Newton's method (Powell's hybrid one), in units of the nominals.
 
     A value that an FMU discards, or for which an output is not finite, gets a large residual: the method then
     takes a shorter step.
@@ -200,7 +200,7 @@ def _check_solution(loop: _Loop, solution: np.ndarray, residual: Callable[[np.nd
 
 
 def _discarded_value(method: str, error: FmuError) -> NoSolutionError:
-    """The reason for a discarded value; any worse error is raised as it is."""
+    """Returns the reason for a discarded value; any worse error is raised as it is."""
     if error.status != "discard":
         raise error
     return NoSolutionError(f"{method}, and a value was discarded: {error}")

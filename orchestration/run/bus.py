@@ -92,7 +92,7 @@ def lay_out_bus(prepared: PreparedRun) -> BusLayout:
 
 
 def component_of(name: str) -> str:
-    """The component of "component.variable"; empty for a signal."""
+    """Returns the component of "component.variable"; empty for a signal."""
     return name.partition(".")[0]
 
 
@@ -109,7 +109,7 @@ def _input_mode(prepared: PreparedRun, source: str, target: str) -> InputMode:
 def _variables_by_type(
     prepared: PreparedRun, names: set[str], first: set[str]
 ) -> list[tuple[str, str, tuple[ScalarVariable, ...]]]:
-    """(component, type of getter and setter, variables) of the variables of these names.
+    """Returns (component, type of getter and setter, variables) of the variables of these names.
 
     first: those that come before the others of their group
     """
@@ -135,7 +135,7 @@ class Texts:
         self._functions: list[Any] = []  # they must live as long as the run
 
     def number(self, text: str) -> int:
-        """The index of a text."""
+        """Returns the index of a text."""
         number = self._numbers.setdefault(text, len(self._encoded))
         if number == len(self._encoded):
             self._encoded.append(text.encode())
@@ -153,7 +153,7 @@ class Texts:
             self.number(text)
 
     def function(self, instance: FmuInstance, name: str) -> int:
-        """Address of fmi2GetString or fmi2SetString with an array of numbers in place of texts."""
+        """Returns the address of fmi2GetString or fmi2SetString with numbers in place of texts."""
 
         def get(handle: int, references: int, count: int, numbers: int) -> int:
             values = (ctypes.c_char_p * count)()

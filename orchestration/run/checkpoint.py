@@ -46,7 +46,7 @@ class Checkpoint:
     arrays: Mapping[str, np.ndarray]
 
     def write(self, path: str | Path) -> None:
-        """Write the file; an older one is replaced when the new one is complete."""
+        """Writes the file; an older one is replaced when the new one is complete."""
         head = {name: getattr(self, name) for name in _HEAD}
         head |= {"version": _VERSION, "components": list(self.states)}
         content: dict[str, Any] = {
@@ -59,7 +59,7 @@ class Checkpoint:
 
 
 def read_checkpoint(path: str | Path) -> Checkpoint:
-    """The inverse of `Checkpoint.write`; OrchestrationError for another file."""
+    """Reads the file of `Checkpoint.write`; OrchestrationError for another file."""
     try:
         with np.load(path, allow_pickle=False) as content:
             head = json.loads(content["head"].tobytes())
@@ -79,7 +79,7 @@ def read_checkpoint(path: str | Path) -> Checkpoint:
 
 
 def check_can_save(system: CheckedSystem) -> None:
-    """SystemDefinitionError if an FMU cannot serialise its state."""
+    """Raises SystemDefinitionError if an FMU cannot serialise its state."""
     incapable = system.components_without("canSerializeFMUstate")
     if incapable:
         raise SystemDefinitionError(
@@ -88,7 +88,7 @@ def check_can_save(system: CheckedSystem) -> None:
 
 
 def capture(run: RunInProgress) -> Checkpoint:
-    """The system at the present communication point; OrchestrationError where no run can continue."""
+    """Captures the system at the present point; OrchestrationError where no run can continue."""
     wiring, position = run.wiring, run.position
     is_last = position == len(wiring.points) - 1
     if is_last and np.any(position % wiring.periods):
@@ -112,7 +112,7 @@ def capture(run: RunInProgress) -> Checkpoint:
 
 
 def restore(checkpoint: Checkpoint, run: RunInProgress) -> None:
-    """Set an initialised run to the checkpoint; OrchestrationError if it belongs to another run."""
+    """Sets an initialised run to the checkpoint; OrchestrationError if it belongs to another run."""
     position, past = checkpoint.position, _past(run, checkpoint.position)
     different = [part for part in past if past[part] != checkpoint.past.get(part)]
     if different:
@@ -151,7 +151,7 @@ def _saved_arrays(run: RunInProgress, position: int) -> dict[str, np.ndarray]:
 
 
 def _past(run: RunInProgress, position: int) -> dict[str, str]:
-    """Digests of everything that determines a run up to a communication point."""
+    """Returns the digests of everything that determines a run up to a communication point."""
     prepared, wiring, until = run.prepared, run.wiring, position + 1
     faults = wiring.faults
     periods, modes = (array.tobytes() for array in (wiring.periods, wiring.connections.input_mode))
@@ -180,7 +180,7 @@ def _past(run: RunInProgress, position: int) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Checkpoints:
-    """Where to save the system: when the run is interrupted, and every so many simulated seconds."""
+    """Checkpoints to save: when the run is interrupted, and every so many simulated seconds."""
 
     path: str | Path
     every: float = math.inf
@@ -190,11 +190,11 @@ class Checkpoints:
             raise OrchestrationError(f"a checkpoint every {self.every!r} s: expected more than 0")
 
     def save(self, run: RunInProgress) -> None:
-        """Write a checkpoint of the present communication point."""
+        """Writes a checkpoint of the present communication point."""
         capture(run).write(self.path)
 
     def checkpoint_callback(self, run: RunInProgress) -> Callable[[int], int]:
-        """A callback of `RunInProgress.run_to_end` that saves when due, and returns the steps to the next."""
+        """Returns a callback of `run_to_end` that saves when due, and returns the steps to the next."""
         points = run.wiring.points
         due = float(points[run.position]) + self.every
 

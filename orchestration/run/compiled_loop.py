@@ -33,7 +33,7 @@ _loading = threading.Lock()
 
 
 def compiled_loop(wiring: Wiring) -> LoopFunctions:
-    """The functions of the loop for one wiring; if it cannot be compiled those in Python, and a warning."""
+    """Returns the functions of the loop for one wiring: compiled, or with a warning those in Python."""
     try:
         functions = library()
     except (ExportError, OSError) as error:
@@ -60,7 +60,7 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
 
 
 def _members(wiring: Wiring) -> list[int]:
-    """`Wiring` of loop.c: counts, then every member in its order, an array as its address."""
+    """Returns `Wiring` of loop.c: counts, then every member in its order, an array as its address."""
     sources = wiring.connections.source
     counted = (
         wiring.points,
@@ -80,7 +80,7 @@ def _flat(value: Any) -> list[int]:
 
 
 def library() -> ctypes.CDLL:
-    """The compiled loop: of the wheel, else compiled once for this user. Else ExportError or OSError."""
+    """Returns the loop of the wheel, or one compiled once for this user; else ExportError or OSError."""
     with _loading:  # two threads would load it twice, each with a floating-point mode of its own to restore
         loaded = _library_or_error()
     if isinstance(loaded, Exception):
@@ -90,7 +90,7 @@ def library() -> ctypes.CDLL:
 
 @cache
 def _library_or_error() -> ctypes.CDLL | Exception:
-    """The error too is asked for once: a compiler that is not there takes its time to say so."""
+    """Returns the library or the error, looked for once: finding no compiler takes time."""
     source = Path(__file__).parent / _SOURCE
     try:
         loaded = compiled_library.load(source)
@@ -135,7 +135,7 @@ class StepThreads:
         self._single_s, self._has_run = 0.0, False  # of a step without threads, after the first, slower batch
 
     def run(self, first: int, last: int) -> int:
-        """`LoopFunctions.run`."""
+        """Implements `LoopFunctions.run`."""
         if self._threads < 2 or (self._is_measured and self._single_s < _LEAST_STEP_S):
             start = self._cpu()
             reached = self._loop.run(first, last)
@@ -170,6 +170,6 @@ class StepThreads:
 
 
 def _useful(wired: WiredRun, processors: int) -> int:
-    """The processors; 1 unless all FMUs are known to be independent of each other."""
+    """Returns the processors of use: 1 unless all FMUs are known to be independent of each other."""
     independent = all(is_independent(instance.description) for instance in wired.instances.values())
     return processors if independent else 1

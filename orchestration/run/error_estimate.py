@@ -38,7 +38,7 @@ _FACTORS = (3.0, 2.0)  # by the order of the extrapolation
 def with_error_estimate(
     recording: Recording, prepared: PreparedRun, run: Callable[[Experiment], Recording]
 ) -> Recording:
-    """The recording with a column `error_estimate.NAME` for each recorded Real output and connected input.
+    """Returns the recording with `error_estimate.NAME` for each recorded Real output and connected input.
 
     run: makes the run at twice the step. Where that fails, the estimate is not a number from there on, and a
     warning is issued. SimulationError, with the recording, if it is interrupted.
@@ -99,7 +99,7 @@ def longer_internal_steps(prepared: PreparedRun) -> dict[str, float]:
 
 
 def estimated_names(prepared: PreparedRun) -> list[str]:
-    """The recorded Real outputs, and inputs that an output drives."""
+    """Returns the recorded Real outputs, and inputs that an output drives."""
     connected = {target.name for _, target in prepared.system.connections}
     ports = prepared.system.ports
     return [
@@ -118,7 +118,7 @@ def _largest_differences(
     resolution: float,
     is_complete: bool,
 ) -> np.ndarray:
-    """The largest difference of the two runs at three common points, shape of `fine`.
+    """Returns the largest difference of the two runs at three common points, shape of `fine`.
 
     They are the first common point that is not before a point of the fine run, and the two before that.
     Behind the last common point the last value holds, or is NaN if the coarse run is not complete.
@@ -140,5 +140,5 @@ def _largest_differences(
 
 
 def _number(value: Any) -> float | None:
-    """A number for a file, None for one that is not finite."""
+    """Returns a number for a file, None for one that is not finite."""
     return float(value) if math.isfinite(value) else None

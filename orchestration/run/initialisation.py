@@ -47,7 +47,7 @@ def initialise(
     instances: Mapping[str, FmuInstance],
     settings: Sequence[Setting] | None = None,
 ) -> None:
-    """Bring new instances to step mode with consistent initial values; groups: of `connection_groups`.
+    """Brings new instances to step mode with consistent initial values; groups: of `connection_groups`.
 
     settings: in place of `prepared.initial_settings`
     """
@@ -70,7 +70,7 @@ def initialise(
 def solve_initial_values(
     groups: Sequence[ConnectionGroup], instances: Mapping[str, FmuInstance], method: Initialisation
 ) -> None:
-    """Exchange values, in initialization mode, until every connected input equals its output.
+    """Exchanges values, in initialization mode, until every connected input equals its output.
 
     Raises OrchestrationError for a loop without a solution, FmuError for a call that an FMU refuses.
     """
@@ -85,7 +85,7 @@ def solve_initial_values(
 
 
 def connection_groups(system: CheckedSystem) -> tuple[ConnectionGroup, ...]:
-    """The strongly connected components of the connected inputs, in the order in which values flow."""
+    """Returns the strongly connected components of the connected inputs, in the order of the flow."""
     connections, declared = system.connections, system.declared_dependencies
     index = {target.name: i for i, (_, target) in enumerate(connections)}
     # One more node for each component: all its connected inputs, for the outputs that declare nothing.
@@ -122,7 +122,7 @@ def connection_groups(system: CheckedSystem) -> tuple[ConnectionGroup, ...]:
 
 
 def _component_labels(dependencies: Mapping[int, set[int]]) -> list[int]:
-    """The strongly connected component of each node."""
+    """Returns the strongly connected component of each node."""
     from scipy.sparse import coo_array  # only for loops: it takes as long to import as all the rest
     from scipy.sparse.csgraph import connected_components
 

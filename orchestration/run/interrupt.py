@@ -16,7 +16,7 @@ from orchestration.errors import SystemDefinitionError
 
 @contextmanager
 def deferred_interrupt() -> Iterator[Callable[[], None]]:
-    """Keep an interrupt until the function given is called: it must not strike inside an FMU."""
+    """Keeps an interrupt until the yielded function is called: it must not strike inside an FMU."""
     with kept_interrupts() as received:
 
         def check_interrupt() -> None:
@@ -77,7 +77,7 @@ class Pacing:
             raise SystemDefinitionError(f"real time factor {self.factor!r}: expected more than 0")
 
     def wait(self, t: float, check_interrupt: Callable[[], None]) -> None:
-        """Wait until it is time for the communication point t [s]."""
+        """Waits until it is time for the communication point t [s]."""
         now = time.perf_counter()
         if self._zero is None:
             self._zero = now - t / self.factor
@@ -91,7 +91,7 @@ class Pacing:
             self.worst, self.worst_at = max((self.worst, self.worst_at), (late, t), key=lambda late: late[0])
 
     def report(self) -> dict[str, float | int]:
-        """The factor and the missed deadlines, for the provenance of a recording."""
+        """Returns the factor and the missed deadlines, for the provenance of a recording."""
         return {
             "factor": self.factor,
             "missed_deadlines": self.missed,

@@ -70,7 +70,7 @@ class LoadedSystem:
         return loading.enter_context(instance)
 
     def close(self) -> None:
-        """Free every instance; the next run loads them again."""
+        """Frees every instance; the next run loads them again."""
         self._instances, self._must_reload = {}, False
         self._loaded.close()
 

@@ -24,13 +24,13 @@ from orchestration.run.loop_data import Call, Calls, InputMode, LoopFunctions, R
 
 
 def python_loop(wiring: Wiring) -> LoopFunctions:
-    """The functions below for one wiring."""
+    """Returns the functions below for one wiring."""
     functions: Any = (run, exchange_and_record, exchange, step, read_outputs, save, restore)
     return LoopFunctions(*(partial(function, wiring) for function in functions))
 
 
 def run(wiring: Wiring, first: int, last: int) -> int:
-    """Step from communication point `first` to `last`; `last` itself is neither exchanged nor recorded.
+    """Steps from communication point `first` to `last`; `last` itself is neither exchanged nor recorded.
 
     Returns the point reached; if that is before `last`, `report` holds the failure, or the component that
     terminated the simulation there.
@@ -46,7 +46,7 @@ def run(wiring: Wiring, first: int, last: int) -> int:
 
 
 def exchange_and_record(wiring: Wiring, point: int) -> bool:
-    """Update the signals and the connections at a communication point, and record it."""
+    """Updates the signals and the connections at a communication point, and records it."""
     for signal in range(len(wiring.signal_index)):
         wiring.bus[wiring.signal_index[signal]] = wiring.signal_values[signal, point]
     is_finite = exchange(wiring, point, wiring.points[point], True)
@@ -57,7 +57,7 @@ def exchange_and_record(wiring: Wiring, point: int) -> bool:
 
 
 def exchange(wiring: Wiring, point: int, time: float, on_point: bool) -> bool:
-    """Transfer the new values on all connections; a faulted one only at communication points.
+    """Transfers the new values on all connections; a faulted one only at communication points.
 
     point: the communication point at or before `time` [s]; on_point: whether `time` is that of the point
     """
@@ -74,7 +74,7 @@ def exchange(wiring: Wiring, point: int, time: float, on_point: bool) -> bool:
 
 
 def transfer(wiring: Wiring, k: int, point: int, time: float, is_new: bool) -> bool:
-    """Transfer the source's value on connection k; False if it is not finite.
+    """Transfers the source's value on connection k; False if it is not finite.
 
     is_new: whether the source provided the value at `time` [s], or has held it since an earlier time
     """
@@ -103,7 +103,7 @@ def transfer(wiring: Wiring, k: int, point: int, time: float, is_new: bool) -> b
 
 
 def step(wiring: Wiring, point: int, start: float, end: float) -> bool:
-    """Step all components from `start` to `end` [s], within the communication step from a point."""
+    """Steps all components from `start` to `end` [s], within the communication step from a point."""
     step_all = _gauss_seidel_step if wiring.gauss_seidel else _jacobi_step
     return step_all(wiring, point, start, end)
 
@@ -120,7 +120,7 @@ def _jacobi_step(wiring: Wiring, point: int, start: float, end: float) -> bool:
 
 
 def _start_step(wiring: Wiring, c: int, point: int, start: float, end: float) -> bool:
-    """Start the step of component c with the inputs of `start`."""
+    """Starts the step of component c with the inputs of `start`."""
     wiring.step_start[c] = start
     if wiring.periods[c] > 1:
         end = float(wiring.points[min(point + wiring.periods[c], len(wiring.points) - 1)])
@@ -153,7 +153,7 @@ def _ends_step(wiring: Wiring, c: int, point: int) -> bool:
 
 
 def _write_inputs(wiring: Wiring, c: int, start: float, size: float) -> bool:
-    """Set the inputs of component c, and their derivatives, for a step of `size` [s]."""
+    """Sets the inputs of component c, and their derivatives, for a step of `size` [s]."""
     connections = wiring.connections
     for k in range(connections.first[c], connections.first[c + 1]):
         if connections.input_mode[k] != InputMode.HOLD:  # else `transfer` has put the value on the bus
@@ -171,7 +171,7 @@ def _write_inputs(wiring: Wiring, c: int, start: float, size: float) -> bool:
 
 
 def _extrapolate(wiring: Wiring, k: int, start: float, size: float) -> None:
-    """Put the extrapolated value and slope of connection k on the bus, for a step of `size` [s]."""
+    """Puts the extrapolated value and slope of connection k on the bus, for a step of `size` [s]."""
     connections = wiring.connections
     value, slope = float(connections.value[k]), float(connections.slope[k])
     longest = connections.slope_validity[k] * connections.sample_interval[k]
@@ -185,7 +185,7 @@ def _extrapolate(wiring: Wiring, k: int, start: float, size: float) -> None:
 
 
 def read_outputs(wiring: Wiring, c: int) -> bool:
-    """Read the outputs of component c to the bus."""
+    """Reads the outputs of component c to the bus."""
     calls = wiring.output_calls
     for g in range(calls.first[c], calls.first[c + 1]):
         if not _exchange_values(wiring, calls, Call.GET_OUTPUTS, c, g):
@@ -197,7 +197,7 @@ def read_outputs(wiring: Wiring, c: int) -> bool:
 
 
 def save(wiring: Wiring, saved: SavedMemory) -> bool:
-    """Save the states of all components and what a step changes; `saved` holds earlier states, or 0."""
+    """Saves the states of all components and what a step changes; `saved` holds earlier states, or 0."""
     count = len(wiring.instances)
     np.ctypeslib.as_array(saved)[count:] = wiring.memory.view(np.int64)
     for c in range(count):
@@ -210,7 +210,7 @@ def save(wiring: Wiring, saved: SavedMemory) -> bool:
 
 
 def restore(wiring: Wiring, saved: SavedMemory) -> bool:
-    """Set everything back to what `save` has saved."""
+    """Sets everything back to what `save` has saved."""
     count = len(wiring.instances)
     wiring.memory[:] = np.ctypeslib.as_array(saved)[count:].view(np.float64)
     for c in range(count):
@@ -261,7 +261,7 @@ def _terminates_at(wiring: Wiring, c: int, end: float) -> bool:
 
 
 def _exchange_values(wiring: Wiring, calls: Calls, kind: int, c: int, g: int) -> bool:
-    """fmi2Get... or fmi2Set... of Real, Integer or Boolean variables, or of input derivatives."""
+    """Calls fmi2Get... or fmi2Set... of Real, Integer or Boolean variables, or of input derivatives."""
     orders = (wiring.orders,) if kind == Call.SET_DERIVATIVES else ()
     function = _function(_derivatives_type if orders else _exchange_type, int(calls.function[g]))
     wiring.report[Report.BUSY] = c + 1

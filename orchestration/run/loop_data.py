@@ -97,7 +97,7 @@ class Faults(NamedTuple):
     history: Array
 
     def put(self, row: int, points: int | slice, pattern: Pattern) -> None:
-        """Set what a connection carries at these communication points; a pattern may have fewer terms."""
+        """Sets what a connection carries at these communication points; a pattern may have fewer terms."""
         terms = pattern.source.shape[-1]
         self.source[row, points, :terms] = pattern.source
         self.weight[row, points, :terms] = pattern.weight

@@ -54,7 +54,7 @@ def simulate(
     resume: Checkpoint | None = None,
     **misspelt: Never,
 ) -> Recording:
-    """Run a system once and free its FMUs.
+    """Runs a system once and frees its FMUs.
 
         simulate(system, stop_time=10.0, step_size=0.01)
 
@@ -94,7 +94,7 @@ def simulate_prepared(
     timeout: float | None = None,
     **options: Any,
 ) -> Recording:
-    """Run what `prepare` made of this system; arguments and errors are those of `simulate`."""
+    """Runs what `prepare` made of this system; arguments and errors are those of `simulate`."""
     if timeout is not None:
         from orchestration.run.subprocess_run import simulate_in_subprocess  # few runs start processes
 

@@ -27,7 +27,7 @@ from orchestration.errors import FmuWarning, OrchestrationError
 from orchestration.run.compiled_loop import library
 from orchestration.run.loop_data import Report
 
-_TEXT_SIZE, _MOST_RUNS = 256, 256  # as in process_guard.h
+_TEXT_SIZE, _MOST_RUNS = 256, 256  # as in loop.c
 _forks = np.frombuffer(mmap.mmap(-1, 8), np.int64)  # children that returned; shared with them
 _lock = threading.Lock()
 _texts: dict[int, tuple[np.ndarray, bytes]] = {}  # what the rows of the table refer to
@@ -79,7 +79,7 @@ class ProcessGuard:
 
 
 def new_report() -> np.ndarray:
-    """The report of a run, where the process that waits for this one can read which FMU is busy.
+    """Returns the report of a run, where the process that waits for this one can read which FMU is busy.
 
     That process reads one report: the run of another thread has memory of its own.
     """
@@ -102,7 +102,7 @@ def _library() -> ctypes.CDLL | None:
 
 @cache
 def _runs() -> np.ndarray:
-    """Addresses of the report and of the texts of each run in progress, a row each: the table in C."""
+    """Returns the table in C, a row for each run in progress: addresses of its report and its texts."""
     guard = _library()
     assert guard
     runs = np.ctypeslib.as_array(guard.guard_runs(), (_MOST_RUNS, 2))

@@ -22,7 +22,7 @@ def make_recording(
     more: Mapping[str, Any] = {},
     is_final: bool = False,
 ) -> Recording:
-    """The recorded values at the first `count` communication points.
+    """Returns the recorded values at the first `count` communication points.
 
     rows: shape `prepared.shape`, of many runs with a first axis of runs
     texts: of Strings, by their numbers; without them Strings are empty
@@ -46,7 +46,7 @@ def make_recording(
 
 
 def _provenance(prepared: PreparedRun) -> dict[str, Any]:
-    """The FMUs and the settings of the run, as plain data."""
+    """Returns the FMUs and the settings of the run, as plain data."""
     experiment = prepared.experiment
     open_inputs = {port.name: start_value(port.variable) for port in prepared.system.open_inputs}
     return {
@@ -71,7 +71,7 @@ def is_discarded_step(wiring: Wiring) -> bool:
 
 
 def step_unless_discarded(run: WiredRun, loop: LoopFunctions, point: int, start: float, end: float) -> bool:
-    """Step from `start` to `end` [s]; False if a component discards the step.
+    """Steps from `start` to `end` [s]; False if a component discards the step.
 
     point: the communication point at or before `start`
     Raises `failure_error` for any other failure.
@@ -84,7 +84,7 @@ def step_unless_discarded(run: WiredRun, loop: LoopFunctions, point: int, start:
 
 
 def failure_error(run: WiredRun, time: float | None = None) -> OrchestrationError:
-    """The error for the reported failure.
+    """Returns the error for the reported failure.
 
     time: start of the present step [s], by default the present communication point
     """
@@ -108,7 +108,7 @@ def failure_error(run: WiredRun, time: float | None = None) -> OrchestrationErro
 
 
 def emit_warnings(run: WiredRun, failed: bool) -> None:
-    """Warn of the calls in the loop that returned warnings or logged messages.
+    """Issues warnings of calls in the loop that returned warnings or logged messages.
 
     failed: whether the loop ended with a failure; the log of that component is left for `failure_error`
     """
@@ -125,7 +125,7 @@ def emit_warnings(run: WiredRun, failed: bool) -> None:
 
 
 def reason_of(error: BaseException) -> str:
-    """Why a run ended, in one line."""
+    """Returns why a run ended, in one line."""
     if isinstance(error, KeyboardInterrupt):
         return "interrupted"
     return str(error) if isinstance(error, OrchestrationError) else repr(error)

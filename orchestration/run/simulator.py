@@ -20,8 +20,7 @@ from orchestration.run.loop import python_loop
 from orchestration.run.loop_data import Report, Storage
 from orchestration.run.process_guard import ProcessGuard, new_report
 from orchestration.run.run_recording import reason_of
-from orchestration.run.step_by_step import StepByStep, replay
-from orchestration.run.stepped_run import SteppedRun
+from orchestration.run.step_by_step import StepByStep, SteppedRun, replay
 from orchestration.run.stepping import Progress, RunInProgress
 from orchestration.run.wiring import WiredRun, build_wiring
 from orchestration.system.experiment import Experiment
@@ -65,7 +64,7 @@ class Simulator(StepByStep, LoadedSystem):
         resume: Checkpoint | None = None,
         storage: Storage | None = None,
     ) -> Recording:
-        """Run an experiment, or one that is prepared for this system, and return its recording.
+        """Runs an experiment, or one that is prepared for this system, and returns its recording.
 
         progress: called some ten times a second with the communication points done, and all of the run; also
             by the second run of an error estimate, of half as many points
@@ -96,7 +95,7 @@ class Simulator(StepByStep, LoadedSystem):
         )
 
     def start(self, experiment: Experiment, external: Sequence[str] = ()) -> None:
-        """Initialise the system for an experiment, at its start time, to be led step by step.
+        """Initialises the system for an experiment, at its start time, to be led step by step.
 
         external: inputs that the caller sets between the steps, beginning with their value in
         `experiment.inputs`, or the FMU's start value. They are held over a step, and recorded.
@@ -119,7 +118,7 @@ class Simulator(StepByStep, LoadedSystem):
             self._stepped = run
 
     def recording(self) -> Recording:
-        """As `StepByStep.recording`; an error estimate loads the FMUs a second time, if anything is new."""
+        """Returns `StepByStep.recording`; an error estimate of anything new loads the FMUs a second time."""
         first, recording = self._started(), super().recording()
         if not first.prepared.experiment.error_estimate:
             return recording
@@ -165,7 +164,7 @@ class Simulator(StepByStep, LoadedSystem):
     def _prepare_run(
         self, run: Experiment | PreparedRun, external: tuple[str, ...], storage: Storage | None = None
     ) -> tuple[WiredRun, tuple[ConnectionGroup, ...], ProcessGuard]:
-        """Check an experiment, load or reset the FMUs and wire them."""
+        """Checks an experiment, loads or resets the FMUs and wires them."""
         if isinstance(run, PreparedRun):
             self._prepared_runs = PreparedRuns()  # the next run is not compared with this one
             groups, prepared = connection_groups(run.system), run.with_values(run.experiment)
@@ -206,7 +205,7 @@ class Simulator(StepByStep, LoadedSystem):
         return [name for name, instance in self._instances.items() if instance.has_warned]
 
     def close(self) -> None:
-        """Free every instance; the next run loads them again."""
+        """Frees every instance; the next run loads them again."""
         self._end_stepped()
         super().close()
         if self._guard:
@@ -222,7 +221,7 @@ def _run_to_end(
     resume: Checkpoint | None,
     owns_rows: bool,
 ) -> Recording:
-    """Initialise or restore a run, and run it to its end. SimulationError holds what was recorded."""
+    """Initialises or restores a run, and runs it to its end. SimulationError holds what was recorded."""
     try:
         with deferred_interrupt() as check_interrupt:
             _initialise(run, groups)
@@ -248,7 +247,7 @@ def _initialise(run: RunInProgress, groups: Sequence[ConnectionGroup]) -> None:
 
 
 def _save_interrupted(checkpoints: Checkpoints, run: RunInProgress) -> str:
-    """Save an interrupted run; returns the end of its error message."""
+    """Saves an interrupted run; returns the end of its error message."""
     try:
         checkpoints.save(run)
     except (OrchestrationError, OSError) as error:

@@ -25,26 +25,26 @@ class Snapshot:
         self._memory = new_memory(run)
 
     def take(self) -> None:
-        """Replace the snapshot by the present states and arrays."""
+        """Replaces the snapshot by the present states and arrays."""
         if not self._loop.save(self._memory):
             raise failure_error(self._run)
 
     def restore(self) -> None:
-        """Set all states and arrays back to those of the snapshot."""
+        """Sets all states and arrays back to those of the snapshot."""
         restore_after_failure(self._run, self._loop, self._memory)
 
     def free(self) -> None:
-        """Free the states."""
+        """Frees the states."""
         free_states(self._run, self._memory)
 
 
 def new_memory(run: WiredRun) -> SavedMemory:
-    """Memory for `LoopFunctions.save`, without saved states."""
+    """Returns memory for `LoopFunctions.save`, without saved states."""
     return (ctypes.c_int64 * (len(run.instances) + len(run.wiring.memory)))()
 
 
 def restore_after_failure(run: WiredRun, loop: LoopFunctions, saved: SavedMemory) -> None:
-    """Set everything back; what the instances logged is dropped, and they are as before their failure."""
+    """Sets everything back; what the instances logged is dropped, and they are as before their failure."""
     for instance in run.instances.values():
         instance.log.clear()
     if not loop.restore(saved):
@@ -55,7 +55,7 @@ def restore_after_failure(run: WiredRun, loop: LoopFunctions, saved: SavedMemory
 
 
 def free_states(run: WiredRun, saved: SavedMemory) -> None:
-    """Free the saved states."""
+    """Frees the saved states."""
     for c, instance in enumerate(run.instances.values()):
         if saved[c]:
             with suppress(FmuError):  # the instance is freed next, and its states with it
@@ -64,7 +64,7 @@ def free_states(run: WiredRun, saved: SavedMemory) -> None:
 
 
 class Segment:
-    """What is recorded from one saved state to the next.
+    """A segment of the record, from one saved state to the next.
 
     before: the segment that leads to its beginning, itself for the first
     end: the communication point where it ends
@@ -89,13 +89,13 @@ class Record:
         self.present = Segment(None, 0)
 
     def keep(self, point: int) -> Segment:
-        """The segment that leads to a point, of what was recorded until then."""
+        """Returns the segment that leads to a point, of what was recorded until then."""
         if self.present.end != point:
             self.present = Segment(self.present, point)
         return self.present
 
     def return_to(self, segment: Segment) -> None:
-        """Bring back what was recorded until a segment's end."""
+        """Brings back what was recorded until a segment's end."""
         present, target, missing = self.present, segment, []
         while present is not target:
             if present.end > target.end:

@@ -67,7 +67,7 @@ class StepControl:
 
     @property
     def state(self) -> dict[str, Any]:
-        """What later steps, and the provenance of all, depend on at a communication point, as plain data."""
+        """The state at a communication point that later steps and the provenance depend on, as plain data."""
         return {
             "step_size": self.step_size,
             "known_solver_error": self.tolerance.solver_error.tolist() if self.tolerance else [],
@@ -86,7 +86,7 @@ class StepControl:
         self.solver_error, self.statistics = dict(state["solver_error"]), dict(state["statistics"])
 
     def advance_to(self, point: int, check_interrupt: Callable[[], None]) -> float:
-        """Advance from the communication point before `point`, where the exchange is done, to `point`.
+        """Advances from the communication point before `point`, where the exchange is done, to `point`.
 
         Returns the time reached [s]: earlier than that of `point` if a component terminated the simulation.
         """
@@ -118,7 +118,7 @@ class StepControl:
         return time
 
     def try_controlled_step(self, point: int, start: float, end: float) -> bool:
-        """Step from `start` to `end`, with error control if there is a tolerance.
+        """Steps from `start` to `end`, with error control if there is a tolerance.
 
         point: the communication point at or before `start`
         False if the step is not accepted: `step_size` is shorter then.
@@ -150,7 +150,7 @@ class StepControl:
         return ratio <= 1.0
 
     def _try_halves(self, point: int, start: float, end: float) -> bool:
-        """Step from `start` to `end` in two halves; False if a step was discarded, or ends the simulation."""
+        """Steps from `start` to `end` in halves; False if a step was discarded, or ends the simulation."""
         self._before.restore()
         middle = start + 0.5 * (end - start)
         if not self.try_step(point, start, middle):
@@ -172,7 +172,7 @@ class StepControl:
             self.tolerance.learn_solver_error(*(bus[self.tolerance.bus_index] for bus in outcome))
 
     def _note_accepted(self, start: float, size: float, ratios: np.ndarray) -> None:
-        """Add up the errors of a step; where they are permitted as those of solvers alone, note and warn."""
+        """Adds up the errors of a step; notes and warns where only those of solvers permit them."""
         assert self.tolerance
         is_of_solvers = (
             ratios > 1.0
@@ -210,7 +210,7 @@ class StepControl:
             )
 
     def try_step(self, point: int, start: float, end: float) -> bool:
-        """Step from `start` to `end`; False if a component discarded the step."""
+        """Steps from `start` to `end`; False if a component discarded the step."""
         wiring = self._wiring
         if start != wiring.points[point]:
             for index, signal in self._signals:
@@ -231,7 +231,7 @@ class StepControl:
         return False
 
     def _possible_step_size(self, instance: FmuInstance, start: float, end: float, terminates: bool) -> float:
-        """The step size [s] of an FMU that discarded the step to `end`; 0 if it ends at `start`."""
+        """Returns the step size [s] of an FMU that discarded the step to `end`; 0 if it ends at `start`."""
         reached = instance.last_successful_time()
         if reached is None:
             return 0.5 * (end - start)
@@ -246,5 +246,5 @@ class StepControl:
         return reached - start if start + slack < reached < end - slack else 0.5 * (end - start)
 
     def free(self) -> None:
-        """Free the saved states."""
+        """Frees the saved states."""
         self._before.free()

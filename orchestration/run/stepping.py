@@ -71,7 +71,7 @@ class RunInProgress:
         self._report[_POSITION] = point
 
     def read_outputs(self) -> None:
-        """Read the outputs at the first communication point."""
+        """Reads the outputs at the first communication point."""
         for c in range(len(self.instances)):
             if not self._loop.read_outputs(c):
                 raise self._failure()
@@ -83,7 +83,7 @@ class RunInProgress:
         pacing: Pacing | None = None,
         checkpoint_callback: Callable[[int], int] | None = None,
     ) -> None:
-        """Run to the last communication point, or to that at which a component terminates the simulation.
+        """Runs to the last communication point, or to that at which a component terminates the simulation.
 
         checkpoint_callback: called with the position between two batches; returns the most steps of the next
         """
@@ -107,25 +107,25 @@ class RunInProgress:
             progress(self.position, self.position)
 
     def _finish(self, pacing: Pacing | None = None) -> None:
-        """Make the changes of the last communication point, which no FMU that ended accepts; record it."""
+        """Makes the changes of the last communication point, which no FMU that ended accepts; records it."""
         if not self._is_terminated():
             self._change_and_wait(pacing)
         if not self.record_now():
             raise self._failure()
 
     def record_now(self) -> bool:
-        """Record the present communication point too, for a run that ends here; False if it failed."""
+        """Records the present communication point too, for a run that ends here; False if it failed."""
         if self._is_terminated() and self.wiring.report[Report.RECORDED] > self.position:
             return True  # what components that cannot go back have computed since is of a later time
         return bool(self._loop.exchange_and_record(self.position))
 
     def _batch_end(self, end: int) -> int:
-        """`end`, or the next scheduled change or the last communication point if that comes earlier."""
+        """Returns the first of `end`, the next scheduled change and the last communication point."""
         next_change = bisect_right(self._changes, self.position)
         return min(end, len(self.wiring.points) - 1, *self._changes[next_change : next_change + 1])
 
     def _run_batch(self, end: int) -> bool:
-        """Run to communication point `end`, or to behind a step that was divided (then True)."""
+        """Runs to communication point `end`, or to behind a step that was divided (then True)."""
         if self.step_control and self.step_control.tolerance:
             self._divide_step()
             return True
@@ -144,7 +144,7 @@ class RunInProgress:
         emit_warnings(self.wired, failed and not self.wiring.report[Report.TERMINATED])
 
     def _repeat_discarded_step(self, start: int) -> None:
-        """Take the step that failed in shorter ones if it was discarded; else raise the failure.
+        """Takes the step that failed in shorter ones if it was discarded; else raises the failure.
 
         start: the communication point of the snapshot
         """
@@ -159,7 +159,7 @@ class RunInProgress:
         self._divide_step()
 
     def _divide_step(self) -> None:
-        """Go on to the next communication point under step control."""
+        """Goes on to the next communication point under step control."""
         assert self.step_control
         assert self._snapshot
         if not self._loop.exchange_and_record(self.position):
@@ -177,7 +177,7 @@ class RunInProgress:
         self._go_to(reached)
 
     def _terminate_within_step(self) -> None:
-        """End the run if the component that discarded its step terminates the simulation; the others stay.
+        """Ends the run if the component that discarded its step terminates the simulation; the others stay.
 
         Raises OrchestrationError if it does not.
         """
@@ -208,7 +208,7 @@ class RunInProgress:
         return component > 0
 
     def _go_to(self, time: float) -> None:
-        """Make the next communication point the present one; at an earlier time [s] it is the last one.
+        """Makes the next communication point the present one; at an earlier time [s] it is the last one.
 
         At the time of the present point nothing changes.
         """
@@ -233,14 +233,14 @@ class RunInProgress:
         return failure_error(self.wired)
 
     def _change_and_wait(self, pacing: Pacing | None) -> None:
-        """Make the scheduled changes of the present communication point; in real time, wait for it."""
+        """Makes the scheduled changes of the present communication point; in real time, waits for it."""
         for port, value in self.prepared.changes.get(self.position, ()):
             self.set_in_fmu(port, value)
         if pacing:
             pacing.wait(float(self.wiring.points[self.position]), self._check_interrupt)
 
     def set_in_fmu(self, port: Port, value: FmiValue) -> None:
-        """Set a parameter or an input that nothing drives; it is recorded from the present point on."""
+        """Sets a parameter or an input that nothing drives; it is recorded from the present point on."""
         instance = self.instances[port.component]
         instance.time = float(self.wiring.points[self.position])
         instance.set(port.variable, value)
@@ -250,7 +250,7 @@ class RunInProgress:
             self.wiring.bus[index] = self.wired.texts.number(value) if is_text else value
 
     def recording(self, pacing: Pacing | None = None, is_final: bool = False) -> Recording:
-        """The values recorded until now; is_final: the run has ended, and its rows become the recording's."""
+        """Returns the values recorded; is_final: the run has ended, the rows are the recording's."""
         count = int(self.wiring.report[Report.RECORDED])
         more = self.step_control.provenance if self.step_control else {}
         more |= {"terminated": self._termination} if self._termination else {}
@@ -258,7 +258,7 @@ class RunInProgress:
         return make_recording(self.prepared, self.wiring.rows, count, self.wired.texts.table, more, is_final)
 
     def free(self) -> None:
-        """Free the states that were saved in the FMUs, and end the threads."""
+        """Frees the states that were saved in the FMUs, and ends the threads."""
         self._threads.close()
         if self._snapshot and self.step_control:
             self._snapshot.free()

@@ -37,7 +37,7 @@ def simulate_in_subprocess(
     progress: Progress | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Recording:
-    """`Simulator.run` with these options in another process.
+    """Calls `Simulator.run` with these options in another process.
 
     timeout: longest time [s] that a call of an FMU may take; to load one may take a minute
     Raises SimulationError when that is over, and when the process dies. An interrupt stops the run as it does
@@ -72,7 +72,7 @@ def simulate_in_subprocess(
 
 
 def _packed(task: Task) -> bytes:
-    """OrchestrationError for what cannot be given to another process."""
+    """Raises OrchestrationError for what cannot be given to another process."""
     content = b""
     given = task.prepared.experiment.signals
     signals = {f"the signal of {name}": signal for name, signal in given.items()}
@@ -105,7 +105,7 @@ class _Watch:
         self._asked = math.inf
 
     def until_the_end(self) -> str:
-        """Why there is no outcome, if so, in words."""
+        """Returns why there is no outcome, in words, if there is none."""
         with kept_interrupts() as interrupts:
             while True:
                 try:
@@ -126,7 +126,7 @@ class _Watch:
                     return f"did not return within {limit:g} s, and its process was ended"
 
     def _receive(self) -> None:
-        """Receive all messages there are, and wait a little for the first."""
+        """Receives all messages there are, and waits a little for the first."""
         with contextlib.suppress(TimeoutError):
             message = self._process.receive(_LOOK_S)
             while isinstance(message, Warned):
@@ -135,7 +135,7 @@ class _Watch:
             self.outcome = message
 
     def _report_progress(self) -> BaseException | None:
-        """Call the progress; returns what it raises."""
+        """Calls the progress; returns what it raises."""
         done, last = int(self._report[Report.RECORDED]) - 1, len(self._record.storage.rows) - 1
         return _call_progress(self._progress, done, last) if 0 <= done < last else None
 
@@ -144,7 +144,7 @@ class _Watch:
         return self._record.storage.report
 
     def _exceeded(self) -> float:
-        """The limit [s], if the present call of an FMU takes longer."""
+        """Returns the limit [s], if the present call of an FMU takes longer."""
         calls = (
             int(self._report[Report.RECORDED]),
             int(self._report[Report.CALLS]),
@@ -157,7 +157,7 @@ class _Watch:
 
 
 def _call_progress(progress: Progress | None, done: int, last: int) -> BaseException | None:
-    """Call the progress; what it raises stops the run."""
+    """Calls the progress; what it raises stops the run."""
     try:
         if progress:
             progress(done, last)
@@ -167,7 +167,7 @@ def _call_progress(progress: Progress | None, done: int, last: int) -> BaseExcep
 
 
 def _failure(problem: str, prepared: PreparedRun, record: SharedRecord) -> OrchestrationError:
-    """A run without an outcome: who did what, and what was recorded."""
+    """Returns a run without an outcome: who did what, and what was recorded."""
     report, rows = record.storage.report, record.storage.rows
     if report[Report.RECORDED] == _NOT_BEGUN:
         return OrchestrationError(f"a process for the FMUs could not begin: {problem}")
@@ -178,7 +178,7 @@ def _failure(problem: str, prepared: PreparedRun, record: SharedRecord) -> Orche
 
 
 def _with_warnings(warned: list[Warned], outcome: Outcome) -> Outcome:
-    """Issue the warnings of the process; where a warning is an error, a run that was done fails of it."""
+    """Issues the warnings of the process; where a warning is an error, a run that was done fails of it."""
     try:
         for warning in warned:
             warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
@@ -191,7 +191,7 @@ def _with_warnings(warned: list[Warned], outcome: Outcome) -> Outcome:
 
 
 def _unwrapped(outcome: Outcome, stopped: BaseException | None) -> Recording:
-    """The recording, or raise why there is none of the whole run."""
+    """Returns the recording, or raises why there is none of the whole run."""
     recording = outcome if isinstance(outcome, Recording) else getattr(outcome, "recording", None)
     if recording is not None and (isinstance(stopped, Exception) or (stopped and recording is outcome)):
         outcome = SimulationError(reason_of(stopped), recording)

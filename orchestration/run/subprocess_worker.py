@@ -67,7 +67,7 @@ class SharedRecord:
 
 
 def _mapped(path: Path, kind: type[np.generic], shape: tuple[int, ...], is_new: bool) -> np.ndarray:
-    """A file as an array; OrchestrationError if there is no room for it, which to map it would not tell."""
+    """Returns a file as an array; OrchestrationError without room for it, which mapping would not tell."""
     if is_new:
         size = max(math.prod(shape) * np.dtype(kind).itemsize, 1)
         try:
@@ -85,7 +85,7 @@ def _mapped(path: Path, kind: type[np.generic], shape: tuple[int, ...], is_new: 
 
 
 def run_task(parent: Parent) -> None:
-    """Receive a pickled Task; send a Warned for each warning, then the Outcome."""
+    """Receives a pickled Task; sends a Warned for each warning, then the Outcome."""
     with kept_interrupts():  # also those that come while the run is prepared end it
         try:
             outcome: Outcome = _run(parent, Path(tempfile.gettempdir()))

@@ -45,7 +45,7 @@ class Tolerance:
         self.adds_up = np.array([name not in feedthrough for name in self.names], bool)
 
     def error_ratios(self, coarse: np.ndarray, fine: np.ndarray, size: float) -> np.ndarray:
-        """Estimated errors of the fine values over the permitted ones of a step of `size` [s], (m,).
+        """Returns estimated errors of the fine values over the permitted ones of a step of `size` [s], (m,).
 
         A value that is not finite in both is left out: 0.
         """
@@ -56,7 +56,7 @@ class Tolerance:
         return ratios
 
     def beyond_solvers(self, ratios: np.ndarray, fine: np.ndarray, size: float) -> np.ndarray:
-        """`error_ratios` where the solvers' own errors are permitted too."""
+        """Returns `error_ratios` where the solvers' own errors are permitted too."""
         permitted, of_solvers = self._permitted(fine, size), _OF_TWO_RESULTS * self.solver_error
         is_below = of_solvers > permitted  # False where the value is not finite
         return np.where(is_below, ratios * permitted / np.where(is_below, of_solvers, 1.0), ratios)
@@ -66,16 +66,16 @@ class Tolerance:
         return bool(np.any(_OF_TWO_RESULTS * self.solver_error > self._permitted(fine, size)))
 
     def learn_solver_error(self, together: np.ndarray, split: np.ndarray) -> None:
-        """Take the difference of a step and the same in two halves without an exchange between them."""
+        """Takes the difference of a step and the same in two halves without an exchange between them."""
         difference = self._difference(together, split)
         self.solver_error = np.fmax(self.solver_error, np.where(np.isfinite(difference), difference, 0.0))
 
     def forget_solver_error(self) -> None:
-        """At a communication point."""
+        """Forgets the solvers' error, at a communication point."""
         self.solver_error = _KEPT * self.solver_error
 
     def _difference(self, coarse: np.ndarray, fine: np.ndarray) -> np.ndarray:
-        """The estimated error of the fine values: the difference over 2^p - 1."""
+        """Returns the estimated error of the fine values: the difference over 2^p - 1."""
         return np.abs(fine - coarse) / (2.0**self.order - 1.0)
 
     def _permitted(self, fine: np.ndarray, size: float) -> np.ndarray:
@@ -84,7 +84,7 @@ class Tolerance:
 
 
 def outputs_with_feedthrough(system: CheckedSystem, driven: set[Port]) -> set[str]:
-    """Names of the outputs that may depend directly on a driven input in step mode; all if not declared."""
+    """Returns the outputs that may depend directly on driven inputs in step mode; all if not declared."""
     own = {id(port.variable) for port in driven}
     components = {port.component for port in driven}
     names = set()
@@ -100,7 +100,7 @@ def outputs_with_feedthrough(system: CheckedSystem, driven: set[Port]) -> set[st
 def step_together_and_split(
     run: WiredRun, loop: LoopFunctions, before: Snapshot, point: int, start: float, end: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """The bus at `end` [s] after one step, and after two with inputs that go on as in the one.
+    """Returns the bus at `end` [s] after one step, and after two with inputs that go on as in the one.
 
     before: the snapshot at `start`; point: the communication point at or before it
     None if a component discards a step; raises OrchestrationError if a step fails otherwise. Call
@@ -124,7 +124,7 @@ def step_together_and_split(
 
 
 def _carry_on(run: WiredRun, bus: np.ndarray, slopes: np.ndarray, start: float) -> None:
-    """Let every connection carry the inputs, and slopes, that a step from `start` [s] left on the bus."""
+    """Lets every connection carry the inputs, and slopes, that a step from `start` [s] left on the bus."""
     connections = run.wiring.connections
     target, is_sloped = connections.target, connections.input_mode == InputMode.FMU_DERIVATIVE
     connections.value[:] = run.wiring.bus[target] = bus[target]

@@ -36,18 +36,18 @@ class VariableAccess:
         self.written: list[Written] = []
 
     def get(self, name: str) -> Any:
-        """The present value of a variable, in the type of Python that it has."""
+        """Returns the present value of a variable, in the type of Python that it has."""
         port = self._system.port(name, "get")
         if name not in self._index or port.variable.type == "String":
             return self._run.instances[port.component].get(port.variable)
         return _PLAIN.get(port.variable.type, int)(self.reader(name)())
 
     def set(self, name: str, value: Value) -> None:
-        """Set a variable from the present communication point on."""
+        """Sets a variable from the present communication point on."""
         self.writer(name)(value)
 
     def reader(self, *names: str) -> Reader:
-        """A function that returns the present number of one variable, or those of several as a tuple."""
+        """Returns a function that returns the present number of one variable, or a tuple of several."""
         ports = [self._system.port(name, "reader") for name in names]
         if not names:
             raise SystemDefinitionError("reader: expected the name of a variable, or several")
@@ -61,7 +61,7 @@ class VariableAccess:
         return self._bus_reader([self._index[name] for name in names], not self._driven.isdisjoint(names))
 
     def _bus_reader(self, indices: list[int], must_exchange: bool) -> Reader:
-        """must_exchange: whether inputs are read, which take their value at the exchange."""
+        """Returns a reader; must_exchange: it reads inputs, which take their value at the exchange."""
         bus, pick = self._bus, itemgetter(*indices)
 
         def read() -> Any:
@@ -75,7 +75,7 @@ class VariableAccess:
         return read
 
     def writer(self, *names: str) -> Writer:
-        """A function that sets one variable, or several in this order, from the present point on."""
+        """Returns a function that sets one variable, or several in this order, from the present point on."""
         if not names:
             raise SystemDefinitionError("writer: expected the name of a variable, or several")
         writers = [self._noting_writer(name) for name in names]
@@ -122,10 +122,10 @@ class VariableAccess:
         return write
 
     def release(self) -> None:
-        """Make readers and writers refuse."""
+        """Makes readers and writers refuse."""
         self._bus.release()
 
 
 def stale(what: str) -> str:
-    """The error about something that belongs to a run before the present one."""
+    """Returns the error about something that belongs to a run before the present one."""
     return f"the {what} belongs to a run that has ended: expected a {what} of the present run"

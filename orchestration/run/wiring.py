@@ -48,11 +48,11 @@ class WiredRun:
     texts: Texts
 
     def without_rows(self) -> "WiredRun":
-        """The same for `again`: it does not keep what was recorded in memory."""
+        """Returns this for `again`, without what was recorded in memory."""
         return replace(self, wiring=self.wiring._replace(rows=np.empty((0, 0))))
 
     def again(self, prepared: PreparedRun, storage: Storage) -> "WiredRun":
-        """That of a run which differs in settings alone, with the same instances; this one has ended."""
+        """Returns the wiring of a run that differs in settings alone and follows this ended one."""
         if self.texts.table != Texts().table:
             return build_wiring(prepared, self.instances, storage)
         wiring = self.wiring._replace(
@@ -67,7 +67,7 @@ class WiredRun:
 
 
 def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], storage: Storage) -> WiredRun:
-    """The arrays of a run at its start time."""
+    """Returns the arrays of a run at its start time."""
     bus, experiment = lay_out_bus(prepared), prepared.experiment
     count, periods = len(instances), np.array([prepared.periods[name] for name in instances], np.int64)
     fixed = prepared.system.components_without("canHandleVariableCommunicationStepSize")
@@ -131,14 +131,14 @@ def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], st
 
 
 def _set_start(wiring: Wiring, prepared: PreparedRun) -> None:
-    """Set what a step changes to what it is at the start time, without external values."""
+    """Sets what a step changes to what it is at the start time, without external values."""
     wiring.memory[:] = 0.0
     wiring.step_start[:] = prepared.experiment.start_time
     wiring.connections.sample_time[:] = -np.inf
 
 
 def _memory(bus: BusLayout, count: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """All that a step changes as one array, and its parts by name; count: of components."""
+    """Returns all that a step changes as one array, and its parts by name; count: of components."""
     n, n_connections, n_integers = len(bus.index), len(bus.connections), bus.integer_count
     sizes = dict.fromkeys(CHANGING_OF_CONNECTIONS, n_connections)
     sizes |= {"bus": n, "slopes": n, "step_start": count, "warning": count, "integers": -(-n_integers // 2)}
@@ -152,13 +152,13 @@ def _memory(bus: BusLayout, count: int) -> tuple[np.ndarray, dict[str, np.ndarra
 
 
 def _addresses(function: str, instances: Mapping[str, FmuInstance], unable: Sequence[str] = ()) -> np.ndarray:
-    """Address of a function for each component, 0 for those that do not have it."""
+    """Returns the address of a function for each component, 0 for those that do not have it."""
     values = [0 if name in unable else instance.function(function) for name, instance in instances.items()]
     return np.array(values, np.int64)
 
 
 def _report_calls(instances: Mapping[str, FmuInstance], report: np.ndarray) -> np.ndarray:
-    """Let the instances count their calls in the report; returns the array where they flag logged errors."""
+    """Lets the instances count their calls in the report; returns the array where they flag logged errors."""
     error_logged = np.zeros(len(instances), np.int64)
     busy, calls = (report[index : index + 1] for index in (Report.BUSY, Report.CALLS))
     for c, instance in enumerate(instances.values()):
@@ -175,7 +175,7 @@ def _calls(
     integers: np.ndarray,
     texts: Texts,
 ) -> Calls:
-    """One row for each group; its value references are added to `references`."""
+    """Returns one row for each group and adds its value references to `references`."""
     rows = []
     for group, function in groups:
         references.append(np.array([v.valueReference for v in group.variables], np.uint32))
@@ -231,6 +231,6 @@ def _columns(rows: Sequence[tuple[float, ...]], width: int, kind: type[np.generi
 
 
 def _first_of_each(owners: Iterable[str], components: Iterable[str]) -> np.ndarray:
-    """Index of each component's first entry, and the number of entries; `owners` are in order."""
+    """Returns the index of each component's first entry, and the number of entries; `owners` are in order."""
     counts = Counter(owners)
     return np.cumsum([0, *(counts[name] for name in components)], dtype=np.int64)

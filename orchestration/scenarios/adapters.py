@@ -1,4 +1,4 @@
-"""What joins another FMU to a scenario: names that stand for others, and entries for some FMUs only.
+"""Adapters of another FMU to a scenario: names that stand for others, and entries for some FMUs only.
 
 [mapping.controller]            entries of the layers below that name controller.depth_reference
 depth_reference = "setpoint"    mean controller.setpoint

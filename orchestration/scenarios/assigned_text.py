@@ -6,12 +6,12 @@ from fmus.fmi.variable_types import FmiValue
 
 
 class AssignedText(str):
-    """What stands behind the = of `--set component.variable=1.50`: as TOML, or a text without quotes."""
+    """The assigned text of `--set component.variable=1.50`, behind the =: TOML, or a text without quotes."""
 
     __slots__ = ()
 
     def value(self, fmi_type: str) -> FmiValue:
-        """The value for a variable of this type: of a String 1.50 stays 1.50."""
+        """Returns the value for a variable of this type: of a String 1.50 stays 1.50."""
         text = str(self)
         try:
             value = tomllib.loads(f"value = {text}")["value"]

@@ -17,7 +17,7 @@ _FAULT_TABLE = TypeAdapter(Annotated[Table, FAULT])
 
 
 def signal(declaration: object, where: str) -> Signal:
-    """The signal that a table declares by its `kind` and the arguments of that kind.
+    """Returns the signal that a table declares by its `kind` and the arguments of that kind.
 
     Raises ScenarioError, which begins with `where`.
     """
@@ -29,7 +29,7 @@ def signal(declaration: object, where: str) -> Signal:
 
 
 def fault(declaration: object, where: str) -> Fault:
-    """The fault that a table declares by `input`, `kind`, `start`, `end` and the arguments of that kind.
+    """Returns the fault that a table declares by `input`, `kind`, `start`, `end` and the kind's arguments.
 
     Raises ScenarioError, which begins with `where`.
     """

@@ -1,4 +1,4 @@
-"""What scenario files contain, as types; the schema that editors use is derived from them."""
+"""The format of scenario files as types; the schema that editors use is derived from them."""
 # ruff: noqa: RUF012  (Pydantic copies defaults)
 
 from typing import Annotated, Any, Literal
@@ -17,7 +17,7 @@ Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
 class TransformationTable(Table):
-    """What a connection carries: factor * output + offset."""
+    """Transformation of a connection: factor * output + offset."""
 
     factor: float = 1.0
     offset: float = 0.0

@@ -76,7 +76,7 @@ class Table(BaseModel):
         return data
 
     def given(self) -> dict[str, Any]:
-        """Key -> value of the keys that the file gives."""
+        """Returns key -> value of the keys that the file gives."""
         return {
             name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set
         }
@@ -178,7 +178,7 @@ At = Callable[[KeyPath], str]
 
 
 def checked(model: TypeAdapter[T], data: object, where: At | str) -> T:
-    """The data as that type; ScenarioError names the key, what it is and what was expected."""
+    """Returns the data as that type; ScenarioError names the key, what it is and what was expected."""
     try:
         return model.validate_python(data)
     except ValidationError as error:
@@ -186,7 +186,7 @@ def checked(model: TypeAdapter[T], data: object, where: At | str) -> T:
 
 
 def check_part(model: TypeAdapter[T], data: object, where: At, absent: Collection[KeyPath]) -> None:
-    """Check data that need not have the keys at the paths `absent`."""
+    """Checks data that need not have the keys at the paths `absent`."""
     try:
         model.validate_python(data)
     except ValidationError as error:
@@ -242,7 +242,7 @@ def _unknown_kind(value: Mapping[str, object], keys: list[str], known: list[str]
 
 
 def _keys(error: ErrorDetails, data: Any) -> KeyPath:
-    """Where in a file an error is; the kinds of unions are no part of it."""
+    """Returns the keys at which an error is in a file; the kinds of unions are no part of it."""
     keys: KeyPath = ()
     missing = error["type"] == "missing"
     for part in error["loc"][:-1] if missing else error["loc"]:

@@ -58,7 +58,7 @@ GAINS = (
 
 @dataclass(frozen=True)
 class Fit:
-    """What a search ended at: gains, the metrics they give, and how often the loop was run."""
+    """Fit of a search: gains, the metrics they give, and how often the loop was run."""
 
     gains: dict[str, float]
     metrics: dict[str, dict[str, float]]
@@ -69,12 +69,12 @@ class Fit:
 
 
 def tolerance(target: Published) -> float:
-    """The deviation from a published figure that counts as 1."""
+    """Returns the deviation from a published figure that counts as 1."""
     return TOLERANCES[target.metric][SCENARIOS.index(target.scenario)]
 
 
 def residuals(measured: Mapping[str, Mapping[str, float]]) -> np.ndarray:
-    """Deviation of each target over its tolerance, then the excess overshoot of each scenario.
+    """Returns the deviation of each target over its tolerance, then the excess overshoot of each scenario.
 
     A run that does not settle counts as far from its target.
     """
@@ -102,7 +102,7 @@ def measure(gains: Mapping[str, float]) -> dict[str, dict[str, float]]:
 
 
 def _units() -> dict[str, str]:
-    """Unit of each metric; both scenarios have the same metrics."""
+    """Returns the unit of each metric; both scenarios have the same metrics."""
     loaded = scenario.load(scenario.find(SCENARIOS[0]))
     ports = prepare(loaded.system, loaded.experiment).system.ports
     return metric_units(loaded.metrics, {name: port.variable.unit or "" for name, port in ports.items()})
@@ -114,7 +114,7 @@ def identify(
     starts: int = 10,
     progress: Callable[[float], None] = lambda cost: None,
 ) -> Fit:
-    """Search the gains; the same seed gives the same fit.
+    """Searches the gains; the same seed gives the same fit.
 
     evaluations: how often the pair of scenarios may be run in all
     starts: how many of them go to points drawn over the whole range
@@ -170,7 +170,7 @@ class _Search:
 
 
 def write(fit: Fit, path: Path) -> None:
-    """The parameter file that the scenarios use, provenance and limits beside each value."""
+    """Writes the parameter file that the scenarios use, provenance and limits beside each value."""
     source = (
         "identified: least squares on the nominal row of Table 1 of Maalouf et al. (2013), "
         f"seed {fit.seed}, {fit.evaluations} evaluations; not a published value"

@@ -36,7 +36,7 @@ class Layer:
 
 
 def components_of(layers: Sequence[Layer]) -> dict[str, str]:
-    """Component -> block or path of its FMU, as the uppermost layer has it."""
+    """Returns component -> block or path of its FMU, as the uppermost layer has it."""
     components: dict[str, str] = {}
     for layer in layers:
         components |= layer.data.get("components", {})
@@ -64,7 +64,7 @@ def merged(layers: Iterable[Layer], is_boolean: Callable[[str], bool]) -> Data:
 
 
 def merge(below: Data, above: Data) -> Data:
-    """`above` laid over `below`: tables key by key, anything else as a whole."""
+    """Returns `above` laid over `below`: tables key by key, anything else as a whole."""
     result = dict(below)
     for key, value in above.items():
         both_tables = isinstance(value, dict) and isinstance(result.get(key), dict)
@@ -73,7 +73,7 @@ def merge(below: Data, above: Data) -> Data:
 
 
 def given_connections(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """(source, target) of the connections of a layer, whichever way they are written."""
+    """Yields (source, target) of the connections of a layer, whichever way they are written."""
     given = data.get("connections", [])
     if isinstance(given, dict):
         yield from ((source_of(source), target) for target, source in given.items() if source is not False)
@@ -82,12 +82,12 @@ def given_connections(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def source_of(given: Any) -> str:
-    """The output of an entry of a table of connections."""
+    """Returns the output of an entry of a table of connections."""
     return given["source"] if isinstance(given, dict) else given
 
 
 def _listed(source: Any, target: str) -> list[Any]:
-    """An entry of a table of connections as a list has it."""
+    """Returns an entry of a table of connections as a list has it."""
     if not isinstance(source, dict):
         return [source, target]
     return [source["source"], target, {key: value for key, value in source.items() if key != "source"}]
@@ -137,7 +137,7 @@ def _check_removed(table: str, given: Mapping[str, Any], below: Iterable[str], l
 
 
 def _without_other_drivers(below: Data, above: Data) -> Data:
-    """`below` without what drives or changes an input that `above` drives in another way."""
+    """Returns `below` without what drives or changes an input that `above` drives in another way."""
     driven = {table: {k for k, v in above.get(table, {}).items() if v is not False} for table in _DRIVING[1:]}
     driven["inputs"] |= above.get("inputs", {}).keys() - below.get("inputs", {})  # `false` of a Boolean input
     driven["connections"] = {target for _, target in given_connections(above)}
@@ -160,7 +160,7 @@ def _without_other_drivers(below: Data, above: Data) -> Data:
 
 
 def with_faulted_constants(data: Data) -> Data:
-    """The data with a constant signal in place of each constant number that a fault acts on."""
+    """Returns the data with a constant signal in place of each constant number that a fault acts on."""
     faulted = {fault["input"] for fault in data.get("faults", [])}
     moved = {n: v for n, v in data["inputs"].items() if n in faulted and type(v) in (int, float)}
     signals = {name: {"kind": "constant", "value": value} for name, value in moved.items()}
@@ -169,6 +169,6 @@ def with_faulted_constants(data: Data) -> Data:
 
 
 def with_events(events: list[Any], is_kept: Callable[[str, Any], bool]) -> list[Any]:
-    """The events with those variables and values that `is_kept` approves."""
+    """Returns the events with those variables and values that `is_kept` approves."""
     changed = [{**e, "set": {k: v for k, v in e["set"].items() if is_kept(k, v)}} for e in events]
     return [event for event, old in zip(changed, events, strict=True) if event["set"] or not old["set"]]

@@ -69,7 +69,7 @@ def write_figures(
     folder: Path,
     formats: Formats,
 ) -> list[Path]:
-    """Draw all three from the recordings and metrics of scenarios, by their names; returns the files."""
+    """Draws all three from the recordings and metrics of scenarios, by their names; returns the files."""
     files = []
     for name, curves in _FIGURES.items():
         drawn = [Curve(s, *curve, recordings[s], measured[s]) for s, curve in curves.items()]
@@ -80,7 +80,7 @@ def write_figures(
 
 
 def _example_figure(curves: Sequence[Curve]) -> Figure:
-    """The illustrative example: output, tracking error, and the error of the extended controller alone."""
+    """Draws the illustrative example: output, tracking error, and the extended controller's error alone."""
     figure, (outputs, errors, extended) = stacked_panels([1.8, 1.2, 1.2], "Time [s]")
     for curve in curves:
         run = curve.run
@@ -126,7 +126,7 @@ def _vehicle_figure(curves: Sequence[Curve]) -> Figure:
 
 
 def _finish_depth(panel: Axes, curves: Sequence[Curve]) -> None:
-    """Reference, settling band, and the settling times: circles of the runs, dotted lines of the paper."""
+    """Draws reference, settling band and settling times: circles of the runs, dotted lines of the paper."""
     run, reference = curves[0].run, {"label": "reference $z_r$", "color": "black", "linewidth": 0.6}
     draw_curve(panel, run.time, run[_REFERENCE], **reference)
     panel.fill_between(
@@ -146,7 +146,7 @@ def _finish_depth(panel: Axes, curves: Sequence[Curve]) -> None:
 
 
 def _finish_thrust(panel: Axes, curves: Sequence[Curve]) -> None:
-    """The published holding thrust, and the oscillation at the surface in a window of its own."""
+    """Draws the published holding thrust, and the oscillation at the surface in a window of its own."""
     inset = panel.inset_axes((0.16, 0.29, 0.45, 0.36))
     for curve in curves:
         panel.axhline(curve.published(_HOLDING), color=curve.line["color"], linewidth=0.8, linestyle=":")
@@ -161,7 +161,7 @@ def _finish_thrust(panel: Axes, curves: Sequence[Curve]) -> None:
 
 
 def _compare(panel: Axes, name: str, metric: str, digits: str, unit: str, curves: Sequence[Curve]) -> None:
-    """A note of the metric in each run and as published."""
+    """Writes a note of the metric in each run and as published."""
     rows = []
     for curve in curves:
         value = curve.measured[metric]
@@ -172,6 +172,6 @@ def _compare(panel: Axes, name: str, metric: str, digits: str, unit: str, curves
 
 
 def _note(panel: Axes, text: str) -> None:
-    """A text in the lower right corner."""
+    """Writes a text in the lower right corner."""
     alignment: Any = {"horizontalalignment": "right", "verticalalignment": "bottom"}
     panel.annotate(text, (1.0, 0.0), (-6.0, 5.0), "axes fraction", "offset points", fontsize=8.0, **alignment)

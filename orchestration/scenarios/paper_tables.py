@@ -13,14 +13,14 @@ Measured = Mapping[str, Mapping[str, float]]
 
 
 def summary(metrics: Mapping[str, MetricDocument]) -> dict[str, dict[str, MetricDocument]]:
-    """{case: {controller: metrics with units}} of the paper's experiments, from those of the scenarios."""
+    """Returns {case: {controller: metrics with units}} of the paper's experiments, from the scenarios'."""
     return {
         case: {controller: metrics[f"{case}-{controller}"] for controller in CONTROLLERS} for case in CASES
     }
 
 
 def comparison_table(measured: Measured) -> Table:
-    """Every published figure beside ours, with the deviation."""
+    """Returns every published figure beside ours, with the deviation."""
     table = Table(title="Published and reproduced", title_justify="left")
     for heading in ("Source", "Case", "Controller", "Figure", "Unit"):
         table.add_column(heading)

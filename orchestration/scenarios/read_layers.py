@@ -30,12 +30,12 @@ def shipped() -> dict[str, Path]:
 
 
 def shipped_bases() -> dict[str, Path]:
-    """What the shipped scenarios share, by name: files that others may have as their base."""
+    """Returns the bases that the shipped scenarios share, by name; other files may use them too."""
     return {path.stem: path for path in sorted((SHIPPED / "base").glob("*.toml"))}
 
 
 def find(name_or_path: str) -> Path:
-    """The scenario file of that path, or of that name among the shipped ones."""
+    """Returns the scenario file of that path, or of that name among the shipped ones."""
     return _file(name_or_path, Path(), shipped())
 
 
@@ -48,7 +48,7 @@ def _file(name_or_path: str, folder: Path, known: Mapping[str, Path]) -> Path:
 
 
 def file_layers(path: Path, above: tuple[Path, ...] = ()) -> list[Layer]:
-    """A file and its bases, the lowest first; above: the files that it is a base of."""
+    """Returns a file and its bases, the lowest first; above: the files that it is a base of."""
     if path.resolve() in above:
         raise ScenarioError(f"{path}: is its own base")
     file = read_toml(path)
@@ -87,7 +87,7 @@ def with_parameter_files(data: Mapping[str, Any], folder: Path) -> tuple[Data, l
 
 
 def parameter_values(path: Path) -> dict[str, Any]:
-    """ "component.variable" -> value of a parameter file, whose entries also tell provenance."""
+    """Returns "component.variable" -> value of a parameter file, whose entries also tell provenance."""
     return _values_of(read_toml(path))
 
 
@@ -97,7 +97,7 @@ def _values_of(file: TomlFile) -> dict[str, Any]:
 
 
 def _fmu(fmu: str, folder: Path, where: str, known: Collection[str]) -> str:
-    """The name of a known block, or the absolute path of an FMU named relative to a folder.
+    """Returns the name of a known block, or the absolute path of an FMU named relative to a folder.
 
     where: begins the ScenarioError about a name that is neither
     """
@@ -109,7 +109,7 @@ def _fmu(fmu: str, folder: Path, where: str, known: Collection[str]) -> str:
 
 
 def command_entries(overrides: Mapping[str, Any], settings: Mapping[str, FmiValue]) -> Data:
-    """The overrides and the settings that name a component; paths are relative to the present folder."""
+    """Returns the overrides and the settings of components; paths are relative to the present folder."""
     if "base" in overrides:
         raise ScenarioError(f"base = {overrides['base']!r}: expected it in the scenario file that is loaded")
     given = {
@@ -125,7 +125,7 @@ def command_entries(overrides: Mapping[str, Any], settings: Mapping[str, FmiValu
 
 
 def check_components(settings: Mapping[str, FmiValue], layers: Sequence[Layer]) -> None:
-    """ScenarioError for a setting that names no component of these layers."""
+    """Raises ScenarioError for a setting that names no component of these layers."""
     known = components_of(layers)
     for name, fmu in settings.items():
         if "." not in name and name not in known:
@@ -135,7 +135,7 @@ def check_components(settings: Mapping[str, FmiValue], layers: Sequence[Layer]) 
 def values_of_settings(
     settings: Mapping[str, FmiValue], components: Mapping[str, str], description: Describe
 ) -> Data:
-    """The tables of a scenario file that the values of variables stand in."""
+    """Returns the tables of a scenario file that the values of variables stand in."""
     tables: Data = {}
     for name, value in settings.items():
         component, dot, variable = name.partition(".")

@@ -17,7 +17,7 @@ from orchestration.scenarios.scenario import Scenario
 
 
 def reproduced(flavour: Flavour = Flavour.NATIVE) -> dict[str, Scenario]:
-    """The shipped scenarios of the paper's experiments by name."""
+    """Returns the shipped scenarios of the paper's experiments by name."""
     paths = scenario.shipped().items()
     return {name: scenario.load(path, flavour=flavour) for name, path in paths if name.startswith(CASES)}
 
@@ -47,7 +47,7 @@ def run_all(
 def write_report(
     results: Mapping[str, Result], folder: Path, formats: Sequence[FigureFormat] = (FigureFormat.PNG,)
 ) -> list[Path]:
-    """Write summary.json and the figures of the paper; returns the files."""
+    """Writes summary.json and the figures of the paper; returns the files."""
     recordings = {name: result.recording for name, result in results.items()}
     measured = {name: result.metrics for name, result in results.items()}
     path = folder / "summary.json"

@@ -48,7 +48,7 @@ def run(
     checkpoints: Checkpoints | None = None,
     resume: Checkpoint | None = None,
 ) -> Result:
-    """Run one scenario and write NAME.csv or .parquet and NAME.json (settings, FMUs, metrics) to `folder`.
+    """Runs one scenario; writes NAME.csv or .parquet and NAME.json (settings, FMUs, metrics) to `folder`.
 
     progress .. resume: of `simulate`. A run that ends early leaves its recording as NAME.partial.csv or
     .parquet, which the next run that succeeds removes. The room for the recording is reserved before the

@@ -45,7 +45,7 @@ __all__ = ["SHIPPED", "Scenario", "find", "load", "load_scenario", "located", "p
 
 @dataclass(frozen=True)
 class Scenario:
-    """What to run and what to measure.
+    """A scenario: a system, its experiment and the metrics.
 
     resolved: the same as one self-contained file; files: those that it was read from, the uppermost first
     arguments: of a command line that takes a scenario
@@ -76,7 +76,7 @@ def load(
     settings: Mapping[str, FmiValue] | None = None,
     build: Callable[[Path], object] = lambda fmu: None,
 ) -> Scenario:
-    """Read a scenario file; `overrides` is laid over it as a scenario over its base.
+    """Reads a scenario file; `overrides` is laid over it as a scenario over its base.
 
     flavour: of our own blocks' FMUs
     layers_between: laid over the file one after another, below `overrides`, whose mapping they so follow;
@@ -155,7 +155,7 @@ def load_scenario(
 
 
 def _path(fmu: str, flavour: Flavour) -> Path:
-    """File of an FMU; a block's is where `l1-depth build --cache` writes it."""
+    """Returns the file of an FMU; a block's is where `l1-depth build --cache` writes it."""
     return Path(fmu) if fmu.endswith(".fmu") else fmu_path(fmu, flavour)
 
 
@@ -177,7 +177,7 @@ def _experiment(file: ScenarioFile, data: Mapping[str, Any]) -> Experiment:
 
 
 def located(message: str, files: Sequence[TomlFile]) -> str:
-    """A message about a scenario after its file, and the line of what it names.
+    """Returns a message about a scenario after its file, and the line of what it names.
 
     files: of the scenario, the uppermost first; a line of another file stands at the end
     """

@@ -13,7 +13,7 @@ Signals = dict[str, Any]
 
 
 def with_values(signals: Signals, folder: Path, at: At, keys: KeyPath) -> Signals:
-    """The signals with the times and values of each `file` in its place.
+    """Returns the signals with the times and values of each `file` in its place.
 
     folder: that the files are relative to
     at, keys: where the table of signals stands; begins the ScenarioError about a file

@@ -1,4 +1,4 @@
-"""What an agent does in a system: its actions, its observations and its reward."""
+"""The task of an agent in a system: its actions, its observations and its reward."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -47,7 +47,7 @@ class Task:
 
 
 class TaskSettings(TypedDict, total=False):
-    """What `task_of` can be given of a `Task`."""
+    """Settings of a `Task` that `task_of` takes."""
 
     actions: Sequence[str]
     observations: Sequence[str]
@@ -65,7 +65,7 @@ def task_of(
     replaced: str = "controller",
     **settings: Unpack[TaskSettings],
 ) -> Task:
-    """The task of a component of a scenario, whose place the agent takes.
+    """Returns the task of a component of a scenario, whose place the agent takes.
 
     reward: metric of the scenario -> weight (`reward_of`), or a function as of `Task`
     replaced: the component. The inputs that it drives are the actions; the outputs that it is connected to,
@@ -102,7 +102,7 @@ def task_of(
 
 
 def _without(experiment: Experiment, own: str) -> Experiment:
-    """The experiment without what belongs to a component; own: the beginning of its names."""
+    """Returns the experiment without what belongs to a component; own: the beginning of its names."""
 
     def kept(values: Mapping[str, Any]) -> dict[str, Any]:
         return {name: value for name, value in values.items() if not name.startswith(own)}

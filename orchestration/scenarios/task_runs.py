@@ -29,7 +29,7 @@ Numbers of one run; of many arrays of shape (names, runs) and (runs,).
 
 
 class EpisodePlan:
-    """What all episodes of a task have in common.
+    """The plan that all episodes of a task have in common.
 
     variables: that are read; names: of these, then of the task's signals; system: with the actions as inputs
     experiment: also records what the agent does and sees, since what is recorded is read most quickly

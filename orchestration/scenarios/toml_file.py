@@ -48,14 +48,14 @@ class TomlFile:
         return lines
 
     def at(self, keys: KeyPath) -> str:
-        """The path, with the line of these keys or of the table that they would stand in."""
+        """Returns the path, with the line of these keys or of the table that they would stand in."""
         for length in range(len(keys), 0, -1):
             if keys[:length] in self.lines:
                 return f"{self.path}:{self.lines[keys[:length]]}"
         return str(self.path)
 
     def line_that_names(self, name: str) -> int | None:
-        """The first line, not of a comment, with this name."""
+        """Returns the first line, not of a comment, with this name."""
         named = re.compile(rf"(?<![\w.]){re.escape(name)}(?![\w\[])")
         for number, line in enumerate(self.text.splitlines(), start=1):
             if named.search(line) and not line.lstrip().startswith("#"):
@@ -64,7 +64,7 @@ class TomlFile:
 
 
 def _names(keys: str) -> tuple[str, ...]:
-    """The names in dotted keys, without their quotes."""
+    """Returns the names in dotted keys, without their quotes."""
     table: Any = tomllib.loads(f"{keys} = 0")
     names: list[str] = []
     while isinstance(table, dict):
@@ -74,7 +74,7 @@ def _names(keys: str) -> tuple[str, ...]:
 
 
 def read_toml(path: Path) -> TomlFile:
-    """Read a file; ScenarioError says what is wrong with it."""
+    """Reads a file; ScenarioError says what is wrong with it."""
     try:
         text = path.read_text(encoding="utf-8")
         return TomlFile(path, text, tomllib.loads(text))

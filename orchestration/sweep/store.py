@@ -44,13 +44,13 @@ class Store:
         self._journal.__exit__()
 
     def discard(self) -> None:
-        """Remove what an earlier sweep of that name has left."""
+        """Removes what an earlier sweep of that name has left."""
         self.path.unlink(missing_ok=True)
         self._journal.discard()
         shutil.rmtree(self.recordings, ignore_errors=True)
 
     def begin(self) -> set[int]:
-        """The samples that are done already."""
+        """Returns the samples that are done already."""
         if self.path.is_file():
             finished, stored = table.read(self.path)
             self._journal.check_same(stored, self.path)
@@ -59,7 +59,7 @@ class Store:
         return set(np.flatnonzero(self._positions() >= 0).tolist())
 
     def add(self, rows: Sequence[Mapping[str, Any]], recordings: Sequence[bytes | None] = ()) -> None:
-        """Store the rows of samples that are done, and their recordings as Parquet files."""
+        """Stores the rows of samples that are done, and their recordings as Parquet files."""
         digits = len(str(self._count - 1))
         for row, recording in zip(rows, recordings, strict=False):
             if recording:
@@ -68,7 +68,7 @@ class Store:
         self._journal.add(rows)
 
     def finish(self) -> None:
-        """Write the table; SweepError if samples are missing."""
+        """Writes the table; SweepError if samples are missing."""
         if not self.path.is_file():
             positions = self._positions()
             if (positions < 0).any():
@@ -77,7 +77,7 @@ class Store:
         self._journal.discard()
 
     def _checked(self, samples: Iterable[int], path: Path) -> set[int]:
-        """The samples; SweepError unless they are all, each once."""
+        """Returns the samples; SweepError unless they are all, each once."""
         numbers = sorted(samples)
         if numbers != list(range(self._count)):
             raise self._journal.refusal(
@@ -86,7 +86,7 @@ class Store:
         return set(numbers)
 
     def _positions(self) -> np.ndarray:
-        """Where the row of each sample is in the journal, shape (samples,); -1 for one that was not run."""
+        """Returns each sample's row in the journal, shape (samples,); -1 for one that was not run."""
         positions = np.full(self._count, -1, np.int64)
         for position, row in self._journal.rows():
             if row.keys() >= {table.SAMPLE, table.ERROR} and row[table.SAMPLE] < self._count:
@@ -95,7 +95,7 @@ class Store:
 
 
 def _identity(key: str, value: Any) -> Any:
-    """The paths of FMUs, and how the command was written, make no difference; hashes are compared."""
+    """Returns what is compared of a value: hashes of FMUs, but neither their paths nor the command's text."""
     if key == "arguments":
         return None
     if key == "scenario" and isinstance(value, dict):

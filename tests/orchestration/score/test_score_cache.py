@@ -50,7 +50,7 @@ def test_a_row_with_plants_or_other_parameters_is_another_one(small_protocol: Ca
 
 
 @pytest.mark.parametrize(
-    "source", ["run/loop.c", "run/process_guard.h", "results/metrics.py", "scenarios/base/vehicle.toml"]
+    "source", ["run/loop.c", "exchange/load.h", "results/metrics.py", "scenarios/base/vehicle.toml"]
 )
 def test_a_row_follows_from_sources_of_every_kind(source: str) -> None:
     content = (Path(score_cache.__file__).parents[1] / source).read_bytes()
