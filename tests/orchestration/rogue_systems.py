@@ -1,14 +1,11 @@
 """A rogue and a lag that feed each other, and experiments in which the rogue misbehaves."""
 
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
-
-Build = Callable[..., Path]
+from tests.shared_builds import Build
 
 
 def pair(linear: Build, rogue: Build, saves_state: bool = True, **of_the_lag: Any) -> System:

@@ -2,7 +2,6 @@
 
 import re
 import zipfile
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -18,8 +17,7 @@ from orchestration.errors import FmuLoadError
 from orchestration.run import simulate
 from orchestration.system.system import System
 from tests.orchestration.linear_systems import coupled
-
-Build = Callable[..., Path]
+from tests.shared_builds import Build
 
 
 def changed(fmu: Path, path: Path, pattern: str, text: str) -> Path:

@@ -2,7 +2,6 @@
 
 import tempfile
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,8 +18,8 @@ from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.fault_model import received
 from tests.orchestration.rogue_systems import doing, pair
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 ROUNDING = 1e-12  # relative: communication points, and sums of steps, differ in the last digits
 POINTS = 11
 DISCARDS = (Misdeed.DISCARD, Misdeed.TELLS_NOTHING)

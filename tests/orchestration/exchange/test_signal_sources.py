@@ -22,8 +22,8 @@ from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
 from orchestration.system.signals import Constant, Ramps, Signal, Table, sine
 from orchestration.system.system import System
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 BuildSource = Callable[[RampSource, Path], Path]
 STRAIGHT = Ramps(((1.0, 0.5), (2.0, 3.0), (2.5, 3.0), (4.0, -1.0)))
 SMOOTH = Ramps(((0.0, 1.0), (1.0, 1.0), (2.0, 1.5), (4.0, 2.0)), smooth=True)  # as many points

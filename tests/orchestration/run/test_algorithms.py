@@ -3,7 +3,7 @@
 import math
 import re
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,8 +19,8 @@ from orchestration.system.signals import Constant, Cosine, Ramps, Table
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import coupled, solution
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 BOTH = list(Algorithm)
 
 

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import zipfile
-from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from xml.etree import ElementTree
@@ -19,8 +18,7 @@ from orchestration.run import simulate
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
-
-Build = Callable[..., Path]
+from tests.shared_builds import Build
 
 
 def doing(misdeed: Misdeed) -> Experiment:

@@ -1,7 +1,6 @@
 """Error control where an FMU's own solver leaves an error that no shorter step takes away."""
 
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +21,8 @@ from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import LOOP, coupled, solution
 from tests.orchestration.rogue_systems import doing, pair
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 SOLVER_ERROR = 1e-4
 INTERPOLATES = pytest.mark.parametrize("interpolates", [True, False], ids=["by the FMU", "at the middle"])
 

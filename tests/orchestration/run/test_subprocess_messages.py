@@ -20,8 +20,7 @@ from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import coupled
-
-Build = Callable[..., Path]
+from tests.shared_builds import Build
 
 TIMEOUT = 2.0
 

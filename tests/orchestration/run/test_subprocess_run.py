@@ -26,8 +26,8 @@ from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import coupled
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 TIMEOUT = 2.0
 
 

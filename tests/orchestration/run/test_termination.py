@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,8 +15,8 @@ from orchestration.system.signals import Cosine
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.rogue_systems import doing, pair
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 ROUNDING = 1e-12  # relative: the last step ends at 0.55 s, or is 0.05 s long
 
 

@@ -13,8 +13,7 @@ import pytest
 from orchestration.run import simulate
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.system import System
-
-Build = Callable[..., Path]
+from tests.shared_builds import Build
 
 
 def widened(fmu: Path, path: Path, width: int, declares_dependencies: bool) -> Path:

@@ -2,7 +2,6 @@
 
 import math
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,6 @@ from orchestration.run import Simulator, simulate
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 from tests.shared_builds import Fmus
-
-Build = Callable[..., Path]
 
 
 def test_a_signal_that_raises_is_named_before_the_run(foreign: Fmus) -> None:

@@ -3,7 +3,6 @@
 import math
 import re
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,7 @@ import pytest
 from orchestration import Cosine, Event, Experiment, Simulator, System, Table, simulate
 from orchestration.errors import SystemDefinitionError
 from orchestration.system.experiment import Algorithm, Initialisation, suggested_times
-
-Build = Callable[..., Path]
+from tests.shared_builds import Build
 
 
 def suggesting(fmu: Path, path: Path, experiment: str) -> Path:
