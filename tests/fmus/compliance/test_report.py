@@ -11,9 +11,10 @@ import pytest
 from fmus.compliance.check import main
 from fmus.compliance.registry import all_rules
 from fmus.compliance.rule import OUTCOMES
+from tests.described_fmus import members
 from tests.shared_builds import Fmus
 
-from .archives import members, write
+from .archives import write
 
 NAME = "DepthReference"
 

@@ -12,12 +12,13 @@ import pytest
 from fmpy.ssp.ssd import read_ssd, read_ssv
 from fmpy.validation import validate_fmu
 
+from fmus.files import write_archive
 from orchestration.cli.package_fmus import build_ramp_source, build_started
 from orchestration.exchange import ssp_read, ssp_write
 from orchestration.exchange.ssp_xml import STRUCTURE, SspVersion, tag
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
-from tests.described_fmus import described
+from tests.described_fmus import described, members
 
 SAME_SYSTEM = ("nominal-l1", "nominal-extended", "buoyancy", "monte-carlo")
 VEHICLE = [name for name in scenario.shipped() if name.startswith(SAME_SYSTEM)]
@@ -39,9 +40,8 @@ def test_every_file_follows_the_schemas_of_ssp(package: Path, tmp_path: Path, na
     """Those that FMPy ships, by which it validates what it reads."""
     assert read_ssd(str(package)).name == "nominal-extended"
     assert read_ssv(str(package), f"parameters/{name}.ssv").name == name
-    with zipfile.ZipFile(package) as source, zipfile.ZipFile(tmp_path / "variant.ssp", "w") as variant:
-        variant.writestr(STRUCTURE, source.read(STRUCTURE if name == "nominal-extended" else f"{name}.ssd"))
-    assert read_ssd(str(tmp_path / "variant.ssp")).name == name
+    structure = members(package)[STRUCTURE if name == "nominal-extended" else f"{name}.ssd"]
+    assert read_ssd(str(write_archive(tmp_path / "variant.ssp", {STRUCTURE: structure}))).name == name
 
 
 def test_packing_twice_gives_the_same_file_and_packing_a_package_its_loop(
