@@ -20,17 +20,8 @@ from orchestration.system.faults import Delay, Fault, Stuck
 from orchestration.system.signals import Ramps, Signal, Table
 from orchestration.system.system import System
 from tests import foreign_pythonfmu
+from tests.orchestration.rogue_systems import run
 from tests.shared_builds import Build
-
-
-@pytest.fixture(params=[True, False], ids=["compiled", "plain"])
-def compiled(request: pytest.FixtureRequest) -> bool:
-    return request.param
-
-
-def run(system: System, experiment: Experiment, compiled: bool = True) -> Recording:
-    with Simulator(system, compiled=compiled) as simulator:
-        return simulator.run(experiment)
 
 
 def passing(linear: Build) -> System:
