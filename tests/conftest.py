@@ -182,8 +182,9 @@ class Driver:
         self.instance.exit_initialization_mode()
         return self
 
-    def step(self, h: float) -> "Driver":
-        self.instance.do_step(self.instance.time, h)
+    def step(self, h: float, count: int = 1) -> "Driver":
+        for _ in range(count):
+            self.instance.do_step(self.instance.time, h)
         return self
 
 
