@@ -182,8 +182,9 @@ class Driver:
         self.instance.exit_initialization_mode()
         return self
 
-    def step(self, h: float) -> "Driver":
-        self.instance.do_step(self.instance.time, h)
+    def step(self, h: float, count: int = 1) -> "Driver":
+        for _ in range(count):
+            self.instance.do_step(self.instance.time, h)
         return self
 
 
@@ -199,37 +200,31 @@ def foreign(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
     return LazyFmus(foreign_pythonfmu.NAMES, folder, foreign_pythonfmu.build)
 
 
-@pytest.fixture(scope="session")
-def linear(tmp_path_factory: pytest.TempPathFactory) -> Build:
-    """Builds linear FMUs: the options are those of `foreign_fmus.linear`."""
-    return once_for_each_option(foreign_fmus.linear, session_folder(tmp_path_factory, "linear"))
+def _built_once_for_each_option(name: str) -> Any:
+    @pytest.fixture(scope="session", name=name)
+    def build(tmp_path_factory: pytest.TempPathFactory) -> Build:
+        return once_for_each_option(getattr(foreign_fmus, name), session_folder(tmp_path_factory, name))
+
+    return build
 
 
-@pytest.fixture(scope="session")
-def function(tmp_path_factory: pytest.TempPathFactory) -> Build:
-    """Builds FMUs that compute y = expression of u, in C: `foreign_fmus.function`."""
-    return once_for_each_option(foreign_fmus.function, session_folder(tmp_path_factory, "function"))
+# they build FMUs in C; the options are those of the functions of these names in `foreign_fmus`
+linear = _built_once_for_each_option("linear")
+function = _built_once_for_each_option("function")
+motor = _built_once_for_each_option("motor")
+stair = _built_once_for_each_option("stair")
+forker = _built_once_for_each_option("forker")
+rogue = _built_once_for_each_option("rogue")
 
 
-@pytest.fixture(scope="session")
-def motor(tmp_path_factory: pytest.TempPathFactory) -> Build:
-    """Builds motors with an adaptive solver of their own: the options are those of `foreign_fmus.motor`."""
-    return once_for_each_option(foreign_fmus.motor, session_folder(tmp_path_factory, "motor"))
+@pytest.fixture(params=[True, False], ids=["compiled", "plain"])
+def compiled(request: pytest.FixtureRequest) -> bool:
+    """Whether the compiled communication loop runs, or that in Python."""
+    return request.param
 
 
-@pytest.fixture(scope="session")
-def stair(tmp_path_factory: pytest.TempPathFactory) -> Build:
-    """Builds stairs, which terminate the simulation at 9 s: the options are those of `foreign_fmus.stair`."""
-    return once_for_each_option(foreign_fmus.stair, session_folder(tmp_path_factory, "stair"))
-
-
-@pytest.fixture(scope="session")
-def forker(tmp_path_factory: pytest.TempPathFactory) -> Build:
-    """Builds FMUs that fork their process: the options are those of `foreign_fmus.forker`."""
-    return once_for_each_option(foreign_fmus.forker, session_folder(tmp_path_factory, "forker"))
-
-
-@pytest.fixture(scope="session")
-def rogue(tmp_path_factory: pytest.TempPathFactory) -> Build:
-    """Builds FMUs that misbehave on demand: the options are those of `foreign_fmus.rogue`."""
-    return once_for_each_option(foreign_fmus.rogue, session_folder(tmp_path_factory, "rogue"))
+@pytest.fixture
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The only place where temporary folders can be."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    return tmp_path

@@ -1,8 +1,12 @@
-"""FMUs that hold a model description and no library: enough to load a scenario and to check a system."""
+"""FMUs by their members: with a model description alone, which a scenario can name, or with a changed one."""
 
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
+
+from fmus.files import write_archive
+
+XML = "modelDescription.xml"
 
 
 def described(
@@ -29,6 +33,16 @@ def described(
         '<CoSimulation modelIdentifier="described" canHandleVariableCommunicationStepSize="true"/>'
         f"<ModelVariables>{''.join(variables)}</ModelVariables><ModelStructure/></fmiModelDescription>"
     )
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", text)
-    return path
+    return write_archive(path, {XML: text.encode()})
+
+
+def members(path: Path) -> dict[str, bytes]:
+    """Returns the content of each member of an archive by its name."""
+    with zipfile.ZipFile(path) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def redescribed(fmu: Path, path: Path, change: Callable[[str], str]) -> Path:
+    """Writes a copy of an FMU with another model description."""
+    content = members(fmu)
+    return write_archive(path, content | {XML: change(content[XML].decode()).encode()})

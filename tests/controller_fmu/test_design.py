@@ -154,13 +154,19 @@ def test_the_condition_takes_the_worst_input_gain_of_the_box() -> None:
     assert box == max(values) > min(values)
 
 
+Common = tuple[np.ndarray, np.ndarray, FilterOrder, float, float]
+
+
+def conditions(common: Common, extension: design.Extension, gain: float, *omegas: Any) -> list[float]:
+    """Returns the L1 condition a little below and a little above a proportional gain."""
+    gains = 0.99 * gain, 1.01 * gain
+    return [design.l1_condition(*common, replace(extension, proportional_gain=g), *omegas) for g in gains]
+
+
 def test_the_proportional_gain_is_bounded_on_the_edge_of_the_condition() -> None:
     common = A_M, B, FilterOrder.FIRST, 160.0, 20.0
     least, largest = design.proportional_gain_range(*common, design.Extension((1.0, 0.0)))
-    below, above = (
-        design.l1_condition(*common, design.Extension((1.0, 0.0), factor * largest))
-        for factor in (0.99, 1.01)
-    )
+    below, above = conditions(common, design.Extension((1.0, 0.0)), largest)
     assert least == 0.0
     assert below < 1.0 < above
 
@@ -170,10 +176,7 @@ def test_an_extension_may_be_needed_for_the_condition() -> None:
     a_m, b = np.array([[0.0, 1.0], [-1.895 / 5.5, -22.73 / 5.5]]), np.array([0.0, 1.0 / 5.5])
     common, omegas = (a_m, b, FilterOrder.FIRST, 0.3017, 5.0), (0.7,)
     least, largest = design.proportional_gain_range(*common, EXTENDED, omegas)
-    below, above = (
-        design.l1_condition(*common, replace(EXTENDED, proportional_gain=factor * least), omegas)
-        for factor in (0.99, 1.01)
-    )
+    below, above = conditions(common, EXTENDED, least, omegas)
     assert above < 1.0 < below
     assert largest == np.inf
 
@@ -187,10 +190,7 @@ def test_the_integral_gain_remains_where_the_proportional_gain_is_zero() -> None
     )
     assert design.l1_condition(*common) < 1.0
     least, largest = design.proportional_gain_range(*common, extension)
-    below, above = (
-        design.l1_condition(*common, replace(extension, proportional_gain=factor * least))
-        for factor in (0.99, 1.01)
-    )
+    below, above = conditions(common, extension, least)
     assert above < 1.0 < below
     assert largest == np.inf
 

@@ -1,15 +1,12 @@
 """Coupled linear systems as FMUs, and their solutions by the matrix exponential."""
 
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.linalg import expm
 
 from orchestration.system.system import System
-
-Build = Callable[..., Path]
+from tests.shared_builds import Build
 
 # x_1' = -x_1 + u_1, x_2' = -2 x_2 + u_2 and u_1 = 0.5 y_2, u_2 = -3 y_1: the gains stand in b and in d
 POLES, GAINS = (-1.0, -2.0), (0.5, -3.0)

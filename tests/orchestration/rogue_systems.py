@@ -1,14 +1,19 @@
 """A rogue and a lag that feed each other, and experiments in which the rogue misbehaves."""
 
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
+from orchestration.results.recording import Recording
+from orchestration.run import Simulator
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
+
+def run(system: System, experiment: Experiment, compiled: bool = True) -> Recording:
+    """Returns the recording of a run, in the compiled communication loop or in Python."""
+    with Simulator(system, compiled=compiled) as simulator:
+        return simulator.run(experiment)
 
 
 def pair(linear: Build, rogue: Build, saves_state: bool = True, **of_the_lag: Any) -> System:

@@ -3,7 +3,7 @@
 import contextlib
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
@@ -25,8 +25,8 @@ from orchestration.sweep.run import sweep
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import FORKING_CALLS
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 CAUSE = "and the child returned from the call; expected a child that calls _exit or exec"
 TO_END_S = 30.0  # for killed processes, on a machine that is busy
 # y' = u from 0 for 1 s, so that y ends at u

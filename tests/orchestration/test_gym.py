@@ -1,10 +1,9 @@
 """Environments: an agent takes a controller's place, an episode is a run, and its rewards are its metrics."""
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -20,8 +19,8 @@ from orchestration.system.experiment import Event, Experiment
 from orchestration.system.signals import Ramps
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 FORCE, POSITION, REFERENCE = "plant.u[1]", "plant.y[1]", "control.u[2]"
 METRICS = {
     "error": {"function": "rmse", "signal": POSITION, "reference": REFERENCE, "scale": 10.0, "unit": "mm"},

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,10 +16,10 @@ from orchestration.scenarios import scenario, task_runs
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.signals import Ramps
 from orchestration.system.system import System
+from tests.shared_builds import Build
 
 VOLTAGES = ("plant.voltage[1]", "plant.voltage[2]")
 CURRENT = "plant.current_velocity"
-Build = Callable[..., Path]
 
 
 @pytest.fixture

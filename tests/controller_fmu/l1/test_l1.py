@@ -202,8 +202,7 @@ def saturated_controller(driver: Any, **values: Any) -> Any:
     """Held at 0 m for 40 s under a reference of 5 m: the thrusters saturate at 6 N."""
     block = builder.load_block("L1DepthController")
     controller = driver(block, augmentation=Augmentation.PI, depth_reference=5.0, **values).begin()
-    for _ in range(2000):
-        controller.step(0.02)
+    controller.step(0.02, count=2000)
     assert controller["voltage[1]"] == 12.0
     return controller
 
@@ -218,8 +217,7 @@ def test_integrators_do_not_wind_up(driver: Any, order: FilterOrder) -> None:
     """Held in saturation, neither u_a nor the integral of the PI goes on demanding more."""
     controller = saturated_controller(driver, filter_order=order, integral_gain=1.0)
     u_a, u_p = controller["u_a"], controller["u_p"]
-    for _ in range(500):
-        controller.step(0.02)
+    controller.step(0.02, count=500)
     assert controller["u_a"] <= u_a
     assert controller["u_p"] <= u_p
     controller["depth_reference"] = 0.0  # and the demand leaves saturation with its cause

@@ -111,8 +111,7 @@ def test_internal_steps_are_equal_and_land_on_the_communication_point(driver: An
     many = driver(builder.load_block("RovDepthPlant"), internal_step=0.01).begin()
     one["voltage[1]"] = many["voltage[1]"] = 3.0
     one.step(0.04)
-    for _ in range(4):
-        many.step(0.01)
+    many.step(0.01, count=4)
     assert one["depth"] == pytest.approx(many["depth"], rel=1e-14)  # t differs by rounding
 
 

@@ -9,7 +9,6 @@ from fmus.build import native as native_flavour
 from fmus.compliance.examine import examine
 
 Members = dict[str, bytes]
-XML = "modelDescription.xml"
 # places in the sources of a native FMU
 STEP = 'if (!is_allowed(instance, STEPPING, "fmi2DoStep")) return fmi2Error;'
 GLOBALS = "static const char *const TYPE_NAMES[]"
@@ -28,11 +27,6 @@ PYTHONFMU_ERRORS = {  # of its binary
     "resource-locations-of-both-forms", "freed-state-is-null", "step-beyond-the-stop-time-is-an-error",
     "wrong-references-are-refused",
 }  # fmt: skip
-
-
-def members(path: Path) -> Members:
-    with zipfile.ZipFile(path) as archive:
-        return {name: archive.read(name) for name in archive.namelist()}
 
 
 def write(content: Members, path: Path) -> Path:

@@ -19,9 +19,10 @@ from fmus.compliance.check import main
 from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
 from fmus.errors import HostError
+from tests.described_fmus import XML, members
 from tests.shared_builds import Fmus
 
-from .archives import GLOBALS, STEP, XML, broken_rules, members, patched, write
+from .archives import GLOBALS, STEP, broken_rules, patched, write
 
 NAME = "DepthReference"
 HEADERS = "#include <fcntl.h>\n#include <stdio.h>\n#include <stdlib.h>\n#include <unistd.h>\n"

@@ -15,8 +15,9 @@ from fmus.compliance.judge import judged_by_one_process
 from fmus.compliance.probe import Probe
 from fmus.compliance.registry import registered
 from fmus.compliance.rule import Result, Stage
+from tests.described_fmus import members
 
-from .archives import FALSE_CLAIMS, GLOBALS, STEP, Members, broken_rules, members, patched, write
+from .archives import FALSE_CLAIMS, GLOBALS, STEP, Members, broken_rules, patched, write
 
 
 def test_sources_without_a_patch_break_no_rule(tmp_path: Path) -> None:

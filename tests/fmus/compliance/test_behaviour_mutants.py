@@ -17,10 +17,11 @@ from fmus.compliance.lifecycle_rules import is_of_the_machine
 from fmus.compliance.registry import registered
 from fmus.compliance.rule import Level, Rule, Stage
 from fmus.platforms import host_platform, library_name
+from tests.described_fmus import XML, members
 from tests.mutants.mutant import Mutant, broken_rules, unexpected
 from tests.mutants.slaves import CHANGES, LEGAL, RUN_MUTANTS, write_slave
 
-from .archives import XML, members, write
+from .archives import write
 
 QUICK = ("steps beyond the stop time", "keeps the pointer to its name", "a changed rounding mode")
 

@@ -13,9 +13,10 @@ from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.registry import all_rules
 from fmus.compliance.report import FORMATS, Findings
 from fmus.compliance.rule import OUTCOMES
+from tests.described_fmus import members
 from tests.shared_builds import Fmus
 
-from .archives import members, write
+from .archives import write
 
 NAME = "DepthReference"
 

@@ -11,8 +11,9 @@ from fmus.build import builder
 from fmus.build import native as native_flavour
 from fmus.compliance.examine import examine
 from fmus.platforms import host_platform, library_name
+from tests.described_fmus import members
 
-from .archives import broken_rules, members, write
+from .archives import broken_rules, write
 
 pytestmark = pytest.mark.cross
 

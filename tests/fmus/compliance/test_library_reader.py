@@ -14,9 +14,10 @@ from fmus.compliance.library_reader import Reading, close_reader
 from fmus.compliance.rule import Result
 from fmus.errors import MissingExtraError
 from fmus.platforms import host_platform, library_name
+from tests.described_fmus import XML, members
 from tests.shared_builds import Fmus
 
-from .archives import XML, members, write
+from .archives import write
 
 NAME = "DepthReference"
 HERE, ELSEWHERE = library_name(NAME, host_platform()), f"binaries/elsewhere/{NAME}.so"

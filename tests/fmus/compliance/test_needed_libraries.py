@@ -6,10 +6,11 @@ import lief
 import pytest
 
 from fmus.platforms import host_platform, library_name
+from tests.described_fmus import members
 from tests.mutants.mutant import broken_rules
 from tests.shared_builds import Fmus
 
-from .archives import Members, members, write
+from .archives import Members, write
 
 NAME = "DepthReference"
 LIBRARY, NEEDED = library_name(NAME, host_platform()), "libother.so.1"

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 from fmus.compliance.registry import all_rules
+from tests.described_fmus import members
 from tests.shared_builds import Fmus
 
-from .archives import members, write
+from .archives import write
 
 NAME = "DepthReference"
 XML = "modelDescription.xml"

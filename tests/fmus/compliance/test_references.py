@@ -6,9 +6,10 @@ from pathlib import Path
 import pytest
 
 from fmus.build.documentation.reference_results import LS_REF
+from tests.described_fmus import members
 from tests.shared_builds import Fmus
 
-from .archives import Members, broken_rules, members, write
+from .archives import Members, broken_rules, write
 
 NAME = "DepthReference"
 RULE = "reference-results-are-reproduced"

@@ -14,12 +14,13 @@ from fmus.compliance.probe import refusal
 from fmus.compliance.registry import all_rules
 from fmus.compliance.rule import OUTCOMES, repeated
 from fmus.compliance.script import Message
+from tests.described_fmus import members
 from tests.mutants.base import BASE, XML, changed, written
 from tests.mutants.mutant import broken_rules
 from tests.mutants.slaves import write_slave
 from tests.shared_builds import Fmus
 
-from .archives import members, write
+from .archives import write
 
 NAME = "DepthReference"
 

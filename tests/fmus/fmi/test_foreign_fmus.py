@@ -15,8 +15,8 @@ from scipy.integrate import solve_ivp
 from fmus.compliance.examine import examine
 from tests import foreign_fmus
 from tests.foreign_fmus import Misdeed
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 EVERYTHING = {
     "interpolates_inputs": True,
     "output_derivative_order": 1,

@@ -4,7 +4,7 @@ import contextlib
 import pickle
 import tempfile
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +23,7 @@ from orchestration.system.experiment import Experiment
 from orchestration.system.signals import Constant
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
-
-Build = Callable[..., Path]
+from tests.shared_builds import Build
 
 
 class Spy(Library):

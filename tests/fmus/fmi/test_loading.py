@@ -2,7 +2,6 @@
 
 import re
 import zipfile
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -11,26 +10,20 @@ import numpy as np
 import pytest
 
 from fmus import files
-from fmus.files import extract_archive
+from fmus.files import extract_archive, write_archive
 from fmus.fmi.description import describe
 from fmus.fmi.instance import FmuInstance
 from orchestration.errors import FmuLoadError
 from orchestration.run import simulate
 from orchestration.system.system import System
+from tests.described_fmus import members, redescribed
 from tests.orchestration.linear_systems import coupled
-
-Build = Callable[..., Path]
+from tests.shared_builds import Build
 
 
 def changed(fmu: Path, path: Path, pattern: str, text: str) -> Path:
     """A copy of an FMU whose model description has `text` for the pattern."""
-    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(path, "w") as target:
-        for member in source.namelist():
-            content = source.read(member)
-            if member == "modelDescription.xml":
-                content = re.sub(pattern, text, content.decode()).encode()
-            target.writestr(member, content)
-    return path
+    return redescribed(fmu, path, lambda description: re.sub(pattern, text, description))
 
 
 @pytest.mark.parametrize(
@@ -58,10 +51,8 @@ def test_runs_in_threads_neither_fail_nor_change_the_folder(
 def test_a_library_that_lacks_functions_is_refused(linear: Build, tmp_path: Path) -> None:
     """Here it is FMPy's logger."""
     logger = Path(fmpy.__file__).parent / "logging" / fmpy.platform / f"logging{fmpy.sharedLibraryExtension}"
-    with zipfile.ZipFile(linear()) as source, zipfile.ZipFile(tmp_path / "no.fmu", "w") as target:
-        for member in source.namelist():
-            is_library = member.endswith(fmpy.sharedLibraryExtension)
-            target.writestr(member, logger.read_bytes() if is_library else source.read(member))
+    (library,) = [name for name in members(linear()) if name.endswith(fmpy.sharedLibraryExtension)]
+    write_archive(tmp_path / "no.fmu", members(linear()) | {library: logger.read_bytes()})
     with pytest.raises(FmuLoadError, match=r"lacks fmi2GetTypesPlatform, .*: expected every function of FMI"):
         FmuInstance("one", tmp_path / "no.fmu", describe(linear()))
 
@@ -89,9 +80,8 @@ def test_a_model_identifier_that_is_no_c_identifier_runs(
         match=f"for linux64 called {identifier}, its modelIdentifier: it has binaries/linux64/linear.so",
     ):
         simulate(System({"one": fmu}), inputs={"one.u[1]": 0.0}, stop_time=1.0)
-    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(tmp_path / "named.fmu", "w") as target:
-        for member in source.namelist():
-            target.writestr(member.replace("linear.so", f"{identifier}.so"), source.read(member))
+    named = {name.replace("linear.so", f"{identifier}.so"): data for name, data in members(fmu).items()}
+    write_archive(tmp_path / "named.fmu", named)
     run = {"inputs": {"one.u[1]": 0.0}, "stop_time": 1.0, "step_size": 0.1}
     expected = simulate(System({"one": linear()}), **run)
     assert np.array_equal(simulate(System({"one": tmp_path / "named.fmu"}), **run).values, expected.values)

@@ -1,8 +1,6 @@
 """What the master makes of an FMU that misbehaves: `rogue.c`, an integrator, feeds a lag and is fed by it."""
 
-import tempfile
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,29 +16,12 @@ from orchestration.system.faults import Delay, DropOut, Effect, Fault, Noise
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.fault_model import received
-from tests.orchestration.rogue_systems import doing, pair
+from tests.orchestration.rogue_systems import doing, pair, run
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 ROUNDING = 1e-12  # relative: communication points, and sums of steps, differ in the last digits
 POINTS = 11
 DISCARDS = (Misdeed.DISCARD, Misdeed.TELLS_NOTHING)
-
-
-@pytest.fixture(params=[True, False], ids=["compiled", "plain"])
-def compiled(request: pytest.FixtureRequest) -> bool:
-    return request.param
-
-
-@pytest.fixture
-def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The only place where temporary folders can be."""
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    return tmp_path
-
-
-def run(system: System, experiment: Experiment, compiled: bool) -> Recording:
-    with Simulator(system, compiled=compiled) as simulator:
-        return simulator.run(experiment)
 
 
 def failure(system: System, experiment: Experiment, compiled: bool, message: str) -> Recording:

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from fmus.files import write_archive
 from fmus.fmi import description, instance
 from fmus.fmi.description import describe, is_independent
 from fmus.fmi.instance import FmuInstance
@@ -19,6 +20,7 @@ from orchestration.many.ensemble_checks import check_ensemble
 from orchestration.run import Simulator, simulate
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
+from tests.described_fmus import members
 
 COUNT = 40
 WORK = ((instance, "extract_archive"), (instance, "Library"), (description, "model_description"))
@@ -136,15 +138,11 @@ def test_only_native_fmus_of_ours_are_known_to_be_independent(
 
 def with_other_equations(fmu: Path, folder: Path) -> Path:
     """A copy whose sources differ from what its library was compiled from."""
-    path = folder / "Other.fmu"
-    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(path, "w") as target:
-        for name in source.namelist():
-            content = source.read(name)
-            if name == "sources/model_code.h":
-                assert b"next[0] = " in content
-                content = content.replace(b"next[0] = ", b"next[0] = 2.0 * ", 1)
-            target.writestr(name, content)
-    return path
+    source = "sources/model_code.h"
+    equations = members(fmu)[source]
+    assert b"next[0] = " in equations
+    others = {source: equations.replace(b"next[0] = ", b"next[0] = 2.0 * ", 1)}
+    return write_archive(folder / "Other.fmu", members(fmu) | others)
 
 
 def test_a_copy_of_an_fmu_of_ours_is_ours_and_a_changed_one_runs_by_its_own_library(

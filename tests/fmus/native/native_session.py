@@ -12,7 +12,7 @@ import pytest
 from fmus.native import toolchain
 
 from .native_block import EVERYTHING
-from .native_model import OK, Null
+from .native_model import ERROR, OK, Null
 
 _PROGRAM = Path(__file__).parents[2] / "c" / "session.c"
 _SANITIZERS = ("address", "undefined", "float-cast-overflow")
@@ -145,21 +145,27 @@ def _encoded(argument: object) -> str:
     return "-" if argument is None else format(argument, "d")
 
 
-def begin(session: Session) -> Session:
+def begin(session: Session, start: float = 0.0, stop: float | None = None) -> Session:
     assert session("instantiate", 0, "it", 1, GUID, "all", True).status == OK
-    assert session("setup", 0, 0.0, False, 0.0).status == OK
+    assert session("setup", 0, start, stop is not None, stop or 0.0).status == OK
     assert session("enter", 0).status == OK
     return session
 
 
-def stepping(session: Session) -> Session:
-    assert begin(session)("leave", 0).status == OK
+def stepping(session: Session, start: float = 0.0, stop: float | None = None) -> Session:
+    assert begin(session, start, stop)("leave", 0).status == OK
     return session
 
 
 def told(answer: Answer) -> str:
     (message,) = answer.messages
     return message.text
+
+
+def refused(answer: Answer, status: int = ERROR) -> str:
+    """Returns the message of a call that has this status."""
+    assert answer.status == status
+    return told(answer)
 
 
 def saved(session: Session) -> list[int]:

@@ -8,7 +8,7 @@ import pytest
 
 from .native_block import EVERYTHING, block_named
 from .native_model import DISCARD, ENDED, ERROR, OK, WARNING, Null
-from .native_session import GUID, Session, begin, saved, stepping, told, with_checksum
+from .native_session import GUID, Session, begin, refused, saved, stepping, told, with_checksum
 
 Open = Callable[[str], Session]
 
@@ -83,8 +83,7 @@ def test_a_refused_instance_is_explained_whatever_its_name_and_guid(open_session
         ("\v\f", 1, GUID, "expected an instance name"),
     ):
         answer = session("instantiate", 0, name, kind, guid, "all", True)
-        assert answer.status == ERROR
-        assert reason in told(answer)
+        assert reason in refused(answer)
         assert answer.messages[0].name == (name or "")
 
 
@@ -130,9 +129,7 @@ def test_derivatives_without_their_orders_are_an_error(open_session: Open) -> No
         ("get_output_derivatives", 0, [references["y"]], Null(1), "+"),
     ):
         session = stepping(open_session(EVERYTHING.name))
-        answer = session(*call)
-        assert answer.status == ERROR
-        assert "order" in told(answer)
+        assert "order" in refused(session(*call))
 
 
 @pytest.mark.parametrize("calls", [0, 1, 2, 3], ids=["instantiated", "set up", "initialization", "stepping"])
@@ -160,9 +157,7 @@ def test_contradictory_parameters_are_an_error_until_the_instance_is_restored(op
     assert session("get_state", 0, 0).status == OK
     for call in (("leave", 0), ("get", 0, "R", [r["depth"]], "+")):
         assert session("set", 0, "R", [r["sensor_delay"]], [0.3]).status == OK
-        answer = session(*call)
-        assert answer.status == ERROR
-        assert "expected sensor_delay at most 7 times sensor_period" in told(answer)
+        assert "expected sensor_delay at most 7 times sensor_period" in refused(session(*call))
         assert session("get", 0, "R", [r["sensor_delay"]], "+").values == [(0.3).hex()]
         assert session("set_state", 0, 0).status == OK
     assert session("set", 0, "R", [r["sensor_delay"]], [0.28]).status == OK
@@ -186,9 +181,7 @@ def test_an_initial_state_that_is_not_finite_is_an_error(open_session: Open) -> 
     """It could not be saved as bytes, and no step would lead out of it."""
     session, r = begin(open_session("RovDepthPlant")), _references("RovDepthPlant")
     assert session("set", 0, "R", [r["initial_depth"]], [1e308]).status == OK
-    answer = session("leave", 0)
-    assert answer.status == ERROR
-    assert "state or outputs are not finite at the start" in told(answer)
+    assert "state or outputs are not finite at the start" in refused(session("leave", 0))
 
 
 def test_a_diverging_step_is_discarded_and_an_endless_one_is_an_error(open_session: Open) -> None:
@@ -196,15 +189,11 @@ def test_a_diverging_step_is_discarded_and_an_endless_one_is_an_error(open_sessi
     session, r = stepping(open_session("ExamplePlant")), _references("ExamplePlant")
     wild = [r["omega"], r["control"]]
     session("set", 0, "R", wild, [1e300, 1e300])
-    answer = session("step", 0, 0.0, 1.0)
-    assert answer.status == DISCARD
-    assert "not finite any more" in told(answer)
+    assert "not finite any more" in refused(session("step", 0, 0.0, 1.0), DISCARD)
     session("set", 0, "R", wild, [1.0, 0.0])
     assert session("step", 0, 0.0, 1.0).status == OK
     assert session("get", 0, "R", [r["output"]], "+").values == ["0x0p+0"]
-    answer = session("step", 0, 1.0, 1e7)
-    assert answer.status == ERROR
-    assert "expected at most 1e+09 internal steps" in told(answer)
+    assert "expected at most 1e+09 internal steps" in refused(session("step", 0, 1.0, 1e7))
 
 
 def test_the_bytes_of_another_fmu_are_refused(open_session: Open) -> None:

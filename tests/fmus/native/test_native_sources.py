@@ -20,7 +20,9 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
 from fmus import platforms
 from fmus.build import builder
+from fmus.files import write_archive
 from fmus.native import toolchain
+from tests.described_fmus import members
 from tests.shared_builds import Fmus
 
 BLOCKS = builder.block_names()
@@ -60,11 +62,8 @@ def rebuilt(built: Fmus, tmp_path_factory: pytest.TempPathFactory) -> dict[str, 
 
 
 def _rebuilt(fmu: Path, folder: Path, compiler: Path) -> Path:
-    copy = folder / fmu.name
-    with zipfile.ZipFile(fmu) as original, zipfile.ZipFile(copy, "w") as archive:
-        for member in original.namelist():
-            if not member.startswith("binaries/"):
-                archive.writestr(member, original.read(member))
+    sources = {name: data for name, data in members(fmu).items() if not name.startswith("binaries/")}
+    copy = write_archive(folder / fmu.name, sources)
     tools = (_program("cmake"), _program("ninja"))
     done = subprocess.run(
         [sys.executable, "-m", "fmpy", "compile", str(copy), "--generator", "Ninja"],

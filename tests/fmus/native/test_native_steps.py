@@ -73,10 +73,7 @@ def test_the_start_time_reaches_outputs_that_were_read_before(session: Session) 
 
 
 def test_a_step_may_pass_the_stop_time_by_rounding_and_by_no_more(session: Session) -> None:
-    assert session("instantiate", 0, "it", 1, GUID, "all", True).status == OK
-    assert session("setup", 0, 0.0, True, 0.3).status == OK
-    session("enter", 0)
-    session("leave", 0)
+    stepping(session, stop=0.3)
     for t in (0.0, 0.1, 0.2):
         assert step(session, t, 0.1) == OK
     assert 0.2 + 0.1 > 0.3
@@ -110,10 +107,7 @@ def test_a_communication_point_may_differ_by_a_part_of_the_time_and_the_step_and
     session: Session, time: float, h: float, late: float, status: int, side: float
 ) -> None:
     """1e-9 of the time, or of 1 s if that is more, at most 1e-3 of the step; and 8 epsilon of the time."""
-    assert session("instantiate", 0, "it", 1, GUID, "all", True).status == OK
-    assert session("setup", 0, time, False, 0.0).status == OK
-    session("enter", 0)
-    session("leave", 0)
+    stepping(session, time)
     assert step(session, time + side * late, h) == status
 
 

@@ -4,7 +4,6 @@ import json
 import re
 import subprocess
 import sys
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,9 +11,11 @@ from typing import Any
 import pytest
 import typer
 
+from fmus.files import write_archive
 from orchestration.cli.app import app
 from orchestration.scenarios import identify as identification
 from orchestration.scenarios import scenario
+from tests.described_fmus import XML, members
 from tests.shared_builds import Fmus
 
 Command = Callable[..., Any]
@@ -149,10 +150,8 @@ def test_inspect_prints_json_for_programs(command: Command, built: Fmus) -> None
 def test_inspect_shows_an_fmu_for_model_exchange_alone_which_no_run_takes(
     command: Command, refused: Command, built: Fmus, tmp_path: Path
 ) -> None:
-    path = tmp_path / "exchange.fmu"
-    with zipfile.ZipFile(built["ExamplePlant"]) as source, zipfile.ZipFile(path, "w") as target:
-        description = source.read("modelDescription.xml").replace(b"CoSimulation", b"ModelExchange")
-        target.writestr("modelDescription.xml", description)
+    description = members(built["ExamplePlant"])[XML].replace(b"CoSimulation", b"ModelExchange")
+    path = write_archive(tmp_path / "exchange.fmu", {XML: description})
     expected = command("inspect", built["ExamplePlant"]).stdout
     assert command("inspect", path).stdout == expected
     assert "is for model exchange alone" in refused("run", "nominal-l1", "--set", f"plant={path}")

@@ -1,14 +1,15 @@
 """Its tests run scenarios, some of them from one package."""
 
-import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
 
+from fmus.files import write_archive
 from orchestration.cli.package_fmus import build_ramp_source
 from orchestration.exchange import ssp_write
 from orchestration.scenarios import scenario
+from tests.described_fmus import members
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -42,14 +43,9 @@ def edited(package: Path, tmp_path: Path) -> Callable[[str, str, str], Path]:
     """The package with one text of one of its files replaced."""
 
     def edit(member: str, old: str, new: str) -> Path:
-        path = tmp_path / "edited.ssp"
-        with zipfile.ZipFile(package) as source, zipfile.ZipFile(path, "w") as target:
-            for name in source.namelist():
-                content = source.read(name)
-                if name == member:
-                    assert old in content.decode()
-                    content = content.decode().replace(old, new, 1).encode()
-                target.writestr(name, content)
-        return path
+        text = members(package)[member].decode()
+        assert old in text
+        changed = {member: text.replace(old, new, 1).encode()}
+        return write_archive(tmp_path / "edited.ssp", members(package) | changed)
 
     return edit

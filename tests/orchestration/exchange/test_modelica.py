@@ -2,6 +2,7 @@
 
 import re
 import subprocess
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import rumoca
 from fmus.build import builder
 from fmus.native import toolchain
 from orchestration.errors import OrchestrationError
-from orchestration.exchange import modelica
+from orchestration.exchange import modelica, simulink
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.system.experiment import Algorithm
@@ -158,13 +159,16 @@ def test_what_goes_wrong_ends_the_simulation_with_one_line(
     assert words in done.stderr
 
 
-def test_what_the_package_cannot_express_is_refused(chosen: scenario.Scenario) -> None:
+@pytest.mark.parametrize("write", [modelica.texts, simulink.text])
+def test_what_the_package_or_the_script_of_simulink_cannot_express_is_refused(
+    chosen: scenario.Scenario, write: Callable[[scenario.Scenario], object]
+) -> None:
     gauss_seidel = replace(chosen.experiment, algorithm=Algorithm.GAUSS_SEIDEL)
     with pytest.raises(OrchestrationError, match=r"with algorithm gauss-seidel.*: expected none"):
-        modelica.texts(replace(chosen, experiment=gauss_seidel))
+        write(replace(chosen, experiment=gauss_seidel))
     cosine = replace(chosen.experiment, signals={"controller.depth_reference": Cosine(0.1, 1.0)})
     with pytest.raises(OrchestrationError, match="expected straight ramps"):
-        modelica.texts(replace(chosen, experiment=cosine))
+        write(replace(chosen, experiment=cosine))
 
 
 def test_the_package_carries_the_headers_that_its_annotation_names(package: Path) -> None:

@@ -1,7 +1,6 @@
 """A scenario whose signals are components is the same experiment, whatever the units of its inputs."""
 
 import shutil
-import zipfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -10,6 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from fmus.files import write_archive
 from fmus.fmi.description import describe, of_causality
 from orchestration.cli.package_fmus import build_ramp_source
 from orchestration.errors import ScenarioError
@@ -22,8 +22,9 @@ from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
 from orchestration.system.signals import Constant, Ramps, Signal, Table, sine
 from orchestration.system.system import System
+from tests.described_fmus import XML, members
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 BuildSource = Callable[[RampSource, Path], Path]
 STRAIGHT = Ramps(((1.0, 0.5), (2.0, 3.0), (2.5, 3.0), (4.0, -1.0)))
 SMOOTH = Ramps(((0.0, 1.0), (1.0, 1.0), (2.0, 1.5), (4.0, 2.0)), smooth=True)  # as many points
@@ -42,12 +43,10 @@ def lags(linear: Build, tmp_path_factory: pytest.TempPathFactory) -> dict[str, P
     """First-order lags whose input and output have a unit, by name."""
     folder, plain = tmp_path_factory.mktemp("lags"), linear()
     for name, (unit, definition) in UNITS.items():
-        with zipfile.ZipFile(plain) as source, zipfile.ZipFile(folder / f"{name}.fmu", "w") as target:
-            for info in source.infolist():
-                content = source.read(info)
-                if info.filename == "modelDescription.xml" and unit:
-                    content = with_unit(content, unit, definition)
-                target.writestr(info, content)
+        content = members(plain)
+        if unit:
+            content[XML] = with_unit(content[XML], unit, definition)
+        write_archive(folder / f"{name}.fmu", content)
     return {name: folder / f"{name}.fmu" for name in UNITS}
 
 

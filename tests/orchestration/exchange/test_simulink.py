@@ -3,17 +3,13 @@
 import re
 import subprocess
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import fmpy
 import pytest
 
-from orchestration.errors import OrchestrationError
 from orchestration.exchange import simulink
 from orchestration.scenarios import scenario
-from orchestration.system.experiment import Algorithm
-from orchestration.system.signals import Cosine
 
 # each records its arguments on a line, fields divided by tabs
 _RECORD = """\
@@ -148,15 +144,6 @@ def test_a_model_that_is_open_is_left_alone(octave: Callable[..., tuple]) -> Non
     status, calls, errors = octave(loaded=True)
     assert (status, calls) == (1, [])
     assert "is open: close it first" in errors
-
-
-def test_what_the_script_cannot_express_is_refused(chosen: scenario.Scenario) -> None:
-    gauss_seidel = replace(chosen.experiment, algorithm=Algorithm.GAUSS_SEIDEL)
-    with pytest.raises(OrchestrationError, match=r"with algorithm gauss-seidel.*: expected none"):
-        simulink.text(replace(chosen, experiment=gauss_seidel))
-    cosine = replace(chosen.experiment, signals={"controller.depth_reference": Cosine(0.1, 1.0)})
-    with pytest.raises(OrchestrationError, match="expected straight ramps"):
-        simulink.text(replace(chosen, experiment=cosine))
 
 
 def test_block_names_are_identifiers_and_none_is_used_twice(chosen: scenario.Scenario) -> None:

@@ -12,12 +12,13 @@ import pytest
 from fmpy.ssp.ssd import read_ssd, read_ssv
 from fmpy.validation import validate_fmu
 
+from fmus.files import write_archive
 from orchestration.cli.package_fmus import build_ramp_source, build_started
 from orchestration.exchange import ssp_read, ssp_write
 from orchestration.exchange.ssp_xml import STRUCTURE, SspVersion, tag
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
-from tests.described_fmus import described
+from tests.described_fmus import described, members
 
 SAME_SYSTEM = ("nominal-l1", "nominal-extended", "buoyancy", "monte-carlo")
 VEHICLE = [name for name in scenario.shipped() if name.startswith(SAME_SYSTEM)]
@@ -39,9 +40,8 @@ def test_every_file_follows_the_schemas_of_ssp(package: Path, tmp_path: Path, na
     """Those that FMPy ships, by which it validates what it reads."""
     assert read_ssd(str(package)).name == "nominal-extended"
     assert read_ssv(str(package), f"parameters/{name}.ssv").name == name
-    with zipfile.ZipFile(package) as source, zipfile.ZipFile(tmp_path / "variant.ssp", "w") as variant:
-        variant.writestr(STRUCTURE, source.read(STRUCTURE if name == "nominal-extended" else f"{name}.ssd"))
-    assert read_ssd(str(tmp_path / "variant.ssp")).name == name
+    structure = members(package)[STRUCTURE if name == "nominal-extended" else f"{name}.ssd"]
+    assert read_ssd(str(write_archive(tmp_path / "variant.ssp", {STRUCTURE: structure}))).name == name
 
 
 def test_packing_twice_gives_the_same_file_and_packing_a_package_its_loop(
@@ -148,17 +148,23 @@ def test_components_are_to_start_with_the_values_of_the_packaged_scenario(
     assert asked["controller.augmentation"] == 2
 
 
-def test_fmus_of_one_name_and_different_content_have_a_file_each(tmp_path: Path) -> None:
-    for folder, unit in (("one", "m"), ("other", "mm")):
-        (tmp_path / folder).mkdir()
-        described(tmp_path / folder / "f.fmu", inputs=["u"], outputs=["y"], units={"y": unit})
-    text = """
+def packaged(folder: Path, units: dict[str, str], components: str) -> Path:
+    """Returns a package of three components; each FMU is a file whose output has a unit."""
+    for file, unit in units.items():
+        (folder / file).parent.mkdir()
+        described(folder / file, inputs=["u"], outputs=["y"], units={"y": unit})
+    text = f"""
 connections = [["a.y", "b.u"], ["b.y", "c.u"], ["c.y", "a.u"]]
-components = { a = "one/f.fmu", b = "other/f.fmu", c = "one/f.fmu" }
-experiment = { stop_time = 1.0, step_size = 0.1 }
+components = {{ {components} }}
+experiment = {{ stop_time = 1.0, step_size = 0.1 }}
 """
-    (tmp_path / "mine.toml").write_text(text)
-    path = ssp_write.package(scenario.load(tmp_path / "mine.toml"), tmp_path / "mine.ssp", build_ramp_source)
+    (folder / "mine.toml").write_text(text)
+    return ssp_write.package(scenario.load(folder / "mine.toml"), folder / "mine.ssp", build_ramp_source)
+
+
+def test_fmus_of_one_name_and_different_content_have_a_file_each(tmp_path: Path) -> None:
+    components = 'a = "one/f.fmu", b = "other/f.fmu", c = "one/f.fmu"'
+    path = packaged(tmp_path, {"one/f.fmu": "m", "other/f.fmu": "mm"}, components)
     with ssp_read.opened(path) as loaded:
         assert {name: fmu.name for name, fmu in loaded.system.components.items()} == {
             "a": "f.fmu", "b": "b.fmu", "c": "f.fmu"
@@ -166,17 +172,8 @@ experiment = { stop_time = 1.0, step_size = 0.1 }
 
 
 def test_a_free_name_is_chosen_where_the_component_has_the_name_of_another_file(tmp_path: Path) -> None:
-    for file, unit in (("x/b.fmu", "km"), ("one/f.fmu", "m"), ("other/f.fmu", "mm")):
-        (tmp_path / file).parent.mkdir()
-        described(tmp_path / file, inputs=["u"], outputs=["y"], units={"y": unit})
-    text = """
-connections = [["a.y", "b.u"], ["b.y", "c.u"], ["c.y", "a.u"]]
-components = { c = "x/b.fmu", a = "one/f.fmu", b = "other/f.fmu" }
-experiment = { stop_time = 1.0, step_size = 0.1 }
-"""
-    (tmp_path / "mine.toml").write_text(text)
-    mine = scenario.load(tmp_path / "mine.toml")
-    path = ssp_write.package(mine, tmp_path / "mine.ssp", build_ramp_source)
+    files = {"x/b.fmu": "km", "one/f.fmu": "m", "other/f.fmu": "mm"}
+    path = packaged(tmp_path, files, 'c = "x/b.fmu", a = "one/f.fmu", b = "other/f.fmu"')
     with ssp_read.opened(path) as loaded:
         units = {
             name: fmpy.read_model_description(str(fmu), validate=False).modelVariables[-1].unit

@@ -1,16 +1,16 @@
 """A factor and an offset of a connection in an SSP package."""
 
-import zipfile
 from pathlib import Path
 
 import pytest
 
+from fmus.files import write_archive
 from orchestration.errors import ScenarioError
 from orchestration.exchange import ssp_read, ssp_write
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.system import LinearTransformation
-from tests.described_fmus import described
+from tests.described_fmus import described, members
 
 SCENARIO = """
 connections = [["a.y", "b.u", { factor = 0.001, offset = -0.5 }], ["a.y", "b.v"]]
@@ -42,15 +42,10 @@ def test_a_package_holds_the_factor_and_the_offset(tmp_path: Path) -> None:
 
 def without_the_attribute(package: Path) -> Path:
     """The package as one whose importer converts units too."""
-    changed = package.with_stem("changed")
-    with zipfile.ZipFile(package) as source, zipfile.ZipFile(changed, "w") as target:
-        for info in source.infolist():
-            content = source.read(info)
-            assert (
-                info.filename != "SystemStructure.ssd" or content.count(b'suppressUnitConversion="true"') == 1
-            )
-            target.writestr(info, content.replace(b' suppressUnitConversion="true"', b""))
-    return changed
+    attribute, content = b' suppressUnitConversion="true"', members(package)
+    assert content["SystemStructure.ssd"].count(attribute) == 1
+    changed = {name: data.replace(attribute, b"") for name, data in content.items()}
+    return write_archive(package.with_stem("changed"), changed)
 
 
 def test_a_transformation_beside_a_conversion_of_units_is_refused(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ import math
 import os
 import re
 import warnings
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,6 +29,7 @@ from orchestration.many.lane_library import LANES, lane_library
 from orchestration.many.run_many import run_many
 from orchestration.many.stepped_ensemble import EnsembleRecording
 from orchestration.results.recording import Recording
+from tests.described_fmus import members
 from tests.shared_builds import built_once, session_folder
 
 CONNECTIONS = [
@@ -228,8 +228,8 @@ GROWING = Block(
 @pytest.fixture(scope="module")
 def growing(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("growing") / "Growing.fmu"
-    _, members = native.content(GROWING)
-    write_archive(path, members | native.libraries(GROWING.name, members, ()))
+    _, content = native.content(GROWING)
+    write_archive(path, content | native.libraries(GROWING.name, content, ()))
     record_build(path.read_bytes())
     return path
 
@@ -245,10 +245,8 @@ def test_an_fmu_that_was_built_without_equations_for_vectors_runs_in_simulators(
     growing: Path, tmp_path: Path
 ) -> None:
     """Unless an ensemble is asked for; the reason is one line."""
-    older = tmp_path / "Growing.fmu"
-    with zipfile.ZipFile(growing) as archive:
-        members = {name: archive.read(name) for name in archive.namelist()}
-    write_archive(older, {name: content for name, content in members.items() if "model_lanes" not in name})
+    content = {name: data for name, data in members(growing).items() if "model_lanes" not in name}
+    older = write_archive(tmp_path / "Growing.fmu", content)
     record_build(older.read_bytes())
     system, experiment = System({"one": older}), Experiment(0.5, 0.1, open_inputs="start")
     reason = (

@@ -1,13 +1,14 @@
 """What the tests of the master share."""
 
-import tempfile
-from pathlib import Path
+from collections.abc import Iterator
 
+import cloudpickle
 import pytest
 
 
 @pytest.fixture
-def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The only place where temporary folders can be."""
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    return tmp_path
+def importable(request: pytest.FixtureRequest) -> Iterator[None]:
+    """A file that pytest alone can import; what it defines travels with what is run."""
+    cloudpickle.register_pickle_by_value(request.module)
+    yield
+    cloudpickle.unregister_pickle_by_value(request.module)

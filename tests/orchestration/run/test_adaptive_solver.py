@@ -1,8 +1,6 @@
 """Error control with an FMU whose own solver chooses its steps, as those that tools export do."""
 
 import warnings
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +11,8 @@ from orchestration.results.recording import Recording
 from orchestration.run import simulate
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 OUTPUTS = ("motor.current", "motor.speed", "drive.y[1]")
 LOOP = (("motor.speed", "drive.u[1]"), ("drive.y[1]", "motor.voltage"))
 FEEDBACK, START_V, DECAY = -2.0, 10.0, -5.0  # V/s per rad/s, V, 1/s: of the drive, x' = DECAY x + FEEDBACK w

@@ -2,14 +2,14 @@
 
 import math
 import re
-import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fmus.files import write_archive
 from orchestration.errors import SystemDefinitionError
 from orchestration.results.recording import Recording
 from orchestration.run import simulate
@@ -17,10 +17,11 @@ from orchestration.scenarios import scenario
 from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.signals import Constant, Cosine, Ramps, Table
 from orchestration.system.system import System
+from tests.described_fmus import XML, members
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import coupled, solution
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 BOTH = list(Algorithm)
 
 
@@ -289,15 +290,10 @@ def test_an_input_that_is_held_leaves_the_others_their_derivatives(
 ) -> None:
     """Of two inputs one is discrete; the other is extrapolated by the FMU as if it were alone."""
     fmu = linear(b=(1.0, 1.0), interpolates_inputs=True)
-    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(tmp_path / "held.fmu", "w") as target:
-        for member in source.namelist():
-            content = source.read(member)
-            if member == "modelDescription.xml":
-                pattern = rf'(<ScalarVariable[^>]*name="{re.escape(held)}"[^>]*variability=")continuous'
-                content, count = re.subn(pattern, r"\1discrete", content.decode())
-                assert count == 1
-                content = content.encode()
-            target.writestr(member, content)
+    pattern = rf'(<ScalarVariable[^>]*name="{re.escape(held)}"[^>]*variability=")continuous'
+    text, count = re.subn(pattern, r"\1discrete", members(fmu)[XML].decode())
+    assert count == 1
+    write_archive(tmp_path / "held.fmu", members(fmu) | {XML: text.encode()})
     smooth = "one.u[1]" if held == "u[2]" else "one.u[2]"
     experiment = Experiment(1.0, 0.1, extrapolation=1, signals={smooth: Cosine(1.0, 3.0)})
     alone = simulate(System({"one": fmu}), replace(experiment, inputs={f"one.{held}": 0.0}))

@@ -1,6 +1,5 @@
 """A run that goes on from a checkpoint is the run that was never interrupted."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -20,8 +19,7 @@ from orchestration.system.faults import Delay, Fault, Offset, Scale
 from orchestration.system.signals import Cosine
 from orchestration.system.system import LinearTransformation, System
 from tests.orchestration.linear_systems import LOOP, coupled
-
-Build = Callable[..., Path]
+from tests.shared_builds import Build
 
 
 def npy() -> bytes:

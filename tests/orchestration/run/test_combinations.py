@@ -1,6 +1,5 @@
 """Whatever is combined: both loops agree, and a run that is interrupted twice goes on, to the last bit."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +17,7 @@ from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.signals import Cosine
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
-
-Build = Callable[..., Path]
+from tests.shared_builds import Build
 
 NAMES = ("one", "two", "three", "rogue")
 STATES = {"saves_state": True, "serialises_state": True}

@@ -1,7 +1,6 @@
 """The estimated error of a run beside the true one."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,8 +16,8 @@ from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import LOOP, coupled, solution
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 OUTPUTS = ("one.y[1]", "two.y[1]")
 NAMES = ("one", "two", "three", "four")
 

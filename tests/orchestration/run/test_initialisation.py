@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,8 @@ from orchestration.run import simulate
 from orchestration.run.initialisation import connection_groups, solve_initial_values
 from orchestration.system.experiment import Experiment, Initialisation
 from orchestration.system.system import CheckedSystem, System, check
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 Connections = tuple[tuple[str, str], ...]
 ROUNDING = 1e-11  # relative: settled to 1e-12, and a loop of gain 0.9 magnifies what is left ten times
 DOTTIE = 0.7390851332151607  # cos(x) = x

@@ -3,7 +3,7 @@
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
@@ -16,8 +16,7 @@ from orchestration.run.interrupt import deferred_interrupt
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 from tests.orchestration.linear_systems import coupled
-
-Build = Callable[..., Path]
+from tests.shared_builds import Build
 
 
 class InterruptSoon:

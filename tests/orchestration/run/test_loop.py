@@ -1,8 +1,6 @@
 """The compiled loop, also on threads, is the one in Python, to the last bit, whatever the wiring."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,8 +17,7 @@ from orchestration.system.signals import Cosine
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import coupled
-
-Build = Callable[..., Path]
+from tests.shared_builds import Build
 
 FAULTS = [
     {"kind": "freeze", "start": 0.2, "end": 0.4},

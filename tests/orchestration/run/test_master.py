@@ -1,7 +1,6 @@
 """The master: order of convergence, exact landing, events, and what happens when a slave fails."""
 
 import math
-import zipfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -11,11 +10,13 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from fmus.files import write_archive
 from orchestration.errors import FmuLoadError, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.run import Simulator, simulate
 from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.signals import Constant, Cosine
 from orchestration.system.system import System
+from tests.described_fmus import members
 
 
 def two_lags(foreign: Mapping[str, Path]) -> System:
@@ -162,21 +163,18 @@ def test_a_run_leaves_no_temporary_folder(foreign: Mapping[str, Path], temporary
 
 
 def test_a_missing_binary_is_said_with_those_there_are(built: Mapping[str, Path], temporary: Path) -> None:
-    path = temporary / "alien.fmu"
-    with zipfile.ZipFile(built["ExamplePlant"]) as source, zipfile.ZipFile(path, "w") as target:
-        for member in source.namelist():
-            alien = member.replace("linux64", "win64").replace(".so", ".dll")
-            target.writestr(alien, source.read(member))
+    content = members(built["ExamplePlant"]).items()
+    alien = {name.replace("linux64", "win64").replace(".so", ".dll"): data for name, data in content}
+    path = write_archive(temporary / "alien.fmu", alien)
     with pytest.raises(FmuLoadError, match=r"has no binary for linux64: it has C sources, win64"):
         simulate(System({"p": path}), Experiment(1.0, 0.1, inputs=PLANT_INPUTS))
     assert list(temporary.iterdir()) == [path]
 
 
 def test_a_binary_that_cannot_be_loaded_says_why(built: Mapping[str, Path], temporary: Path) -> None:
-    path = temporary / "empty.fmu"
-    with zipfile.ZipFile(built["ExamplePlant"]) as source, zipfile.ZipFile(path, "w") as target:
-        for member in source.namelist():
-            target.writestr(member, b"text" if member.endswith(".so") else source.read(member))
+    content = members(built["ExamplePlant"])
+    (library,) = [name for name in content if name.endswith(".so")]
+    path = write_archive(temporary / "empty.fmu", content | {library: b"text"})
     with pytest.raises(FmuLoadError, match=r"p: .*empty.fmu cannot be instantiated: .*ExamplePlant.so"):
         simulate(System({"p": path}), Experiment(1.0, 0.1, inputs=PLANT_INPUTS))
     assert list(temporary.iterdir()) == [path]

@@ -1,7 +1,5 @@
 """The energy that exchanging at communication points creates, beside the energy of the system."""
 
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,8 +13,8 @@ from orchestration.run import simulate
 from orchestration.scenarios.declarations import fault
 from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.system import System
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 FORCE, VELOCITY = "spring.y[1]", "mass.y[1]"
 STIFFNESS, MASS, DAMPING = 2.0, 0.5, 0.3  # N/m, kg, N.s/m
 

@@ -5,8 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import zipfile
-from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from xml.etree import ElementTree
@@ -15,12 +13,13 @@ import fmpy
 import numpy as np
 import pytest
 
+from fmus.files import write_archive
 from orchestration.run import simulate
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
+from tests.described_fmus import XML, members
 from tests.foreign_fmus import Misdeed
-
-Build = Callable[..., Path]
+from tests.shared_builds import Build
 
 
 def doing(misdeed: Misdeed) -> Experiment:
@@ -85,22 +84,14 @@ def test_a_rounding_mode_does_not_reach_other_fmus(linear: Build, rogue: Build) 
 
 def named_as_ours(fmu: Path, folder: Path) -> Path:
     """A copy that names this project as its tool, and sources to compile, as native FMUs of ours do."""
-    path = folder / f"{fmu.stem}-named.fmu"
-    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(path, "w") as target:
-        for name in source.namelist():
-            content = source.read(name)
-            if name == "modelDescription.xml":
-                root = ElementTree.fromstring(content)
-                root.set("generationTool", f"l1-depth {version('l1-depth')}")
-                interface = root.find("CoSimulation")
-                assert interface is not None
-                ElementTree.SubElement(
-                    ElementTree.SubElement(interface, "SourceFiles"), "File", name="fmi2.c"
-                )
-                content = ElementTree.tostring(root)
-            target.writestr(name, content)
-        target.writestr("sources/fmi2.c", "")
-    return path
+    content = members(fmu)
+    root = ElementTree.fromstring(content[XML])
+    root.set("generationTool", f"l1-depth {version('l1-depth')}")
+    interface = root.find("CoSimulation")
+    assert interface is not None
+    ElementTree.SubElement(ElementTree.SubElement(interface, "SourceFiles"), "File", name="fmi2.c")
+    ours = {XML: ElementTree.tostring(root), "sources/fmi2.c": b""}
+    return write_archive(folder / f"{fmu.stem}-named.fmu", content | ours)
 
 
 def test_an_fmu_that_names_this_project_as_its_tool_is_guarded_like_any_other(

@@ -1,8 +1,6 @@
 """Saved states of a run that is led step by step: from each it goes on as if nothing had come between."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,8 +15,8 @@ from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import coupled
 from tests.orchestration.rogue_systems import doing, pair
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 FORCE = "one.u[1]"
 FORCED = Experiment(1.0, 0.1)
 DELAYED = fault({"input": "two.u[1]", "kind": "delay", "delay": 0.2}, "fault")

@@ -2,7 +2,6 @@
 
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +17,8 @@ from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import coupled
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 EXPERIMENT = Experiment(1.0, 0.1)
 
 

@@ -1,7 +1,6 @@
 """Error control where an FMU's own solver leaves an error that no shorter step takes away."""
 
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +21,8 @@ from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import LOOP, coupled, solution
 from tests.orchestration.rogue_systems import doing, pair
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 SOLVER_ERROR = 1e-4
 INTERPOLATES = pytest.mark.parametrize("interpolates", [True, False], ids=["by the FMU", "at the middle"])
 
@@ -110,13 +109,17 @@ def test_a_step_in_two_halves_without_an_exchange_is_the_same_to_an_exact_fmu(
     assert max(learned) < 1e-13
 
 
+def simulate_warned(*arguments: Any, **settings: Any) -> Recording:
+    """Returns the recording of a run that warns of its tolerance."""
+    with pytest.warns(FmuWarning, match="may not be met"):
+        return simulate(*arguments, **settings)
+
+
 def test_a_run_continues_with_the_solvers_error_that_it_knows(linear: Build, tmp_path: Path) -> None:
     system, checkpoints = inexact(linear), Checkpoints(tmp_path / "checkpoint", every=0.3)
     experiment = Experiment(0.5, 0.1, tolerance=1e-3)
-    with pytest.warns(FmuWarning, match="may not be met"):
-        complete = simulate(system, experiment, checkpoints=checkpoints)
-    with pytest.warns(FmuWarning, match="may not be met"):
-        continued = simulate(system, experiment, resume=read_checkpoint(checkpoints.path))
+    complete = simulate_warned(system, experiment, checkpoints=checkpoints)
+    continued = simulate_warned(system, experiment, resume=read_checkpoint(checkpoints.path))
     assert np.array_equal(continued.values, complete.values)
     assert continued.provenance["solver_error"] == complete.provenance["solver_error"]
     assert numbers_of_steps(continued) == numbers_of_steps(complete)
@@ -150,8 +153,7 @@ def test_steps_before_an_interrupt_between_two_points_do_not_count(
     """The run continues from the point before them, with the step size and the errors of that point."""
     system, checkpoints = inexact(linear), Checkpoints(tmp_path / "checkpoint")
     experiment = Experiment(0.5, 0.1, tolerance=1e-3)
-    with pytest.warns(FmuWarning, match="may not be met"):
-        complete = simulate(system, experiment)
+    complete = simulate_warned(system, experiment)
     tries = iter(range(20))
     step = StepControl.try_controlled_step
 
@@ -167,8 +169,7 @@ def test_steps_before_an_interrupt_between_two_points_do_not_count(
             pytest.raises(SimulationError, match="interrupted; saved in"),
         ):
             simulate(system, experiment, checkpoints=checkpoints)
-    with pytest.warns(FmuWarning, match="may not be met"):
-        continued = simulate(system, experiment, resume=read_checkpoint(checkpoints.path))
+    continued = simulate_warned(system, experiment, resume=read_checkpoint(checkpoints.path))
     assert np.array_equal(continued.values, complete.values)
     assert continued.provenance["solver_error"] == complete.provenance["solver_error"]
     assert numbers_of_steps(continued) == numbers_of_steps(complete)
@@ -178,8 +179,7 @@ def test_the_error_of_an_output_with_feedthrough_is_no_mean_over_time(linear: Bu
     """Its permitted error is the whole tolerance: here 20 of 130 steps exceed it, not the mean."""
     system = coupled(linear, 0.02, solver_error=SOLVER_ERROR, saves_state=True)
     tolerance = 0.8 * SOLVER_ERROR
-    with pytest.warns(FmuWarning, match="may not be met"):
-        run = simulate(system, Experiment(0.2, 0.1, tolerance=tolerance))
+    run = simulate_warned(system, Experiment(0.2, 0.1, tolerance=tolerance))
     assert run.provenance["solver_error"]["estimated_error"] > tolerance
 
 

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,8 +16,8 @@ from orchestration.system.experiment import Event, Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import coupled
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 STATES = {"saves_state": True}
 FORCED = Experiment(1.0, 0.1, inputs={"one.u[1]": 2.0})
 EXTERNAL = ("one.u[1]",)

@@ -1,6 +1,5 @@
 """How far a step may grow or shrink from one to the next, and which errors add up."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +9,8 @@ from orchestration.run import simulate
 from orchestration.run.checkpoint import Checkpoints, read_checkpoint
 from orchestration.system.experiment import Experiment
 from tests.orchestration.linear_systems import coupled
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 ABLE: dict[str, Any] = {"saves_state": True, "serialises_state": True}
 
 

@@ -1,6 +1,6 @@
 """Steps go to threads where that is faster. That the results are equal is a claim of test_loop.py."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,8 +14,8 @@ from orchestration.run import Simulator
 from orchestration.run.compiled_loop import StepThreads
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 LIGHT_S, HEAVY_S, FIRST_S = 1e-6, 1e-3, 5e-3
 
 

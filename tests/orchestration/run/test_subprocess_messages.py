@@ -7,11 +7,10 @@ import sys
 import threading
 import types
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cloudpickle
 import pytest
 
 from orchestration.errors import FmuWarning, OrchestrationError, SimulationError, SystemDefinitionError
@@ -20,18 +19,10 @@ from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import coupled
-
-Build = Callable[..., Path]
+from tests.shared_builds import Build
 
 TIMEOUT = 2.0
-
-
-@pytest.fixture(autouse=True)
-def _importable() -> Iterator[None]:
-    """This file can be imported by pytest alone; what it defines travels with what is run."""
-    cloudpickle.register_pickle_by_value(sys.modules[__name__])
-    yield
-    cloudpickle.unregister_pickle_by_value(sys.modules[__name__])
+pytestmark = pytest.mark.usefixtures("importable")
 
 
 def test_a_signal_may_be_of_a_module_beside_a_script(

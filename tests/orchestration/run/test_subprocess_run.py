@@ -7,11 +7,10 @@ import sys
 import textwrap
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cloudpickle
 import numpy as np
 import psutil
 import pytest
@@ -26,17 +25,10 @@ from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import coupled
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 TIMEOUT = 2.0
-
-
-@pytest.fixture(autouse=True)
-def _importable() -> Iterator[None]:
-    """This file can be imported by pytest alone; what it defines travels with what is run."""
-    cloudpickle.register_pickle_by_value(sys.modules[__name__])
-    yield
-    cloudpickle.unregister_pickle_by_value(sys.modules[__name__])
+pytestmark = pytest.mark.usefixtures("importable")
 
 
 def test_it_is_the_same_run(linear: Build, temporary: Path) -> None:

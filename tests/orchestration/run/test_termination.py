@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,20 +14,10 @@ from orchestration.system.faults import Drift, Fault, Noise
 from orchestration.system.signals import Cosine
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
-from tests.orchestration.rogue_systems import doing, pair
+from tests.orchestration.rogue_systems import doing, pair, run
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 ROUNDING = 1e-12  # relative: the last step ends at 0.55 s, or is 0.05 s long
-
-
-@pytest.fixture(params=[True, False], ids=["compiled", "plain"])
-def compiled(request: pytest.FixtureRequest) -> bool:
-    return request.param
-
-
-def run(system: System, experiment: Experiment, compiled: bool = True) -> Recording:
-    with Simulator(system, compiled=compiled) as simulator:
-        return simulator.run(experiment)
 
 
 def check_same(recording: Recording, expected: Recording) -> None:

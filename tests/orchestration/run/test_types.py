@@ -1,6 +1,6 @@
 """Variables of every type and causality: as signals, on connections and in the recording."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,18 +20,8 @@ from orchestration.system.faults import Delay, Fault, Stuck
 from orchestration.system.signals import Ramps, Signal, Table
 from orchestration.system.system import System
 from tests import foreign_pythonfmu
-
-Build = Callable[..., Path]
-
-
-@pytest.fixture(params=[True, False], ids=["compiled", "plain"])
-def compiled(request: pytest.FixtureRequest) -> bool:
-    return request.param
-
-
-def run(system: System, experiment: Experiment, compiled: bool = True) -> Recording:
-    with Simulator(system, compiled=compiled) as simulator:
-        return simulator.run(experiment)
+from tests.orchestration.rogue_systems import run
+from tests.shared_builds import Build
 
 
 def passing(linear: Build) -> System:

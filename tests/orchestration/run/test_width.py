@@ -2,7 +2,6 @@
 
 import re
 import sys
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
@@ -13,19 +12,13 @@ import pytest
 from orchestration.run import simulate
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.system import System
-
-Build = Callable[..., Path]
+from tests.described_fmus import redescribed
+from tests.shared_builds import Build
 
 
 def widened(fmu: Path, path: Path, width: int, declares_dependencies: bool) -> Path:
     """A copy of y = x, x' = u with so many names for u and for y."""
-    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(path, "w") as target:
-        for member in source.namelist():
-            content = source.read(member)
-            if member == "modelDescription.xml":
-                content = _description(content.decode(), width, declares_dependencies).encode()
-            target.writestr(member, content)
-    return path
+    return redescribed(fmu, path, lambda text: _description(text, width, declares_dependencies))
 
 
 def _description(text: str, width: int, declares_dependencies: bool) -> str:

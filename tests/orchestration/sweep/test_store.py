@@ -36,6 +36,14 @@ def add(opened: Store, made: Plan, samples: Iterable[int]) -> None:
     opened.add([row(made, sample) for sample in samples])
 
 
+def begun(made: Plan, folder: Path, samples: Iterable[int] = ()) -> Store:
+    """Returns a store that is open and holds these samples."""
+    opened = store(made, folder)
+    opened.begin()
+    add(opened, made, samples)
+    return opened
+
+
 def test_the_table_is_sorted_and_says_what_its_columns_are(planned: Make, tmp_path: Path) -> None:
     made, out = planned(GRID), tmp_path / "out"
     opened = store(made, out)
@@ -90,8 +98,7 @@ def test_parts_in_any_order_give_the_same_bytes(planned: Make, tmp_path: Path) -
     made = planned(GRID)
     written = []
     for name, batches in [("a", [[0, 1, 2, 3, 4]]), ("b", [[4], [1, 0], [3, 2]])]:
-        opened = store(made, tmp_path / name)
-        opened.begin()
+        opened = begun(made, tmp_path / name)
         for batch in batches:
             add(opened, made, batch)
         opened.finish()
@@ -107,9 +114,7 @@ def test_the_table_of_many_samples_is_written_with_few_in_memory(
     peaks = []
     for count in (500, 501, 3000):  # the first imports
         made = planned(f'[sweep.vary]\n"r.u" = {{ linspace = [0, 1, {count}] }}\n', name=f"of_{count}")
-        opened = store(made, tmp_path)
-        opened.begin()
-        add(opened, made, range(count))
+        opened = begun(made, tmp_path, range(count))
         tracemalloc.start()
         opened.finish()
         peaks.append(tracemalloc.get_traced_memory()[1])
@@ -147,9 +152,7 @@ def test_a_value_of_another_type_is_refused(kind: pa.DataType, value: object, tm
 def test_a_table_is_written_and_summed_up_without_pandas(planned: Make, tmp_path: Path) -> None:
     """Which takes longer to import than all else of a small sweep."""
     made = planned(GRID)
-    opened = store(made, tmp_path)
-    opened.begin()
-    add(opened, made, range(5))
+    opened = begun(made, tmp_path, range(5))
     opened.finish()
     program = "import sys; from pathlib import Path; from orchestration.sweep import table\n"
     program += "results, about = table.read(Path(sys.argv[1])); table.summary_table(results, about)\n"
@@ -162,9 +165,7 @@ def test_a_table_is_written_and_summed_up_without_pandas(planned: Make, tmp_path
 
 def test_what_is_done_is_found_again(planned: Make, tmp_path: Path) -> None:
     made = planned(GRID)
-    first = store(made, tmp_path)
-    first.begin()
-    add(first, made, [1, 3])
+    begun(made, tmp_path, [1, 3])
     again = store(made, tmp_path)
     assert again.begin() == {1, 3}
     add(again, made, [0, 2, 4])
@@ -177,8 +178,7 @@ def test_another_sweep_of_the_name_is_refused_until_it_is_discarded(
     planned: Make, tmp_path: Path, finished: bool
 ) -> None:
     made = planned(GRID)
-    first = store(made, tmp_path)
-    first.begin()
+    first = begun(made, tmp_path)
     first.add([row(made, 0)], [b"recording"])
     add(first, made, range(1, 5))
     if finished:
@@ -218,18 +218,14 @@ def test_another_fmu_is_another_sweep_but_another_place_is_not(
 
 def test_the_same_sweep_may_be_written_otherwise_on_the_command_line(planned: Make, tmp_path: Path) -> None:
     made = planned(GRID)
-    opened = store(made, tmp_path)
-    opened.begin()
-    add(opened, made, [1, 2])
+    begun(made, tmp_path, [1, 2])
     again = replace(made, scenario=replace(made.scenario, arguments=("./mine.toml", "--set", "r.u=2.0")))
     assert store(again, tmp_path).begin() == {1, 2}
 
 
 def test_the_summary_leaves_failed_samples_out(planned: Make, tmp_path: Path) -> None:
     made = planned(GRID)
-    opened = store(made, tmp_path)
-    opened.begin()
-    add(opened, made, range(4))
+    opened = begun(made, tmp_path, range(4))
     opened.add([row(made, 4, "the rudder is stuck")])
     opened.finish()
     rows, _ = table.read(opened.path)
@@ -243,9 +239,7 @@ def test_every_text_that_is_varied_has_rows_of_its_own_in_the_summary(planned: M
     made = planned(
         '[sweep.vary]\n"r.u" = { values = [0, 1] }\n"r.misdeed" = { values = ["none", "warning"] }\n'
     )
-    opened = store(made, tmp_path)
-    opened.begin()
-    add(opened, made, [0, 2])
+    opened = begun(made, tmp_path, [0, 2])
     opened.add([{**row(made, sample), "mean": 5.0, "effort": math.nan} for sample in (1, 3)])
     opened.finish()
     columns = {
@@ -287,9 +281,7 @@ def test_the_lock_of_a_process_that_was_killed_is_free(planned: Make, tmp_path: 
 
 def test_rows_that_were_run_twice_are_one_and_a_table_has_all_samples(planned: Make, tmp_path: Path) -> None:
     made = planned(GRID)
-    opened = store(made, tmp_path)
-    opened.begin()
-    add(opened, made, [0, 1, 1, 2, 0])
+    opened = begun(made, tmp_path, [0, 1, 1, 2, 0])
     with pytest.raises(SweepError, match=r"mine\.sweep\.jsonl: 3 rows of 3 samples, expected 5"):
         opened.finish()
     assert not opened.path.exists()
@@ -309,9 +301,7 @@ def test_a_table_with_rows_of_two_sweeps_is_refused(planned: Make, tmp_path: Pat
 @pytest.mark.parametrize("damage", [b'\n{"sample": 3, "r.u": 3.0, "mean', b"\n\xff\x00", b"\n[1]", b"\n{}"])
 def test_a_damaged_line_is_run_again(planned: Make, tmp_path: Path, damage: bytes) -> None:
     made = planned(GRID)
-    opened = store(made, tmp_path)
-    opened.begin()
-    add(opened, made, [1, 2])
+    opened = begun(made, tmp_path, [1, 2])
     (log,) = tmp_path.glob("*.jsonl")
     log.write_bytes(log.read_bytes() + damage)
     assert store(made, tmp_path).begin() == {1, 2}
@@ -322,8 +312,7 @@ def test_a_damaged_line_is_run_again(planned: Make, tmp_path: Path, damage: byte
 @pytest.mark.parametrize("damage", [b"", b'{"name": "mi', b"\xff", b"3\n"])
 def test_a_damaged_first_line_is_named(planned: Make, tmp_path: Path, damage: bytes) -> None:
     made = planned(GRID)
-    opened = store(made, tmp_path)
-    opened.begin()
+    opened = begun(made, tmp_path)
     (log,) = tmp_path.glob("*.jsonl")
     log.write_bytes(damage)
     with pytest.raises(SweepError, match=r"mine\.sweep\.jsonl: .* damaged; --restart discards it"):
@@ -334,9 +323,7 @@ def test_a_damaged_first_line_is_named(planned: Make, tmp_path: Path, damage: by
 
 def test_a_damaged_table_is_named(planned: Make, tmp_path: Path) -> None:
     made = planned(GRID)
-    opened = store(made, tmp_path)
-    opened.begin()
-    add(opened, made, range(5))
+    opened = begun(made, tmp_path, range(5))
     opened.finish()
     opened.path.write_bytes(opened.path.read_bytes()[:-20])
     with pytest.raises(SweepError, match=r"mine\.sweep\.parquet: expected the table of a sweep"):

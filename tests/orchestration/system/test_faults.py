@@ -35,8 +35,8 @@ from orchestration.system.prepared_run import prepare
 from orchestration.system.signals import Cosine
 from orchestration.system.system import System
 from tests.orchestration.fault_model import received
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 STEP = 0.25  # s: a power of two, so that times and their differences are exact
 
 

@@ -15,8 +15,8 @@ from orchestration.system.faults import Fault, Offset
 from orchestration.system.prepared_run import PreparedRuns, prepare
 from orchestration.system.signals import Constant, Cosine, Ramps, Signal
 from orchestration.system.system import System, check
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 NEAR = 1e-13  # rounding, of times of about 1 s
 
 

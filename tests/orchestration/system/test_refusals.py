@@ -1,8 +1,6 @@
 """What FMUs cannot do or take is refused before they are loaded."""
 
 import math
-import zipfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +10,8 @@ from orchestration.errors import SystemDefinitionError
 from orchestration.run import Simulator, simulate
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
+from tests.described_fmus import redescribed
 from tests.shared_builds import Fmus
-
-Build = Callable[..., Path]
 
 
 def test_a_signal_that_raises_is_named_before_the_run(foreign: Fmus) -> None:
@@ -29,18 +26,14 @@ def test_a_signal_that_raises_is_named_before_the_run(foreign: Fmus) -> None:
 
 def _edited(path: Path, folder: Path, *changes: tuple[str, str]) -> Path:
     """A copy of an FMU with another model description."""
-    copy = folder / f"edited_{path.name}"
-    with zipfile.ZipFile(path) as source, zipfile.ZipFile(copy, "w") as target:
-        for member in source.namelist():
-            data = source.read(member)
-            if member == "modelDescription.xml":
-                text = data.decode()
-                for old, new in changes:
-                    assert old in text
-                    text = text.replace(old, new, 1)
-                data = text.encode()
-            target.writestr(member, data)
-    return copy
+
+    def edit(text: str) -> str:
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new, 1)
+        return text
+
+    return redescribed(path, folder / f"edited_{path.name}", edit)
 
 
 def test_what_an_fmu_cannot_do_is_said_before_it_is_loaded(foreign: Fmus, tmp_path: Path) -> None:

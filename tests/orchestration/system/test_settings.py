@@ -2,8 +2,6 @@
 
 import math
 import re
-import zipfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,21 +11,19 @@ import pytest
 from orchestration import Cosine, Event, Experiment, Simulator, System, Table, simulate
 from orchestration.errors import SystemDefinitionError
 from orchestration.system.experiment import Algorithm, Initialisation, suggested_times
-
-Build = Callable[..., Path]
+from tests.described_fmus import redescribed
+from tests.shared_builds import Build
 
 
 def suggesting(fmu: Path, path: Path, experiment: str) -> Path:
     """A copy of an FMU whose description has this for its default experiment."""
-    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(path, "w") as target:
-        for member in source.namelist():
-            content = source.read(member)
-            if member == "modelDescription.xml":
-                text, count = re.subn("<DefaultExperiment[^>]*/>", experiment, content.decode())
-                assert count == 1
-                content = text.encode()
-            target.writestr(member, content)
-    return path
+
+    def suggest(description: str) -> str:
+        text, count = re.subn("<DefaultExperiment[^>]*/>", experiment, description)
+        assert count == 1
+        return text
+
+    return redescribed(fmu, path, suggest)
 
 
 def test_times_that_are_not_given_are_those_that_the_fmus_suggest(linear: Build, tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """Connections with a factor and an offset, and one output on several inputs."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,8 @@ from orchestration.run import simulate
 from orchestration.system.faults import Fault, Offset
 from orchestration.system.system import LinearTransformation, System, check
 from tests.described_fmus import described
+from tests.shared_builds import Build
 
-Build = Callable[..., Path]
 RECORD = ["a.y[1]", "b.u[1]", "c.u[1]"]
 
 
