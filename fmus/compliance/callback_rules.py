@@ -14,8 +14,8 @@ _NAME = "system.subsystem[2].'instance with a name of its own'.part"
 
 
 def _overwritten(probe: Probe) -> tuple[Script, Sequence[Reading], list[str]]:
-    """A run after the arguments of fmi2Instantiate were overwritten, its readings, and the callbacks that the
-    FMU takes from the structure after it.
+    """Returns a run after the arguments of fmi2Instantiate were overwritten, its readings, and the callbacks
+    that the FMU takes from the structure after it.
     """
 
     def played() -> tuple[Script, Sequence[Reading], list[str]]:
