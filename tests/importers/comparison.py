@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fmus.build.builder import build_missing
 from orchestration.cli.package_fmus import build_ramp_source, build_started
 from orchestration.exchange import ssp_write
 from orchestration.exchange.ssp_xml import SspVersion
@@ -37,6 +38,7 @@ class Outcome:
 
 def packaged(scenario: Scenario, folder: Path, version: SspVersion = SspVersion.V1) -> ImporterJob:
     """What importers do with a scenario, whose package is written to `folder`."""
+    build_missing(scenario.system.components.values())
     path = folder / f"{scenario.name}.ssp"
     package = ssp_write.package(scenario, path, build_ramp_source, build_started, version)
     experiment = scenario.experiment
