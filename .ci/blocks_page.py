@@ -46,11 +46,17 @@ def page() -> str:
     parts = [
         _HEAD,
         f"## Block\n\n```text\n{_text(Block)}\n```\n\n{_block_fields()}",
-        f"## Variables\n\n```text\nvariable{_signature(variable)}\n\n{_text(variable)}\n```\n\n{_types()}",
+        f"## Block of a module\n\n{_function('Block.of_module', Block.of_module)}",
+        f"## Variables\n\n{_function('variable', variable)}\n\n{_types()}",
         f"## Mathematics\n\n{_paragraph(numerics)}\n\n{_functions()}",
         f"## Units\n\n{_units()}",
     ]
     return "\n\n".join(part.strip() for part in parts) + "\n"
+
+
+def _function(name: str, function: Any) -> str:
+    """Signature and docstring."""
+    return f"```text\n{name}{_signature(function)}\n\n{_text(function)}\n```"
 
 
 def _text(thing: Any) -> str:

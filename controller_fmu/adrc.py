@@ -19,7 +19,7 @@ from controller_fmu.depth_interface import (
     DepthOutputs,
     InertiaParameter,
 )
-from fmus.block import Block, NoValues, variable
+from fmus.block import NoValues, variable
 from fmus.block.guide import Guide, Source
 from fmus.numerics import exp
 
@@ -152,18 +152,8 @@ GUIDE = Guide(
 )  # fmt: skip
 
 
-BLOCK = Block(
-    name="AdrcDepthController",
-    description="Active disturbance rejection depth controller with an extended state observer",
-    parameters=Parameters,
-    inputs=DepthInputs,
-    state=State,
-    outputs=Outputs,
-    initial_state=initial_state,
-    step=step,
-    output=output,
-    stop_time=310.0,
-    step_size=0.02,
-    guide=GUIDE,
-    license="MIT",
+BLOCK = depth_interface.depth_controller(
+    __name__,
+    "AdrcDepthController",
+    "Active disturbance rejection depth controller with an extended state observer",
 )

@@ -10,7 +10,7 @@ from typing import Any
 
 from controller_fmu import allocation
 from controller_fmu.observer import ObserverState, VelocitySource, sample_when_due
-from fmus.block import variable
+from fmus.block import Block, variable
 from fmus.numerics import Clock, where
 
 Vector = tuple[float, float]
@@ -196,3 +196,9 @@ def outputs(force: float, measured: DepthMeasurement, j: float, p: ActuatorParam
         "tracking_error": measured.error,
         "estimated_depth_rate": measured.rate,
     }
+
+
+def depth_controller(module: str, name: str, description: str, **given: Any) -> Block:
+    """Returns `Block.of_module` of a depth controller, with the inputs and the experiment of all."""
+    shared = {"inputs": DepthInputs, "stop_time": 310.0, "step_size": 0.02, "license": "MIT"}
+    return Block.of_module(module, name, description, **(shared | given))

@@ -88,15 +88,11 @@ z'(t)  = (z_i+1 - z_i) f'(s) / (t_i+1 - t_i),   z''(t) = (z_i+1 - z_i) f''(s) / 
 )
 
 
-BLOCK = Block(
-    name="DepthReference",
-    description="Depth reference as ramps through given points, with its derivatives",
-    parameters=Parameters,
-    outputs=Outputs,
-    requirements=requirements,
-    output=output,
+BLOCK = Block.of_module(
+    __name__,
+    "DepthReference",
+    "Depth reference as ramps through given points, with its derivatives",
     stop_time=310.0,
     step_size=0.02,
-    guide=GUIDE,
     license="MIT",
 )

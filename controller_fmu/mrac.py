@@ -25,7 +25,7 @@ from controller_fmu.depth_model import DepthMatrices, ModelParameters, depth_mat
 from controller_fmu.l1.feedforward import reference_feedforward
 from controller_fmu.l1.projection import keep_within, project
 from controller_fmu.l1.second_order import Vector, dot, is_hurwitz, relaxed
-from fmus.block import Block, variable
+from fmus.block import variable
 from fmus.block.guide import Guide, Source
 from fmus.numerics import absolute, maximum
 
@@ -200,21 +200,6 @@ GUIDE = Guide(
 )
 
 
-BLOCK = Block(
-    name="MracDepthController",
-    description="Model reference adaptive depth controller",
-    parameters=Parameters,
-    calculated=DepthMatrices,
-    inputs=DepthInputs,
-    state=State,
-    outputs=Outputs,
-    calculate=calculate,
-    requirements=requirements,
-    initial_state=initial_state,
-    step=step,
-    output=output,
-    stop_time=310.0,
-    step_size=0.02,
-    guide=GUIDE,
-    license="MIT",
+BLOCK = depth_interface.depth_controller(
+    __name__, "MracDepthController", "Model reference adaptive depth controller", calculated=DepthMatrices
 )

@@ -19,7 +19,7 @@ from controller_fmu.depth_interface import (
     DepthState,
     ObservedParameters,
 )
-from fmus.block import Block, NoValues, variable
+from fmus.block import NoValues, variable
 from fmus.block.guide import Guide, Source
 
 EQUATIONS = """\
@@ -110,19 +110,9 @@ GUIDE = Guide(
 )
 
 
-BLOCK = Block(
-    name="PidDepthController",
-    description="PID depth controller with two degrees of freedom",
-    parameters=Parameters,
-    inputs=DepthInputs,
-    state=State,
-    outputs=Outputs,
+BLOCK = depth_interface.depth_controller(
+    __name__,
+    "PidDepthController",
+    "PID depth controller with two degrees of freedom",
     requirements=depth_interface.requirements,
-    initial_state=initial_state,
-    step=step,
-    output=output,
-    stop_time=310.0,
-    step_size=0.02,
-    guide=GUIDE,
-    license="MIT",
 )

@@ -20,7 +20,7 @@ from controller_fmu.depth_interface import (
     InertiaParameter,
     ObservedParameters,
 )
-from fmus.block import Block, NoValues, variable
+from fmus.block import NoValues, variable
 from fmus.block.guide import Guide, Source
 from fmus.numerics import clip
 
@@ -128,19 +128,9 @@ GUIDE = Guide(
 )
 
 
-BLOCK = Block(
-    name="SlidingModeDepthController",
-    description="Integral sliding mode depth controller with a boundary layer",
-    parameters=Parameters,
-    inputs=DepthInputs,
-    state=State,
-    outputs=Outputs,
+BLOCK = depth_interface.depth_controller(
+    __name__,
+    "SlidingModeDepthController",
+    "Integral sliding mode depth controller with a boundary layer",
     requirements=depth_interface.requirements,
-    initial_state=initial_state,
-    step=step,
-    output=output,
-    stop_time=310.0,
-    step_size=0.02,
-    guide=GUIDE,
-    license="MIT",
 )

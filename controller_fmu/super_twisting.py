@@ -26,7 +26,7 @@ from controller_fmu.depth_interface import (
     InertiaParameter,
     ObservedParameters,
 )
-from fmus.block import Block, NoValues, variable
+from fmus.block import NoValues, variable
 from fmus.block.guide import Guide, Source
 from fmus.numerics import absolute, maximum, sqrt, where
 
@@ -157,19 +157,9 @@ GUIDE = Guide(
 )  # fmt: skip
 
 
-BLOCK = Block(
-    name="SuperTwistingDepthController",
-    description="Super-twisting depth controller",
-    parameters=Parameters,
-    inputs=DepthInputs,
-    state=State,
-    outputs=Outputs,
+BLOCK = depth_interface.depth_controller(
+    __name__,
+    "SuperTwistingDepthController",
+    "Super-twisting depth controller",
     requirements=depth_interface.requirements,
-    initial_state=initial_state,
-    step=step,
-    output=output,
-    stop_time=310.0,
-    step_size=0.02,
-    guide=GUIDE,
-    license="MIT",
 )

@@ -82,18 +82,11 @@ voltage_i = J u / (2 K_i), limited to -voltage_limit .. voltage_limit,   J = cos
 )
 
 
-BLOCK = Block(
-    name="ThrustAllocation",
-    description="Allocation of a vertical force to two thrusters",
-    parameters=Parameters,
-    inputs=Inputs,
-    state=State,
-    outputs=Outputs,
-    initial_state=initial_state,
-    step=step,
-    output=output,
+BLOCK = Block.of_module(
+    __name__,
+    "ThrustAllocation",
+    "Allocation of a vertical force to two thrusters",
     stop_time=310.0,
     step_size=0.02,
-    guide=GUIDE,
     license="MIT",
 )

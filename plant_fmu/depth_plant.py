@@ -250,19 +250,12 @@ def _sensor(p: Parameters) -> Sensor:
     )
 
 
-BLOCK = Block(
-    name="RovDepthPlant",
-    description="Depth dynamics of a small underwater vehicle with two thrusters and a depth sensor",
-    parameters=Parameters,
-    inputs=Inputs,
-    state=State,
-    outputs=Outputs,
-    requirements=requirements,
-    initial_state=initial_state,
-    step=step,
-    output=output,
+BLOCK = Block.of_module(
+    __name__,
+    "RovDepthPlant",
+    "Depth dynamics of a small underwater vehicle with two thrusters and a depth sensor",
+    guide=GUIDE,
     stop_time=310.0,
     step_size=0.02,
-    guide=GUIDE,
     license="MIT",
 )

@@ -109,18 +109,11 @@ y  = C x
 )
 
 
-BLOCK = Block(
-    name="ExamplePlant",
-    description="Second-order plant with unknown state feedback: the paper's illustrative example",
-    parameters=Parameters,
-    inputs=Inputs,
-    state=State,
-    outputs=Outputs,
-    initial_state=initial_state,
-    step=step,
-    output=output,
+BLOCK = Block.of_module(
+    __name__,
+    "ExamplePlant",
+    "Second-order plant with unknown state feedback: the paper's illustrative example",
     stop_time=94.25,
     step_size=1e-3,
-    guide=GUIDE,
     license="MIT",
 )

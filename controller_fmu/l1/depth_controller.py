@@ -22,7 +22,7 @@ from controller_fmu.l1.law import Control, LawState, Measurement
 from controller_fmu.l1.matrices import SampledLawMatrices, law_requirements, sampled_prediction
 from controller_fmu.l1.parameters import EQUATIONS, LAW_LIMITS, LawParameters
 from controller_fmu.l1.second_order import Matrix, Vector
-from fmus.block import Block, variable
+from fmus.block import variable
 from fmus.block.guide import Guide, Source
 
 
@@ -236,21 +236,9 @@ x            = (z, z'),   A_m = [[0, 1], [-k_m1 / M_z, -(D_z + k_m2) / M_z]],   
 )  # fmt: skip
 
 
-BLOCK = Block(
-    name="L1DepthController",
-    description="Extended L1 adaptive depth controller for an underwater vehicle",
-    parameters=Parameters,
+BLOCK = depth_interface.depth_controller(
+    __name__,
+    "L1DepthController",
+    "Extended L1 adaptive depth controller for an underwater vehicle",
     calculated=Matrices,
-    inputs=DepthInputs,
-    state=State,
-    outputs=Outputs,
-    calculate=calculate,
-    requirements=requirements,
-    initial_state=initial_state,
-    step=step,
-    output=output,
-    stop_time=310.0,
-    step_size=0.02,
-    guide=GUIDE,
-    license="MIT",
 )

@@ -208,21 +208,12 @@ y            = C x,   u saturated at +-control_limit
 )
 
 
-BLOCK = Block(
-    name="L1Controller",
-    description="Extended L1 adaptive controller for a plant of second order",
-    parameters=Parameters,
+BLOCK = Block.of_module(
+    __name__,
+    "L1Controller",
+    "Extended L1 adaptive controller for a plant of second order",
     calculated=SampledLawMatrices,
-    inputs=Inputs,
-    state=State,
-    outputs=Outputs,
-    calculate=calculate,
-    requirements=requirements,
-    initial_state=initial_state,
-    step=step,
-    output=output,
     stop_time=94.25,
     step_size=1e-3,
-    guide=GUIDE,
     license="MIT",
 )

@@ -6,10 +6,13 @@ checks, the documentation table and the FMU are all derived from a `Block`.
 """
 
 import math
-from collections.abc import Callable, Iterator
+import sys
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import KW_ONLY, Field, dataclass, field, fields, is_dataclass, make_dataclass
+from difflib import get_close_matches
 from enum import IntEnum
 from functools import cache, cached_property
+from types import FunctionType
 from typing import Any, Literal, TypeVar
 
 from fmus.block.guide import NO_GUIDE, Guide
@@ -135,11 +138,20 @@ class NoValues:
 
 
 _STATE_AS_DECLARED: Any = None
+# what `Block.of_module` takes from a module -> its name there
+_NAMES = {
+    "parameters": "Parameters", "calculated": "Calculated", "inputs": "Inputs", "state": "State",
+    "outputs": "Outputs", "initial_state": "initial_state", "step": "step", "output": "output",
+    "calculate": "calculate", "requirements": "requirements", "guide": "GUIDE",
+}  # fmt: skip
+_LIKE = 0.85  # of letters in common: a name that is misspelt
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
     """A model as data: frozen dataclasses and the pure functions between them.
+
+    `Block.of_module` takes these from a module, by their names. The functions are
 
     initial_state(t, inputs, parameters, calculated) -> State; by default the state as it is declared
     step(t, h, state, inputs, parameters, calculated) -> State, over h seconds, inputs held
@@ -191,6 +203,22 @@ class Block:
         if self.initial_state is _STATE_AS_DECLARED:
             object.__setattr__(self, "initial_state", lambda *_: self.state())
 
+    @classmethod
+    def of_module(cls, module: str, name: str, description: str, **given: Any) -> "Block":
+        """Returns the block of a module, at whose end it stands: BLOCK = Block.of_module(__name__, ...).
+
+        Its parts are what the module defines as Parameters, Calculated, Inputs, State, Outputs,
+        initial_state, step, output, calculate, requirements and GUIDE, as many of these as there are.
+
+        given: the other fields of a block, stop_time=60.0, and parts that are imported or named otherwise
+        Raises TypeError where a part is missing or imported, and for a name that is nearly that of a part.
+        """
+        for mistake in _mistaken_names(module, given):
+            raise TypeError(f"block {name!r}: {mistake}")
+        members = vars(sys.modules[module])
+        parts = {part: members[own] for part, own in _NAMES.items() if own in members}
+        return cls(name, description, **(parts | given))
+
     def _mistakes(self) -> Iterator[str]:
         """Yields the mistakes in the fields that are no classes and functions."""
         for name in ("name", "description", "version", "author", "license"):
@@ -215,6 +243,22 @@ class Block:
 
     def of_causality(self, causality: str) -> tuple[BlockVariable, ...]:
         return tuple(v for v in self.variables if v.causality == causality)
+
+
+def _mistaken_names(module: str, given: Collection[str]) -> Iterator[str]:
+    """Yields the mistakes in the names of a module, from which a block takes the parts that are not given."""
+    members, sought = (
+        vars(sys.modules[module]),
+        {own: part for part, own in _NAMES.items() if part not in given},
+    )
+    missing = [own for own in sought if own not in members]
+    for own, member in members.items():
+        if isinstance(member, type | FunctionType) and not own.startswith("_"):
+            if member.__module__ != module and own in sought:
+                yield f"{own} is imported into {module}: expected {sought[own]}={own}"
+            for match in get_close_matches(own, missing, 1, _LIKE) if member.__module__ == module else ():
+                yield f"{own} in {module}: expected {match}"
+    yield from (f"expected {own} in {module}, above it" for own in ("Outputs", "output") if own in missing)
 
 
 def is_frozen(cls: Any) -> bool:

@@ -8,7 +8,6 @@ or too few shows at any time, and so does a signal that is not passed on.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 from fmus.block import Block, NoValues, variable
 
@@ -30,17 +29,14 @@ class Outputs:
     level: float = variable(0.0, "Level")
 
 
-def step(t: float, h: float, state: State, inputs: Inputs, parameters: Any, calculated: NoValues) -> State:
+def step(
+    t: float, h: float, state: State, inputs: Inputs, parameters: NoValues, calculated: NoValues
+) -> State:
     return State(state.level + h * (0.1 + (inputs.signal - state.level) / 3.0))
 
 
-BLOCK = Block(
-    name="Lag",
-    description="A lag of first order that is driven",
-    inputs=Inputs,
-    state=State,
-    outputs=Outputs,
-    step=step,
-    output=lambda t, state, parameters, calculated: Outputs(state.level),
-    step_size=STEP_SIZE,
-)
+def output(t: float, state: State, parameters: NoValues, calculated: NoValues) -> Outputs:
+    return Outputs(state.level)
+
+
+BLOCK = Block.of_module(__name__, "Lag", "A lag of first order that is driven", step_size=STEP_SIZE)

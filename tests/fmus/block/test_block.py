@@ -1,7 +1,9 @@
 """One declaration gives every name, reference, type and limit."""
 
+import sys
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from types import ModuleType
 from typing import Any
 
 import numpy
@@ -40,17 +42,11 @@ class Outputs:
     active: bool = variable(False, "Active")
 
 
-BLOCK = Block(
-    "Tiny",
-    "",
-    parameters=Parameters,
-    inputs=Inputs,
-    state=State,
-    outputs=Outputs,
-    initial_state=lambda *_: State(),
-    step=lambda *_: State(),
-    output=lambda *_: Outputs(),
-)
+def output(*_: object) -> Outputs:
+    return Outputs()
+
+
+BLOCK = Block.of_module(__name__, "Tiny", "")
 
 
 def test_vectors_and_matrices_become_scalars_in_row_order() -> None:
@@ -130,6 +126,53 @@ def test_a_class_that_is_no_frozen_dataclass_or_by_its_base_alone_is_refused() -
             TypeError, match=r"'Tiny': state: expected a class with @dataclass\(frozen=True\)"
         ):
             replace(BLOCK, state=wrong)
+
+
+def module(monkeypatch: pytest.MonkeyPatch, **members: Any) -> str:
+    """Returns the name of a module with these members besides the classes of this one."""
+    made = ModuleType("made")
+    vars(made).update({"Outputs": Outputs, "output": output} | members)
+    for member in vars(made).values():
+        if getattr(member, "__module__", None) == __name__:
+            monkeypatch.setattr(member, "__module__", "made")
+    monkeypatch.setitem(sys.modules, "made", made)
+    return "made"
+
+
+def test_a_block_takes_what_its_module_defines(monkeypatch: pytest.MonkeyPatch) -> None:
+    def step(*_: object) -> State:
+        return State(2.0)
+
+    block = Block.of_module(module(monkeypatch, State=State, step=step), "Made", "", inputs=Inputs)
+    assert (block.state, block.inputs, block.outputs, block.step) == (State, Inputs, Outputs, step)
+    assert (block.parameters.__name__, block.calculated) == ("NoValues", NoValues)
+
+
+@pytest.mark.parametrize(
+    ("members", "message"),
+    [
+        ({"inital_state": lambda *_: State()}, "inital_state in made: expected initial_state"),
+        ({"Input": Inputs}, "Input in made: expected Inputs"),
+        ({"step": flatten}, "step is imported into made: expected step=step"),
+        ({"output": None}, "expected output in made, above it"),
+        ({"Outputs": None}, "expected Outputs in made, above it"),
+    ],
+)
+def test_a_name_that_a_block_does_not_find_is_refused(
+    monkeypatch: pytest.MonkeyPatch, members: dict[str, Any], message: str
+) -> None:
+    name = module(monkeypatch, **members)
+    for absent in [own for own, member in members.items() if member is None]:
+        del vars(sys.modules[name])[absent]
+    with pytest.raises(TypeError, match=f"^block 'Made': {message}$"):
+        Block.of_module(name, "Made", "")
+
+
+def test_a_name_that_is_given_is_not_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A private name is none of a part, however like it is."""
+    name = module(monkeypatch, step=flatten, Input=Inputs, _State=State)
+    block = Block.of_module(name, "Made", "", step=flatten, inputs=Inputs)
+    assert (block.step, block.inputs) == (flatten, Inputs)
 
 
 def test_start_values_of_numpy_become_numbers_of_python() -> None:

@@ -312,11 +312,11 @@ def test_a_name_that_no_module_can_have_is_refused(name: str, tmp_path: Path) ->
         write_new_block(name, tmp_path)
 
 
-def test_the_block_of_a_new_file_has_forty_lines(tmp_path: Path) -> None:
+def test_the_block_of_a_new_file_has_38_lines(tmp_path: Path) -> None:
     """As the tutorial tells. Of code: without blank lines, docstrings and comments."""
     block, _ = write_new_block("pid", tmp_path)
     text = re.sub(r'^ *""".*?"""$', "", block.read_text(), flags=re.MULTILINE | re.DOTALL)
-    assert len([line for line in text.splitlines() if line.partition("#")[0].strip()]) == 40
+    assert len([line for line in text.splitlines() if line.partition("#")[0].strip()]) == 38
 
 
 def test_the_sampling_period_of_a_new_block_cannot_change_during_a_run(tmp_path: Path) -> None:
@@ -354,8 +354,8 @@ class Outputs:
     y: float = variable(0.0, "Output")
 
 
-BLOCK = Block(
-    "Root", "A root", state=State, outputs=Outputs, step_size=0.1,
+BLOCK = Block.of_module(
+    __name__, "Root", "A root", step_size=0.1,
     step=lambda t, h, s, u, p, c: State(s.x + 0.37),
     output=lambda t, s, p, c: Outputs(sqrt(1.0 - s.x)),
 )

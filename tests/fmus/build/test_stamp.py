@@ -48,10 +48,7 @@ def step(t, h, s, u, p, c):
     return State(s.x + h * GAIN * p.gain)
 
 
-LAG = Block(
-    "Lag", "A lag", parameters=Parameters, state=State, outputs=Outputs,
-    step=step, output=lambda t, s, p, c: Outputs(s.x),
-)
+LAG = Block.of_module(__name__, "Lag", "A lag", output=lambda t, s, p, c: Outputs(s.x))
 """
 
 PACKAGE = {  # what stands for the files of `fmus`

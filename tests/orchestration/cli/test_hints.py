@@ -29,19 +29,16 @@ class State:
     x: float = 0.0
 
 @dataclass(frozen=True)
-class Output:
+class Outputs:
     y: float = variable(0.0, "Output")
 
 def step(t, h, s, u, p, c):
     return State({expression})
 
 def output(t, state, p, c):
-    return Output(state.x)
+    return Outputs(state.x)
 
-BLOCK = Block(
-    "Counts", "Counts", parameters=Parameters, inputs=Inputs, state=State, outputs=Output,
-    initial_state=lambda t, u, p, c: State(), step=step, output=output,
-)
+BLOCK = Block.of_module(__name__, "Counts", "Counts")
 """
 
 

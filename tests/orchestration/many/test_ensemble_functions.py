@@ -117,17 +117,7 @@ def output(t: float, state: State, p: Parameters, c: object) -> Outputs:
     return Outputs(functions, chosen, state.sample.value, state.count, state.x > 0.5, gear)
 
 
-BLOCK = Block(
-    "Functions",
-    "Functions of a number",
-    parameters=Parameters,
-    inputs=Inputs,
-    state=State,
-    outputs=Outputs,
-    step=step,
-    output=output,
-    step_size=0.1,
-)
+BLOCK = Block.of_module(__name__, "Functions", "Functions of a number", step_size=0.1)
 
 
 @dataclass(frozen=True)
