@@ -8,6 +8,8 @@ from typing import Any
 from fmus.numerics.choice import clip, where
 from fmus.numerics.symbols import are_numbers
 
+__all__ = ["interp", "interp2d", "matmul", "ramp_rates", "ramps", "solve", "transpose"]
+
 Vector = tuple[Any, ...]
 Matrix = tuple[Vector, ...]
 

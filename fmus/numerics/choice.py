@@ -16,6 +16,11 @@ from typing import Any, TypeVar
 from fmus.block import flatten, unflatten
 from fmus.numerics.symbols import are_numbers, casadi, unsimplified
 
+__all__ = [
+    "all", "any", "choose", "clip", "logical_and", "logical_not", "logical_or", "logical_xor", "maximum",
+    "minimum", "select", "where",
+]  # fmt: skip
+
 T = TypeVar("T")
 
 

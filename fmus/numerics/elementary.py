@@ -6,6 +6,13 @@ from typing import Any
 
 from fmus.numerics.symbols import are_numbers, casadi
 
+__all__ = [
+    "absolute", "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cbrt", "ceil", "copysign",
+    "cos", "cosh", "degrees", "dist", "erf", "exp", "exp2", "expm1", "floor", "fmod", "hypot", "log",
+    "log1p", "log2", "log10", "power", "radians", "remainder", "round", "sign", "sin", "sinh", "sqrt",
+    "tan", "tanh", "trunc",
+]  # fmt: skip
+
 
 def _of_one(name: str, meaning: str) -> Callable[[float], float]:
     on_float = getattr(math, name)

@@ -6,6 +6,8 @@ from typing import Any, TypeVar
 
 from fmus.numerics.choice import where
 
+__all__ = ["Clock", "rk4_step", "sampled"]
+
 _EARLY = 1e-6  # of a period: t and the clock round differently
 _LATE = 0.5  # of a period
 
