@@ -135,7 +135,7 @@ def built_everywhere(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, P
     return LazyFmus(
         block_names(),
         session_folder(tmp_path_factory, "built everywhere"),
-        lambda name, folder: builder.build(name, folder, platforms=platforms.PLATFORMS),
+        lambda name, folder: builder.build_block(name, folder, platforms=platforms.PLATFORMS),
     )
 
 

@@ -22,7 +22,7 @@ def block(language: str) -> str:
 
 
 def test_the_python_example_runs(tmp_path: Path) -> None:
-    builder.build("ExamplePlant", tmp_path / "fmus-built")
+    builder.build_block("ExamplePlant", tmp_path / "fmus-built")
     done = subprocess.run(
         [sys.executable, "-c", block("python")], capture_output=True, text=True, check=True, cwd=tmp_path
     )

@@ -98,27 +98,8 @@ def verified(block: Block) -> Block:
     return block
 
 
-def build(
-    name: str,
-    folder: Path | None = None,
-    flavour: Flavour = Flavour.NATIVE,
-    platforms: Sequence[str] = (),
-    *,
-    with_terminals: bool = False,
-    reals_only: bool = False,
-) -> Path:
-    """Writes `folder/NAME.fmu`, whatever stands there; by default where scenarios find it.
-
-    platforms: of the libraries in a native FMU, by default this one; those in a python one are PythonFMU's.
-    with_terminals: with terminalsAndIcons.xml, which some importers of FMI 2.0 cannot read
-    reals_only: a native FMU whose every variable is a Real, for importers that know no other type
-    """
-    options = {"with_terminals": with_terminals, "reals_only": reals_only}
-    return build_block(load_block(name), folder or fmu_folder(flavour), flavour, platforms, **options)
-
-
 def build_block(
-    block: Block,
+    block: Block | str,
     folder: Path,
     flavour: Flavour = Flavour.NATIVE,
     platforms: Sequence[str] = (),
@@ -126,7 +107,13 @@ def build_block(
     with_terminals: bool = False,
     reals_only: bool = False,
 ) -> Path:
-    """Builds as `build` does, but a block that no entry point names."""
+    """Writes `folder/NAME.fmu` of a block, or of the installed block of a name, whatever stands there.
+
+    platforms: of the libraries in a native FMU, by default this one; those in a python one are PythonFMU's.
+    with_terminals: with terminalsAndIcons.xml, which some importers of FMI 2.0 cannot read
+    reals_only: a native FMU whose every variable is a Real, for importers that know no other type
+    """
+    block = load_block(block) if isinstance(block, str) else block
     order = Order(block.name, folder, flavour, tuple(platforms), with_terminals, reals_only)
     with _building(block, order) as write:
         return next(iter(write()))

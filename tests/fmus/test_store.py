@@ -13,7 +13,7 @@ from fmus import store
 from fmus.build import builder
 from fmus.build.stamp import Order, Stamps
 from fmus.fmi.description import describe
-from fmus.registry import FOLDER_VARIABLE, fmu_path
+from fmus.registry import FOLDER_VARIABLE, fmu_folder, fmu_path
 from fmus.store import reason_for_distrust
 from orchestration.errors import FmuLoadError, OrchestrationError
 from orchestration.score import score_cache
@@ -108,7 +108,7 @@ def test_an_fmu_that_is_built_under_a_umask_of_002_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "fmus"))
-    describe(builder.build("ExamplePlant"))
+    describe(builder.build_block("ExamplePlant", fmu_folder()))
 
 
 def test_a_row_of_a_score_that_others_can_write_is_refused(

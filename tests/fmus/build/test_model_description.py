@@ -97,11 +97,11 @@ def test_builds_are_reproducible_byte_for_byte(
     built: Fmus, python_built: Fmus, tmp_path: Path, flavour: Flavour
 ) -> None:
     for name, path in (built if flavour is Flavour.NATIVE else python_built).items():
-        assert builder.build(name, tmp_path, flavour).read_bytes() == path.read_bytes()
+        assert builder.build_block(name, tmp_path, flavour).read_bytes() == path.read_bytes()
 
 
 def test_a_build_leaves_nothing_beside_the_fmu(tmp_path: Path) -> None:
-    builder.build("ExamplePlant", tmp_path)
+    builder.build_block("ExamplePlant", tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["ExamplePlant.fmu"]
 
 
@@ -117,7 +117,7 @@ def test_a_stale_fmu_is_rebuilt_and_a_fresh_one_kept(tmp_path: Path) -> None:
 
 def test_a_native_fmu_of_another_platform_only_is_rebuilt_for_this_one(tmp_path: Path) -> None:
     other = next(name for name in ("linux64", "aarch64-linux") if name != host_platform())
-    path = builder.build("ExamplePlant", tmp_path, platforms=[other])
+    path = builder.build_block("ExamplePlant", tmp_path, platforms=[other])
     builder.build_if_stale("ExamplePlant", tmp_path)
     assert library_name("ExamplePlant", host_platform()) in zipfile.ZipFile(path).namelist()
 

@@ -136,7 +136,7 @@ def _with_another_source(path: Path, folder: Path) -> Path:
         "closure, old, new = python.source_closure, 'p.omega * inputs.control', '2.0 * inputs.control'\n"
         "python.source_closure = lambda m: {n: s.replace(old, new) for n, s in closure(m).items()}\n"
         "from fmus.build import builder\n"
-        "builder.build('ExamplePlant', pathlib.Path(sys.argv[1]), builder.Flavour.PYTHON)\n"
+        "builder.build_block('ExamplePlant', pathlib.Path(sys.argv[1]), builder.Flavour.PYTHON)\n"
     )
     subprocess.run([sys.executable, "-c", script, str(folder)], check=True)
     assert (folder / path.name).read_bytes() != path.read_bytes()

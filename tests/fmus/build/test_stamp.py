@@ -364,7 +364,7 @@ def test_an_fmu_that_was_found_and_not_built_is_stamped_for_runs_alone(
     monkeypatch.setattr(builder, "Stamps", partial(Stamps, begun=LATER))
     with monkeypatch.context() as older_sources:
         older_sources.setattr(builder, "icon", lambda block: b"an older icon")
-        path = builder.build("ExamplePlant", tmp_path / "built", with_terminals=True)
+        path = builder.build_block("ExamplePlant", tmp_path / "built", with_terminals=True)
     older = path.read_bytes()
     order = Order("ExamplePlant", tmp_path / "built")
     assert Stamps().current(order, to_run=True) is None
@@ -382,7 +382,7 @@ def test_an_fmu_without_a_record_of_its_build_is_built_again_where_it_can_be(
 ) -> None:
     """It would run like one of another tool, as one does in a folder of the administrator's."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    fmu = builder.build("ExamplePlant", tmp_path / "built").read_bytes()
+    fmu = builder.build_block("ExamplePlant", tmp_path / "built").read_bytes()
     shutil.rmtree(store.folder(store.BUILDS))
     with monkeypatch.context() as of_another_user:
         of_another_user.setattr(os, "access", lambda path, mode: False)

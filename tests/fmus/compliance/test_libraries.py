@@ -27,7 +27,7 @@ OTHERS = [
 @pytest.fixture(scope="module")
 def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An FMU for every platform but this one."""
-    return builder.build(NAME, tmp_path_factory.mktemp("elsewhere"), platforms=OTHERS)
+    return builder.build_block(NAME, tmp_path_factory.mktemp("elsewhere"), platforms=OTHERS)
 
 
 def test_an_fmu_without_a_library_for_this_platform_is_judged_but_for_its_behaviour(elsewhere: Path) -> None:

@@ -266,7 +266,7 @@ def built_elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("elsewhere")
     script = (
         "import sys, pathlib\nfrom fmus.build import builder\n"
-        "builder.build(sys.argv[1], pathlib.Path(sys.argv[2]), platforms=sys.argv[3:])\n"
+        "builder.build_block(sys.argv[1], pathlib.Path(sys.argv[2]), platforms=sys.argv[3:])\n"
     )
     warm = {"TMPDIR": str(_made(folder / "temporary"))}
     cold = warm | {
