@@ -12,13 +12,7 @@ Source: J. Han, From PID to active disturbance rejection control, IEEE Trans. In
 from dataclasses import dataclass
 
 from controller_fmu import depth_interface, shared_guide
-from controller_fmu.depth_interface import (
-    ActuatorParameters,
-    DepthInputs,
-    DepthMeasurement,
-    DepthOutputs,
-    InertiaParameter,
-)
+from controller_fmu.depth_interface import DepthInputs, DepthMeasurement, DepthOutputs
 from fmus.block import NoValues, variable
 from fmus.block.guide import Guide, Source
 from fmus.numerics import exp
@@ -32,7 +26,7 @@ u    = M (w_c^2 (r - z_1) + 2 w_c (r' - z_2) + r'' - z_3)
 
 
 @dataclass(frozen=True)
-class Parameters(InertiaParameter, ActuatorParameters):
+class Parameters(depth_interface.InertiaParameter, depth_interface.ActuatorParameters):
     control_bandwidth: float = variable(
         1.0, "w_c, both poles of the loop", unit="rad/s", min=1e-6, max=1e3,
         source="1 rad/s: slow beside the observer and the thrusters (20 rad/s)",

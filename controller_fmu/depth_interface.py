@@ -35,8 +35,8 @@ class ActuatorParameters:
 
 
 @dataclass(frozen=True)
-class ObserverParameters:
-    """Parameters of the observer, for a controller that uses the depth rate."""
+class ObserverParameters(ActuatorParameters):
+    """Parameters of the observer too, for a controller that uses the depth rate."""
 
     velocity_source: VelocitySource = variable(
         VelocitySource.ALPHA_BETA_OBSERVER, "Where the depth rate comes from", variability="fixed"
@@ -52,11 +52,6 @@ class ObserverParameters:
         0.04, "Sampling period of the observer", unit="s", min=1e-4, max=10.0, variability="fixed",
         source="proxy: reading time of a Bar30 depth sensor",
     )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class ObservedParameters(ObserverParameters, ActuatorParameters):
-    """Parameters of the observer and of the thrusters."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +72,11 @@ class DampingParameter:
         2.5, "Linear damping D_z that the design assumes", unit="N.s/m", min=0.0, max=1e6,
         source="guess: the paper gives none",
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class DesignParameters(DampingParameter, InertiaParameter, ObserverParameters):
+    """Parameters of a design that assumes inertia and damping, beside those of observer and thrusters."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ class Delivery:
     saturation_error: float
 
 
-def requirements(p: ObservedParameters, calculated: object) -> tuple[tuple[bool, str], ...]:
+def requirements(p: ObserverParameters, calculated: object) -> tuple[tuple[bool, str], ...]:
     """Returns the requirement of the observer, which takes one sample a step."""
     is_short = p.internal_step <= p.observer_period * (1.0 + 1e-9)
     return ((is_short, "internal_step at most observer_period"),)

@@ -8,8 +8,7 @@ Source: Maalouf et al. (2013), section 4.
 
 from dataclasses import asdict, dataclass
 
-from controller_fmu.l1.matrices import LawMatrices, law_matrices
-from controller_fmu.l1.second_order import Matrix, Vector
+from controller_fmu.l1.matrices import LawMatrices, Matrix, Vector, law_matrices
 from fmus.block import variable
 
 

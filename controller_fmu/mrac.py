@@ -12,19 +12,11 @@ Control (2013), chapter 9 to 11 (projection, saturation in the reference model).
 from dataclasses import dataclass, replace
 
 from controller_fmu import depth_interface, shared_guide
-from controller_fmu.depth_interface import (
-    DampingParameter,
-    DepthInputs,
-    DepthMeasurement,
-    DepthOutputs,
-    DepthState,
-    InertiaParameter,
-    ObservedParameters,
-)
+from controller_fmu.depth_interface import DepthInputs, DepthMeasurement, DepthOutputs, DepthState
 from controller_fmu.depth_model import DepthMatrices, ModelParameters, depth_matrices
 from controller_fmu.l1.feedforward import reference_feedforward
+from controller_fmu.l1.matrices import Vector, dot, is_hurwitz, relaxed
 from controller_fmu.l1.projection import keep_within, project
-from controller_fmu.l1.second_order import Vector, dot, is_hurwitz, relaxed
 from fmus.block import variable
 from fmus.block.guide import Guide, Source
 from fmus.numerics import absolute, maximum
@@ -39,7 +31,7 @@ sigma_hat' = Gamma Proj(sigma_hat, (x - x_m)^T P B_m),     A_m^T P + P A_m = -Q
 
 
 @dataclass(frozen=True)
-class Parameters(ModelParameters, DampingParameter, InertiaParameter, ObservedParameters):
+class Parameters(ModelParameters, depth_interface.DesignParameters):
     depth_gain: float = variable(
         5.5, "k_m of the depth", unit="N/m", min=1e-6, max=1e6,
         source="both poles of A_m at w = 1 rad/s: M w^2 for M = 5.5 kg",

@@ -11,14 +11,7 @@ from dataclasses import dataclass
 
 from controller_fmu import depth_interface, shared_guide
 from controller_fmu.anti_windup import integrate_error
-from controller_fmu.depth_interface import (
-    DampingParameter,
-    DepthInputs,
-    DepthMeasurement,
-    DepthOutputs,
-    DepthState,
-    ObservedParameters,
-)
+from controller_fmu.depth_interface import DepthInputs, DepthMeasurement, DepthOutputs, DepthState
 from fmus.block import NoValues, variable
 from fmus.block.guide import Guide, Source
 
@@ -31,7 +24,7 @@ _POLES = "three poles at w = 1 rad/s for M = 5.5 kg and D = 2.5 N.s/m: "
 
 
 @dataclass(frozen=True)
-class Parameters(DampingParameter, ObservedParameters):
+class Parameters(depth_interface.DampingParameter, depth_interface.ObserverParameters):
     kp: float = variable(16.5, "k_p", unit="N/m", min=0.0, max=1e6, source=_POLES + "3 M w^2")
     ki: float = variable(5.5, "k_i", unit="N/(m.s)", min=0.0, max=1e6, source=_POLES + "M w^3")
     kd: float = variable(14.0, "k_d", unit="N.s/m", min=0.0, max=1e6, source=_POLES + "3 M w - D")

@@ -17,15 +17,7 @@ from dataclasses import dataclass
 
 from controller_fmu import depth_interface, shared_guide
 from controller_fmu.anti_windup import widens
-from controller_fmu.depth_interface import (
-    DampingParameter,
-    DepthInputs,
-    DepthMeasurement,
-    DepthOutputs,
-    DepthState,
-    InertiaParameter,
-    ObservedParameters,
-)
+from controller_fmu.depth_interface import DepthInputs, DepthMeasurement, DepthOutputs, DepthState
 from fmus.block import NoValues, variable
 from fmus.block.guide import Guide, Source
 from fmus.numerics import absolute, maximum, sqrt, where
@@ -41,7 +33,7 @@ _LEAST_ROOT = 1e-3
 
 
 @dataclass(frozen=True)
-class Parameters(DampingParameter, InertiaParameter, ObservedParameters):
+class Parameters(depth_interface.DesignParameters):
     error_bandwidth: float = variable(
         1.0, "lambda, the pole of the error on s = 0", unit="rad/s", min=1e-6, max=1e3,
         source="1 rad/s: slow beside observer (8 rad/s) and thrusters (20 rad/s)",

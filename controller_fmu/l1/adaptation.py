@@ -14,9 +14,8 @@ frequency nor damping of the fast loop depends on the step. docs/explanation/the
 from dataclasses import dataclass
 from enum import IntEnum
 
-from controller_fmu.l1.matrices import LawMatrices
+from controller_fmu.l1.matrices import LawMatrices, Vector, dot, relaxed
 from controller_fmu.l1.projection import keep_within, projection_factor
-from controller_fmu.l1.second_order import Vector, dot, relaxed
 from fmus.numerics import absolute, maximum, sin, sqrt, where
 
 _SMALL_SQUARE = 1e-16  # of an angle: below it sin(a) / a is 1 to the last bit

@@ -6,28 +6,19 @@ z points down. Source: Maalouf et al. (2013), section 4.
 from dataclasses import asdict, dataclass
 
 from controller_fmu import depth_interface, shared_guide
-from controller_fmu.depth_interface import (
-    DampingParameter,
-    DepthInputs,
-    DepthMeasurement,
-    DepthOutputs,
-    DepthState,
-    InertiaParameter,
-    ObservedParameters,
-)
+from controller_fmu.depth_interface import DepthInputs, DepthMeasurement, DepthOutputs, DepthState, Vector
 from controller_fmu.depth_model import DepthMatrices, ModelParameters, depth_matrices
 from controller_fmu.l1 import law as l1
 from controller_fmu.l1.feedforward import reference_feedforward
 from controller_fmu.l1.law import Control, LawState, Measurement
-from controller_fmu.l1.matrices import SampledLawMatrices, law_requirements, sampled_prediction
+from controller_fmu.l1.matrices import Matrix, SampledLawMatrices, law_requirements, sampled_prediction
 from controller_fmu.l1.parameters import EQUATIONS, LAW_LIMITS, LawParameters
-from controller_fmu.l1.second_order import Matrix, Vector
 from fmus.block import variable
 from fmus.block.guide import Guide, Source
 
 
 @dataclass(frozen=True)
-class Parameters(ModelParameters, DampingParameter, InertiaParameter, ObservedParameters, LawParameters):
+class Parameters(ModelParameters, depth_interface.DesignParameters, LawParameters):
     """Parameters: gains are tunable at communication points, structural choices fixed."""
 
     depth_feedback_gain: float = variable(

@@ -9,8 +9,7 @@ so y = r from then on if it is so once, with its rate. For the vehicle f = M r''
 
 from enum import IntEnum
 
-from controller_fmu.l1.matrices import LawMatrices
-from controller_fmu.l1.second_order import Vector, dot
+from controller_fmu.l1.matrices import LawMatrices, Vector, dot
 from fmus.numerics import absolute, logical_or, sqrt
 
 _ROUNDING = 1e-12  # of |C| |B_m|

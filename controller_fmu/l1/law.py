@@ -15,9 +15,8 @@ from controller_fmu.l1.adaptation import AdaptationLaw, AdaptationParameters, Es
 from controller_fmu.l1.augmentation import Augmentation, Threshold
 from controller_fmu.l1.feedforward import ReferenceFeedforward
 from controller_fmu.l1.lowpass import FilterOrder, FilterState
-from controller_fmu.l1.matrices import LawMatrices, SampledLawMatrices
+from controller_fmu.l1.matrices import LawMatrices, SampledLawMatrices, Vector, dot
 from controller_fmu.l1.piecewise import Sample, SampledParameters, adapt_at_samples
-from controller_fmu.l1.second_order import Vector, dot
 from fmus.numerics import where
 
 

@@ -7,8 +7,7 @@ from controller_fmu.l1.augmentation import Augmentation, Threshold
 from controller_fmu.l1.feedforward import ReferenceFeedforward
 from controller_fmu.l1.law import StepParameters
 from controller_fmu.l1.lowpass import FilterOrder
-from controller_fmu.l1.matrices import RequiredParameters
-from controller_fmu.l1.second_order import Matrix
+from controller_fmu.l1.matrices import Matrix, RequiredParameters
 from fmus.block import variable
 
 EQUATIONS = """\

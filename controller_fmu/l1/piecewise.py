@@ -17,8 +17,7 @@ calculated once. Source: Hovakimyan and Cao (2010), chapter 3; docs/explanation/
 from dataclasses import dataclass
 
 from controller_fmu.l1.adaptation import Estimates, Interval
-from controller_fmu.l1.matrices import SampledLawMatrices
-from controller_fmu.l1.second_order import Vector, dot
+from controller_fmu.l1.matrices import SampledLawMatrices, Vector, dot
 from fmus.numerics import matmul, maximum, where
 
 _EARLY = 1e-6  # of a period: sums of communication steps are rounded

@@ -13,13 +13,15 @@ from controller_fmu.l1.augmentation import Threshold
 from controller_fmu.l1.feedforward import feedforward_requirement, reference_feedforward
 from controller_fmu.l1.law import LawState, Measurement
 from controller_fmu.l1.matrices import (
+    Matrix,
     SampledLawMatrices,
+    Vector,
+    dot,
     law_matrices,
     law_requirements,
     sampled_prediction,
 )  # fmt: skip
 from controller_fmu.l1.parameters import EQUATIONS, LAW_LIMITS, LawParameters
-from controller_fmu.l1.second_order import Matrix, Vector, dot
 from fmus.block import Block, variable
 from fmus.block.guide import Experiment, Guide, Source
 from fmus.numerics import clip

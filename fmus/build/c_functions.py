@@ -11,8 +11,7 @@ from typing import ClassVar
 
 import casadi
 
-from fmus.build.branches import Schedule, Step, as_late_as_possible
-from fmus.build.operations import CALLS, TIMES, Operation, operations_of
+from fmus.build.operations import CALLS, TIMES, Operation, Schedule, Step, as_late_as_possible, operations_of
 from fmus.errors import ExportError
 
 

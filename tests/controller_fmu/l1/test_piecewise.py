@@ -11,8 +11,8 @@ from scipy.linalg import expm
 
 from controller_fmu.l1 import siso_controller
 from controller_fmu.l1.adaptation import AdaptationLaw, Estimates, Interval
+from controller_fmu.l1.matrices import Matrix
 from controller_fmu.l1.piecewise import Sample, adapt_at_samples
-from controller_fmu.l1.second_order import Matrix
 from fmus.build import builder
 
 A_M, B, B_U = np.array([[0.0, 1.0], [-1.0, -1.4]]), np.array([0.0, 1.0]), np.array([1.0, 0.0])

@@ -13,9 +13,8 @@ import casadi
 import numpy as np
 import pytest
 
-from fmus.build.branches import Branch, as_late_as_possible
 from fmus.build.c_functions import ScalarC, VectorC, c_function, c_functions
-from fmus.build.operations import Operation
+from fmus.build.operations import Branch, Operation, as_late_as_possible
 from fmus.errors import ExportError
 from fmus.native import toolchain
 from fmus.platforms import host_platform, library_name

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from fmus.build.c_source import c_sources
+from fmus.build.native import c_sources
 from tests.shared_builds import built_once, session_folder
 
 from .native_block import block_named

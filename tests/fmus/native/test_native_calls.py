@@ -12,7 +12,7 @@ from hypothesis.stateful import run_state_machine_as_test
 
 from fmus.block import Block
 from fmus.build import builder
-from fmus.build.c_source import c_sources
+from fmus.build.native import c_sources
 
 from .native_beside import Pool
 from .native_block import EVERYTHING

@@ -3,7 +3,7 @@
 import subprocess
 from pathlib import Path
 
-from fmus.build.c_source import c_sources
+from fmus.build.native import c_sources
 from fmus.native import toolchain
 
 from .native_block import EVERYTHING

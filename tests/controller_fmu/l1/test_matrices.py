@@ -6,7 +6,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from controller_fmu.l1.second_order import is_hurwitz, sampled_system
+from controller_fmu.l1.matrices import is_hurwitz, sampled_system
 
 ENTRIES = st.floats(-10.0, 10.0).filter(lambda x: x == 0.0 or abs(x) > 1e-3)
 
