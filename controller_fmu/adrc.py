@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from controller_fmu import depth_interface, shared_guide
 from controller_fmu.depth_interface import DepthInputs, DepthMeasurement, DepthOutputs
 from fmus.block import NoValues, variable
-from fmus.block.guide import Guide, Source
+from fmus.block.guide import Source
 from fmus.numerics import exp
 
 EQUATIONS = """\
@@ -116,9 +116,8 @@ def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outpu
     )
 
 
-GUIDE = Guide(
-    equations=EQUATIONS + shared_guide.ALLOCATION,
-    conventions=shared_guide.CONVENTIONS,
+GUIDE = shared_guide.depth_guide(
+    EQUATIONS,
     tuning=(
         "control_bandwidth first, from the wanted speed of the loop; observer_bandwidth 3 to 5 times that,"
         " as far as noise and lags of the loop allow.",
@@ -132,9 +131,6 @@ GUIDE = Guide(
         " the disturbance, and the estimate does not wind up.",
         shared_guide.HELD_CONTROL,
         shared_guide.REFERENCE_RATES,
-        shared_guide.LAGS,
-        shared_guide.TRIED_ON,
-        shared_guide.VEHICLE_LIMIT,
     ),
     sources=(
         Source("J. Han: From PID to active disturbance rejection control, IEEE Transactions on Industrial"
@@ -142,7 +138,7 @@ GUIDE = Guide(
         Source("Z. Gao: Scaling and bandwidth-parameterization based controller tuning, American Control"
                " Conference, 2003."),
     ),
-    experiment=shared_guide.EXPERIMENT,
+    has_observer=False,
 )  # fmt: skip
 
 

@@ -8,16 +8,9 @@ Source: Maalouf et al. (2013), section 4.
 
 from dataclasses import asdict, dataclass
 
+from controller_fmu.depth_interface import DesignParameters
 from controller_fmu.l1.matrices import LawMatrices, Matrix, Vector, law_matrices
 from fmus.block import variable
-
-
-class ModelParameters:
-    """The parameters, which a block declares, that the design needs."""
-
-    model_inertia: float
-    model_damping: float
-    lyapunov_weight: Vector
 
 
 @dataclass(frozen=True)
@@ -33,12 +26,12 @@ class DepthMatrices(LawMatrices):
     feedforward_acceleration_gain: float = variable(1.0, "Gain of r'' in f, M", unit="kg")
 
 
-def depth_matrices(k_m: Vector, p: ModelParameters) -> DepthMatrices:
-    """Returns A_m, B_m, P, k_g and the gains of f of the assumed vehicle under k_m [N/m, N.s/m]."""
+def depth_matrices(k_m: Vector, q: Vector, p: DesignParameters) -> DepthMatrices:
+    """Returns A_m, B_m, P, k_g and the gains of f of the assumed vehicle under k_m [N/m, N.s/m]; q: of Q."""
     inverse_inertia = 1.0 / p.model_inertia
     a_m = (
         (0.0, 1.0),
         (-k_m[0] * inverse_inertia, -(p.model_damping + k_m[1]) * inverse_inertia),
     )
-    matrices = law_matrices(a_m, (0.0, inverse_inertia), (1.0, 0.0), p.lyapunov_weight)
+    matrices = law_matrices(a_m, (0.0, inverse_inertia), (1.0, 0.0), q)
     return DepthMatrices(**asdict(matrices))

@@ -22,8 +22,7 @@ import numpy as np
 from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.optimize import brentq
 
-from controller_fmu.l1.adaptation import Regressor
-from controller_fmu.l1.lowpass import FilterOrder
+from controller_fmu.l1.parameters import FilterOrder, Regressor
 
 _STEPS_PER_TIME_CONSTANT = 20  # of the fastest mode: a change of sign is found to 1e-3 of it
 _TIME_CONSTANTS = 30  # of a mode: e^-30 of its part of the impulse response is left out

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 
 from controller_fmu import depth_interface, shared_guide
 from controller_fmu.depth_interface import DepthInputs, DepthMeasurement, DepthOutputs, DepthState
-from controller_fmu.depth_model import DepthMatrices, ModelParameters, depth_matrices
+from controller_fmu.depth_model import DepthMatrices, depth_matrices
 from controller_fmu.l1.feedforward import reference_feedforward
 from controller_fmu.l1.matrices import Vector, dot, is_hurwitz, relaxed
 from controller_fmu.l1.projection import keep_within, project
 from fmus.block import variable
-from fmus.block.guide import Guide, Source
+from fmus.block.guide import Source
 from fmus.numerics import absolute, maximum
 
 EQUATIONS = """\
@@ -31,7 +31,7 @@ sigma_hat' = Gamma Proj(sigma_hat, (x - x_m)^T P B_m),     A_m^T P + P A_m = -Q
 
 
 @dataclass(frozen=True)
-class Parameters(ModelParameters, depth_interface.DesignParameters):
+class Parameters(depth_interface.DesignParameters):
     depth_gain: float = variable(
         5.5, "k_m of the depth", unit="N/m", min=1e-6, max=1e6,
         source="both poles of A_m at w = 1 rad/s: M w^2 for M = 5.5 kg",
@@ -119,7 +119,7 @@ def next_model(h: float, model: Vector, drive: float, matrices: DepthMatrices) -
 
 
 def calculate(p: Parameters) -> DepthMatrices:
-    return depth_matrices((p.depth_gain, p.rate_gain), p)
+    return depth_matrices((p.depth_gain, p.rate_gain), p.lyapunov_weight, p)
 
 
 def requirements(p: Parameters, matrices: DepthMatrices) -> tuple:
@@ -160,9 +160,8 @@ def output(t: float, state: State, p: Parameters, matrices: DepthMatrices) -> Ou
     )
 
 
-GUIDE = Guide(
-    equations=EQUATIONS + shared_guide.OBSERVER_AND_ALLOCATION,
-    conventions=shared_guide.CONVENTIONS,
+GUIDE = shared_guide.depth_guide(
+    EQUATIONS,
     tuning=(
         "depth_gain and rate_gain make A_m, the dynamics that the loop is given: M w^2 and 2 M w - D for two"
         " poles at w.",
@@ -171,7 +170,6 @@ GUIDE = Guide(
         " all its lags, closes that loop, so the very high Gamma of the L1 law is out of reach here.",
         "theta_bound and sigma_bound enclose what must be compensated, in N; sigma_hat has to reach the net"
         " buoyancy.",
-        shared_guide.OBSERVER_TUNING,
     ),
     limits=(
         "There is no low-pass filter between estimates and control: Gamma trades robustness for speed.",
@@ -179,16 +177,11 @@ GUIDE = Guide(
         " do not learn it.",
         shared_guide.HELD_CONTROL,
         shared_guide.REFERENCE_RATES,
-        shared_guide.LAGS,
-        shared_guide.TRIED_ON,
-        shared_guide.VEHICLE_LIMIT,
     ),
     sources=(
         Source("P. Ioannou and J. Sun: Robust Adaptive Control, Prentice Hall, 1996, chapter 6."),
         Source("E. Lavretsky and K. Wise: Robust and Adaptive Control, Springer, 2013."),
-        shared_guide.OBSERVER_SOURCE,
     ),
-    experiment=shared_guide.EXPERIMENT,
 )
 
 

@@ -13,7 +13,7 @@ from controller_fmu import depth_interface, shared_guide
 from controller_fmu.anti_windup import integrate_error
 from controller_fmu.depth_interface import DepthInputs, DepthMeasurement, DepthOutputs, DepthState
 from fmus.block import NoValues, variable
-from fmus.block.guide import Guide, Source
+from fmus.block.guide import Source
 
 EQUATIONS = """\
 u     = -k_p e - k_i int e dt - k_d (v - beta r') + beta D r',   e = z - r
@@ -78,28 +78,19 @@ def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outpu
     )
 
 
-GUIDE = Guide(
-    equations=EQUATIONS + shared_guide.OBSERVER_AND_ALLOCATION,
-    conventions=shared_guide.CONVENTIONS,
+GUIDE = shared_guide.depth_guide(
+    EQUATIONS,
     tuning=(
         "Poles of M s^3 + (D + k_d) s^2 + k_p s + k_i: three at w for k_p = 3 M w^2, k_i = M w^3 and"
         " k_d = 3 M w - D.",
         "beta = 1 follows a ramp of known rate without error; beta = 0 takes the rate of the reference out of"
         " the law. It moves zeros, no pole.",
-        shared_guide.OBSERVER_TUNING,
     ),
     limits=(
         shared_guide.REFERENCE_RATES,
         "The integral holds while the thrusters saturate and it would demand still more.",
-        shared_guide.LAGS,
-        shared_guide.TRIED_ON,
-        shared_guide.VEHICLE_LIMIT,
     ),
-    sources=(
-        Source("K. J. Astrom and T. Hagglund: Advanced PID Control, ISA, 2006."),
-        shared_guide.OBSERVER_SOURCE,
-    ),
-    experiment=shared_guide.EXPERIMENT,
+    sources=(Source("K. J. Astrom and T. Hagglund: Advanced PID Control, ISA, 2006."),),
 )
 
 

@@ -1,6 +1,6 @@
 """Sentences and sources that the guides of several blocks share."""
 
-from fmus.block.guide import Experiment, Source
+from fmus.block.guide import Experiment, Guide, Source
 
 PAPER = Source(
     "Maalouf, Chemori and Creuze: A new extension of the L1 adaptive controller to drastically reduce the"
@@ -14,12 +14,12 @@ CONVENTIONS = (
     "tracking_error is measured depth minus reference: positive when the vehicle is too deep.",
     "Angles are in rad; roll and pitch may stay at 0 where they are not measured.",
 )
-OBSERVER_AND_ALLOCATION = """\
+ALLOCATION = """\
 voltage_i    = J u / (2 K_i), saturated,   J = cos(roll) cos(pitch)   Maalouf et al. (2013), (11)
+"""
+OBSERVER = """\
 observer     z_p = z_hat + T v_hat,   z_hat = z_p + alpha (z - z_p),   v_hat = v_hat + beta / T (z - z_p)
 """
-ALLOCATION = OBSERVER_AND_ALLOCATION.splitlines(keepends=True)[0]
-
 OBSERVER_TUNING = (
     "observer_period is the sampling period of the depth sensor; beta = alpha^2 / (2 - alpha) goes"
     " with an alpha. With a measured depth rate, set velocity_source to measured."
@@ -31,18 +31,9 @@ REFERENCE_RATES = (
     "depth_reference_rate and depth_reference_acceleration may stay at 0 where only the depth is given."
     " The loop then follows a ramp with a lag, as the equations say."
 )
-LAGS = (
-    "The stated poles and proofs hold for ideal measurements and thrusters. Observer, sensor, thrusters and"
-    " the held control delay the loop by about 0.2 s with the start values: gains that make it several times"
-    " as fast let it oscillate."
-)
 HELD_CONTROL = (
     "The controller is told what its own voltages deliver, held from one communication point to the next:"
     " internal_step should not be shorter than a communication step."
-)
-TRIED_ON = (
-    "The gains follow from the vehicle of RovDepthPlant, whose inertia and damping are an estimate and a"
-    " guess, and were tried on that plant alone."
 )
 OBSERVER_SOURCE = Source("R. Penoyer: The alpha-beta filter, C User's Journal 11(7), 1993 (the observer).")
 
@@ -55,3 +46,30 @@ EXPERIMENT = Experiment(
     ),
 )
 """A reference that the measured depth follows late."""
+
+_OF_BASELINES = (
+    "The stated poles and proofs hold for ideal measurements and thrusters. Observer, sensor, thrusters and"
+    " the held control delay the loop by about 0.2 s with the start values: gains that make it several times"
+    " as fast let it oscillate.",
+    "The gains follow from the vehicle of RovDepthPlant, whose inertia and damping are an estimate and a"
+    " guess, and were tried on that plant alone.",
+    VEHICLE_LIMIT,
+)
+
+
+def depth_guide(
+    equations: str,
+    tuning: tuple[str, ...],
+    limits: tuple[str, ...],
+    sources: tuple[Source, ...],
+    has_observer: bool = True,
+) -> Guide:
+    """Returns the guide of a depth controller that is no L1 law, with what holds for all of them.
+
+    has_observer: whether the depth rate comes from the alpha-beta observer
+    """
+    equations, limits = equations + ALLOCATION, limits + _OF_BASELINES
+    if has_observer:
+        equations, tuning = equations + OBSERVER, (*tuning, OBSERVER_TUNING)
+        sources = (*sources, OBSERVER_SOURCE)
+    return Guide(equations, CONVENTIONS, tuning, limits, sources, EXPERIMENT)

@@ -13,7 +13,7 @@ from controller_fmu import depth_interface, shared_guide
 from controller_fmu.anti_windup import integrate_error
 from controller_fmu.depth_interface import DepthInputs, DepthMeasurement, DepthOutputs, DepthState
 from fmus.block import NoValues, variable
-from fmus.block.guide import Guide, Source
+from fmus.block.guide import Source
 from fmus.numerics import clip
 
 EQUATIONS = """\
@@ -90,16 +90,14 @@ def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outpu
     )
 
 
-GUIDE = Guide(
-    equations=EQUATIONS + shared_guide.OBSERVER_AND_ALLOCATION,
-    conventions=shared_guide.CONVENTIONS,
+GUIDE = shared_guide.depth_guide(
+    EQUATIONS,
     tuning=(
         "switching_gain: above the largest disturbance, buoyancy included, and below what both thrusters"
         " give.",
         "boundary_layer: K / (M phi) is the third pole inside the layer; a thinner layer makes it as fast as"
         " the lags of the loop, and the voltages chatter.",
         "error_bandwidth is both other poles.",
-        shared_guide.OBSERVER_TUNING,
     ),
     limits=(
         "Inside the boundary layer the law is a PID with k_p = M lambda^2 + 2 lambda K / phi,"
@@ -107,16 +105,11 @@ GUIDE = Guide(
         " leaves the layer.",
         shared_guide.REFERENCE_RATES,
         "The integral holds while the thrusters saturate and it would demand still more.",
-        shared_guide.LAGS,
-        shared_guide.TRIED_ON,
-        shared_guide.VEHICLE_LIMIT,
     ),
     sources=(
         Source("J.-J. Slotine and W. Li: Applied Nonlinear Control, Prentice Hall, 1991, chapter 7."),
         Source("V. Utkin, J. Guldner and J. Shi: Sliding Mode Control in Electro-Mechanical Systems, 2009."),
-        shared_guide.OBSERVER_SOURCE,
     ),
-    experiment=shared_guide.EXPERIMENT,
 )
 
 

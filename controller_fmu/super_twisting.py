@@ -19,7 +19,7 @@ from controller_fmu import depth_interface, shared_guide
 from controller_fmu.anti_windup import widens
 from controller_fmu.depth_interface import DepthInputs, DepthMeasurement, DepthOutputs, DepthState
 from fmus.block import NoValues, variable
-from fmus.block.guide import Guide, Source
+from fmus.block.guide import Source
 from fmus.numerics import absolute, maximum, sqrt, where
 
 EQUATIONS = """\
@@ -116,25 +116,20 @@ def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outpu
     )
 
 
-GUIDE = Guide(
-    equations=EQUATIONS + shared_guide.OBSERVER_AND_ALLOCATION,
-    conventions=shared_guide.CONVENTIONS,
+GUIDE = shared_guide.depth_guide(
+    EQUATIONS,
     tuning=(
         "For disturbances that change by L at most, in N/s: root_gain 1.5 sqrt(L M), twisting_gain 1.1 L.",
         "Estimate: a loop that is late by T s oscillates where |s| is below about (k_2 T / k_1)^2, as there"
         " the damping by k_1 is less than the delay takes. Smaller gains make it quieter, and slower against"
         " disturbances.",
         "smoothing: of the order of the noise of the depth rate.",
-        shared_guide.OBSERVER_TUNING,
     ),
     limits=(
         "Finite time is that of eps = 0 and an ideal loop; with eps, noise and lags the error stays in a"
         " neighbourhood of 0.",
         shared_guide.REFERENCE_RATES,
         "nu holds while the thrusters saturate and it would demand still more.",
-        shared_guide.LAGS,
-        shared_guide.TRIED_ON,
-        shared_guide.VEHICLE_LIMIT,
     ),
     sources=(
         Source("A. Levant: Sliding order and sliding accuracy in sliding mode control, Int. J. Control 58,"
@@ -143,9 +138,7 @@ GUIDE = Guide(
                " Transactions on Automatic Control 57, 2012."),
         Source("B. Brogliato, A. Polyakov and D. Efimov: The implicit discretization of the supertwisting"
                " sliding-mode control algorithm, IEEE Transactions on Automatic Control 65, 2020."),
-        shared_guide.OBSERVER_SOURCE,
     ),
-    experiment=shared_guide.EXPERIMENT,
 )  # fmt: skip
 
 

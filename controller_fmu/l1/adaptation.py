@@ -12,48 +12,14 @@ frequency nor damping of the fast loop depends on the step. docs/explanation/the
 """
 
 from dataclasses import dataclass
-from enum import IntEnum
 
 from controller_fmu.l1.matrices import LawMatrices, Vector, dot, relaxed
+from controller_fmu.l1.parameters import InputGainRegressor, LawParameters, Regressor
 from controller_fmu.l1.projection import keep_within, projection_factor
 from fmus.numerics import absolute, maximum, sin, sqrt, where
 
 _SMALL_SQUARE = 1e-16  # of an angle: below it sin(a) / a is 1 to the last bit
 _SMALLEST = 1e-300  # keeps a share of no gain finite
-
-
-class AdaptationLaw(IntEnum):
-    """Law by which the estimates follow from the prediction error."""
-
-    PROJECTION = 1
-    PIECEWISE_CONSTANT = 2
-
-
-class Regressor(IntEnum):
-    """Regressor that theta_hat multiplies."""
-
-    INFINITY_NORM = 1
-    STATE = 2
-
-
-class InputGainRegressor(IntEnum):
-    """Regressor of the input gain: the control that omega_hat learns from."""
-
-    ADAPTIVE_CONTROL = 1
-    ADAPTIVE_CONTROL_AND_EXTENSION = 2
-
-
-class AdaptationParameters:
-    """The parameters, which a block declares, that the estimates need."""
-
-    regressor: Regressor
-    input_gain_regressor: InputGainRegressor
-    adaptation_gain: float
-    projection_tolerance: float
-    theta_bound: Vector
-    sigma_bound: float
-    input_gain: float
-    input_gain_uncertainty: float
 
 
 @dataclass(frozen=True)
@@ -93,7 +59,7 @@ def regressor(kind: Regressor, x: Vector) -> Vector:
 
 
 def adapt(
-    before: Estimates, over: Interval, parameters: AdaptationParameters, matrices: LawMatrices
+    before: Estimates, over: Interval, parameters: LawParameters, matrices: LawMatrices
 ) -> tuple[Estimates, float]:
     """Returns the estimates at the end of the interval, and the mean of theta_hat' phi + sigma_hat over it.
 
@@ -150,7 +116,7 @@ def _with_newest(
     after: Estimates,
     phi: Vector,
     newest: Vector,
-    parameters: AdaptationParameters,
+    parameters: LawParameters,
 ) -> float:
     """Returns theta_hat' phi + sigma_hat with the newest phi, limited to what the estimates' bounds allow."""
     p, change = parameters, (newest[0] - phi[0], newest[1] - phi[1])
@@ -167,7 +133,7 @@ class _Factors:
 
 
 def _projection_factors(
-    estimates: Estimates, phi: Vector, s: float, u_omega: float, parameters: AdaptationParameters
+    estimates: Estimates, phi: Vector, s: float, u_omega: float, parameters: LawParameters
 ) -> _Factors:
     """Returns Proj(th, y) / y of each estimate, for rates -s phi, -s and -s u_omega: their signs matter."""
     p, eps = parameters, parameters.projection_tolerance

@@ -8,24 +8,8 @@ with the tracking error e = y - r. delta is fixed or a fraction of |r|, never be
 Source: Maalouf et al. (2013); errata in docs/fidelity.md.
 """
 
-from enum import IntEnum
-
+from controller_fmu.l1.parameters import Threshold
 from fmus.numerics import absolute, maximum, power, sign, where
-
-
-class Augmentation(IntEnum):
-    """The extension u_p of the control law."""
-
-    NONE = 1
-    PI = 2
-    NONLINEAR_P = 3
-
-
-class Threshold(IntEnum):
-    """Kind of the threshold delta of the nonlinear P."""
-
-    FIXED = 1
-    PROPORTIONAL_TO_REFERENCE = 2
 
 
 def proportional_integral(e: float, integral: float, k_p: float, k_i: float) -> float:

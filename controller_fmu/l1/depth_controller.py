@@ -7,18 +7,18 @@ from dataclasses import asdict, dataclass
 
 from controller_fmu import depth_interface, shared_guide
 from controller_fmu.depth_interface import DepthInputs, DepthMeasurement, DepthOutputs, DepthState, Vector
-from controller_fmu.depth_model import DepthMatrices, ModelParameters, depth_matrices
+from controller_fmu.depth_model import DepthMatrices, depth_matrices
 from controller_fmu.l1 import law as l1
 from controller_fmu.l1.feedforward import reference_feedforward
 from controller_fmu.l1.law import Control, LawState, Measurement
-from controller_fmu.l1.matrices import Matrix, SampledLawMatrices, law_requirements, sampled_prediction
-from controller_fmu.l1.parameters import EQUATIONS, LAW_LIMITS, LawParameters
+from controller_fmu.l1.matrices import Matrix, SampledLawMatrices, sampled_prediction
+from controller_fmu.l1.parameters import EQUATIONS, LAW_LIMITS, LawParameters, law_requirements
 from fmus.block import variable
 from fmus.block.guide import Guide, Source
 
 
 @dataclass(frozen=True)
-class Parameters(ModelParameters, depth_interface.DesignParameters, LawParameters):
+class Parameters(depth_interface.DesignParameters, LawParameters):
     """Parameters: gains are tunable at communication points, structural choices fixed."""
 
     depth_feedback_gain: float = variable(
@@ -114,7 +114,7 @@ class Outputs(DepthOutputs):
 
 
 def calculate(p: Parameters) -> Matrices:
-    vehicle = depth_matrices(_state_feedback(p), p)
+    vehicle = depth_matrices(_state_feedback(p), p.lyapunov_weight, p)
     sampled = sampled_prediction(vehicle.predictor_input, p.prediction_error_matrix, p.adaptation_period)
     return Matrices(**(asdict(vehicle) | asdict(sampled)))
 
@@ -181,7 +181,8 @@ GUIDE = Guide(
     + """
 x            = (z, z'),   A_m = [[0, 1], [-k_m1 / M_z, -(D_z + k_m2) / M_z]],   B_m = [0, 1 / M_z]   (13)
 """
-    + shared_guide.OBSERVER_AND_ALLOCATION,
+    + shared_guide.ALLOCATION
+    + shared_guide.OBSERVER,
     conventions=shared_guide.CONVENTIONS,
     tuning=(
         "Begin with the vehicle: model_inertia with added mass, model_damping, thruster_gain (N/V,"

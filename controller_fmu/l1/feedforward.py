@@ -7,20 +7,11 @@
 so y = r from then on if it is so once, with its rate. For the vehicle f = M r'' + (D + k_m2) r' + k_m1 r.
 """
 
-from enum import IntEnum
-
 from controller_fmu.l1.matrices import LawMatrices, Vector, dot
+from controller_fmu.l1.parameters import ReferenceFeedforward
 from fmus.numerics import absolute, logical_or, sqrt
 
 _ROUNDING = 1e-12  # of |C| |B_m|
-
-
-class ReferenceFeedforward(IntEnum):
-    """Place where the reference feedforward f acts: none, inside the filter for k_g r, or added behind it."""
-
-    NONE = 1
-    INSIDE = 2
-    OUTSIDE = 3
 
 
 def reference_feedforward(r: float, rate: float, acceleration: float, matrices: LawMatrices) -> float:

@@ -11,42 +11,12 @@ from dataclasses import dataclass
 
 from controller_fmu.anti_windup import integrate_error
 from controller_fmu.l1 import augmentation, lowpass
-from controller_fmu.l1.adaptation import AdaptationLaw, AdaptationParameters, Estimates, Interval, adapt
-from controller_fmu.l1.augmentation import Augmentation, Threshold
-from controller_fmu.l1.feedforward import ReferenceFeedforward
-from controller_fmu.l1.lowpass import FilterOrder, FilterState
+from controller_fmu.l1.adaptation import Estimates, Interval, adapt
+from controller_fmu.l1.lowpass import FilterState
 from controller_fmu.l1.matrices import LawMatrices, SampledLawMatrices, Vector, dot
-from controller_fmu.l1.piecewise import Sample, SampledParameters, adapt_at_samples
+from controller_fmu.l1.parameters import AdaptationLaw, Augmentation, LawParameters, ReferenceFeedforward
+from controller_fmu.l1.piecewise import Sample, adapt_at_samples
 from fmus.numerics import where
-
-
-class ExtensionParameters:
-    """The parameters, which a block declares, that the extension needs."""
-
-    augmentation: Augmentation
-    proportional_gain: float
-    integral_gain: float
-    threshold: Threshold
-    nonlinear_threshold: float
-    threshold_floor: float
-    nonlinear_exponent: float
-    large_error_gain: float
-    small_error_gain: float
-
-
-class ControlParameters(ExtensionParameters):
-    """The parameters, which a block declares, that the law needs."""
-
-    reference_feedforward: ReferenceFeedforward
-
-
-class StepParameters(ControlParameters, AdaptationParameters, SampledParameters):
-    """The parameters, which a block declares, that a step needs."""
-
-    adaptation_law: AdaptationLaw
-    filter_order: FilterOrder
-    filter_bandwidth: float
-    inputs_at_step_end: bool
 
 
 @dataclass(frozen=True)
@@ -112,7 +82,7 @@ def initial_law(measured: Measurement, omega: float) -> LawState:
     return LawState(measured, Estimates(omega_hat=omega), sample=Sample(measured.x))
 
 
-def extension(parameters: ExtensionParameters, e: float, integral: float, r: float) -> float:
+def extension(parameters: LawParameters, e: float, integral: float, r: float) -> float:
     """Returns u_p of the chosen augmentation."""
     p = parameters
     pi = augmentation.proportional_integral(e, integral, p.proportional_gain, p.integral_gain)
@@ -124,7 +94,7 @@ def extension(parameters: ExtensionParameters, e: float, integral: float, r: flo
     return where(p.augmentation == Augmentation.PI, pi, other)
 
 
-def control(law: LawState, k_m: Vector, parameters: ControlParameters) -> Control:
+def control(law: LawState, k_m: Vector, parameters: LawParameters) -> Control:
     """Returns u = u_m + u_a + u_p + u_f, until the next step."""
     last, is_outside = law.measured, parameters.reference_feedforward == ReferenceFeedforward.OUTSIDE
     return Control(
@@ -149,7 +119,7 @@ def law_step(
     delivered: float,
     saturation_error: float,
     k_m: Vector,
-    parameters: StepParameters,
+    parameters: LawParameters,
     matrices: SampledLawMatrices,
 ) -> LawState:
     """Returns the law h seconds later: estimates of the time of `now`, filter and integral of the step's end.
@@ -193,7 +163,7 @@ def law_step(
 
 
 def _filter_reference(
-    now: Measurement, omega: float, parameters: ControlParameters, matrices: LawMatrices
+    now: Measurement, omega: float, parameters: LawParameters, matrices: LawMatrices
 ) -> float:
     """Returns v, to which the filter drives eta_hat.
 

@@ -12,17 +12,10 @@ Source: Maalouf et al. (2013), (6), with sigma_hat in eta_hat (docs/fidelity.md)
 """
 
 from dataclasses import dataclass
-from enum import IntEnum
 
 from controller_fmu.anti_windup import widens
+from controller_fmu.l1.parameters import FilterOrder
 from fmus.numerics import where
-
-
-class FilterOrder(IntEnum):
-    """Order of C(s) in the control law."""
-
-    FIRST = 1
-    THIRD = 3
 
 
 @dataclass(frozen=True)

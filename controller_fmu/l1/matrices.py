@@ -15,7 +15,7 @@ from fmus.numerics import cos, cosh, exp, expm1, logical_and, matmul, maximum, s
 Vector = tuple[float, float]
 Matrix = tuple[Vector, Vector]
 
-_FASTEST = 20.0  # of -tr(A_s) Ts: beyond it nothing of a disturbance would be estimated, e^-10 of it
+FASTEST = 20.0  # of -tr(A_s) Ts: beyond it nothing of a disturbance would be estimated, e^-10 of it
 _SMALL_SQUARE = 1e-16  # rad2; of an angle a for which sin(a) / a is 1 to the last bit
 
 
@@ -118,15 +118,6 @@ class SampledLawMatrices(LawMatrices, SampledPrediction):
     """Matrices of both laws."""
 
 
-class RequiredParameters:
-    """The parameters, which a block declares, that have requirements in common."""
-
-    prediction_error_matrix: Matrix
-    adaptation_period: float
-    input_gain: float
-    input_gain_uncertainty: float
-
-
 def law_matrices(a_m: Matrix, b: Vector, c: Vector, q: Vector) -> LawMatrices:
     """Returns P, P B_m, k_g and the gains of f; A_m must be Hurwitz and C A_m^-1 B_m not zero."""
     (a_11, a_12), (a_21, a_22) = a_m
@@ -151,9 +142,9 @@ def law_matrices(a_m: Matrix, b: Vector, c: Vector, q: Vector) -> LawMatrices:
 def sampled_prediction(b: Vector, a_s: Matrix, period: float) -> SampledPrediction:
     """Returns the matrices of the prediction error x_tilde' = A_s x_tilde + ..., sampled every `period` [s].
 
-    An A_s that `law_requirements` refuses is replaced by one that can be computed.
+    An A_s for which `can_be_sampled` is false is replaced by one that can be computed.
     """
-    a_s = where(_can_be_sampled(a_s, period), a_s, ((-1.0 / period, 0.0), (0.0, -1.0 / period)))
+    a_s = where(can_be_sampled(a_s, period), a_s, ((-1.0 / period, 0.0), (0.0, -1.0 / period)))
     transition, error_input, inverse = sampled_system(a_s, period)
     square = dot(b, b)
     length = sqrt(square)
@@ -167,26 +158,6 @@ def sampled_prediction(b: Vector, a_s: Matrix, period: float) -> SampledPredicti
     )
 
 
-def law_requirements(parameters: RequiredParameters, a_m: Matrix) -> tuple[tuple[bool, str], ...]:
-    """Returns the requirements: A_m and A_s Hurwitz, A_s not too fast for its period, omega_hat above 0."""
-    p = parameters
-    return (
-        (is_hurwitz(a_m), "a Hurwitz A_m (trace < 0 and determinant > 0)"),
-        (
-            is_hurwitz(p.prediction_error_matrix),
-            "a Hurwitz prediction_error_matrix A_s (trace < 0 and determinant > 0)",
-        ),
-        (
-            _can_be_sampled(p.prediction_error_matrix, p.adaptation_period),
-            f"a trace of prediction_error_matrix above -{_FASTEST:g} / adaptation_period: the estimates are"
-            " e^(A_s Ts) times the disturbance",
-        ),
-        (
-            p.input_gain_uncertainty < p.input_gain,
-            "input_gain_uncertainty below input_gain, so that omega_hat stays positive",
-        ),
-    )
-
-
-def _can_be_sampled(a_s: Matrix, period: float) -> bool:
-    return logical_and(is_hurwitz(a_s), (a_s[0][0] + a_s[1][1]) * period > -_FASTEST)
+def can_be_sampled(a_s: Matrix, period: float) -> bool:
+    """Whether A_s is Hurwitz, and so slow for its sampling period [s] that something is estimated."""
+    return logical_and(is_hurwitz(a_s), (a_s[0][0] + a_s[1][1]) * period > -FASTEST)

@@ -1,13 +1,9 @@
-"""The equations of the law, and the parameters that every block with this law has."""
+"""The equations of the law, its choices, and the parameters that every block with this law has."""
 
 from dataclasses import dataclass
+from enum import IntEnum
 
-from controller_fmu.l1.adaptation import AdaptationLaw, InputGainRegressor, Regressor
-from controller_fmu.l1.augmentation import Augmentation, Threshold
-from controller_fmu.l1.feedforward import ReferenceFeedforward
-from controller_fmu.l1.law import StepParameters
-from controller_fmu.l1.lowpass import FilterOrder
-from controller_fmu.l1.matrices import Matrix, RequiredParameters
+from controller_fmu.l1.matrices import FASTEST, Matrix, Vector, can_be_sampled, is_hurwitz
 from fmus.block import variable
 
 EQUATIONS = """\
@@ -62,9 +58,73 @@ LAW_LIMITS = (
 )
 
 
+class AdaptationLaw(IntEnum):
+    """Law by which the estimates follow from the prediction error."""
+
+    PROJECTION = 1
+    PIECEWISE_CONSTANT = 2
+
+
+class Regressor(IntEnum):
+    """Regressor that theta_hat multiplies."""
+
+    INFINITY_NORM = 1
+    STATE = 2
+
+
+class InputGainRegressor(IntEnum):
+    """Regressor of the input gain: the control that omega_hat learns from."""
+
+    ADAPTIVE_CONTROL = 1
+    ADAPTIVE_CONTROL_AND_EXTENSION = 2
+
+
+class FilterOrder(IntEnum):
+    """Order of C(s) in the control law."""
+
+    FIRST = 1
+    THIRD = 3
+
+
+class Augmentation(IntEnum):
+    """The extension u_p of the control law."""
+
+    NONE = 1
+    PI = 2
+    NONLINEAR_P = 3
+
+
+class Threshold(IntEnum):
+    """Kind of the threshold delta of the nonlinear P."""
+
+    FIXED = 1
+    PROPORTIONAL_TO_REFERENCE = 2
+
+
+class ReferenceFeedforward(IntEnum):
+    """Place where the reference feedforward f acts: none, inside the filter for k_g r, or added behind it."""
+
+    NONE = 1
+    INSIDE = 2
+    OUTSIDE = 3
+
+
+class PlantParameters:
+    """The parameters of the law that each block declares itself, in the units of its plant."""
+
+    theta_bound: Vector
+    sigma_bound: float
+    proportional_gain: float
+    integral_gain: float
+    nonlinear_threshold: float
+    threshold_floor: float
+    large_error_gain: float
+    small_error_gain: float
+
+
 @dataclass(frozen=True)
-class LawParameters(StepParameters, RequiredParameters):
-    """Parameters of every block with this law; units that depend on the plant are added there."""
+class LawParameters(PlantParameters):
+    """Parameters of every block with this law."""
 
     internal_step: float = variable(
         10.0, "Longest internal step; one for each communication step is best", unit="s", min=1e-7, max=10.0,
@@ -124,3 +184,24 @@ class LawParameters(StepParameters, RequiredParameters):
         ((-1.0, 0.0), (0.0, -1.0)), "A_s of the piecewise-constant law, Hurwitz", min=-1e6, max=1e6,
         source="guess: estimates are e^(A_s Ts) times the disturbance, 0.1 % less here",
     )  # fmt: skip
+
+
+def law_requirements(parameters: LawParameters, a_m: Matrix) -> tuple[tuple[bool, str], ...]:
+    """Returns the requirements: A_m and A_s Hurwitz, A_s not too fast for its period, omega_hat above 0."""
+    p = parameters
+    return (
+        (is_hurwitz(a_m), "a Hurwitz A_m (trace < 0 and determinant > 0)"),
+        (
+            is_hurwitz(p.prediction_error_matrix),
+            "a Hurwitz prediction_error_matrix A_s (trace < 0 and determinant > 0)",
+        ),
+        (
+            can_be_sampled(p.prediction_error_matrix, p.adaptation_period),
+            f"a trace of prediction_error_matrix above -{FASTEST:g} / adaptation_period: the estimates are"
+            " e^(A_s Ts) times the disturbance",
+        ),
+        (
+            p.input_gain_uncertainty < p.input_gain,
+            "input_gain_uncertainty below input_gain, so that omega_hat stays positive",
+        ),
+    )

@@ -18,17 +18,11 @@ from dataclasses import dataclass
 
 from controller_fmu.l1.adaptation import Estimates, Interval
 from controller_fmu.l1.matrices import SampledLawMatrices, Vector, dot
+from controller_fmu.l1.parameters import LawParameters
 from fmus.numerics import matmul, maximum, where
 
 _EARLY = 1e-6  # of a period: sums of communication steps are rounded
 _SHORTEST = 1e-300  # s; keeps a mean over no time finite
-
-
-class SampledParameters:
-    """The parameters, which a block declares, that the estimates need."""
-
-    adaptation_period: float
-    input_gain: float
 
 
 @dataclass(frozen=True)
@@ -45,7 +39,7 @@ def adapt_at_samples(
     before: Estimates,
     sample: Sample,
     over: Interval,
-    parameters: SampledParameters,
+    parameters: LawParameters,
     matrices: SampledLawMatrices,
 ) -> tuple[Estimates, float, Sample]:
     """Returns the estimates, the matched one of them, and the sample to go on from, at the interval's end.

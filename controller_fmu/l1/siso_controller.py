@@ -8,8 +8,6 @@ from dataclasses import asdict, dataclass
 
 from controller_fmu import shared_guide
 from controller_fmu.l1 import law as l1
-from controller_fmu.l1.adaptation import Regressor
-from controller_fmu.l1.augmentation import Threshold
 from controller_fmu.l1.feedforward import feedforward_requirement, reference_feedforward
 from controller_fmu.l1.law import LawState, Measurement
 from controller_fmu.l1.matrices import (
@@ -18,10 +16,16 @@ from controller_fmu.l1.matrices import (
     Vector,
     dot,
     law_matrices,
-    law_requirements,
     sampled_prediction,
-)  # fmt: skip
-from controller_fmu.l1.parameters import EQUATIONS, LAW_LIMITS, LawParameters
+)
+from controller_fmu.l1.parameters import (
+    EQUATIONS,
+    LAW_LIMITS,
+    LawParameters,
+    Regressor,
+    Threshold,
+    law_requirements,
+)
 from fmus.block import Block, variable
 from fmus.block.guide import Experiment, Guide, Source
 from fmus.numerics import clip

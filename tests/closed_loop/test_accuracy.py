@@ -12,8 +12,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from controller_fmu.l1 import depth_controller
-from controller_fmu.l1.augmentation import Augmentation
 from controller_fmu.l1.matrices import LawMatrices
+from controller_fmu.l1.parameters import Augmentation
 from controller_fmu.l1.projection import project
 from orchestration.results.recording import Recording
 from orchestration.run import simulate

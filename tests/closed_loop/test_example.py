@@ -12,7 +12,8 @@ import pytest
 
 from controller_fmu.l1 import law as l1
 from controller_fmu.l1 import siso_controller
-from controller_fmu.l1.feedforward import ReferenceFeedforward, reference_feedforward
+from controller_fmu.l1.feedforward import reference_feedforward
+from controller_fmu.l1.parameters import ReferenceFeedforward
 from orchestration.results import metrics
 from orchestration.run import simulate
 from orchestration.scenarios import scenario

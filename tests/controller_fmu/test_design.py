@@ -11,8 +11,7 @@ from scipy import signal
 
 from controller_fmu import design
 from controller_fmu.l1 import depth_controller, matrices
-from controller_fmu.l1.adaptation import Regressor
-from controller_fmu.l1.lowpass import FilterOrder
+from controller_fmu.l1.parameters import FilterOrder, Regressor
 
 A_M = np.array([[0.0, 1.0], [-1.0, -1.4]])
 B = np.array([0.0, 1.0])

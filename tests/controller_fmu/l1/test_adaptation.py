@@ -13,7 +13,8 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from controller_fmu.l1 import siso_controller
-from controller_fmu.l1.adaptation import Estimates, InputGainRegressor, Interval, Regressor, adapt, regressor
+from controller_fmu.l1.adaptation import Estimates, Interval, adapt, regressor
+from controller_fmu.l1.parameters import InputGainRegressor, Regressor
 from controller_fmu.l1.projection import project
 
 A_M, B = np.array([[0.0, 1.0], [-1.0, -1.4]]), np.array([0.0, 1.0])

@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller_fmu.l1.augmentation import Threshold, nonlinear_proportional, proportional_integral, threshold
+from controller_fmu.l1.augmentation import nonlinear_proportional, proportional_integral, threshold
+from controller_fmu.l1.parameters import Threshold
 
 
 def test_pi_is_equation_7() -> None:

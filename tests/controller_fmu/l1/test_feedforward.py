@@ -15,10 +15,10 @@ from scipy.linalg import expm
 from controller_fmu.depth_interface import DepthInputs
 from controller_fmu.l1 import depth_controller, siso_controller
 from controller_fmu.l1 import law as l1
-from controller_fmu.l1.augmentation import Augmentation
-from controller_fmu.l1.feedforward import ReferenceFeedforward, reference_feedforward
+from controller_fmu.l1.feedforward import reference_feedforward
 from controller_fmu.l1.law import Control, Measurement
 from controller_fmu.l1.matrices import law_matrices
+from controller_fmu.l1.parameters import Augmentation, ReferenceFeedforward
 from controller_fmu.observer import VelocitySource
 from fmus.build import builder
 from orchestration.system.signal_derivatives import derivative

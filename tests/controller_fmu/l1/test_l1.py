@@ -13,10 +13,9 @@ from scipy.linalg import expm
 from controller_fmu.l1 import law as l1
 from controller_fmu.l1 import siso_controller
 from controller_fmu.l1.adaptation import Interval, adapt
-from controller_fmu.l1.augmentation import Augmentation
-from controller_fmu.l1.feedforward import ReferenceFeedforward
 from controller_fmu.l1.law import Held, LawState, Measurement
-from controller_fmu.l1.lowpass import FilterOrder, FilterState
+from controller_fmu.l1.lowpass import FilterState
+from controller_fmu.l1.parameters import Augmentation, FilterOrder, ReferenceFeedforward
 from fmus.build import builder
 
 SEEN = Measurement(x=(2.0, -1.0), y=2.0, r=3.0)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from controller_fmu.l1.lowpass import FilterOrder, FilterState, advance, midpoint_response
+from controller_fmu.l1.lowpass import FilterState, advance, midpoint_response
+from controller_fmu.l1.parameters import FilterOrder
 
 W = 3.0
 

@@ -10,8 +10,9 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from controller_fmu.l1 import siso_controller
-from controller_fmu.l1.adaptation import AdaptationLaw, Estimates, Interval
+from controller_fmu.l1.adaptation import Estimates, Interval
 from controller_fmu.l1.matrices import Matrix
+from controller_fmu.l1.parameters import AdaptationLaw
 from controller_fmu.l1.piecewise import Sample, adapt_at_samples
 from fmus.build import builder
 
