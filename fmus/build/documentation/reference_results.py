@@ -10,17 +10,19 @@ FMI-LS-REF        the same tables inside, with a manifest (1.0.0-alpha.1) and an
 import csv
 import io
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from xml.etree import ElementTree
 
 from fmus.block import Block, BlockVariable, Value
-from fmus.block.guide import Point
 from fmus.block.instance import BlockInstance
 from fmus.errors import ExportError, nearest
 from fmus.files import xml_document
 from fmus.numerics import ramps
+
+Stimuli = dict[str, tuple[tuple[float, ...], ...]]
+"""Name of an input that moves -> (times [s], values)."""
 
 _MOST_INTERVALS = 400
 # minutes of a build: a step takes Python ten microseconds or more
@@ -71,57 +73,50 @@ def reference_run(block: Block) -> ReferenceRun:
     )
 
 
-def _stimuli(block: Block) -> dict[str, tuple[Point, ...]]:
+def _stimuli(block: Block) -> Stimuli:
     names = [v.name for v in block.of_causality("input") if v.type == "Real"]
-    given = block.guide.experiment.stimuli
-    stimuli = {name: tuple((float(t), float(value)) for t, value in points) for name, points in given}
-    for name, points in stimuli.items():
+    stimuli = {}
+    for name, points in block.guide.experiment.stimuli:
         if name not in names:
             raise ExportError(f"guide of {block.name}: no Real input {name!r}; {nearest(name, names)}")
         if not points or any(b[0] <= a[0] for a, b in pairwise(points)):
             raise ExportError(f"guide of {block.name}: {name}: expected points at increasing times")
+        stimuli[name] = tuple(tuple(map(float, numbers)) for numbers in zip(*points, strict=True))
     return stimuli
 
 
-def _value_at(v: BlockVariable, stimuli: dict[str, tuple[Point, ...]], t: float) -> Value:
+def _value_at(v: BlockVariable, stimuli: Stimuli, t: float) -> Value:
     """Returns the value of an input at time t [s]."""
-    points = stimuli.get(v.name)
-    return ramps(t, *zip(*points, strict=True), smooth=False) if points else v.start
+    return ramps(t, *stimuli[v.name], smooth=False) if v.name in stimuli else v.start
 
 
 def _trajectory(
-    block: Block, stimuli: dict[str, tuple[Point, ...]], step_size: float, count: int, every: int
+    block: Block, stimuli: Stimuli, step_size: float, count: int, every: int
 ) -> Iterator[tuple[Value, ...]]:
-    instance = BlockInstance(block)
-    inputs = block.of_causality("input")
+    instance, inputs = BlockInstance(block), block.of_causality("input")
     references = [v.value_reference for v in block.of_causality("output")]
+    moving = [v for v in inputs if v.name in stimuli]
 
-    driven = [(v.value_reference, *zip(*stimuli[v.name], strict=True)) for v in inputs if v.name in stimuli]
-
-    def drive(t: float) -> None:
-        for reference, times, values in driven:
-            instance.set(reference, ramps(t, times, values, smooth=False))
+    def drive(t: float, variables: Sequence[BlockVariable]) -> None:
+        for v in variables:
+            instance.set(v.value_reference, _value_at(v, stimuli, t))
 
     instance.start(0.0)
-    for v in inputs:
-        instance.set(v.value_reference, v.start)
-    drive(0.0)
+    drive(0.0, inputs)
     instance.exit_initialization_mode()
     for i in range(count + 1):
         t = i * step_size
         if i % every == 0:
             yield (t, *(instance.get(reference) for reference in references))
         if i < count:
-            drive(t)
+            drive(t, moving)
             instance.do_step(t, step_size)
 
 
-def _input_rows(
-    block: Block, stimuli: dict[str, tuple[Point, ...]], stop_time: float
-) -> Iterator[tuple[Value, ...]]:
+def _input_rows(block: Block, stimuli: Stimuli, stop_time: float) -> Iterator[tuple[Value, ...]]:
     """Yields a row wherever an input bends: between rows, straight lines."""
     inputs = block.of_causality("input")
-    bends = {t for points in stimuli.values() for t, _ in points if 0.0 < t < stop_time}
+    bends = {t for times, _ in stimuli.values() for t in times if 0.0 < t < stop_time}
     for t in sorted({0.0, stop_time} | bends) if inputs else ():
         yield (t, *(_value_at(v, stimuli, t) for v in inputs))
 
