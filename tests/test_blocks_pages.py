@@ -3,7 +3,7 @@
 import runpy
 from pathlib import Path
 
-from fmus.build.new_block import write_new_block
+from fmus.block.block_file import write_new_block
 
 from .page_examples import examples
 

@@ -142,23 +142,15 @@ def step(t: float, h: float, state: State, inputs: DepthInputs, p: Parameters, m
 
 
 def output(t: float, state: State, p: Parameters, matrices: Matrices) -> Outputs:
-    law, estimates, interface = state.law, state.law.estimates, state.interface
-    u = _control(law, p)
-    predicted = l1.predicted_state(law)
+    law, interface, u = state.law, state.interface, _control(state.law, p)
+    predicted, x_tilde = l1.predicted_state(law), law.estimates.x_tilde
     return Outputs(
         **depth_interface.outputs(u.total, interface.measured, interface.j, p),
-        u_m=u.u_m,
-        u_a=u.u_a,
-        u_p=u.u_p,
-        u_f=u.u_f,
-        theta_hat=estimates.theta_hat,
-        sigma_hat=estimates.sigma_hat,
-        omega_hat=estimates.omega_hat,
-        sigma_u=estimates.sigma_u,
+        **l1.outputs(law, u),
         predicted_depth=predicted[0],
         predicted_depth_rate=predicted[1],
-        depth_prediction_error=estimates.x_tilde[0],
-        depth_rate_prediction_error=estimates.x_tilde[1],
+        depth_prediction_error=x_tilde[0],
+        depth_rate_prediction_error=x_tilde[1],
     )
 
 

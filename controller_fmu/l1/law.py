@@ -7,7 +7,8 @@ Source: Maalouf, Chemori and Creuze (2013); errata and additions in docs/fidelit
 derived in docs/explanation/theory.md.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from controller_fmu.anti_windup import integrate_error
 from controller_fmu.l1 import augmentation, lowpass
@@ -109,6 +110,13 @@ def predicted_state(law: LawState) -> Vector:
     """Returns x_hat at the time of the prediction error."""
     x, x_tilde = law.sample.x, law.estimates.x_tilde
     return x[0] + x_tilde[0], x[1] + x_tilde[1]
+
+
+def outputs(law: LawState, u: Control) -> dict[str, Any]:
+    """Returns the outputs that every block with this law has, by name: parts of the control, estimates."""
+    estimates = asdict(law.estimates)
+    del estimates["x_tilde"]  # of which each block has its own variables
+    return asdict(u) | estimates
 
 
 def law_step(

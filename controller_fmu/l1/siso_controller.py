@@ -136,20 +136,12 @@ def step(
 
 
 def output(t: float, state: State, p: Parameters, matrices: SampledLawMatrices) -> Outputs:
-    law, estimates = state.law, state.law.estimates
-    u = l1.control(law, p.feedback_gain, p)
+    law, u = state.law, l1.control(state.law, p.feedback_gain, p)
     return Outputs(
+        **l1.outputs(law, u),
         control=_saturated(u.total, p),
-        u_m=u.u_m,
-        u_a=u.u_a,
-        u_p=u.u_p,
-        u_f=u.u_f,
-        theta_hat=estimates.theta_hat,
-        sigma_hat=estimates.sigma_hat,
-        omega_hat=estimates.omega_hat,
-        sigma_u=estimates.sigma_u,
         predicted_state=l1.predicted_state(law),
-        prediction_error=estimates.x_tilde,
+        prediction_error=law.estimates.x_tilde,
         tracking_error=law.measured.error,
     )
 

@@ -1,10 +1,11 @@
-"""The blocks of a Python file that belongs to no package."""
+"""The blocks of a Python file that belongs to no package; a new one to start from."""
 
 import ast
 import hashlib
 import importlib.util
 import keyword
 import linecache
+import re
 import sys
 import sysconfig
 import traceback
@@ -12,14 +13,17 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from pathlib import Path
+from string import Template
 from types import CodeType, ModuleType
 
 from fmus.block import Block
 from fmus.errors import ExportError, nearest
+from fmus.files import write_text_atomically
 
 _RELATIVE = "; import it without dots, or name the block in an entry point of its package"
 # files with these names, whatever their ending, are devices in Windows
 DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{i}" for port in ("com", "lpt") for i in range(10))}
+_TEMPLATES = {"{}.py": "block.py.in", "test_{}.py": "test.py.in"}
 _OWN = {"fmus", "controller_fmu", "plant_fmu", "orchestration"}
 
 
@@ -143,3 +147,27 @@ def _defined(module: ModuleType, path: Path) -> tuple[Block, ...]:
             f"{path}: two blocks named {twice!r}: expected names that differ, in upper case too"
         )
     return blocks
+
+
+def write_new_block(name: str, folder: Path) -> list[Path]:
+    """Writes `folder/NAME.py` and `folder/test_NAME.py`; raises ExportError if one of them is there already.
+
+    name: of the module, such as depth_pid; its block is called DepthPid
+    """
+    values = {"module": name, "name": "".join(map(str.capitalize, name.split("_")))}
+    is_taken = not is_free_module_name(name) or keyword.iskeyword(values["name"])
+    if is_taken or not re.fullmatch(r"[a-z](_?[a-z0-9])*", name):
+        raise ExportError(
+            f"{name!r}: expected lower-case letters, digits and single underscores, and no name of Python's, "
+            "of an installed package or of a device of Windows"
+        )
+    templates = Path(__file__).with_name("templates")
+    texts = {
+        folder / file.format(name): Template((templates / template).read_text("utf-8")).substitute(values)
+        for file, template in _TEMPLATES.items()
+    }
+    if present := next((path for path in texts if path.exists()), None):
+        raise ExportError(f"{present}: is there already; expected another name than {name!r}")
+    for path, text in texts.items():
+        write_text_atomically(path, text)
+    return list(texts)

@@ -27,7 +27,7 @@ def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Of the file, such as pid or depth_pid.")],
 ) -> None:
     """Write a block to start from, NAME.py, and its test: a PID controller of depth."""
-    from fmus.build.new_block import write_new_block
+    from fmus.block.block_file import write_new_block
 
     for path in write_new_block(name, Path()):
         print(path)

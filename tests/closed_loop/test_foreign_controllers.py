@@ -10,8 +10,8 @@ import fmpy
 import numpy as np
 import pytest
 
+from fmus.block.block_file import write_new_block
 from fmus.build import builder
-from fmus.build.new_block import write_new_block
 from fmus.files import write_archive
 from fmus.native.toolchain import compile_library
 from fmus.platforms import host_platform, library_name

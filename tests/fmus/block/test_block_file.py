@@ -12,10 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from fmus.block.block_file import blocks_in
+from fmus.block.block_file import blocks_in, write_new_block
 from fmus.build import builder
 from fmus.build.check_trace import check_trace
-from fmus.build.new_block import write_new_block
 from fmus.build.sources import source_closure
 from fmus.build.stamp import Order
 from fmus.errors import ExportError

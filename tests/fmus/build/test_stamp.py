@@ -15,9 +15,8 @@ import pytest
 
 import fmus
 from fmus import store
-from fmus.block.block_file import blocks_in
+from fmus.block.block_file import blocks_in, write_new_block
 from fmus.build import builder
-from fmus.build.new_block import write_new_block
 from fmus.build.stamp import Order, Stamps
 from fmus.platforms import PLATFORMS
 from fmus.registry import Flavour, block_names

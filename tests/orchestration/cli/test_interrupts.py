@@ -23,7 +23,7 @@ from tests.foreign_fmus import Misdeed
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 # a command, and a function that it calls when it is at work
 AT_WORK = {
-    "new pid": "fmus.build.new_block.write_new_block",
+    "new pid": "fmus.block.block_file.write_new_block",
     "build ExamplePlant --out out": "fmus.build.builder.build_orders",
     "check {fmu}": "fmus.compliance.check.check",
     "inspect {fmu}": "fmus.fmi.description.describe_any",
