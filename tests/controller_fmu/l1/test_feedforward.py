@@ -190,9 +190,7 @@ def test_a_predictor_without_the_feedforward_lets_the_filter_cancel_it() -> None
 
 
 @pytest.mark.parametrize("kind", list(ReferenceFeedforward))
-def test_a_known_input_gain_does_not_change_where_the_output_ends(
-    kind: ReferenceFeedforward,
-) -> None:
+def test_a_known_input_gain_does_not_change_where_the_output_ends(kind: ReferenceFeedforward) -> None:
     """omega = 2: outside, the filter takes back what omega makes too much of f."""
     p = replace(
         siso_controller.Parameters(), reference_feedforward=kind, filter_bandwidth=W,

@@ -159,10 +159,7 @@ REFUSED: list[tuple[Rule, str]] = [
     (lambda u, x, p: x if (u > 0.0) & (x > 0.0) else u, r"a truth value is needed.*numerics.logical_and$"),
     (lambda u, x, p: x if (u > 0.0) | p.flag else u, r"a truth value is needed.*numerics.logical_or$"),
     (lambda u, x, p: x if (u > 0.0) ^ p.flag else u, r"a truth value is needed.*numerics.logical_xor$"),
-    (
-        lambda u, x, p: x if not p.flag else u,
-        r"if not p.flag else u: a truth value is needed",
-    ),
+    (lambda u, x, p: x if not p.flag else u, r"if not p.flag else u: a truth value is needed"),
     (lambda u, x, p: numerics.where(~p.flag, x, u), r"~p.flag: a truth value is .*numerics.logical_not$"),
     (lambda u, x, p: math.gamma(u), r"math.gamma\(u\): a number is .*; compute it from constants alone$"),
     (lambda u, x, p: x if math.isnan(u) else u, r"leave it out: a step whose results are not finite is"),

@@ -17,7 +17,7 @@ import fmus
 from fmus import store
 from fmus.block.block_file import blocks_in, write_new_block
 from fmus.build import builder
-from fmus.build.stamp import Order, Stamps
+from fmus.build.stamp import Order, Sources, Stamps
 from fmus.platforms import PLATFORMS
 from fmus.registry import Flavour, block_names
 
@@ -70,27 +70,36 @@ def order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Order:
         (tmp_path / name).write_text(text)
     order = Order(str(tmp_path / "lag.py"), tmp_path / "built")
     (tmp_path / "built").mkdir()
-    stamp(order, tmp_path)
+    stamp(order)
     return order
 
 
-def stamp(order: Order, folder: Path) -> Stamps:
-    stamps = Stamps(folder / "package", LATER)
-    sources = stamps.sources(order)
+def stamps(order: Order, begun: float = LATER) -> Stamps:
+    """Those of a process that began then."""
+    return Stamps(order.folder.parent / "package", begun)
+
+
+def sources_of(order: Order) -> Sources:
+    sources = stamps(order).sources(order)
+    assert sources
+    return sources
+
+
+def stamp(order: Order) -> None:
+    sources = sources_of(order)
     with blocks_in(Path(order.source)):
         fmu = order.folder / "Lag.fmu"
         fmu.write_bytes(b"what was built")
-        stamps.write(sources and sources.if_loaded, {fmu.name: fmu.read_bytes()})
-    return stamps
+        stamps(order).write(sources.if_loaded, {fmu.name: fmu.read_bytes()})
 
 
-def current(order: Order, folder: Path) -> list[Path] | None:
-    return Stamps(folder / "package", LATER).current(order)
+def current(order: Order) -> list[Path] | None:
+    return stamps(order).current(order)
 
 
 def test_an_fmu_of_unchanged_sources_is_current(order: Order, tmp_path: Path) -> None:
-    assert current(order, tmp_path) == [tmp_path / "built" / "Lag.fmu"]
-    assert current(Order(order.source, tmp_path / "elsewhere"), tmp_path) is None
+    assert current(order) == [tmp_path / "built" / "Lag.fmu"]
+    assert current(Order(order.source, tmp_path / "elsewhere")) is None
 
 
 @pytest.mark.parametrize(
@@ -113,9 +122,9 @@ def test_a_changed_file_makes_it_stale(
     text = path.read_text()
     assert before in text
     path.write_text(text.replace(before, after, 1))
-    assert current(order, tmp_path) is None
+    assert current(order) is None
     path.write_text(text)
-    assert current(order, tmp_path)
+    assert current(order)
 
 
 @pytest.mark.parametrize(
@@ -130,7 +139,7 @@ def test_a_changed_file_makes_it_stale(
 )
 def test_a_file_that_comes_or_goes_makes_it_stale(order: Order, tmp_path: Path, change: Change) -> None:
     change(tmp_path)
-    assert current(order, tmp_path) is None
+    assert current(order) is None
 
 
 @pytest.mark.parametrize(
@@ -143,13 +152,13 @@ def test_a_file_that_comes_or_goes_makes_it_stale(order: Order, tmp_path: Path, 
         {"reals_only": True},
     ],
 )
-def test_other_options_make_it_stale(order: Order, tmp_path: Path, options: dict) -> None:
-    assert current(Order(order.source, order.folder, **options), tmp_path) is None
+def test_other_options_make_it_stale(order: Order, options: dict) -> None:
+    assert current(Order(order.source, order.folder, **options)) is None
 
 
 @pytest.mark.parametrize("library", ["casadi", "ziglang", "l1-depth"])
 def test_another_version_of_a_library_makes_it_stale(
-    order: Order, tmp_path: Path, library: str, monkeypatch: pytest.MonkeyPatch
+    order: Order, library: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kind = type(distribution(library))  # Dask brings a class of its own with importlib_metadata
     read_text = kind.read_text
@@ -160,7 +169,7 @@ def test_another_version_of_a_library_makes_it_stale(
         return text.replace("\nVersion: ", "\nVersion: 1") if text and is_meant else text
 
     monkeypatch.setattr(kind, "read_text", updated)
-    assert current(order, tmp_path) is None
+    assert current(order) is None
 
 
 def test_python_without_assertions_and_docstrings_makes_it_stale(order: Order, tmp_path: Path) -> None:
@@ -168,7 +177,7 @@ def test_python_without_assertions_and_docstrings_makes_it_stale(order: Order, t
     code = """
 import sys
 from pathlib import Path
-from fmus.build.stamp import Order, Stamps
+from fmus.build.stamp import Order, Sources, Stamps
 folder = Path(sys.argv[1])
 order = Order(str(folder / "lag.py"), folder / "built")
 print(Stamps(folder / "package").current(order) is not None)
@@ -181,9 +190,9 @@ print(Stamps(folder / "package").current(order) is not None)
     assert [is_current(), is_current("-O"), is_current("-OO")] == ["True", "False", "False"]
 
 
-def test_another_date_makes_it_stale(order: Order, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_date_makes_it_stale(order: Order, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1000000000")
-    assert current(order, tmp_path) is None
+    assert current(order) is None
 
 
 @pytest.mark.parametrize(
@@ -230,7 +239,7 @@ def test_a_block_that_may_depend_on_more_than_its_sources_gets_no_stamp(
     (tmp_path / "gains.py").write_text(
         f"GAIN = 2.0\nif GAIN > 3.0:\n    {line}\n" if "*" not in line else line
     )
-    assert Stamps(tmp_path / "package", LATER).sources(order) is None
+    assert stamps(order).sources(order) is None
 
 
 @pytest.mark.parametrize(
@@ -248,7 +257,7 @@ def test_a_block_of_names_that_lead_to_nothing_else_gets_a_stamp(
     order: Order, tmp_path: Path, line: str
 ) -> None:
     (tmp_path / "gains.py").write_text(f"GAIN = 2.0\nif GAIN > 3.0:\n    {line}\n")
-    assert Stamps(tmp_path / "package", LATER).sources(order)
+    assert sources_of(order)
 
 
 @pytest.mark.parametrize("name", block_names())
@@ -265,17 +274,16 @@ def test_sources_that_may_have_changed_since_they_were_loaded_give_no_stamp(
     order: Order, tmp_path: Path
 ) -> None:
     fmu = tmp_path / "built" / "Lag.fmu"
-    sources = Stamps(tmp_path / "package", LATER).sources(order)
-    assert sources
+    sources = sources_of(order)
     fmu.write_bytes(b"another")
     built = {fmu.name: b"another"}
-    Stamps(tmp_path / "package", time.time()).write(sources, built)  # changed as the process began
-    assert current(order, tmp_path) is None
+    stamps(order, time.time()).write(sources, built)  # changed as the process began
+    assert current(order) is None
     (tmp_path / "gains.py").write_text("GAIN = 2.5\n")
-    Stamps(tmp_path / "package", LATER).write(sources, built)  # changed while it was built
-    assert current(order, tmp_path) is None
-    Stamps(tmp_path / "package", LATER).write(Stamps(tmp_path / "package", LATER).sources(order), built)
-    assert current(order, tmp_path)
+    stamps(order).write(sources, built)  # changed while it was built
+    assert current(order) is None
+    stamps(order).write(sources_of(order), built)
+    assert current(order)
 
 
 def test_a_module_that_appears_where_an_import_failed_makes_it_stale(order: Order, tmp_path: Path) -> None:
@@ -285,13 +293,13 @@ def test_a_module_that_appears_where_an_import_failed_makes_it_stale(order: Orde
         "from enum import Enum\ntry:\n    from . import fast\nexcept ImportError:\n    fast = None\n"
     )
     (tmp_path / "gains.py").write_text("import tools\nGAIN = 3.0 if tools.fast else 2.0\n")
-    stamp(order, tmp_path)
-    assert current(order, tmp_path)
+    stamp(order)
+    assert current(order)
     for name in ("tools/fast.py", "enum.py"):
         (tmp_path / name).write_text("")
-        assert current(order, tmp_path) is None
+        assert current(order) is None
         (tmp_path / name).unlink()
-        assert current(order, tmp_path)
+        assert current(order)
 
 
 @pytest.mark.parametrize("folder", [".", "on_the_path"])
@@ -304,8 +312,7 @@ def test_a_helper_named_like_a_module_of_python_is_a_source(
     helper.write_text("GAIN = 2.0\n")
     (tmp_path / "gains.py").write_text("from statistics import GAIN\n")
     monkeypatch.setattr(sys, "path", [str(tmp_path / "on_the_path"), *sys.path])
-    sources = Stamps(tmp_path / "package", LATER).sources(order)
-    assert sources
+    sources = sources_of(order)
     assert sources.modules["statistics"][0] == str(helper)
 
 
@@ -333,26 +340,25 @@ def test_a_changed_source_of_the_same_size_and_second_is_what_is_imported(
             file
         ]
     )
-    stamp(order, tmp_path)
-    assert current(order, tmp_path)
+    stamp(order)
+    assert current(order)
 
 
 def test_modules_that_were_imported_before_this_package_give_no_stamp(
-    order: Order, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    order: Order, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """When their files were read is not known."""
-    sources = Stamps(tmp_path / "package", LATER).sources(order)
-    assert sources
+    sources = sources_of(order)
     monkeypatch.setattr(fmus, "IMPORTED_BEFORE", frozenset({"gains"}))
     with blocks_in(Path(order.source)):
         assert sources.if_loaded is None
 
 
 def test_an_fmu_that_another_process_wrote_meanwhile_is_not_current(order: Order, tmp_path: Path) -> None:
-    sources = Stamps(tmp_path / "package", LATER).sources(order)
+    sources = stamps(order).sources(order)
     (tmp_path / "built" / "Lag.fmu").write_bytes(b"of the other")
-    Stamps(tmp_path / "package", LATER).write(sources, {"Lag.fmu": b"of this one"})
-    assert current(order, tmp_path) is None
+    stamps(order).write(sources, {"Lag.fmu": b"of this one"})
+    assert current(order) is None
 
 
 def test_an_fmu_that_was_found_and_not_built_is_stamped_for_runs_alone(
@@ -395,8 +401,7 @@ def test_an_fmu_without_a_record_of_its_build_is_built_again_where_it_can_be(
 def test_modules_that_were_loaded_from_another_file_or_text_are_not_the_sources(
     order: Order, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    sources = Stamps(tmp_path / "package", LATER).sources(order)
-    assert sources
+    sources = sources_of(order)
     assert sources.if_loaded is None
     with blocks_in(Path(order.source)):
         assert sources.if_loaded is sources
@@ -405,8 +410,7 @@ def test_modules_that_were_loaded_from_another_file_or_text_are_not_the_sources(
             assert sources.if_loaded is None
         (tmp_path / "gains.py").write_text("GAIN = 2.5\n")
         assert sources.if_loaded is sources  # and `write` finds that they have changed
-        later = Stamps(tmp_path / "package", LATER).sources(order)
-        assert later
+        later = sources_of(order)
         assert later.if_loaded is None
 
 
@@ -415,9 +419,9 @@ def test_a_damaged_stamp_is_none(order: Order, tmp_path: Path) -> None:
     content = file.read_bytes()
     for damaged in (b"", b"{}", content[:-1], content[1:], content.replace(b"gains", b"pains", 1)):
         file.write_bytes(damaged)
-        assert current(order, tmp_path) is None
+        assert current(order) is None
     file.write_bytes(content)
-    assert current(order, tmp_path)
+    assert current(order)
 
 
 @pytest.mark.slow

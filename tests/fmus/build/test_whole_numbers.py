@@ -81,11 +81,7 @@ def test_floats_that_are_whole_numbers_are_given_in_the_declared_types() -> None
 
 
 REFUSED = [
-    (
-        block_of(Outputs),
-        "output gives count = ",
-        "a whole number, as Outputs declares it with 0;",
-    ),
+    (block_of(Outputs), "output gives count = ", "a whole number, as Outputs declares it with 0;"),
     (
         block_of(lambda x: Outputs(is_on=2.0 + floor(x))),  # type: ignore[arg-type]
         "output gives is_on = ",

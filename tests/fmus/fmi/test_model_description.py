@@ -116,11 +116,7 @@ def test_the_shipped_fmus_are_read_as_by_fmpy(built: Mapping[str, Path], name: s
         ),
         ('start="7"', 'start="-2147483649"', "mode: start -2147483649: expected -2147483648..2147483647"),
         ("<String/>", "<Text/>", "variable text has no type: expected one of Real, Integer"),
-        (
-            'declaredType="Speed"',
-            'declaredType="Spede"',
-            "speed: declaredType 'Spede' is not defined",
-        ),
+        ('declaredType="Speed"', 'declaredType="Spede"', "speed: declaredType 'Spede' is not defined"),
         (
             'variability="tunable"',
             'variability="constant"',
