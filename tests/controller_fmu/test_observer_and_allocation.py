@@ -30,27 +30,6 @@ def test_one_correction_is_penoyers() -> None:
     assert observer.rate == pytest.approx(0.5 + 0.1 / PERIOD * innovation)
 
 
-def test_samples_are_taken_once_a_period_whatever_the_step() -> None:
-    for h in (0.01, 0.02, 0.04):
-        observer, taken = ObserverState(clock=Clock(PERIOD)), 0
-        for i in range(round(4.0 / h) + 1):
-            after = sample_when_due(i * h, observer, 1.0 * i, 0.4, 0.1, PERIOD)
-            taken += after != observer
-            observer = after
-        assert taken == 100
-
-
-def test_samples_that_were_missed_are_not_made_up_for() -> None:
-    """After a gap of ten periods one sample is taken, and the next half a period later at the earliest."""
-    observer = ObserverState(clock=Clock(PERIOD))
-    taken = []
-    for t in (10 * PERIOD, 10.25 * PERIOD, 10.49 * PERIOD, 10.51 * PERIOD, 11.0 * PERIOD, 11.52 * PERIOD):
-        after = sample_when_due(t, observer, 1.0 + t, 0.4, 0.1, PERIOD)
-        taken.append(after != observer)
-        observer = after
-    assert taken == [True, False, False, True, False, True]
-
-
 def test_an_observer_has_the_measurement_and_clock_of_its_sample() -> None:
     early = ObserverState(depth=1.0, rate=0.5, clock=Clock(PERIOD))
     assert sample_when_due(PERIOD - 1e-4, early, 9.0, 0.4, 0.1, PERIOD) == early
@@ -67,14 +46,6 @@ def test_the_thrusters_give_j_times_the_demand(force: float, roll: float, pitch:
     voltages = allocate(force, j, gains)
     assert gains[0] * voltages[0] + gains[1] * voltages[1] == pytest.approx(j * force)
     assert saturation_error(voltages, saturate(voltages, 100.0), j, gains) == 0.0
-
-
-def test_the_shortfall_is_what_saturation_takes_away() -> None:
-    gains = (0.25, 0.25)
-    demanded = allocate(10.0, 1.0, gains)
-    possible = saturate(demanded, 12.0)
-    assert possible == (12.0, 12.0)
-    assert saturation_error(demanded, possible, 1.0, gains) == pytest.approx(6.0 - 10.0)
 
 
 @given(st.floats(-20.0, 20.0), st.floats(-3.0, 3.0))

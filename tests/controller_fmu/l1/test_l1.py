@@ -236,25 +236,14 @@ def test_each_state_of_the_third_order_filter_is_held_by_its_own_rate() -> None:
 
 
 @pytest.mark.parametrize(("saturation_error", "drive"), [(-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (1.0, 1.0)])
-def test_the_first_order_filter_is_held_only_where_it_would_demand_still_more(
+def test_first_order_filter_and_integral_are_held_only_where_it_would_demand_still_more(
     saturation_error: float, drive: float
 ) -> None:
     """A demand above the limit (negative error) may fall and not rise; one below it may rise and not fall."""
     after = one_step(parameters(), FilterState(), saturation_error, reference=drive)
-    assert after.filter.u_a == (
-        0.0 if saturation_error * drive < 0.0 else pytest.approx(3e-3 * drive, rel=0.01)
-    )
-
-
-@pytest.mark.parametrize(
-    ("saturation_error", "reference"), [(-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (1.0, 1.0)]
-)
-def test_the_integral_of_the_pi_is_held_only_where_it_would_demand_still_more(
-    saturation_error: float, reference: float
-) -> None:
-    after = one_step(parameters(), FilterState(), saturation_error, reference)
-    grows = saturation_error * reference >= 0.0  # e = -r, and -K_I int e is what the control contains
-    assert after.error_integral == (-1e-3 * reference if grows else 0.0)
+    free = saturation_error * drive >= 0.0
+    assert after.filter.u_a == (pytest.approx(3e-3 * drive, rel=0.01) if free else 0.0)
+    assert after.error_integral == (-1e-3 * drive if free else 0.0)  # e = -r; the control has -K_I int e
 
 
 def one_step(

@@ -24,6 +24,11 @@ POINTS = 11
 DISCARDS = (Misdeed.DISCARD, Misdeed.TELLS_NOTHING)
 
 
+@pytest.fixture
+def system(linear: Build, rogue: Build) -> System:
+    return pair(linear, rogue)
+
+
 def failure(system: System, experiment: Experiment, compiled: bool, message: str) -> Recording:
     """What was recorded until the failure of this message."""
     with pytest.raises(SimulationError, match=message) as caught:
@@ -74,17 +79,16 @@ def test_what_an_fmu_refuses_ends_the_run_and_keeps_the_record(
     ],
 )
 def test_a_state_that_is_refused_ends_the_run(
-    linear: Build, rogue: Build, compiled: bool, misdeed: Misdeed, complaint: str
+    system: System, compiled: bool, misdeed: Misdeed, complaint: str
 ) -> None:
     """A state is saved at each change of a parameter; when else, depends on how fast the steps are."""
     message = f"rogue at t = 0.5 s: fmi2GetFMUstate returned {complaint}"
     experiment = replace(doing(misdeed), events=(Event(0.5, {"lag.a": -1.0}),))
-    recording = failure(pair(linear, rogue), experiment, compiled, message)
+    recording = failure(system, experiment, compiled, message)
     assert len(recording.time) == 5
 
 
-def test_a_warning_is_passed_on_and_the_run_goes_on(linear: Build, rogue: Build, compiled: bool) -> None:
-    system = pair(linear, rogue)
+def test_a_warning_is_passed_on_and_the_run_goes_on(system: System, compiled: bool) -> None:
     with pytest.warns(FmuWarning, match="rogue at t = .* s: fmi2DoStep: .*the battery is low"):
         warned = run(system, doing(Misdeed.WARNING), compiled)
     assert np.array_equal(warned.values, run(system, doing(Misdeed.NONE), compiled).values)
@@ -95,9 +99,8 @@ def test_a_warning_is_passed_on_and_the_run_goes_on(linear: Build, rogue: Build,
 
 @pytest.mark.parametrize(("misdeed", "word"), [(Misdeed.NAN_OUTPUT, "nan"), (Misdeed.INFINITE_OUTPUT, "inf")])
 def test_an_output_that_is_no_number_stops_where_it_goes_on(
-    linear: Build, rogue: Build, compiled: bool, misdeed: Misdeed, word: str
+    system: System, compiled: bool, misdeed: Misdeed, word: str
 ) -> None:
-    system = pair(linear, rogue)
     message = rf"rogue.y is {word} at t = 0.6 s: expected a finite number, as it goes to lag.u\[1\]"
     recording = failure(system, doing(misdeed), compiled, message)
     assert recording.time[-1] == pytest.approx(0.6)
@@ -124,10 +127,9 @@ def test_an_output_that_is_no_number_and_goes_nowhere_is_recorded(
 @pytest.mark.parametrize("algorithm", list(Algorithm))
 @pytest.mark.parametrize("misdeed", DISCARDS)
 def test_a_discarded_step_is_done_in_shorter_ones(
-    linear: Build, rogue: Build, compiled: bool, misdeed: Misdeed, algorithm: Algorithm
+    system: System, compiled: bool, misdeed: Misdeed, algorithm: Algorithm
 ) -> None:
     """With a longest step of h / 2 from the start on: as a run with that step size."""
-    system = pair(linear, rogue)
     halved = run(system, replace(doing(Misdeed.NONE, h=0.05), algorithm=algorithm), compiled)
     discarding = replace(doing(misdeed, 0.0, 0.05), algorithm=algorithm)
     recording = run(system, discarding, compiled)
@@ -137,16 +139,15 @@ def test_a_discarded_step_is_done_in_shorter_ones(
     assert recording.provenance["steps_between_points"] == 20
 
 
-def test_the_part_of_a_step_that_succeeded_is_taken(linear: Build, rogue: Build, compiled: bool) -> None:
+def test_the_part_of_a_step_that_succeeded_is_taken(system: System, compiled: bool) -> None:
     """0.1 s fails and gives 0.04 s, the rest fails and gives 0.04 s, then the rest."""
-    recording = run(pair(linear, rogue), doing(Misdeed.DISCARD, 0.5, 0.04), compiled)
+    recording = run(system, doing(Misdeed.DISCARD, 0.5, 0.04), compiled)
     assert recording.provenance["steps_between_points"] == 3 * 5
     assert recording.provenance["discarded_steps"] == 2 * 5
     assert len(recording.time) == POINTS
 
 
-def test_a_discarded_step_leaves_no_trace_before_it(linear: Build, rogue: Build, compiled: bool) -> None:
-    system = pair(linear, rogue)
+def test_a_discarded_step_leaves_no_trace_before_it(system: System, compiled: bool) -> None:
     discarded, without = (
         run(system, doing(misdeed, 0.5, 0.04), compiled) for misdeed in (Misdeed.DISCARD, Misdeed.NONE)
     )
@@ -154,8 +155,8 @@ def test_a_discarded_step_leaves_no_trace_before_it(linear: Build, rogue: Build,
     assert not np.array_equal(discarded.values[6:], without.values[6:])
 
 
-def test_both_loops_discard_alike(linear: Build, rogue: Build) -> None:
-    system, experiment = pair(linear, rogue), doing(Misdeed.DISCARD, 0.3, 0.03)
+def test_both_loops_discard_alike(system: System) -> None:
+    experiment = doing(Misdeed.DISCARD, 0.3, 0.03)
     assert np.array_equal(run(system, experiment, True).values, run(system, experiment, False).values)
 
 
@@ -164,7 +165,7 @@ def test_both_loops_discard_alike(linear: Build, rogue: Build) -> None:
     "effect", [Delay(0.2), DropOut(0.5), Noise(0.1)], ids=lambda effect: type(effect).__name__
 )
 def test_a_fault_acts_once_a_communication_point_also_where_steps_are_shorter(
-    linear: Build, rogue: Build, compiled: bool, effect: Effect, algorithm: Algorithm
+    system: System, compiled: bool, effect: Effect, algorithm: Algorithm
 ) -> None:
     fault = Fault("lag.u[1]", effect)
     experiment = replace(
@@ -173,7 +174,7 @@ def test_a_fault_acts_once_a_communication_point_also_where_steps_are_shorter(
         algorithm=algorithm,
         record=("rogue.y", "lag.u[1]"),
     )
-    recording = run(pair(linear, rogue), experiment, compiled)
+    recording = run(system, experiment, compiled)
     arrived = received(fault, recording.time.round(1).tolist(), recording["rogue.y"].tolist())
     assert recording["lag.u[1]"] == pytest.approx(arrived, rel=ROUNDING)
 
@@ -197,10 +198,10 @@ def test_a_step_that_cannot_be_repeated_ends_the_run(
 
 @pytest.mark.parametrize("misdeed", DISCARDS)
 def test_a_step_that_is_discarded_however_short_ends_the_run(
-    linear: Build, rogue: Build, compiled: bool, misdeed: Misdeed
+    system: System, compiled: bool, misdeed: Misdeed
 ) -> None:
     message = r"rogue at t = 0.5 s: fmi2DoStep returned discard: a step of .*e-1. s is too long"
-    recording = failure(pair(linear, rogue), doing(misdeed), compiled, message)
+    recording = failure(system, doing(misdeed), compiled, message)
     assert recording.time[-1] == pytest.approx(0.5)
 
 
@@ -209,13 +210,13 @@ LIES = [(Misdeed.TELLS_BEFORE, "0.4"), (Misdeed.TELLS_AFTER, "0.7"), (Misdeed.TE
 
 @pytest.mark.parametrize(("misdeed", "reported"), LIES)
 def test_a_last_successful_time_outside_the_step_ends_the_run(
-    linear: Build, rogue: Build, compiled: bool, misdeed: Misdeed, reported: str
+    system: System, compiled: bool, misdeed: Misdeed, reported: str
 ) -> None:
     message = (
         rf"rogue discarded the step from 0.5 to 0.6 s and returned LastSuccessfulTime = {reported} s: "
         "expected a time within the step"
     )
-    failure(pair(linear, rogue), doing(misdeed, 0.5, 0.04), compiled, message)
+    failure(system, doing(misdeed, 0.5, 0.04), compiled, message)
 
 
 # In a process of its own
@@ -249,8 +250,8 @@ def test_an_initialisation_that_hangs_is_ended(function: Build, temporary: Path)
     assert not list(temporary.iterdir())
 
 
-def test_a_process_of_its_own_gives_the_same(linear: Build, rogue: Build, temporary: Path) -> None:
-    system, experiment = pair(linear, rogue), doing(Misdeed.DISCARD, 0.5, 0.04)
+def test_a_process_of_its_own_gives_the_same(system: System, temporary: Path) -> None:
+    experiment = doing(Misdeed.DISCARD, 0.5, 0.04)
     apart, here = simulate(system, experiment, timeout=10.0), simulate(system, experiment)
     assert (apart.names, apart.units, apart.provenance) == (here.names, here.units, here.provenance)
     assert np.array_equal(apart.time, here.time)
@@ -267,9 +268,8 @@ def test_a_process_of_its_own_gives_the_same(linear: Build, rogue: Build, tempor
     ids=lambda misdeed: misdeed.name,
 )
 def test_the_next_run_of_a_simulator_is_as_if_nothing_had_happened(
-    linear: Build, rogue: Build, compiled: bool, misdeed: Misdeed
+    system: System, compiled: bool, misdeed: Misdeed
 ) -> None:
-    system = pair(linear, rogue)
     with warnings.catch_warnings(), Simulator(system, compiled=compiled) as simulator:
         warnings.simplefilter("error")
         with pytest.raises(SimulationError):

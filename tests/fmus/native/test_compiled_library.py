@@ -13,7 +13,6 @@ from fmus.errors import ExportError
 from fmus.native import compiled_library, toolchain
 from fmus.native.compiled_library import file_name, load
 from fmus.platforms import host_platform
-from tests.other_user import give_to_another_user
 
 SOURCE = """
 __attribute__((visibility("default"))) int number(void) { return 42; }
@@ -141,20 +140,6 @@ def test_a_file_that_others_can_write_is_not_loaded(
 ) -> None:
     planted.chmod(mode)
     assert number(load(source)) == 42
-
-
-def test_a_link_is_not_followed(source: Path, cache: Path, planted: Path, tmp_path: Path) -> None:
-    planted.symlink_to(planted.rename(tmp_path / "elsewhere"))
-    assert number(load(source)) == 42
-
-
-def test_what_belongs_to_another_user_is_not_used(
-    source: Path, cache: Path, planted: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for path in (cache, planted):
-        give_to_another_user(path, monkeypatch)
-    assert number(load(source)) == 42
-    assert [*cache.iterdir()] == [planted]
 
 
 def test_where_nothing_can_be_cached_each_process_compiles(source: Path, cache: Path) -> None:

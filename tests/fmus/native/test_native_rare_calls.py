@@ -184,15 +184,10 @@ def test_an_initial_state_that_is_not_finite_is_an_error(open_session: Open) -> 
     assert "state or outputs are not finite at the start" in refused(session("leave", 0))
 
 
-def test_a_diverging_step_is_discarded_and_an_endless_one_is_an_error(open_session: Open) -> None:
-    """FMI 2.0.5, 4.2.2: discard for a step computed in part, error for one that cannot be carried out."""
-    session, r = stepping(open_session("ExamplePlant")), _references("ExamplePlant")
-    wild = [r["omega"], r["control"]]
-    session("set", 0, "R", wild, [1e300, 1e300])
-    assert "not finite any more" in refused(session("step", 0, 0.0, 1.0), DISCARD)
-    session("set", 0, "R", wild, [1.0, 0.0])
+def test_an_endless_step_is_an_error(open_session: Open) -> None:
+    """FMI 2.0.5, 4.2.2: it cannot be carried out, not even in part."""
+    session = stepping(open_session("ExamplePlant"))
     assert session("step", 0, 0.0, 1.0).status == OK
-    assert session("get", 0, "R", [r["output"]], "+").values == ["0x0p+0"]
     assert "expected at most 1e+09 internal steps" in refused(session("step", 0, 1.0, 1e7))
 
 
