@@ -124,7 +124,7 @@ class BlockVariable:
 
 
 # causality, FMI variability, initial of each of a block's interface classes
-_ROLES = {
+ROLES = {
     "parameters": ("parameter", "tunable", "exact"),
     "calculated": ("calculatedParameter", "tunable", "calculated"),
     "inputs": ("input", "continuous", None),
@@ -236,7 +236,7 @@ class Block:
     def variables(self) -> tuple[BlockVariable, ...]:
         """Scalar variables of the interface; the place of each is its value reference."""
         scalars: list[BlockVariable] = []
-        for role in _ROLES:
+        for role in ROLES:
             for declared in fields(getattr(self, role)):
                 scalars.extend(_scalars(declared, role, len(scalars)))
         return tuple(scalars)
@@ -279,7 +279,7 @@ def _with_internal_step(parameters: type, start: float) -> type:
 
 def _scalars(declared: Field, role: str, first_reference: int) -> Iterator[BlockVariable]:
     said = declared.metadata
-    causality, variability, initial = _ROLES[role]
+    causality, variability, initial = ROLES[role]
     for offset, (index, start) in enumerate(_elements(declared.default)):
         is_real = isinstance(start, float)
         discrete = "discrete" if variability == "continuous" and not is_real else variability

@@ -8,13 +8,12 @@ from collections.abc import Iterator
 from dataclasses import MISSING, Field, fields, is_dataclass
 from typing import Any, get_args, get_origin
 
-from fmus.block import Block, BlockVariable, NoValues, flatten
+from fmus.block import ROLES, Block, BlockVariable, NoValues, flatten
 from fmus.block.units import display, unit
 from fmus.build.guard import location
 from fmus.errors import ExportError
 from fmus.fmi.variable_types import INTEGER_RANGE
 
-_INTERFACE = ("parameters", "calculated", "inputs", "outputs")
 _VARIABILITIES = {
     "parameters": ("fixed", "tunable"), "calculated": ("fixed", "tunable"),
     "inputs": ("continuous", "discrete"), "outputs": ("continuous", "discrete"),
@@ -36,8 +35,9 @@ _SUCH_AS = {"float": "a number such as 1.0", "int": "a whole number such as 1", 
 def check_declaration(block: Block) -> None:
     """Raises ExportError for the first mistake in a block's classes, or in the arguments of its functions."""
     owners: dict[str, str] = {}
-    for role in _INTERFACE:
-        cls = getattr(block, role)
+    classes: dict[str, type] = {}  # by the causality of their variables
+    for role, (causality, *_) in ROLES.items():
+        cls = classes[causality] = getattr(block, role)
         for declared in fields(cls):
             for reason in _mistakes(declared, role):
                 raise _refusal(block, cls, declared.name, reason)
@@ -47,12 +47,11 @@ def check_declaration(block: Block) -> None:
     for declared in fields(block.state):
         for reason in _state_mistakes(declared):
             raise _refusal(block, block.state, declared.name, reason)
-    for cls, name, reason in _shape_mistakes([getattr(block, role) for role in (*_INTERFACE, "state")]):
+    for cls, name, reason in _shape_mistakes([*classes.values(), block.state]):
         raise _refusal(block, cls, name, reason)
-    by_causality = {v.causality: getattr(block, role) for role in _INTERFACE for v in _of_role(block, role)}
     for v in block.variables:
         for reason in _value_mistakes(v):
-            raise _refusal(block, by_causality[v.causality], v.name, reason)
+            raise _refusal(block, classes[v.causality], v.name, reason)
     for name in _ARGUMENTS:
         _check_arguments(block, name)
 
@@ -77,11 +76,6 @@ def check_requirements(block: Block, requirements: Any) -> None:
                 f'{where}: expected a tuple of pairs, ((condition, "what is expected"), ...), also for one: '
                 'return ((condition, "text"),)'
             )
-
-
-def _of_role(block: Block, role: str) -> Iterator[BlockVariable]:
-    names = {declared.name for declared in fields(getattr(block, role))}
-    return (v for v in block.variables if v.name.partition("[")[0] in names)
 
 
 def _refusal(block: Block, cls: type, name: str, reason: str) -> ExportError:
