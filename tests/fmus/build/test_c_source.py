@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from fmus.block import Block, NoValues, variable
+from fmus.block import Block, variable
 from fmus.build import native as native_flavour
 from fmus.errors import ExportError
 from fmus.files import write_archive
@@ -40,14 +40,10 @@ class Outputs:
 
 def odd_block(**changes: Any) -> Block:
     """No inputs, an integer and a boolean output, and texts that C does not like."""
-    block = Block(
-        name="Odd",
-        description=ODD.replace("\x01", "*\n/"),
-        parameters=Parameters,
-        inputs=NoValues,
-        state=State,
-        outputs=Outputs,
-        initial_state=lambda t, inputs, p, c: State(1.0),
+    block = Block.of_module(
+        __name__,
+        "Odd",
+        ODD.replace("\x01", "*\n/"),
         step=lambda t, h, state, inputs, p, c: State(state.x * 10.0),
         output=lambda t, state, p, c: Outputs(state.x, state.x > 1.0),
         requirements=lambda p, c: ((p.internal_step < 5.0, ODD),),

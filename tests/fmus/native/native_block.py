@@ -67,20 +67,11 @@ def output(t: float, s: State, p: Parameters, c: Calculated) -> Outputs:
     return Outputs(c.product * s.x, s.x * s.x + t, floor(s.steps), s.x > 1.0)
 
 
-EVERYTHING = Block(
-    name="Everything",
-    description="Everything that the C layer distinguishes",
-    parameters=Parameters,
-    calculated=Calculated,
+EVERYTHING = Block.of_module(
+    __name__, "Everything", "Everything that the C layer distinguishes",
     calculate=lambda p: Calculated(p.gain * p.limit, p.gain / p.limit),
-    requirements=requirements,
-    inputs=Inputs,
-    state=State,
-    outputs=Outputs,
     initial_state=lambda t, u, p, c: State(p.start + u.force, p.count + 0.0 * t),
-    step=step,
-    output=output,
-)
+)  # fmt: skip
 
 
 _either: Any = where  # of numbers that are no items

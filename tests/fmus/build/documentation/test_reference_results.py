@@ -228,45 +228,41 @@ DRIVEN: Any = (("u", ((np.float64(0.0), np.float64(0.0)), (np.float32(0.5), ONE)
 
 
 @dataclass(frozen=True)
-class NumpyParameters:
+class Parameters:
     internal_step: float = variable(
         np.float64(0.01), "Step", unit="s", min=np.float64(1e-3), max=ONE, nominal=np.float64(0.1)
     )
 
 
 @dataclass(frozen=True)
-class NumpyCalculated:
+class Calculated:
     scale: float = variable(0.0, "Scale")
 
 
 @dataclass(frozen=True)
-class NumpyInputs:
+class Inputs:
     u: float = variable(0.5 * SCALE, "Input", min=-SCALE, max=2 * ONE)
 
 
 @dataclass(frozen=True)
-class NumpyState:
+class State:
     x: float = 0.0
 
 
 @dataclass(frozen=True)
-class NumpyOutputs:
+class Outputs:
     y: float = variable(0.0, "Output", nominal=np.float64(1.0))
     n: int = variable(0, "Number")
     positive: bool = variable(False, "Whether it is positive")
 
 
-NUMPY = Block(
-    name="Numpy",
-    description="Constants and declarations of NumPy",
-    parameters=NumpyParameters,
-    calculated=NumpyCalculated,
-    calculate=lambda p: NumpyCalculated(SCALE * np.float64(1.5)),
-    inputs=NumpyInputs,
-    state=NumpyState,
-    outputs=NumpyOutputs,
-    step=lambda t, h, s, u, p, c: NumpyState(s.x + h * SCALE * u.u),
-    output=lambda t, s, p, c: NumpyOutputs(SCALE * s.x, 3 * ONE, s.x > np.float64(0.0)),
+NUMPY = Block.of_module(
+    __name__,
+    "Numpy",
+    "Constants and declarations of NumPy",
+    calculate=lambda p: Calculated(SCALE * np.float64(1.5)),
+    step=lambda t, h, s, u, p, c: State(s.x + h * SCALE * u.u),
+    output=lambda t, s, p, c: Outputs(SCALE * s.x, 3 * ONE, s.x > np.float64(0.0)),
     stop_time=np.float64(1.0),
     step_size=np.float64(0.01),
     guide=Guide(experiment=Experiment(np.float64(0.8), np.float64(0.02), DRIVEN)),
