@@ -247,17 +247,17 @@ class Block:
 
 def _mistaken_names(module: str, given: Collection[str]) -> Iterator[str]:
     """Yields the mistakes in the names of a module, from which a block takes the parts that are not given."""
-    members, sought = (
-        vars(sys.modules[module]),
-        {own: part for part, own in _NAMES.items() if part not in given},
-    )
+    members = vars(sys.modules[module])
+    sought = {own: part for part, own in _NAMES.items() if part not in given}
     missing = [own for own in sought if own not in members]
     for own, member in members.items():
-        if isinstance(member, type | FunctionType) and not own.startswith("_"):
-            if member.__module__ != module and own in sought:
-                yield f"{own} is imported into {module}: expected {sought[own]}={own}"
-            for match in get_close_matches(own, missing, 1, _LIKE) if member.__module__ == module else ():
-                yield f"{own} in {module}: expected {match}"
+        if own.startswith("_") or not isinstance(member, type | FunctionType):
+            continue
+        if member.__module__ == module:
+            yield from (f"{own} in {module}: expected {n}" for n in get_close_matches(own, missing, 1, _LIKE))
+        elif own in sought:
+            # a linter would remove an import that nothing seems to use
+            yield f"{own} is imported into {module}: expected {sought[own]}={own}"
     yield from (f"expected {own} in {module}, above it" for own in ("Outputs", "output") if own in missing)
 
 
