@@ -17,7 +17,7 @@ from orchestration.many.job import ENDED, TOO_LONG, Done, Failure, Job, Run
 from orchestration.many.local import LocalRuns
 from orchestration.many.run_many import in_order
 from orchestration.many.runners import ClosedError
-from orchestration.margins.fmu_margins import delay_margin
+from orchestration.margins.fmu_margins import scan
 from orchestration.margins.hold import HoldRuns, LoopSignal, last_part
 from orchestration.results.recording import Recording
 from orchestration.score import score_cache
@@ -181,7 +181,7 @@ def delay_margin_of(loop: ClosedLoop, case: Case) -> float:
     scenario = replace(loop.scenario(case), experiment=loop.experiment(case))
     hold = last_part("plant.depth", case.target.window[1])
     with HoldRuns(scenario, hold, loop.make, loop.timeout) as runs:
-        return delay_margin(runs, LoopSignal.MEASUREMENT, only_first_loss=True).margin
+        return scan(runs, LoopSignal.MEASUREMENT, only_first_loss=True).margin
 
 
 def microseconds(loop: ClosedLoop, case: Case) -> float:
