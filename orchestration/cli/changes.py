@@ -9,7 +9,6 @@ import typer
 
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
-from orchestration.scenarios.assigned_text import AssignedText
 from orchestration.system.open_inputs import OpenInputs
 
 CONTROLLER = "controller"  # the component that --controller replaces
@@ -72,6 +71,8 @@ class Changes:
         open_inputs: OpenInputs | None = None,
     ) -> "Changes":
         """Returns the changes that these options make; ScenarioError for an option that is wrong."""
+        from orchestration.scenarios.changes import AssignedText
+
         components, settings = ({CONTROLLER: controller} if controller else {}), {}
         for assignment in assignments:
             name, value = _parts("--set", assignment, "component.variable=value or component=FMU")

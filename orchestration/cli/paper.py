@@ -27,7 +27,7 @@ def reproduce(
     """Run the shipped scenarios, but not their sweeps, and give the tables and figures of the paper."""
     from orchestration.cli.chosen_scenario import build_missing_fmus
     from orchestration.scenarios import reproduce as reproduction
-    from orchestration.scenarios.paper_tables import comparison_table
+    from orchestration.scenarios.published import comparison_table
 
     written_formats = figure_formats(formats)
     check_writable(out)

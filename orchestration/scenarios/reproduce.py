@@ -10,8 +10,7 @@ from orchestration.many.job import Failure
 from orchestration.many.run_many import run_many
 from orchestration.results.formats import FigureFormat
 from orchestration.scenarios import scenario
-from orchestration.scenarios.paper_tables import summary
-from orchestration.scenarios.published import CASES
+from orchestration.scenarios.published import CASES, summary
 from orchestration.scenarios.run_files import Result, write_result
 from orchestration.scenarios.scenario import Scenario
 

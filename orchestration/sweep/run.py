@@ -18,12 +18,12 @@ from orchestration.many.job import Failure, Finished, Job, Run
 from orchestration.many.local import LocalRuns
 from orchestration.results import metrics
 from orchestration.results.recording import Recording
+from orchestration.scenarios.changes import with_values
 from orchestration.scenarios.scenario import Scenario
 from orchestration.sweep.plan import Plan
 from orchestration.sweep.plan import plan as plan_of
 from orchestration.sweep.store import Store
 from orchestration.sweep.table import ERROR, SAMPLE, WARNED, schema
-from orchestration.sweep.varied import with_settings
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import prepare_checked
 
@@ -133,7 +133,7 @@ def job_of(plan: Plan, recorded: tuple[str, ...] | None) -> Job:
     others = [
         entry.target.name
         for entry in plan.varied
-        if entry.target.table not in ("parameters", "inputs") or entry.target.key.endswith(".internal_step")
+        if entry.target.table not in ("parameters", "inputs") or entry.target.name.endswith(".internal_step")
     ]
     refusals = [f"{name} is varied: expected parameters but internal_step, and inputs" for name in others]
     return Job(plan.scenario.system, experiment, plan.timeout, "".join(refusals[:1]))
@@ -146,7 +146,7 @@ def samples_of(
     numbers, reduce = iter(numbers), Rows(plan.scenario.metrics, recorded)
     while block := list(islice(numbers, _DRAWN_AT_ONCE)):
         for number, values in zip(block, plan.block(block), strict=True):
-            yield Run(Sample(number, values), with_settings(base, plan.settings(values)), reduce)
+            yield Run(Sample(number, values), with_values(base, values), reduce)
 
 
 def recorded_signals(text: str, plan: Plan) -> tuple[str, ...] | None:

@@ -14,7 +14,7 @@ from orchestration.cli import chosen_scenario
 from orchestration.cli.changes import Changes
 from orchestration.errors import ScenarioError
 from orchestration.report import sweeps
-from orchestration.scenarios.assigned_text import AssignedText
+from orchestration.scenarios.changes import AssignedText
 from orchestration.sweep import table
 from orchestration.sweep.plan import plan
 from orchestration.system.open_inputs import OpenInputs
