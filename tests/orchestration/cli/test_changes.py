@@ -156,7 +156,7 @@ def test_a_string_keeps_what_the_command_line_has(tmp_path: Path) -> None:
         f'[components]\nmy = "{tmp_path}/my.fmu"\n[experiment]\nstop_time = 1\nstep_size = 0.1\n'
         '[inputs]\n"my.u" = 0.0\n'
     )
-    changes = Changes.of_options(assignments=["my.version=1.50", "my.gain=1.50"])
+    changes = Changes.of_options(settings=["my.version=1.50", "my.gain=1.50"])
     parameters = chosen_scenario.load(str(tmp_path / "one.toml"), changes=changes).experiment.parameters
     assert parameters == {"my.version": "1.50", "my.gain": 1.5}
 
