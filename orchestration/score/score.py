@@ -1,7 +1,7 @@
 """The score: controllers in every case of the protocol, beside those that the protocol has.
 
 result = score([Controller("mine", "my.fmu")])
-result.document.metric(result.document.scored[0], "nominal", "rmse")
+result.document.scored[0].cases["nominal"].metrics["rmse"]
 """
 
 from collections.abc import Mapping, Sequence
