@@ -121,8 +121,8 @@ NO_CHANGES = Changes()
 def takes_changes(command: Callable[..., None]) -> Callable[..., None]:
     """Returns the command with the options of `Changes.of_options` in place of its parameter `changes`."""
     signature, options = inspect.signature(command), inspect.signature(Changes.of_options).parameters
-    declared = {name: (parameter,) for name, parameter in signature.parameters.items()}
-    declared["changes"] = tuple(options.values())
+    declared = {name: [parameter] for name, parameter in signature.parameters.items()}
+    declared["changes"] = [*options.values()]
     parameters = [parameter for group in declared.values() for parameter in group]
 
     @wraps(command)

@@ -123,8 +123,8 @@ def print_score(document: "Score") -> None:
 def scored_controllers(
     names: Sequence[str],
     league: str,
-    settings: Sequence[str],
-    mapped: Sequence[str],
+    settings: list[str],
+    mapped: list[str],
     open_inputs: OpenInputs | None,
 ) -> list["Controller"]:
     """Returns the FMUs, blocks and Python files of blocks; settings and mapping are those of the only one."""

@@ -66,7 +66,7 @@ def tune(
     from orchestration.score import tune_problem
     from orchestration.score.closed_loop import ClosedLoop
     from orchestration.score.protocol import read_protocol
-    from orchestration.score.tune_cost import evaluations as started
+    from orchestration.score.tune_problem import evaluations as started
     from orchestration.score.tune_search import parse
 
     protocol = read_protocol()
@@ -120,8 +120,8 @@ def _search(
 def _controller(
     name: str,
     league: str | None,
-    settings: Sequence[str],
-    mapped: Sequence[str],
+    settings: list[str],
+    mapped: list[str],
     open_inputs: OpenInputs | None,
     protocol: "Protocol",
 ) -> "Controller":

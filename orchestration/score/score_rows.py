@@ -32,8 +32,7 @@ from orchestration.margins.fmu_margins import scan
 from orchestration.margins.hold import HoldRuns, LoopSignal, last_part
 from orchestration.results.recording import Recording
 from orchestration.score.closed_loop import GAINS, OWN, ClosedLoop, ClosedLoopRun, Controller
-from orchestration.score.plants import plants
-from orchestration.score.protocol import FILE, Case, Protocol
+from orchestration.score.protocol import FILE, Case, Protocol, plants
 from orchestration.score.protocol_format import COMPARED
 from orchestration.score.run_metrics import Trace, declared, failures, traced_metrics
 from orchestration.score.score_document import CaseResult, MetricOverPlants, PlantsResult, Row
