@@ -24,7 +24,7 @@ _PURPOSE = "sweep"
 
 
 @dataclass(frozen=True)
-class Target:
+class SweepTarget:
     """A target of a sweep: a name that it may vary.
 
     table: of a scenario file, which gives it; type: that of FMI 2.0, an enumeration's items are texts
@@ -66,14 +66,14 @@ class Target:
         raise ScenarioError(f"{self.name} = {value!r}: expected more than {low:g} s")
 
 
-def target(name: str, checked: CheckedSystem, experiment: Experiment) -> Target:
+def target(name: str, checked: CheckedSystem, experiment: Experiment) -> SweepTarget:
     """Returns the target of that name; an unknown one offers the nearest."""
     if name in EXPERIMENT_SETTINGS:
         key = name.partition(".")[2]
         kind = "Real" if EXPERIMENT_SETTINGS[name] else "String"
         least = experiment.start_time if key == "stop_time" else 0.0
         base_value = getattr(experiment, key)
-        return Target(
+        return SweepTarget(
             name, "experiment", EXPERIMENT_SETTINGS[name], kind, (least, math.inf), base_value, None
         )
     if name.startswith("experiment.") and "experiment" not in checked.components:
@@ -91,7 +91,7 @@ def target(name: str, checked: CheckedSystem, experiment: Experiment) -> Target:
         )
     given: dict[str, Any] = {**experiment.inputs, **experiment.parameters}
     base_value = signal.value if isinstance(signal, Constant) else given.get(name, start_value(port.variable))
-    return Target(
+    return SweepTarget(
         name=name,
         table=table_of_value(name, experiment),
         unit=port.variable.unit or "",
@@ -171,12 +171,12 @@ MOST_VALUES = 10_000_000  # of a sweep: more would neither fit into memory nor e
 class Varied:
     """A varied name: `draw` maps numbers in [0, 1) to values, one a sample; `grid` lists values."""
 
-    target: Target
+    target: SweepTarget
     grid: tuple[FmiValue, ...] = ()
     draw: Callable[[Sequence[float]], list[FmiValue]] | None = None
 
 
-def varied(target: Target, declared: Table, where: str) -> Varied:
+def varied(target: SweepTarget, declared: Table, where: str) -> Varied:
     """Checks an entry against the range and type of its target and returns what it declares.
 
     Raises ScenarioError, which begins with `where`.
@@ -194,7 +194,7 @@ def varied(target: Target, declared: Table, where: str) -> Varied:
         raise ScenarioError(f"{where}: {error}") from error
 
 
-def _base_value(target: Target) -> float:
+def _base_value(target: SweepTarget) -> float:
     """Returns the target's value without a sweep, which relative values are multiplied with."""
     if target.type != "Real" or target.base_value == 0.0:
         raise ScenarioError(
@@ -203,7 +203,7 @@ def _base_value(target: Target) -> float:
     return float(target.base_value)
 
 
-def _grid(target: Target, values: Sequence[FmiValue], relative: bool) -> Varied:
+def _grid(target: SweepTarget, values: Sequence[FmiValue], relative: bool) -> Varied:
     if relative:
         scale = _base_value(target)
         factors = [value for value in values if isinstance(value, (int, float))]
@@ -222,7 +222,9 @@ def _linspace(declared: list[float]) -> list[float]:
     return np.linspace(first, last, int(count)).tolist()
 
 
-def _drawn(target: Target, name: str, arguments: dict[str, Any], relative: bool, truncate: bool) -> Varied:
+def _drawn(
+    target: SweepTarget, name: str, arguments: dict[str, Any], relative: bool, truncate: bool
+) -> Varied:
     scale = _base_value(target) if relative else None
     low, high = sorted(limit / (scale or 1.0) for limit in target.permitted)
     law = distribution(name, arguments, (low, high), truncate)

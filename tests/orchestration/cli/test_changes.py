@@ -13,7 +13,7 @@ import pytest
 from orchestration.cli import chosen_scenario
 from orchestration.cli.changes import Changes
 from orchestration.errors import ScenarioError
-from orchestration.report import sweeps
+from orchestration.report.result import read_sweep
 from orchestration.scenarios.changes import AssignedText
 from orchestration.sweep import table
 from orchestration.sweep.plan import plan
@@ -109,7 +109,7 @@ def test_a_report_has_the_command_that_runs_a_sample_again_with_its_options(
     swept = plan(chosen_scenario.load("short.toml", changes=changes))
     rows = [{"sample": i, **swept.values(i), "error": "not run"} for i in range(swept.count)]
     table.write(rows, table.schema(swept, None), tmp_path / "short.sweep.parquet")
-    again = sweeps.read(tmp_path / "short.sweep.parquet").command.replace("{sample}", "1")
+    again = read_sweep(tmp_path / "short.sweep.parquet").command.replace("{sample}", "1")
     program, *arguments = shlex.split(again)
     assert program == "l1-depth"
     command(*arguments)
