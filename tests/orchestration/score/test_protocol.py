@@ -21,7 +21,7 @@ TUNE = """
 import json, sys
 opened = []
 sys.addaudithook(lambda event, arguments: opened.append(str(arguments[0])) if event == "open" else None)
-from orchestration.cli import study
+from orchestration.cli import tune as command
 from orchestration.score import tune, tune_problem, tune_search
 from orchestration.score.closed_loop import ClosedLoop, built_in
 from orchestration.score.protocol import read_protocol
