@@ -210,7 +210,7 @@ def test_one_file_knows_the_users_cache_and_holds_locks() -> None:
         "fmus.build.builder",
         "fmus.native.compiled_library",
         "fmus.build.stamp",
-        "orchestration.score.score_cache",
+        "orchestration.score.score_rows",
     }
     assert {
         name for name, path in MODULES.items() if re.search(r"\bstore\.(put|write)\(", text(path))

@@ -18,7 +18,7 @@ import pytest
 from orchestration.score import compare
 from orchestration.score.closed_loop import GAINS, tuned_gains
 from orchestration.score.protocol import read_protocol
-from orchestration.score.score_document import Score
+from orchestration.score.score_document import OF_A_ROW, Score
 from orchestration.score.statistics import compare as paired
 from orchestration.score.statistics import distribution
 
@@ -37,16 +37,35 @@ def document() -> Score:
     return Score.model_validate_json((EXPLANATION / "comparison.json").read_text(encoding="utf-8"))
 
 
+def metrics(document: Score) -> dict[str, float]:
+    """By the keys of the page, such as "tuned/l1.nominal.rmse", "tuned/l1.plants.rmse.p95"."""
+    found: dict[str, float] = {}
+    for row in document.rows:
+        found |= {f"{row.name}.{name}": getattr(row, name) for name in OF_A_ROW}
+        for case, result in row.cases.items():
+            found |= {f"{row.name}.{case}.{name}": number for name, number in result.metrics.items()}
+        if row.plants:
+            found[f"{row.name}.plants.failure_rate"] = row.plants.failure_rate
+            for name, over_plants in row.plants.metrics.items():
+                for statistic in ("median", "p95", "cvar"):
+                    found[f"{row.name}.plants.{name}.{statistic}"] = getattr(over_plants, statistic)
+    for entry in document.differences:
+        numbers = (entry.median_difference, *entry.interval, entry.p_holm)
+        for part, number in zip(("median", "low", "high", "p"), numbers, strict=True):
+            found[f"{entry.other}.difference.{entry.metric}.{part}"] = number
+    return found
+
+
 def value(document: Score, expression: str) -> Any:
     """Of Python, over keys in braces: {tuned/l1.nominal.rmse}, {search/l1.cost}, {gain/pid.kp}."""
-    code = re.sub(r"\{(.+?)\}", r"metric('\1')", expression)
+    code, metrics_by_key = re.sub(r"\{(.+?)\}", r"metric('\1')", expression), metrics(document)
 
     def metric(key: str) -> float:
         kind, _, rest = key.partition("/")
         name, _, item = rest.partition(".")
         if kind == "search":
             return search(name, item)
-        return float(tuned_gains(name)[item]) if kind == "gain" else compare.metric(document, key)
+        return float(tuned_gains(name)[item]) if kind == "gain" else metrics_by_key[key]
 
     def order(which: str, league: str, key: str) -> list[str]:
         """The controllers of a league, the one with the least metric first."""
@@ -129,9 +148,7 @@ def test_the_differences_are_of_the_same_plants(document: Score) -> None:
     assert papers is not None
     assert pid is not None
     expected = paired(papers.metrics["rmse"].values, pid.metrics["rmse"].values)
-    given = [
-        compare.metric(document, f"tuned/pid.difference.rmse.{part}") for part in ("median", "low", "high")
-    ]
+    given = [metrics(document)[f"tuned/pid.difference.rmse.{part}"] for part in ("median", "low", "high")]
     assert given == pytest.approx([expected.median_difference, expected.low, expected.high])
 
 

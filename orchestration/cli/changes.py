@@ -1,7 +1,9 @@
 """Options that change a scenario: another FMU in a component's place, other values."""
 
-from collections.abc import Mapping, Sequence
+import inspect
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,34 +11,10 @@ import typer
 
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
-from orchestration.scenarios.assigned_text import AssignedText
 from orchestration.system.open_inputs import OpenInputs
 
 CONTROLLER = "controller"  # the component that --controller replaces
 
-ControllerOption = Annotated[
-    str,
-    typer.Option(
-        metavar="FMU",
-        help="Put this controller, an .fmu, a block or its .py file, in the place of the scenario's.",
-    ),
-]
-SetOption = Annotated[
-    list[str],
-    typer.Option(
-        "--set",
-        metavar="NAME=VALUE",
-        help="Set a parameter or an input, component.variable=value; or replace a component, component=FMU.",
-    ),
-]
-MapOption = Annotated[
-    list[str],
-    typer.Option(
-        "--map",
-        metavar="NAME=VARIABLE",
-        help="Take this variable of the controller for NAME of the scenario; component.NAME for others.",
-    ),
-]
 ControllerSetOption = Annotated[
     list[str], typer.Option("--set", metavar="NAME=VALUE", help="Set controller.variable=value.")
 ]
@@ -54,11 +32,10 @@ OpenInputsOption = Annotated[
 class Changes:
     """The changes that the options of a command make.
 
-    components: component -> FMU, Python file or block in its place; settings: "component.variable" -> value
+    settings: component -> FMU, Python file or block in its place; "component.variable" -> value
     mapping: component -> name in the scenario -> variable; open_inputs: of the experiment, None as it is
     """
 
-    components: Mapping[str, str] = field(default_factory=dict)
     settings: Mapping[str, FmiValue] = field(default_factory=dict)
     mapping: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     open_inputs: OpenInputs | None = None
@@ -66,22 +43,48 @@ class Changes:
     @classmethod
     def of_options(
         cls,
-        controller: str = "",
-        assignments: Sequence[str] = (),
-        mapped: Sequence[str] = (),
-        open_inputs: OpenInputs | None = None,
+        controller: Annotated[
+            str,
+            typer.Option(
+                metavar="FMU",
+                help="Put this controller, an .fmu, a block or its .py file, in the place of the scenario's.",
+            ),
+        ] = "",
+        settings: Annotated[
+            list[str],
+            typer.Option(
+                "--set",
+                metavar="NAME=VALUE",
+                help="Set a parameter or an input, component.variable=value; "
+                "or replace a component, component=FMU.",
+            ),
+        ] = [],  # noqa: B006  (Typer copies it)
+        mapped: Annotated[
+            list[str],
+            typer.Option(
+                "--map",
+                metavar="NAME=VARIABLE",
+                help="Take this variable of the controller for NAME of the scenario; "
+                "component.NAME for others.",
+            ),
+        ] = [],  # noqa: B006
+        open_inputs: OpenInputsOption = None,
     ) -> "Changes":
         """Returns the changes that these options make; ScenarioError for an option that is wrong."""
-        components, settings = ({CONTROLLER: controller} if controller else {}), {}
-        for assignment in assignments:
+        from orchestration.scenarios.changes import AssignedText
+
+        changed: dict[str, str] = {CONTROLLER: controller} if controller else {}
+        for assignment in settings:
             name, value = _parts("--set", assignment, "component.variable=value or component=FMU")
-            if "." in name:
-                settings[name] = AssignedText(value)
-            elif name in components:
-                raise ScenarioError(f"{name} = {value}: expected one FMU, got {components[name]} too")
-            else:
-                components[name] = value
-        return cls(components, settings, _mapping(mapped), open_inputs)
+            if "." not in name and name in changed:
+                raise ScenarioError(f"{name} = {value}: expected one FMU, got {changed[name]} too")
+            changed[name] = AssignedText(value)
+        return cls(changed, _mapping(mapped), open_inputs)
+
+    @property
+    def components(self) -> dict[str, str]:
+        """The FMUs of components that are replaced."""
+        return {name: str(fmu) for name, fmu in self.settings.items() if "." not in name}
 
     def overrides(self, scenario: str) -> dict[str, Any]:
         """Returns what is laid over the scenario of that name, besides components and settings."""
@@ -96,9 +99,7 @@ class Changes:
 
     def options(self) -> tuple[str, ...]:
         """Returns the options that make these changes."""
-        assignments = [
-            f"{name}={value}" for name, value in (*self.components.items(), *self.settings.items())
-        ]
+        assignments = [f"{name}={value}" for name, value in self.settings.items()]
         mapped = [f"{c}.{name}={own}" for c, names in self.mapping.items() for name, own in names.items()]
         options = [("--set", assignment) for assignment in assignments]
         options += [("--map", assignment) for assignment in mapped]
@@ -115,6 +116,23 @@ class Changes:
 
 
 NO_CHANGES = Changes()
+
+
+def takes_changes(command: Callable[..., None]) -> Callable[..., None]:
+    """Returns the command with the options of `Changes.of_options` in place of its parameter `changes`."""
+    signature, options = inspect.signature(command), inspect.signature(Changes.of_options).parameters
+    declared = {name: [parameter] for name, parameter in signature.parameters.items()}
+    declared["changes"] = [*options.values()]
+    parameters = [parameter for group in declared.values() for parameter in group]
+
+    @wraps(command)
+    def with_options(**arguments: Any) -> None:
+        chosen = {name: arguments.pop(name) for name in options}
+        command(**arguments, changes=Changes.of_options(**chosen))
+
+    vars(with_options)["__signature__"] = signature.replace(parameters=parameters)
+    with_options.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return with_options
 
 
 def _parts(option: str, assignment: str, expected: str) -> tuple[str, str]:

@@ -31,7 +31,7 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
                 path,
                 changes.overrides(path.stem),
                 flavour,
-                settings={**changes.components, **changes.settings},
+                settings=changes.settings,
                 build=lambda fmu: _build_missing([fmu]),
             )
         finally:  # an error may follow from the cause of a warning
@@ -57,7 +57,7 @@ def _with_built_files(changes: Changes, flavour: Flavour) -> Changes:
         component: str(_fmu_of_file(Path(fmu), flavour)) if fmu.endswith(".py") else fmu
         for component, fmu in changes.components.items()
     }
-    return replace(changes, components=fmus)
+    return replace(changes, settings={**changes.settings, **fmus})
 
 
 def build_missing_fmus(scenarios: Iterable[Scenario]) -> None:

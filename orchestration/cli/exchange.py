@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from orchestration.cli.changes import Changes, ControllerOption, MapOption, OpenInputsOption, SetOption
+from orchestration.cli.changes import NO_CHANGES, Changes, takes_changes
 from orchestration.cli.shared import OutFolder, ScenarioArgument
 from orchestration.exchange.ssp_xml import SspVersion
 
@@ -18,6 +18,7 @@ class Tool(StrEnum):
     SIMULINK = "simulink"
 
 
+@takes_changes
 def package(
     name: ScenarioArgument,
     out: Annotated[
@@ -26,36 +27,29 @@ def package(
         typer.Option(metavar="FILE", help="Write this package, or SCENARIO.ssp in this folder."),
     ] = "",
     version: Annotated[SspVersion, typer.Option("--ssp", help="Version of SSP.")] = SspVersion.V1,
-    controller: ControllerOption = "",
-    settings: SetOption = [],  # noqa: B006  (Typer copies it)
-    mapped: MapOption = [],  # noqa: B006
-    open_inputs: OpenInputsOption = None,
+    changes: Changes = NO_CHANGES,
 ) -> None:
     """Write a scenario as an SSP package, with a parameter set for each scenario of its system."""
     from orchestration.cli import chosen_scenario
     from orchestration.cli.package_fmus import build_ramp_source, build_started
     from orchestration.exchange import ssp_write
 
-    changes = Changes.of_options(controller, settings, mapped, open_inputs)
     chosen = chosen_scenario.load(name, changes=changes)
     is_folder = out.endswith(("/", "\\")) or Path(out).is_dir()
     path = Path(out, f"{chosen.name}.ssp") if is_folder else Path(out)
     print(ssp_write.package(chosen, path, build_ramp_source, build_started, version))
 
 
+@takes_changes
 def export(
     tool: Annotated[Tool, typer.Argument(help="Write for this tool.")],
     name: ScenarioArgument = "nominal-extended",
     out: OutFolder = Path(),
-    controller: ControllerOption = "",
-    settings: SetOption = [],  # noqa: B006
-    mapped: MapOption = [],  # noqa: B006
-    open_inputs: OpenInputsOption = None,
+    changes: Changes = NO_CHANGES,
 ) -> None:
     """Write the closed loop of a scenario as a Modelica package or a Simulink script, with its FMUs."""
     from orchestration.cli import chosen_scenario
     from orchestration.exchange import modelica, simulink
 
     write = {Tool.MODELICA: modelica.write, Tool.SIMULINK: simulink.write}[tool]
-    changes = Changes.of_options(controller, settings, mapped, open_inputs)
     print(write(chosen_scenario.load(name, changes=changes), out))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fmus.registry import Flavour
-from orchestration.cli.changes import Changes, ControllerOption, MapOption, OpenInputsOption, SetOption
+from orchestration.cli.changes import NO_CHANGES, Changes, takes_changes
 from orchestration.cli.shared import (
     FlavourOption,
     ScenarioArgument,
@@ -23,16 +23,14 @@ if TYPE_CHECKING:
     from orchestration.margins.margins import Margins
 
 
+@takes_changes
 def margins(
     name: ScenarioArgument,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write margins.json to this folder.")
     ] = None,
     flavour: FlavourOption = Flavour.NATIVE,
-    controller: ControllerOption = "",
-    settings: SetOption = [],  # noqa: B006  (Typer copies it)
-    mapped: MapOption = [],  # noqa: B006
-    open_inputs: OpenInputsOption = None,
+    changes: Changes = NO_CHANGES,
     signal: Annotated[
         str, typer.Option(metavar="NAME", help="Judge this signal; by default that of a metric.")
     ] = "",
@@ -60,7 +58,6 @@ def margins(
     from orchestration.margins.hold import Hold
     from orchestration.margins.margins import judge
 
-    changes = Changes.of_options(controller, settings, mapped, open_inputs)
     if bool(signal) != bool(window):
         raise OrchestrationError("--signal and --window: expected both, or none of them")
     repeated = _values(over)

@@ -26,16 +26,16 @@ def reproduce(
 ) -> None:
     """Run the shipped scenarios, but not their sweeps, and give the tables and figures of the paper."""
     from orchestration.cli.chosen_scenario import build_missing_fmus
-    from orchestration.scenarios import reproduce as reproduction
-    from orchestration.scenarios.paper_tables import comparison_table
+    from orchestration.scenarios import run_files
+    from orchestration.scenarios.published import comparison_table
 
     written_formats = figure_formats(formats)
     check_writable(out)
-    scenarios = reproduction.reproduced(flavour)
+    scenarios = run_files.reproduced(flavour)
     build_missing_fmus(scenarios.values())
     with progress("reproduce", len(scenarios)) as bar:
-        results = reproduction.run_all(out, workers, lambda name: bar.advance(), flavour)
-    written = reproduction.write_report(results, out, written_formats)
+        results = run_files.run_all(out, workers, lambda name: bar.advance(), flavour)
+    written = run_files.write_report(results, out, written_formats)
     print_table(comparison_table({name: result.metrics for name, result in results.items()}))
     print(*written, sep="\n")
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fmus.registry import Flavour
-from orchestration.cli.changes import Changes, ControllerOption, MapOption, OpenInputsOption, SetOption
+from orchestration.cli.changes import NO_CHANGES, Changes, takes_changes
 from orchestration.cli.shared import (
     FigureFormatsOption,
     FlavourOption,
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from orchestration.scenarios.scenario import Scenario
 
 
+@takes_changes
 def run(
     name: Annotated[
         str,
@@ -42,10 +43,7 @@ def run(
     parameters: Annotated[
         str, typer.Option(metavar="NAME", help="Use this parameter set of the package.")
     ] = "",
-    controller: ControllerOption = "",
-    settings: SetOption = [],  # noqa: B006  (Typer copies it)
-    mapped: MapOption = [],  # noqa: B006
-    open_inputs: OpenInputsOption = None,
+    changes: Changes = NO_CHANGES,
     file_format: Annotated[
         RecordingFormat, typer.Option("--format", help="Write the recording in this format.")
     ] = RecordingFormat.CSV,
@@ -80,7 +78,6 @@ def run(
     from orchestration.scenarios import run_files
 
     written_formats = figure_formats(formats)
-    changes = Changes.of_options(controller, settings, mapped, open_inputs)
     if every < math.inf and checkpoint is None:
         raise OrchestrationError(f"--every {every:g}: expected --checkpoint FILE beside it")
     with (

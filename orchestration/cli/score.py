@@ -1,7 +1,8 @@
-"""Command score: a controller in every case of the protocol, beside the built-in ones."""
+"""Commands score and compare: controllers in every case of the protocol, beside the built-in ones or all."""
 
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
     from orchestration.score.score_document import Score
     from orchestration.score.score_view import ScoreTable
 
+FullOption = Annotated[
+    bool, typer.Option("--full", help="Run the 300 plants of the protocol too, and compare on each.")
+]
 ProtocolOption = Annotated[
     Path | None,
     typer.Option("--protocol", metavar="FILE", help="Follow this protocol, not the one that ships."),
@@ -40,9 +44,7 @@ def score(
         str,
         typer.Option(metavar="NAME", help="What the controller knows: position, or reference-rates too."),
     ] = "position",
-    full: Annotated[
-        bool, typer.Option("--full", help="Run the 300 plants of the protocol too, and compare on each.")
-    ] = False,
+    full: FullOption = False,
     out: OutFolder = Path("results"),
     settings: ControllerSetOption = [],  # noqa: B006  (Typer copies it)
     mapped: ControllerMapOption = [],  # noqa: B006
@@ -68,6 +70,38 @@ def score(
         )
     print_score(result.document)
     write_score(result, out)
+
+
+def compare(
+    full: FullOption = False,
+    workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
+    out: OutFolder = Path("results"),
+    protocol_file: ProtocolOption = None,
+) -> None:
+    """Score all controllers of the protocol, each with the gains that it comes with, and tuned.
+
+    Writes comparison.json, comparison.md with the tables, and an interactive page.
+    """
+    from fmus.files import write_text_atomically
+    from orchestration.score import compare as comparison
+    from orchestration.score.protocol import read_protocol
+
+    protocol = read_protocol(protocol_file) if protocol_file else read_protocol()
+    check_writable(out)
+    with progress("compare", comparison.run_count(protocol, full)) as bar:
+        result = comparison.compare(protocol, full, workers, bar.advance)
+    document = result.document
+    shown = comparison.shown_tables(document).items()
+    print_tables(
+        [replace(table, title=f"{table.title}: {name}") for name, table in shown if table.rows],
+        comparison.with_tuned_differences(document),
+    )
+    tables = "\n\n".join(f"{name}\n\n{text}" for name, text in comparison.tables(document).items())
+    written = {"comparison.json": document.model_dump_json(indent=1), "comparison.md": tables}
+    for name, text in written.items():
+        write_text_atomically(out / name, f"{text}\n")
+        print(out / name)
+    write_page(comparison.for_page(result), out / "comparison.html", "Comparison of the controllers")
 
 
 def write_score(result: "ScoreResult", out: Path) -> None:
@@ -123,8 +157,8 @@ def print_score(document: "Score") -> None:
 def scored_controllers(
     names: Sequence[str],
     league: str,
-    settings: Sequence[str],
-    mapped: Sequence[str],
+    settings: list[str],
+    mapped: list[str],
     open_inputs: OpenInputs | None,
 ) -> list["Controller"]:
     """Returns the FMUs, blocks and Python files of blocks; settings and mapping are those of the only one."""

@@ -7,7 +7,7 @@ import typer
 
 from fmus.platforms import usable_processors
 from fmus.registry import Flavour
-from orchestration.cli.changes import Changes, ControllerOption, MapOption, OpenInputsOption, SetOption
+from orchestration.cli.changes import NO_CHANGES, Changes, takes_changes
 from orchestration.cli.interrupts import INTERRUPTED
 from orchestration.cli.shared import (
     FlavourOption,
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from orchestration.sweep.plan import Plan
 
 
+@takes_changes
 def sweep(
     name: ScenarioArgument,
     out: OutFolder = Path("results"),
@@ -71,17 +72,13 @@ def sweep(
         bool, typer.Option("--restart", help="Discard the samples of an earlier sweep of that name.")
     ] = False,
     flavour: FlavourOption = Flavour.NATIVE,
-    controller: ControllerOption = "",
-    settings: SetOption = [],  # noqa: B006  (Typer copies it)
-    mapped: MapOption = [],  # noqa: B006
-    open_inputs: OpenInputsOption = None,
+    changes: Changes = NO_CHANGES,
 ) -> None:
     """Run the samples of a scenario that has a table [sweep]; an interrupted sweep continues."""
     from orchestration.cli import chosen_scenario
     from orchestration.sweep.plan import plan
     from orchestration.sweep.run import recorded_signals
 
-    changes = Changes.of_options(controller, settings, mapped, open_inputs)
     alone = {"--workers": workers, "--isolated": isolated, "--scheduler": scheduler}
     alone |= {"--recordings": recordings, "--restart": restart, "--ensemble": ensemble}
     if sample is not None:

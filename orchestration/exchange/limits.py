@@ -12,9 +12,11 @@ from string import Template
 import numpy as np
 
 from orchestration.errors import ScenarioError
+from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Algorithm, Experiment
+from orchestration.system.prepared_run import PreparedRun, prepare
 from orchestration.system.signals import Constant, Cosine, Ramps, Signal, Sines, Table
-from orchestration.system.system import CheckedSystem, Port
+from orchestration.system.system import Port
 from orchestration.system.time_grid import GRID_TOLERANCE
 
 _OTHERS = "a constant or a table"  # signals that ramps can give
@@ -38,12 +40,18 @@ def check_plain_exchange(experiment: Experiment, target: str) -> None:
         raise ScenarioError(f"{target} with {present}: expected none, it cannot carry them")
 
 
-def check_plain_connections(system: CheckedSystem, target: str) -> None:
-    """Raises ScenarioError for a connection with a factor or an offset."""
-    for name, transformation in system.transformations.items():
+def prepare_plain(scenario: Scenario, target: str) -> PreparedRun:
+    """Returns the run of a scenario that exchanges plainly, by connections without factor and offset.
+
+    Raises ScenarioError for another one.
+    """
+    check_plain_exchange(scenario.experiment, target)
+    prepared = prepare(scenario.system, scenario.experiment)
+    for name, transformation in prepared.system.transformations.items():
         raise ScenarioError(
             f"{target} with {transformation} of the connection into {name}: expected plain connections"
         )
+    return prepared
 
 
 def check_types(ports: Iterable[Port], types: tuple[str, ...], target: str) -> None:

@@ -17,15 +17,9 @@ from fmus.fmi.model_description import ModelDescription, ScalarVariable
 from fmus.fmi.variable_types import NUMBERS, TRANSFER_TYPE, FmiValue
 from fmus.platforms import FMPY
 from orchestration.errors import ScenarioError
-from orchestration.exchange.limits import (
-    check_plain_connections,
-    check_plain_exchange,
-    check_types,
-    filled,
-    straight_points,
-)
+from orchestration.exchange.limits import check_types, filled, prepare_plain, straight_points
 from orchestration.scenarios.scenario import Scenario
-from orchestration.system.prepared_run import PreparedRun, Setting, prepare
+from orchestration.system.prepared_run import PreparedRun, Setting
 from orchestration.system.system import CheckedSystem
 
 PACKAGE = "L1Depth"
@@ -42,11 +36,8 @@ def texts(scenario: Scenario) -> dict[str, str]:
     and outputs that are not Real, parameters of text, signals that are no straight ramps, a loop of initial
     values.
     """
-    experiment = scenario.experiment
-    check_plain_exchange(experiment, _TARGET)
-    prepared = prepare(scenario.system, experiment)
-    checked = prepared.system
-    check_plain_connections(checked, _TARGET)
+    prepared = prepare_plain(scenario, _TARGET)
+    checked, experiment = prepared.system, scenario.experiment
     ports = checked.ports.values()
     check_types([p for p in ports if p.variable.causality in ("input", "output")], ("Real",), _TARGET)
     check_types([p for p in ports if p.variable.causality == "parameter"], NUMBERS, _TARGET)

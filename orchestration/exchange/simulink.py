@@ -11,15 +11,9 @@ from fmus.fmi.description import of_causality, start_value
 from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import NUMBERS, FmiValue
 from orchestration.errors import ScenarioError
-from orchestration.exchange.limits import (
-    check_plain_connections,
-    check_plain_exchange,
-    check_types,
-    filled,
-    straight_points,
-)
+from orchestration.exchange.limits import check_types, filled, prepare_plain, straight_points
 from orchestration.scenarios.scenario import Scenario
-from orchestration.system.prepared_run import Setting, prepare
+from orchestration.system.prepared_run import Setting
 from orchestration.system.system import CheckedSystem, Port
 
 SCRIPT = "import_l1_depth"
@@ -33,11 +27,8 @@ def text(scenario: Scenario) -> str:
     Raises ScenarioError for what it cannot express: more than `check_plain_exchange` allows, settings that
     are no numbers, signals that are no straight ramps, names that MATLAB cannot hold.
     """
-    experiment = scenario.experiment
-    check_plain_exchange(experiment, _TARGET)
-    prepared = prepare(scenario.system, experiment)
+    prepared, experiment = prepare_plain(scenario, _TARGET), scenario.experiment
     checked, settings = prepared.system, prepared.settings
-    check_plain_connections(checked, _TARGET)
     check_types([port for port, _ in settings], NUMBERS, _TARGET)
     _check_names(checked)
     drivers = [

@@ -8,7 +8,7 @@ the step of the scan may be missed. So a result is the first loss that was measu
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
@@ -19,44 +19,75 @@ from orchestration.margins.margin_metric import Metric
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.faults import Effect, InterpolatedDelay, Scale
 
-LARGEST_DELAY, DELAY_STEP, DELAY_RESOLUTION = 0.6, 0.02, 1e-3  # s
-LARGEST_GAIN, GAIN_STEP, GAIN_RESOLUTION = 10.0, 1.1, 1.01  # factors
+
+@dataclass(frozen=True)
+class Grid:
+    """The grid of a scan: the values of a delay [s] or of a factor that it tries, from none to the largest.
+
+    largest: below 1 for the smallest gain; step, resolution: between values, and of the first loss; ratios of
+    factors
+    """
+
+    effect: Callable[[float], Effect]
+    largest: float
+    step: float
+    resolution: float
+
+    @property
+    def is_geometric(self) -> bool:
+        """Whether values are factors."""
+        return self.effect is Scale
+
+    def values(self) -> list[float]:
+        """Returns the values in their order; the first changes nothing."""
+        if not self.is_geometric:
+            return (self.step * np.arange(round(self.largest / self.step) + 1)).tolist()
+        count = math.ceil(abs(math.log(self.largest)) / math.log(self.step) - 1e-9)
+        return np.geomspace(1.0, self.largest, count + 1).tolist()
+
+    def is_apart(self, quiet: float, lost: float) -> bool:
+        """Whether two values differ by more than the resolution."""
+        apart = max(lost / quiet, quiet / lost) if self.is_geometric else lost - quiet
+        return apart > self.resolution
+
+    def middle(self, quiet: float, lost: float) -> float:
+        """Returns the value between two others."""
+        return math.sqrt(quiet * lost) if self.is_geometric else 0.5 * (quiet + lost)
+
+
+DELAYS = Grid(InterpolatedDelay, largest=0.6, step=0.02, resolution=1e-3)
+GAINS = Grid(Scale, largest=10.0, step=1.1, resolution=1.01)
 
 
 @dataclass(frozen=True)
 class Scan:
-    """A scan of values, in s or as factors, and what it measured.
+    """A scan of the values of a grid, and what it measured.
 
     margin: the last quiet value before the first loss; not a number if the scenario is not quiet as it is
-    lost: the first value that is not quiet; infinite if all are; at most `resolution` beyond the margin
+    lost: the first value that is not quiet; infinite if all are; at most the resolution beyond the margin
     quiet_again: intervals beyond it, from the first to the last quiet value on the grid
-    largest, step, resolution: what was scanned, and how finely; runs: how many it took
+    runs: how many it took
     """
 
     margin: float
     lost: float
     quiet_again: tuple[tuple[float, float], ...]
-    largest: float
-    step: float
-    resolution: float
     runs: int
 
 
-def delay_margin(
+def scan(
     chosen: Scenario | HoldRuns,
-    loop_signal: LoopSignal = LoopSignal.MEASUREMENT,
+    loop_signal: LoopSignal,
+    grid: Grid = DELAYS,
     *,
     hold: Hold | None = None,
-    largest: float = LARGEST_DELAY,
-    step: float = DELAY_STEP,
-    resolution: float = DELAY_RESOLUTION,
     parameters: Mapping[str, FmiValue] = {},
     only_first_loss: bool = False,
     progress: Callable[[], object] = lambda: None,
 ) -> Scan:
-    """Measures how long [s] the control, or every measurement, may be late while the scenario holds quietly.
+    """Measures up to which delay of, or factor on, a signal of the loop the scenario holds quietly.
 
-    Delays are interpolated on straight lines between communication points. The delays of the loop itself, of
+    A delay is interpolated on straight lines between communication points. The delays of the loop itself, of
     sampling, of communication and of the scenario's own faults, are there besides.
 
     chosen: a scenario, or its runs, whose FMUs are loaded already
@@ -64,80 +95,26 @@ def delay_margin(
     only_first_loss: end the scan there; `quiet_again` is then empty
     Raises ScenarioError for a scenario without a hold or a loop, SimulationError if it fails as it is.
     """
-    grid = step * np.arange(round(largest / step) + 1)
-    return _scan(
-        chosen,
-        loop_signal,
-        hold,
-        InterpolatedDelay,
-        grid,
-        step,
-        resolution,
-        parameters,
-        only_first_loss,
-        progress,
-    )
-
-
-def gain_margin(
-    chosen: Scenario | HoldRuns,
-    loop_signal: LoopSignal = LoopSignal.CONTROL,
-    *,
-    hold: Hold | None = None,
-    largest: float = LARGEST_GAIN,
-    step: float = GAIN_STEP,
-    resolution: float = GAIN_RESOLUTION,
-    parameters: Mapping[str, FmiValue] = {},
-    only_first_loss: bool = False,
-    progress: Callable[[], object] = lambda: None,
-) -> Scan:
-    """Measures the largest factor on the control, or every measurement, at which the scenario holds quietly.
-
-    largest below 1 asks for the other margin. The grid is geometric: `step` and `resolution` are ratios.
-    """
-    count = math.ceil(abs(math.log(largest)) / math.log(step) - 1e-9)
-    grid = np.geomspace(1.0, largest, count + 1)
-    return _scan(
-        chosen, loop_signal, hold, Scale, grid, step, resolution, parameters, only_first_loss, progress
-    )
-
-
-def _scan(
-    chosen: Scenario | HoldRuns,
-    loop_signal: LoopSignal,
-    hold: Hold | None,
-    effect: Callable[[float], Effect],
-    grid: np.ndarray,
-    step: float,
-    resolution: float,
-    parameters: Mapping[str, FmiValue],
-    only_first_loss: bool,
-    progress: Callable[[], object],
-) -> Scan:
     with ExitStack() as stack:
         runs = stack.enter_context(HoldRuns(chosen, hold)) if isinstance(chosen, Scenario) else chosen
         inputs, before = loop_inputs(runs.prepared, runs.hold.signal, loop_signal), runs.count
 
         def is_quiet(value: float) -> bool:
             progress()
-            return runs.is_quiet(inputs, effect(value), parameters)
+            return runs.is_quiet(inputs, grid.effect(value), parameters)
 
-        values, quiet = grid.tolist(), list[bool]()
+        values, quiet = grid.values(), list[bool]()
         for value in values:
             quiet.append(is_quiet(value))
             if only_first_loss and not quiet[-1]:
                 break
-        margin, lost = _first_loss(is_quiet, values, quiet, resolution, is_ratio=effect is Scale)
+        margin, lost = _first_loss(is_quiet, grid, values, quiet)
         again = _intervals(values, quiet) if not math.isnan(margin) else ()
-        return Scan(margin, lost, again[1:], values[-1], step, resolution, runs.count - before)
+        return Scan(margin, lost, again[1:], runs.count - before)
 
 
 def _first_loss(
-    is_quiet: Callable[[float], bool],
-    values: list[float],
-    quiet: list[bool],
-    resolution: float,
-    is_ratio: bool,
+    is_quiet: Callable[[float], bool], grid: Grid, values: Sequence[float], quiet: Sequence[bool]
 ) -> tuple[float, float]:
     """Returns the last quiet value before the first that is not, and that one; nan or inf without one."""
     if not quiet[0]:
@@ -145,21 +122,11 @@ def _first_loss(
     if all(quiet):
         return values[-1], math.inf
     first = quiet.index(False)
-    return _enclosed(is_quiet, values[first - 1], values[first], resolution, is_ratio)
-
-
-def _enclosed(
-    is_quiet: Callable[[float], bool], quiet: float, lost: float, resolution: float, is_ratio: bool
-) -> tuple[float, float]:
-    """Returns a quiet value and one that is not, at most `resolution` apart, between the two."""
-
-    def is_apart() -> bool:
-        return max(lost / quiet, quiet / lost) > resolution if is_ratio else lost - quiet > resolution
-
-    while is_apart():
-        middle = math.sqrt(quiet * lost) if is_ratio else 0.5 * (quiet + lost)
-        quiet, lost = (middle, lost) if is_quiet(middle) else (quiet, middle)
-    return quiet, lost
+    margin, lost = values[first - 1], values[first]
+    while grid.is_apart(margin, lost):
+        middle = grid.middle(margin, lost)
+        margin, lost = (middle, lost) if is_quiet(middle) else (margin, middle)
+    return margin, lost
 
 
 def _intervals(values: Sequence[float], quiet: Sequence[bool]) -> tuple[tuple[float, float], ...]:
@@ -172,10 +139,12 @@ def _intervals(values: Sequence[float], quiet: Sequence[bool]) -> tuple[tuple[fl
 THROUGH_FMUS = "through the FMUs"
 ADAPTATION_GAINS = (10.0, 100.0, 1e3, 1e4, 1e5)
 _GRADUAL = (
-    f"delays interpolated, in steps of {1e3 * DELAY_STEP:g} ms, the loss within {1e3 * DELAY_RESOLUTION:g} ms"
+    f"delays interpolated, in steps of {1e3 * DELAYS.step:g} ms, "
+    f"the loss within {1e3 * DELAYS.resolution:g} ms"
 )
 _RATIOS = (
-    f"factors in steps of {100 * (GAIN_STEP - 1):.3g} %, the loss within {100 * (GAIN_RESOLUTION - 1):.3g} %"
+    f"factors in steps of {100 * (GAINS.step - 1):.3g} %, "
+    f"the loss within {100 * (GAINS.resolution - 1):.3g} %"
 )
 
 
@@ -187,13 +156,12 @@ def runs_needed(over: Mapping[str, Sequence[float]]) -> int:
 def run_metrics(runs: HoldRuns, progress: Callable[[], object]) -> Iterator[Metric]:
     """Measures the delay margins on control and measurement, and the gain margins."""
     for loop_signal in LoopSignal:
-        scan = delay_margin(runs, loop_signal, progress=progress)
-        yield _metric(
-            f"delay margin, {loop_signal}", scan, "s", f"{_GRADUAL}, up to {LARGEST_DELAY:g} s", runs
-        )
-    for name, largest in (("largest", LARGEST_GAIN), ("smallest", 1.0 / LARGEST_GAIN)):
-        scan = gain_margin(runs, largest=largest, progress=progress)
-        yield _metric(f"{name} gain, control", scan, "1", f"{_RATIOS}, up to {largest:g}", runs)
+        measured = scan(runs, loop_signal, progress=progress)
+        how = f"{_GRADUAL}, up to {DELAYS.largest:g} s"
+        yield _metric(f"delay margin, {loop_signal}", measured, "s", how, runs)
+    for name, largest in (("largest", GAINS.largest), ("smallest", 1.0 / GAINS.largest)):
+        measured = scan(runs, LoopSignal.CONTROL, replace(GAINS, largest=largest), progress=progress)
+        yield _metric(f"{name} gain, control", measured, "1", f"{_RATIOS}, up to {largest:g}", runs)
 
 
 def parameter_metrics(
@@ -201,21 +169,20 @@ def parameter_metrics(
 ) -> Iterator[Metric]:
     """Measures the delay margins on control and measurement at several values of a parameter."""
     for value in values:
-        changed: Mapping[str, FmiValue] = {parameter: value}
         for loop_signal in LoopSignal:
-            scan = delay_margin(
-                runs, loop_signal, parameters=changed, only_first_loss=True, progress=progress
+            measured = scan(
+                runs, loop_signal, parameters={parameter: value}, only_first_loss=True, progress=progress
             )
             name = f"delay margin, {loop_signal}, {parameter} = {value:g}"
-            yield _metric(name, scan, "s", f"{_GRADUAL}; the first loss alone", runs)
+            yield _metric(name, measured, "s", f"{_GRADUAL}; the first loss alone", runs)
 
 
-def _metric(name: str, scan: Scan, unit: str, how: str, runs: HoldRuns) -> Metric:
+def _metric(name: str, measured: Scan, unit: str, how: str, runs: HoldRuns) -> Metric:
     hold, signal_unit = runs.hold, runs.prepared.system.ports[runs.hold.signal].variable.unit or ""
-    again = ", ".join(f"quiet again at {low:.4g}..{high:.4g} {unit}" for low, high in scan.quiet_again)
+    again = ", ".join(f"quiet again at {low:.4g}..{high:.4g} {unit}" for low, high in measured.quiet_again)
     assumption = (
         f"quiet: standard deviation of {hold.signal} below {hold.quiet:g} {signal_unit} from "
         f"{hold.start:g} s to {hold.end:g} s, mean within {MOVED:g} {signal_unit} of that without a change; "
         f"{how}"
     )
-    return Metric(THROUGH_FMUS, name, scan.margin, unit, assumption, "measured", again)
+    return Metric(THROUGH_FMUS, name, measured.margin, unit, assumption, "measured", again)

@@ -14,6 +14,7 @@ from orchestration.many.job import Failure, Job, Run
 from orchestration.many.local import LocalRuns
 from orchestration.many.run_many import Make, in_order
 from orchestration.results.recording import Recording
+from orchestration.scenarios.changes import with_values
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.faults import Effect, Fault
 from orchestration.system.prepared_run import PreparedRun, prepare
@@ -187,11 +188,8 @@ class HoldRuns(AbstractContextManager["HoldRuns"]):
         ended: what it would have done is not known.
         """
         self.count += 1
-        experiment = replace(
-            self._experiment,
-            faults=(*self._experiment.faults, *faults),
-            parameters={**self._experiment.parameters, **parameters},
-        )
+        experiment = replace(self._experiment, faults=(*self._experiment.faults, *faults))
+        experiment = with_values(experiment, parameters)
         if parameters:
             prepare(self._job.system, experiment)  # raises for one that does not fit, which is no loss
         (done,) = self._make(self._job, [Run(0, experiment, self._reduce)])

@@ -41,6 +41,11 @@ class Design:
     largest_parameters: float
 
     @property
+    def has_gain(self) -> bool:
+        """Whether the law has an adaptation gain."""
+        return 0.0 < self.adaptation_gain < math.inf
+
+    @property
     def extension(self) -> Extension:
         return Extension(self.law.c, self.law.proportional_gain, self.law.integral_gain)
 

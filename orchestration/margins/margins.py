@@ -1,7 +1,7 @@
 """Margins of a scenario: what follows from the design of its controller, and what its FMUs show."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
@@ -13,13 +13,7 @@ from orchestration.margins.fmu_margins import ADAPTATION_GAINS, parameter_metric
 from orchestration.margins.hold import QUIET, Hold, HoldRuns, hold_of
 from orchestration.margins.l1_design import Design, design_of
 from orchestration.margins.margin_metric import Metric
-from orchestration.margins.theory_metrics import (
-    bound_metric,
-    gamma_metrics,
-    linear_metrics,
-    norm_metrics,
-    step_metrics,
-)
+from orchestration.margins.theory_metrics import design_metrics, step_metrics
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import prepare
 from orchestration.system.signals import values_at
@@ -42,7 +36,7 @@ class Margins:
     def document(self) -> dict[str, Any]:
         """Returns the margins for JSON."""
         metrics = [metric.document() for metric in self.metrics]
-        return {"scenario": self.scenario, "figures": metrics, "not_judged": list(self.not_judged)}
+        return {"scenario": self.scenario, "metrics": metrics, "not_judged": list(self.not_judged)}
 
 
 def judge(
@@ -73,7 +67,7 @@ def judge(
         design = _design(chosen, runs)
         if not design:
             not_judged.append(FOREIGN)
-        metrics = [*_theory(design)] if design else []
+        metrics = [*design_metrics(design, ADAPTATION_GAINS)] if design else []
         if runs and measured:
             metrics += run_metrics(runs, progress)
             for parameter, values in (over or _adaptation_gains(design)).items():
@@ -83,19 +77,8 @@ def judge(
     return Margins(chosen.name, tuple(metrics), tuple(not_judged))
 
 
-def _theory(design: Design) -> Iterator[Metric]:
-    has_gain = 0.0 < design.adaptation_gain < math.inf
-    yield from norm_metrics(design)
-    yield from linear_metrics(design)
-    if has_gain and design.has_rest:
-        yield from gamma_metrics(design, ADAPTATION_GAINS)
-    if has_gain:
-        yield from bound_metric(design)
-
-
 def _adaptation_gains(design: Design | None) -> dict[str, Sequence[float]]:
-    has_gain = design is not None and 0.0 < design.adaptation_gain < math.inf
-    return {f"{design.controller}.adaptation_gain": ADAPTATION_GAINS} if design and has_gain else {}
+    return {f"{design.controller}.adaptation_gain": ADAPTATION_GAINS} if design and design.has_gain else {}
 
 
 def _design(chosen: Scenario, runs: HoldRuns | None) -> Design | None:

@@ -30,6 +30,16 @@ _NYQUIST = "frequency response of the linear loop; limit after Hovakimyan and Ca
 _OMEGAS = 9  # input gains tried over their box: the norm need not be monotonic in omega
 
 
+def design_metrics(design: Design, gains: Sequence[float]) -> Iterator[Metric]:
+    """Yields what follows from the design alone; gains: those of the adaptation, for the delay margin."""
+    yield from norm_metrics(design)
+    yield from linear_metrics(design)
+    if design.has_gain and design.has_rest:
+        yield from gamma_metrics(design, gains)
+    if design.has_gain:
+        yield from bound_metric(design)
+
+
 def norm_metrics(design: Design) -> Iterator[Metric]:
     """Yields |G|_L1 L with and without the extension, and where the condition is lost."""
     law = design.law

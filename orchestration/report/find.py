@@ -13,8 +13,7 @@ from pydantic import TypeAdapter
 
 from fmus.errors import nearest
 from orchestration.errors import OrchestrationError
-from orchestration.report import sweeps
-from orchestration.report.result import RunResult, SweepResult, toml
+from orchestration.report.result import RunResult, SweepResult, read_sweep, toml
 from orchestration.results.files import is_recording
 from orchestration.results.formats import RecordingFormat
 from orchestration.results.recording import Recording
@@ -24,7 +23,7 @@ from orchestration.sweep import table
 _ENDINGS = (".json", *(f".{ending}" for ending in reversed(RecordingFormat)))  # the one that holds most first
 
 
-class _Metric(Table):
+class _MetricValue(Table):
     value: float | None  # None for what did not happen
     unit: str
 
@@ -35,7 +34,7 @@ class _Document(Table, extra="allow"):
     recording: str
     scenario: dict[str, Any]
     run: dict[str, Any]
-    metrics: dict[str, _Metric]
+    metrics: dict[str, _MetricValue]
 
 
 _DOCUMENT = TypeAdapter(_Document)
@@ -105,7 +104,7 @@ def _read(file: Path) -> RunResult | SweepResult:
     if file.suffix == ".json":
         return _run(file)
     if table.is_sweep(file):
-        return sweeps.read(file)
+        return read_sweep(file)
     recording = _recording(file)
     return RunResult(file.stem, recording, provenance=recording.provenance)
 

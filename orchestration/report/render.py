@@ -17,9 +17,15 @@ from typing import Any
 import numpy as np
 
 from fmus.extras import imports_of
-from orchestration.report import sweeps
-from orchestration.report.result import RunResult, SweepResult, toml
-from orchestration.report.sweeps import correlations, groups_of, strongest
+from orchestration.report.result import (
+    RunResult,
+    SweepResult,
+    correlations,
+    distributions,
+    groups_of,
+    strongest,
+    toml,
+)
 from orchestration.results.metric_units import shown
 from orchestration.results.metrics import SIGNALS
 from orchestration.results.recording import points_down
@@ -49,8 +55,8 @@ def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
         shown=shown,
         headings=HEADINGS,
         categorical=categorical,
-        distributions=sweeps.distributions,
-        correlations=sweeps.correlations,
+        distributions=distributions,
+        correlations=correlations,
         data={"runs": [run_data(run) for run in runs], "sweeps": [sweep_data(sweep) for sweep in swept]},
     )
 

@@ -1,14 +1,30 @@
-"""Results on a page: runs and sweeps, as they are read from their files."""
+"""Results on a page: runs, and sweeps in numbers: distributions, and what metrics depend on.
 
+Failed samples are left out. Where texts or truth values are varied, each combination of them is a group of
+its own.
+"""
+
+import math
 import re
-from collections.abc import Mapping
+import shlex
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tomli_w
 
+from fmus.extras import imports_of
+from orchestration.errors import OrchestrationError
+from orchestration.results.metric_units import shown
 from orchestration.results.recording import Recording
+
+with imports_of("report", "a report"):
+    import pyarrow  # noqa: F401  (of the table, which would name its own extra)
+
+    from orchestration.sweep import table  # which needs no more of the extra sweep
+    from orchestration.sweep.table import categorical, groups, statistics
 
 
 @dataclass(frozen=True)
@@ -68,3 +84,88 @@ def toml(content: Mapping[str, Any]) -> str:
 def _on_one_line(match: re.Match[str]) -> str:
     items = [line.strip(" ").removesuffix(",") for line in match[1].removesuffix("\n").split("\n")]
     return f"[{', '.join(items)}]"
+
+
+_SHOWN_ELSEWHERE = {"name", "title", "scenario", "varied", "arguments"}
+
+
+def read_sweep(file: Path) -> SweepResult:
+    """Reads the sweep in a file, named after the file; OrchestrationError if it has no sample."""
+    rows, provenance = table.read(file)
+    if not rows.num_rows:
+        raise OrchestrationError(f"{file}: expected at least one sample, got none")
+    varied, metrics = table.names(rows.schema, "varied"), table.names(rows.schema, "metric")
+    arguments = provenance.get("arguments", [provenance["name"]])  # those of older tables are not known
+    return SweepResult(
+        name=file.stem,
+        samples=rows[table.SAMPLE].to_numpy(),
+        varied={name: rows[name].to_pylist() for name in varied},
+        metrics={name: rows[name].to_numpy().astype(float) for name in metrics},
+        errors=tuple(error or "" for error in rows[table.ERROR].to_pylist()),
+        units={name: table.unit(rows.schema, name) for name in [*varied, *metrics]},
+        scenario=provenance["scenario"],
+        provenance={key: value for key, value in provenance.items() if key not in _SHOWN_ELSEWHERE},
+        absent={name: shown(math.nan, provenance["scenario"]["metrics"].get(name, {})) for name in metrics},
+        command=f"{shlex.join(['l1-depth', 'sweep', *arguments])} --sample {{sample}}",
+    )
+
+
+def groups_of(sweep: SweepResult) -> dict[tuple[str, ...], np.ndarray]:
+    """Returns values of what is varied and no number -> indices of their samples that did not fail."""
+    return groups(sweep.varied, [i for i, error in enumerate(sweep.errors) if not error])
+
+
+def distributions(sweep: SweepResult) -> list[dict[str, Any]]:
+    """Returns the statistics of each group and metric."""
+    return [
+        {"group": group, "name": name, "values": statistics(values[indices])}
+        for group, indices in groups_of(sweep).items()
+        for name, values in sweep.metrics.items()
+    ]
+
+
+def correlations(sweep: SweepResult) -> list[dict[str, Any]]:
+    """Returns rows of what is varied: metric -> correlation of ranks; None where one of them does not vary.
+
+    Of a number, within each group, Spearman's, -1..1; of a text or truth value, over all groups, 0..1: the
+    share of the metric's ranks that the value determines, as a standard deviation. For two values it is the
+    size of Spearman's.
+    """
+    categories, by_group = categorical(sweep.varied), groups_of(sweep)
+    pooled = {("all",) * len(categories): np.flatnonzero([not error for error in sweep.errors])}
+    return [
+        {
+            "group": group,
+            "name": name,
+            "values": {
+                metric: _rank_correlation([values[i] for i in indices], measured[indices])
+                for metric, measured in sweep.metrics.items()
+            },
+        }
+        for name, values in sweep.varied.items()
+        for group, indices in (pooled if name in categories else by_group).items()
+    ]
+
+
+def _rank_correlation(values: Sequence[Any], metric: np.ndarray) -> float | None:
+    from scipy.stats import rankdata  # takes longer to import than a page without a sweep takes
+
+    good = np.isfinite(metric)
+    chosen, ranks = np.array(values)[good], rankdata(metric[good])
+    if len(np.unique(chosen)) < 2 or len(np.unique(ranks)) < 2:
+        return None
+    if np.issubdtype(chosen.dtype, np.number):
+        return float(np.corrcoef(rankdata(chosen), ranks)[0, 1])
+    means = [ranks[chosen == value].mean() for value in chosen]  # of each rank, that of its value
+    return float(np.std(means) / np.std(ranks))
+
+
+def strongest(rows: list[dict[str, Any]]) -> tuple[str, str] | None:
+    """Returns the varied name and the metric with the largest correlation."""
+    strength = {
+        (row["name"], metric): abs(value)
+        for row in rows
+        for metric, value in row["values"].items()
+        if value is not None
+    }
+    return max(strength, key=lambda pair: strength[pair]) if strength else None

@@ -1,12 +1,19 @@
-"""Tables of a scenario file that declare a signal or a fault -> the signal or the fault."""
+"""Tables of a scenario file that declare a signal or a fault -> the signal or the fault.
 
-from typing import Annotated
+A signal of kind `table` may name a CSV file. It is read where the scenario is, so that this becomes one file.
+"""
+
+import csv
+from pathlib import Path
+from typing import Annotated, Any
 
 from pydantic import TypeAdapter
 
+from fmus.errors import nearest
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.scenarios.file_format import FAULT, SIGNAL
-from orchestration.scenarios.file_tables import Table, checked
+from orchestration.scenarios.file_tables import At, Table, checked
+from orchestration.scenarios.toml_file import KeyPath
 from orchestration.system import faults
 from orchestration.system.faults import Fault
 from orchestration.system.signal_derivatives import KINDS
@@ -40,3 +47,53 @@ def fault(declaration: object, where: str) -> Fault:
         return Fault(target, faults.KINDS[kind](**arguments), **window)
     except SystemDefinitionError as error:
         raise ScenarioError(f"{where}: {error}") from error
+
+
+def with_file_values(signals: dict[str, Any], folder: Path, at: At, keys: KeyPath) -> dict[str, Any]:
+    """Returns the signals with the times and values of each `file` in its place.
+
+    folder: that the files are relative to
+    at, keys: where the table of signals stands; begins the ScenarioError about a file
+    """
+    result = dict(signals)
+    for name, declared in signals.items():
+        if isinstance(declared, dict) and declared.get("file"):
+            where = f'{at((*keys, name, "file"))}: signals."{name}"'
+            others = {key: value for key, value in declared.items() if key not in ("file", "column")}
+            if others.keys() & {"times", "values"}:
+                raise ScenarioError(f"{where}: file, and times or values: expected one of them")
+            times, values = _columns(folder / declared["file"], declared.get("column", ""), where)
+            result[name] = {**others, "times": times, "values": values}
+    return result
+
+
+def _columns(path: Path, name: str, where: str) -> tuple[list[float], list[float]]:
+    """Times and the values of a column, by default the second, of a CSV file."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            rows = [(number, row) for number, row in enumerate(csv.reader(stream), start=1) if row]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        beside = [file.name for file in path.parent.glob("*.csv")]
+        hint = f"; beside it, {nearest(path.name, beside)}" if not path.is_file() else ""
+        raise ScenarioError(f"{where}: {path}: expected a CSV file, got {error}{hint}") from error
+    index = 1
+    if rows and not _is_number(rows[0][1][0]):
+        titles = [title.partition(" [")[0].strip() for title in rows.pop(0)[1]]
+        if name and name not in titles[1:]:
+            raise ScenarioError(f"{where}: {path}:1: no column {name!r}; {nearest(name, titles[1:])}")
+        index = titles.index(name, 1) if name else 1
+    elif name:
+        raise ScenarioError(f"{where}: {path}:1: column = {name!r}: expected a first line of titles")
+    for number, row in rows:
+        if not (len(row) > index and _is_number(row[0]) and _is_number(row[index])):
+            expected = f"expected numbers in columns 1 and {index + 1}"
+            raise ScenarioError(f"{where}: {path}:{number}: {expected}, got {','.join(row)!r}")
+    return [float(row[0]) for _, row in rows], [float(row[index]) for _, row in rows]
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -125,7 +125,7 @@ def identify(
 
     if not 1 <= starts < evaluations:
         raise OrchestrationError(f"evaluations {evaluations}: expected more than the {starts} starts")
-    search = _Search(seed, evaluations, progress)
+    search = _Objective(seed, evaluations, progress)
     drawn = _SCALED_LOW + qmc.LatinHypercube(len(GAINS), rng=seed).random(starts)
     begin = min(drawn, key=lambda point: float(np.sum(search(point) ** 2)))
     with suppress(_OutOfEvaluations):
@@ -148,7 +148,7 @@ class _OutOfEvaluations(Exception):  # noqa: N818  (a signal to stop, not an err
     pass
 
 
-class _Search:
+class _Objective:
     """The objective, remembering the best point that it was asked for."""
 
     def __init__(self, seed: int, evaluations: int, progress: Callable[[float], None]) -> None:

@@ -37,8 +37,8 @@ Formats = Sequence[FigureFormat]
 
 
 @dataclass(frozen=True)
-class Curve:
-    """One scenario in a figure: how it is drawn, its recording and its metrics."""
+class DrawnRun:
+    """The run of one scenario in a figure: how it is drawn, its recording and its metrics."""
 
     scenario: str
     label: str
@@ -72,14 +72,14 @@ def write_figures(
     """Draws all three from the recordings and metrics of scenarios, by their names; returns the files."""
     files = []
     for name, curves in _FIGURES.items():
-        drawn = [Curve(s, *curve, recordings[s], measured[s]) for s, curve in curves.items()]
+        drawn = [DrawnRun(s, *curve, recordings[s], measured[s]) for s, curve in curves.items()]
         draw = _example_figure if name == "figure_3" else _vehicle_figure
         with figure_style():
             files += write_figure(draw(drawn), folder / name, formats)
     return files
 
 
-def _example_figure(curves: Sequence[Curve]) -> Figure:
+def _example_figure(curves: Sequence[DrawnRun]) -> Figure:
     """Draws the illustrative example: output, tracking error, and the extended controller's error alone."""
     figure, (outputs, errors, extended) = stacked_panels([1.8, 1.2, 1.2], "Time [s]")
     for curve in curves:
@@ -107,7 +107,7 @@ def _example_figure(curves: Sequence[Curve]) -> Figure:
     return figure
 
 
-def _vehicle_figure(curves: Sequence[Curve]) -> Figure:
+def _vehicle_figure(curves: Sequence[DrawnRun]) -> Figure:
     figure, (depth, error, thrust, theta, sigma) = stacked_panels([1.9, 1.3, 1.9, 1.0, 1.0], "Time [s]")
     for curve in curves:
         run = curve.run
@@ -125,7 +125,7 @@ def _vehicle_figure(curves: Sequence[Curve]) -> Figure:
     return figure
 
 
-def _finish_depth(panel: Axes, curves: Sequence[Curve]) -> None:
+def _finish_depth(panel: Axes, curves: Sequence[DrawnRun]) -> None:
     """Draws reference, settling band and settling times: circles of the runs, dotted lines of the paper."""
     run, reference = curves[0].run, {"label": "reference $z_r$", "color": "black", "linewidth": 0.6}
     draw_curve(panel, run.time, run[_REFERENCE], **reference)
@@ -145,7 +145,7 @@ def _finish_depth(panel: Axes, curves: Sequence[Curve]) -> None:
     _compare(panel, "Settling time", _SETTLING, ".1f", "s", curves)
 
 
-def _finish_thrust(panel: Axes, curves: Sequence[Curve]) -> None:
+def _finish_thrust(panel: Axes, curves: Sequence[DrawnRun]) -> None:
     """Draws the published holding thrust, and the oscillation at the surface in a window of its own."""
     inset = panel.inset_axes((0.16, 0.29, 0.45, 0.36))
     for curve in curves:
@@ -160,7 +160,7 @@ def _finish_thrust(panel: Axes, curves: Sequence[Curve]) -> None:
     _compare(panel, "Holding thrust", _HOLDING, ".2f", "N", curves)
 
 
-def _compare(panel: Axes, name: str, metric: str, digits: str, unit: str, curves: Sequence[Curve]) -> None:
+def _compare(panel: Axes, name: str, metric: str, digits: str, unit: str, curves: Sequence[DrawnRun]) -> None:
     """Writes a note of the metric in each run and as published."""
     rows = []
     for curve in curves:

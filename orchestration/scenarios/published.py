@@ -1,10 +1,18 @@
-"""The published figures that reproductions are compared with, and how scenarios map onto them.
+"""The published figures, how scenarios map onto them, and the tables that compare them with ours.
 
 Source: Maalouf, Chemori and Creuze (NOLCOS 2013): Tables 1 and 2, sections 5.2 and 5.3. The example has
 no published figures: its oracles were computed independently (docs/fidelity.md).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from math import isnan
+from typing import TYPE_CHECKING
+
+from orchestration.results.metric_units import MetricDocument, shown
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 CONTROLLERS = {"l1": "L1", "extended": "extended L1"}
 """Name of a controller in the scenarios' names -> its name for readers."""
@@ -52,3 +60,43 @@ PUBLISHED = (
     *_row("Oracle, x(0) = 0", "example", "rmse", "RMSE", "1", 19.80, 0.798, "computed"),
 )
 """Published figures and, for the example, the independent oracles."""
+
+
+def summary(metrics: Mapping[str, MetricDocument]) -> dict[str, dict[str, MetricDocument]]:
+    """Returns {case: {controller: metrics with units}} of the paper's experiments, from the scenarios'."""
+    return {
+        case: {controller: metrics[f"{case}-{controller}"] for controller in CONTROLLERS} for case in CASES
+    }
+
+
+def comparison_table(measured: Mapping[str, Mapping[str, float]]) -> "Table":
+    """Returns every published figure beside ours, with the deviation."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title="Published and reproduced", title_justify="left")
+    for heading in ("Source", "Case", "Controller", "Figure", "Unit"):
+        table.add_column(heading)
+    for heading in ("Reference", "Ours", "Deviation", "in %"):
+        table.add_column(heading, justify="right")
+    table.add_column("Ours is")
+    before = None
+    for figure in PUBLISHED:
+        ours = measured[figure.scenario][figure.metric]
+        deviation = ours - figure.value
+        if before not in (None, figure.where):
+            table.add_section()
+        before = figure.where
+        table.add_row(
+            figure.where,
+            figure.case,
+            CONTROLLERS[figure.controller],
+            figure.label,
+            escape(figure.unit),
+            f"{figure.value:.4g}",
+            shown(ours, {"function": figure.metric}, ".4g"),
+            "" if isnan(ours) else f"{deviation:+.2g}",
+            "" if isnan(ours) else f"{100.0 * deviation / figure.value:+.1f}",
+            figure.status,
+        )
+    return table

@@ -1,6 +1,6 @@
-"""The layers of a scenario, from its files and from what a command sets."""
+"""The layers of a scenario from its files."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -8,16 +8,13 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from fmus.errors import nearest
-from fmus.fmi.variable_types import FmiValue
 from fmus.registry import block_names
 from orchestration.errors import ScenarioError
-from orchestration.scenarios.assigned_text import AssignedText
+from orchestration.scenarios.declarations import with_file_values
 from orchestration.scenarios.file_format import ParameterFile, ScenarioFile
-from orchestration.scenarios.file_tables import check_part, checked
-from orchestration.scenarios.layers import Data, Layer, components_of, merge
-from orchestration.scenarios.replaced import Describe
-from orchestration.scenarios.signal_files import with_values
-from orchestration.scenarios.toml_file import TomlFile, read_toml
+from orchestration.scenarios.file_tables import At, check_part, checked
+from orchestration.scenarios.layers import Data, Layer, merge
+from orchestration.scenarios.toml_file import KeyPath, TomlFile, read_toml
 
 SHIPPED = Path(str(resources.files("orchestration.scenarios")))
 FILE, _PARAMETERS = TypeAdapter(ScenarioFile), TypeAdapter(ParameterFile)
@@ -54,14 +51,16 @@ def file_layers(path: Path, above: tuple[Path, ...] = ()) -> list[Layer]:
     file = read_toml(path)
     data = file.data
     check_part(FILE, data, file.at, absent=_OF_A_BASE)
-    known = block_names()  # once: it reads the entry points of every installed package
     conditional = [(entries, ("when_replaced", i)) for i, entries in enumerate(data.get("when_replaced", []))]
     for entries, keys in [(data, ()), *conditional]:
         for name, fmu in entries.get("components", {}).items():
-            where = file.at((*keys, "components", name))
-            entries["components"][name] = fmu and _fmu(fmu, path.parent, where, known)
+            entries["components"][name] = fmu and named_fmu(
+                fmu, path.parent, file.at, (*keys, "components", name)
+            )
         if "signals" in entries:
-            entries["signals"] = with_values(entries["signals"], path.parent, file.at, (*keys, "signals"))
+            entries["signals"] = with_file_values(
+                entries["signals"], path.parent, file.at, (*keys, "signals")
+            )
     base = data.pop("base", "")
     below: list[Layer] = []
     if base:
@@ -96,60 +95,16 @@ def _values_of(file: TomlFile) -> dict[str, Any]:
     return {name: entry.value for name, entry in parameters.items()}
 
 
-def _fmu(fmu: str, folder: Path, where: str, known: Collection[str]) -> str:
+def named_fmu(fmu: str, folder: Path, at: At, keys: KeyPath) -> str:
     """Returns the name of a known block, or the absolute path of an FMU named relative to a folder.
 
-    where: begins the ScenarioError about a name that is neither
+    at, keys: where it is named; begins the ScenarioError about a name that is neither
     """
     if fmu.endswith(".fmu"):
         return str((folder / fmu).absolute())
+    known = block_names()
     if fmu not in known:
-        raise ScenarioError(f"{where}: no block {fmu!r}, and a path must end in .fmu; {nearest(fmu, known)}")
+        raise ScenarioError(
+            f"{at(keys)}: no block {fmu!r}, and a path must end in .fmu; {nearest(fmu, known)}"
+        )
     return fmu
-
-
-def command_entries(overrides: Mapping[str, Any], settings: Mapping[str, FmiValue]) -> Data:
-    """Returns the overrides and the settings of components; paths are relative to the present folder."""
-    if "base" in overrides:
-        raise ScenarioError(f"base = {overrides['base']!r}: expected it in the scenario file that is loaded")
-    given = {
-        **overrides.get("components", {}),
-        **{n: str(fmu) for n, fmu in settings.items() if "." not in n},
-    }
-    known = block_names() if given else ()
-    components = {name: _fmu(fmu, Path(), f"{name} = {fmu}", known) for name, fmu in given.items()}
-    above: Data = {"components": components} if components else {}
-    if "signals" in overrides:
-        above["signals"] = with_values(overrides["signals"], Path(), lambda keys: "command line", ())
-    return merge(dict(overrides), above)
-
-
-def check_components(settings: Mapping[str, FmiValue], layers: Sequence[Layer]) -> None:
-    """Raises ScenarioError for a setting that names no component of these layers."""
-    known = components_of(layers)
-    for name, fmu in settings.items():
-        if "." not in name and name not in known:
-            raise ScenarioError(f"{name} = {fmu!r}: no component {name!r} to replace; {nearest(name, known)}")
-
-
-def values_of_settings(
-    settings: Mapping[str, FmiValue], components: Mapping[str, str], description: Describe
-) -> Data:
-    """Returns the tables of a scenario file that the values of variables stand in."""
-    tables: Data = {}
-    for name, value in settings.items():
-        component, dot, variable = name.partition(".")
-        if not dot:
-            continue
-        if component not in components:
-            hint = nearest(component, components)
-            raise ScenarioError(f"{name} = {value!r}: no component {component!r}; {hint}")
-        variables = {v.name: v for v in description(components[component]).modelVariables}
-        settable = {known: v for known, v in variables.items() if v.causality in ("parameter", "input")}
-        if variable not in settable:
-            hint = nearest(name, (f"{component}.{known}" for known in settable))
-            raise ScenarioError(f"{name} = {value!r}: expected a parameter or an input; {hint}")
-        fmi_type, causality = settable[variable].type, settable[variable].causality
-        typed = value.value(str(fmi_type)) if isinstance(value, AssignedText) else value
-        tables.setdefault(f"{causality}s", {})[name] = typed
-    return tables

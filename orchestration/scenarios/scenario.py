@@ -17,6 +17,7 @@ from fmus.registry import Flavour, fmu_path
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.results import metrics
 from orchestration.scenarios.adapters import adapted, with_chosen_entries
+from orchestration.scenarios.changes import command_entries, values_of_settings
 from orchestration.scenarios.declarations import fault, signal
 from orchestration.scenarios.file_format import ScenarioFile
 from orchestration.scenarios.file_tables import checked
@@ -24,13 +25,10 @@ from orchestration.scenarios.layers import TABLES, Layer, components_of, merged,
 from orchestration.scenarios.read_layers import (
     FILE,
     SHIPPED,
-    check_components,
-    command_entries,
     file_layers,
     find,
     parameter_values,
     shipped,
-    values_of_settings,
     with_parameter_files,
 )
 from orchestration.scenarios.replaced import replacements, without_misfits
@@ -72,24 +70,22 @@ def load(
     overrides: Mapping[str, Any] | None = None,
     flavour: Flavour = Flavour.NATIVE,
     *,
-    layers_between: Sequence[Mapping[str, Any]] = (),
+    layers: Sequence[Layer] = (),
     settings: Mapping[str, FmiValue] | None = None,
     build: Callable[[Path], object] = lambda fmu: None,
 ) -> Scenario:
     """Reads a scenario file; `overrides` is laid over it as a scenario over its base.
 
+    overrides: files that they name are relative to the present folder
     flavour: of our own blocks' FMUs
-    layers_between: laid over the file one after another, below `overrides`, whose mapping they so follow;
-    files that they and `overrides` name are relative to the present folder
+    layers: of the file, if they were read before, and of what else lies below `overrides`
     settings: "component.variable" -> value of a parameter or a constant input, and component -> the FMU or
     block in its place; checked and laid over all
     build: called with the file of an FMU whose model description is needed to load the scenario
     Warns (ScenarioWarning) where an FMU that replaces that of the base may be another than was meant.
     """
-    between = (with_parameter_files(data, Path())[0] for data in layers_between)
-    layers = [*file_layers(path), *map(Layer, between)]
     given, parameter_files = with_parameter_files(overrides or {}, Path())
-    layers.append(Layer(command_entries(given, settings or {})))
+    layers = [*(layers or file_layers(path)), Layer(command_entries(given, settings or {}))]
     files = [*reversed(parameter_files), *(file for layer in reversed(layers) for file in layer.files)]
 
     @cache
@@ -105,8 +101,7 @@ def load(
         return any((v.name, v.type) == (variable, "Boolean") for v in variables)
 
     layers = adapted(layers, replacements(layers, description))
-    check_components(settings or {}, layers[:-1])
-    layers.append(Layer(values_of_settings(settings or {}, components_of(layers), description)))
+    layers.append(Layer(values_of_settings(settings or {}, layers, description)))
     layers = with_chosen_entries(layers)
     replaced = replacements(layers, description)
     fitting = merged(without_misfits(layers, replaced), is_boolean)

@@ -14,6 +14,7 @@ from orchestration.many.stepped_ensemble import SteppedEnsemble
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator
 from orchestration.run.snapshot import SavedState
+from orchestration.scenarios.changes import with_values
 from orchestration.scenarios.task import Task
 from orchestration.system.prepared_run import check_for
 from orchestration.system.signals import values_at
@@ -77,8 +78,7 @@ class Episode:
             if self._first:
                 simulator.restore(self._first)
                 return
-        parameters = {**plan.experiment.parameters, **drawn}
-        simulator.start(replace(plan.experiment, parameters=parameters), external=plan.task.actions)
+        simulator.start(with_values(plan.experiment, drawn), external=plan.task.actions)
         self._signals = plan.signals(simulator.points)
         self._read, self.act = simulator.reader(*plan.variables), simulator.writer(*plan.task.actions)
         self.step = simulator.step

@@ -24,6 +24,8 @@ from orchestration.many.local import LocalRuns
 from orchestration.many.run_many import Make, in_order
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
+from orchestration.scenarios.changes import with_values
+from orchestration.scenarios.layers import Layer
 from orchestration.scenarios.read_layers import file_layers, parameter_values, shipped_bases
 from orchestration.scenarios.scenario import Scenario
 from orchestration.score.protocol import REFERENCE, Case, Protocol, check_vehicle
@@ -163,8 +165,7 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
             judged = Judged(*self._judged_by(first.case, experiment), first.compute)
             for run in (first, *others):
                 gains = {f"{OWN}{name}": value for name, value in run.gains.items()}
-                changed = replace(experiment, parameters={**experiment.parameters, **gains})
-                yield Run(None, changed, judged)
+                yield Run(None, with_values(experiment, gains), judged)
 
     def _judged_by(
         self, case: Case, experiment: Experiment
@@ -196,7 +197,7 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
                 path,
                 overrides,
                 controller.flavour,
-                layers_between=[_judging(path), case.layer],
+                layers=[*_base(path), Layer(dict(case.layer))],
                 settings={"controller": controller.fmu, **settings, **controller.settings},
                 build=build_missing,
             )
@@ -214,16 +215,13 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
     def experiment(self, case: Case) -> Experiment:
         """Returns the experiment of a case with its own values."""
         loaded = self.scenario(case)
-        experiment = loaded.experiment
-        parameters: dict[str, Any] = dict(experiment.parameters)
+        experiment = with_values(loaded.experiment, case.values)
         inputs: dict[str, Any] = dict(experiment.inputs)
-        for name, value in case.values.items():
-            (inputs if name in inputs else parameters)[name] = value
         signals = dict(experiment.signals)
         if case.trajectory:
             signals[self.controller.variable("depth_reference")] = Ramps(case.trajectory)
         self._drive_rates(loaded, inputs, signals)
-        return replace(experiment, parameters=parameters, inputs=inputs, signals=signals)
+        return replace(experiment, inputs=inputs, signals=signals)
 
     def _drive_rates(self, loaded: Scenario, inputs: dict[str, FmiValue], signals: dict[str, Signal]) -> None:
         """Drives the rates of the reference by its derivatives, or holds them at 0, by the league."""
@@ -261,7 +259,8 @@ def _inputs(fmu: Path) -> set[str]:
 
 
 @cache
-def _judging(path: Path) -> dict[str, Any]:
-    """Returns a layer over a base: what is recorded for metrics, in place of the metrics of the base."""
-    metrics = {name: False for layer in file_layers(path) for name in layer.data.get("metrics", {})}
-    return {"record": list(_RECORD), "metrics": metrics}
+def _base(path: Path) -> tuple[Layer, ...]:
+    """Returns the layers of a base, and one with what is recorded for metrics in place of its metrics."""
+    layers = file_layers(path)
+    metrics = {name: False for layer in layers for name in layer.data.get("metrics", {})}
+    return (*layers, Layer({"record": list(_RECORD), "metrics": metrics}))

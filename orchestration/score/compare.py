@@ -12,7 +12,7 @@ from orchestration.score import score_view
 from orchestration.score.closed_loop import Controller, built_in, tuned
 from orchestration.score.protocol import Protocol
 from orchestration.score.score import ScoreResult, runs_each, score_controllers
-from orchestration.score.score_document import OF_A_ROW, CaseResult, Score
+from orchestration.score.score_document import Score
 from orchestration.score.score_view import Cell, ScoreTable
 
 START, TUNED = "start", "tuned"
@@ -123,35 +123,3 @@ def _lines(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def _text(cell: Cell) -> str:
     text = f"**{cell.text}**" if cell.is_best else cell.text
     return f"{text} !" if cell.failed else text
-
-
-def metric(document: Score, key: str) -> float:
-    """Returns the number that the page names by a key.
-
-    Such as "tuned/l1.nominal.rmse", "tuned/l1.delay_margin", "tuned/l1.plants.rmse.p95", or, of the paper's
-    controller minus this one over the plants, "tuned/l1.difference.rmse.high".
-
-    Raises KeyError for a key of no metric.
-    """
-    name, *path = key.split(".")
-    row = next((row for row in document.rows if row.name == name), None)
-    match path:
-        case [case, metric_name] if row and metric_name in row.cases.get(case, CaseResult()).metrics:
-            return row.cases[case].metrics[metric_name]
-        case [metric_name] if row and metric_name in OF_A_ROW:
-            return getattr(row, metric_name)
-        case ["plants", "failure_rate"] if row and row.plants:
-            return row.plants.failure_rate
-        case ["plants", metric_name, "median" | "p95" | "cvar" as statistic] if row and row.plants:
-            return getattr(row.plants.metrics[metric_name], statistic)
-        case ["difference", metric_name, statistic] if row:
-            return _difference(document, name, metric_name, statistic)
-    raise KeyError(key)
-
-
-def _difference(document: Score, other: str, metric_name: str, statistic: str) -> float:
-    for entry in document.differences:
-        if (entry.other, entry.metric) == (other, metric_name):
-            low, high = entry.interval
-            return {"median": entry.median_difference, "low": low, "high": high, "p": entry.p_holm}[statistic]
-    raise KeyError(f"{other}.difference.{metric_name}")

@@ -1,7 +1,7 @@
 """The score: controllers in every case of the protocol, beside those that the protocol has.
 
 result = score([Controller("mine", "my.fmu")])
-result.document.metric(result.document.scored[0], "nominal", "rmse")
+result.document.scored[0].cases["nominal"].metrics["rmse"]
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.protocol_format import COMPARED
 from orchestration.score.run_metrics import Trace
 from orchestration.score.score_document import PairedDifference, Row, Score, protocol_info
-from orchestration.score.score_rows import Patience, Progress, Scoring
+from orchestration.score.score_rows import Patience, Progress, RowTraces, Scoring
 from orchestration.score.statistics import compare, holm
 from orchestration.system.prepared_run import prepare
 
@@ -93,7 +93,7 @@ def _rows(
     beside: Sequence[Controller],
     timeout: float,
     workers: int,
-) -> list[tuple[Row, dict[str, Trace]]]:
+) -> list[RowTraces]:
     """Returns the rows of the scored controllers, then of those beside them, and their traces."""
     nominal, makers = scoring.protocol.nominal, list[tuple[ClosedLoop, Patience]]()
     for controller in (*scored, *beside):

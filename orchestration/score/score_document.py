@@ -142,10 +142,6 @@ class Score(Part):
     def scored(self) -> list[Row]:
         return [row for row in self.rows if row.scored]
 
-    def metric(self, row: Row, case: str, name: str) -> float:
-        """Returns a metric of a row; not a number where there is none."""
-        return row.cases[case].metrics.get(name, math.nan) if case in row.cases else math.nan
-
 
 MICROSECONDS = "microseconds"
 OF_A_ROW: Mapping[str, MetricInfo] = {

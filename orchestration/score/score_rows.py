@@ -1,29 +1,38 @@
-"""The row of one controller: every case, what is measured of it once, and every plant."""
+"""The row of one controller: every case, what is measured of it once, and every plant.
+
+Rows of built-in controllers from earlier scores are in the store. A row is found there by the content of all
+that it follows from: FMUs, parameters, protocol, seeds, this program and the libraries, Python and machine
+that run it.
+"""
 
 import hashlib
+import json
 import math
+import platform
+import sys
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, replace
-from functools import partial
+from functools import cache, partial
+from importlib.metadata import distributions
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
+from fmus import store
 from fmus.fmi.description import describe, of_causality
 from orchestration.errors import OrchestrationError, ScenarioError, SimulationError, SweepError
 from orchestration.many.job import ENDED, TOO_LONG, Done, Failure, Job, Run
 from orchestration.many.local import LocalRuns
 from orchestration.many.run_many import in_order
 from orchestration.many.runners import ClosedError
-from orchestration.margins.fmu_margins import delay_margin
+from orchestration.margins.fmu_margins import scan
 from orchestration.margins.hold import HoldRuns, LoopSignal, last_part
 from orchestration.results.recording import Recording
-from orchestration.score import score_cache
-from orchestration.score.closed_loop import OWN, ClosedLoop, ClosedLoopRun
-from orchestration.score.plants import plants
-from orchestration.score.protocol import Case, Protocol
+from orchestration.score.closed_loop import GAINS, OWN, ClosedLoop, ClosedLoopRun, Controller
+from orchestration.score.protocol import FILE, Case, Protocol, plants
 from orchestration.score.protocol_format import COMPARED
 from orchestration.score.run_metrics import Trace, declared, failures, traced_metrics
 from orchestration.score.score_document import CaseResult, MetricOverPlants, PlantsResult, Row
@@ -42,7 +51,16 @@ _REPETITIONS = 3
 _TIMED_RUN = 10.0  # timeouts for a run that is timed, which has more steps than a case
 _TRUE_RATE = "measured_depth_rate"
 
+STORED = "score"
+"""Kind of the rows in the store."""
+_PROJECT = Path(__file__).parents[2]
+_PACKAGES = ("fmus", "controller_fmu", "plant_fmu", "orchestration")
+_OF_OTHERS = ("controllers", "cost")  # tables of a protocol that a row does not follow from
+
 Progress = Callable[[int], object]
+RowTraces = tuple[Row, dict[str, Trace]]
+"""A row, and what is drawn of its runs by case."""
+_ROW_TRACES = TypeAdapter(RowTraces)
 
 
 class Patience:
@@ -95,13 +113,12 @@ class Scoring:
         self.cases = [case.with_seed(seeds.sensor_seed) for case in self.protocol.cases.values()]
         self.plants = plants(self.protocol, seeds.plants_seed) if self.full else []
 
-    def row(self, loop: ClosedLoop, patience: Patience, scored: bool) -> tuple[Row, dict[str, Trace]]:
+    def row(self, loop: ClosedLoop, patience: Patience, scored: bool) -> RowTraces:
         """Returns the row of a controller and its traces; of a built-in one from the cache, if there."""
-        name = "" if scored else score_cache.key(loop.controller, loop, self.full)
-        cached = score_cache.read(name) if name else None
-        if cached:
+        key = "" if scored else row_key(loop.controller, loop, self.full)
+        if key and (stored := stored_row(key)):
             self.progress(len(self.cases) + len(self.plants))
-            return cached.row, cached.traces
+            return stored
         with patience.place:
             try:
                 row, traces = self._run(loop, scored)
@@ -111,11 +128,11 @@ class Scoring:
                     f"score of {loop.controller.name}: {mistake['loc'][0]} = {mistake['input']!r}: "
                     f"{mistake['msg'].lower()}, so nothing is written; check the FMU with l1-depth check"
                 ) from error
-        if name and patience.is_intact:
-            score_cache.write(name, row, traces)
+        if key and patience.is_intact:
+            store_row(key, row, traces)
         return row, traces
 
-    def _run(self, loop: ClosedLoop, scored: bool) -> tuple[Row, dict[str, Trace]]:
+    def _run(self, loop: ClosedLoop, scored: bool) -> RowTraces:
         controller, nominal = loop.controller, self.cases[0]
         row = Row(
             name=controller.name,
@@ -181,7 +198,7 @@ def delay_margin_of(loop: ClosedLoop, case: Case) -> float:
     scenario = replace(loop.scenario(case), experiment=loop.experiment(case))
     hold = last_part("plant.depth", case.target.window[1])
     with HoldRuns(scenario, hold, loop.make, loop.timeout) as runs:
-        return delay_margin(runs, LoopSignal.MEASUREMENT, only_first_loss=True).margin
+        return scan(runs, LoopSignal.MEASUREMENT, only_first_loss=True).margin
 
 
 def microseconds(loop: ClosedLoop, case: Case) -> float:
@@ -238,3 +255,50 @@ def _over_plants(runs: Sequence[CaseResult], names: Sequence[str]) -> PlantsResu
             for name, column in values.items()
         },
     )
+
+
+def row_key(controller: Controller, loop: ClosedLoop, full: bool) -> str:
+    """Returns the key of a row in the store."""
+    loaded = loop.scenario(loop.protocol.nominal)
+    fmus = [store.digest(fmu.read_bytes()) for fmu in loaded.system.components.values()]
+    runs = {name: table for name, table in loop.protocol.file.data.items() if name not in _OF_OTHERS}
+    content = [asdict(controller), full, runs, _sources(), _environment(), fmus]
+    return store.digest(json.dumps(content, sort_keys=True, default=str).encode())
+
+
+@cache
+def _sources() -> list[tuple[str, str]]:
+    """Returns path and digest of what metrics follow from in this program.
+
+    Of the shipped protocol the tables count one by one, and of tuned gains those that the controller has.
+    """
+    return [
+        (path, digest)
+        for name in _PACKAGES
+        for path, digest, _ in store.digests(_PROJECT / name)
+        if (source := _PROJECT / name / path) != FILE and source.parent != GAINS
+    ]
+
+
+@cache
+def _environment() -> list[object]:
+    """Returns what metrics depend on besides the sources: Python, the C library and what is installed."""
+    installed = sorted({(found.name, found.version) for found in distributions()})
+    return [sys.version, platform.machine(), platform.libc_ver(), installed]
+
+
+def stored_row(key: str) -> RowTraces | None:
+    """Returns the row of a key and its traces, if they are stored.
+
+    Raises OrchestrationError, with what to do, if another user can have written it.
+    """
+    if reason := store.reason_for_distrust(store.folder(STORED) / key):
+        raise OrchestrationError(reason)
+    with suppress(ValueError):  # of another version of Pydantic
+        return _ROW_TRACES.validate_json(store.get(STORED, key) or b"")
+    return None
+
+
+def store_row(key: str, row: Row, traces: dict[str, Trace]) -> None:
+    """Stores a row and its traces."""
+    store.put(STORED, key, _ROW_TRACES.dump_json((row, traces)))

@@ -5,19 +5,10 @@ The best of a column is the best of its league among the runs that did not fail.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from orchestration.score.protocol_format import COMPARED, DELAY_MARGIN
-from orchestration.score.score_document import MICROSECONDS, CaseResult, MetricInfo, Row, Score
-
-
-@dataclass(frozen=True)
-class Column:
-    """A heading, the unit of its numbers, and what they are."""
-
-    title: str
-    unit: str
-    meaning: str
+from orchestration.score.score_document import MICROSECONDS, MetricInfo, Row, Score
 
 
 @dataclass(frozen=True)
@@ -34,6 +25,17 @@ class Cell:
 
 
 @dataclass(frozen=True)
+class Column:
+    """A heading, the unit of its numbers, what they are, and the cell of a row."""
+
+    title: str
+    unit: str
+    meaning: str
+    cell: Callable[[Row], Cell]
+    greatest_is_best: bool = False
+
+
+@dataclass(frozen=True)
 class ScoreTable:
     """cells: a list for each row of the score, in its order."""
 
@@ -43,7 +45,6 @@ class ScoreTable:
     cells: tuple[tuple[Cell, ...], ...]
 
 
-_Value = Callable[[Row], tuple[float, Sequence[str]]]
 _OVERVIEW = ("rmse", "total_variation")
 
 
@@ -51,44 +52,42 @@ def overview(score: Score) -> ScoreTable:
     """Means over the cases: those that built-in controllers are tuned on have columns of their own."""
     tuned = [name for name, case in score.protocol.cases.items() if case.tuned_on]
     others = [name for name in score.protocol.cases if name not in tuned]
-    entries: list[tuple[Column, bool, _Value]] = []
+    columns: list[Column] = []
     groups = ((tuned, "tuned on"), (others, "others"))
     for cases, which in (group for group in groups if group[0]):
         for name in _OVERVIEW:
             metric = score.protocol.metrics[name]
             meaning = f"mean over {len(cases)} cases: {', '.join(cases)}; {metric.meaning}"
-            entries.append(
-                (Column(f"{metric.title}, {which}", metric.unit, meaning), False, _mean(name, cases))
-            )
-        column = Column(f"Failed, {which}", f"of {len(cases)}", f"runs that failed of {', '.join(cases)}")
-        entries.append((column, False, _failed(cases)))
-    return _table(score, "Means over the cases", [*entries, *_of_the_row(score)])
+            columns.append(Column(f"{metric.title}, {which}", metric.unit, meaning, _mean(name, cases)))
+        meaning = f"runs that failed of {', '.join(cases)}"
+        columns.append(Column(f"Failed, {which}", f"of {len(cases)}", meaning, _failed(cases)))
+    return _table(score, "Means over the cases", [*columns, *_of_the_row(score)])
 
 
 def of_case(score: Score, case: str) -> ScoreTable:
     """Returns every metric of one case; in the nominal case also those of the row."""
-    entries = [
-        (Column(metric.title, metric.unit, metric.meaning), metric.greatest_is_best, _one(name, case))
+    columns = [
+        _column(metric, _one(name, case))
         for name, metric in score.protocol.metrics.items()
         if name not in (DELAY_MARGIN, MICROSECONDS)
     ]
     is_nominal = case == next(iter(score.protocol.cases))
     title = score.protocol.cases[case].title
-    return _table(score, title, [*entries, *(_of_the_row(score) if is_nominal else [])])
+    return _table(score, title, [*columns, *(_of_the_row(score) if is_nominal else [])])
 
 
 def of_metric(score: Score, name: str) -> ScoreTable:
     """Returns one metric in every case."""
     metric = score.protocol.metrics[name]
-    entries = [
-        (
-            Column(info.title + (" (tuned on)" if info.tuned_on else ""), "", metric.meaning),
-            metric.greatest_is_best,
-            _one(name, case),
+    columns = [
+        replace(
+            _column(metric, _one(name, case)),
+            title=info.title + (" (tuned on)" if info.tuned_on else ""),
+            unit="",
         )
         for case, info in score.protocol.cases.items()
     ]
-    return _table(score, _titled(metric), entries)
+    return _table(score, f"{metric.title} [{metric.unit}]" if metric.unit else metric.title, columns)
 
 
 def over_plants(score: Score) -> ScoreTable | None:
@@ -96,16 +95,14 @@ def over_plants(score: Score) -> ScoreTable | None:
     counts = [row.plants.count for row in score.rows if row.plants]
     if not counts or len(counts) < len(score.rows):
         return None
-    column = Column("Failed", "%", "share of the plants on which the run failed")
-    entries: list[tuple[Column, bool, _Value]] = [(column, False, _failure_rate)]
+    columns = [Column("Failed", "%", "share of the plants on which the run failed", _failure_rate)]
     for name in COMPARED:
         metric = score.protocol.metrics[name]
-        for statistic in ("median", "p95", "cvar"):
-            column = Column(
-                f"{metric.title} {_STATISTICS[statistic][0]}", metric.unit, _STATISTICS[statistic][1]
-            )
-            entries.append((column, False, _statistic(name, statistic)))
-    return _table(score, f"{counts[0]} plants, each with a trajectory of its own", entries)
+        columns += [
+            Column(f"{metric.title} {title}", metric.unit, meaning, _statistic(name, statistic))
+            for statistic, (title, meaning) in _STATISTICS.items()
+        ]
+    return _table(score, f"{counts[0]} plants, each with a trajectory of its own", columns)
 
 
 _STATISTICS = {
@@ -115,76 +112,72 @@ _STATISTICS = {
 }
 
 
-def _titled(metric: MetricInfo) -> str:
-    return f"{metric.title} [{metric.unit}]" if metric.unit else metric.title
+def _column(metric: MetricInfo, cell: Callable[[Row], Cell]) -> Column:
+    return Column(metric.title, metric.unit, metric.meaning, cell, metric.greatest_is_best)
 
 
-def _of_the_row(score: Score) -> list[tuple[Column, bool, _Value]]:
+def _of_the_row(score: Score) -> list[Column]:
     """Returns the metrics that a row has once, which count as those of its nominal run."""
     nominal = next(iter(score.protocol.cases))
 
-    def value(name: str) -> _Value:
-        return lambda row: (getattr(row, name), _result(row, nominal).failed)
+    def cell(name: str) -> Callable[[Row], Cell]:
+        return lambda row: Cell(getattr(row, name), _reasons(row, nominal))
 
-    metrics = {name: score.protocol.metrics[name] for name in (DELAY_MARGIN, MICROSECONDS)}
-    return [
-        (Column(metric.title, metric.unit, metric.meaning), metric.greatest_is_best, value(name))
-        for name, metric in metrics.items()
-    ]
+    return [_column(score.protocol.metrics[name], cell(name)) for name in (DELAY_MARGIN, MICROSECONDS)]
 
 
-def _result(row: Row, case: str) -> CaseResult:
-    return row.cases.get(case, CaseResult())
+def _metric(row: Row, name: str, case: str) -> float:
+    return row.cases[case].metrics.get(name, math.nan) if case in row.cases else math.nan
 
 
-def _one(name: str, case: str) -> _Value:
-    return lambda row: (_result(row, case).metrics.get(name, math.nan), _result(row, case).failed)
+def _reasons(row: Row, case: str) -> tuple[str, ...]:
+    """Returns why the run of a case counts as failed."""
+    return tuple(row.cases[case].failed) if case in row.cases else ()
 
 
-def _mean(name: str, cases: Sequence[str]) -> _Value:
-    def value(row: Row) -> tuple[float, Sequence[str]]:
-        values = [_result(row, case).metrics.get(name, math.nan) for case in cases]
-        failed = [f"{case}: {reason}" for case in cases for reason in _result(row, case).failed]
-        return sum(values) / len(values), failed
-
-    return value
+def _one(name: str, case: str) -> Callable[[Row], Cell]:
+    return lambda row: Cell(_metric(row, name, case), _reasons(row, case))
 
 
-def _failed(cases: Sequence[str]) -> _Value:
-    return lambda row: (float(sum(bool(_result(row, case).failed) for case in cases)), ())
+def _mean(name: str, cases: Sequence[str]) -> Callable[[Row], Cell]:
+    def cell(row: Row) -> Cell:
+        values = [_metric(row, name, case) for case in cases]
+        failed = (f"{case}: {reason}" for case in cases for reason in _reasons(row, case))
+        return Cell(sum(values) / len(values), tuple(failed))
+
+    return cell
 
 
-def _failure_rate(row: Row) -> tuple[float, Sequence[str]]:
-    return 100.0 * row.plants.failure_rate if row.plants else math.nan, ()
+def _failed(cases: Sequence[str]) -> Callable[[Row], Cell]:
+    return lambda row: Cell(float(sum(bool(_reasons(row, case)) for case in cases)))
 
 
-def _statistic(name: str, statistic: str) -> _Value:
-    return lambda row: (getattr(row.plants.metrics[name], statistic) if row.plants else math.nan, ())
+def _failure_rate(row: Row) -> Cell:
+    return Cell(100.0 * row.plants.failure_rate if row.plants else math.nan)
 
 
-def _table(score: Score, title: str, entries: Sequence[tuple[Column, bool, _Value]]) -> ScoreTable:
-    columns = []
-    for _, greatest_is_best, value in entries:
-        cells = [Cell(number, tuple(failed)) for number, failed in map(value, score.rows)]
-        best = {league: _best(score, cells, league, greatest_is_best) for league in score.protocol.leagues}
-        columns.append(
+def _statistic(name: str, statistic: str) -> Callable[[Row], Cell]:
+    return lambda row: Cell(getattr(row.plants.metrics[name], statistic) if row.plants else math.nan)
+
+
+def _table(score: Score, title: str, columns: Sequence[Column]) -> ScoreTable:
+    marked = []
+    for column in columns:
+        cells = [column.cell(row) for row in score.rows]
+        best = {league: _best(score, cells, league, column) for league in score.protocol.leagues}
+        marked.append(
             [
-                Cell(cell.value, cell.failed, cell.value == best[row.league] and not cell.failed)
+                replace(cell, is_best=cell.value == best[row.league] and not cell.failed)
                 for row, cell in zip(score.rows, cells, strict=True)
             ]
         )
-    rows = tuple(zip(*columns, strict=True))
-    return ScoreTable(title, tuple(column for column, _, _ in entries), tuple(score.rows), rows)
+    return ScoreTable(title, tuple(columns), tuple(score.rows), tuple(zip(*marked, strict=True)))
 
 
-def _best(score: Score, cells: Sequence[Cell], league: str, greatest: bool) -> float:
+def _best(score: Score, cells: Sequence[Cell], league: str, column: Column) -> float:
     """Returns the best number of a league, of runs that did not fail; not a number where all are equal."""
-    rows = [row.league == league for row in score.rows]
-    values = [
-        cell.value
-        for cell, is_of_it in zip(cells, rows, strict=True)
-        if is_of_it and not cell.failed and math.isfinite(cell.value)
-    ]
-    if not values or sum(rows) < 2 or (len(values) == sum(rows) and len(set(values)) == 1):
+    of_league = [cell for row, cell in zip(score.rows, cells, strict=True) if row.league == league]
+    values = [cell.value for cell in of_league if not cell.failed and math.isfinite(cell.value)]
+    if not values or len(of_league) < 2 or (len(values) == len(of_league) and len(set(values)) == 1):
         return math.nan
-    return max(values) if greatest else min(values)
+    return max(values) if column.greatest_is_best else min(values)

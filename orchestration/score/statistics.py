@@ -19,8 +19,8 @@ _BOOTSTRAP_SEED = 1
 
 
 @dataclass(frozen=True)
-class Distribution:
-    """The distribution of a metric over the plants; infinite where plants without a value are part of it.
+class OrderStatistics:
+    """Order statistics of a metric over the plants; infinite where plants without a value are part of it.
 
     median, p95: the least value that at least 50 % or 95 % of the plants do not exceed
     cvar: conditional value at risk at 95 %, the mean of the largest 5 % of the values
@@ -32,7 +32,7 @@ class Distribution:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class PairedComparison:
     """A metric of two controllers on the same plants, the first minus the second.
 
     pairs: plants on which both have a value; low, high: 95 % interval of the median difference
@@ -46,15 +46,15 @@ class Comparison:
     p: float
 
 
-def distribution(values: npt.ArrayLike) -> Distribution:
+def distribution(values: npt.ArrayLike) -> OrderStatistics:
     """Returns median, 95th percentile and CVaR by order statistics: each value is one of the plants'."""
     ordered = np.sort(np.nan_to_num(np.asarray(values, float), nan=math.inf))
     median, p95 = np.quantile(ordered, (0.5, 1.0 - TAIL), method="inverted_cdf")
     worst = ordered[len(ordered) - math.ceil(TAIL * len(ordered)) :]
-    return Distribution(float(median), float(p95), float(worst.mean()))
+    return OrderStatistics(float(median), float(p95), float(worst.mean()))
 
 
-def compare(first: npt.ArrayLike, second: npt.ArrayLike) -> Comparison:
+def compare(first: npt.ArrayLike, second: npt.ArrayLike) -> PairedComparison:
     """Returns Wilcoxon's test and a bootstrap interval of the median difference, paired by plant."""
     from scipy import stats  # takes longer to import than the test takes
 
@@ -62,10 +62,10 @@ def compare(first: npt.ArrayLike, second: npt.ArrayLike) -> Comparison:
     differences = differences[np.isfinite(differences)]
     count = len(differences)
     if count < 2:
-        return Comparison(count, math.nan, math.nan, math.nan, math.nan)
+        return PairedComparison(count, math.nan, math.nan, math.nan, math.nan)
     median = float(np.median(differences))
     if not np.any(differences != differences[0]):
-        return Comparison(count, median, median, median, 1.0 if median == 0.0 else 2.0 ** (1 - count))
+        return PairedComparison(count, median, median, median, 1.0 if median == 0.0 else 2.0 ** (1 - count))
     test: Any = stats.wilcoxon(differences)
     resampled = stats.bootstrap(
         (differences,),
@@ -75,7 +75,7 @@ def compare(first: npt.ArrayLike, second: npt.ArrayLike) -> Comparison:
         method="percentile",
         rng=np.random.default_rng(_BOOTSTRAP_SEED),
     ).confidence_interval
-    return Comparison(count, median, float(resampled.low), float(resampled.high), float(test.pvalue))
+    return PairedComparison(count, median, float(resampled.low), float(resampled.high), float(test.pvalue))
 
 
 def holm(p_values: Mapping[str, float]) -> dict[str, float]:

@@ -6,26 +6,24 @@ is drawn, in the order in which the scenario names them.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
+from orchestration.scenarios.changes import tables_of_values, with_values
 from orchestration.scenarios.file_tables import Table
 from orchestration.scenarios.scenario import Scenario
 from orchestration.sweep.varied import (
     MOST_VALUES,
-    Settings,
     SweepTable,
     Varied,
     sweep_table,
     target,
     varied,
-    with_settings,
 )
 from orchestration.system.prepared_run import prepare
 from orchestration.system.system import CheckedSystem
@@ -82,26 +80,17 @@ class Plan:
         sequence = np.random.SeedSequence(self.seed, spawn_key=(sample,))
         return np.random.default_rng(sequence).random(count).tolist()
 
-    def settings(self, values: Mapping[str, FmiValue]) -> Settings:
-        """Returns the values as a scenario file would give them."""
-        tables: dict[str, dict[str, Any]] = {}
-        for entry in self.varied:
-            tables.setdefault(entry.target.table, {})[entry.target.key] = entry.target.entry(
-                values[entry.target.name]
-            )
-        return tables
-
     def of_sample(self, sample: int) -> Scenario:
         """Returns one sample as a scenario of its own, with nothing left to draw."""
-        settings = self.settings(self.values(sample))
+        values, experiment = self.values(sample), self.scenario.experiment
         resolved = {key: value for key, value in self.scenario.resolved.items() if key != "sweep"}
-        for table, values in settings.items():
-            resolved[table] = {**resolved.get(table, {}), **values}
+        for table, entries in tables_of_values(values, experiment).items():
+            resolved[table] = {**resolved.get(table, {}), **entries}
         return replace(
             self.scenario,
             name=f"{self.scenario.name}.sample-{sample}",
             title=f"{self.scenario.title}, sample {sample}",
-            experiment=with_settings(self.scenario.experiment, settings),
+            experiment=with_values(experiment, values),
             resolved=resolved,
             sweep={},
         )

@@ -18,26 +18,26 @@ from orchestration.many.job import Failure, Finished, Job, Run
 from orchestration.many.local import LocalRuns
 from orchestration.results import metrics
 from orchestration.results.recording import Recording
+from orchestration.scenarios.changes import with_values
 from orchestration.scenarios.scenario import Scenario
 from orchestration.sweep.plan import Plan
 from orchestration.sweep.plan import plan as plan_of
 from orchestration.sweep.store import Store
 from orchestration.sweep.table import ERROR, SAMPLE, WARNED, schema
-from orchestration.sweep.varied import with_settings
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import prepare_checked
 
 _DRAWN_AT_ONCE = 100  # samples whose values are drawn at once, before they run
 
 
-class Sample(NamedTuple):
-    """A sample: the number of a run of a sweep, and name -> value of what is varied in it."""
+class SweepRun(NamedTuple):
+    """A run of a sweep: the number of its sample, and name -> value of what is varied in it."""
 
     number: int
     values: Mapping[str, FmiValue]
 
 
-class Row(NamedTuple):
+class SweepRow(NamedTuple):
     """The row of a sample: its metrics, and its recording as a Parquet file."""
 
     metrics: Mapping[str, float]
@@ -54,14 +54,14 @@ class Rows:
     metrics: Mapping[str, Mapping[str, Any]]
     recorded: tuple[str, ...] | None
 
-    def __call__(self, runs: Recording) -> list[Row]:
+    def __call__(self, runs: Recording) -> list[SweepRow]:
         """Returns the row of each run of a recording with an axis of runs."""
         columns = {name: np.asarray(v).tolist() for name, v in metrics.evaluate(runs, self.metrics).items()}
         count = len(runs.values)
         rows = [{name: column[i] for name, column in columns.items()} for i in range(count)]
         if self.recorded is None:
-            return [Row(row) for row in rows]
-        return [Row(row, _as_parquet(runs.run(i), self.recorded)) for i, row in enumerate(rows)]
+            return [SweepRow(row) for row in rows]
+        return [SweepRow(row, _as_parquet(runs.run(i), self.recorded)) for i, row in enumerate(rows)]
 
 
 def run_sweep(
@@ -133,7 +133,7 @@ def job_of(plan: Plan, recorded: tuple[str, ...] | None) -> Job:
     others = [
         entry.target.name
         for entry in plan.varied
-        if entry.target.table not in ("parameters", "inputs") or entry.target.key.endswith(".internal_step")
+        if entry.target.table not in ("parameters", "inputs") or entry.target.name.endswith(".internal_step")
     ]
     refusals = [f"{name} is varied: expected parameters but internal_step, and inputs" for name in others]
     return Job(plan.scenario.system, experiment, plan.timeout, "".join(refusals[:1]))
@@ -146,7 +146,7 @@ def samples_of(
     numbers, reduce = iter(numbers), Rows(plan.scenario.metrics, recorded)
     while block := list(islice(numbers, _DRAWN_AT_ONCE)):
         for number, values in zip(block, plan.block(block), strict=True):
-            yield Run(Sample(number, values), with_settings(base, plan.settings(values)), reduce)
+            yield Run(SweepRun(number, values), with_values(base, values), reduce)
 
 
 def recorded_signals(text: str, plan: Plan) -> tuple[str, ...] | None:

@@ -1,8 +1,8 @@
 """The table `[sweep]` of a scenario file: what a sweep may vary, and by which distributions or grids."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -12,6 +12,7 @@ from fmus.errors import nearest
 from fmus.fmi.description import start_value
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import OrchestrationError, ScenarioError
+from orchestration.scenarios.changes import EXPERIMENT_SETTINGS, table_of_value
 from orchestration.scenarios.file_tables import OneOf, Table, Value, checked, table_of
 from orchestration.sweep.distributions import FROM_THE_FMU, FUNCTIONS, UNBOUNDED, distribution
 from orchestration.system.experiment import Algorithm, Experiment
@@ -19,24 +20,19 @@ from orchestration.system.signals import Constant
 from orchestration.system.system import CheckedSystem, Port
 from orchestration.system.values import fmi_value, items, value_range
 
-_EXPERIMENT_UNITS = {"experiment.step_size": "s", "experiment.stop_time": "s", "experiment.algorithm": ""}
 _PURPOSE = "sweep"
-
-Settings = Mapping[str, Mapping[str, Any]]
-"""Table of the scenario file -> key -> value, or the table of a constant signal."""
 
 
 @dataclass(frozen=True)
-class Target:
+class SweepTarget:
     """A target of a sweep: a name that it may vary.
 
-    table, key: where a scenario file gives it; type: that of FMI 2.0, an enumeration's items are texts
+    table: of a scenario file, which gives it; type: that of FMI 2.0, an enumeration's items are texts
     permitted: its range; base_value: without a sweep; port: None for a setting of the experiment
     """
 
     name: str
     table: str
-    key: str
     unit: str
     type: str
     permitted: tuple[float, float]
@@ -54,10 +50,6 @@ class Target:
             return next((name for name, item in items(self.port).items() if item == number), str(number))
         return number
 
-    def entry(self, value: FmiValue) -> Any:
-        """Returns what a scenario file gives for the value."""
-        return {"kind": "constant", "value": value} if self.table == "signals" else value
-
     def within(self, value: float) -> float:
         """Returns the value, moved into the range if rounding has carried it out."""
         return min(max(value, self.permitted[0]), self.permitted[1])
@@ -74,19 +66,19 @@ class Target:
         raise ScenarioError(f"{self.name} = {value!r}: expected more than {low:g} s")
 
 
-def target(name: str, checked: CheckedSystem, experiment: Experiment) -> Target:
+def target(name: str, checked: CheckedSystem, experiment: Experiment) -> SweepTarget:
     """Returns the target of that name; an unknown one offers the nearest."""
-    if name in _EXPERIMENT_UNITS:
+    if name in EXPERIMENT_SETTINGS:
         key = name.partition(".")[2]
-        kind = "Real" if _EXPERIMENT_UNITS[name] else "String"
+        kind = "Real" if EXPERIMENT_SETTINGS[name] else "String"
         least = experiment.start_time if key == "stop_time" else 0.0
         base_value = getattr(experiment, key)
-        return Target(
-            name, "experiment", key, _EXPERIMENT_UNITS[name], kind, (least, math.inf), base_value, None
+        return SweepTarget(
+            name, "experiment", EXPERIMENT_SETTINGS[name], kind, (least, math.inf), base_value, None
         )
     if name.startswith("experiment.") and "experiment" not in checked.components:
         raise ScenarioError(
-            f"{_PURPOSE}: the experiment has no {name!r} to vary; {nearest(name, _EXPERIMENT_UNITS)}"
+            f"{_PURPOSE}: the experiment has no {name!r} to vary; {nearest(name, EXPERIMENT_SETTINGS)}"
         )
     port = checked.port(name, _PURPOSE)
     causality = port.variable.causality
@@ -97,35 +89,17 @@ def target(name: str, checked: CheckedSystem, experiment: Experiment) -> Target:
         raise ScenarioError(
             f"{_PURPOSE}: {name} is driven by a connection or signal: expected a constant input"
         )
-    if isinstance(signal, Constant):
-        table, base_value = "signals", signal.value
-    else:
-        table = f"{causality}s"
-        base_value = getattr(experiment, table).get(name, start_value(port.variable))
-    return Target(
+    given: dict[str, Any] = {**experiment.inputs, **experiment.parameters}
+    base_value = signal.value if isinstance(signal, Constant) else given.get(name, start_value(port.variable))
+    return SweepTarget(
         name=name,
-        table=table,
-        key=name,
+        table=table_of_value(name, experiment),
         unit=port.variable.unit or "",
         type="String" if port.variable.type == "Enumeration" else port.variable.type,
         permitted=value_range(port),
         base_value=base_value,
         port=port,
     )
-
-
-def with_settings(experiment: Experiment, settings: Settings) -> Experiment:
-    """Returns the experiment with other values; what has none stays the same object."""
-    changes: dict[str, Any] = dict(settings.get("experiment", {}))
-    if "algorithm" in changes:
-        changes["algorithm"] = Algorithm(changes["algorithm"])
-    if "signals" in settings:
-        constants = {name: Constant(entry["value"]) for name, entry in settings["signals"].items()}
-        changes["signals"] = {**experiment.signals, **constants}
-    for table in ("parameters", "inputs"):
-        if table in settings:
-            changes[table] = {**getattr(experiment, table), **settings[table]}
-    return replace(experiment, **changes)
 
 
 _OPTIONAL: Any = Field(default=None)
@@ -197,12 +171,12 @@ MOST_VALUES = 10_000_000  # of a sweep: more would neither fit into memory nor e
 class Varied:
     """A varied name: `draw` maps numbers in [0, 1) to values, one a sample; `grid` lists values."""
 
-    target: Target
+    target: SweepTarget
     grid: tuple[FmiValue, ...] = ()
     draw: Callable[[Sequence[float]], list[FmiValue]] | None = None
 
 
-def varied(target: Target, declared: Table, where: str) -> Varied:
+def varied(target: SweepTarget, declared: Table, where: str) -> Varied:
     """Checks an entry against the range and type of its target and returns what it declares.
 
     Raises ScenarioError, which begins with `where`.
@@ -220,7 +194,7 @@ def varied(target: Target, declared: Table, where: str) -> Varied:
         raise ScenarioError(f"{where}: {error}") from error
 
 
-def _base_value(target: Target) -> float:
+def _base_value(target: SweepTarget) -> float:
     """Returns the target's value without a sweep, which relative values are multiplied with."""
     if target.type != "Real" or target.base_value == 0.0:
         raise ScenarioError(
@@ -229,7 +203,7 @@ def _base_value(target: Target) -> float:
     return float(target.base_value)
 
 
-def _grid(target: Target, values: Sequence[FmiValue], relative: bool) -> Varied:
+def _grid(target: SweepTarget, values: Sequence[FmiValue], relative: bool) -> Varied:
     if relative:
         scale = _base_value(target)
         factors = [value for value in values if isinstance(value, (int, float))]
@@ -248,7 +222,9 @@ def _linspace(declared: list[float]) -> list[float]:
     return np.linspace(first, last, int(count)).tolist()
 
 
-def _drawn(target: Target, name: str, arguments: dict[str, Any], relative: bool, truncate: bool) -> Varied:
+def _drawn(
+    target: SweepTarget, name: str, arguments: dict[str, Any], relative: bool, truncate: bool
+) -> Varied:
     scale = _base_value(target) if relative else None
     low, high = sorted(limit / (scale or 1.0) for limit in target.permitted)
     law = distribution(name, arguments, (low, high), truncate)

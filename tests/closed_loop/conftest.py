@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from orchestration.scenarios import reproduce
+from orchestration.scenarios import run_files
 from orchestration.scenarios.run_files import Result
 from tests.shared_builds import LIKE_ANOTHER, built_once, session_folder
 
@@ -24,8 +24,8 @@ def results(folder: Path, scenario_fmus: None) -> dict[str, Result]:
     """Every shipped scenario, run through the FMUs and the master at its default settings."""
 
     def run_all(path: Path) -> None:
-        results = reproduce.run_all(folder, os.cpu_count() or 1)
-        reproduce.write_report(results, folder)
+        results = run_files.run_all(folder, os.cpu_count() or 1)
+        run_files.write_report(results, folder)
         path.write_bytes(pickle.dumps(results))
 
     return pickle.loads(built_once(folder / "results.pickle", run_all).read_bytes())

@@ -9,7 +9,7 @@ from fmus.registry import Flavour
 from orchestration.results import metrics
 from orchestration.results.recording import Recording
 from orchestration.run import simulate
-from orchestration.scenarios import reproduce, scenario
+from orchestration.scenarios import run_files, scenario
 from orchestration.scenarios.run_files import Result
 
 # Python and C make the same double-precision operations in the same order, none contracted. A constant
@@ -39,7 +39,7 @@ def test_the_first_two_seconds_agree(scenario_fmus: None, python_fmus: None, nam
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in reproduce.reproduced() if name != "example-l1"])
+@pytest.mark.parametrize("name", [name for name in run_files.reproduced() if name != "example-l1"])
 def test_trajectories_and_metrics_agree(results: dict[str, Result], python_fmus: None, name: str) -> None:
     """Of every scenario of the paper; `example-l1` is `example-extended` with another augmentation."""
     chosen = scenario.load(scenario.find(name), flavour=Flavour.PYTHON)

@@ -14,8 +14,7 @@ from fmus.build import builder
 from orchestration.scenarios import scenario
 from orchestration.scenarios.identify import GAINS
 from orchestration.scenarios.published import PUBLISHED
-from orchestration.scenarios.reproduce import reproduced
-from orchestration.scenarios.run_files import Result
+from orchestration.scenarios.run_files import Result, reproduced
 
 VEHICLE_UNITS = {
     "settling_time": "s",

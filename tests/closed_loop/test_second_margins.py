@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestration.margins.fmu_margins import DELAY_RESOLUTION, delay_margin
+from orchestration.margins.fmu_margins import DELAYS, scan
 from orchestration.margins.hold import LoopSignal
 from orchestration.scenarios import scenario
 from tests.closed_loop.second_program import L1Case, LawStep, sampled
@@ -38,8 +38,8 @@ def test_a_second_program_loses_its_quietness_at_the_delay_that_was_measured(
     of the noise from then on; the deviation in the hold changes by a tenth with them.
     """
     loaded = scenario.load(scenario.find(name), {"parameters": settings})
-    scan = delay_margin(loaded, signal, only_first_loss=True)
+    measured = scan(loaded, signal, only_first_loss=True)
     case = noisy_case(replace(loaded, experiment=replace(loaded.experiment, stop_time=END)))
-    apart = DELAY_RESOLUTION if settings else 2.0 * DELAY_RESOLUTION
-    assert is_quiet(case, signal, scan.margin - apart)
-    assert not is_quiet(case, signal, scan.lost + apart)
+    apart = DELAYS.resolution if settings else 2.0 * DELAYS.resolution
+    assert is_quiet(case, signal, measured.margin - apart)
+    assert not is_quiet(case, signal, measured.lost + apart)

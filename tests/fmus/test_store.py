@@ -16,8 +16,8 @@ from fmus.fmi.description import describe
 from fmus.registry import FOLDER_VARIABLE, fmu_folder, fmu_path
 from fmus.store import reason_for_distrust
 from orchestration.errors import FmuLoadError, OrchestrationError
-from orchestration.score import score_cache
 from orchestration.score.score_document import Row
+from orchestration.score.score_rows import store_row, stored_row
 from tests.described_fmus import described
 from tests.other_user import give_to_another_user
 
@@ -116,11 +116,11 @@ def test_a_row_of_a_score_that_others_can_write_is_refused(
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     row = Row(name="pid", title="PID", league="position", scored=False, fmu={})
-    score_cache.write("key", row, {})
-    assert score_cache.read("key")
+    store_row("key", row, {})
+    assert stored_row("key")
     (tmp_path / "l1-depth" / "score").chmod(0o770)
     with pytest.raises(OrchestrationError, match=r"score can be written by other users.*: remove it"):
-        score_cache.read("key")
+        stored_row("key")
 
 
 def test_a_stamp_that_others_can_write_stamps_nothing(

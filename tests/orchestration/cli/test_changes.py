@@ -13,8 +13,8 @@ import pytest
 from orchestration.cli import chosen_scenario
 from orchestration.cli.changes import Changes
 from orchestration.errors import ScenarioError
-from orchestration.report import sweeps
-from orchestration.scenarios.assigned_text import AssignedText
+from orchestration.report.result import read_sweep
+from orchestration.scenarios.changes import AssignedText
 from orchestration.sweep import table
 from orchestration.sweep.plan import plan
 from orchestration.system.open_inputs import OpenInputs
@@ -109,7 +109,7 @@ def test_a_report_has_the_command_that_runs_a_sample_again_with_its_options(
     swept = plan(chosen_scenario.load("short.toml", changes=changes))
     rows = [{"sample": i, **swept.values(i), "error": "not run"} for i in range(swept.count)]
     table.write(rows, table.schema(swept, None), tmp_path / "short.sweep.parquet")
-    again = sweeps.read(tmp_path / "short.sweep.parquet").command.replace("{sample}", "1")
+    again = read_sweep(tmp_path / "short.sweep.parquet").command.replace("{sample}", "1")
     program, *arguments = shlex.split(again)
     assert program == "l1-depth"
     command(*arguments)
@@ -156,7 +156,7 @@ def test_a_string_keeps_what_the_command_line_has(tmp_path: Path) -> None:
         f'[components]\nmy = "{tmp_path}/my.fmu"\n[experiment]\nstop_time = 1\nstep_size = 0.1\n'
         '[inputs]\n"my.u" = 0.0\n'
     )
-    changes = Changes.of_options(assignments=["my.version=1.50", "my.gain=1.50"])
+    changes = Changes.of_options(settings=["my.version=1.50", "my.gain=1.50"])
     parameters = chosen_scenario.load(str(tmp_path / "one.toml"), changes=changes).experiment.parameters
     assert parameters == {"my.version": "1.50", "my.gain": 1.5}
 

@@ -36,7 +36,7 @@ AT_WORK = {
     "tune l1-pi --out .": "orchestration.score.tune_problem.problem_of",
     "compare --out .": "orchestration.score.compare.compare",
     "margins nominal-l1": "orchestration.margins.margins.judge",
-    "reproduce": "orchestration.scenarios.reproduce.run_all",
+    "reproduce": "orchestration.scenarios.run_files.run_all",
     "identify": "orchestration.scenarios.identify.metric_units",
     "package nominal-l1": "orchestration.exchange.ssp_write.ramp_sources",
     "export modelica": "orchestration.exchange.modelica.texts",

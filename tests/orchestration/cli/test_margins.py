@@ -14,7 +14,7 @@ HOLD = ("--signal", "plant.depth", "--window", "0.1", "0.2")
 def written(folder: Path) -> dict[str, dict[str, Any]]:
     """Group and name -> figure of margins.json."""
     document = json.loads((folder / "margins.json").read_text())
-    return {f"{figure['group']}: {figure['name']}": figure for figure in document["figures"]}
+    return {f"{metric['group']}: {metric['name']}": metric for metric in document["metrics"]}
 
 
 def test_every_figure_has_its_unit_its_assumption_and_its_source(

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from orchestration.errors import ScenarioError
-from orchestration.margins.fmu_margins import delay_margin, gain_margin
+from orchestration.margins.fmu_margins import DELAYS, GAINS, scan
 from orchestration.margins.hold import Hold, HoldRuns, LoopSignal, hold_of, loop_inputs
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
@@ -17,6 +17,7 @@ from orchestration.system.system import System
 
 STEP, GAIN = 0.05, 1.0  # s, 1/s
 HOLD = Hold("plant.y[1]", 300.0, 400.0)
+WIDE = replace(DELAYS, largest=3.0, step=0.2)
 # x(0) such that a mode that neither grows nor decays has a standard deviation of about 3 mm, so that a run is
 # quiet below the margin and is not above, however slowly it grows there
 INITIAL = math.sqrt(2.0) * 3e-3
@@ -43,10 +44,11 @@ def test_the_gain_margin_of_a_sampled_integrator_is_that_of_its_difference_equat
     integrator: Scenario,
 ) -> None:
     """With Jacobi the control is a step old: x[n+1] = x[n] - g h x[n-1], lost at g h = 1."""
-    scan = gain_margin(integrator, hold=HOLD, largest=30.0, step=1.5, resolution=1.001)
+    grid = replace(GAINS, largest=30.0, step=1.5, resolution=1.001)
+    measured = scan(integrator, LoopSignal.CONTROL, grid, hold=HOLD)
     expected = sampled_gain_limit(1) / (GAIN * STEP)
-    assert scan.margin == pytest.approx(expected, rel=0.003)  # the initial value excites other modes too
-    assert scan.margin < scan.lost <= 1.001 * scan.margin
+    assert measured.margin == pytest.approx(expected, rel=0.003)  # the initial value excites other modes too
+    assert measured.margin < measured.lost <= 1.001 * measured.margin
 
 
 @pytest.mark.parametrize("loop_signal", list(LoopSignal))
@@ -57,17 +59,19 @@ def test_the_delay_margin_of_a_sampled_integrator_is_that_of_its_difference_equa
     steps = next(m for m in range(1, 100) if sampled_gain_limit(m + 1) < GAIN * STEP)
     above, below = sampled_gain_limit(steps), sampled_gain_limit(steps + 1)
     part = (above - GAIN * STEP) / (above - below)
-    scan = delay_margin(integrator, loop_signal, hold=HOLD, largest=3.0, step=0.2, resolution=1e-3)
-    assert scan.margin == pytest.approx((steps - 1 + part) * STEP, abs=2e-3)
-    assert scan.margin < scan.lost <= scan.margin + 1e-3
-    assert scan.margin == pytest.approx(0.5 * math.pi / GAIN - 1.5 * STEP, abs=2e-3)  # continuous, less 1.5 h
-    assert scan.quiet_again == ()
+    measured = scan(integrator, loop_signal, WIDE, hold=HOLD)
+    assert measured.margin == pytest.approx((steps - 1 + part) * STEP, abs=2e-3)
+    assert measured.margin < measured.lost <= measured.margin + 1e-3
+    continuous = 0.5 * math.pi / GAIN
+    assert measured.margin == pytest.approx(continuous - 1.5 * STEP, abs=2e-3)
+    assert measured.quiet_again == ()
 
 
 def test_a_scan_can_end_at_the_first_loss(integrator: Scenario) -> None:
-    options = {"hold": HOLD, "largest": 3.0, "step": 0.2, "resolution": 0.05}
+    grid = replace(WIDE, resolution=0.05)
     first, complete = (
-        delay_margin(integrator, only_first_loss=is_first, **options) for is_first in (True, False)
+        scan(integrator, LoopSignal.MEASUREMENT, grid, hold=HOLD, only_first_loss=is_first)
+        for is_first in (True, False)
     )
     assert (first.margin, first.lost) == (complete.margin, complete.lost)
     assert first.runs < complete.runs == 16 + 2
@@ -75,14 +79,16 @@ def test_a_scan_can_end_at_the_first_loss(integrator: Scenario) -> None:
 
 def test_a_scenario_that_is_not_quiet_has_no_margin(integrator: Scenario) -> None:
     unstable = replace(integrator, experiment=replace(integrator.experiment, parameters={"plant.a": 1.1}))
-    scan = delay_margin(unstable, hold=HOLD, largest=1.0, step=0.5)
-    assert math.isnan(scan.margin)
-    assert scan.lost == 0.0
+    grid = replace(DELAYS, largest=1.0, step=0.5)
+    measured = scan(unstable, LoopSignal.MEASUREMENT, grid, hold=HOLD)
+    assert math.isnan(measured.margin)
+    assert measured.lost == 0.0
 
 
 def test_nothing_lost_is_infinite(integrator: Scenario) -> None:
-    scan = delay_margin(integrator, hold=HOLD, largest=0.4, step=0.2)
-    assert (scan.margin, scan.lost) == (0.4, math.inf)
+    grid = replace(DELAYS, largest=0.4, step=0.2)
+    measured = scan(integrator, LoopSignal.MEASUREMENT, grid, hold=HOLD)
+    assert (measured.margin, measured.lost) == (0.4, math.inf)
 
 
 def test_a_scenario_without_a_reference_needs_a_hold(integrator: Scenario) -> None:
@@ -97,7 +103,7 @@ def test_a_component_without_a_loop_is_refused(integrator: Scenario) -> None:
         experiment=replace(integrator.experiment, inputs={"plant.u[1]": 0.0}),
     )
     with pytest.raises(ScenarioError, match="no connection of a loop through plant"):
-        delay_margin(open_loop, hold=HOLD)
+        scan(open_loop, LoopSignal.MEASUREMENT, hold=HOLD)
 
 
 def test_the_hold_of_the_vehicle_is_the_last_part_of_its_longest_constant_reference(
@@ -126,5 +132,5 @@ def test_the_vehicle_bears_what_its_linear_loop_does_less_its_sampling(scenario_
 
     The law's own step costs less than another half. docs/explanation/margins.md has the figures.
     """
-    scan = delay_margin(scenario.load(scenario.find("nominal-extended-ideal")), LoopSignal.CONTROL)
-    assert 0.4133 - 2.0 * 0.02 < scan.margin < 0.4133 - 1.5 * 0.02
+    measured = scan(scenario.load(scenario.find("nominal-extended-ideal")), LoopSignal.CONTROL)
+    assert 0.4133 - 2.0 * 0.02 < measured.margin < 0.4133 - 1.5 * 0.02

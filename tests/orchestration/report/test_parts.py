@@ -17,8 +17,7 @@ from hypothesis.extra.numpy import arrays
 from orchestration.errors import OrchestrationError
 from orchestration.report import RunResult, SweepResult, found_results
 from orchestration.report.render import differences, packed, run_data
-from orchestration.report.result import toml
-from orchestration.report.sweeps import correlations, distributions, strongest
+from orchestration.report.result import correlations, distributions, strongest, toml
 from orchestration.scenarios import scenario
 
 from .made_up import PROVENANCE, SCENARIO, recording, write_run

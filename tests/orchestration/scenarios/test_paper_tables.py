@@ -5,8 +5,7 @@ import math
 
 from rich.console import Console
 
-from orchestration.scenarios.paper_tables import comparison_table
-from orchestration.scenarios.published import PUBLISHED
+from orchestration.scenarios.published import PUBLISHED, comparison_table
 
 
 def test_a_figure_that_does_not_exist_has_a_word_and_no_deviation() -> None:

@@ -11,7 +11,7 @@ from fmus.registry import fmu_path
 from orchestration.errors import OrchestrationError, ScenarioError, ScenarioWarning
 from orchestration.results.metric_units import metric_units
 from orchestration.scenarios import scenario
-from orchestration.scenarios.assigned_text import AssignedText
+from orchestration.scenarios.changes import AssignedText
 from orchestration.scenarios.read_layers import shipped_bases
 from orchestration.scenarios.scenario import Scenario
 from orchestration.scenarios.toml_file import read_toml

@@ -80,7 +80,6 @@ def test_a_file_of_a_base_is_beside_the_base(tmp_path: Path) -> None:
             WAVES,
             r"mine.toml:9: .*file, and times or values: expect",
         ),
-        ("times = [0.0, 1.0]\nvalues = [1.0]", WAVES, r"mine.toml:7: .*table: .* \(2,\) and \(1,\)"),
         ('fil = "data/waves.csv"', WAVES, r"mine.toml:9: .*unknown key 'fil'; nearest is 'file'"),
     ],
 )

@@ -1,4 +1,4 @@
-"""The comparison: whom it has, with which gains, and how its tables and metrics are read."""
+"""The comparison: whom it has, with which gains, and its tables."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from orchestration.score import closed_loop, compare, score_view
-from orchestration.score.compare import metric, part, tables
+from orchestration.score.compare import part, tables
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.score_document import CaseResult, Row, Score, protocol_info
 
@@ -39,7 +39,7 @@ def test_the_comparison_is_a_score_of_both(small: Protocol) -> None:
     document = compare.compare(small, workers=1).document
     assert [row.name for row in document.rows] == ["tuned/l1-pi", "start/l1-pi"]
     assert [row.name for row in document.scored] == ["tuned/l1-pi"]
-    tuned, start = (metric(document, f"{which}/l1-pi.nominal.rmse") for which in ("tuned", "start"))
+    tuned, start = (row.cases["nominal"].metrics["rmse"] for row in document.rows)
     assert tuned < 0.5 * start  # three times the gain
 
 
@@ -58,20 +58,6 @@ def made_up(protocol: Protocol, **errors: float) -> Score:
         for name, error in errors.items()
     ]
     return Score(made_by="a test", protocol=protocol_info(protocol), rows=rows)
-
-
-def test_metrics_are_found_by_the_keys_of_the_page(protocol: Protocol) -> None:
-    document = made_up(protocol, a=1.25, b=2.5)
-    assert metric(document, "tuned/b.nominal.rmse") == 2.5
-    assert metric(document, "tuned/a.delay_margin") == 0.1
-
-
-@pytest.mark.parametrize(
-    "key", ["tuned/a.nominal.rms", "tuned/a.none.rmse", "tuned/c.nominal.rmse", "tuned/a.x"]
-)
-def test_a_key_of_no_metric_is_an_error(protocol: Protocol, key: str) -> None:
-    with pytest.raises(KeyError, match=key):
-        metric(made_up(protocol, a=1.25), key)
 
 
 def test_a_table_marks_the_best_and_what_failed(protocol: Protocol) -> None:

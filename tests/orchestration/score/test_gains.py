@@ -7,7 +7,7 @@ import pytest
 
 from orchestration.score.closed_loop import GAINS, OWN, ClosedLoop, tuned
 from orchestration.score.protocol import Protocol, read_protocol
-from orchestration.score.tune_cost import costs
+from orchestration.score.tune_problem import costs
 
 NAMES = list(read_protocol().controllers)
 

@@ -14,19 +14,18 @@ import pytest
 from fmus.registry import block_names
 from orchestration.errors import ScenarioError
 from orchestration.scenarios import scenario
-from orchestration.score.plants import plants
-from orchestration.score.protocol import FILE, Protocol, first_target, read_protocol
+from orchestration.score.protocol import FILE, Protocol, first_target, plants, read_protocol
 from orchestration.score.table_seeds import table_seeds
 
 TUNE = """
 import json, sys
 opened = []
 sys.addaudithook(lambda event, arguments: opened.append(str(arguments[0])) if event == "open" else None)
-from orchestration.cli import study
-from orchestration.score import tune, tune_cost, tune_problem, tune_search
+from orchestration.cli import tune as command
+from orchestration.score import tune, tune_problem, tune_search
 from orchestration.score.closed_loop import ClosedLoop, built_in
 from orchestration.score.protocol import read_protocol
-from orchestration.score.tune_cost import costs
+from orchestration.score.tune_problem import costs
 protocol = read_protocol()
 with ClosedLoop(built_in(protocol, "l1-pi"), protocol) as loop:
     cost = next(costs(loop, [{}], every_seed=True))["cost"]

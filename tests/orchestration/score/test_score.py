@@ -13,8 +13,7 @@ import pytest
 from orchestration.errors import OrchestrationError, ScenarioError
 from orchestration.score import score_document
 from orchestration.score.closed_loop import ClosedLoop, Controller, tuned
-from orchestration.score.plants import plants
-from orchestration.score.protocol import read_protocol
+from orchestration.score.protocol import plants, read_protocol
 from orchestration.score.score import run_count, score_controllers
 from orchestration.score.score_document import Row, Score
 from orchestration.score.score_rows import uses_true_rate

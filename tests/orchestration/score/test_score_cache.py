@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from fmus import store
-from orchestration.score import score_cache
+from orchestration.score import score_rows
 from orchestration.score.closed_loop import ClosedLoop, built_in, tuned
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.score_document import Row
@@ -24,17 +24,16 @@ def test_rows_whose_last_use_is_longest_ago_are_removed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setitem(store.MOST, score_cache.KIND, 3)
-    folder = store.folder(score_cache.KIND)
+    monkeypatch.setitem(store.MOST, score_rows.STORED, 3)
+    folder = store.folder(score_rows.STORED)
     for age, name in ((300.0, "used again"), (200.0, "forgotten"), (100.0, "recent")):
-        score_cache.write(name, row(name), {"nominal": {"time": [0.0]}})
+        score_rows.store_row(name, row(name), {"nominal": {"time": [0.0]}})
         os.utime(folder / name, (1e9 - age, 1e9 - age))
-    read = score_cache.read("used again")
-    assert read is not None
-    assert (read.row, read.traces) == (row("used again"), {"nominal": {"time": [0.0]}})
-    score_cache.write("new", row("new"), {})
+    read = score_rows.stored_row("used again")
+    assert read == (row("used again"), {"nominal": {"time": [0.0]}})
+    score_rows.store_row("new", row("new"), {})
     assert {path.name for path in folder.iterdir()} == {"used again", "recent", "new"}
-    assert score_cache.read("forgotten") is None
+    assert score_rows.stored_row("forgotten") is None
 
 
 def test_a_row_with_plants_or_other_parameters_is_another_one(small_protocol: Callable[..., Path]) -> None:
@@ -42,7 +41,7 @@ def test_a_row_with_plants_or_other_parameters_is_another_one(small_protocol: Ca
     controller = tuned(protocol, "l1-pi")
     with ClosedLoop(controller, protocol) as loop:
         keys = {
-            score_cache.key(one, loop, full)
+            score_rows.row_key(one, loop, full)
             for one in (controller, replace(controller, parameters={}))
             for full in (False, True)
         }
@@ -53,8 +52,8 @@ def test_a_row_with_plants_or_other_parameters_is_another_one(small_protocol: Ca
     "source", ["run/loop.c", "exchange/load.h", "results/metrics.py", "scenarios/base/vehicle.toml"]
 )
 def test_a_row_follows_from_sources_of_every_kind(source: str) -> None:
-    content = (Path(score_cache.__file__).parents[1] / source).read_bytes()
-    assert hashlib.sha256(content).hexdigest() in dict(score_cache._sources()).values()
+    content = (Path(score_rows.__file__).parents[1] / source).read_bytes()
+    assert hashlib.sha256(content).hexdigest() in dict(score_rows._sources()).values()
 
 
 @pytest.fixture
@@ -63,9 +62,9 @@ def name_of_row(protocol: Protocol) -> Callable[[], str]:
     loop = ClosedLoop(built_in(protocol, "l1-pi"), protocol)
 
     def key() -> str:
-        score_cache._sources.cache_clear()
-        score_cache._environment.cache_clear()
-        return score_cache.key(loop.controller, loop, False)
+        score_rows._sources.cache_clear()
+        score_rows._environment.cache_clear()
+        return score_rows.row_key(loop.controller, loop, False)
 
     return key
 
@@ -100,7 +99,7 @@ def test_a_row_is_found_by_the_versions_of_the_libraries(
     before, installed = name_of_row(), [*metadata.distributions()]
     assert "scipy" in {library.name for library in installed}
     others = [library for library in installed if library.name != "scipy"]
-    monkeypatch.setattr(score_cache, "distributions", lambda: others)
+    monkeypatch.setattr(score_rows, "distributions", lambda: others)
     assert name_of_row() != before
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import psutil
 import pytest
 
-from orchestration.cli.study import print_gains
+from orchestration.cli.tune import print_gains
 from orchestration.scenarios import scenario
 from orchestration.score import tune
 from orchestration.score.tune import Problem, SearchResult, Tuning

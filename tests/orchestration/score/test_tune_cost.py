@@ -8,8 +8,7 @@ import pytest
 
 from orchestration.score.closed_loop import ClosedLoop, built_in
 from orchestration.score.protocol import Protocol
-from orchestration.score.tune_cost import LARGEST, costs, delayed, practice_cases, run_cost
-from orchestration.score.tune_problem import problem_of
+from orchestration.score.tune_problem import LARGEST, costs, delayed, practice_cases, problem_of, run_cost
 from orchestration.score.tune_search import FreeGain
 
 BOUNDS = {"overshoot": 5.0, "total_variation": 1000.0}

@@ -11,7 +11,7 @@ from orchestration.many.isolated import Isolated
 from orchestration.many.job import Job
 from orchestration.score.closed_loop import ClosedLoop, built_in
 from orchestration.score.protocol import Protocol, read_protocol
-from orchestration.score.tune_cost import LARGEST, costs, evaluations
+from orchestration.score.tune_problem import LARGEST, costs, evaluations
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.score.controllers import rogue_doing
 from tests.shared_builds import Build

@@ -150,7 +150,6 @@ def test_a_sample_that_fails_in_a_thread_is_a_row_and_the_next_one_runs(
     """The FMU refuses an inertia that the plan would not draw."""
     refused: list[dict[str, FmiValue]] = [{"plant.inertia": -1.0}, {"plant.inertia": 5.5}]
     monkeypatch.setattr(Plan, "block", lambda plan, numbers: [refused[number] for number in numbers])
-    monkeypatch.setattr(Plan, "settings", lambda plan, values: {"parameters": values})
     first, second = made_in_a_thread(vehicle, 2)
     assert "plant.inertia = -1.0: expected" in failed(first)
     assert len(second.done.result.metrics) == 4
@@ -168,7 +167,6 @@ def test_a_file_that_is_replaced_meanwhile_changes_no_sample(
     made = plan(scenario.load(tmp_path / "mine.toml"))
     inertias: list[dict[str, FmiValue]] = [{"plant.inertia": inertia} for inertia in (5.5, -1.0, 5.5)]
     monkeypatch.setattr(Plan, "block", lambda plan, numbers: [inertias[number] for number in numbers])
-    monkeypatch.setattr(Plan, "settings", lambda plan, values: {"parameters": values})
     job, finished = job_of(made, None), list[Finished]()
     batches = Batches(samples_of(made, job.base, range(3)), 3)
     with LocalRuns(1, isolated, vectorise=False) as place:

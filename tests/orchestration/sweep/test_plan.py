@@ -42,11 +42,6 @@ def drawn(made: Plan, name: str = "r.u") -> list:
 @pytest.mark.parametrize(
     ("declared", "law"),
     [
-        ('distribution = "normal"\nmean = 3.0\nstd = 0.5', stats.norm(3.0, 0.5)),
-        ('distribution = "uniform"\nlow = -1.0\nhigh = 2.0', stats.uniform(-1.0, 3.0)),
-        ('distribution = "lognormal"\nmedian = 2.0\nsigma = 0.4', stats.lognorm(0.4, scale=2.0)),
-        ('distribution = "loguniform"\nlow = 0.1\nhigh = 10.0', stats.loguniform(0.1, 10.0)),
-        ('distribution = "triangular"\nlow = 0.0\nmode = 1.0\nhigh = 4.0', stats.triang(0.25, 0.0, 4.0)),
         (
             'distribution = "normal"\nmean = 0.0\nstd = 1.0\nlow = -0.5\nhigh = 2.0',
             stats.truncnorm(-0.5, 2.0),

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from orchestration.errors import ScenarioError, SystemDefinitionError
-from orchestration.exchange.limits import check_plain_connections
+from orchestration.exchange.limits import prepare_plain
 from orchestration.run import simulate
+from orchestration.scenarios.scenario import Scenario
+from orchestration.system.experiment import Experiment
 from orchestration.system.faults import Fault, Offset
 from orchestration.system.system import LinearTransformation, System, check
 from tests.described_fmus import described
@@ -63,12 +65,12 @@ def test_units_are_not_compared_where_a_connection_has_a_factor(tmp_path: Path) 
     components = {"a": a, "b": b}
     with pytest.raises(SystemDefinitionError, match="expected equal units, got mm and m"):
         check(System(components, [("a.y", "b.u"), ("a.n", "b.k")]))
-    checked = check(System(components, [("a.y", "b.u", {"factor": 0.001}), ("a.n", "b.k")]))
-    assert checked.transformations == {"b.u": LinearTransformation(0.001)}
+    system = System(components, [("a.y", "b.u", {"factor": 0.001}), ("a.n", "b.k")])
+    assert check(system).transformations == {"b.u": LinearTransformation(0.001)}
     with pytest.raises(SystemDefinitionError, match="input of type Real for a factor or an offset, got Inte"):
         check(System(components, [("a.y", "b.u", {"factor": 0.001}), ("a.n", "b.k", {"factor": 2})]))
     with pytest.raises(ScenarioError, match=r"a diagram with LinearTransf.* into b.u: expected plain"):
-        check_plain_connections(checked, "a diagram")
+        prepare_plain(Scenario("scaled", "", system, Experiment(1.0, 0.1), {}), "a diagram")
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Commands tune and compare: gains by the same search for every controller, and all controllers at once."""
+"""Command tune: the gains of a controller, by the same search for every one."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,7 +11,7 @@ from fmus.errors import nearest
 from fmus.platforms import usable_processors
 from orchestration.cli.changes import ControllerMapOption, ControllerSetOption, OpenInputsOption
 from orchestration.cli.interrupts import INTERRUPTED
-from orchestration.cli.score import ProtocolOption, print_tables, scored_controllers, write_page
+from orchestration.cli.score import scored_controllers
 from orchestration.cli.shared import (
     OutFolder,
     ProgressBar,
@@ -66,7 +66,7 @@ def tune(
     from orchestration.score import tune_problem
     from orchestration.score.closed_loop import ClosedLoop
     from orchestration.score.protocol import read_protocol
-    from orchestration.score.tune_cost import evaluations as started
+    from orchestration.score.tune_problem import evaluations as started
     from orchestration.score.tune_search import parse
 
     protocol = read_protocol()
@@ -120,8 +120,8 @@ def _search(
 def _controller(
     name: str,
     league: str | None,
-    settings: Sequence[str],
-    mapped: Sequence[str],
+    settings: list[str],
+    mapped: list[str],
     open_inputs: OpenInputs | None,
     protocol: "Protocol",
 ) -> "Controller":
@@ -163,37 +163,3 @@ def print_gains(tuning: "Tuning", name: str) -> None:
         f"{100 * tuning.improvement:.2g} %; the median of {len(tuning.searches)} seeds is "
         f"{100 * tuning.spread:.2g} % above the lowest."
     )
-
-
-def compare(
-    full: Annotated[
-        bool, typer.Option("--full", help="Run the plants of the protocol too, and compare on each.")
-    ] = False,
-    workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
-    out: OutFolder = Path("results"),
-    protocol_file: ProtocolOption = None,
-) -> None:
-    """Score all controllers of the protocol, each with the gains that it comes with, and tuned.
-
-    Writes comparison.json, comparison.md with the tables, and an interactive page.
-    """
-    from fmus.files import write_text_atomically
-    from orchestration.score import compare as comparison
-    from orchestration.score.protocol import read_protocol
-
-    protocol = read_protocol(protocol_file) if protocol_file else read_protocol()
-    check_writable(out)
-    with progress("compare", comparison.run_count(protocol, full)) as bar:
-        result = comparison.compare(protocol, full, workers, bar.advance)
-    document = result.document
-    shown = comparison.shown_tables(document).items()
-    print_tables(
-        [replace(table, title=f"{table.title}: {name}") for name, table in shown if table.rows],
-        comparison.with_tuned_differences(document),
-    )
-    tables = "\n\n".join(f"{name}\n\n{text}" for name, text in comparison.tables(document).items())
-    written = {"comparison.json": document.model_dump_json(indent=1), "comparison.md": tables}
-    for name, text in written.items():
-        write_text_atomically(out / name, f"{text}\n")
-        print(out / name)
-    write_page(comparison.for_page(result), out / "comparison.html", "Comparison of the controllers")

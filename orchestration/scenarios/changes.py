@@ -1,0 +1,115 @@
+"""Changes of a scenario: settings that are laid over its files, and values that a loaded one is given.
+
+A name of a change is "component.variable"; of a setting also a component, for another FMU in its place; of a
+value also "experiment.step_size" and the other `EXPERIMENT_SETTINGS`.
+"""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from fmus.errors import nearest
+from fmus.fmi.variable_types import FmiValue
+from orchestration.errors import ScenarioError
+from orchestration.scenarios.declarations import with_file_values
+from orchestration.scenarios.layers import Data, Layer, components_of, merge
+from orchestration.scenarios.read_layers import named_fmu
+from orchestration.scenarios.replaced import Describe
+from orchestration.system.experiment import Experiment
+from orchestration.system.signals import Constant
+from orchestration.system.values import Value
+
+EXPERIMENT_SETTINGS = {"experiment.step_size": "s", "experiment.stop_time": "s", "experiment.algorithm": ""}
+"""Settings of an experiment that differ between runs of a sweep -> unit."""
+
+
+class AssignedText(str):
+    """The assigned text of `--set component.variable=1.50`, behind the =: TOML, or a text without quotes."""
+
+    __slots__ = ()
+
+    def value(self, fmi_type: str) -> FmiValue:
+        """Returns the value for a variable of this type: of a String 1.50 stays 1.50."""
+        text = str(self)
+        try:
+            value = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            return text
+        is_taken = isinstance(value, str) or (isinstance(value, bool | int | float) and fmi_type != "String")
+        return value if is_taken else text
+
+
+def command_entries(overrides: Mapping[str, Any], settings: Mapping[str, FmiValue]) -> Data:
+    """Returns the overrides and the settings of components; paths are relative to the present folder."""
+    if "base" in overrides:
+        raise ScenarioError(f"base = {overrides['base']!r}: expected it in the scenario file that is loaded")
+    given = {n: str(fmu) for n, fmu in settings.items() if "." not in n}
+    above: Data = {
+        "components": {
+            name: named_fmu(fmu, Path(), lambda keys, fmu=fmu: f"{keys[0]} = {fmu}", (name,))
+            for name, fmu in (overrides.get("components", {}) | given).items()
+        },
+        "signals": with_file_values(overrides.get("signals", {}), Path(), lambda keys: "command line", ()),
+    }
+    return merge(dict(overrides), {table: entries for table, entries in above.items() if entries})
+
+
+def values_of_settings(
+    settings: Mapping[str, FmiValue], layers: Sequence[Layer], description: Describe
+) -> Data:
+    """Returns the tables of a scenario file that the values of variables stand in.
+
+    layers: the last is of `command_entries`
+    Raises ScenarioError for a setting that names no component, parameter or input.
+    """
+    below, components, tables = components_of(layers[:-1]), components_of(layers), Data()
+    for name, value in settings.items():
+        component, dot, variable = name.partition(".")
+        known, purpose = (components, "") if dot else (below, " to replace")
+        if component not in known:
+            hint = nearest(component, known)
+            raise ScenarioError(f"{name} = {value!r}: no component {component!r}{purpose}; {hint}")
+        if not dot:
+            continue
+        variables = {v.name: v for v in description(components[component]).modelVariables}
+        settable = {known: v for known, v in variables.items() if v.causality in ("parameter", "input")}
+        if variable not in settable:
+            hint = nearest(name, (f"{component}.{known}" for known in settable))
+            raise ScenarioError(f"{name} = {value!r}: expected a parameter or an input; {hint}")
+        fmi_type, causality = settable[variable].type, settable[variable].causality
+        typed = value.value(str(fmi_type)) if isinstance(value, AssignedText) else value
+        tables.setdefault(f"{causality}s", {})[name] = typed
+    return tables
+
+
+def table_of_value(name: str, experiment: Experiment) -> str:
+    """Returns the table of a scenario file in which a value stands that an experiment is given."""
+    if name in EXPERIMENT_SETTINGS:
+        return "experiment"
+    return next(
+        (table for table in ("signals", "inputs") if name in getattr(experiment, table)), "parameters"
+    )
+
+
+def tables_of_values(values: Mapping[str, Value], experiment: Experiment) -> Data:
+    """Returns the values in the tables of a scenario file; a constant signal is a table."""
+    tables: Data = {}
+    for name, value in values.items():
+        table = table_of_value(name, experiment)
+        key = name.partition(".")[2] if table == "experiment" else name
+        entry = {"kind": "constant", "value": value} if table == "signals" else value
+        tables.setdefault(table, {})[key] = entry
+    return tables
+
+
+def with_values(experiment: Experiment, values: Mapping[str, Value]) -> Experiment:
+    """Returns the experiment with other values; what has none stays the same object."""
+    tables = tables_of_values(values, experiment)
+    changed = tables.pop("experiment", {})
+    if "signals" in tables:
+        tables["signals"] = {name: Constant(entry["value"]) for name, entry in tables["signals"].items()}
+    for table, entries in tables.items():
+        changed[table] = {**getattr(experiment, table), **entries}
+    return replace(experiment, **changed)
