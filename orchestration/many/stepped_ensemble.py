@@ -1,36 +1,26 @@
 """The instances of an ensemble: led step by step or to the end at once, and what they record."""
 
-import re
-import sys
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
 
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.many.ensemble_loop import EnsembleLoop
-from orchestration.many.lane_library import LANES
 from orchestration.results.recording import Recording
 from orchestration.run.run_recording import make_recording
-from orchestration.system.signals import Signal
 from orchestration.system.system import Port
-from orchestration.system.values import Value, fmi_value, possible_values, value_range
-
-Varied = Mapping[str, Sequence[Value | Signal] | np.ndarray]
-"""Variable -> its values or signals, one of each instance."""
+from orchestration.system.values import fmi_value, possible_values, value_range
 
 
 @dataclass(frozen=True)
 class EnsembleRecording(Recording):
     """Recording of many instances, with a first axis of runs; NaN after the end of one that failed.
 
-    varied: what differs; counts: recorded communication points of each instance, shape (runs,)
+    counts: recorded communication points of each instance, shape (runs,)
     failures: instance -> why it ended early
     """
 
-    varied: Varied = field(default_factory=dict)
     counts: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     failures: Mapping[int, str] = field(default_factory=dict)
 
@@ -40,18 +30,16 @@ class EnsembleRecording(Recording):
         return [instance for instance in range(len(self.counts)) if instance not in self.failures]
 
     def recordings(self) -> Recording:
-        """Returns those of `complete`, without `varied`."""
+        """Returns those of `complete`."""
         of_signals = self.values.transpose(2, 0, 1)  # as they lie in memory
         values = of_signals[:, self.complete].transpose(1, 2, 0) if self.failures else self.values
         return Recording(self.names, self.units, self.time, values, self.provenance, self.texts)
 
     def run(self, index: int) -> Recording:
-        """Returns that of one instance, until its end; what was varied is in its provenance."""
+        """Returns that of one instance, until its end."""
         count = self.counts[index]
-        varied = {name: _as_plain_data(values[index]) for name, values in self.varied.items()}
-        provenance = {**self.provenance, "varied": varied}
         time, values = self.time[:count], self.values[index, :count]
-        return Recording(self.names, self.units, time, values, provenance, self.texts)
+        return Recording(self.names, self.units, time, values, self.provenance, self.texts)
 
 
 class SteppedEnsemble:
@@ -63,8 +51,8 @@ class SteppedEnsemble:
     where a Simulator tries shorter ones.
     """
 
-    def __init__(self, loop: EnsembleLoop, count: int, varied: Varied) -> None:
-        self._loop, self._prepared, self._count, self._varied = loop, loop.prepared, count, varied
+    def __init__(self, loop: EnsembleLoop, count: int) -> None:
+        self._loop, self._prepared, self._count = loop, loop.prepared, count
         self._driven = {*loop.prepared.experiment.signals, *(target for _, target in loop.connections)}
         self.point, self.failures = 0, dict[int, str]()
         self._note_failures()
@@ -90,26 +78,19 @@ class SteppedEnsemble:
             raise OrchestrationError(
                 f"the run is at its stop time, {self.time:.9g} s: expected no further step"
             )
-        for group in range(len(self._loop.rows)):
-            self._loop.run_points(group, self.point, self.point + 1)
-        self._note_failures()
+        self._run_to(self.point + 1)
         for instance, reason in self.failures.items():
             raise SimulationError(f"instance {instance}: {reason}", self._recording().run(instance))
         self.point += 1
 
-    def run_to_end(self, threads: int, progress: Callable[[int, int], object] | None) -> None:
-        """Runs the groups to their end; the other instances of one that fails go on.
+    def run_to_end(self) -> None:
+        """Runs the groups to their end; the other instances of one that fails go on."""
+        self._run_to(len(self.points) - 1)
+        self.point = len(self.points) - 1
 
-        threads, progress: as of `Ensemble.run`
-        """
-        last, groups = len(self.points) - 1, range(len(self._loop.rows))
-        with ThreadPoolExecutor(threads) as pool:
-            apply = pool.map if threads > 1 else map
-            run = partial(self._loop.run_points, first=self.point, last=last)
-            for group, _ in enumerate(apply(run, groups)):
-                if progress:
-                    progress(min(self._count, (group + 1) * LANES), self._count)
-        self.point = last
+    def _run_to(self, last: int) -> None:
+        for group in range(len(self._loop.rows)):
+            self._loop.run_points(group, self.point, last)
         self._note_failures()
 
     def read(self, names: Sequence[str]) -> np.ndarray:
@@ -160,7 +141,7 @@ class SteppedEnsemble:
             values[instance, counts[instance] :] = np.nan
         common = make_recording(self._prepared, values, points, is_final=True)
         failures = dict(sorted(self.failures.items()))
-        return EnsembleRecording(**vars(common), varied=self._varied, counts=counts, failures=failures)
+        return EnsembleRecording(**vars(common), counts=counts, failures=failures)
 
 
 def _check(port: Port, values: np.ndarray) -> None:
@@ -168,11 +149,3 @@ def _check(port: Port, values: np.ndarray) -> None:
     low, high = value_range(port)
     for value in values[~(possible_values(port, values)[1] & (low <= values) & (values <= high))]:
         fmi_value(port, float(value))  # which refuses it
-
-
-def _as_plain_data(value: Value | Signal) -> Value:
-    """Returns a value itself, of a signal its text with all numbers and digits, without addresses."""
-    if not callable(value):
-        return value
-    with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
-        return re.sub(r" at 0x[0-9A-Fa-f]+", "", repr(value))

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from orchestration.errors import EnsembleError, OrchestrationError
-from orchestration.many.ensemble import Ensemble
-from orchestration.many.ensemble_checks import check_ensemble
+from orchestration.many.ensemble import Ensemble, check_ensemble
 from orchestration.many.stepped_ensemble import SteppedEnsemble
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator
 from orchestration.run.snapshot import SavedState
 from orchestration.scenarios.task import Task
+from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import check_for
 from orchestration.system.signals import values_at
 from orchestration.system.values import Value
@@ -56,10 +56,11 @@ class EpisodePlan:
             self._of_signals = np.array(table).reshape(-1, len(points)).T
         return self._of_signals
 
-    def drawn(self, random: np.random.Generator) -> dict[str, Value]:
-        """Returns the values of an episode."""
+    def drawn(self, random: np.random.Generator) -> Experiment:
+        """Returns the experiment of an episode."""
         drawn: dict[str, Value] = {name: int(random.integers(1, _LARGEST_SEED)) for name in self.task.seeds}
-        return drawn | {name: draw(random) for name, draw in self.task.vary.items()}
+        drawn |= {name: draw(random) for name, draw in self.task.vary.items()}
+        return replace(self.experiment, parameters={**self.experiment.parameters, **drawn})
 
 
 class Episode:
@@ -72,17 +73,16 @@ class Episode:
     def reset(self, random: np.random.Generator) -> None:
         """Begins another episode."""
         plan, simulator = self._plan, self.simulator
-        drawn = plan.drawn(random)
+        experiment = plan.drawn(random)
         with suppress(OrchestrationError):  # after an FMU returned fatal
             if self._first:
                 simulator.restore(self._first)
                 return
-        parameters = {**plan.experiment.parameters, **drawn}
-        simulator.start(replace(plan.experiment, parameters=parameters), external=plan.task.actions)
+        simulator.start(experiment, external=plan.task.actions)
         self._signals = plan.signals(simulator.points)
         self._read, self.act = simulator.reader(*plan.variables), simulator.writer(*plan.task.actions)
         self.step = simulator.step
-        if simulator.can_save and not drawn:
+        if simulator.can_save and not (plan.task.seeds or plan.task.vary):
             self._first = simulator.save()
 
     def look(self) -> Look:
@@ -146,18 +146,15 @@ class EnsembleRuns:
     def __init__(self, plan: EpisodePlan, count: int, is_asked_for: bool) -> None:
         self._plan, self._count, task = plan, count, plan.task
         for name in (*task.seeds, *task.vary):
-            variable = plan.system.port(name, "vary").variable
-            if variable.causality != "parameter" or name.endswith(".internal_step"):
-                raise EnsembleError(f"{name}: expected a parameter but internal_step to draw")
+            if name.endswith(".internal_step"):
+                raise EnsembleError(f"{name}: expected one for all environments that step together")
         check_ensemble(task.system, plan.experiment, count, is_asked_for, task.actions)
         self._ensemble = Ensemble(task.system)
 
     def reset(self, randoms: Sequence[np.random.Generator], which: Array) -> None:
         """Begins another episode in all."""
-        drawn = [self._plan.drawn(random) for random in randoms]
-        vary = {name: [values[name] for values in drawn] for name in drawn[0]}
-        actions = self._plan.task.actions
-        self._run = self._ensemble.start(self._plan.experiment, vary, self._count, actions)
+        experiments = [self._plan.drawn(random) for random in randoms]
+        self._run = self._ensemble.start(experiments, self._plan.task.actions)
 
     def act(self, values: Array, which: Array) -> None:
         """Sets the actions, in their own units; values: shape (runs, actions)."""

@@ -68,8 +68,12 @@ def ensemble(*sizes: str) -> Rows:
     for kind in instruction_sets():
         with closing(Ensemble(chosen.system, kind)) as instances:
             for size in map(int, sizes):
-                vary = {"plant.inertia": [6.0 + i / size for i in range(size)]}
-                taken = cpu_s(lambda: instances.run(experiment, vary))  # noqa: B023
+                inertias = [6.0 + i / size for i in range(size)]
+                given = [
+                    replace(experiment, parameters={**experiment.parameters, "plant.inertia": inertia})
+                    for inertia in inertias
+                ]
+                taken = cpu_s(lambda: instances.run(given))  # noqa: B023
                 goal = " -> 80" if (kind, size) == ("x86-64-v3", 64) else ""
                 rows[f"{kind}, {size} at once, ns{goal}"] = 1e9 * taken / (steps * size)
     return rows

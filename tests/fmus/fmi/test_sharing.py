@@ -15,8 +15,7 @@ from fmus.fmi.description import describe, is_independent
 from fmus.fmi.instance import FmuInstance
 from fmus.store import is_own_build, record_build
 from orchestration.errors import EnsembleError
-from orchestration.many.ensemble import Ensemble
-from orchestration.many.ensemble_checks import check_ensemble
+from orchestration.many.ensemble import Ensemble, check_ensemble
 from orchestration.run import Simulator, simulate
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System

@@ -1,18 +1,16 @@
 """Instances that are led step by step have the bits of a simulator that is led so."""
 
-from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from orchestration import Ensemble, Event, Experiment, Ramps, Simulator, System
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
-from tests.shared_builds import built_once, session_folder
+from tests.orchestration.many.instances import CURRENT, instances
 
 EFFICIENCY = "plant.thruster_efficiency[1]"
-CURRENT, INERTIA = "plant.current_velocity", "plant.inertia"
+INERTIA = "plant.inertia"
 DIVE = Experiment(
     stop_time=0.99,  # the last step is a shorter one
     step_size=0.02,
@@ -31,24 +29,12 @@ READ = ["plant.depth", "controller.voltage[2]", CURRENT, INERTIA]
 INERTIAS = [5.0, 5.5, 7.0]
 
 
-@pytest.fixture(scope="session")
-def system(built: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> System:
-    """The vehicle and its controller, compiled for groups of instances once a session."""
-    connections = [("plant.measured_depth", "controller.measured_depth")]
-    connections += [(f"controller.voltage[{i}]", f"plant.voltage[{i}]") for i in (1, 2)]
-    vehicle = System({"plant": built["RovDepthPlant"], "controller": built["L1DepthController"]}, connections)
-    built_once(
-        session_folder(tmp_path_factory, "ensemble") / "vehicle", lambda path: Ensemble(vehicle).close()
-    )
-    return vehicle
-
-
 @pytest.mark.parametrize("inputs", [{}, {CURRENT: 0.1}])
 def test_every_step_has_the_bits_of_a_simulator(system: System, inputs: dict[str, float]) -> None:
     """Three instances, another inertia of each and another current at each step."""
     experiment, currents = replace(DIVE, inputs=inputs), np.random.default_rng(2).normal(0.0, 0.1, (60, 3))
     with Ensemble(system) as ensemble:
-        run = ensemble.start(experiment, {INERTIA: INERTIAS}, 3, [CURRENT])
+        run = ensemble.start(instances(experiment, {INERTIA: INERTIAS}), [CURRENT])
         read, half, points = [run.read(READ)], [], [run.time]
         while not run.is_done:
             if run.point:  # the first step has the first value
@@ -79,7 +65,7 @@ def test_every_step_has_the_bits_of_a_simulator(system: System, inputs: dict[str
 
 def test_what_is_set_has_the_range_of_the_input(system: System) -> None:
     with Ensemble(system) as ensemble:
-        run = ensemble.start(DIVE, {}, 9, [EFFICIENCY])
+        run = ensemble.start([DIVE] * 9, [EFFICIENCY])
         for wrong in (np.nan, 1.5):
             with pytest.raises(SystemDefinitionError, match=r"plant\.thruster_efficiency\[1\] = .*expected"):
                 run.write([EFFICIENCY], np.array([[*[0.5] * 8, wrong]]))
@@ -92,7 +78,7 @@ def test_what_is_set_has_the_range_of_the_input(system: System) -> None:
 def test_a_refused_write_sets_nothing(system: System) -> None:
     halves = np.array([[0.5, 0.5], [0.5, 0.5]])
     with Ensemble(system) as ensemble:
-        run = ensemble.start(DIVE, {}, 2, [CURRENT, EFFICIENCY])
+        run = ensemble.start([DIVE] * 2, [CURRENT, EFFICIENCY])
         before = run.read([CURRENT, EFFICIENCY, INERTIA]).tolist()
         for names, values, message in (
             ([CURRENT, EFFICIENCY], np.array([[0.5, 0.5], [0.5, 7.0]]), "= 7.0: expected"),
@@ -112,7 +98,7 @@ def test_a_refused_write_sets_nothing(system: System) -> None:
 def test_driven_inputs_are_read_at_the_present_point(system: System) -> None:
     reference = "controller.depth_reference"
     with Ensemble(system) as ensemble:
-        run = ensemble.start(DIVE, {}, 1, [CURRENT])
+        run = ensemble.start([DIVE], [CURRENT])
         read = []
         for _ in range(3):
             read.append(run.read([reference])[0, 0])
@@ -126,7 +112,7 @@ def test_driven_inputs_are_read_at_the_present_point(system: System) -> None:
 
 def test_recordings_are_those_of_the_point_at_which_they_are_made(system: System) -> None:
     with Ensemble(system) as ensemble:
-        run = ensemble.start(DIVE, {}, 2, [CURRENT])
+        run = ensemble.start([DIVE] * 2, [CURRENT])
         run.step()
         recorded = run.recordings()
         run.write([CURRENT], np.array([[0.9, 0.9]]))
@@ -135,42 +121,9 @@ def test_recordings_are_those_of_the_point_at_which_they_are_made(system: System
     assert recorded.time.tolist() == recorded.recordings().time.tolist() == [0.0, 0.02]
 
 
-@pytest.mark.parametrize(
-    ("vary", "instances", "external"),
-    [
-        ({INERTIA: [5.0] * 8}, 16, [CURRENT]),
-        ({INERTIA: [5.0] * 3}, 2, [CURRENT]),
-        ({INERTIA: [5.0]}, 1, []),
-        ({}, 0, [CURRENT]),
-    ],
-)
-def test_instances_need_a_value_each_and_an_external_input(
-    system: System, vary: dict[str, list[float]], instances: int, external: list[str]
-) -> None:
-    with (
-        Ensemble(system) as ensemble,
-        pytest.raises(SystemDefinitionError, match="start: expected an external input, and as many values"),
-    ):
-        ensemble.start(DIVE, vary, instances, external)
-
-
-def test_an_ensemble_that_runs_does_not_start(system: System) -> None:
-    refusals: list[str] = []
-
-    with Ensemble(system) as ensemble:
-
-        def start(*_: int) -> None:
-            with pytest.raises(OrchestrationError, match="this ensemble is running"):
-                ensemble.start(DIVE, {}, 1, [CURRENT])
-            refusals.append("start")
-
-        ensemble.run(DIVE, {INERTIA: INERTIAS}, progress=start)
-    assert refusals
-
-
 def test_there_is_no_step_beyond_the_end(system: System) -> None:
     with Ensemble(system) as ensemble:
-        run = ensemble.start(replace(DIVE, stop_time=0.02, events=()), {}, 1, [CURRENT])
+        run = ensemble.start([replace(DIVE, stop_time=0.02, events=())], [CURRENT])
         run.step()
         with pytest.raises(OrchestrationError, match=r"at its stop time, 0\.02 s: expected no further step"):
             run.step()
@@ -181,9 +134,10 @@ def test_an_instance_that_cannot_begin_or_go_on_is_named(system: System) -> None
     with Ensemble(system) as ensemble:
         light = replace(DIVE, parameters={"plant.net_weight": 29.2})
         with pytest.raises(OrchestrationError, match=r"instance 1 cannot begin: .*net_weight"):
-            ensemble.start(light, weights, 3, [CURRENT])
+            ensemble.start(instances(light, weights), [CURRENT])
         far = {"plant.initial_depth": [0.0, 1e300]}
-        run = ensemble.start(replace(DIVE, parameters={"plant.sensor_noise": 0.0}), far, 2, [CURRENT])
+        without_noise = replace(DIVE, parameters={"plant.sensor_noise": 0.0})
+        run = ensemble.start(instances(without_noise, far), [CURRENT])
         with pytest.raises(SimulationError, match="instance 1: ") as error:
             [run.step() for _ in range(9)]
     assert error.value.recording.values[0, 0] == 1e300
