@@ -88,7 +88,7 @@ class Ensemble(LoadedSystem):
         with self._begin_run():
             run = self._start(experiments)
             run.run_to_end()
-            return run.recordings()
+            return run.recording()
 
     def start(self, experiments: Sequence[Experiment], external: Sequence[str]) -> SteppedEnsemble:
         """Starts an instance for each experiment, as of `run`; the caller steps them.

@@ -1,7 +1,8 @@
 """The instances of an ensemble: led step by step or to the end at once, and what they record."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -43,13 +44,16 @@ class EnsembleRecording(Recording):
 
 
 class SteppedEnsemble:
-    """Initialised instances, all at the same communication point; `Ensemble.start` makes them.
+    """Instances that the caller leads, all at the same communication point; `Ensemble.start` makes them.
 
     point: index of the communication point; failures: instance -> why it ended early
 
-    The recording is that of `Simulator.step`, to the last bit; but a step that an FMU refuses is an error,
+    The form is that of `SteppedRun`, with an array for the instances in place of a number. The recording is
+    that of as many stepped runs, to the last bit; but a step that an FMU refuses is an error,
     where a Simulator tries shorter ones.
     """
+
+    is_terminated = False  # its FMUs never terminate a simulation
 
     def __init__(self, loop: EnsembleLoop, count: int) -> None:
         self._loop, self._prepared, self._count = loop, loop.prepared, count
@@ -93,35 +97,48 @@ class SteppedEnsemble:
             self._loop.run_points(group, self.point, last)
         self._note_failures()
 
-    def read(self, names: Sequence[str]) -> np.ndarray:
-        """Returns the present values of variables, shape (names, instances); Booleans are 0.0 and 1.0."""
-        ports = [self._prepared.system.port(name, "read") for name in names]
-        if not self._driven.isdisjoint(names):
-            self._loop.exchange(self.point)
-        return np.array([self._loop.values(port).reshape(-1)[: self._count] for port in ports])
+    def reader(self, *names: str) -> Callable[[], Any]:
+        """Returns a function that returns the present values of one variable, or a tuple of several.
 
-    def write(self, names: Sequence[str], values: np.ndarray) -> None:
-        """Sets external inputs from the present point on; values: shape (names, instances).
-
-        Raises SystemDefinitionError, and sets none, for another variable or shape, and for a value that is
-        not finite or outside of the declared range.
+        Values have the shape (instances,); Booleans are 0.0 and 1.0.
         """
-        ports = [self._prepared.system.port(name, "write") for name in names]
+        ports = [self._prepared.system.port(name, "reader") for name in names]
+        must_exchange = not self._driven.isdisjoint(names)
+
+        def read() -> Any:
+            if must_exchange:
+                self._loop.exchange(self.point)
+            values = [self._loop.values(port).flatten()[: self._count] for port in ports]
+            return tuple(values) if len(values) > 1 else values[0]
+
+        return read
+
+    def writer(self, *names: str) -> Callable[..., None]:
+        """Returns a function that sets external inputs from the present point on; values: shape (instances,).
+
+        It raises SystemDefinitionError, and sets none, for another shape, and for a value that is not finite
+        or outside of the declared range. Raises SystemDefinitionError for another variable.
+        """
+        ports = [self._prepared.system.port(name, "writer") for name in names]
         for name in names:
             if name not in self._prepared.external:
                 expected = ", ".join(self._prepared.external)
-                raise SystemDefinitionError(f"write: {name}: expected an external input: {expected}")
-        if values.shape != (len(ports), self._count):
-            raise SystemDefinitionError(
-                f"write: shape {values.shape}: expected (names, instances) = {(len(ports), self._count)}"
-            )
-        for port, of_instances in zip(ports, values, strict=True):
-            _check(port, of_instances)
-        for port, of_instances in zip(ports, values, strict=True):
-            lanes = self._loop.values(port)
-            lanes[:] = np.resize(of_instances, lanes.shape)
+                raise SystemDefinitionError(f"writer: {name}: expected an external input: {expected}")
 
-    def recordings(self) -> EnsembleRecording:
+        def write(*values: np.ndarray) -> None:
+            for port, of_instances in zip(ports, values, strict=True):
+                if of_instances.shape != (self._count,):
+                    raise SystemDefinitionError(
+                        f"{port.name}: shape {of_instances.shape}: expected (instances,) = ({self._count},)"
+                    )
+                _check(port, of_instances)
+            for port, of_instances in zip(ports, values, strict=True):
+                lanes = self._loop.values(port)
+                lanes[:] = np.resize(of_instances, lanes.shape)
+
+        return write
+
+    def recording(self) -> EnsembleRecording:
         """Returns the values recorded until now, those of the present communication point included."""
         self._loop.exchange(self.point)
         return self._recording()

@@ -14,7 +14,7 @@ Inputs are held over a step, first order in h, or extrapolated with their last s
     wiring.py          a prepared run as arrays
     loop.py            the communication loop over these arrays; compiled_loop.py compiled, and on threads
     stepping.py        from the first point to the last, with events and progress
-    step_by_step.py, variable_access.py  a run led by the caller's own loop
+    step_by_step.py    a run led by the caller's own loop
     step_control.py, tolerance.py  shorter steps: after a discard, and to meet a tolerance
     error_estimate.py  how far exchanging at communication points leads astray, by a second run
     snapshot.py, checkpoint.py  the system at one point, in memory and as a file

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, chdir, contextmanager
-from typing import Any
+from functools import partial
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from orchestration.run.loop import python_loop
 from orchestration.run.loop_data import Report, Storage
 from orchestration.run.process_guard import ProcessGuard, new_report
 from orchestration.run.run_recording import reason_of
-from orchestration.run.step_by_step import StepByStep, SteppedRun, replay
+from orchestration.run.step_by_step import SteppedRun
 from orchestration.run.stepping import Progress, RunInProgress
 from orchestration.run.wiring import WiredRun, build_wiring
 from orchestration.system.experiment import Experiment
@@ -28,7 +28,7 @@ from orchestration.system.prepared_run import PreparedRun, PreparedRuns
 from orchestration.system.system import System
 
 
-class Simulator(StepByStep, LoadedSystem):
+class Simulator(LoadedSystem):
     """A system whose FMUs stay loaded over many runs, made at once or step by step; a context manager.
 
     The FMUs are loaded for the first run and reset for the next; after a failure they are loaded anew.
@@ -49,8 +49,7 @@ class Simulator(StepByStep, LoadedSystem):
         self._threads = threads
         self._loop = compiled_loop if compiled else python_loop
         self._guard: ProcessGuard | None = None
-        # of the run that is led step by step: what was set, the recorded values, and these with an estimate
-        self._estimated: tuple[list[Any], np.ndarray, Recording] | None = None
+        self._stepped: SteppedRun | None = None  # until another run begins
         self._first_batch = 1
         self._wired: WiredRun | None = None  # of the run before
 
@@ -94,48 +93,30 @@ class Simulator(StepByStep, LoadedSystem):
             else recording
         )
 
-    def start(self, experiment: Experiment, external: Sequence[str] = ()) -> None:
-        """Initialises the system for an experiment, at its start time, to be led step by step.
+    def start(self, experiment: Experiment, external: Sequence[str] = ()) -> SteppedRun:
+        """Initialises the system for an experiment, at its start time; the caller leads the run.
 
         external: inputs that the caller sets between the steps, beginning with their value in
         `experiment.inputs`, or the FMU's start value. They are held over a step, and recorded.
 
-        Raises what `run` raises; SystemDefinitionError for an error estimate, which `recording` makes beside
-        this run, of an FMU that can be instantiated only once.
+        Raises what `run` raises; SystemDefinitionError for an error estimate, whose second run is made beside
+        this one, of an FMU that can be instantiated only once.
         """
         with self._begin_run():
             if experiment.error_estimate:
                 self._check_can_load_twice()
             wired, groups, guard = self._prepare_run(experiment, tuple(external))
-            run = SteppedRun(wired, self._loop(wired.wiring), guard)
+            second = partial(Simulator, self.system, self._loop is compiled_loop)
+            run = SteppedRun(wired, self._loop(wired.wiring), guard, second)
             try:
                 with deferred_interrupt():
                     _initialise(run, groups)
             except (KeyboardInterrupt, Exception) as error:
                 run.free()
-                raise SimulationError(reason_of(error), run.recording()) from error
+                raise SimulationError(reason_of(error), run.recorded()) from error
             self._must_reload = False
             self._stepped = run
-
-    def recording(self) -> Recording:
-        """Returns `StepByStep.recording`; an error estimate of anything new loads the FMUs a second time."""
-        first, recording = self._started(), super().recording()
-        if not first.prepared.experiment.error_estimate:
-            return recording
-
-        def repeat(experiment: Experiment) -> Recording:
-            with Simulator(self.system, self._loop is compiled_loop) as second:
-                second.start(experiment, list(first.prepared.external))
-                return replay(second, first)
-
-        written = list(first.variables.written)
-        if self._estimated and self._estimated[0] == written:
-            _, values, estimated = self._estimated
-            if np.array_equal(values, recording.values, equal_nan=True):
-                return estimated
-        estimated = with_error_estimate(recording, first.prepared, repeat)
-        self._estimated = written, recording.values, estimated
-        return estimated
+            return run
 
     def _check_can_load_twice(self) -> None:
         for name, description in self._descriptions.items():
@@ -155,7 +136,6 @@ class Simulator(StepByStep, LoadedSystem):
                 yield
 
     def _end_stepped(self) -> None:
-        self._estimated = None
         if self._stepped:
             self._must_reload = self._must_reload or bool(self._stepped.failure)
             self._stepped.free()
@@ -229,13 +209,13 @@ def _run_to_end(
                 restore(resume, run)
             callback = checkpoints.checkpoint_callback(run) if checkpoints else None
             run.run_to_end(check_interrupt, progress, pacing, callback)
-        return run.recording(pacing, is_final=owns_rows)
+        return run.recorded(pacing, is_final=owns_rows)
     except KeyboardInterrupt as error:
         run.record_now()
         saved = _save_interrupted(checkpoints, run) if checkpoints else ""
-        raise SimulationError(reason_of(error) + saved, run.recording(pacing)) from error
+        raise SimulationError(reason_of(error) + saved, run.recorded(pacing)) from error
     except Exception as error:  # also of a signal: the recorded values must not be lost
-        raise SimulationError(reason_of(error), run.recording(pacing)) from error
+        raise SimulationError(reason_of(error), run.recorded(pacing)) from error
     finally:
         run.free()
 

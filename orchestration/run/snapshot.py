@@ -113,7 +113,7 @@ class Record:
 
 
 class SavedState:
-    """The whole system at one communication point of a run: opaque, for `Simulator.restore` in that run.
+    """The whole system at one communication point of a run: opaque, for `SteppedRun.restore` in that run.
 
     written: what the caller has set until then, where that is noted
     unused: where the run finds memory for its next saved states; this one's returns there when it is deleted

@@ -249,7 +249,7 @@ class RunInProgress:
             is_text = isinstance(value, str)
             self.wiring.bus[index] = self.wired.texts.number(value) if is_text else value
 
-    def recording(self, pacing: Pacing | None = None, is_final: bool = False) -> Recording:
+    def recorded(self, pacing: Pacing | None = None, is_final: bool = False) -> Recording:
         """Returns the values recorded; is_final: the run has ended, the rows are the recording's."""
         count = int(self.wiring.report[Report.RECORDED])
         more = self.step_control.provenance if self.step_control else {}

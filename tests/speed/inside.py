@@ -148,19 +148,19 @@ def stepping(repeats: str, *numbers: str) -> Rows:
     task = replace(task, experiment=long)
     rows: Rows = {}
     with Simulator(task.system) as simulator:
-        simulator.start(task.experiment, external=voltages)
-        read, write = simulator.reader("plant.measured_depth"), simulator.writer(voltages[0])
-        step, save = simulator.step, simulator.save
+        run = simulator.start(task.experiment, external=voltages)
+        read, write = run.reader("plant.measured_depth"), run.writer(voltages[0])
+        step, save = run.step, run.save
         rows["step, us"] = best(step)
         rows["get one value, set one and step, by a reader and a writer, us"] = best(
             lambda: (write(-0.1 * read()), step())
         )
         state = save()
-        rows["restore, us"] = best(lambda: simulator.restore(state))
+        rows["restore, us"] = best(lambda: run.restore(state))
         rows["save the whole system, without a step between, us"] = best(save)
         rows["step, and save, us"] = best(lambda: (step(), save()))
-        rows["get by name, without a step, us"] = best(lambda: simulator.get("plant.measured_depth"))
-        rows["set by name, without a step, us"] = best(lambda: simulator.set(voltages[0], 0.0))
+        rows["get by name, without a step, us"] = best(lambda: run.get("plant.measured_depth"))
+        rows["set by name, without a step, us"] = best(lambda: run.set(voltages[0], 0.0))
     with closing(FmuEnv(task)) as env:
         env.reset()
         rows["FmuEnv, steps a second"] = 1e6 / best(lambda: env.step(np.zeros(2)))

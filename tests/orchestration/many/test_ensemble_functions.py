@@ -194,7 +194,7 @@ def test_functions_choices_and_types_have_the_bits_of_single_runs(system: System
     names = ("block.a", "block.is_on", "block.gear", "block.u")
     experiment = Experiment(20.0, 0.1, open_inputs="start")
     with Ensemble(system, instructions) as ensemble, Simulator(system) as simulator:
-        vary = dict(zip(names, zip(*cases, strict=True), strict=True))
+        vary: dict[str, Any] = dict(zip(names, zip(*cases, strict=True), strict=True))
         experiments = instances(experiment, vary, inputs=["block.u"])
         assert_same_bits(ensemble.run(experiments), simulator, experiments)
 

@@ -60,16 +60,17 @@ def test_instances_led_step_by_step_have_their_signals(system: System) -> None:
     without = replace(DIVE, signals={REFERENCE: Constant(0.0), "plant.roll": Cosine(0.1, 3.0)})
     with Ensemble(system) as ensemble:
         run = ensemble.start(instances(without, vary), [CURRENT])
-        read = [run.read(names)]
+        read = run.reader(*names)
+        values = [read()]
         while not run.is_done:
             run.step()
-            read.append(run.read(names))
-        recorded = run.recordings()
+            values.append(read())
+        recorded = run.recording()
     for instance in (0, 3, 8, 18):
         own = replace(instances(without, vary)[instance], inputs={CURRENT: 0.0}, record=names)
         with Simulator(system) as simulator:
             one = simulator.run(own)
-        assert np.array(read)[:, :, instance].tobytes() == one.values.tobytes()
+        assert np.array(values)[:, :, instance].tobytes() == one.values.tobytes()
         assert recorded[REFERENCE][instance].tobytes() == one[REFERENCE].tobytes()
 
 

@@ -140,9 +140,9 @@ def test_a_string_that_is_recorded_can_be_read_at_every_point(
     foreign: Mapping[str, Path], compiled: bool
 ) -> None:
     with Simulator(diaries(foreign), compiled=compiled) as simulator:
-        simulator.start(MONDAY)
-        simulator.step()
-        assert (simulator.get("one.page"), simulator.get("one.length")) == ("Mon,day|", 16)
+        run = simulator.start(MONDAY)
+        run.step()
+        assert (run.get("one.page"), run.get("one.length")) == ("Mon,day|", 16)
 
 
 def test_local_variables_and_parameters_are_recorded(foreign: Mapping[str, Path], compiled: bool) -> None:
