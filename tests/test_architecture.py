@@ -306,7 +306,7 @@ def test_one_file_makes_runs_in_processes_and_one_chooses_vectors() -> None:
         "orchestration.run.subprocess_run",
     }
     assert importers("orchestration.many.isolated") == {
-        "orchestration.many.local",
+        "orchestration.many.run_many",
         "orchestration.many.cluster",
     }
     assert importers("orchestration.many.ensemble") == {

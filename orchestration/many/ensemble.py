@@ -14,7 +14,7 @@ from orchestration.many.ensemble_loop import EnsembleLoop, check_memory, loop_li
 from orchestration.many.job import ENTRIES
 from orchestration.many.lane_library import LANES, aligned, is_compiled, lane_library
 from orchestration.many.stepped_ensemble import EnsembleRecording, SteppedEnsemble
-from orchestration.run.initialisation import ConnectionGroup, connection_groups, initialise
+from orchestration.run.initialisation import initialise
 from orchestration.run.loaded_system import LoadedSystem
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import PreparedRun, check_for, prepare_checked
@@ -108,9 +108,9 @@ class Ensemble(LoadedSystem):
                 f"ensemble: got {len(experiments)} experiments: expected at least one, "
                 "which differ in values of the same parameters, inputs and signals alone"
             )
-        system, groups = self._check(experiments[0], external)
+        system = self._check(experiments[0], external)
         prepared = self._prepared_runs.prepare(system, experiments[0], external)
-        check_supported(prepared, groups)
+        check_supported(prepared)
         count, varied = len(experiments), _varied(experiments)
         of_signals = [name for name in varied if name in prepared.experiment.signals]
         check_memory(prepared, self._libraries, count, len(of_signals))
@@ -119,17 +119,12 @@ class Ensemble(LoadedSystem):
         values |= {name: _checked_values(system.ports[name], column) for name, column in varied.items()}
         for name, of_all in signals.items():
             values[name] = prepared.typed(name, of_all[:, 0].ravel()[:count])
-        run = SteppedEnsemble(self._initialised(prepared, groups, values, signals, count), count)
-        run.failures = {i: self._reason(prepared, groups, values, i) for i in run.failures}
+        run = SteppedEnsemble(self._initialised(prepared, values, signals, count), count)
+        run.failures = {i: self._reason(prepared, values, i) for i in run.failures}
         return run
 
     def _initialised(
-        self,
-        prepared: PreparedRun,
-        groups: Sequence[ConnectionGroup],
-        values: Values,
-        signals: Signals,
-        count: int,
+        self, prepared: PreparedRun, values: Values, signals: Signals, count: int
     ) -> EnsembleLoop:
         """Returns the instances with their initial values; `failure` of those that cannot begin is not 0.
 
@@ -137,7 +132,7 @@ class Ensemble(LoadedSystem):
         """
         reason = ""
         for instance in range(count):
-            reason = self._reason(prepared, groups, values, instance)
+            reason = self._reason(prepared, values, instance)
             if not reason:
                 break
         else:
@@ -153,20 +148,18 @@ class Ensemble(LoadedSystem):
                 raise EnsembleError(
                     f"{name}.internal_step: expected one for all instances; Simulator has many"
                 )
-        for group in (*groups, None):
+        for group in (*prepared.system.connection_groups, None):
             loop.initialise(group)
         return loop
 
-    def _reason(
-        self, prepared: PreparedRun, groups: Sequence[ConnectionGroup], values: Values, instance: int
-    ) -> str:
+    def _reason(self, prepared: PreparedRun, values: Values, instance: int) -> str:
         """Returns why an instance cannot begin, empty if it can: the FMUs are initialised as it."""
         own = {name: of_all[instance] for name, of_all in values.items()}
         settings = [(port, own.pop(port.name, value)) for port, value in prepared.initial_settings]
         settings += [(prepared.system.ports[name], value) for name, value in own.items()]
         self._load_or_reset()
         try:
-            initialise(prepared, groups, self._instances, settings)
+            initialise(prepared, self._instances, settings)
         except OrchestrationError as error:
             return str(error)
         return ""
@@ -202,7 +195,7 @@ def check_ensemble(
             raise EnsembleError(f"{name} is no native FMU that l1-depth build wrote for this user")
     checked = check_for(system, experiment, external, descriptions)
     prepared = prepare_checked(checked, experiment, external)
-    check_supported(prepared, connection_groups(checked))
+    check_supported(prepared)
     points, columns = prepared.shape
     group_bytes = 8 * LANES * points * columns
     if not is_asked_for:
@@ -223,7 +216,7 @@ def _check_pays(system: System, instances: int, steps: int, group_bytes: int, th
         raise EnsembleError(f"to compile the FMUs takes longer than {steps} steps save")
 
 
-def check_supported(prepared: PreparedRun, groups: Sequence[ConnectionGroup]) -> None:
+def check_supported(prepared: PreparedRun) -> None:
     """Raises EnsembleError for an experiment with something that steps of whole groups do not have."""
     experiment = prepared.experiment
     reasons = {
@@ -232,7 +225,9 @@ def check_supported(prepared: PreparedRun, groups: Sequence[ConnectionGroup]) ->
         "tolerance": experiment.tolerance,
         "faults": experiment.faults,
         "error_estimate": experiment.error_estimate,
-        "an algebraic loop of initial values": any(group.is_loop for group in groups),
+        "an algebraic loop of initial values": any(
+            group.is_loop for group in prepared.system.connection_groups
+        ),
         "a connection of an Enumeration": any(
             target.variable.type == "Enumeration" for _, target in prepared.system.connections
         ),

@@ -9,13 +9,11 @@ from typing import Any, Protocol
 
 from orchestration.errors import EnsembleError, OrchestrationError
 from orchestration.many.ensemble import Ensemble, check_ensemble, shape
-from orchestration.many.job import Done, Failure, Job, Run
+from orchestration.many.job import BATCH_S, Done, Failure, Job, Run
 from orchestration.many.lane_library import LANES
 from orchestration.results.recording import Recording
 from orchestration.run.simulator import Simulator
 
-BATCH_S = 0.25
-"""Time [s] after which a batch of runs ends, whatever is left of it."""
 _BATCH_BYTES = 2**24  # of recorded values, if a group of vectors has less
 
 

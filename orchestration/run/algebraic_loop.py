@@ -6,6 +6,7 @@ Solved by fixed-point iteration, by Newton's method, or by both in this order.
 import math
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,6 @@ from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import FmuError, OrchestrationError
 from orchestration.system.experiment import Initialisation
 from orchestration.system.system import LinearTransformation, Port
-
-Connection = tuple[Port, Port]
-Transformations = Mapping[str, LinearTransformation]
-"""Of connections, by the names of their inputs."""
 
 _MOST_ITERATIONS = 1000
 _TOLERANCE = 1e-12  # of a value or its nominal, whichever is larger
@@ -32,85 +29,56 @@ class NoSolutionError(Exception):
     """Error of values that could not be found."""
 
 
-def exchange_once(
-    connections: Sequence[Connection], instances: Mapping[str, FmuInstance], transformations: Transformations
-) -> list[float]:
-    """Reads each output and sets its input, one connection after the other; returns the values as numbers."""
-    values = []
-    for source, target in connections:
-        value = arriving_value(source, target, instances, transformations)
-        number = _number(value)
-        if not math.isfinite(number):
-            raise NoSolutionError(
-                f"{source.name} is {value:g}: expected a finite number, as it goes to {target.name}"
-            )
-        instances[target.component].set(target.variable, value)
-        values.append(number)
-    return values
+class Loop:
+    """Connections of an algebraic loop, or one connection in no loop: x = F(x), x the inputs, shape (n,).
 
-
-def _number(value: FmiValue) -> float:
-    """Returns the value; of a String, a number that tells it from others."""
-    return float(zlib.crc32(value.encode()) if isinstance(value, str) else value)
-
-
-def arriving_value(
-    source: Port, target: Port, instances: Mapping[str, FmuInstance], transformations: Transformations
-) -> FmiValue:
-    """Returns the value of an output as it arrives at an input."""
-    value = instances[source.component].get(source.variable)
-    return transformations[target.name](value) if target.name in transformations else value
-
-
-def solve_loop(
-    connections: Sequence[Connection],
-    instances: Mapping[str, FmuInstance],
-    transformations: Transformations,
-    method: Initialisation,
-) -> None:
-    """Finds inputs that equal their outputs, and sets them.
-
-    Raises OrchestrationError if no method finds a solution, FmuError for a call that an FMU refuses.
+    transformations: of connections, by the names of their inputs
     """
-    loop = _Loop(connections, instances, transformations)
-    start = loop.values()
-    reasons = []
-    for solve, other in ((_iterate, Initialisation.NEWTON), (_solve_by_newton, Initialisation.FIXED_POINT)):
-        if method is not other:
-            try:
-                return solve(loop, start)
-            except NoSolutionError as reason:
-                reasons.append(str(reason))
-    raise OrchestrationError(
-        f"initial values: no solution was found for the loop {loop.names} ({'; '.join(reasons)}); "
-        "break it, or let its FMUs start from other values"
-    )
-
-
-class _Loop:
-    """x = F(x); names, nominal: of the inputs x, shape (n,)."""
 
     def __init__(
         self,
-        connections: Sequence[Connection],
+        connections: Sequence[tuple[Port, Port]],
+        transformations: Mapping[str, LinearTransformation],
         instances: Mapping[str, FmuInstance],
-        transformations: Transformations,
     ) -> None:
-        self.connections, self.instances, self.transformations = connections, instances, transformations
-        self.nominal = np.array([_nominal(connection) for connection in connections])
-        self.is_real = all(port.variable.type == "Real" for ends in connections for port in ends)
-        self.names = ", ".join(target.name for _, target in connections)
+        self._connections, self._transformations, self._instances = connections, transformations, instances
+
+    @cached_property
+    def nominal(self) -> np.ndarray:
+        """Nominal values of the inputs, shape (n,)."""
+        return np.array([_nominal(connection) for connection in self._connections])
+
+    @property
+    def is_real(self) -> bool:
+        """Whether all variables are of type Real."""
+        return all(port.variable.type == "Real" for ends in self._connections for port in ends)
+
+    def exchange(self) -> np.ndarray:
+        """Reads each output and sets its input, one connection after the other; returns the inputs.
+
+        Raises NoSolutionError for an output that is not finite.
+        """
+        values = []
+        for source, target in self._connections:
+            value = self._arriving(source, target)
+            number = _number(value)
+            if not math.isfinite(number):
+                raise NoSolutionError(
+                    f"{source.name} is {value:g}: expected a finite number, as it goes to {target.name}"
+                )
+            self._instances[target.component].set(target.variable, value)
+            values.append(number)
+        return np.array(values, float)
 
     def values(self) -> np.ndarray:
-        """Returns the present inputs x, shape (n,)."""
-        return np.array([_number(self.instances[t.component].get(t.variable)) for _, t in self.connections])
+        """Returns the present inputs x."""
+        return np.array([_number(self._instances[t.component].get(t.variable)) for _, t in self._connections])
 
     def outputs(self, values: np.ndarray) -> np.ndarray:
         """Returns F(x): sets the inputs, then reads the outputs."""
-        for (_, target), value in zip(self.connections, values.tolist(), strict=True):
-            self.instances[target.component].set(target.variable, value)
-        arriving = (arriving_value(*c, self.instances, self.transformations) for c in self.connections)
-        return np.array(list(arriving))
+        for (_, target), value in zip(self._connections, values.tolist(), strict=True):
+            self._instances[target.component].set(target.variable, value)
+        return np.array([self._arriving(source, target) for source, target in self._connections])
 
     def relative_size(self, change: np.ndarray, values: np.ndarray) -> float:
         """Returns the largest change of a value over it or its nominal; infinite if it is not a number."""
@@ -118,19 +86,49 @@ class _Loop:
             largest = np.max(np.abs(change) / np.maximum(np.abs(values), self.nominal))
         return float(largest) if math.isfinite(largest) else math.inf
 
+    def _arriving(self, source: Port, target: Port) -> FmiValue:
+        """Returns the value of an output as it arrives at an input."""
+        value = self._instances[source.component].get(source.variable)
+        transformation = self._transformations.get(target.name)
+        return transformation(value) if transformation else value
 
-def _nominal(connection: Connection) -> float:
+    def solve(self, method: Initialisation) -> None:
+        """Finds inputs that equal their outputs, and sets them.
+
+        Raises OrchestrationError if no method finds a solution, FmuError for a call that an FMU refuses.
+        """
+        start, reasons = self.values(), []
+        names = ", ".join(target.name for _, target in self._connections)
+        methods = ((_iterate, Initialisation.NEWTON), (_solve_by_newton, Initialisation.FIXED_POINT))
+        for solve, other in methods:
+            if method is not other:
+                try:
+                    return solve(self, start)
+                except NoSolutionError as reason:
+                    reasons.append(str(reason))
+        raise OrchestrationError(
+            f"initial values: no solution was found for the loop {names} ({'; '.join(reasons)}); "
+            "break it, or let its FMUs start from other values"
+        )
+
+
+def _number(value: FmiValue) -> float:
+    """Returns the value; of a String, a number that tells it from others."""
+    return float(zlib.crc32(value.encode()) if isinstance(value, str) else value)
+
+
+def _nominal(connection: tuple[Port, Port]) -> float:
     """Returns the input's nominal, or the output's, or 1."""
     declared = (port.variable.nominal for port in reversed(connection))
     return abs(float(next((nominal for nominal in declared if nominal is not None), 1.0))) or 1.0
 
 
-def _iterate(loop: _Loop, start: np.ndarray) -> None:
+def _iterate(loop: Loop, start: np.ndarray) -> None:
     """Iterates to a fixed point: exchanges until the values no longer change."""
     before, least, change = np.full(start.shape, math.inf), math.inf, math.inf
     for _ in range(_MOST_ITERATIONS):
         try:
-            values = np.array(exchange_once(loop.connections, loop.instances, loop.transformations), float)
+            values = loop.exchange()
         except FmuError as error:
             raise _discarded_value("fixed-point iteration ends", error) from error
         change = np.max(np.abs(values - before) / loop.nominal)
@@ -146,7 +144,7 @@ def _iterate(loop: _Loop, start: np.ndarray) -> None:
     )
 
 
-def _solve_by_newton(loop: _Loop, start: np.ndarray) -> None:
+def _solve_by_newton(loop: Loop, start: np.ndarray) -> None:
     """Solves F(x) - x = 0 by Newton's method (Powell's hybrid one), in units of the nominals.
 
     A value that an FMU discards, or for which an output is not finite, gets a large residual: the method then
@@ -185,7 +183,7 @@ def _solve_by_newton(loop: _Loop, start: np.ndarray) -> None:
         raise _discarded_value(str(reason), discards[-1]) if discards else reason from None
 
 
-def _check_solution(loop: _Loop, solution: np.ndarray, residual: Callable[[np.ndarray], np.ndarray]) -> None:
+def _check_solution(loop: Loop, solution: np.ndarray, residual: Callable[[np.ndarray], np.ndarray]) -> None:
     from scipy.optimize import approx_fprime
 
     values = solution * loop.nominal

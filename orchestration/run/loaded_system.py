@@ -8,12 +8,9 @@ from typing import ClassVar, Self
 from fmus.fmi.description import describe
 from fmus.fmi.instance import FmuInstance
 from orchestration.errors import OrchestrationError
-from orchestration.run.initialisation import ConnectionGroup, connection_groups
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import PreparedRuns, check_for
 from orchestration.system.system import CheckedSystem, System
-
-Checked = tuple[CheckedSystem, tuple[ConnectionGroup, ...]]
 
 
 class LoadedSystem:
@@ -32,17 +29,16 @@ class LoadedSystem:
         self._must_reload = False
         self._running = threading.Lock()
         self._prepared_runs = PreparedRuns()
-        self._checked: dict[tuple[tuple[str, ...], str], Checked] = {}
+        self._checked: dict[tuple[tuple[str, ...], str], CheckedSystem] = {}
 
-    def _check(self, experiment: Experiment, external: Sequence[str] = ()) -> Checked:
-        """Returns the checked system with its groups of initial values, the same for the same inputs.
+    def _check(self, experiment: Experiment, external: Sequence[str] = ()) -> CheckedSystem:
+        """Returns the checked system, the same for the same inputs.
 
         external: inputs that the caller sets between the steps
         """
         key = (*experiment.driven_inputs, *external), experiment.open_inputs
         if key not in self._checked:
-            system = check_for(self.system, experiment, external, self._descriptions)
-            self._checked[key] = system, connection_groups(system)
+            self._checked[key] = check_for(self.system, experiment, external, self._descriptions)
         return self._checked[key]
 
     @contextmanager

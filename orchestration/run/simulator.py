@@ -13,7 +13,7 @@ from orchestration.results.recording import Recording
 from orchestration.run.checkpoint import Checkpoint, Checkpoints, check_can_save, restore
 from orchestration.run.compiled_loop import compiled_loop
 from orchestration.run.error_estimate import with_error_estimate
-from orchestration.run.initialisation import ConnectionGroup, connection_groups, initialise
+from orchestration.run.initialisation import initialise
 from orchestration.run.interrupt import Pacing, deferred_interrupt
 from orchestration.run.loaded_system import LoadedSystem
 from orchestration.run.loop import python_loop
@@ -77,14 +77,12 @@ class Simulator(LoadedSystem):
         with self._begin_run():
             pacing = None if real_time is None else Pacing(real_time)
             if checkpoints or resume:
-                check_can_save(run.system if isinstance(run, PreparedRun) else self._check(run)[0])
-            wired, groups, guard = self._prepare_run(run, (), storage)
+                check_can_save(run.system if isinstance(run, PreparedRun) else self._check(run))
+            wired, guard = self._prepare_run(run, (), storage)
             threads = self._threads if storage is None else 1  # who watches a call asks for one
             in_progress = RunInProgress(wired, self._loop(wired.wiring), guard, threads)
             in_progress.batch = self._first_batch
-            recording = _run_to_end(
-                in_progress, groups, progress, pacing, checkpoints, resume, storage is None
-            )
+            recording = _run_to_end(in_progress, progress, pacing, checkpoints, resume, storage is None)
             self._first_batch = max(1, in_progress.batch // 2)  # the next run may be slower
             self._must_reload = False
         return (
@@ -105,12 +103,12 @@ class Simulator(LoadedSystem):
         with self._begin_run():
             if experiment.error_estimate:
                 self._check_can_load_twice()
-            wired, groups, guard = self._prepare_run(experiment, tuple(external))
+            wired, guard = self._prepare_run(experiment, tuple(external))
             second = partial(Simulator, self.system, self._loop is compiled_loop)
             run = SteppedRun(wired, self._loop(wired.wiring), guard, second)
             try:
                 with deferred_interrupt():
-                    _initialise(run, groups)
+                    _initialise(run)
             except (KeyboardInterrupt, Exception) as error:
                 run.free()
                 raise SimulationError(reason_of(error), run.recorded()) from error
@@ -143,14 +141,13 @@ class Simulator(LoadedSystem):
 
     def _prepare_run(
         self, run: Experiment | PreparedRun, external: tuple[str, ...], storage: Storage | None = None
-    ) -> tuple[WiredRun, tuple[ConnectionGroup, ...], ProcessGuard]:
+    ) -> tuple[WiredRun, ProcessGuard]:
         """Checks an experiment, loads or resets the FMUs and wires them."""
         if isinstance(run, PreparedRun):
             self._prepared_runs = PreparedRuns()  # the next run is not compared with this one
-            groups, prepared = connection_groups(run.system), run.with_values(run.experiment)
+            prepared = run.with_values(run.experiment)
         else:
-            system, groups = self._check(run, external)
-            prepared = self._prepared_runs.prepare(system, run, external)
+            prepared = self._prepared_runs.prepare(self._check(run, external), run, external)
         earlier = self._wired if self._prepared_runs.only_values_differ else None
         self._wired = None  # of another run, also if this one is never wired
         storage = storage or Storage(np.empty(prepared.shape), new_report())
@@ -170,7 +167,7 @@ class Simulator(LoadedSystem):
         else:
             wired = build_wiring(prepared, self._instances, storage)
         self._wired = wired.without_rows()
-        return wired, groups, guard
+        return wired, guard
 
     def _load(self, name: str, loading: ExitStack) -> FmuInstance:
         assert self._guard
@@ -194,7 +191,6 @@ class Simulator(LoadedSystem):
 
 def _run_to_end(
     run: RunInProgress,
-    groups: Sequence[ConnectionGroup],
     progress: Progress | None,
     pacing: Pacing | None,
     checkpoints: Checkpoints | None,
@@ -204,7 +200,7 @@ def _run_to_end(
     """Initialises or restores a run, and runs it to its end. SimulationError holds what was recorded."""
     try:
         with deferred_interrupt() as check_interrupt:
-            _initialise(run, groups)
+            _initialise(run)
             if resume:
                 restore(resume, run)
             callback = checkpoints.checkpoint_callback(run) if checkpoints else None
@@ -220,8 +216,8 @@ def _run_to_end(
         run.free()
 
 
-def _initialise(run: RunInProgress, groups: Sequence[ConnectionGroup]) -> None:
-    initialise(run.prepared, groups, run.instances)
+def _initialise(run: RunInProgress) -> None:
+    initialise(run.prepared, run.instances)
     run.read_outputs()
     run.restore_process()
 

@@ -17,8 +17,7 @@ import numpy as np
 
 from orchestration.many.job import Failure
 from orchestration.many.lane_library import LANES
-from orchestration.many.local import LocalRuns
-from orchestration.many.run_many import in_order
+from orchestration.many.run_many import LocalRuns, in_order
 from orchestration.margins.hold import QUIET, last_part
 from orchestration.results.recording import Recording
 from orchestration.score.closed_loop import ClosedLoop, ClosedLoopRun, Controller

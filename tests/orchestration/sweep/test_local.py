@@ -12,9 +12,8 @@ import pytest
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import EnsembleError, OrchestrationError
 from orchestration.many import ensemble
-from orchestration.many.batches import Batches
-from orchestration.many.job import Failure, Finished, Run
-from orchestration.many.local import LocalRuns
+from orchestration.many.job import Batches, Failure, Finished, Run
+from orchestration.many.run_many import LocalRuns
 from orchestration.results import metrics
 from orchestration.results.recording import Recording, run_by_run
 from orchestration.scenarios import scenario
