@@ -15,7 +15,7 @@ from orchestration.many.job import ENTRIES
 from orchestration.many.lane_library import LANES, aligned, is_compiled, lane_library
 from orchestration.many.stepped_ensemble import EnsembleRecording, SteppedEnsemble
 from orchestration.run.initialisation import initialise
-from orchestration.run.loaded_system import LoadedSystem
+from orchestration.run.simulator import LoadedSystem
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import PreparedRun, check_for, prepare_checked
 from orchestration.system.signals import Signal

@@ -9,7 +9,7 @@ time. At each point: scheduled changes are made, outputs are exchanged and recor
 Inputs are held over a step, first order in h, or extrapolated with their last slope, second order.
 
     one_run.py         one run, with every setting as an argument
-    simulator.py, loaded_system.py  FMUs that stay loaded, and runs of them
+    simulator.py       FMUs that stay loaded, and runs of them
     initialisation.py  initial values
     wiring.py          a prepared run as arrays
     loop.py            the communication loop over these arrays; compiled_loop.py compiled, and on threads

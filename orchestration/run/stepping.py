@@ -51,7 +51,7 @@ class RunInProgress:
         self, wired: WiredRun, loop: LoopFunctions, guard: ProcessGuard, threads: int | None = 1
     ) -> None:
         self.wired, self._loop, self.guard = wired, loop, guard
-        self._threads = StepThreads(wired, loop, threads)
+        self._threads = StepThreads(wired.wiring, loop, threads)
         self.prepared, self.instances, self.wiring = wired.prepared, wired.instances, wired.wiring
         self._report = wired.wiring.report.data  # quicker than the array
         self._termination: dict[str, Any] = {}
