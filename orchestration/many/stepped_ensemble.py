@@ -34,13 +34,13 @@ class EnsembleRecording(Recording):
         """Returns those of `complete`."""
         of_signals = self.values.transpose(2, 0, 1)  # as they lie in memory
         values = of_signals[:, self.complete].transpose(1, 2, 0) if self.failures else self.values
-        return Recording(self.names, self.units, self.time, values, self.provenance, self.texts)
+        return Recording(self.names, self.units, self.time, values, self.provenance, self.strings)
 
     def run(self, index: int) -> Recording:
         """Returns that of one instance, until its end."""
         count = self.counts[index]
         time, values = self.time[:count], self.values[index, :count]
-        return Recording(self.names, self.units, time, values, self.provenance, self.texts)
+        return Recording(self.names, self.units, time, values, self.provenance, self.strings)
 
 
 class SteppedEnsemble:

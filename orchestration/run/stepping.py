@@ -246,8 +246,8 @@ class RunInProgress:
         instance.set(port.variable, value)
         index = self.wired.bus.index.get(port.name)
         if index is not None:
-            is_text = isinstance(value, str)
-            self.wiring.bus[index] = self.wired.texts.number(value) if is_text else value
+            is_string = isinstance(value, str)
+            self.wiring.bus[index] = self.wired.strings.number(value) if is_string else value
 
     def recorded(self, pacing: Pacing | None = None, is_final: bool = False) -> Recording:
         """Returns the values recorded; is_final: the run has ended, the rows are the recording's."""
@@ -255,7 +255,8 @@ class RunInProgress:
         more = self.step_control.provenance if self.step_control else {}
         more |= {"terminated": self._termination} if self._termination else {}
         more |= {"real_time": pacing.report()} if pacing else {}
-        return make_recording(self.prepared, self.wiring.rows, count, self.wired.texts.table, more, is_final)
+        rows, strings = self.wiring.rows, self.wired.strings.table
+        return make_recording(self.prepared, rows, count, strings, more, is_final)
 
     def free(self) -> None:
         """Frees the states that were saved in the FMUs, and ends the threads."""
