@@ -99,7 +99,7 @@ class Loop:
         """Whether all variables are of type Real."""
         return all(port.variable.type == "Real" for ends in self._connections for port in ends)
 
-    def exchange(self) -> np.ndarray:
+    def exchange(self) -> list[float]:
         """Reads each output and sets its input, one connection after the other; returns the inputs.
 
         Raises NoSolutionError for an output that is not finite.
@@ -114,7 +114,7 @@ class Loop:
                 )
             self._instances[target.component].set(target.variable, value)
             values.append(number)
-        return np.array(values, float)
+        return values
 
     def values(self) -> np.ndarray:
         """Returns the present inputs x."""
@@ -174,7 +174,7 @@ def _iterate(loop: Loop, start: np.ndarray) -> None:
     before, least, change = np.full(start.shape, math.inf), math.inf, math.inf
     for _ in range(_MOST_ITERATIONS):
         try:
-            values = loop.exchange()
+            values = np.array(loop.exchange(), float)
         except FmuError as error:
             raise _discarded_value("fixed-point iteration ends", error) from error
         change = np.max(np.abs(values - before) / loop.nominal)
