@@ -16,6 +16,7 @@ import numpy as np
 from fmus.extras import imports_of
 from orchestration.errors import SystemDefinitionError
 from orchestration.results.recording import Recording
+from orchestration.run import Simulator
 from orchestration.scenarios.task import Task, task_of
 from orchestration.scenarios.task_runs import Episode, EpisodePlan, task_runs
 from orchestration.system.values import value_range
@@ -79,14 +80,14 @@ class FmuEnv(_Agent, gymnasium.Env[Array, Array]):
     """One environment of a task. `reset(seed=...)` makes the episodes that follow the same again.
 
     Raises SystemDefinitionError for a name that is unknown, or an action without bounds; in an episode what
-    `Simulator.step` raises.
+    `SteppedRun.step` raises.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # as its base declares it
 
     def __init__(self, task: Task) -> None:
         plan, self.observation_space, self.action_space = self._plan(task)
-        self._runs = Episode(plan)
+        self._runs = Episode(plan, Simulator(task.system))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -110,10 +111,10 @@ class FmuEnv(_Agent, gymnasium.Env[Array, Array]):
 
     def recording(self) -> Recording:
         """Returns the recording of the present episode until now."""
-        return self._runs.simulator.recording()
+        return self._runs.run.recording()
 
     def close(self) -> None:
-        self._runs.simulator.close()
+        self._runs.engine.close()
 
 
 class FmuVectorEnv(_Agent, VectorEnv[Array, Array, Array]):

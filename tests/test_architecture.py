@@ -306,11 +306,10 @@ def test_one_file_makes_runs_in_processes_and_one_chooses_vectors() -> None:
         "orchestration.run.subprocess_run",
     }
     assert importers("orchestration.many.isolated") == {
-        "orchestration.many.local",
+        "orchestration.many.run_many",
         "orchestration.many.cluster",
     }
-    assert importers("orchestration.many.ensemble_checks") == {
-        "orchestration.many.ensemble",
+    assert importers("orchestration.many.ensemble") == {
         "orchestration.many.runners",
         "orchestration.scenarios.task_runs",
     }

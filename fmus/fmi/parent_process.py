@@ -128,7 +128,7 @@ def _exit_status(status: int, page: mmap.mmap) -> int:
         import shutil
 
         shutil.rmtree(folder, ignore_errors=True)
-    if status == UNEXPECTED_END:  # an FMU called exit: `loop.c` has told that
+    if status == UNEXPECTED_END:  # an FMU called exit: `process_guard.h` has told that
         return status
     if -status in _INTERRUPTS:
         print("l1-depth: interrupted", file=sys.stderr)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from contextlib import AbstractContextManager
 
-    from orchestration.many.batches import Place
+    from orchestration.many.job import Place
     from orchestration.sweep.plan import Plan
 
 
@@ -128,7 +128,7 @@ def _workers(
         from orchestration.many import cluster  # Dask is slow to import
 
         return cluster.remote(scheduler)
-    from orchestration.many.local import LocalRuns
+    from orchestration.many.run_many import LocalRuns
 
     return LocalRuns(count or usable_processors(), isolated, ensemble, note)
 

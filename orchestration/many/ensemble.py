@@ -1,34 +1,39 @@
-"""Many instances of one system, which step together."""
+"""Many instances of one system, which step together: what can be run so, and the instances of a run."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from fmus.errors import nearest
-from fmus.fmi.description import is_independent
+from fmus.fmi.description import describe, is_independent
 from fmus.fmi.variable_types import FmiValue
 from fmus.platforms import INSTRUCTION_SETS, instruction_sets
 from orchestration.errors import EnsembleError, OrchestrationError, SystemDefinitionError
-from orchestration.many.ensemble_checks import (
-    Vary,
-    check_supported,
-    checked_values,
-    instance_count,
-    varied_signals,
-)
 from orchestration.many.ensemble_loop import EnsembleLoop, check_memory, loop_library
-from orchestration.many.lane_library import LANES, lane_library
+from orchestration.many.job import ENTRIES
+from orchestration.many.lane_library import LANES, aligned, is_compiled, lane_library
 from orchestration.many.stepped_ensemble import EnsembleRecording, SteppedEnsemble
-from orchestration.run.initialisation import ConnectionGroup, initialise
-from orchestration.run.loaded_system import LoadedSystem
+from orchestration.run.initialisation import initialise
+from orchestration.run.simulator import LoadedSystem
 from orchestration.system.experiment import Experiment
-from orchestration.system.prepared_run import PreparedRun
-from orchestration.system.system import System
+from orchestration.system.prepared_run import PreparedRun, check_for, prepare_checked
+from orchestration.system.signals import Signal
+from orchestration.system.system import Port, System
+from orchestration.system.values import fmi_values, items
 
 Values = dict[str, list[FmiValue]]
 """Variable -> its value at the start, of each instance."""
 Signals = Mapping[str, np.ndarray]
 """As `varied` of `EnsembleLoop`."""
+_MOST_BYTES = 2**28  # of recorded values of the groups of all threads
+# each costs 0.25 us more an FMU in a Simulator; to compile an FMU takes 2 to 3 s
+_STEPS_WORTH_COMPILING = 1e7
+
+
+def shape(experiment: Experiment) -> tuple[object, ...]:
+    """Returns what the experiments of instances that step together have in common: all but values."""
+    return tuple(v.keys() if name in ENTRIES else v for name, v in vars(experiment).items())
 
 
 class Ensemble(LoadedSystem):
@@ -71,80 +76,63 @@ class Ensemble(LoadedSystem):
                     f"{name}: an Ensemble has no whole numbers of an FMU of Reals alone; a Simulator has"
                 )
 
-    def run(
-        self,
-        experiment: Experiment,
-        vary: Vary,
-        *,
-        threads: int = 1,
-        progress: Callable[[int, int], object] | None = None,
-    ) -> EnsembleRecording:
-        """Runs as many instances of an experiment as there are values to vary; returns their recordings.
+    def run(self, experiments: Sequence[Experiment]) -> EnsembleRecording:
+        """Runs an instance for each experiment and returns their recordings.
 
-        vary: name of a parameter or of a constant input -> its values, shape (instances,); of an input with a
-        signal in the experiment -> the signals in its place
-        threads: that run groups of instances at once
-        progress: called with the instances that are done, and all of them
+        experiments: at least one; they differ in values of the same parameters, inputs and signals alone
 
         An instance that cannot begin, or cannot go on, is in `failures` of the result and disturbs no other.
         Raises SystemDefinitionError for what does not fit, EnsembleError for what only a `Simulator` can run,
         OrchestrationError if no instance can begin.
         """
-        if threads < 1:
-            raise OrchestrationError(f"threads: {threads}: expected at least 1")
         with self._begin_run():
-            run = self._start(experiment, vary, instance_count(vary))
-            run.run_to_end(threads, progress)
-            return run.recordings()
+            run = self._start(experiments)
+            run.run_to_end()
+            return run.recording()
 
-    def start(
-        self, experiment: Experiment, vary: Vary, instances: int, external: Sequence[str]
-    ) -> SteppedEnsemble:
-        """Starts that many instances, which the caller steps.
+    def start(self, experiments: Sequence[Experiment], external: Sequence[str]) -> SteppedEnsemble:
+        """Starts an instance for each experiment, as of `run`; the caller steps them.
 
-        external: inputs that the caller sets between the steps, as of `Simulator.start`; at least one
+        external: inputs that the caller sets between the steps, as of `Simulator.start`
         Raises what `run` raises; OrchestrationError if an instance cannot begin.
         """
-        lengths = {name: len(values) for name, values in vary.items()}
-        if instances < 1 or not external or {*lengths.values()} - {instances}:
-            raise SystemDefinitionError(
-                "start: expected an external input, and as many values as instances, at least 1: "
-                f"got {list(external)}, {lengths} and {instances}"
-            )
         with self._begin_run():
-            run = self._start(experiment, vary, instances, tuple(external))
+            run = self._start(experiments, tuple(external))
         for instance, reason in run.failures.items():
             raise OrchestrationError(f"instance {instance} cannot begin: {reason}")
         return run
 
-    def _start(
-        self, experiment: Experiment, vary: Vary, count: int, external: tuple[str, ...] = ()
-    ) -> SteppedEnsemble:
-        system, groups = self._check(experiment, external)
-        prepared = self._prepared_runs.prepare(system, experiment, external)
-        check_supported(prepared, groups)
+    def _start(self, experiments: Sequence[Experiment], external: tuple[str, ...] = ()) -> SteppedEnsemble:
+        if not experiments or any(shape(other) != shape(experiments[0]) for other in experiments):
+            raise SystemDefinitionError(
+                f"ensemble: got {len(experiments)} experiments: expected at least one, "
+                "which differ in values of the same parameters, inputs and signals alone"
+            )
+        system = self._check(experiments[0], external)
+        prepared = self._prepared_runs.prepare(system, experiments[0], external)
+        check_supported(prepared)
+        count, varied = len(experiments), _varied(experiments)
+        of_signals = [name for name in varied if name in prepared.experiment.signals]
+        check_memory(prepared, self._libraries, count, len(of_signals))
+        signals = {name: _signal_lanes(prepared, name, varied.pop(name)) for name in of_signals}
         values: Values = {name: [value] * count for name, value in prepared.external.items()}
-        values |= checked_values(prepared, vary)
-        check_memory(prepared, self._libraries, count, sum(n in experiment.signals for n in vary))
-        signals = varied_signals(prepared, vary)
+        values |= {name: _checked_values(system.ports[name], column) for name, column in varied.items()}
         for name, of_all in signals.items():
             values[name] = prepared.typed(name, of_all[:, 0].ravel()[:count])
-        loop = self._initialised(prepared, groups, values, signals)
-        varied = {name: vary[name] if name in signals else values[name] for name in vary}
-        run = SteppedEnsemble(loop, count, varied)
-        run.failures = {i: self._reason(prepared, groups, values, i) for i in run.failures}
+        run = SteppedEnsemble(self._initialised(prepared, values, signals, count), count)
+        run.failures = {i: self._reason(prepared, values, i) for i in run.failures}
         return run
 
     def _initialised(
-        self, prepared: PreparedRun, groups: Sequence[ConnectionGroup], values: Values, signals: Signals
+        self, prepared: PreparedRun, values: Values, signals: Signals, count: int
     ) -> EnsembleLoop:
         """Returns the instances with their initial values; `failure` of those that cannot begin is not 0.
 
         What they have in common is taken from the FMUs, initialised as the first instance that can begin.
         """
-        count, reason = len(next(iter(values.values()))), ""
+        reason = ""
         for instance in range(count):
-            reason = self._reason(prepared, groups, values, instance)
+            reason = self._reason(prepared, values, instance)
             if not reason:
                 break
         else:
@@ -160,20 +148,18 @@ class Ensemble(LoadedSystem):
                 raise EnsembleError(
                     f"{name}.internal_step: expected one for all instances; Simulator has many"
                 )
-        for group in (*groups, None):
+        for group in (*prepared.system.connection_groups, None):
             loop.initialise(group)
         return loop
 
-    def _reason(
-        self, prepared: PreparedRun, groups: Sequence[ConnectionGroup], values: Values, instance: int
-    ) -> str:
+    def _reason(self, prepared: PreparedRun, values: Values, instance: int) -> str:
         """Returns why an instance cannot begin, empty if it can: the FMUs are initialised as it."""
         own = {name: of_all[instance] for name, of_all in values.items()}
         settings = [(port, own.pop(port.name, value)) for port, value in prepared.initial_settings]
         settings += [(prepared.system.ports[name], value) for name, value in own.items()]
         self._load_or_reset()
         try:
-            initialise(prepared, groups, self._instances, settings)
+            initialise(prepared, self._instances, settings)
         except OrchestrationError as error:
             return str(error)
         return ""
@@ -186,3 +172,122 @@ class Ensemble(LoadedSystem):
             return self._libraries[name].values(instance.serialize_fmu_state(state))
         finally:
             instance.free_fmu_state(state)
+
+
+def check_ensemble(
+    system: System,
+    experiment: Experiment,
+    instances: int,
+    is_asked_for: bool = False,
+    external: Sequence[str] = (),
+    threads: int = 1,
+) -> int:
+    """Returns the bytes of the values that a group of an ensemble records.
+
+    instances: how many are run in all; is_asked_for: also where it does not pay
+    external: inputs that the caller sets between the steps; FMUs are then compiled only if it is asked for
+    threads: how many run a group at a time
+    Raises EnsembleError, which says why simulators run them: an ensemble cannot, or it does not pay.
+    """
+    descriptions = {name: describe(path) for name, path in system.components.items()}
+    for name, description in descriptions.items():
+        if not is_independent(description):
+            raise EnsembleError(f"{name} is no native FMU that l1-depth build wrote for this user")
+    checked = check_for(system, experiment, external, descriptions)
+    prepared = prepare_checked(checked, experiment, external)
+    check_supported(prepared)
+    points, columns = prepared.shape
+    group_bytes = 8 * LANES * points * columns
+    if not is_asked_for:
+        steps = 0 if external else instances * experiment.step_count  # as far as known
+        _check_pays(system, instances, steps, group_bytes, threads)
+    return group_bytes
+
+
+def _check_pays(system: System, instances: int, steps: int, group_bytes: int, threads: int) -> None:
+    """Raises EnsembleError where simulators run as fast, or in much less memory."""
+    if instances < LANES:
+        raise EnsembleError(f"{instances} runs are less than the {LANES} that step at once")
+    if (n_bytes := threads * group_bytes) > _MOST_BYTES:
+        raise EnsembleError(f"{threads * LANES} runs at once record {n_bytes / 1e6:.0f} MB")
+    best = instruction_sets()[0]
+    compiled = [is_compiled(name, path, best) for name, path in system.components.items()]
+    if steps < _STEPS_WORTH_COMPILING and not all(compiled):
+        raise EnsembleError(f"to compile the FMUs takes longer than {steps} steps save")
+
+
+def check_supported(prepared: PreparedRun) -> None:
+    """Raises EnsembleError for an experiment with something that steps of whole groups do not have."""
+    experiment = prepared.experiment
+    reasons = {
+        "extrapolation": experiment.extrapolation,
+        "step_sizes": any(period > 1 for period in prepared.periods.values()),
+        "tolerance": experiment.tolerance,
+        "faults": experiment.faults,
+        "error_estimate": experiment.error_estimate,
+        "an algebraic loop of initial values": any(
+            group.is_loop for group in prepared.system.connection_groups
+        ),
+        "a connection of an Enumeration": any(
+            target.variable.type == "Enumeration" for _, target in prepared.system.connections
+        ),
+        "an event with a number that is no item": any(
+            _not_items(port, [value]) for changes in prepared.changes.values() for port, value in changes
+        ),
+    }
+    for name, is_used in reasons.items():
+        _refuse_if(is_used, name)
+    for name, values in zip(experiment.signals, prepared.signal_values, strict=True):
+        _check_items(prepared.system.ports[name], values)
+
+
+def _varied(experiments: Sequence[Experiment]) -> dict[str, list[Any]]:
+    """Returns name -> value in each experiment of one shape, but where all have the same object."""
+    columns = {
+        name: [getattr(experiment, entries)[name] for experiment in experiments]
+        for entries in ENTRIES
+        for name in getattr(experiments[0], entries)
+    }
+    return {name: column for name, column in columns.items() if any(v is not column[0] for v in column)}
+
+
+def _checked_values(port: Port, values: Sequence[Any]) -> list[FmiValue]:
+    """Returns the values of all instances as the FMU takes them; SystemDefinitionError for another one."""
+    checked = fmi_values(port, values)
+    for value in _not_items(port, checked):
+        numbers = ", ".join(f"{item} ({number})" for item, number in items(port).items())
+        raise SystemDefinitionError(f"{port.name} = {value}: expected one of {numbers}")
+    return checked
+
+
+def _signal_lanes(prepared: PreparedRun, name: str, signals: Sequence[Signal]) -> np.ndarray:
+    """Returns the signal of each instance at each point, shape (groups, points, lanes).
+
+    Raises SystemDefinitionError for one that fails or has a value that the input cannot have, EnsembleError
+    for a number that is no item.
+    """
+    lanes = aligned(-(-len(signals) // LANES), len(prepared.points), LANES)
+    for instance, signal in enumerate(signals):
+        try:
+            values = prepared.values_of_signal(name, signal)
+        except SystemDefinitionError as error:
+            raise SystemDefinitionError(f"instance {instance}: {error}") from error
+        _check_items(prepared.system.ports[name], values)
+        group, lane = divmod(instance, LANES)
+        lanes[group, :, lane : None if instance + 1 == len(signals) else lane + 1] = values[:, None]
+    return lanes
+
+
+def _check_items(port: Port, values: np.ndarray) -> None:
+    """Raises EnsembleError for a signal with a number that the Enumeration does not have."""
+    _refuse_if(bool(_not_items(port, values)), "a signal with a number that is no item")
+
+
+def _refuse_if(is_used: bool, name: str) -> None:
+    if is_used:
+        raise EnsembleError(f"{name}: an Ensemble does not run it; a Simulator does")
+
+
+def _not_items(port: Port, values: Iterable[FmiValue] | np.ndarray) -> set[FmiValue]:
+    """Returns the numbers that an Enumeration does not have: none for another type."""
+    return {*values} - {*items(port).values()} if port.variable.type == "Enumeration" else set()

@@ -11,11 +11,10 @@ import numpy as np
 from fmus.errors import ExportError
 from orchestration.errors import EnsembleError
 from orchestration.many.lane_library import LANES, LaneLibrary, aligned, load_compiled
-from orchestration.run.initialisation import ConnectionGroup
 from orchestration.system.experiment import Algorithm
 from orchestration.system.experiment_checks import check_fits
 from orchestration.system.prepared_run import PreparedRun
-from orchestration.system.system import LinearTransformation, Port
+from orchestration.system.system import ConnectionGroup, LinearTransformation, Port
 
 Array = np.ndarray
 _UNCHANGED = LinearTransformation()

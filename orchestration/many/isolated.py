@@ -10,9 +10,9 @@ import cloudpickle
 
 from fmus.fmi.process import Parent, ProcessEndedError, WorkerProcess
 from orchestration.errors import EnsembleError, OrchestrationError, SweepError
-from orchestration.many.job import ENDED, TOO_LONG, Done, Failure, Job, Run
+from orchestration.many.job import BATCH_S, ENDED, TOO_LONG, Done, Failure, Job, Run
 from orchestration.many.lane_library import LANES
-from orchestration.many.runners import BATCH_S, ClosedError, Simulated, Vectorised
+from orchestration.many.runners import ClosedError, Simulated, Vectorised
 
 _ATTEMPTS = 2  # a process that ends once may have been killed by somebody, one that ends again by its run
 _START_S = 300.0  # to import, load and compile, on a machine that is busy

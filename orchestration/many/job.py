@@ -1,14 +1,16 @@
-"""Runs to make and runs that were made, what they share, and what of each is sent to another process."""
+"""Runs to make and runs that were made, what they share, and the batches in which they are handed out."""
 
 import math
 import os
 import pickle
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from itertools import islice
 from pathlib import Path
 from tempfile import gettempdir
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import cloudpickle
 
@@ -20,6 +22,11 @@ from orchestration.system.system import System
 Changes = tuple[Mapping[str, Any], Mapping[str, Mapping[str, Any]]]
 """Field of an experiment -> its value; and field of `ENTRIES` -> name -> value of the entries that differ."""
 ENTRIES = ("parameters", "inputs", "signals")
+
+BATCH_S = 0.25
+"""Time [s] after which a batch of runs ends, whatever is left of it."""
+_MOST_OF_A_BATCH = 1000
+_SPREAD = 3  # of what is left for a worker it takes this part, so that all end at about the same time
 
 Reduce = Callable[[Recording], Sequence[Any]]
 """Returns a result for each run of a recording with an axis of runs; a function of a module, or picklable."""
@@ -138,3 +145,36 @@ def changed(base: Experiment, changes: Changes) -> Experiment:
     whole, entries = changes
     merged = {name: {**getattr(base, name), **values} for name, values in entries.items()}
     return replace(base, **whole, **merged)
+
+
+class Place(Protocol):
+    """Makes the runs of one job after another; a generator that is closed early stops them."""
+
+    def runs(self, job: Job, batches: "Batches") -> Generator[list[Finished], None, None]: ...
+
+
+class Batches:
+    """Runs to hand out, as many at once as take about a quarter of a second."""
+
+    def __init__(self, runs: Iterable[Run], count: int) -> None:
+        self._runs, self.left, self._run_s = iter(runs), count, math.inf
+        self._returned: deque[Run] = deque()
+
+    def take(self, workers: int, group: int = 1, most: int = _MOST_OF_A_BATCH) -> list[Run]:
+        """Returns the next runs for one of so many workers; none if none are left.
+
+        group: how many run at once: batches are whole groups, until the last; most: of a batch
+        """
+        share = math.ceil(self.left / (_SPREAD * workers))
+        count = max(1, min(int(BATCH_S / self._run_s), share, most))
+        count = max(group, count - count % group)
+        batch = [self._returned.popleft() for _ in range(min(count, len(self._returned)))]
+        batch += islice(self._runs, count - len(batch))
+        self.left -= len(batch)
+        return batch
+
+    def note(self, count: int, seconds: float, rest: Sequence[Run] = ()) -> None:
+        """Notes how long so many runs took, one after another; rest: of their batch, to hand out again."""
+        self._run_s = max(seconds / count, 1e-9)
+        self._returned += rest
+        self.left += len(rest)

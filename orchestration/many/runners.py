@@ -2,22 +2,18 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import groupby
 from time import perf_counter, thread_time
 from typing import Any, Protocol
 
 from orchestration.errors import EnsembleError, OrchestrationError
-from orchestration.many.ensemble import Ensemble
-from orchestration.many.ensemble_checks import check_ensemble
-from orchestration.many.job import ENTRIES, Done, Failure, Job, Run
+from orchestration.many.ensemble import Ensemble, check_ensemble, shape
+from orchestration.many.job import BATCH_S, Done, Failure, Job, Run
 from orchestration.many.lane_library import LANES
 from orchestration.results.recording import Recording
 from orchestration.run.simulator import Simulator
-from orchestration.system.experiment import Experiment
 
-BATCH_S = 0.25
-"""Time [s] after which a batch of runs ends, whatever is left of it."""
 _BATCH_BYTES = 2**24  # of recorded values, if a group of vectors has less
 
 
@@ -128,21 +124,14 @@ class Vectorised(AbstractContextManager["Vectorised"]):
 
     def run(self, runs: Sequence[Run]) -> list[Done]:
         """Returns all runs."""
-        done, first = list[Done](), 0
-        while first < len(runs):
-            end = first + 1
-            while end < len(runs) and _is_same_shape(runs[first].experiment, runs[end].experiment):
-                end += 1
-            done += self._run_group(runs[first:end])
-            first = end
-        return done
+        groups = groupby(runs, lambda run: shape(run.experiment))
+        return [done for _, group in groups for done in self._run_group([*group])]
 
     def _run_group(self, runs: Sequence[Run]) -> list[Done]:
         results = dict[int, Any]()
-        varied = _varied([run.experiment for run in runs])
-        if varied:
+        if len(runs) > 1:
             try:
-                recorded = self._ensemble.run(runs[0].experiment, varied)
+                recorded = self._ensemble.run([run.experiment for run in runs])
                 if recorded.complete:
                     reduced = _reduced(recorded.recordings(), [runs[i] for i in recorded.complete])
                     results = dict(zip(recorded.complete, reduced, strict=True))
@@ -177,22 +166,3 @@ def _reduced(recording: Recording, runs: Sequence[Run]) -> list[Any]:
             results += [None] * count
         first += count
     return results
-
-
-def _is_same_shape(one: Experiment, other: Experiment) -> bool:
-    """Whether two experiments differ in values alone."""
-    for field in fields(Experiment):
-        a, b = getattr(one, field.name), getattr(other, field.name)
-        if (a.keys() != b.keys()) if field.name in ENTRIES else not (a is b or a == b):
-            return False
-    return True
-
-
-def _varied(experiments: Sequence[Experiment]) -> dict[str, list[Any]]:
-    """Returns name -> value in each experiment of one shape, but where all have the same object."""
-    columns = {
-        name: [getattr(experiment, entries)[name] for experiment in experiments]
-        for entries in ENTRIES
-        for name in getattr(experiments[0], entries)
-    }
-    return {name: column for name, column in columns.items() if any(v is not column[0] for v in column)}

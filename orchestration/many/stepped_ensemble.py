@@ -1,36 +1,27 @@
 """The instances of an ensemble: led step by step or to the end at once, and what they record."""
 
-import re
-import sys
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
+from typing import Any
 
 import numpy as np
 
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.many.ensemble_loop import EnsembleLoop
-from orchestration.many.lane_library import LANES
 from orchestration.results.recording import Recording
 from orchestration.run.run_recording import make_recording
-from orchestration.system.signals import Signal
 from orchestration.system.system import Port
-from orchestration.system.values import Value, fmi_value, possible_values, value_range
-
-Varied = Mapping[str, Sequence[Value | Signal] | np.ndarray]
-"""Variable -> its values or signals, one of each instance."""
+from orchestration.system.values import fmi_value, possible_values, value_range
 
 
 @dataclass(frozen=True)
 class EnsembleRecording(Recording):
     """Recording of many instances, with a first axis of runs; NaN after the end of one that failed.
 
-    varied: what differs; counts: recorded communication points of each instance, shape (runs,)
+    counts: recorded communication points of each instance, shape (runs,)
     failures: instance -> why it ended early
     """
 
-    varied: Varied = field(default_factory=dict)
     counts: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     failures: Mapping[int, str] = field(default_factory=dict)
 
@@ -40,31 +31,32 @@ class EnsembleRecording(Recording):
         return [instance for instance in range(len(self.counts)) if instance not in self.failures]
 
     def recordings(self) -> Recording:
-        """Returns those of `complete`, without `varied`."""
+        """Returns those of `complete`."""
         of_signals = self.values.transpose(2, 0, 1)  # as they lie in memory
         values = of_signals[:, self.complete].transpose(1, 2, 0) if self.failures else self.values
-        return Recording(self.names, self.units, self.time, values, self.provenance, self.texts)
+        return Recording(self.names, self.units, self.time, values, self.provenance, self.strings)
 
     def run(self, index: int) -> Recording:
-        """Returns that of one instance, until its end; what was varied is in its provenance."""
+        """Returns that of one instance, until its end."""
         count = self.counts[index]
-        varied = {name: _as_plain_data(values[index]) for name, values in self.varied.items()}
-        provenance = {**self.provenance, "varied": varied}
         time, values = self.time[:count], self.values[index, :count]
-        return Recording(self.names, self.units, time, values, provenance, self.texts)
+        return Recording(self.names, self.units, time, values, self.provenance, self.strings)
 
 
 class SteppedEnsemble:
-    """Initialised instances, all at the same communication point; `Ensemble.start` makes them.
+    """Instances that the caller leads, all at the same communication point; `Ensemble.start` makes them.
 
     point: index of the communication point; failures: instance -> why it ended early
 
-    The recording is that of `Simulator.step`, to the last bit; but a step that an FMU refuses is an error,
+    The form is that of `SteppedRun`, with an array for the instances in place of a number. The recording is
+    that of as many stepped runs, to the last bit; but a step that an FMU refuses is an error,
     where a Simulator tries shorter ones.
     """
 
-    def __init__(self, loop: EnsembleLoop, count: int, varied: Varied) -> None:
-        self._loop, self._prepared, self._count, self._varied = loop, loop.prepared, count, varied
+    is_terminated = False  # its FMUs never terminate a simulation
+
+    def __init__(self, loop: EnsembleLoop, count: int) -> None:
+        self._loop, self._prepared, self._count = loop, loop.prepared, count
         self._driven = {*loop.prepared.experiment.signals, *(target for _, target in loop.connections)}
         self.point, self.failures = 0, dict[int, str]()
         self._note_failures()
@@ -90,57 +82,63 @@ class SteppedEnsemble:
             raise OrchestrationError(
                 f"the run is at its stop time, {self.time:.9g} s: expected no further step"
             )
-        for group in range(len(self._loop.rows)):
-            self._loop.run_points(group, self.point, self.point + 1)
-        self._note_failures()
+        self._run_to(self.point + 1)
         for instance, reason in self.failures.items():
             raise SimulationError(f"instance {instance}: {reason}", self._recording().run(instance))
         self.point += 1
 
-    def run_to_end(self, threads: int, progress: Callable[[int, int], object] | None) -> None:
-        """Runs the groups to their end; the other instances of one that fails go on.
+    def run_to_end(self) -> None:
+        """Runs the groups to their end; the other instances of one that fails go on."""
+        self._run_to(len(self.points) - 1)
+        self.point = len(self.points) - 1
 
-        threads, progress: as of `Ensemble.run`
-        """
-        last, groups = len(self.points) - 1, range(len(self._loop.rows))
-        with ThreadPoolExecutor(threads) as pool:
-            apply = pool.map if threads > 1 else map
-            run = partial(self._loop.run_points, first=self.point, last=last)
-            for group, _ in enumerate(apply(run, groups)):
-                if progress:
-                    progress(min(self._count, (group + 1) * LANES), self._count)
-        self.point = last
+    def _run_to(self, last: int) -> None:
+        for group in range(len(self._loop.rows)):
+            self._loop.run_points(group, self.point, last)
         self._note_failures()
 
-    def read(self, names: Sequence[str]) -> np.ndarray:
-        """Returns the present values of variables, shape (names, instances); Booleans are 0.0 and 1.0."""
-        ports = [self._prepared.system.port(name, "read") for name in names]
-        if not self._driven.isdisjoint(names):
-            self._loop.exchange(self.point)
-        return np.array([self._loop.values(port).reshape(-1)[: self._count] for port in ports])
+    def reader(self, *names: str) -> Callable[[], Any]:
+        """Returns a function that returns the present values of one variable, or a tuple of several.
 
-    def write(self, names: Sequence[str], values: np.ndarray) -> None:
-        """Sets external inputs from the present point on; values: shape (names, instances).
-
-        Raises SystemDefinitionError, and sets none, for another variable or shape, and for a value that is
-        not finite or outside of the declared range.
+        Values have the shape (instances,); Booleans are 0.0 and 1.0.
         """
-        ports = [self._prepared.system.port(name, "write") for name in names]
+        ports = [self._prepared.system.port(name, "reader") for name in names]
+        must_exchange = not self._driven.isdisjoint(names)
+
+        def read() -> Any:
+            if must_exchange:
+                self._loop.exchange(self.point)
+            values = [self._loop.values(port).flatten()[: self._count] for port in ports]
+            return tuple(values) if len(values) > 1 else values[0]
+
+        return read
+
+    def writer(self, *names: str) -> Callable[..., None]:
+        """Returns a function that sets external inputs from the present point on; values: shape (instances,).
+
+        It raises SystemDefinitionError, and sets none, for another shape, and for a value that is not finite
+        or outside of the declared range. Raises SystemDefinitionError for another variable.
+        """
+        ports = [self._prepared.system.port(name, "writer") for name in names]
         for name in names:
             if name not in self._prepared.external:
                 expected = ", ".join(self._prepared.external)
-                raise SystemDefinitionError(f"write: {name}: expected an external input: {expected}")
-        if values.shape != (len(ports), self._count):
-            raise SystemDefinitionError(
-                f"write: shape {values.shape}: expected (names, instances) = {(len(ports), self._count)}"
-            )
-        for port, of_instances in zip(ports, values, strict=True):
-            _check(port, of_instances)
-        for port, of_instances in zip(ports, values, strict=True):
-            lanes = self._loop.values(port)
-            lanes[:] = np.resize(of_instances, lanes.shape)
+                raise SystemDefinitionError(f"writer: {name}: expected an external input: {expected}")
 
-    def recordings(self) -> EnsembleRecording:
+        def write(*values: np.ndarray) -> None:
+            for port, of_instances in zip(ports, values, strict=True):
+                if of_instances.shape != (self._count,):
+                    raise SystemDefinitionError(
+                        f"{port.name}: shape {of_instances.shape}: expected (instances,) = ({self._count},)"
+                    )
+                _check(port, of_instances)
+            for port, of_instances in zip(ports, values, strict=True):
+                lanes = self._loop.values(port)
+                lanes[:] = np.resize(of_instances, lanes.shape)
+
+        return write
+
+    def recording(self) -> EnsembleRecording:
         """Returns the values recorded until now, those of the present communication point included."""
         self._loop.exchange(self.point)
         return self._recording()
@@ -160,7 +158,7 @@ class SteppedEnsemble:
             values[instance, counts[instance] :] = np.nan
         common = make_recording(self._prepared, values, points, is_final=True)
         failures = dict(sorted(self.failures.items()))
-        return EnsembleRecording(**vars(common), varied=self._varied, counts=counts, failures=failures)
+        return EnsembleRecording(**vars(common), counts=counts, failures=failures)
 
 
 def _check(port: Port, values: np.ndarray) -> None:
@@ -168,11 +166,3 @@ def _check(port: Port, values: np.ndarray) -> None:
     low, high = value_range(port)
     for value in values[~(possible_values(port, values)[1] & (low <= values) & (values <= high))]:
         fmi_value(port, float(value))  # which refuses it
-
-
-def _as_plain_data(value: Value | Signal) -> Value:
-    """Returns a value itself, of a signal its text with all numbers and digits, without addresses."""
-    if not callable(value):
-        return value
-    with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
-        return re.sub(r" at 0x[0-9A-Fa-f]+", "", repr(value))

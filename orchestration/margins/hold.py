@@ -11,8 +11,7 @@ import numpy as np
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import OrchestrationError, ScenarioError, SimulationError
 from orchestration.many.job import Failure, Job, Run
-from orchestration.many.local import LocalRuns
-from orchestration.many.run_many import Make, in_order
+from orchestration.many.run_many import LocalRuns, Make, in_order
 from orchestration.results.recording import Recording
 from orchestration.scenarios.changes import with_values
 from orchestration.scenarios.scenario import Scenario

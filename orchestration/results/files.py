@@ -11,9 +11,10 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType, ModuleType
-from typing import Any, NamedTuple, TextIO
+from types import ModuleType
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -35,31 +36,32 @@ _GROUP = 1 << 17  # rows of Parquet that are copied at a time
 _BYTES = {RecordingFormat.CSV: 20, RecordingFormat.PARQUET: 8}  # about, of a number in a file
 
 
-class Content(NamedTuple):
-    """The content of a file: the fields of a `Recording`, in their order."""
+@dataclass(frozen=True)
+class Columns:
+    """The values of a file and their names: the base of `Recording`, whose docstring explains the fields."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     time: np.ndarray
     values: np.ndarray
-    provenance: dict[str, Any]
-    texts: Mapping[str, Sequence[str]] = MappingProxyType({})
+    provenance: dict[str, Any] = field(default_factory=dict)
+    strings: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def columns(self) -> list[list[Any]]:
         """Returns the values of each signal, Strings as text."""
         pairs = zip(self.names, self.values.T.tolist(), strict=True)
         return [
-            [self.texts[name][int(number)] for number in column] if name in self.texts else column
+            [self.strings[name][int(number)] for number in column] if name in self.strings else column
             for name, column in pairs
         ]
 
 
-def write(path: Path, content: Content) -> None:
+def write(path: Path, content: Columns) -> None:
     """Writes a file of the format that the ending of the path names."""
     {RecordingFormat.CSV: _write_csv, RecordingFormat.PARQUET: _write_parquet}[_format(path)](path, content)
 
 
-def read(path: Path) -> Content:
+def read(path: Path) -> Columns:
     """Reads what `write` wrote; CSV does not keep the provenance.
 
     Raises OrchestrationError for a file that is not a recording, or is damaged.
@@ -119,17 +121,17 @@ def _format(path: Path) -> RecordingFormat:
         ) from None
 
 
-def _write_csv(path: Path, content: Content) -> None:
-    units = [_STRING if n in content.texts else u for n, u in zip(content.names, content.units, strict=True)]
-    titles = [_title(*pair) for pair in zip(content.names, units, strict=True)]
+def _write_csv(path: Path, content: Columns) -> None:
+    pairs = zip(content.names, content.units, strict=True)
+    titles = [_title(name, _STRING if name in content.strings else unit) for name, unit in pairs]
     with open_atomically(path) as stream, io.TextIOWrapper(stream, encoding="utf-8", newline="") as text:
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow([_TIME_TITLE, *titles])
         text.flush()
         for start in range(0, len(content.time), _BLOCK):
             rows = slice(start, start + _BLOCK)
-            block = content._replace(values=content.values[rows])
-            if content.texts:
+            block = replace(content, values=content.values[rows])
+            if content.strings:
                 writer.writerows(zip(content.time[rows].tolist(), *block.columns(), strict=True))
             else:
                 stream.write(_lines(np.column_stack([content.time[rows], block.values])))
@@ -157,7 +159,7 @@ def _title(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit or _TITLE.fullmatch(name) else name
 
 
-def _read_csv(path: Path) -> Content:
+def _read_csv(path: Path) -> Columns:
     with path.open(newline="", encoding="utf-8") as stream:
         try:
             header = next(csv.reader(stream), [])
@@ -166,9 +168,9 @@ def _read_csv(path: Path) -> Content:
                     f"{path}: expected {_TIME_TITLE!r} as first column, got {header[:1]}"
                 )
             pairs = [(match[1], match[2]) if (match := _TITLE.fullmatch(t)) else (t, "") for t in header[1:]]
-            texts: dict[str, list[str]] = {name: [] for name, unit in pairs if unit == _STRING}
-            if texts:
-                data = np.array(_rows_with_texts(stream, pairs, texts), float).reshape(-1, len(header))
+            strings: dict[str, list[str]] = {name: [] for name, unit in pairs if unit == _STRING}
+            if strings:
+                data = np.array(_rows_with_strings(stream, pairs, strings), float).reshape(-1, len(header))
             else:
                 first = stream.readline()
                 lines = itertools.chain([first], stream)
@@ -179,37 +181,37 @@ def _read_csv(path: Path) -> Content:
         raise OrchestrationError(f"{path}: expected {len(header)} columns, got {data.shape[1]}")
     names = tuple(name for name, _ in pairs)
     units = tuple("" if unit == _STRING else unit for _, unit in pairs)
-    return Content(names, units, data[:, 0], data[:, 1:], {}, dict(texts))
+    return Columns(names, units, data[:, 0], data[:, 1:], {}, strings)
 
 
-def _rows_with_texts(
-    stream: TextIO, pairs: list[tuple[str, str]], texts: dict[str, list[str]]
+def _rows_with_strings(
+    stream: TextIO, pairs: list[tuple[str, str]], strings: dict[str, list[str]]
 ) -> list[list[float]]:
     """Returns the lines of a table as numbers; a text becomes its index in its list, which grows."""
     names = ["", *(name for name, _ in pairs)]
-    numbers: dict[str, dict[str, int]] = {name: {} for name in texts}
+    numbers: dict[str, dict[str, int]] = {name: {} for name in strings}
     rows = []
     for row in csv.reader(stream):
         cells = zip(names, row, strict=True)
         rows.append(
             [
-                float(numbers[name].setdefault(cell, len(numbers[name])) if name in texts else cell)
+                float(numbers[name].setdefault(cell, len(numbers[name])) if name in strings else cell)
                 for name, cell in cells
             ]
         )
     for name, known in numbers.items():
-        texts[name].extend(known)
+        strings[name].extend(known)
     return rows
 
 
-def _write_parquet(path: Path, content: Content) -> None:
+def _write_parquet(path: Path, content: Columns) -> None:
     """Writes units as metadata of the columns, and the provenance as that of the table."""
     pa, pq = _arrow()
     names, units = (TIME, *content.names), ("s", *content.units)
     fields = [
         pa.field(
             name,
-            pa.string() if name in content.texts else pa.float64(),
+            pa.string() if name in content.strings else pa.float64(),
             nullable=False,
             metadata={_UNIT: unit},
         )
@@ -217,17 +219,17 @@ def _write_parquet(path: Path, content: Content) -> None:
     ]
     metadata = {_KIND: _RECORDING, _PROVENANCE: json.dumps(content.provenance)}
     schema = pa.schema(fields, metadata=metadata)
-    texts = [*content.texts] or False  # dictionaries of numbers that hardly repeat take memory and room
-    with open_atomically(path) as stream, pq.ParquetWriter(stream, schema, use_dictionary=texts) as writer:
+    strings = [*content.strings] or False  # dictionaries of numbers that hardly repeat take memory and room
+    with open_atomically(path) as stream, pq.ParquetWriter(stream, schema, use_dictionary=strings) as writer:
         for start in range(0, max(len(content.time), 1), _GROUP):
             rows = slice(start, start + _GROUP)
-            part = content._replace(values=content.values[rows])
-            values = part.columns() if content.texts else part.values.T
+            part = replace(content, values=content.values[rows])
+            values = part.columns() if content.strings else part.values.T
             columns = [pa.array(column) for column in (content.time[rows], *values)]
             writer.write_table(pa.Table.from_arrays(columns, schema=schema))
 
 
-def _read_parquet(path: Path) -> Content:
+def _read_parquet(path: Path) -> Columns:
     metadata = _metadata(path)
     if metadata.get(_KIND) != _RECORDING:
         raise OrchestrationError(
@@ -236,20 +238,20 @@ def _read_parquet(path: Path) -> Content:
     pa, pq = _arrow()
     table = pq.read_table(path)
     signals = table.schema.names[1:]
-    texts = {}
+    strings = {}
     for i, name in enumerate(table.schema.names):
         if table.schema.field(name).type == pa.string():
             encoded = table[name].combine_chunks().dictionary_encode()
-            texts[name] = encoded.dictionary.to_pylist()
+            strings[name] = encoded.dictionary.to_pylist()
             field = table.schema.field(name).with_type(pa.float64())
             table = table.set_column(i, field, encoded.indices.cast(pa.float64()))
-    return Content(
+    return Columns(
         names=tuple(signals),
         units=tuple(table.schema.field(name).metadata[_UNIT].decode() for name in signals),
         time=table[TIME].to_numpy(),
         values=np.column_stack([table[name].to_numpy() for name in signals] or [np.empty((len(table), 0))]),
         provenance=json.loads(metadata[_PROVENANCE]),
-        texts=texts,
+        strings=strings,
     )
 
 

@@ -249,7 +249,7 @@ def _one(recording: Recording, name: str, call: Mapping[str, Any]) -> Any:
     function = call["function"]
     if function not in FUNCTIONS:
         raise ScenarioError(f"metric {name}: unknown function {function!r}; {nearest(function, FUNCTIONS)}")
-    for signal in (call[key] for key in SIGNALS if call.get(key) in recording.texts):
+    for signal in (call[key] for key in SIGNALS if call.get(key) in recording.strings):
         raise ScenarioError(f"metric {name}: {signal} is a String: expected a signal that is a number")
     if _ended_too_early(recording, call):
         return math.nan if recording.run_count is None else np.full(recording.run_count, math.nan)

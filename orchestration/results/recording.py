@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec
@@ -30,21 +30,14 @@ def points_down(name: str, unit: str) -> bool:
 
 
 @dataclass(frozen=True)
-class Recording:
+class Recording(files.Columns):
     """A recording: signals over time, of one run or of many runs with the same communication points.
 
     names: "component.variable"; units: same order, "" where the FMU gives none
     time: shape (n,) [s]; values: shape (n, len(names)), of many runs (runs, n, len(names))
     provenance: FMUs, algorithm and settings of the run, as plain data
-    texts: String -> the texts that it can have; its column of `values` holds their indices
+    strings: String -> the strings that it can have; its column of `values` holds their indices
     """
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    time: np.ndarray
-    values: np.ndarray
-    provenance: dict[str, Any] = field(default_factory=dict)
-    texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Returns one signal, shape (n,) or (runs, n), a String as text.
@@ -54,7 +47,7 @@ class Recording:
         if name == TIME:
             return self.time
         values = self.values[..., self._column(name)]
-        return np.array(self.texts[name], object)[values.astype(int)] if name in self.texts else values
+        return np.array(self.strings[name], object)[values.astype(int)] if name in self.strings else values
 
     def __contains__(self, name: object) -> bool:
         """Whether a signal was recorded; the time always is."""
@@ -80,7 +73,7 @@ class Recording:
     @property
     def numbers(self) -> tuple[str, ...]:
         """Names of the signals that are no Strings."""
-        return tuple(name for name in self.names if name not in self.texts)
+        return tuple(name for name in self.names if name not in self.strings)
 
     def _column(self, name: str) -> int:
         try:
@@ -106,7 +99,7 @@ class Recording:
         table = pandas.DataFrame(
             self.values, index=pandas.Index(self.time, name=TIME), columns=list(self.names), copy=True
         )
-        for name in self.texts:
+        for name in self.strings:
             table[name] = self[name]
         units = dict(zip(self.names, self.units, strict=True))
         table.attrs = {"units": units, "provenance": self.provenance}
@@ -127,10 +120,7 @@ class Recording:
 
         Raises OrchestrationError for another ending.
         """
-        content = files.Content(
-            self.names, self.units, self.time, self.values, self.provenance, dict(self.texts)
-        )
-        files.write(Path(path), content)
+        files.write(Path(path), self)
 
     @staticmethod
     def read(path: str | Path) -> "Recording":
@@ -138,7 +128,7 @@ class Recording:
 
         Raises OrchestrationError for a file that is not a recording, or is damaged.
         """
-        return Recording(*files.read(Path(path)))
+        return Recording(**vars(files.read(Path(path))))
 
 
 def along_time(

@@ -9,12 +9,12 @@ time. At each point: scheduled changes are made, outputs are exchanged and recor
 Inputs are held over a step, first order in h, or extrapolated with their last slope, second order.
 
     one_run.py         one run, with every setting as an argument
-    simulator.py, loaded_system.py  FMUs that stay loaded, and runs of them
+    simulator.py       FMUs that stay loaded, and runs of them
     initialisation.py  initial values
     wiring.py          a prepared run as arrays
     loop.py            the communication loop over these arrays; compiled_loop.py compiled, and on threads
     stepping.py        from the first point to the last, with events and progress
-    step_by_step.py, variable_access.py  a run led by the caller's own loop
+    step_by_step.py    a run led by the caller's own loop
     step_control.py, tolerance.py  shorter steps: after a discard, and to meet a tolerance
     error_estimate.py  how far exchanging at communication points leads astray, by a second run
     snapshot.py, checkpoint.py  the system at one point, in memory and as a file

@@ -126,8 +126,8 @@ _POINTER = ctypes.c_void_p
 _exchange_type = ctypes.CFUNCTYPE(ctypes.c_int, _POINTER, _POINTER, ctypes.c_size_t, _POINTER)
 
 
-class Texts:
-    """The texts of one run; number 0 is the empty one."""
+class Strings:
+    """The strings of one run; number 0 is the empty one."""
 
     def __init__(self) -> None:
         self._numbers = {"": 0}
@@ -143,17 +143,17 @@ class Texts:
 
     @property
     def table(self) -> list[str]:
-        """The texts in the order of their numbers."""
+        """The strings in the order of their numbers."""
         return list(self._numbers)
 
     @table.setter
-    def table(self, texts: list[str]) -> None:
+    def table(self, strings: list[str]) -> None:
         self._numbers, self._encoded = {}, []
-        for text in texts:
+        for text in strings:
             self.number(text)
 
     def function(self, instance: FmuInstance, name: str) -> int:
-        """Returns the address of fmi2GetString or fmi2SetString with numbers in place of texts."""
+        """Returns the address of fmi2GetString or fmi2SetString with numbers in place of strings."""
 
         def get(handle: int, references: int, count: int, numbers: int) -> int:
             values = (ctypes.c_char_p * count)()

@@ -22,8 +22,8 @@ from orchestration.run.loop_data import CHANGING, CHANGING_OF_CONNECTIONS, Repor
 from orchestration.run.stepping import MOST_STEPS, RunInProgress
 from orchestration.system.system import CheckedSystem
 
-_VERSION = 5
-_HEAD = ("position", "time", "step_control", "past", "texts")  # members of a checkpoint that are plain data
+_VERSION = 6
+_HEAD = ("position", "time", "step_control", "past", "strings")  # members of a checkpoint that are plain data
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Checkpoint:
     position, time: index and time [s] of the communication point
     step_control: `StepControl.state`
     past: part of the run -> digest of its data until then
-    texts: of Strings, whose numbers are in the arrays
+    strings: of Strings, whose numbers are in the arrays
     states: component -> serialised state of its FMU; arrays: those of the loop, by name
     """
 
@@ -41,7 +41,7 @@ class Checkpoint:
     time: float
     step_control: Mapping[str, Any]
     past: Mapping[str, str]
-    texts: list[str]
+    strings: list[str]
     states: Mapping[str, bytes]
     arrays: Mapping[str, np.ndarray]
 
@@ -105,7 +105,7 @@ def capture(run: RunInProgress) -> Checkpoint:
         time=float(wiring.points[position]),
         step_control=run.step_control.state if run.step_control else {},
         past=_past(run, position),
-        texts=run.wired.texts.table,
+        strings=run.wired.strings.table,
         states=states,
         arrays={name: array.copy() for name, array in _saved_arrays(run, position).items()},
     )
@@ -129,7 +129,7 @@ def restore(checkpoint: Checkpoint, run: RunInProgress) -> None:
         if saved is None or (saved.shape, saved.dtype) != (array.shape, array.dtype):
             raise OrchestrationError(f"the checkpoint is damaged: expected {name} of shape {array.shape}")
         array[:] = saved
-    run.wired.texts.table = checkpoint.texts
+    run.wired.strings.table = checkpoint.strings
     run.wiring.report[Report.RECORDED] = position
     for name, instance in run.instances.items():
         state = instance.deserialize_fmu_state(checkpoint.states[name])

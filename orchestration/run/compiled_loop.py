@@ -21,12 +21,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmus.errors import ExportError
-from fmus.fmi.description import is_independent
 from fmus.native import compiled_library
 from fmus.platforms import usable_processors
 from orchestration.run.loop import python_loop
 from orchestration.run.loop_data import LoopFunctions, Team, Wiring
-from orchestration.run.wiring import WiredRun
 
 _SOURCE = "loop.c"
 _loading = threading.Lock()
@@ -120,17 +118,18 @@ class StepThreads:
 
     def __init__(
         self,
-        wired: WiredRun,
+        wiring: Wiring,
         loop: LoopFunctions,
         threads: int | None,
         processors: int | None = None,
         clocks: tuple[Callable[[], float], Callable[[], float]] = (time.thread_time, time.perf_counter),
     ) -> None:
-        self._loop, self._team, (self._cpu, self._clock) = loop, wired.wiring.team, clocks
+        self._loop, self._team, (self._cpu, self._clock) = loop, wiring.team, clocks
         self._is_measured = threads is None
-        most = _useful(wired, processors or usable_processors()) if threads is None else threads
-        can_share = loop.help is not None and not wired.wiring.gauss_seidel
-        self._threads = min(most, len(wired.instances)) if can_share else 1
+        useful = processors or usable_processors() if wiring.independent else 1
+        most = useful if threads is None else threads
+        can_share = loop.help is not None and not wiring.gauss_seidel
+        self._threads = min(most, len(wiring.instances)) if can_share else 1
         self._pool: ThreadPoolExecutor | None = None
         self._single_s, self._has_run = 0.0, False  # of a step without threads, after the first, slower batch
 
@@ -167,9 +166,3 @@ class StepThreads:
     def close(self) -> None:
         if self._pool:
             self._pool.shutdown()
-
-
-def _useful(wired: WiredRun, processors: int) -> int:
-    """Returns the processors of use: 1 unless all FMUs are known to be independent of each other."""
-    independent = all(is_independent(instance.description) for instance in wired.instances.values())
-    return processors if independent else 1

@@ -1,53 +1,39 @@
 """Initial values: parameters and inputs are set, and outputs exchanged until every connection is consistent.
 
-Each connected input follows an output, which depends on inputs of its component as the model description
-declares (`InitialUnknowns`; an output without declaration depends on every input). The strongly connected
-components of this graph are solved one after another in topological order: a connection outside of any loop
-is exchanged once, a loop is solved by `algebraic_loop.py`.
+The groups of connections (`CheckedSystem.connection_groups`) follow each other. A connection outside of any
+loop is exchanged once. A loop is x = F(x), x the inputs of the loop, F the outputs that result from them. It
+is solved by fixed-point iteration, by Newton's method, or by both in this order.
 """
 
+import math
+import zlib
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from graphlib import CycleError, TopologicalSorter
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from fmus.fmi.instance import FmuInstance
 from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import FmiValue
-from orchestration.errors import OrchestrationError
-from orchestration.run.algebraic_loop import (
-    Connection,
-    NoSolutionError,
-    Transformations,
-    exchange_once,
-    solve_loop,
-)
+from orchestration.errors import FmuError, OrchestrationError
 from orchestration.system.experiment import Initialisation
 from orchestration.system.prepared_run import PreparedRun, Setting
-from orchestration.system.system import CheckedSystem
+from orchestration.system.system import CheckedSystem, LinearTransformation, Port
 
-
-@dataclass(frozen=True)
-class ConnectionGroup:
-    """The connections of an algebraic loop, or one connection that is in no loop.
-
-    transformations: of the system's connections, by their input
-    """
-
-    connections: tuple[Connection, ...]
-    is_loop: bool
-    transformations: Transformations = field(default_factory=dict)
+_MOST_ITERATIONS = 1000
+_TOLERANCE = 1e-12  # of a value or its nominal, whichever is larger
+_DIVERGENCE = 1e3  # growth of the change from iteration to iteration, from which on it diverges
+_PENALTY = 10.0  # times the largest residual so far: the residual of a value that is discarded
+_SINGULAR = 1e-7  # smallest singular value of the Jacobian; difference quotients are good to about 1e-8
+_DIFFERENCE = 1.5e-8  # relative change for a difference quotient, about the root of the rounding
 
 
 def initialise(
-    prepared: PreparedRun,
-    groups: Sequence[ConnectionGroup],
-    instances: Mapping[str, FmuInstance],
-    settings: Sequence[Setting] | None = None,
+    prepared: PreparedRun, instances: Mapping[str, FmuInstance], settings: Sequence[Setting] | None = None
 ) -> None:
-    """Brings new instances to step mode with consistent initial values; groups: of `connection_groups`.
+    """Brings new instances to step mode with consistent initial values.
 
     settings: in place of `prepared.initial_settings`
     """
@@ -62,71 +48,203 @@ def initialise(
         instance.initialise(experiment.start_time, experiment.stop_time, experiment.fmu_tolerance)
     for name, instance in instances.items():
         instance.set_all(sorted_settings[name, True])
-    solve_initial_values(groups, instances, Initialisation(experiment.initialisation))
+    solve_initial_values(prepared.system, instances, Initialisation(experiment.initialisation))
     for instance in instances.values():
         instance.exit_initialization_mode()
 
 
 def solve_initial_values(
-    groups: Sequence[ConnectionGroup], instances: Mapping[str, FmuInstance], method: Initialisation
+    system: CheckedSystem, instances: Mapping[str, FmuInstance], method: Initialisation
 ) -> None:
     """Exchanges values, in initialization mode, until every connected input equals its output.
 
     Raises OrchestrationError for a loop without a solution, FmuError for a call that an FMU refuses.
     """
-    for group in groups:
+    for group in system.connection_groups:
+        loop = Loop(group.connections, system.transformations, instances)
         if group.is_loop:
-            solve_loop(group.connections, instances, group.transformations, method)
+            loop.solve(method)
             continue
         try:
-            exchange_once(group.connections, instances, group.transformations)
+            loop.exchange()
         except NoSolutionError as reason:
             raise OrchestrationError(f"initial values: {reason}") from reason
 
 
-def connection_groups(system: CheckedSystem) -> tuple[ConnectionGroup, ...]:
-    """Returns the strongly connected components of the connected inputs, in the order of the flow."""
-    connections, declared = system.connections, system.declared_dependencies
-    index = {target.name: i for i, (_, target) in enumerate(connections)}
-    # One more node for each component: all its connected inputs, for the outputs that declare nothing.
-    nodes = {name: len(connections) + c for c, name in enumerate(system.components)}
-    dependencies: dict[int, set[int]] = {}
-    for i, (source, _) in enumerate(connections):
-        names = declared.get(source.name)
-        inputs = {nodes[source.component]} if names is None else {index[n] for n in names if n in index}
-        dependencies[i] = inputs
-    for name, node in nodes.items():
-        dependencies[node] = {index[n] for n in system.inputs[name] if n in index}
-    try:
-        TopologicalSorter(dependencies).prepare()
-        labels = list(dependencies)
-    except CycleError:
-        labels = _component_labels(dependencies)
-    members: dict[int, list[int]] = {}
-    for i, label in enumerate(labels):
-        members.setdefault(label, []).append(i)
-    graph = {
-        label: {labels[earlier] for i in inside for earlier in dependencies[i]} - {label}
-        for label, inside in members.items()
-    }
-    groups = (members[label] for label in TopologicalSorter(graph).static_order())
-    return tuple(
-        ConnectionGroup(
-            connections=tuple(connections[i] for i in group if i < len(connections)),
-            is_loop=len(group) > 1 or group[0] in dependencies[group[0]],
-            transformations=system.transformations,
+class NoSolutionError(Exception):
+    """Error of values that could not be found."""
+
+
+class Loop:
+    """Connections of an algebraic loop, or one connection in no loop: x = F(x), x the inputs, shape (n,).
+
+    transformations: of connections, by the names of their inputs
+    """
+
+    def __init__(
+        self,
+        connections: Sequence[tuple[Port, Port]],
+        transformations: Mapping[str, LinearTransformation],
+        instances: Mapping[str, FmuInstance],
+    ) -> None:
+        self._connections, self._transformations, self._instances = connections, transformations, instances
+
+    @cached_property
+    def nominal(self) -> np.ndarray:
+        """Nominal values of the inputs, shape (n,)."""
+        return np.array([_nominal(connection) for connection in self._connections])
+
+    @property
+    def is_real(self) -> bool:
+        """Whether all variables are of type Real."""
+        return all(port.variable.type == "Real" for ends in self._connections for port in ends)
+
+    def exchange(self) -> list[float]:
+        """Reads each output and sets its input, one connection after the other; returns the inputs.
+
+        Raises NoSolutionError for an output that is not finite.
+        """
+        values = []
+        for source, target in self._connections:
+            value = self._arriving(source, target)
+            number = _number(value)
+            if not math.isfinite(number):
+                raise NoSolutionError(
+                    f"{source.name} is {value:g}: expected a finite number, as it goes to {target.name}"
+                )
+            self._instances[target.component].set(target.variable, value)
+            values.append(number)
+        return values
+
+    def values(self) -> np.ndarray:
+        """Returns the present inputs x."""
+        return np.array([_number(self._instances[t.component].get(t.variable)) for _, t in self._connections])
+
+    def outputs(self, values: np.ndarray) -> np.ndarray:
+        """Returns F(x): sets the inputs, then reads the outputs."""
+        for (_, target), value in zip(self._connections, values.tolist(), strict=True):
+            self._instances[target.component].set(target.variable, value)
+        return np.array([self._arriving(source, target) for source, target in self._connections])
+
+    def relative_size(self, change: np.ndarray, values: np.ndarray) -> float:
+        """Returns the largest change of a value over it or its nominal; infinite if it is not a number."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            largest = np.max(np.abs(change) / np.maximum(np.abs(values), self.nominal))
+        return float(largest) if math.isfinite(largest) else math.inf
+
+    def _arriving(self, source: Port, target: Port) -> FmiValue:
+        """Returns the value of an output as it arrives at an input."""
+        value = self._instances[source.component].get(source.variable)
+        transformation = self._transformations.get(target.name)
+        return transformation(value) if transformation else value
+
+    def solve(self, method: Initialisation) -> None:
+        """Finds inputs that equal their outputs, and sets them.
+
+        Raises OrchestrationError if no method finds a solution, FmuError for a call that an FMU refuses.
+        """
+        start, reasons = self.values(), []
+        names = ", ".join(target.name for _, target in self._connections)
+        methods = ((_iterate, Initialisation.NEWTON), (_solve_by_newton, Initialisation.FIXED_POINT))
+        for solve, other in methods:
+            if method is not other:
+                try:
+                    return solve(self, start)
+                except NoSolutionError as reason:
+                    reasons.append(str(reason))
+        raise OrchestrationError(
+            f"initial values: no solution was found for the loop {names} ({'; '.join(reasons)}); "
+            "break it, or let its FMUs start from other values"
         )
-        for group in groups
-        if group[0] < len(connections)
+
+
+def _number(value: FmiValue) -> float:
+    """Returns the value; of a String, a number that tells it from others."""
+    return float(zlib.crc32(value.encode()) if isinstance(value, str) else value)
+
+
+def _nominal(connection: tuple[Port, Port]) -> float:
+    """Returns the input's nominal, or the output's, or 1."""
+    declared = (port.variable.nominal for port in reversed(connection))
+    return abs(float(next((nominal for nominal in declared if nominal is not None), 1.0))) or 1.0
+
+
+def _iterate(loop: Loop, start: np.ndarray) -> None:
+    """Iterates to a fixed point: exchanges until the values no longer change."""
+    before, least, change = np.full(start.shape, math.inf), math.inf, math.inf
+    for _ in range(_MOST_ITERATIONS):
+        try:
+            values = np.array(loop.exchange(), float)
+        except FmuError as error:
+            raise _discarded_value("fixed-point iteration ends", error) from error
+        change = np.max(np.abs(values - before) / loop.nominal)
+        if loop.relative_size(values - before, values) <= _TOLERANCE:
+            return
+        if _DIVERGENCE * least < change < math.inf:
+            raise NoSolutionError(
+                f"fixed-point iteration diverges, from changes of {least:.3g} to {change:.3g}"
+            )
+        before, least = values, min(least, change)
+    raise NoSolutionError(
+        f"fixed-point iteration still changes values by {change:.3g} after {_MOST_ITERATIONS} iterations"
     )
 
 
-def _component_labels(dependencies: Mapping[int, set[int]]) -> list[int]:
-    """Returns the strongly connected component of each node."""
-    from scipy.sparse import coo_array  # only for loops: it takes as long to import as all the rest
-    from scipy.sparse.csgraph import connected_components
+def _solve_by_newton(loop: Loop, start: np.ndarray) -> None:
+    """Solves F(x) - x = 0 by Newton's method (Powell's hybrid one), in units of the nominals.
 
-    edges = [(earlier, i) for i, all_earlier in dependencies.items() for earlier in all_earlier]
-    rows, columns = np.array(edges, dtype=int).reshape(-1, 2).T
-    matrix = coo_array((np.ones(len(edges)), (rows, columns)), shape=(len(dependencies),) * 2)
-    return connected_components(matrix.tocsr(), connection="strong")[1].tolist()
+    A value that an FMU discards, or for which an output is not finite, gets a large residual: the method then
+    takes a shorter step.
+    """
+    from scipy.optimize import root  # only for loops: it takes as long to import as all the rest
+
+    if not loop.is_real:
+        raise NoSolutionError("Newton's method needs variables of type Real")
+    discards: list[FmuError] = []
+    largest = np.zeros(len(start))
+
+    def residual(scaled: np.ndarray) -> np.ndarray:
+        values = scaled * loop.nominal
+        return (loop.outputs(values) - values) / loop.nominal
+
+    def guarded_residual(scaled: np.ndarray) -> np.ndarray:
+        try:
+            result = residual(scaled)
+        except FmuError as error:
+            if error.status != "discard" or not largest.any():
+                raise
+            discards.append(error)
+            return _PENALTY * largest
+        if not np.all(np.isfinite(result)) and largest.any():
+            return _PENALTY * largest
+        largest[:] = np.fmax(largest, np.abs(result).max())
+        return result
+
+    try:
+        solution = root(guarded_residual, start / loop.nominal, options={"xtol": 1e-15}).x
+        _check_solution(loop, solution, residual)
+    except FmuError as error:
+        raise _discarded_value("Newton's method ends", error) from error
+    except NoSolutionError as reason:
+        raise _discarded_value(str(reason), discards[-1]) if discards else reason from None
+
+
+def _check_solution(loop: Loop, solution: np.ndarray, residual: Callable[[np.ndarray], np.ndarray]) -> None:
+    from scipy.optimize import approx_fprime
+
+    values = solution * loop.nominal
+    width = _DIFFERENCE * np.maximum(np.abs(solution), 1.0)
+    jacobian: Any = approx_fprime(solution, residual, width)
+    difference = residual(solution) * loop.nominal  # last, so that the FMUs keep these values
+    size = loop.relative_size(difference, values)
+    if size > _TOLERANCE:
+        raise NoSolutionError(f"Newton's method ends where values still differ by {size:.3g}")
+    if np.linalg.svd(np.atleast_2d(jacobian), compute_uv=False)[-1] < _SINGULAR:
+        raise NoSolutionError("Newton's method ends where the loop is singular: its solution is not unique")
+
+
+def _discarded_value(method: str, error: FmuError) -> NoSolutionError:
+    """Returns the reason for a discarded value; any worse error is raised as it is."""
+    if error.status != "discard":
+        raise error
+    return NoSolutionError(f"{method}, and a value was discarded: {error}")

@@ -113,7 +113,7 @@ class Wiring(NamedTuple):
     carries the sample of the last communication point throughout
     points: communication points [s]
     bus: every exchanged value, as float64; slopes: of inputs, at their indices on the bus
-    integers: Integer and Boolean values, and numbers of texts
+    integers: Integer and Boolean values, and numbers of strings
     orders: address of an array of ones, for the input derivatives
     memory: all that a step changes, as one array of which the others are parts
     instances, do_step, real_status, boolean_status, get_state, set_state: addresses, one for each component;

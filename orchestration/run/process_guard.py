@@ -27,7 +27,7 @@ from orchestration.errors import FmuWarning, OrchestrationError
 from orchestration.run.compiled_loop import library
 from orchestration.run.loop_data import Report
 
-_TEXT_SIZE, _MOST_RUNS = 256, 256  # as in loop.c
+_TEXT_SIZE, _MOST_RUNS = 256, 256  # as in process_guard.h
 _forks = np.frombuffer(mmap.mmap(-1, 8), np.int64)  # children that returned; shared with them
 _lock = threading.Lock()
 _texts: dict[int, tuple[np.ndarray, bytes]] = {}  # what the rows of the table refer to

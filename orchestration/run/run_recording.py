@@ -18,14 +18,14 @@ def make_recording(
     prepared: PreparedRun,
     rows: np.ndarray,
     count: int,
-    texts: Sequence[str] = (),
+    strings: Sequence[str] = (),
     more: Mapping[str, Any] = {},
     is_final: bool = False,
 ) -> Recording:
     """Returns the recorded values at the first `count` communication points.
 
     rows: shape `prepared.shape`, of many runs with a first axis of runs
-    texts: of Strings, by their numbers; without them Strings are empty
+    strings: of Strings, by their numbers; without them Strings are empty
     more: further entries of the provenance; is_final: all rows become those of the recording, without a copy
     """
     ports = prepared.system.ports
@@ -33,7 +33,7 @@ def make_recording(
     if not (is_final and count == rows.shape[-2]):
         values, time = values.copy(), time.copy()
     is_string = np.array([ports[name].variable.type == "String" for name in prepared.recorded], bool)
-    if not texts:
+    if not strings:
         values[..., is_string] = 0.0
     return Recording(
         names=prepared.recorded,
@@ -41,7 +41,7 @@ def make_recording(
         time=time,
         values=values,
         provenance=_provenance(prepared) | dict(more),
-        texts={prepared.recorded[i]: tuple(texts or ("",)) for i in np.flatnonzero(is_string)},
+        strings={prepared.recorded[i]: tuple(strings or ("",)) for i in np.flatnonzero(is_string)},
     )
 
 

@@ -1,34 +1,100 @@
 """A system whose FMUs stay loaded, and the runs that it makes."""
 
 import os
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, chdir, contextmanager
-from typing import Any
+from functools import partial
+from typing import ClassVar, Self
 
 import numpy as np
 
+from fmus.fmi.description import describe
 from fmus.fmi.instance import FmuInstance
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.results.recording import Recording
 from orchestration.run.checkpoint import Checkpoint, Checkpoints, check_can_save, restore
 from orchestration.run.compiled_loop import compiled_loop
 from orchestration.run.error_estimate import with_error_estimate
-from orchestration.run.initialisation import ConnectionGroup, connection_groups, initialise
+from orchestration.run.initialisation import initialise
 from orchestration.run.interrupt import Pacing, deferred_interrupt
-from orchestration.run.loaded_system import LoadedSystem
 from orchestration.run.loop import python_loop
 from orchestration.run.loop_data import Report, Storage
 from orchestration.run.process_guard import ProcessGuard, new_report
 from orchestration.run.run_recording import reason_of
-from orchestration.run.step_by_step import StepByStep, SteppedRun, replay
+from orchestration.run.step_by_step import SteppedRun
 from orchestration.run.stepping import Progress, RunInProgress
 from orchestration.run.wiring import WiredRun, build_wiring
 from orchestration.system.experiment import Experiment
-from orchestration.system.prepared_run import PreparedRun, PreparedRuns
-from orchestration.system.system import System
+from orchestration.system.prepared_run import PreparedRun, PreparedRuns, check_for
+from orchestration.system.system import CheckedSystem, System
 
 
-class Simulator(StepByStep, LoadedSystem):
+class LoadedSystem:
+    """A system, its FMUs while they are loaded, and what is known of it from earlier runs.
+
+    Raises FmuLoadError for a file that is no FMU.
+    """
+
+    _kind: ClassVar[str]  # in messages
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+        self._descriptions = {name: describe(path) for name, path in system.components.items()}
+        self._loaded = ExitStack()
+        self._instances: dict[str, FmuInstance] = {}
+        self._must_reload = False
+        self._running = threading.Lock()
+        self._prepared_runs = PreparedRuns()
+        self._checked: dict[tuple[tuple[str, ...], str], CheckedSystem] = {}
+
+    def _check(self, experiment: Experiment, external: Sequence[str] = ()) -> CheckedSystem:
+        """Returns the checked system, the same for the same inputs.
+
+        external: inputs that the caller sets between the steps
+        """
+        key = (*experiment.driven_inputs, *external), experiment.open_inputs
+        if key not in self._checked:
+            self._checked[key] = check_for(self.system, experiment, external, self._descriptions)
+        return self._checked[key]
+
+    @contextmanager
+    def _begin_run(self) -> Iterator[None]:
+        """Refuses another run meanwhile."""
+        if not self._running.acquire(blocking=False):
+            kind = self._kind
+            raise OrchestrationError(f"this {kind} is running: expected another one for a run meanwhile")
+        try:
+            yield
+        finally:
+            self._running.release()
+
+    def _load_or_reset(self) -> None:
+        """Loads the FMUs that are not loaded, and resets the used ones."""
+        if self._must_reload or not all(x.is_fresh or x.reset() for x in self._instances.values()):
+            self.close()
+        if not self._instances:
+            with ExitStack() as loading:
+                instances = {name: self._load(name, loading) for name in self._descriptions}
+                self._instances, self._loaded = instances, loading.pop_all()
+
+    def _load(self, name: str, loading: ExitStack) -> FmuInstance:
+        instance = FmuInstance(name, self.system.components[name], self._descriptions[name])
+        return loading.enter_context(instance)
+
+    def close(self) -> None:
+        """Frees every instance; the next run loads them again."""
+        self._instances, self._must_reload = {}, False
+        self._loaded.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+class Simulator(LoadedSystem):
     """A system whose FMUs stay loaded over many runs, made at once or step by step; a context manager.
 
     The FMUs are loaded for the first run and reset for the next; after a failure they are loaded anew.
@@ -49,8 +115,7 @@ class Simulator(StepByStep, LoadedSystem):
         self._threads = threads
         self._loop = compiled_loop if compiled else python_loop
         self._guard: ProcessGuard | None = None
-        # of the run that is led step by step: what was set, the recorded values, and these with an estimate
-        self._estimated: tuple[list[Any], np.ndarray, Recording] | None = None
+        self._stepped: SteppedRun | None = None  # until another run begins
         self._first_batch = 1
         self._wired: WiredRun | None = None  # of the run before
 
@@ -78,14 +143,12 @@ class Simulator(StepByStep, LoadedSystem):
         with self._begin_run():
             pacing = None if real_time is None else Pacing(real_time)
             if checkpoints or resume:
-                check_can_save(run.system if isinstance(run, PreparedRun) else self._check(run)[0])
-            wired, groups, guard = self._prepare_run(run, (), storage)
+                check_can_save(run.system if isinstance(run, PreparedRun) else self._check(run))
+            wired, guard = self._prepare_run(run, (), storage)
             threads = self._threads if storage is None else 1  # who watches a call asks for one
             in_progress = RunInProgress(wired, self._loop(wired.wiring), guard, threads)
             in_progress.batch = self._first_batch
-            recording = _run_to_end(
-                in_progress, groups, progress, pacing, checkpoints, resume, storage is None
-            )
+            recording = _run_to_end(in_progress, progress, pacing, checkpoints, resume, storage is None)
             self._first_batch = max(1, in_progress.batch // 2)  # the next run may be slower
             self._must_reload = False
         return (
@@ -94,48 +157,30 @@ class Simulator(StepByStep, LoadedSystem):
             else recording
         )
 
-    def start(self, experiment: Experiment, external: Sequence[str] = ()) -> None:
-        """Initialises the system for an experiment, at its start time, to be led step by step.
+    def start(self, experiment: Experiment, external: Sequence[str] = ()) -> SteppedRun:
+        """Initialises the system for an experiment, at its start time; the caller leads the run.
 
         external: inputs that the caller sets between the steps, beginning with their value in
         `experiment.inputs`, or the FMU's start value. They are held over a step, and recorded.
 
-        Raises what `run` raises; SystemDefinitionError for an error estimate, which `recording` makes beside
-        this run, of an FMU that can be instantiated only once.
+        Raises what `run` raises; SystemDefinitionError for an error estimate, whose second run is made beside
+        this one, of an FMU that can be instantiated only once.
         """
         with self._begin_run():
             if experiment.error_estimate:
                 self._check_can_load_twice()
-            wired, groups, guard = self._prepare_run(experiment, tuple(external))
-            run = SteppedRun(wired, self._loop(wired.wiring), guard)
+            wired, guard = self._prepare_run(experiment, tuple(external))
+            second = partial(Simulator, self.system, self._loop is compiled_loop)
+            run = SteppedRun(wired, self._loop(wired.wiring), guard, second)
             try:
                 with deferred_interrupt():
-                    _initialise(run, groups)
+                    _initialise(run)
             except (KeyboardInterrupt, Exception) as error:
                 run.free()
-                raise SimulationError(reason_of(error), run.recording()) from error
+                raise SimulationError(reason_of(error), run.recorded()) from error
             self._must_reload = False
             self._stepped = run
-
-    def recording(self) -> Recording:
-        """Returns `StepByStep.recording`; an error estimate of anything new loads the FMUs a second time."""
-        first, recording = self._started(), super().recording()
-        if not first.prepared.experiment.error_estimate:
-            return recording
-
-        def repeat(experiment: Experiment) -> Recording:
-            with Simulator(self.system, self._loop is compiled_loop) as second:
-                second.start(experiment, list(first.prepared.external))
-                return replay(second, first)
-
-        written = list(first.variables.written)
-        if self._estimated and self._estimated[0] == written:
-            _, values, estimated = self._estimated
-            if np.array_equal(values, recording.values, equal_nan=True):
-                return estimated
-        estimated = with_error_estimate(recording, first.prepared, repeat)
-        self._estimated = written, recording.values, estimated
-        return estimated
+            return run
 
     def _check_can_load_twice(self) -> None:
         for name, description in self._descriptions.items():
@@ -155,7 +200,6 @@ class Simulator(StepByStep, LoadedSystem):
                 yield
 
     def _end_stepped(self) -> None:
-        self._estimated = None
         if self._stepped:
             self._must_reload = self._must_reload or bool(self._stepped.failure)
             self._stepped.free()
@@ -163,14 +207,13 @@ class Simulator(StepByStep, LoadedSystem):
 
     def _prepare_run(
         self, run: Experiment | PreparedRun, external: tuple[str, ...], storage: Storage | None = None
-    ) -> tuple[WiredRun, tuple[ConnectionGroup, ...], ProcessGuard]:
+    ) -> tuple[WiredRun, ProcessGuard]:
         """Checks an experiment, loads or resets the FMUs and wires them."""
         if isinstance(run, PreparedRun):
             self._prepared_runs = PreparedRuns()  # the next run is not compared with this one
-            groups, prepared = connection_groups(run.system), run.with_values(run.experiment)
+            prepared = run.with_values(run.experiment)
         else:
-            system, groups = self._check(run, external)
-            prepared = self._prepared_runs.prepare(system, run, external)
+            prepared = self._prepared_runs.prepare(self._check(run, external), run, external)
         earlier = self._wired if self._prepared_runs.only_values_differ else None
         self._wired = None  # of another run, also if this one is never wired
         storage = storage or Storage(np.empty(prepared.shape), new_report())
@@ -190,7 +233,7 @@ class Simulator(StepByStep, LoadedSystem):
         else:
             wired = build_wiring(prepared, self._instances, storage)
         self._wired = wired.without_rows()
-        return wired, groups, guard
+        return wired, guard
 
     def _load(self, name: str, loading: ExitStack) -> FmuInstance:
         assert self._guard
@@ -214,7 +257,6 @@ class Simulator(StepByStep, LoadedSystem):
 
 def _run_to_end(
     run: RunInProgress,
-    groups: Sequence[ConnectionGroup],
     progress: Progress | None,
     pacing: Pacing | None,
     checkpoints: Checkpoints | None,
@@ -224,24 +266,24 @@ def _run_to_end(
     """Initialises or restores a run, and runs it to its end. SimulationError holds what was recorded."""
     try:
         with deferred_interrupt() as check_interrupt:
-            _initialise(run, groups)
+            _initialise(run)
             if resume:
                 restore(resume, run)
             callback = checkpoints.checkpoint_callback(run) if checkpoints else None
             run.run_to_end(check_interrupt, progress, pacing, callback)
-        return run.recording(pacing, is_final=owns_rows)
+        return run.recorded(pacing, is_final=owns_rows)
     except KeyboardInterrupt as error:
         run.record_now()
         saved = _save_interrupted(checkpoints, run) if checkpoints else ""
-        raise SimulationError(reason_of(error) + saved, run.recording(pacing)) from error
+        raise SimulationError(reason_of(error) + saved, run.recorded(pacing)) from error
     except Exception as error:  # also of a signal: the recorded values must not be lost
-        raise SimulationError(reason_of(error), run.recording(pacing)) from error
+        raise SimulationError(reason_of(error), run.recorded(pacing)) from error
     finally:
         run.free()
 
 
-def _initialise(run: RunInProgress, groups: Sequence[ConnectionGroup]) -> None:
-    initialise(run.prepared, groups, run.instances)
+def _initialise(run: RunInProgress) -> None:
+    initialise(run.prepared, run.instances)
     run.read_outputs()
     run.restore_process()
 

@@ -7,6 +7,7 @@ saved on the way it left, the rows that lead there are needed again: they are co
 import ctypes
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -112,27 +113,20 @@ class Record:
         self.present = segment
 
 
+@dataclass(eq=False, slots=True)
 class SavedState:
-    """The whole system at one communication point of a run: opaque, for `Simulator.restore` in that run.
+    """The whole system at one communication point of a run: opaque, for `SteppedRun.restore` in that run.
 
     written: what the caller has set until then, where that is noted
     unused: where the run finds memory for its next saved states; this one's returns there when it is deleted
     """
 
-    __slots__ = ("memory", "position", "segment", "step_control", "unused", "written")
-
-    def __init__(
-        self,
-        memory: SavedMemory,
-        position: int,
-        step_control: Mapping[str, Any],
-        segment: Segment,
-        written: tuple[Any, ...],
-        unused: list[SavedMemory],
-    ) -> None:
-        self.memory, self.position, self.step_control = memory, position, step_control
-        self.written = written
-        self.segment, self.unused = segment, unused
+    memory: SavedMemory
+    position: int
+    step_control: Mapping[str, Any]
+    segment: Segment
+    written: tuple[Any, ...]
+    unused: list[SavedMemory]
 
     def __del__(self) -> None:
         self.unused.append(self.memory)

@@ -51,7 +51,7 @@ class RunInProgress:
         self, wired: WiredRun, loop: LoopFunctions, guard: ProcessGuard, threads: int | None = 1
     ) -> None:
         self.wired, self._loop, self.guard = wired, loop, guard
-        self._threads = StepThreads(wired, loop, threads)
+        self._threads = StepThreads(wired.wiring, loop, threads)
         self.prepared, self.instances, self.wiring = wired.prepared, wired.instances, wired.wiring
         self._report = wired.wiring.report.data  # quicker than the array
         self._termination: dict[str, Any] = {}
@@ -246,16 +246,17 @@ class RunInProgress:
         instance.set(port.variable, value)
         index = self.wired.bus.index.get(port.name)
         if index is not None:
-            is_text = isinstance(value, str)
-            self.wiring.bus[index] = self.wired.texts.number(value) if is_text else value
+            is_string = isinstance(value, str)
+            self.wiring.bus[index] = self.wired.strings.number(value) if is_string else value
 
-    def recording(self, pacing: Pacing | None = None, is_final: bool = False) -> Recording:
+    def recorded(self, pacing: Pacing | None = None, is_final: bool = False) -> Recording:
         """Returns the values recorded; is_final: the run has ended, the rows are the recording's."""
         count = int(self.wiring.report[Report.RECORDED])
         more = self.step_control.provenance if self.step_control else {}
         more |= {"terminated": self._termination} if self._termination else {}
         more |= {"real_time": pacing.report()} if pacing else {}
-        return make_recording(self.prepared, self.wiring.rows, count, self.wired.texts.table, more, is_final)
+        rows, strings = self.wiring.rows, self.wired.strings.table
+        return make_recording(self.prepared, rows, count, strings, more, is_final)
 
     def free(self) -> None:
         """Frees the states that were saved in the FMUs, and ends the threads."""

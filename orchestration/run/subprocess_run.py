@@ -1,25 +1,36 @@
-"""A run in another process: an FMU that hangs or crashes there takes nothing else with it."""
+"""A run in another process: an FMU that hangs or crashes there takes nothing else with it.
 
+The record and the report of the loop are files that both processes map: the values recorded until a crash
+are there after it.
+"""
+
+import _thread
 import contextlib
 import math
+import os
+import pickle
+import tempfile
+import threading
 import time
+import traceback
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import cloudpickle
 import numpy as np
 
-from fmus.fmi.process import ProcessEndedError, WorkerProcess
+from fmus.fmi.process import Parent, ProcessEndedError, WorkerProcess
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.results.recording import Recording
 from orchestration.run.error_estimate import with_error_estimate
 from orchestration.run.interrupt import kept_interrupts
-from orchestration.run.loop_data import Report
+from orchestration.run.loop_data import Report, Storage
 from orchestration.run.run_recording import make_recording, reason_of
+from orchestration.run.simulator import Simulator
 from orchestration.run.stepping import Progress
-from orchestration.run.subprocess_worker import STOP, Outcome, SharedRecord, Task, Warned, run_task
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import PreparedRun, prepare
 from orchestration.system.system import System
@@ -28,6 +39,9 @@ _LOOK_S = 0.1
 _LOADING_S = 60.0  # for an FMU to be loaded, at least: it may start an interpreter, or look for a license
 _AGAIN_S = 1.0  # an interrupt that soon after another is the same one, passed on by a shell for instance
 _NOT_BEGUN = -1
+_STOP = "stop"  # the message that asks the run to stop, as an interrupt does
+
+Outcome = Recording | BaseException
 
 
 def simulate_in_subprocess(
@@ -47,7 +61,7 @@ def simulate_in_subprocess(
         raise SystemDefinitionError(f"timeout {timeout!r} s: expected more than 0")
     experiment = prepared.experiment
     alone = replace(prepared, experiment=replace(experiment, error_estimate=False))
-    task = _packed(Task(system, alone, dict(options or {})))
+    task = _packed_task(system, alone, dict(options or {}))
     with (
         contextlib.closing(WorkerProcess(run_task)) as process,
         contextlib.closing(SharedRecord(process.folder, prepared.shape, is_new=True)) as record,
@@ -71,10 +85,10 @@ def simulate_in_subprocess(
     return recording
 
 
-def _packed(task: Task) -> bytes:
-    """Raises OrchestrationError for what cannot be given to another process."""
-    content = b""
-    given = task.prepared.experiment.signals
+def _packed_task(system: System, prepared: PreparedRun, options: Mapping[str, Any]) -> bytes:
+    """Returns what is run, pickled; OrchestrationError for what cannot be given to another process."""
+    content, task = b"", (system, prepared, options)
+    given = prepared.experiment.signals
     signals = {f"the signal of {name}": signal for name, signal in given.items()}
     for what, value in {**signals, "the experiment": task}.items():
         try:
@@ -85,6 +99,47 @@ def _packed(task: Task) -> bytes:
                 "arguments and of plain data, or no timeout"
             ) from error
     return content
+
+
+class Warned(NamedTuple):
+    """A warning that was issued in the process."""
+
+    message: str
+    category: type[Warning]
+    filename: str
+    lineno: int
+
+
+class SharedRecord:
+    """The storage of a run as files in a folder; on Windows they can be removed after `close` alone.
+
+    So nobody else may keep its arrays.
+    """
+
+    def __init__(self, folder: Path, shape: tuple[int, int], is_new: bool) -> None:
+        rows = _mapped(folder / "rows", np.float64, shape, is_new)
+        self.storage = Storage(rows, _mapped(folder / "report", np.int64, (len(Report),), is_new))
+
+    def close(self) -> None:
+        del self.storage
+
+
+def _mapped(path: Path, kind: type[np.generic], shape: tuple[int, ...], is_new: bool) -> np.ndarray:
+    """Returns a file as an array; OrchestrationError without room for it, which mapping would not tell."""
+    if is_new:
+        size = max(math.prod(shape) * np.dtype(kind).itemsize, 1)
+        try:
+            with path.open("wb") as stream:
+                if hasattr(os, "posix_fallocate"):
+                    os.posix_fallocate(stream.fileno(), 0, size)
+                else:
+                    stream.truncate(size)
+        except OSError as error:
+            raise OrchestrationError(
+                f"{path.parent}: no room for a record of {size / 1e6:.3g} MB, as a run with a timeout needs: "
+                f"{error.strerror}; expected another folder in TMPDIR, fewer recorded variables or no timeout"
+            ) from error
+    return np.asarray(np.memmap(path, kind, "r+", shape=shape))
 
 
 class _Watch:
@@ -118,7 +173,7 @@ class _Watch:
                     self.stopped = KeyboardInterrupt() if interrupts else self._report_progress()
                     if self.stopped is not None:
                         self._asked = time.monotonic()
-                        self._process.send(STOP, self._process.request)
+                        self._process.send(_STOP, self._process.request)
                 elif interrupts and interrupts[-1] > self._asked + _AGAIN_S:
                     return "did not return after an interrupt, and its process was ended"
                 limit = self._exceeded()
@@ -200,3 +255,53 @@ def _unwrapped(outcome: Outcome, stopped: BaseException | None) -> Recording:
     if stopped:
         outcome.__cause__ = stopped
     raise outcome
+
+
+# In the other process:
+
+
+def run_task(parent: Parent) -> None:
+    """Receives a pickled Task; sends a Warned for each warning, then the Outcome."""
+    with kept_interrupts():  # also those that come while the run is prepared end it
+        try:
+            outcome: Outcome = _run(parent, Path(tempfile.gettempdir()))
+        except BaseException as error:  # whatever it is, it is for the other process
+            error.add_note("".join(traceback.format_exception(error)))
+            outcome = error
+        parent.send(outcome, _packed_outcome)
+
+
+def _stop_when_asked(parent: Parent) -> None:
+    if parent.receive() == _STOP:
+        _thread.interrupt_main()
+
+
+def _run(parent: Parent, folder: Path) -> Recording:
+    try:
+        system, prepared, options = pickle.loads(parent.receive())
+    except Exception as error:
+        raise OrchestrationError(
+            f"what is to be run cannot be loaded in a process of its own: {type(error).__name__}: {error}; "
+            "expected signals that can be imported, or no timeout"
+        ) from error
+    threading.Thread(target=_stop_when_asked, args=(parent,), daemon=True).start()
+    storage = SharedRecord(folder, prepared.shape, is_new=False).storage
+    storage.report[Report.RECORDED] = 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        warnings.showwarning = lambda message, category, filename, lineno, *_: parent.send(
+            Warned(str(message), category, filename, lineno), cloudpickle.dumps
+        )
+        with Simulator(system) as simulator:
+            return simulator.run(prepared, storage=storage, **options)
+
+
+def _packed_outcome(outcome: object) -> bytes:
+    if isinstance(outcome, Recording | OrchestrationError):
+        return pickle.dumps(outcome)
+    try:
+        content = cloudpickle.dumps(outcome)
+        pickle.loads(content)
+    except Exception:  # of an error that does not travel: what it says does
+        return pickle.dumps(OrchestrationError(f"{type(outcome).__name__}: {outcome}"))
+    return content

@@ -8,7 +8,7 @@ import numpy as np
 
 from fmus.fmi.description import is_independent
 from fmus.fmi.instance import FmuInstance
-from orchestration.run.bus import SIGNAL, BusLayout, Texts, VariableGroup, component_of, lay_out_bus
+from orchestration.run.bus import SIGNAL, BusLayout, Strings, VariableGroup, component_of, lay_out_bus
 from orchestration.run.loop_data import (
     CHANGING_OF_CONNECTIONS,
     Call,
@@ -36,7 +36,7 @@ class WiredRun:
 
     functions: kind of call -> the FMI function of each of its rows
     references: value references and orders, whose addresses are in the wiring
-    texts: the values of Strings
+    strings: the values of Strings
     """
 
     prepared: PreparedRun
@@ -45,7 +45,7 @@ class WiredRun:
     bus: BusLayout
     functions: Mapping[int, Sequence[str]]
     references: Sequence[np.ndarray]
-    texts: Texts
+    strings: Strings
 
     def without_rows(self) -> "WiredRun":
         """Returns this for `again`, without what was recorded in memory."""
@@ -53,7 +53,7 @@ class WiredRun:
 
     def again(self, prepared: PreparedRun, storage: Storage) -> "WiredRun":
         """Returns the wiring of a run that differs in settings alone and follows this ended one."""
-        if self.texts.table != Texts().table:
+        if self.strings.table != Strings().table:
             return build_wiring(prepared, self.instances, storage)
         wiring = self.wiring._replace(
             points=prepared.points,
@@ -82,10 +82,10 @@ def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], st
     }
     functions = {int(kind): [function for _, function in rows] for kind, rows in groups.items()}
     references: list[np.ndarray] = [ones]
-    texts = Texts()
+    strings = Strings()
 
     def calls(kind: Call, reals: np.ndarray) -> Calls:
-        return _calls(instances, groups[kind], references, reals, integers, texts)
+        return _calls(instances, groups[kind], references, reals, integers, strings)
 
     wiring = Wiring(
         gauss_seidel=int(experiment.algorithm is Algorithm.GAUSS_SEIDEL),
@@ -127,7 +127,7 @@ def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], st
     _set_start(wiring, prepared)
     for name, value in prepared.external.items():
         values[bus.index[f"{SIGNAL}{name}"]] = value
-    return WiredRun(prepared, instances, wiring, bus, functions, references, texts)
+    return WiredRun(prepared, instances, wiring, bus, functions, references, strings)
 
 
 def _set_start(wiring: Wiring, prepared: PreparedRun) -> None:
@@ -173,7 +173,7 @@ def _calls(
     references: list[np.ndarray],
     reals: np.ndarray,
     integers: np.ndarray,
-    texts: Texts,
+    strings: Strings,
 ) -> Calls:
     """Returns one row for each group and adds its value references to `references`."""
     rows = []
@@ -186,7 +186,7 @@ def _calls(
         sizes = len(group.variables), group.bus_index, group.integer_index
         instance = instances[group.component]
         is_string = group.type == "String"
-        address = texts.function(instance, function) if is_string else instance.function(function)
+        address = strings.function(instance, function) if is_string else instance.function(function)
         rows.append((address, *addresses, *sizes))
     return Calls(
         _first_of_each([group.component for group, _ in groups], instances), *_columns(rows, 6, np.int64)

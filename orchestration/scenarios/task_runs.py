@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 
 from orchestration.errors import EnsembleError, OrchestrationError
-from orchestration.many.ensemble import Ensemble
-from orchestration.many.ensemble_checks import check_ensemble
+from orchestration.many.ensemble import Ensemble, check_ensemble
 from orchestration.many.stepped_ensemble import SteppedEnsemble
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator
 from orchestration.run.snapshot import SavedState
+from orchestration.run.step_by_step import SteppedRun
 from orchestration.scenarios.changes import with_values
 from orchestration.scenarios.task import Task
+from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import check_for
 from orchestration.system.signals import values_at
 from orchestration.system.values import Value
@@ -57,50 +58,56 @@ class EpisodePlan:
             self._of_signals = np.array(table).reshape(-1, len(points)).T
         return self._of_signals
 
-    def drawn(self, random: np.random.Generator) -> dict[str, Value]:
-        """Returns the values of an episode."""
+    def drawn(self, random: np.random.Generator) -> Experiment:
+        """Returns the experiment of an episode."""
         drawn: dict[str, Value] = {name: int(random.integers(1, _LARGEST_SEED)) for name in self.task.seeds}
-        return drawn | {name: draw(random) for name, draw in self.task.vary.items()}
+        drawn |= {name: draw(random) for name, draw in self.task.vary.items()}
+        return with_values(self.experiment, drawn)
 
 
 class Episode:
-    """The run of one environment, after `reset`."""
+    """The episode of one environment in a simulator, or of many in an ensemble, after `reset`."""
 
-    def __init__(self, plan: EpisodePlan) -> None:
-        self._plan, self.simulator = plan, Simulator(plan.task.system)
-        self._first: SavedState | None = None
+    run: SteppedRun | SteppedEnsemble
 
-    def reset(self, random: np.random.Generator) -> None:
-        """Begins another episode."""
-        plan, simulator = self._plan, self.simulator
-        drawn = plan.drawn(random)
+    def __init__(self, plan: EpisodePlan, engine: Simulator | Ensemble) -> None:
+        self._plan, self.engine = plan, engine
+        self._first: SavedState | None = None  # the beginning, where all episodes begin alike
+
+    def reset(self, *randoms: np.random.Generator) -> None:
+        """Begins another episode, with a random generator for each environment."""
+        plan, engine = self._plan, self.engine
+        experiments = [plan.drawn(random) for random in randoms]
         with suppress(OrchestrationError):  # after an FMU returned fatal
-            if self._first:
-                simulator.restore(self._first)
+            if self._first and isinstance(self.run, SteppedRun):
+                self.run.restore(self._first)
                 return
-        simulator.start(with_values(plan.experiment, drawn), external=plan.task.actions)
-        self._signals = plan.signals(simulator.points)
-        self._read, self.act = simulator.reader(*plan.variables), simulator.writer(*plan.task.actions)
-        self.step = simulator.step
-        if simulator.can_save and not drawn:
-            self._first = simulator.save()
+        if isinstance(engine, Simulator):
+            self.run = run = engine.start(*experiments, external=plan.task.actions)
+        else:
+            self.run = run = engine.start(experiments, plan.task.actions)
+        self._signals = plan.signals(run.points)
+        self._read, self.act = run.reader(*plan.variables), run.writer(*plan.task.actions)
+        self.step = run.step
+        if isinstance(run, SteppedRun) and run.can_save and not (plan.task.seeds or plan.task.vary):
+            self._first = run.save()
 
     def look(self) -> Look:
-        """Returns what there is to see at the present point."""
-        simulator, values = self.simulator, self._read()
+        """Returns what there is to see at the present point; what all environments share is one number."""
+        run, values = self.run, self._read()
         if len(self._plan.variables) == 1:
             values = (values,)
         if self._signals.shape[1]:
-            values = (*values, *self._signals[simulator.point].tolist())
-        is_done = simulator.is_done
-        return values, simulator.time, is_done, is_done and simulator.is_terminated
+            values = (*values, *self._signals[run.point].tolist())
+        is_done = run.is_done
+        return values, run.time, is_done, is_done and run.is_terminated
 
 
 class SimulatedRuns:
     """Runs that have a simulator each."""
 
     def __init__(self, plan: EpisodePlan, count: int) -> None:
-        self._episodes = [Episode(plan) for _ in range(count)]
+        self._episodes = [Episode(plan, Simulator(plan.task.system)) for _ in range(count)]
 
     def reset(self, randoms: Sequence[np.random.Generator], which: Array) -> None:
         """Begins another episode in those that are True, shape (runs,)."""
@@ -127,12 +134,12 @@ class SimulatedRuns:
 
     def recordings(self) -> list[Recording]:
         """Returns the recordings of the present episodes."""
-        return [episode.simulator.recording() for episode in self._episodes]
+        return [episode.run.recording() for episode in self._episodes]
 
     def close(self) -> None:
         """Frees the FMUs."""
         for episode in self._episodes:
-            episode.simulator.close()
+            episode.engine.close()
 
 
 class EnsembleRuns:
@@ -141,47 +148,40 @@ class EnsembleRuns:
     Raises EnsembleError for a task that is for simulators.
     """
 
-    _run: SteppedEnsemble
-
     def __init__(self, plan: EpisodePlan, count: int, is_asked_for: bool) -> None:
-        self._plan, self._count, task = plan, count, plan.task
+        self._count, task = count, plan.task
         for name in (*task.seeds, *task.vary):
-            variable = plan.system.port(name, "vary").variable
-            if variable.causality != "parameter" or name.endswith(".internal_step"):
-                raise EnsembleError(f"{name}: expected a parameter but internal_step to draw")
+            if name.endswith(".internal_step"):
+                raise EnsembleError(f"{name}: expected one for all environments that step together")
         check_ensemble(task.system, plan.experiment, count, is_asked_for, task.actions)
-        self._ensemble = Ensemble(task.system)
+        self._episode = Episode(plan, Ensemble(task.system))
 
     def reset(self, randoms: Sequence[np.random.Generator], which: Array) -> None:
         """Begins another episode in all."""
-        drawn = [self._plan.drawn(random) for random in randoms]
-        vary = {name: [values[name] for values in drawn] for name in drawn[0]}
-        actions = self._plan.task.actions
-        self._run = self._ensemble.start(self._plan.experiment, vary, self._count, actions)
+        self._episode.reset(*randoms)
 
     def act(self, values: Array, which: Array) -> None:
         """Sets the actions, in their own units; values: shape (runs, actions)."""
-        self._run.write(self._plan.task.actions, values.T)
+        self._episode.act(*values.T)
 
     def step(self, which: Array) -> None:
         """Steps to the next communication point."""
-        self._run.step()
+        self._episode.step()
 
     def look(self) -> Look:
         """Returns what there is to see at the present point."""
-        run, count = self._run, self._count
-        signals = self._plan.signals(run.points)[run.point, :, None]
-        values = np.concatenate([run.read(self._plan.variables), np.repeat(signals, count, axis=1)])
-        return values, np.full(count, run.time), np.full(count, run.is_done), np.zeros(count, bool)
+        values, *others = self._episode.look()
+        time, is_done, is_terminated = (np.full(self._count, value) for value in others)
+        return np.array([np.broadcast_to(v, self._count) for v in values]), time, is_done, is_terminated
 
     def recordings(self) -> list[Recording]:
         """Returns the recordings of the present episodes."""
-        recorded = self._run.recordings()
+        recorded = self._episode.run.recording()
         return [recorded.run(i) for i in range(self._count)]
 
     def close(self) -> None:
         """Frees the FMUs."""
-        self._ensemble.close()
+        self._episode.engine.close()
 
 
 def task_runs(plan: EpisodePlan, count: int, ensemble: bool | None) -> SimulatedRuns | EnsembleRuns:

@@ -20,8 +20,7 @@ from fmus.fmi.variable_types import FmiValue
 from fmus.registry import Flavour
 from orchestration.errors import ScenarioError, ScenarioWarning, SimulationError
 from orchestration.many.job import Failure, Job, Run
-from orchestration.many.local import LocalRuns
-from orchestration.many.run_many import Make, in_order
+from orchestration.many.run_many import LocalRuns, Make, in_order
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.scenarios.changes import with_values

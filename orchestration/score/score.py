@@ -12,7 +12,7 @@ from importlib.metadata import version
 
 from fmus.platforms import usable_processors
 from orchestration.errors import ScenarioError
-from orchestration.many.local import LocalRuns
+from orchestration.many.run_many import LocalRuns
 from orchestration.score.closed_loop import ClosedLoop, Controller, tuned
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.protocol_format import COMPARED

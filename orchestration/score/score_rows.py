@@ -25,8 +25,7 @@ from fmus import store
 from fmus.fmi.description import describe, of_causality
 from orchestration.errors import OrchestrationError, ScenarioError, SimulationError, SweepError
 from orchestration.many.job import ENDED, TOO_LONG, Done, Failure, Job, Run
-from orchestration.many.local import LocalRuns
-from orchestration.many.run_many import in_order
+from orchestration.many.run_many import LocalRuns, in_order
 from orchestration.many.runners import ClosedError
 from orchestration.margins.fmu_margins import scan
 from orchestration.margins.hold import HoldRuns, LoopSignal, last_part

@@ -24,8 +24,7 @@ from fmus.fmi.description import describe
 from orchestration.errors import OrchestrationError
 from orchestration.many.job import Failure
 from orchestration.many.lane_library import LANES
-from orchestration.many.local import LocalRuns
-from orchestration.many.run_many import in_order
+from orchestration.many.run_many import LocalRuns, in_order
 from orchestration.margins.hold import QUIET, last_part
 from orchestration.results.recording import Recording
 from orchestration.score import tune

@@ -13,9 +13,8 @@ import numpy as np
 from fmus.fmi.variable_types import FmiValue
 from fmus.platforms import usable_processors
 from orchestration.errors import SweepError
-from orchestration.many.batches import Batches, Place
-from orchestration.many.job import Failure, Finished, Job, Run
-from orchestration.many.local import LocalRuns
+from orchestration.many.job import Batches, Failure, Finished, Job, Place, Run
+from orchestration.many.run_many import LocalRuns
 from orchestration.results import metrics
 from orchestration.results.recording import Recording
 from orchestration.scenarios.changes import with_values

@@ -9,9 +9,9 @@ import numpy as np
 
 from orchestration.errors import ScenarioError
 from orchestration.system.signals import (
+    ArraySignal,
     Constant,
     Cosine,
-    Curve,
     Ramps,
     Signal,
     Sines,
@@ -23,7 +23,7 @@ from orchestration.system.signals import (
 
 
 @dataclass(frozen=True)
-class Derivative(Curve):
+class Derivative(ArraySignal):
     """The derivative of that order, 1 or 2, of the signal `of` another input.
 
     At a kink it is that of the time after it, which holds over the next communication step.
@@ -38,7 +38,7 @@ class Derivative(Curve):
 
 
 @dataclass(frozen=True)
-class _Values(Curve):
+class _Values(ArraySignal):
     """A curve by its function of times."""
 
     function: Callable[[np.ndarray], np.ndarray]

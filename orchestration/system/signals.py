@@ -19,7 +19,7 @@ class Signal(Protocol):
     def __call__(self, t: float, /) -> float: ...
 
 
-class Curve:
+class ArraySignal:
     """A signal that is given for many times at once: `at` maps ascending times, (n,), to values, (n,)."""
 
     def at(self, times: np.ndarray) -> np.ndarray:
@@ -31,13 +31,13 @@ class Curve:
 
 def values_at(signal: Signal, times: np.ndarray) -> np.ndarray:
     """Returns the signal at each time, shape (n,)."""
-    if isinstance(signal, Curve):
+    if isinstance(signal, ArraySignal):
         return signal.at(times)
     return np.array([signal(t) for t in times.tolist()], float)
 
 
 @dataclass(frozen=True)
-class Ramps(Curve):
+class Ramps(ArraySignal):
     """Ramps: lines through (time, value), held before the first and after the last point.
 
     smooth: quintic ramps instead, with zero speed and acceleration at both ends of each.
@@ -67,7 +67,7 @@ class Ramps(Curve):
 
 
 @dataclass(frozen=True)
-class Cosine(Curve):
+class Cosine(ArraySignal):
     """A cosine: offset + amplitude cos(angular_frequency t + phase), rad/s and rad."""
 
     amplitude: float
@@ -83,7 +83,7 @@ class Cosine(Curve):
 
 
 @dataclass(frozen=True)
-class Constant(Curve):
+class Constant(ArraySignal):
     """A constant: one value at every time."""
 
     value: float
@@ -96,7 +96,7 @@ class Constant(Curve):
 
 
 @dataclass(frozen=True, eq=False)
-class Table(Curve):
+class Table(ArraySignal):
     """A table: `values` at `times` [s], shapes (n,), held before the first and after the last.
 
     Between two times a straight line, or with hold = True the earlier value.
@@ -156,7 +156,7 @@ _MOST_COMPONENTS = 10_000
 
 
 @dataclass(frozen=True, eq=False)
-class Sines(Curve):
+class Sines(ArraySignal):
     """Sines: offset + sum of amplitudes_i sin(angular_frequencies_i t + phases_i).
 
     amplitudes, offset: in the unit of the input; angular_frequencies [rad/s]; phases [rad]; shapes (n,)

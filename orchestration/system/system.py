@@ -5,8 +5,11 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from fmus.errors import nearest
 from fmus.fmi.description import describe, of_causality
@@ -99,6 +102,13 @@ def _ends(connection: Any) -> tuple[str, str] | tuple[str, str, LinearTransforma
     return source, target, LinearTransformation.of(given[0], f"connection {source} -> {target}")
 
 
+class ConnectionGroup(NamedTuple):
+    """The connections of an algebraic loop, or one connection that is in no loop."""
+
+    connections: tuple[tuple[Port, Port], ...]
+    is_loop: bool
+
+
 @dataclass(frozen=True)
 class CheckedSystem:
     """A system and its model descriptions: every name exists, every connection fits.
@@ -155,9 +165,61 @@ class CheckedSystem:
             if unknown.variable is not None and unknown.dependencies is not None
         }
 
+    @cached_property
+    def connection_groups(self) -> tuple[ConnectionGroup, ...]:
+        """The connections in the order in which initial values are exchanged.
+
+        Each connected input follows an output, which depends on inputs of its component as the model
+        description declares (`InitialUnknowns`; an output without declaration depends on every input). The
+        groups are the strongly connected components of this graph, in topological order.
+        """
+        connections, declared = self.connections, self.declared_dependencies
+        index = {target.name: i for i, (_, target) in enumerate(connections)}
+        # One more node for each component: all its connected inputs, for the outputs that declare nothing.
+        nodes = {name: len(connections) + c for c, name in enumerate(self.components)}
+        dependencies: dict[int, set[int]] = {}
+        for i, (source, _) in enumerate(connections):
+            names = declared.get(source.name)
+            inputs = {nodes[source.component]} if names is None else {index[n] for n in names if n in index}
+            dependencies[i] = inputs
+        for name, node in nodes.items():
+            dependencies[node] = {index[n] for n in self.inputs[name] if n in index}
+        try:
+            TopologicalSorter(dependencies).prepare()
+            labels = list(dependencies)
+        except CycleError:
+            labels = _component_labels(dependencies)
+        members: dict[int, list[int]] = {}
+        for i, label in enumerate(labels):
+            members.setdefault(label, []).append(i)
+        graph = {
+            label: {labels[earlier] for i in inside for earlier in dependencies[i]} - {label}
+            for label, inside in members.items()
+        }
+        groups = (members[label] for label in TopologicalSorter(graph).static_order())
+        return tuple(
+            ConnectionGroup(
+                connections=tuple(connections[i] for i in group if i < len(connections)),
+                is_loop=len(group) > 1 or group[0] in dependencies[group[0]],
+            )
+            for group in groups
+            if group[0] < len(connections)
+        )
+
     def initial_dependencies(self, output: Port) -> list[str]:
         """Returns the inputs that an output depends on in initialisation mode; all if not declared."""
         return self.declared_dependencies.get(output.name, self.inputs[output.component])
+
+
+def _component_labels(dependencies: Mapping[int, set[int]]) -> list[int]:
+    """Returns the strongly connected component of each node."""
+    from scipy.sparse import coo_array  # only for loops: it takes as long to import as all the rest
+    from scipy.sparse.csgraph import connected_components
+
+    edges = [(earlier, i) for i, all_earlier in dependencies.items() for earlier in all_earlier]
+    rows, columns = np.array(edges, dtype=int).reshape(-1, 2).T
+    matrix = coo_array((np.ones(len(edges)), (rows, columns)), shape=(len(dependencies),) * 2)
+    return connected_components(matrix.tocsr(), connection="strong")[1].tolist()
 
 
 def check(

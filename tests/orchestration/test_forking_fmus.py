@@ -12,8 +12,7 @@ import pytest
 
 from orchestration.errors import OrchestrationError
 from orchestration.many.job import Failure
-from orchestration.many.local import LocalRuns
-from orchestration.many.run_many import in_order
+from orchestration.many.run_many import LocalRuns, in_order
 from orchestration.results.recording import Recording
 from orchestration.run import simulate
 from orchestration.scenarios import scenario

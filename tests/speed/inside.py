@@ -68,8 +68,12 @@ def ensemble(*sizes: str) -> Rows:
     for kind in instruction_sets():
         with closing(Ensemble(chosen.system, kind)) as instances:
             for size in map(int, sizes):
-                vary = {"plant.inertia": [6.0 + i / size for i in range(size)]}
-                taken = cpu_s(lambda: instances.run(experiment, vary))  # noqa: B023
+                inertias = [6.0 + i / size for i in range(size)]
+                given = [
+                    replace(experiment, parameters={**experiment.parameters, "plant.inertia": inertia})
+                    for inertia in inertias
+                ]
+                taken = cpu_s(lambda: instances.run(given))  # noqa: B023
                 goal = " -> 80" if (kind, size) == ("x86-64-v3", 64) else ""
                 rows[f"{kind}, {size} at once, ns{goal}"] = 1e9 * taken / (steps * size)
     return rows
@@ -144,19 +148,19 @@ def stepping(repeats: str, *numbers: str) -> Rows:
     task = replace(task, experiment=long)
     rows: Rows = {}
     with Simulator(task.system) as simulator:
-        simulator.start(task.experiment, external=voltages)
-        read, write = simulator.reader("plant.measured_depth"), simulator.writer(voltages[0])
-        step, save = simulator.step, simulator.save
+        run = simulator.start(task.experiment, external=voltages)
+        read, write = run.reader("plant.measured_depth"), run.writer(voltages[0])
+        step, save = run.step, run.save
         rows["step, us"] = best(step)
         rows["get one value, set one and step, by a reader and a writer, us"] = best(
             lambda: (write(-0.1 * read()), step())
         )
         state = save()
-        rows["restore, us"] = best(lambda: simulator.restore(state))
+        rows["restore, us"] = best(lambda: run.restore(state))
         rows["save the whole system, without a step between, us"] = best(save)
         rows["step, and save, us"] = best(lambda: (step(), save()))
-        rows["get by name, without a step, us"] = best(lambda: simulator.get("plant.measured_depth"))
-        rows["set by name, without a step, us"] = best(lambda: simulator.set(voltages[0], 0.0))
+        rows["get by name, without a step, us"] = best(lambda: run.get("plant.measured_depth"))
+        rows["set by name, without a step, us"] = best(lambda: run.set(voltages[0], 0.0))
     with closing(FmuEnv(task)) as env:
         env.reset()
         rows["FmuEnv, steps a second"] = 1e6 / best(lambda: env.step(np.zeros(2)))

@@ -3,14 +3,13 @@
 Source: Maalouf, Chemori and Creuze (NOLCOS 2013), Tables 1 and 2.
 """
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from orchestration import Ensemble, evaluate, load_scenario
+from orchestration import Ensemble, Experiment, evaluate, load_scenario
 
 Columns = dict[str, np.ndarray]
 """Name -> value of every run, shape (runs,)."""
@@ -150,14 +149,22 @@ class Vehicle:
         ]
         return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
-    def _part(self, vary: dict[str, list[Any]]) -> Columns:
-        result = self._ensemble.run(self._experiment, vary, threads=os.cpu_count() or 1)
+    def _part(self, columns: dict[str, list[Any]]) -> Columns:
+        runs = [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+        result = self._ensemble.run([self._with(values) for values in runs])
         figures = {name: np.full(len(result.counts), np.nan) for name in (*self._metrics, "hold_spread")}
         for name, column in evaluate(result.recordings(), self._metrics).items():
             figures[name][result.complete] = column
         held = (result.time >= HOLD[0]) & (result.time <= HOLD[1])
         figures["hold_spread"] = 1e3 * np.std(result["plant.depth"][:, held], axis=1)
         return figures
+
+    def _with(self, values: Mapping[str, Any]) -> Experiment:
+        """Returns the experiment with these values of parameters and constant inputs."""
+        given = self._experiment
+        inputs = {name: values.get(name, value) for name, value in given.inputs.items()}
+        parameters = {name: value for name, value in values.items() if name not in inputs}
+        return replace(given, parameters={**given.parameters, **parameters}, inputs=inputs)
 
     def of_all_seeds(self, values: Mapping[str, float], seeds: tuple[int, ...] = SEEDS) -> Columns:
         """Returns the figures of all four scenarios by "SCENARIO METRIC", a value for each seed."""

@@ -15,8 +15,7 @@ from fmus.fmi.description import describe, is_independent
 from fmus.fmi.instance import FmuInstance
 from fmus.store import is_own_build, record_build
 from orchestration.errors import EnsembleError
-from orchestration.many.ensemble import Ensemble
-from orchestration.many.ensemble_checks import check_ensemble
+from orchestration.many.ensemble import Ensemble, check_ensemble
 from orchestration.run import Simulator, simulate
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
@@ -88,11 +87,11 @@ def test_an_instance_keeps_its_state_when_another_of_its_library_is_freed(
     experiment = Experiment(1.0, 0.01, inputs={"p.control": 1.0, "p.disturbance": 0.0})
     alone = simulate(system, experiment)
     with Simulator(system) as simulator:
-        simulator.start(experiment)
+        run = simulator.start(experiment)
         simulate(system, experiment)
-        while not simulator.is_done:
-            simulator.step()
-        assert simulator.recording().values.tolist() == alone.values.tolist()
+        while not run.is_done:
+            run.step()
+        assert run.recording().values.tolist() == alone.values.tolist()
 
 
 def test_a_changed_file_is_read_again(

@@ -4,7 +4,7 @@ import math
 import os
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,21 +24,14 @@ from fmus.store import record_build
 from orchestration import Ensemble, Event, Experiment, Fault, Offset, Ramps, Simulator, System
 from orchestration.errors import EnsembleError, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.many import ensemble_loop
-from orchestration.many.ensemble_checks import check_ensemble
+from orchestration.many.ensemble import check_ensemble
 from orchestration.many.lane_library import LANES, lane_library
 from orchestration.many.run_many import run_many
 from orchestration.many.stepped_ensemble import EnsembleRecording
 from orchestration.results.recording import Recording
 from tests.described_fmus import members
-from tests.shared_builds import built_once, session_folder
+from tests.orchestration.many.instances import CONNECTIONS, CURRENT, REFERENCE, assert_same_bits, instances
 
-CONNECTIONS = [
-    ("plant.measured_depth", "controller.measured_depth"),
-    ("plant.depth_rate", "controller.measured_depth_rate"),
-    ("controller.voltage[1]", "plant.voltage[1]"),
-    ("controller.voltage[2]", "plant.voltage[2]", {"factor": 0.9, "offset": -0.05}),
-]
-REFERENCE = "controller.depth_reference"
 DIVE = Experiment(
     stop_time=4.01,  # the last step is a shorter one
     step_size=0.02,
@@ -51,18 +44,6 @@ HEAVIER = Event(2.0, {"plant.net_weight": 30.0, "plant.weight": 40.0})  # contra
 STIFFER = Event(2.0, {"controller.depth_feedback_gain": 3.0})
 WITHOUT_BUOYANCY = {"plant.net_weight": 29.2}  # of instances that weigh less
 WEIGHTS = {"plant.weight": [29.5, 29.0, 29.43]}
-
-Vary = Mapping[str, Sequence[float]]
-
-
-@pytest.fixture(scope="session")
-def system(built: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> System:
-    """The vehicle and its controller, compiled for groups of instances once a session."""
-    vehicle = System({"plant": built["RovDepthPlant"], "controller": built["L1DepthController"]}, CONNECTIONS)
-    built_once(
-        session_folder(tmp_path_factory, "ensemble") / "vehicle", lambda path: Ensemble(vehicle).close()
-    )
-    return vehicle
 
 
 def varied(count: int) -> dict[str, list[Any]]:
@@ -79,33 +60,11 @@ def varied(count: int) -> dict[str, list[Any]]:
     }
 
 
-def of_one(experiment: Experiment, vary: Mapping[str, Sequence[Any]], instance: int) -> Experiment:
-    """The experiment of one instance."""
-    own = {name: values[instance] for name, values in vary.items()}
-    inputs = {name: own.pop(name) for name in ("plant.current_velocity",) if name in own}
-    return replace(
-        experiment,
-        parameters={**experiment.parameters, **own},
-        inputs={**experiment.inputs, **inputs},
-    )
-
-
-def assert_same_bits(
-    system: System, experiment: Experiment, vary: Mapping[str, Sequence[Any]], **options: Any
-) -> None:
-    """Signal by signal and instance by instance."""
-    with Ensemble(system, **options) as ensemble, Simulator(system) as simulator:
-        recorded = ensemble.run(experiment, vary)
-        assert not recorded.failures
-        for instance in range(len(recorded.counts)):
-            one, of_ensemble = simulator.run(of_one(experiment, vary, instance)), recorded.run(instance)
-            assert of_ensemble.names == one.names
-            assert of_ensemble.values.tobytes() == one.values.tobytes()
-
-
 def test_37_instances_have_the_bits_of_37_runs(system: System) -> None:
     """37: four groups and a part of one."""
-    assert_same_bits(system, DIVE, varied(37))
+    experiments = instances(DIVE, varied(37))
+    with Ensemble(system) as ensemble, Simulator(system) as simulator:
+        assert_same_bits(ensemble.run(experiments), simulator, experiments)
 
 
 @pytest.mark.parametrize(
@@ -121,26 +80,34 @@ def test_37_instances_have_the_bits_of_37_runs(system: System) -> None:
     ],
 )
 def test_other_experiments_too(system: System, more: dict[str, Any]) -> None:
-    assert_same_bits(system, replace(DIVE, **more), varied(3))
+    experiments = instances(replace(DIVE, **more), varied(3))
+    with Ensemble(system) as ensemble, Simulator(system) as simulator:
+        assert_same_bits(ensemble.run(experiments), simulator, experiments)
 
 
 def test_a_signal_has_a_row_for_each_instance(system: System) -> None:
     with Ensemble(system) as ensemble:
-        recorded = ensemble.run(DIVE, {"plant.initial_depth": [0.0, 0.1, 0.2]})
+        recorded = ensemble.run(instances(DIVE, {"plant.initial_depth": [0.0, 0.1, 0.2]}))
     assert recorded["plant.depth"].shape == (3, len(recorded.time))
     assert recorded["plant.depth"][:, 0].tolist() == [0.0, 0.1, 0.2]
     with pytest.raises(OrchestrationError, match=r"nearest is 'plant\.depth'"):
         recorded["plant.dept"]
 
 
-def test_less_than_a_thread_and_a_run_within_a_run_are_refused(system: System) -> None:
-    vary = {"plant.initial_depth": [0.0]}
+def test_a_run_within_a_run_is_refused(system: System) -> None:
+    refusals: list[str] = []
+
     with Ensemble(system) as ensemble:
-        with pytest.raises(OrchestrationError, match="threads: 0: expected at least 1"):
-            ensemble.run(DIVE, vary, threads=0)
-        with pytest.raises(OrchestrationError, match="this ensemble is running"):
-            ensemble.run(DIVE, vary, progress=lambda *_: ensemble.run(DIVE, vary))
-        assert not ensemble.run(DIVE, vary).failures
+
+        def start_another(t: float) -> float:
+            for another in (lambda: ensemble.run([DIVE]), lambda: ensemble.start([DIVE], [CURRENT])):
+                with pytest.raises(OrchestrationError, match="this ensemble is running") as refusal:
+                    another()
+                refusals.append(str(refusal.value))
+            return 0.0
+
+        assert not ensemble.run([replace(DIVE, signals={REFERENCE: start_another})]).failures
+    assert refusals
 
 
 def test_recordings_larger_than_the_memory_are_refused(
@@ -150,7 +117,7 @@ def test_recordings_larger_than_the_memory_are_refused(
     with Ensemble(system) as ensemble:
         monkeypatch.setattr(os, "sysconf", lambda _: 64, raising=False)  # 4096 bytes, enough for one run
         with pytest.raises(SystemDefinitionError, match=r"9 instances of 202 .* fewer instances"):
-            ensemble.run(one, {"plant.initial_depth": [0.0] * 9})
+            ensemble.run([one] * 9)
 
 
 def test_without_a_compiler_the_ensemble_is_refused(system: System, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -163,30 +130,20 @@ def test_without_a_compiler_the_ensemble_is_refused(system: System, monkeypatch:
         Ensemble(system)
 
 
-def test_threads_and_progress_change_nothing(system: System) -> None:
-    done: list[tuple[int, int]] = []
-    with Ensemble(system) as ensemble:
-        first = ensemble.run(DIVE, varied(17))
-        second = ensemble.run(DIVE, varied(17), threads=2, progress=lambda *counts: done.append(counts))
-    assert done == [(8, 17), (16, 17), (17, 17)]
-    assert first["plant.depth"].tobytes() == second["plant.depth"].tobytes()
-
-
-def failed(system: System, experiment: Experiment, vary: Vary) -> EnsembleRecording:
+def failed(system: System, experiments: Sequence[Experiment]) -> EnsembleRecording:
     """An ensemble of which only the instance of index 1 fails, and the others have the bits of their runs."""
     with Ensemble(system) as ensemble, Simulator(system) as simulator:
-        recorded = ensemble.run(experiment, vary)
+        recorded = ensemble.run(experiments)
         assert list(recorded.failures) == [1]
         for instance in (0, 2):
-            one = simulator.run(of_one(experiment, vary, instance))
+            one = simulator.run(experiments[instance])
             assert recorded.run(instance).values.tobytes() == one.values.tobytes()
     return recorded
 
 
 def test_an_instance_that_cannot_begin_is_named_and_disturbs_no_other(system: System) -> None:
-    recorded = failed(
-        system, DIVE, {"plant.net_weight": [-1.0, 30.0, -1.2], "plant.weight": [29.0, 29.0, 29.43]}
-    )
+    weights = {"plant.net_weight": [-1.0, 30.0, -1.2], "plant.weight": [29.0, 29.0, 29.43]}
+    recorded = failed(system, instances(DIVE, weights))
     assert "net_weight" in recorded.failures[1]
     assert np.isnan(recorded["plant.depth"][1]).all()
     assert len(recorded.run(1).time) == 0
@@ -237,7 +194,7 @@ def growing(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_an_instance_whose_output_becomes_infinite_fails_though_its_state_is_finite(growing: Path) -> None:
     """exp(300 n) from n = 3 on."""
     experiment = Experiment(0.5, 0.1, open_inputs="start")
-    recorded = failed(System({"one": growing}), experiment, {"one.a": [1.0, 300.0, -0.5]})
+    recorded = failed(System({"one": growing}), instances(experiment, {"one.a": [1.0, 300.0, -0.5]}))
     assert recorded.counts.tolist() == [6, 3, 6]
 
 
@@ -269,9 +226,10 @@ def test_the_range_of_an_input_is_that_of_values_it_is_given_not_of_the_last_poi
     system = System({"one": growing, "two": growing}, [("one.y", "two.u")])
     beyond = {"one.a": [math.log(5.5) / 5.0, 0.1]}
     experiment = Experiment(0.5, 0.1, open_inputs="start")
-    assert_same_bits(system, experiment, beyond)
-    with Ensemble(system) as ensemble:
-        longer = ensemble.run(replace(experiment, stop_time=0.6), beyond)
+    experiments = instances(experiment, beyond)
+    with Ensemble(system) as ensemble, Simulator(system) as simulator:
+        assert_same_bits(ensemble.run(experiments), simulator, experiments)
+        longer = ensemble.run([replace(one, stop_time=0.6) for one in experiments])
     assert [*longer.failures] == [0]
     assert longer.counts.tolist() == [6, 7]
 
@@ -281,7 +239,7 @@ def test_an_initial_value_beyond_all_numbers_ends_one_instance_without_a_warning
     vary = {"plant.initial_depth": [0.0, 20.0], "plant.sensor_noise": [0.0, 0.0]}
     with Ensemble(scaled) as ensemble, warnings.catch_warnings():
         warnings.simplefilter("error")
-        recorded = ensemble.run(replace(DIVE, stop_time=0.02), vary)
+        recorded = ensemble.run(instances(replace(DIVE, stop_time=0.02), vary))
     assert "measured_depth" in recorded.failures[1]
 
 
@@ -289,10 +247,10 @@ def test_a_run_that_is_refused_leaves_the_next_one_as_it_is(system: System) -> N
     """Some of its values were set before an FMU refused another one of the same component."""
     no_item = {"controller.filter_bandwidth": 2.0, "controller.augmentation": 77}
     with Ensemble(system) as ensemble:
-        expected = ensemble.run(DIVE, WEIGHTS)
+        expected = ensemble.run(instances(DIVE, WEIGHTS))
         with pytest.raises(OrchestrationError, match="augmentation = 77"):
-            ensemble.run(replace(DIVE, parameters=no_item), WEIGHTS)
-        again = ensemble.run(DIVE, WEIGHTS)
+            ensemble.run(instances(replace(DIVE, parameters=no_item), WEIGHTS))
+        again = ensemble.run(instances(DIVE, WEIGHTS))
     assert again.values.tobytes() == expected.values.tobytes()
 
 
@@ -301,14 +259,11 @@ def test_recordings_of_all_that_did_not_fail_are_in_c_order(system: System, weig
     """As one run has them: where a sum along time rounds."""
     with Ensemble(system) as ensemble:
         net = {"plant.net_weight": [29.2] * len(weights)}
-        recorded = ensemble.run(DIVE, {"plant.weight": weights, **net})
+        recorded = ensemble.run(instances(DIVE, {"plant.weight": weights, **net}))
     together = recorded.recordings()
     assert recorded.complete == [i for i, weight in enumerate(weights) if weight > 29.2]
     for run, instance in enumerate(recorded.complete):
-        one = recorded.run(instance)
-        assert together.run(run).values.tobytes() == one.values.tobytes()
-        assert {"varied": one.provenance["varied"], **together.run(run).provenance} == one.provenance
-        assert "varied" not in together.run(run).provenance  # it is not that of all
+        assert together.run(run).values.tobytes() == recorded.run(instance).values.tobytes()
     assert {together[name].strides[-1] for name in together.names} == {8}
     assert (together.run_count, len(together.time)) == (len(recorded.complete), len(recorded.time))
 
@@ -334,16 +289,18 @@ def test_an_instance_whose_parameters_become_contradictory_ends_where_its_own_ru
     system: System,
 ) -> None:
     experiment = replace(DIVE, events=(Event(2.0, WITHOUT_BUOYANCY),))
-    recorded = failed(system, experiment, WEIGHTS)
-    alone = until_failure(system, of_one(experiment, WEIGHTS, 1))
+    experiments = instances(experiment, WEIGHTS)
+    recorded = failed(system, experiments)
+    alone = until_failure(system, experiments[1])
     assert recorded.run(1).values.tobytes() == alone.values.tobytes()
 
 
 def test_an_instance_that_cannot_go_on_ends_where_its_own_run_ends(system: System) -> None:
     """A voltage beyond its input's range."""
     far = replace(DIVE, parameters={**DIVE.parameters, "plant.sensor_noise": 0.0})
-    recorded = failed(system, far, {"plant.initial_depth": [0.0, 1e300, 0.1]})
-    alone = until_failure(system, of_one(far, {"plant.initial_depth": [1e300]}, 0))
+    experiments = instances(far, {"plant.initial_depth": [0.0, 1e300, 0.1]})
+    recorded = failed(system, experiments)
+    alone = until_failure(system, experiments[1])
     assert recorded.run(1).values.tobytes() == alone.values.tobytes()
     assert np.isnan(recorded["plant.depth"][1, len(recorded.run(1).time) :]).all()
     assert f"controller at t = {recorded.run(1).time[-1]:.9g} s: " in recorded.failures[1]
@@ -361,28 +318,35 @@ def test_an_instance_that_cannot_go_on_ends_where_its_own_run_ends(system: Syste
 )
 def test_what_only_a_simulator_has_is_refused(system: System, more: dict[str, Any], name: str) -> None:
     with Ensemble(system) as ensemble, pytest.raises(EnsembleError, match=f"{name}: .*Simulator"):
-        ensemble.run(replace(DIVE, **more), varied(2))
+        ensemble.run(instances(replace(DIVE, **more), varied(2)))
 
 
 @pytest.mark.parametrize(
     ("vary", "problem"),
     [
-        ({}, "expected lists of one length"),
-        ({"plant.inertia": [5.0], "plant.sensor_seed": [1, 2]}, "expected lists of one length"),
         ({"plant.inertia": [5.0, -1.0]}, "plant.inertia = -1.0: expected 0.1..1e"),
         ({"controller.augmentation": ["none", 7]}, "controller.augmentation = 7: expected one of none (1), "),
         ({"plant.inerta": [5.0]}, "nearest is 'plant.inertia'"),
-        ({"plant.voltage[1]": [1.0]}, "expected a parameter or a constant input"),
-        ({"plant.depth": [1.0]}, "expected a parameter or a constant input"),
+        ({"plant.voltage[1]": [1.0]}, "plant.voltage[1]: expected a parameter"),
         ({"plant.internal_step": [0.02, 0.01]}, "plant.internal_step: expected one for all"),
     ],
 )
-def test_what_cannot_be_varied_is_refused(system: System, vary: dict[str, Any], problem: str) -> None:
-    with (
-        Ensemble(system) as ensemble,
-        pytest.raises(SystemDefinitionError, match=re.escape(problem)),
-    ):
-        ensemble.run(DIVE, vary)
+def test_what_cannot_differ_is_refused(system: System, vary: dict[str, Any], problem: str) -> None:
+    with Ensemble(system) as ensemble:
+        with pytest.raises(SystemDefinitionError, match=re.escape(problem)):
+            ensemble.run(instances(DIVE, vary))
+        assert not ensemble.run([DIVE, DIVE]).failures
+
+
+@pytest.mark.parametrize(
+    "experiments", [[], [DIVE, replace(DIVE, stop_time=2.0)], [DIVE, *instances(DIVE, {CURRENT: [0.1]})]]
+)
+def test_experiments_that_differ_in_more_than_values_are_refused(
+    system: System, experiments: list[Experiment]
+) -> None:
+    problem = f"got {len(experiments)} experiments: expected at least one, which differ in values"
+    with Ensemble(system) as ensemble, pytest.raises(SystemDefinitionError, match=problem):
+        ensemble.run(experiments)
 
 
 def test_unknown_instructions_are_refused(system: System) -> None:

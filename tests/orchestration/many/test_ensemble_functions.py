@@ -25,6 +25,7 @@ from fmus.store import record_build
 from orchestration import Ensemble, Event, Experiment, Simulator, System
 from orchestration.errors import EnsembleError, OrchestrationError, SimulationError
 from orchestration.many.lane_library import LANES
+from tests.orchestration.many.instances import assert_same_bits, instances
 
 pytestmark = pytest.mark.slow
 
@@ -183,14 +184,9 @@ def test_functions_choices_and_types_have_the_bits_of_single_runs(system: System
     names = ("block.a", "block.is_on", "block.gear", "block.u")
     experiment = Experiment(20.0, 0.1, open_inputs="start")
     with Ensemble(system, instructions) as ensemble, Simulator(system) as simulator:
-        recorded = ensemble.run(experiment, dict(zip(names, zip(*cases, strict=True), strict=True)))
-        assert not recorded.failures
-        for instance, case in enumerate(cases):
-            values: dict[str, Any] = dict(zip(names, case, strict=True))
-            inputs = {"block.u": values.pop("block.u")}
-            one = simulator.run(replace(experiment, parameters=values, inputs=inputs))
-            of_ensemble = recorded.run(instance)
-            assert not [name for name in one.names if one[name].tobytes() != of_ensemble[name].tobytes()]
+        vary: dict[str, Any] = dict(zip(names, zip(*cases, strict=True), strict=True))
+        experiments = instances(experiment, vary, inputs=["block.u"])
+        assert_same_bits(ensemble.run(experiments), simulator, experiments)
 
 
 @pytest.mark.parametrize("name", block_names())
@@ -207,15 +203,13 @@ def test_every_shipped_block_has_the_bits_of_single_runs(name: str, built: Mappi
             rows.append([*p, *flatten(drawn(block, "input", block.inputs, 0.5, rng))])
     vary = dict(zip(names, zip(*rows, strict=True), strict=True))
     experiment = Experiment(50 * block.step_size, block.step_size, open_inputs="start")
+    experiments = instances(experiment, vary, names[len(flatten(block.parameters())) :])
     with Ensemble(System({"block": built[name]})) as ensemble, Simulator(ensemble.system) as simulator:
-        recorded = ensemble.run(experiment, vary)
+        recorded = ensemble.run(experiments)
         assert len(recorded.failures) < LANES
-        for instance, row in enumerate(rows):
-            count = len(flatten(block.parameters()))
-            values = list(zip(names, row, strict=True))
-            own = replace(experiment, parameters=dict(values[:count]), inputs=dict(values[count:]))
+        for instance, experiment in enumerate(experiments):
             try:
-                one = simulator.run(own)
+                one = simulator.run(experiment)
             except SimulationError as error:
                 one = error.recording
             assert (len(one.time) < 51) == (instance in recorded.failures)
@@ -232,10 +226,8 @@ def test_sin_and_cos_have_the_bits_of_single_runs(tmp_path: Path, instructions: 
     frequencies = [*small, 1e-4, -1e-2, 0.1, 1e5, 1e10, 1e300, *np.linspace(-9.0, 9.0, 58)]
     system, experiment = build(tmp_path / "Waves.fmu", WAVES), Experiment(150.0, 0.1)
     with Ensemble(system, instructions) as ensemble, Simulator(system) as simulator:
-        recorded = ensemble.run(experiment, {"block.frequency": frequencies})
-        for instance, frequency in enumerate(frequencies):
-            one = simulator.run(replace(experiment, parameters={"block.frequency": frequency}))
-            assert recorded.run(instance).values.tobytes() == one.values.tobytes()
+        experiments = instances(experiment, {"block.frequency": frequencies})
+        assert_same_bits(ensemble.run(experiments), simulator, experiments)
 
 
 @pytest.mark.parametrize(
@@ -248,7 +240,7 @@ def test_sin_and_cos_have_the_bits_of_single_runs(tmp_path: Path, instructions: 
 def test_what_is_no_item_is_refused(system: System, more: dict[str, Any]) -> None:
     experiment = Experiment(20.0, 0.1, open_inputs="start", **more)
     with Ensemble(system) as ensemble, pytest.raises(EnsembleError, match="no item"):
-        ensemble.run(experiment, {"block.a": [0.5]})
+        ensemble.run([experiment])
 
 
 def test_a_varied_signal_sets_an_enumeration_and_one_that_is_no_item_is_refused(system: System) -> None:
@@ -256,12 +248,11 @@ def test_a_varied_signal_sets_an_enumeration_and_one_that_is_no_item_is_refused(
     signals = [lambda t: 1.0 + 2.0 * (t > 10.0), lambda t: 3.0 - 2.0 * (t > 5.0)]
     experiment = Experiment(20.0, 0.1, open_inputs="start", signals={"block.asked": signals[0]})
     with Ensemble(system) as ensemble, Simulator(system) as simulator:
-        recorded = ensemble.run(experiment, {"block.asked": signals})
-        for instance, signal in enumerate(signals):
-            one = simulator.run(replace(experiment, signals={"block.asked": signal}))
-            assert recorded.run(instance).values.tobytes() == one.values.tobytes()
+        experiments = instances(experiment, {"block.asked": signals})
+        assert_same_bits(ensemble.run(experiments), simulator, experiments)
+        no_item = {"block.asked": [signals[0], lambda t: 1.0 + (t > 10.0)]}
         with pytest.raises(EnsembleError, match="no item"):
-            ensemble.run(experiment, {"block.asked": [signals[0], lambda t: 1.0 + (t > 10.0)]})
+            ensemble.run(instances(experiment, no_item))
 
 
 def test_an_fmu_of_reals_alone_is_refused(tmp_path: Path) -> None:
@@ -275,4 +266,4 @@ def test_an_fmu_that_is_built_again_is_not_mixed_with_the_old_one(tmp_path: Path
     with Ensemble(build(path)) as ensemble:
         build(path, replace(BLOCK, description="Others"))
         with pytest.raises(OrchestrationError, match="GUID"):
-            ensemble.run(Experiment(20.0, 0.1, open_inputs="start"), {"block.a": [0.5]})
+            ensemble.run([Experiment(20.0, 0.1, open_inputs="start")])

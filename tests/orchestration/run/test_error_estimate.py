@@ -180,17 +180,17 @@ def test_what_cannot_be_estimated_is_refused(linear: Build) -> None:
 
 def led(simulator: Simulator, experiment: Experiment, detours: int = 0) -> Recording:
     """The input u[2] of one is set at each point; as many `detours` of two steps are taken back."""
-    simulator.start(experiment, external=["one.u[2]"])
-    while not simulator.is_done:
+    run = simulator.start(experiment, external=["one.u[2]"])
+    while not run.is_done:
         for _ in range(detours):
-            state = simulator.save()
-            while not simulator.is_done and simulator.point < state.position + 2:
-                simulator.set("one.u[2]", 100.0)
-                simulator.step()
-            simulator.restore(state)
-        simulator.set("one.u[2]", math.sin(simulator.time))
-        simulator.step()
-    return simulator.recording()
+            state = run.save()
+            while not run.is_done and run.point < state.position + 2:
+                run.set("one.u[2]", 100.0)
+                run.step()
+            run.restore(state)
+        run.set("one.u[2]", math.sin(run.time))
+        run.step()
+    return run.recording()
 
 
 @pytest.mark.parametrize("compiled", [True, False])
@@ -200,13 +200,13 @@ def test_a_run_that_is_led_step_by_step_has_the_estimate_of_a_whole_run(
     system, experiment = coupled(linear), Experiment(1.0, 0.1, error_estimate=True)
     with Simulator(system, compiled) as simulator:
         complete = simulator.run(experiment)
-        simulator.start(experiment)
-        while not simulator.is_done:
-            simulator.step()
-        run = simulator.recording()
-    assert run.names == complete.names
-    assert np.array_equal(run.values, complete.values)
-    assert run.provenance["error_estimate"] == complete.provenance["error_estimate"]
+        run = simulator.start(experiment)
+        while not run.is_done:
+            run.step()
+        recording = run.recording()
+    assert recording.names == complete.names
+    assert np.array_equal(recording.values, complete.values)
+    assert recording.provenance["error_estimate"] == complete.provenance["error_estimate"]
 
 
 def test_the_estimate_takes_what_was_set_and_not_what_was_taken_back(linear: Build) -> None:
@@ -226,18 +226,18 @@ def test_the_estimate_takes_what_was_set_and_not_what_was_taken_back(linear: Bui
 
 def test_the_estimate_of_a_stepped_run_is_made_again_only_after_something_new(linear: Build) -> None:
     with Simulator(System({"one": linear(b=(1.0,))})) as simulator:
-        simulator.start(Experiment(1.0, 0.1, error_estimate=True), ["one.u[1]"])
+        run = simulator.start(Experiment(1.0, 0.1, error_estimate=True), ["one.u[1]"])
         for _ in range(4):
-            simulator.step()
-        run = simulator.recording()
-        assert simulator.recording() is run
-        simulator.set("one.u[1]", 2.0)
-        changed = simulator.recording()
-        assert changed is not run
-        simulator.step()
-        assert len(simulator.recording().time) == len(changed.time) + 1
-        simulator.start(Experiment(1.0, 0.1), ["one.u[1]"])
-        assert "error_estimate" not in simulator.recording().provenance
+            run.step()
+        first = run.recording()
+        assert run.recording() is first
+        run.set("one.u[1]", 2.0)
+        changed = run.recording()
+        assert changed is not first
+        run.step()
+        assert len(run.recording().time) == len(changed.time) + 1
+        run = simulator.start(Experiment(1.0, 0.1), ["one.u[1]"])
+        assert "error_estimate" not in run.recording().provenance
 
 
 def test_both_runs_of_an_estimate_report_their_progress(linear: Build) -> None:
@@ -250,8 +250,8 @@ def test_both_runs_of_an_estimate_report_their_progress(linear: Build) -> None:
 
 def test_the_estimate_of_less_than_two_steps_is_no_number(linear: Build) -> None:
     with Simulator(coupled(linear)) as simulator:
-        simulator.start(Experiment(1.0, 0.1, error_estimate=True))
-        simulator.step()
+        run = simulator.start(Experiment(1.0, 0.1, error_estimate=True))
+        run.step()
         with pytest.warns(FmuWarning, match="no error estimate: .* expected at least two steps, got 1"):
-            run = simulator.recording()
-    assert np.all(np.isnan(run[f"{ERROR_ESTIMATE}{OUTPUTS[0]}"]))
+            recording = run.recording()
+    assert np.all(np.isnan(recording[f"{ERROR_ESTIMATE}{OUTPUTS[0]}"]))

@@ -13,7 +13,7 @@ import pytest
 from fmus.fmi.instance import FmuInstance
 from orchestration.errors import FmuError, OrchestrationError, SimulationError
 from orchestration.run import simulate
-from orchestration.run.initialisation import connection_groups, solve_initial_values
+from orchestration.run.initialisation import solve_initial_values
 from orchestration.system.experiment import Experiment, Initialisation
 from orchestration.system.system import CheckedSystem, System, check
 from tests.shared_builds import Build
@@ -80,7 +80,7 @@ def settled(
 ) -> dict[str, float]:
     """The inputs that are connected, by name."""
     with initialising(components, connections, **inputs) as (checked, live):
-        solve_initial_values(connection_groups(checked), live, method)
+        solve_initial_values(checked, live, method)
         return {target: value(checked, live, target) for _, target in connections}
 
 
@@ -88,7 +88,7 @@ def test_a_chain_is_one_pass_in_the_order_of_the_dependencies(linear: Build) -> 
     double = gain(linear, 2.0)
     chain = (("b.y[1]", "c.u[1]"), ("a.y[1]", "b.u[1]"))
     with initialising({"a": double, "b": double, "c": double}, chain, a=5.0) as (checked, live):
-        solve_initial_values(connection_groups(checked), live, AUTOMATIC)
+        solve_initial_values(checked, live, AUTOMATIC)
         assert sum((component.calls for component in live.values()), Counter()) == {"get": 2, "set": 2}
         assert value(checked, live, "c.u[1]") == 1.0 + 2.0 * (1.0 + 2.0 * 5.0)
 
@@ -98,21 +98,21 @@ def test_an_output_that_declares_nothing_follows_every_input(linear: Build) -> N
     undeclared = gain(linear, 2.0, declares_dependencies=False)
     chain = (("b.y[1]", "c.u[1]"), ("a.y[1]", "b.u[1]"))
     with initialising(dict.fromkeys("abc", undeclared), chain, a=5.0) as (checked, live):
-        solve_initial_values(connection_groups(checked), live, AUTOMATIC)
+        solve_initial_values(checked, live, AUTOMATIC)
         assert value(checked, live, "c.u[1]") == 1.0 + 2.0 * (1.0 + 2.0 * 5.0)
     with initialising({"a": undeclared}, (("a.y[1]", "a.u[1]"),)) as (checked, live):
-        assert [group.is_loop for group in connection_groups(checked)] == [True]
+        assert [group.is_loop for group in checked.connection_groups] == [True]
 
 
 def test_an_output_that_follows_no_input_closes_no_loop(linear: Build) -> None:
     components = {"plant": linear(), "controller": gain(linear, 3.0)}
     both = (("controller.y[1]", "plant.u[1]"), ("plant.y[1]", "controller.u[1]"))
     with initialising(components, both) as (checked, live):
-        assert [[t.name for _, t in group.connections] for group in connection_groups(checked)] == [
+        assert [[t.name for _, t in group.connections] for group in checked.connection_groups] == [
             ["controller.u[1]"],
             ["plant.u[1]"],
         ]
-        solve_initial_values(connection_groups(checked), live, AUTOMATIC)
+        solve_initial_values(checked, live, AUTOMATIC)
         assert value(checked, live, "plant.u[1]") == 4.0
 
 
@@ -197,8 +197,8 @@ def test_two_loops_and_the_chain_between_them_are_solved_in_order(linear: Build)
         ("e.y[1]", "d.u[1]"), ("d.y[1]", "e.u[1]"), ("c.y[1]", "d.u[2]"), ("b.y[1]", "c.u[1]"), *LOOP,
     )  # fmt: skip
     with initialising(components, connections) as (checked, live):
-        loops = [len(group.connections) for group in connection_groups(checked) if group.is_loop]
-        solve_initial_values(connection_groups(checked), live, AUTOMATIC)
+        loops = [len(group.connections) for group in checked.connection_groups if group.is_loop]
+        solve_initial_values(checked, live, AUTOMATIC)
         assert loops == [2, 2]
         assert live["c"].calls == {"get": 1, "set": 1}
         assert value(checked, live, "c.u[1]") == pytest.approx(4.0, rel=ROUNDING)  # b = 1 + a, a = 1 + b / 2
@@ -248,7 +248,7 @@ def test_an_output_that_is_no_number_is_not_passed_on(linear: Build) -> None:
         with pytest.raises(
             OrchestrationError, match=r"a.y\[1\] is inf: .* finite number, as it goes to b.u\[1\]"
         ):
-            solve_initial_values(connection_groups(checked), live, AUTOMATIC)
+            solve_initial_values(checked, live, AUTOMATIC)
         assert live["b"].calls["set"] == 0
 
 
@@ -263,7 +263,7 @@ def test_newtons_method_takes_shorter_steps_where_an_output_is_no_number(functio
                 return math.inf
 
     with initialising({"f": function("u + log(u) - 1", start=20.0)}, (("f.y", "f.u"),)) as (checked, live):
-        solve_initial_values(connection_groups(checked), {"f": Infinite(live["f"])}, NEWTON)  # type: ignore[dict-item]
+        solve_initial_values(checked, {"f": Infinite(live["f"])}, NEWTON)  # type: ignore[dict-item]
         assert value(checked, live, "f.u") == pytest.approx(np.e, rel=ROUNDING)
 
 
@@ -276,7 +276,7 @@ def test_an_error_of_an_fmu_is_not_taken_for_a_try(linear: Build) -> None:
     with initialising(components, LOOP) as (checked, live):
         broken: Any = live | {"b": Broken(live["b"])}
         with pytest.raises(FmuError, match="out of order"):
-            solve_initial_values(connection_groups(checked), broken, AUTOMATIC)
+            solve_initial_values(checked, broken, AUTOMATIC)
 
 
 def test_integers_and_booleans_settle_by_exchange_alone(linear: Build) -> None:
@@ -326,7 +326,7 @@ def test_the_controller_follows_the_plant(built: Mapping[str, Path]) -> None:
         "controller.roll", "controller.pitch", "controller.depth_reference",
         "controller.depth_reference_rate", "controller.depth_reference_acceleration",
     ]  # fmt: skip
-    groups = connection_groups(check(system, idle))
+    groups = check(system, idle).connection_groups
     targets = [target.name for group in groups for _, target in group.connections]
     assert not any(group.is_loop for group in groups)
     assert targets.index("controller.measured_depth") < targets.index("plant.voltage[1]")

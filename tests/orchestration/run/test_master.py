@@ -11,7 +11,7 @@ import pytest
 from scipy.linalg import expm
 
 from fmus.files import write_archive
-from orchestration.errors import FmuLoadError, OrchestrationError, SimulationError, SystemDefinitionError
+from orchestration.errors import FmuLoadError, SimulationError, SystemDefinitionError
 from orchestration.run import Simulator, simulate
 from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.signals import Constant, Cosine
@@ -157,11 +157,6 @@ def test_an_interruption_keeps_what_was_recorded(foreign: Mapping[str, Path], te
     assert not list(temporary.iterdir())
 
 
-def test_a_run_leaves_no_temporary_folder(foreign: Mapping[str, Path], temporary: Path) -> None:
-    simulate(two_lags(foreign), Experiment(0.1, 0.1))
-    assert not list(temporary.iterdir())
-
-
 def test_a_missing_binary_is_said_with_those_there_are(built: Mapping[str, Path], temporary: Path) -> None:
     content = members(built["ExamplePlant"]).items()
     alien = {name.replace("linux64", "win64").replace(".so", ".dll"): data for name, data in content}
@@ -226,19 +221,3 @@ def test_a_signal_that_leaves_the_numbers_is_refused_before_the_run(built: Mappi
     signals = {"p.control": lambda t: math.nan if t > 0.45 else 0.0, "p.disturbance": Constant(0.0)}
     with pytest.raises(SystemDefinitionError, match=r"signal p.control is nan at t = 0.5 s: expected a fin"):
         simulate(System({"p": built["ExamplePlant"]}), Experiment(1.0, 0.1, signals=signals))
-
-
-def test_an_unknown_enumeration_item_lists_them(built: Mapping[str, Path]) -> None:
-    names = (
-        "reference",
-        "reference_rate",
-        "reference_acceleration",
-        "measured_state[1]",
-        "measured_state[2]",
-    )
-    inputs = {f"c.{name}": 0.0 for name in names}
-    experiment = Experiment(1.0, 0.1, parameters={"c.augmentation": "pid"}, inputs=inputs)
-    with pytest.raises(
-        OrchestrationError, match=r"c.augmentation = 'pid': expected one of none, pi, nonlinear_p"
-    ):
-        simulate(System({"c": built["L1Controller"]}), experiment)

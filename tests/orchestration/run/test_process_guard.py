@@ -31,7 +31,9 @@ def pair(linear: Build, rogue: Build) -> System:
     return System({"bad": rogue(), "good": linear(a=-0.1)})
 
 
-def test_an_fmu_that_ends_the_process_is_named_and_the_status_is_not_0(linear: Build, rogue: Build) -> None:
+def test_an_fmu_that_ends_the_process_is_named_and_the_status_is_not_0(
+    linear: Build, rogue: Build, tmp_path: Path
+) -> None:
     script = f"""
 from orchestration import Experiment, System, simulate
 parameters = {{"bad.misdeed": {int(Misdeed.EXIT)}, "bad.misdeed_time": 0.5}}
@@ -39,7 +41,11 @@ system = System({{"good": {str(linear())!r}, "bad": {str(rogue())!r}}})
 simulate(system, Experiment(1.0, 0.1, parameters=parameters, inputs={{"bad.u": 1.0, "good.u[1]": 0.0}}))
 print("written")
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    # what is unpacked stays behind
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False, env=environment
+    )
     assert done.returncode == 70
     assert done.stdout == ""
     assert done.stderr.startswith("l1-depth: bad ended the process (it called exit): the run is lost")

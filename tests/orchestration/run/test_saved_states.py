@@ -9,6 +9,7 @@ import pytest
 from orchestration.errors import OrchestrationError, SimulationError
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator
+from orchestration.run.step_by_step import SteppedRun
 from orchestration.scenarios.declarations import fault
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.system import System
@@ -26,24 +27,24 @@ def forced(linear: Build) -> System:
     return System({"one": linear(saves_state=True)})
 
 
-def led_by(simulator: Simulator, *forces: float) -> None:
+def led_by(run: SteppedRun, *forces: float) -> None:
     """Steps, each with another force."""
     for force in forces:
-        simulator.set(FORCE, force)
-        simulator.step()
+        run.set(FORCE, force)
+        run.step()
 
 
-def to_the_end(simulator: Simulator) -> None:
-    while simulator.time < 1.0:
-        simulator.step()
+def to_the_end(run: SteppedRun) -> None:
+    while run.time < 1.0:
+        run.step()
 
 
 def recorded(linear: Build, *forces: float) -> Recording:
     """The recording of a run that goes straight on."""
     with Simulator(forced(linear)) as simulator:
-        simulator.start(FORCED, external=(FORCE,))
-        led_by(simulator, *forces)
-        return simulator.recording()
+        run = simulator.start(FORCED, external=(FORCE,))
+        led_by(run, *forces)
+        return run.recording()
 
 
 @pytest.mark.parametrize("is_compiled", [True, False])
@@ -63,41 +64,41 @@ def test_a_run_that_goes_back_at_every_third_step_is_the_run(
     experiment = Experiment(1.0, 0.1, **options)
     system = coupled(linear, saves_state=True)
     with Simulator(system, compiled=is_compiled) as simulator:
-        run = simulator.run(experiment)
-        simulator.start(experiment)
-        while simulator.time < 0.75:
-            state = simulator.save()
+        expected = simulator.run(experiment)
+        run = simulator.start(experiment)
+        while run.time < 0.75:
+            state = run.save()
             for _ in range(3):
-                simulator.step()
-            simulator.restore(state)
-            simulator.step()
-        to_the_end(simulator)
-        recording = simulator.recording()
-    assert np.array_equal(recording.values, run.values)
-    assert np.array_equal(recording.time, run.time)
+                run.step()
+            run.restore(state)
+            run.step()
+        to_the_end(run)
+        recording = run.recording()
+    assert np.array_equal(recording.values, expected.values)
+    assert np.array_equal(recording.time, expected.time)
 
 
 def test_each_of_many_states_leads_back_to_its_own_record(linear: Build) -> None:
     """A tree of states, as a planner makes it: 1, 1.2 and 1.3 begin alike; 1.2 goes another way than 1.3."""
     with Simulator(forced(linear)) as simulator:
-        simulator.start(FORCED, external=(FORCE,))
-        led_by(simulator, 1.0, 1.0)
-        fork = simulator.save()
-        led_by(simulator, 2.0)
-        early = simulator.save()
-        led_by(simulator, 2.0, 2.0)
-        one = simulator.save()
-        simulator.restore(fork)
-        led_by(simulator, 3.0, 3.0)
-        other = simulator.save()
-        led_by(simulator, 3.0, 3.0, 3.0)
+        run = simulator.start(FORCED, external=(FORCE,))
+        led_by(run, 1.0, 1.0)
+        fork = run.save()
+        led_by(run, 2.0)
+        early = run.save()
+        led_by(run, 2.0, 2.0)
+        one = run.save()
+        run.restore(fork)
+        led_by(run, 3.0, 3.0)
+        other = run.save()
+        led_by(run, 3.0, 3.0, 3.0)
         ways = []
         for state in (one, other, early, one, fork):
-            simulator.restore(state)
-            ways.append(simulator.recording())
-        simulator.restore(one)
-        led_by(simulator, 4.0)
-        ways.append(simulator.recording())
+            run.restore(state)
+            ways.append(run.recording())
+        run.restore(one)
+        led_by(run, 4.0)
+        ways.append(run.recording())
     forces = [(2.0,) * 3, (3.0,) * 2, (2.0,), (2.0,) * 3, (), (2.0, 2.0, 2.0, 4.0)]
     for way, more in zip(ways, forces, strict=True):
         straight = recorded(linear, 1.0, 1.0, *more)
@@ -107,31 +108,31 @@ def test_each_of_many_states_leads_back_to_its_own_record(linear: Build) -> None
 
 def test_a_state_holds_what_was_set(linear: Build) -> None:
     with Simulator(forced(linear)) as simulator:
-        simulator.start(FORCED, external=(FORCE,))
-        simulator.set(FORCE, 2.0)
-        simulator.set("one.a", -3.0)
-        state = simulator.save()
-        simulator.set(FORCE, 5.0)
-        simulator.set("one.a", -4.0)
-        simulator.restore(state)
-        assert (simulator.get(FORCE), simulator.get("one.a")) == (2.0, -3.0)
+        run = simulator.start(FORCED, external=(FORCE,))
+        run.set(FORCE, 2.0)
+        run.set("one.a", -3.0)
+        state = run.save()
+        run.set(FORCE, 5.0)
+        run.set("one.a", -4.0)
+        run.restore(state)
+        assert (run.get(FORCE), run.get("one.a")) == (2.0, -3.0)
 
 
 def test_a_state_serves_its_run_alone(linear: Build) -> None:
     with Simulator(forced(linear)) as simulator:
-        simulator.start(FORCED, external=(FORCE,))
-        state = simulator.save()
-        simulator.start(FORCED, external=(FORCE,))
+        run = simulator.start(FORCED, external=(FORCE,))
+        state = run.save()
+        run = simulator.start(FORCED, external=(FORCE,))
         with pytest.raises(OrchestrationError, match="the saved state belongs to a run that has ended"):
-            simulator.restore(state)
-        simulator.step()
+            run.restore(state)
+        run.step()
 
 
 def test_a_state_needs_fmus_that_save_theirs(linear: Build) -> None:
     with Simulator(coupled(linear)) as simulator:
-        simulator.start(Experiment(1.0, 0.1))
+        run = simulator.start(Experiment(1.0, 0.1))
         with pytest.raises(OrchestrationError, match="one, two cannot save its state: expected canGetAndSet"):
-            simulator.save()
+            run.save()
 
 
 def misbehaving(misdeed: Misdeed) -> Experiment:
@@ -141,31 +142,31 @@ def misbehaving(misdeed: Misdeed) -> Experiment:
 
 def test_a_run_goes_back_to_before_a_failure(rogue: Build) -> None:
     with Simulator(System({"r": rogue(saves_state=True)})) as simulator:
-        simulator.start(misbehaving(Misdeed.ERROR))
-        simulator.step()
-        state = simulator.save()
+        run = simulator.start(misbehaving(Misdeed.ERROR))
+        run.step()
+        state = run.save()
         for _ in range(2):
             with pytest.raises(SimulationError, match=r"t = 0\.5 s: fmi2DoStep returned error"):
-                to_the_end(simulator)
-            simulator.restore(state)
-            assert len(simulator.recording().time) == 2
-            simulator.step()
+                to_the_end(run)
+            run.restore(state)
+            assert len(run.recording().time) == 2
+            run.step()
 
 
 def test_a_run_goes_back_to_before_its_termination(linear: Build, rogue: Build) -> None:
     """Within the step from 0.5 s: the point of 0.6 s, which has become 0.55 s, is where it was."""
     with Simulator(pair(linear, rogue)) as simulator:
-        simulator.start(doing(Misdeed.TERMINATE, 0.55))
-        state, points = simulator.save(), simulator.points.copy()
+        run = simulator.start(doing(Misdeed.TERMINATE, 0.55))
+        state, points = run.save(), run.points.copy()
         ends = []
         for _ in range(2):
-            while not simulator.is_done:
-                simulator.step()
-            ends.append(simulator.recording())
-            simulator.restore(state)
-            assert not simulator.is_terminated
-            assert np.array_equal(simulator.points, points)
-            assert "terminated" not in simulator.recording().provenance
+            while not run.is_done:
+                run.step()
+            ends.append(run.recording())
+            run.restore(state)
+            assert not run.is_terminated
+            assert np.array_equal(run.points, points)
+            assert "terminated" not in run.recording().provenance
     assert ends[0].time[-1] == pytest.approx(0.55)
     assert np.array_equal(ends[0].values, ends[1].values)
     assert ends[0].provenance == ends[1].provenance
@@ -173,21 +174,21 @@ def test_a_run_goes_back_to_before_its_termination(linear: Build, rogue: Build) 
 
 def test_no_run_goes_back_after_a_fatal_error(rogue: Build) -> None:
     with Simulator(System({"r": rogue(saves_state=True)})) as simulator:
-        simulator.start(misbehaving(Misdeed.FATAL))
-        state = simulator.save()
+        run = simulator.start(misbehaving(Misdeed.FATAL))
+        state = run.save()
         with pytest.raises(SimulationError, match="fmi2DoStep returned fatal"):
-            to_the_end(simulator)
+            to_the_end(run)
         with pytest.raises(OrchestrationError, match="fmi2DoStep returned fatal"):
-            simulator.restore(state)
+            run.restore(state)
         simulator.run(replace(misbehaving(Misdeed.NONE), stop_time=0.2))
 
 
 def test_a_state_that_is_dropped_makes_room_for_the_next(linear: Build) -> None:
     with Simulator(forced(linear)) as simulator:
-        simulator.start(FORCED, external=(FORCE,))
-        first = simulator.save()
+        run = simulator.start(FORCED, external=(FORCE,))
+        first = run.save()
         memory = first.memory
         del first
-        again, more = simulator.save(), simulator.save()
+        again, more = run.save(), run.save()
     assert again.memory is memory
     assert more.memory is not memory

@@ -13,6 +13,7 @@ from orchestration.run import Simulator, simulate, stepping
 from orchestration.run.checkpoint import Checkpoints, read_checkpoint
 from orchestration.run.loop_data import LoopFunctions
 from orchestration.run.snapshot import Snapshot
+from orchestration.run.step_by_step import SteppedRun
 from orchestration.run.step_control import StepControl
 from orchestration.run.tolerance import step_together_and_split
 from orchestration.run.wiring import WiredRun
@@ -125,13 +126,13 @@ def test_a_run_continues_with_the_solvers_error_that_it_knows(linear: Build, tmp
     assert numbers_of_steps(continued) == numbers_of_steps(complete)
 
 
-def step_twice_from_each_point(simulator: Simulator) -> None:
+def step_twice_from_each_point(run: SteppedRun) -> None:
     """Each step to 0.5 s is taken, taken back and taken again."""
-    while simulator.time < 0.45:
-        state = simulator.save()
-        simulator.step()
-        simulator.restore(state)
-        simulator.step()
+    while run.time < 0.45:
+        state = run.save()
+        run.step()
+        run.restore(state)
+        run.step()
 
 
 def test_steps_taken_back_do_not_count(linear: Build) -> None:
@@ -139,12 +140,12 @@ def test_steps_taken_back_do_not_count(linear: Build) -> None:
     with Simulator(system) as simulator:
         with pytest.warns(FmuWarning, match="may not be met"):
             complete = simulator.run(experiment)
-        simulator.start(experiment)
+        run = simulator.start(experiment)
         with pytest.warns(FmuWarning, match="may not be met"):
-            step_twice_from_each_point(simulator)
-        run = simulator.recording()
-    assert run.provenance["solver_error"] == complete.provenance["solver_error"]
-    assert numbers_of_steps(run) == numbers_of_steps(complete)
+            step_twice_from_each_point(run)
+        recording = run.recording()
+    assert recording.provenance["solver_error"] == complete.provenance["solver_error"]
+    assert numbers_of_steps(recording) == numbers_of_steps(complete)
 
 
 def test_steps_before_an_interrupt_between_two_points_do_not_count(

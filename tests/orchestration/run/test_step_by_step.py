@@ -11,6 +11,7 @@ import pytest
 from orchestration.errors import FmuWarning, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator, simulate
+from orchestration.run.step_by_step import SteppedRun
 from orchestration.scenarios.declarations import fault
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.system import System
@@ -24,18 +25,17 @@ EXTERNAL = ("one.u[1]",)
 
 
 def stepped(simulator: Simulator, experiment: Experiment, external: tuple[str, ...] = ()) -> Recording:
-    simulator.start(experiment, external)
-    while simulator.time < experiment.stop_time:
-        simulator.step()
-    return simulator.recording()
+    run = simulator.start(experiment, external)
+    while run.time < experiment.stop_time:
+        run.step()
+    return run.recording()
 
 
 @pytest.fixture
-def forced(linear: Build) -> Iterator[Simulator]:
-    """One linear system, x' = -x + u, whose input is external."""
+def forced(linear: Build) -> Iterator[SteppedRun]:
+    """A run of one linear system, x' = -x + u, whose input is external."""
     with Simulator(System({"one": linear(**STATES)})) as simulator:
-        simulator.start(FORCED, EXTERNAL)
-        yield simulator
+        yield simulator.start(FORCED, EXTERNAL)
 
 
 @pytest.mark.parametrize("is_compiled", [True, False])
@@ -57,11 +57,15 @@ def test_steps_make_the_recording_of_a_run(
 ) -> None:
     experiment = Experiment(1.0, 0.1, algorithm=algorithm, **options)
     with Simulator(coupled(linear, **capabilities), compiled=is_compiled) as simulator:
-        run = simulator.run(experiment)
+        expected = simulator.run(experiment)
         steps = stepped(simulator, experiment)
-    assert np.array_equal(steps.values, run.values)
-    assert np.array_equal(steps.time, run.time)
-    assert (steps.names, steps.units, steps.provenance) == (run.names, run.units, run.provenance)
+    assert np.array_equal(steps.values, expected.values)
+    assert np.array_equal(steps.time, expected.time)
+    assert (steps.names, steps.units, steps.provenance) == (
+        expected.names,
+        expected.units,
+        expected.provenance,
+    )
 
 
 @pytest.mark.parametrize("saves_state", [True, False])
@@ -76,10 +80,10 @@ def test_a_discarded_step_is_taken_in_shorter_ones_as_in_a_run(rogue: Build, sav
                 made.append(make(experiment))
             except SimulationError as error:
                 made.append(error.recording)
-    run, steps = made
-    assert len(run.time) == (11 if saves_state else 6)
-    assert np.array_equal(steps.values, run.values)
-    assert steps.provenance == run.provenance
+    expected, steps = made
+    assert len(expected.time) == (11 if saves_state else 6)
+    assert np.array_equal(steps.values, expected.values)
+    assert steps.provenance == expected.provenance
 
 
 def test_warnings_of_fmus_are_emitted(rogue: Build) -> None:
@@ -94,28 +98,28 @@ def test_what_an_external_input_is_set_to_acts_like_a_signal_of_the_same_values(
     def force(time: float) -> float:
         return 3.0 if time > 0.45 else -1.0
 
-    run = simulate(system, Experiment(1.0, 0.1, signals={"one.u[1]": force}))
+    expected = simulate(system, Experiment(1.0, 0.1, signals={"one.u[1]": force}))
     with Simulator(system) as simulator:
-        simulator.start(Experiment(1.0, 0.1), external=EXTERNAL)
-        while simulator.time < 1.0:
-            simulator.set("one.u[1]", force(simulator.time))
-            simulator.step()
-        simulator.set("one.u[1]", force(1.0))
-        steps = simulator.recording()
-    assert steps.names == run.names
+        run = simulator.start(Experiment(1.0, 0.1), external=EXTERNAL)
+        while run.time < 1.0:
+            run.set("one.u[1]", force(run.time))
+            run.step()
+        run.set("one.u[1]", force(1.0))
+        steps = run.recording()
+    assert steps.names == expected.names
     # the initial value of a signal is that of the start time, of an external input the FMU's start value
-    assert np.array_equal(steps.values, run.values)
+    assert np.array_equal(steps.values, expected.values)
 
 
 def test_an_external_input_is_held_where_others_are_extrapolated(linear: Build) -> None:
     made = []
     with Simulator(System({"one": linear(interpolates_inputs=True)})) as simulator:
         for order in (0, 1):
-            simulator.start(Experiment(1.0, 0.25, extrapolation=order), EXTERNAL)
-            while not simulator.is_done:
-                simulator.set("one.u[1]", simulator.time)
-                simulator.step()
-            made.append(simulator.recording().values)
+            run = simulator.start(Experiment(1.0, 0.25, extrapolation=order), EXTERNAL)
+            while not run.is_done:
+                run.set("one.u[1]", run.time)
+                run.step()
+            made.append(run.recording().values)
     assert np.array_equal(*made)
 
 
@@ -126,7 +130,7 @@ def test_a_fault_acts_on_an_external_input(linear: Build) -> None:
     assert recording["one.u[1]"].tolist() == [0.0, 0.0, 7.0, 7.0, 7.0]
 
 
-def test_a_value_is_got_where_it_is_recorded(forced: Simulator) -> None:
+def test_a_value_is_got_where_it_is_recorded(forced: SteppedRun) -> None:
     read, write = forced.reader("one.y[1]", "one.u[1]"), forced.writer("one.u[1]")
     assert read() == (1.0, 2.0)
     write(5.0)
@@ -143,24 +147,24 @@ def test_a_value_is_got_where_it_is_recorded(forced: Simulator) -> None:
 def test_a_variable_that_is_not_recorded_is_read_from_its_fmu(linear: Build) -> None:
     with Simulator(coupled(linear, passes_discrete=True)) as simulator:
         inputs = {"one.integer_in": 3, "one.boolean_in": True, "two.integer_in": 4, "two.boolean_in": False}
-        simulator.start(Experiment(1.0, 0.1, inputs=inputs, record=("one.y[1]", "one.integer_out")))
-        assert simulator.get("two.a") == -2.0
-        assert simulator.reader("one.y[1]", "two.a")() == (simulator.get("one.y[1]"), -2.0)
-        assert simulator.reader("two.integer_out")() == 4
-        assert repr(simulator.get("one.integer_out")) == "3"
+        run = simulator.start(Experiment(1.0, 0.1, inputs=inputs, record=("one.y[1]", "one.integer_out")))
+        assert run.get("two.a") == -2.0
+        assert run.reader("one.y[1]", "two.a")() == (run.get("one.y[1]"), -2.0)
+        assert run.reader("two.integer_out")() == 4
+        assert repr(run.get("one.integer_out")) == "3"
 
 
 def test_tunable_parameters_and_constant_inputs_are_set_between_steps(linear: Build) -> None:
     system = System({"one": linear()})
     change = Event(0.5, {"one.a": -4.0, "one.u[1]": 1.0})
     inputs = {"one.u[1]": 2.0}
-    run = simulate(system, Experiment(1.0, 0.5, inputs=inputs, events=(change,)))
+    expected = simulate(system, Experiment(1.0, 0.5, inputs=inputs, events=(change,)))
     with Simulator(system) as simulator:
-        simulator.start(Experiment(1.0, 0.5, inputs=inputs))
-        simulator.step()
-        simulator.writer("one.a", "one.u[1]")(-4.0, 1.0)
-        simulator.step()
-        assert np.array_equal(simulator.recording().values, run.values)
+        run = simulator.start(Experiment(1.0, 0.5, inputs=inputs))
+        run.step()
+        run.writer("one.a", "one.u[1]")(-4.0, 1.0)
+        run.step()
+        assert np.array_equal(run.recording().values, expected.values)
 
 
 @pytest.mark.parametrize(
@@ -179,7 +183,7 @@ def test_tunable_parameters_and_constant_inputs_are_set_between_steps(linear: Bu
     ],
 )
 def test_what_cannot_be_got_or_set_is_refused(
-    forced: Simulator, call: Callable[[Simulator], Any], message: str
+    forced: SteppedRun, call: Callable[[SteppedRun], Any], message: str
 ) -> None:
     with pytest.raises(SystemDefinitionError) as refusal:
         call(forced)
@@ -189,43 +193,54 @@ def test_what_cannot_be_got_or_set_is_refused(
 
 def test_a_connected_input_cannot_be_set(linear: Build) -> None:
     with Simulator(coupled(linear)) as simulator:
-        simulator.start(Experiment(1.0, 0.1))
+        run = simulator.start(Experiment(1.0, 0.1))
         with pytest.raises(SystemDefinitionError, match=r"two.u\[1\] is driven already, by a connection"):
-            simulator.set("two.u[1]", 1.0)
+            run.set("two.u[1]", 1.0)
         with pytest.raises(SystemDefinitionError, match=r"two.u\[1\] is driven 2 times: expected once"):
             simulator.start(Experiment(1.0, 0.1), external=("two.u[1]",))
 
 
-def test_a_step_needs_a_start_and_a_time_before_the_stop_time(linear: Build) -> None:
+def test_a_step_needs_a_time_before_the_stop_time(linear: Build) -> None:
     with Simulator(System({"one": linear()})) as simulator:
-        with pytest.raises(OrchestrationError, match="no run is started: expected start"):
-            simulator.get("one.y[1]")
-        recording = stepped(simulator, FORCED)
+        run = simulator.start(FORCED)
+        while not run.is_done:
+            run.step()
+        recording = run.recording()
         with pytest.raises(OrchestrationError, match="at its stop time, 1 s: expected no further step"):
-            simulator.step()
-        assert np.array_equal(simulator.recording().values, recording.values)
+            run.step()
+        assert np.array_equal(run.recording().values, recording.values)
+
+
+def test_a_run_with_its_readers_and_writers_ends_when_another_begins(linear: Build) -> None:
+    with Simulator(System({"one": linear(**STATES)})) as simulator:
+        run = simulator.start(FORCED, EXTERNAL)
+        read, write, state = run.reader("one.y[1]"), run.writer("one.u[1]"), run.save()
         simulator.run(FORCED)
-        with pytest.raises(OrchestrationError, match="no run is started"):
-            simulator.step()
-
-
-def test_a_reader_and_a_writer_serve_their_run_alone(forced: Simulator) -> None:
-    read, write = forced.reader("one.y[1]"), forced.writer("one.u[1]")
-    forced.start(FORCED, EXTERNAL)
-    with pytest.raises(OrchestrationError, match="the reader belongs to a run that has ended"):
-        read()
-    with pytest.raises(OrchestrationError, match="the writer belongs to a run that has ended"):
-        write(1.0)
+        with pytest.raises(OrchestrationError, match="the reader belongs to a run that has ended"):
+            read()
+        with pytest.raises(OrchestrationError, match="the writer belongs to a run that has ended"):
+            write(1.0)
+        for call in (
+            run.step,
+            run.save,
+            run.recording,
+            partial(run.restore, state),
+            partial(run.get, "one.y[1]"),
+            partial(run.set, "one.u[1]", 1.0),
+        ):
+            with pytest.raises(OrchestrationError, match="the run has ended: expected start"):
+                call()
 
 
 def test_a_step_that_fails_keeps_the_recording_and_ends_the_run(rogue: Build) -> None:
     well_done = Experiment(1.0, 0.1, inputs={"r.u": 0.0})
     misdeed = {"r.misdeed": int(Misdeed.ERROR), "r.misdeed_time": 0.5}
     with Simulator(System({"r": rogue()})) as simulator:
+        run = simulator.start(replace(well_done, parameters=misdeed))
         with pytest.raises(SimulationError) as failure:
-            stepped(simulator, replace(well_done, parameters=misdeed))
+            [run.step() for _ in range(10)]
         assert len(failure.value.recording.time) == 6
-        assert np.array_equal(simulator.recording().values, failure.value.recording.values)
+        assert np.array_equal(run.recording().values, failure.value.recording.values)
         with pytest.raises(OrchestrationError, match="fmi2DoStep returned error"):
-            simulator.step()
+            run.step()
         assert len(stepped(simulator, well_done).time) == 11

@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmus.fmi.description import describe
 from orchestration.errors import OrchestrationError, SimulationError
 from orchestration.run import Simulator
 from orchestration.run.compiled_loop import StepThreads
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
-from tests.shared_builds import Build
 
 LIGHT_S, HEAVY_S, FIRST_S = 1e-6, 1e-3, 5e-3
 
@@ -25,15 +23,15 @@ class Loop:
     shared: of each batch whether threads shared its steps
     """
 
-    def __init__(self, step_s: float, with_threads: float, fmu: Path, gauss_seidel: int = 0) -> None:
+    def __init__(
+        self, step_s: float, with_threads: float, gauss_seidel: int = 0, independent: int = 1
+    ) -> None:
         self.now, self.shared, self._costs = 0.0, list[bool](), (step_s, step_s * with_threads)
-        team = np.zeros(6, np.int64)
-        wiring = SimpleNamespace(team=team, gauss_seidel=gauss_seidel)
-        instance = SimpleNamespace(description=describe(fmu))
-        self.wired: Any = SimpleNamespace(wiring=wiring, instances={"one": instance, "two": instance})
+        members = {"team": np.zeros(6, np.int64), "instances": np.zeros(2)}
+        self.wiring: Any = SimpleNamespace(**members, gauss_seidel=gauss_seidel, independent=independent)
 
     def run(self, first: int, last: int) -> int:
-        self.shared.append(bool(self.wired.wiring.team[0]))
+        self.shared.append(bool(self.wiring.team[0]))
         self.now += (last - first) * self._costs[self.shared[-1]] + (FIRST_S if not first else 0.0)
         return last
 
@@ -41,7 +39,7 @@ class Loop:
         """Of so many batches whether threads shared the steps."""
         functions: Any = SimpleNamespace(run=self.run, help=lambda: None)
         steps = StepThreads(
-            self.wired, functions, threads, processors=2, clocks=(lambda: self.now, lambda: self.now)
+            self.wiring, functions, threads, processors=2, clocks=(lambda: self.now, lambda: self.now)
         )
         for batch in range(count):
             first, last = 10 * batch - 9 if batch else 0, 10 * batch + 1
@@ -60,18 +58,18 @@ class Loop:
     ids=["light FMUs", "heavy FMUs", "heavy FMUs on busy processors"],
 )
 def test_threads_share_steps_that_they_make_faster(
-    built: Mapping[str, Path], step_s: float, with_threads: float, expected: list[bool]
+    step_s: float, with_threads: float, expected: list[bool]
 ) -> None:
-    assert Loop(step_s, with_threads, built["ExamplePlant"]).batches(4) == expected
+    assert Loop(step_s, with_threads).batches(4) == expected
 
 
-def test_components_of_gauss_seidel_wait_for_each_other(built: Mapping[str, Path]) -> None:
-    assert Loop(HEAVY_S, 0.5, built["ExamplePlant"], gauss_seidel=1).batches(2, threads=2) == [False, False]
+def test_components_of_gauss_seidel_wait_for_each_other() -> None:
+    assert Loop(HEAVY_S, 0.5, gauss_seidel=1).batches(2, threads=2) == [False, False]
 
 
-def test_fmus_that_may_share_memory_stay_on_one_thread_unless_threads_are_asked_for(linear: Build) -> None:
-    assert Loop(HEAVY_S, 0.5, linear()).batches(3) == [False, False, False]
-    assert Loop(LIGHT_S, 2.0, linear()).batches(2, threads=2) == [True, True]
+def test_fmus_that_may_share_memory_stay_on_one_thread_unless_threads_are_asked_for() -> None:
+    assert Loop(HEAVY_S, 0.5, independent=0).batches(3) == [False, False, False]
+    assert Loop(LIGHT_S, 2.0, independent=0).batches(2, threads=2) == [True, True]
 
 
 def test_an_interrupt_ends_a_run_on_threads(built: Mapping[str, Path]) -> None:

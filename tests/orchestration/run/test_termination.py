@@ -150,15 +150,15 @@ def test_components_with_step_sizes_of_their_own_hold_their_last_outputs(
 def test_a_run_that_is_led_step_by_step_ends_too(linear: Build, rogue: Build, compiled: bool) -> None:
     system, experiment = pair(linear, rogue), doing(Misdeed.TERMINATE, 0.55)
     with Simulator(system, compiled=compiled) as simulator:
-        simulator.start(experiment)
+        stepped = simulator.start(experiment)
         for _ in range(6):
-            simulator.step()
-        assert simulator.time == pytest.approx(0.55)
+            stepped.step()
+        assert stepped.time == pytest.approx(0.55)
         with pytest.raises(
             OrchestrationError, match=r"rogue terminated the simulation at 0\.55 s: expected no"
         ):
-            simulator.step()
-        recording = simulator.recording()
+            stepped.step()
+        recording = stepped.recording()
     expected = run(system, experiment, compiled)
     assert np.array_equal(recording.values, expected.values)
     assert recording.provenance["terminated"] == expected.provenance["terminated"]

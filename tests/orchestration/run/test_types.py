@@ -13,7 +13,7 @@ from orchestration.results import metrics
 from orchestration.results.figures import run_figure
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator, simulate
-from orchestration.run.bus import Texts
+from orchestration.run.bus import Strings
 from orchestration.run.checkpoint import Checkpoints, read_checkpoint
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.faults import Delay, Fault, Stuck
@@ -140,9 +140,9 @@ def test_a_string_that_is_recorded_can_be_read_at_every_point(
     foreign: Mapping[str, Path], compiled: bool
 ) -> None:
     with Simulator(diaries(foreign), compiled=compiled) as simulator:
-        simulator.start(MONDAY)
-        simulator.step()
-        assert (simulator.get("one.page"), simulator.get("one.length")) == ("Mon,day|", 16)
+        run = simulator.start(MONDAY)
+        run.step()
+        assert (run.get("one.page"), run.get("one.length")) == ("Mon,day|", 16)
 
 
 def test_local_variables_and_parameters_are_recorded(foreign: Mapping[str, Path], compiled: bool) -> None:
@@ -223,10 +223,10 @@ def test_an_output_with_an_exact_start_value_can_be_set(stair: Build, linear: Bu
         simulate(System({"p": linear(b=(), d=((),))}), Experiment(1.0, 1.0, parameters={"p.y[1]": 1.0}))
 
 
-def test_texts_keep_their_numbers_in_another_run() -> None:
-    texts, restored = Texts(), Texts()
-    numbers = [texts.number(text) for text in ("a", "", "b", "a")]
+def test_strings_keep_their_numbers_in_another_run() -> None:
+    strings, restored = Strings(), Strings()
+    numbers = [strings.number(text) for text in ("a", "", "b", "a")]
     assert numbers == [1, 0, 2, 1]
     restored.number("before")
-    restored.table = texts.table
+    restored.table = strings.table
     assert [restored.number(text) for text in ("c", "b", "a", "")] == [3, 2, 1, 0]

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from orchestration import Ensemble
-from orchestration.many import ensemble_checks
+from orchestration.many import ensemble
 from orchestration.many.isolated import Isolated
 from orchestration.many.job import Done, Run
 from orchestration.score import score_rows
@@ -72,7 +72,7 @@ def plants_of(path: Path, monkeypatch: pytest.MonkeyPatch) -> Scored:
 
         done: list[int] = []
         with monkeypatch.context() as patch:
-            patch.setattr(ensemble_checks, "is_compiled", lambda *_: is_compiled)
+            patch.setattr(ensemble, "is_compiled", lambda *_: is_compiled)
             patch.setattr(Isolated, "_made", count)
             patch.setattr(score_rows, "_value_or", lambda default, *_: default)  # without other runs
             result = score_controllers([controller], read_protocol(path), full=True, progress=done.append)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestration.many import ensemble_checks
+from orchestration.many import ensemble
 from orchestration.many.isolated import Isolated
 from orchestration.many.job import Job
 from orchestration.score.closed_loop import ClosedLoop, built_in
@@ -41,7 +41,7 @@ def test_the_costs_are_those_of_single_evaluations(
 ) -> None:
     """Also of gains that fail, and of those that were in a group with them; the processes stay open."""
     controller = built_in(protocol, "l1-pi")
-    monkeypatch.setattr(ensemble_checks, "is_compiled", lambda *_: True)
+    monkeypatch.setattr(ensemble, "is_compiled", lambda *_: True)
     with evaluations(controller, protocol, 2, len(GAINS)) as evaluate:
         together = [*evaluate(GAINS)]
         assert [*evaluate(GAINS[:2])] == together[:2]

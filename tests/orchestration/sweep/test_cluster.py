@@ -18,7 +18,7 @@ from dask import config
 from distributed import Client
 
 from orchestration.errors import SweepError
-from orchestration.many import cluster, ensemble_checks
+from orchestration.many import cluster, ensemble
 from orchestration.many.cluster import ClusterRuns
 from orchestration.many.run_many import run_many
 from orchestration.results.recording import Recording
@@ -265,7 +265,7 @@ def test_a_worker_steps_runs_together(scenario_fmus: None, monkeypatch: pytest.M
     def counts(runs: Recording) -> list[int]:
         return [len(runs.values)] * len(runs.values)
 
-    monkeypatch.setattr(ensemble_checks, "is_compiled", lambda *_: True)
+    monkeypatch.setattr(ensemble, "is_compiled", lambda *_: True)
     chosen = scenario.load(scenario.find("nominal-extended"))
     given = replace(chosen.experiment, stop_time=1.0)
     experiments = [

@@ -11,10 +11,9 @@ import pytest
 
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import EnsembleError, OrchestrationError
-from orchestration.many import ensemble_checks
-from orchestration.many.batches import Batches
-from orchestration.many.job import Failure, Finished, Run
-from orchestration.many.local import LocalRuns
+from orchestration.many import ensemble
+from orchestration.many.job import Batches, Failure, Finished, Run
+from orchestration.many.run_many import LocalRuns
 from orchestration.results import metrics
 from orchestration.results.recording import Recording, run_by_run
 from orchestration.scenarios import scenario
@@ -293,7 +292,7 @@ def test_where_an_ensemble_cannot_run_samples_or_does_not_pay_simulators_do(
     text: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing is compiled for these."""
-    monkeypatch.setattr(ensemble_checks, "is_compiled", lambda *_: False)
+    monkeypatch.setattr(ensemble, "is_compiled", lambda *_: False)
     assert reason in note_of(made_of(tmp_path, text), 1)
 
 
@@ -325,7 +324,7 @@ def test_ensembles_give_the_same_table(
         return 0.0
 
     monkeypatch.setitem(metrics.FUNCTIONS, "mean", refuse_positive)
-    monkeypatch.setattr(ensemble_checks, "is_compiled", lambda *_: True)
+    monkeypatch.setattr(ensemble, "is_compiled", lambda *_: True)
     batches: list[int] = []
     notes: list[str] = []
     path = sweep(vehicle, tmp_path / "together", LocalRuns(2, note=notes.append), progress=batches.append)

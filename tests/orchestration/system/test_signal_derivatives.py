@@ -6,9 +6,9 @@ import pytest
 from orchestration.errors import ScenarioError
 from orchestration.system.signal_derivatives import Derivative, derivative, with_derivatives
 from orchestration.system.signals import (
+    ArraySignal,
     Constant,
     Cosine,
-    Curve,
     Ramps,
     Table,
     sine,
@@ -38,7 +38,7 @@ STEP = 1e-4
         Table([1.0], [2.0]),
     ],
 )
-def test_it_is_the_difference_quotient(signal: Curve, order: int) -> None:
+def test_it_is_the_difference_quotient(signal: ArraySignal, order: int) -> None:
     later, earlier = signal.at(TIMES + STEP), signal.at(TIMES - STEP)
     quotient = (later - earlier) / (2 * STEP)
     if order == 2:
@@ -48,7 +48,7 @@ def test_it_is_the_difference_quotient(signal: Curve, order: int) -> None:
 
 
 @pytest.mark.parametrize("signal", [Ramps(POINTS), Table([1.0, 3.0, 4.0], [0.0, 2.0, 1.0])])
-def test_at_a_kink_it_is_that_of_the_time_after_it(signal: Curve) -> None:
+def test_at_a_kink_it_is_that_of_the_time_after_it(signal: ArraySignal) -> None:
     kinks = np.array([1.0, 3.0, 4.0])
     assert values_at(derivative(signal), kinks).tolist() == [1.0, -1.0, 0.0]
 
