@@ -9,11 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.fmu_file import ONLY_ONCE, FmuFile, no_co_simulation
 from fmus.compliance.fmu_process import START_S
-from fmus.compliance.instance_rules import ONLY_ONCE
 from fmus.compliance.judge import ENDED, FUNDAMENTAL, HUNG, IS_BROKEN, SLOW, judged_by_one_process
-from fmus.compliance.library_rules import no_co_simulation
 from fmus.compliance.probe import NO_INSTANCE, Probe
 from fmus.compliance.registry import registered
 from fmus.compliance.rule import Level, Result, Rule, Stage

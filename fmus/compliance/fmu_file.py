@@ -16,6 +16,7 @@ from fmus.fmi.variable_types import TYPES
 
 etree: Any = require("lxml.etree", "check", "a check of FMUs")  # without types
 DESCRIPTION = "modelDescription.xml"
+ONLY_ONCE = "canBeInstantiatedOnlyOncePerProcess"
 _LARGEST_DESCRIPTION = 100_000_000  # bytes; far beyond any that tools write, and a few GB of memory
 _LARGEST_MEMBER = 8_000_000_000  # bytes unpacked
 C_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -255,3 +256,8 @@ class FmuFile:
     def extract(self, folder: Path) -> None:
         """Unpacks everything; zipfile keeps odd paths inside the folder. Raises what zipfile raises."""
         extract_archive(self.path, folder)
+
+
+def no_co_simulation(fmu: FmuFile) -> str:
+    """Returns the reason why rules of co-simulation do not apply to an FMU."""
+    return "" if fmu.co_simulation is not None else "it has no co-simulation interface"

@@ -5,11 +5,11 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from fmus.compliance.fmu_file import BrokenMemberError
 from fmus.compliance.fmu_process import START_S
-from fmus.compliance.lifecycle_rules import RANDOM
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import (
     CANNOT_LOAD,
     IS_BROKEN,
+    RANDOM,
     NotApplicableError,
     NotJudgedError,
     Result,

@@ -49,6 +49,10 @@ CANNOT_LOAD = "this machine cannot load the library"
 """At the begin of the reason why no behaviour is judged on this machine."""
 
 
+RANDOM = "the outputs are random"
+"""Reason why no behaviour is judged, of an FMU whose runs cannot be compared."""
+
+
 class NotJudgedError(Exception):
     """A rule that cannot be judged; the message says why."""
 

@@ -2,13 +2,13 @@
 allow them, with a tolerance and a stop time; after fmi2Reset a run with neither.
 """
 
-from fmus.compliance.input_derivative_rules import set_input_derivatives
 from fmus.compliance.probe import Probe
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import (
     continuous_reals,
     readable_in_initialization,
     references_of,
+    set_input_derivatives,
     settable_before,
     settable_in_initialization,
     settable_while_stepping,

@@ -8,9 +8,11 @@ from typing import Any
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Condition
+from fmus.compliance.script import Script
 from fmus.compliance.variable import Variable
 
 _TRUE = {"true": 1, "1": 1, "false": 0, "0": 0}
+INTERPOLATES = "canInterpolateInputs"
 _LEAST_INTEGER, _LARGEST_INTEGER = -(2**31), 2**31 - 1
 _STAYS = 0.3  # how often a random value is the start value
 _LONG_TEXT = "Tiefe ä, \N{GREEK SMALL LETTER PI}, \N{GRINNING FACE}; " * 20
@@ -182,3 +184,11 @@ def is_utf_8(content: bytes) -> bool:
 def other_values(variables: Iterable[Variable]) -> list[tuple[Variable, Any]]:
     """Returns each variable that has another legal value, with that value."""
     return [(v, x) for v in variables if (x := other_value(v)) is not None]
+
+
+def set_input_derivatives(probe: Probe, script: Script, value: float = 1.0) -> None:
+    """Sets first derivatives of all continuous Real inputs, if the FMU interpolates."""
+    references = references_of(continuous_reals(probe, "input"))
+    if references and probe.fmu.claims(INTERPOLATES):
+        count = len(references)
+        script.call("set_input_derivatives", references, [1] * count, [value] * count)

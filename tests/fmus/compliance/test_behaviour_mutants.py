@@ -13,9 +13,9 @@ from fmus.compliance.behaviour import FUNDAMENTAL, behaviour
 from fmus.compliance.check import NO_VERDICT, main
 from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.lifecycle_rules import is_of_the_machine
 from fmus.compliance.registry import registered
 from fmus.compliance.rule import Level, Rule, Stage
+from fmus.compliance.rules.lifecycle import is_of_the_machine
 from fmus.platforms import host_platform, library_name
 from tests.described_fmus import XML, members
 from tests.mutants.mutant import Mutant, broken_rules, unexpected

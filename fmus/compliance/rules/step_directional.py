@@ -6,7 +6,10 @@ from typing import Any
 
 from fmus.compliance.accepted import accepted_together
 from fmus.compliance.comparison import same, texts
-from fmus.compliance.directional_rules import (
+from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import Level, NotApplicableError, behaviour_rule
+from fmus.compliance.rules.directional import (
     AGREEMENT,
     DIFFERENCE,
     DIRECTIONAL,
@@ -16,9 +19,6 @@ from fmus.compliance.directional_rules import (
     other_quotients,
     states_of,
 )
-from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotApplicableError, behaviour_rule
 from fmus.compliance.script import Script
 from fmus.compliance.values import (
     other_values,

@@ -5,7 +5,6 @@ from typing import Any
 
 from fmus.compliance.accepted import accepted_together
 from fmus.compliance.comparison import differing, failing_or_differing, steadily
-from fmus.compliance.input_derivative_rules import set_input_derivatives
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotJudgedError, behaviour_rule
 from fmus.compliance.script import Reading, Script
@@ -13,6 +12,7 @@ from fmus.compliance.values import (
     continuous_reals,
     other_values,
     references_of,
+    set_input_derivatives,
     settable_before,
     settable_while_stepping,
     start_value,

@@ -7,29 +7,22 @@ from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, behaviour_rule
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import (
+    INTERPOLATES,
     continuous_reals,
     other_value,
     references_of,
+    set_input_derivatives,
     start_value,
     unless_claimed,
 )
 from fmus.compliance.variable import Variable
 
 _TRANSFER = "4.2.1 Transfer of Input / Output Values and Parameters"
-INTERPOLATES = "canInterpolateInputs"
 _ROUGH = 0.1  # relative: of an effect over a step
 
 
 def derive(script: Script, v: Variable, value: float) -> None:
     script.call("set_input_derivatives", references_of([v]), [1], [value])
-
-
-def set_input_derivatives(probe: Probe, script: Script, value: float = 1.0) -> None:
-    """Sets first derivatives of all continuous Real inputs, if the FMU interpolates."""
-    references = references_of(continuous_reals(probe, "input"))
-    if references and probe.fmu.claims(INTERPOLATES):
-        count = len(references)
-        script.call("set_input_derivatives", references, [1] * count, [value] * count)
 
 
 @behaviour_rule(_TRANSFER, condition=unless_claimed(INTERPOLATES), needs="allowed-calls-succeed")

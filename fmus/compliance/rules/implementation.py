@@ -4,10 +4,10 @@ import posixpath
 import re
 from collections.abc import Iterator
 
-from fmus.compliance.archive_rules import CLAUSE, unreadable
 from fmus.compliance.contents import BUILD_DESCRIPTION, fmi3_schema_errors, parsed_member, unless_there
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.rules.archive import CLAUSE, unreadable
 from fmus.compliance.variable import is_true
 
 _EXTENSIONS = {"win": ".dll", "windows": ".dll", "linux": ".so", "darwin": ".dylib"}

@@ -3,10 +3,10 @@
 import re
 from collections.abc import Iterator
 
-from fmus.compliance.archive_rules import CLAUSE, unreadable
 from fmus.compliance.contents import TERMINALS, fmi3_schema_errors, parsed_member, unless_there
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rule import Level, Stage, repeated, rule
+from fmus.compliance.rules.archive import CLAUSE, unreadable
 
 _EXTRA = "2.3.1 Extra Directory"
 _TERMINALS = "2.3.2 Terminals and Icons"

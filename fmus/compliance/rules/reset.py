@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 from fmus.compliance.comparison import differing, texts
-from fmus.compliance.input_derivative_rules import set_input_derivatives
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.script import CallError, Reading, Script
@@ -13,6 +12,7 @@ from fmus.compliance.values import (
     keeps_its_value,
     other_values,
     readable_in_initialization,
+    set_input_derivatives,
     settable_before,
     settable_while_stepping,
     start_value,

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 
 from fmus.compliance.comparison import differing, failing_or_differing, steadily, texts
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, behaviour_rule
+from fmus.compliance.rules.instance import unknown_reference
 from fmus.compliance.script import Reading, Reply, Script
 from fmus.compliance.session import LARGE_TOLERANCE, TOLERANCE, run_with_tolerance
 from fmus.compliance.values import continuous_reals, unless_claimed

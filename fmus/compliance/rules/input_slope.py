@@ -4,11 +4,12 @@ import math
 from collections.abc import Callable, Iterator
 
 from fmus.compliance.comparison import differing, texts
-from fmus.compliance.input_derivative_rules import INTERPOLATES, derive, input_effects
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, behaviour_rule
+from fmus.compliance.rules.input_derivative import derive, input_effects
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import (
+    INTERPOLATES,
     continuous_reals,
     other_value,
     other_values,

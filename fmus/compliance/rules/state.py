@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 from fmus.compliance.accepted import accepted_together
 from fmus.compliance.comparison import differing, failing_or_differing
-from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotJudgedError, behaviour_rule
+from fmus.compliance.rules.instance import unknown_reference
 from fmus.compliance.script import Reading
 from fmus.compliance.values import (
     other_values,

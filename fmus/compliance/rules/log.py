@@ -6,15 +6,15 @@ from functools import cache
 from itertools import takewhile
 
 from fmus.compliance.comparison import failing_or_differing
-from fmus.compliance.instance_rules import unknown_reference
+from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotApplicableError, behaviour_rule
+from fmus.compliance.rules.instance import unknown_reference
 from fmus.compliance.script import CallError, Message, Script
 from fmus.compliance.session import NAME, session
 from fmus.fmi.binding import OK, WARNING
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
-_ONLY_ONCE = "canBeInstantiatedOnlyOncePerProcess"
 _REFERENCE = re.compile(r"#([ribs])(\d+)#")
 _KINDS = {"r": "Real", "i": "Integer", "b": "Boolean", "s": "String"}
 
@@ -45,7 +45,7 @@ def messages_have_the_instance_name(probe: Probe) -> Iterator[str]:
         yield f"a message carries the instance name {shown}: expected {NAME!r}, its instance"
     if any(not m.right_environment for m in messages):
         yield "the logger was called without the componentEnvironment of its instance"
-    elif all(m.instance == NAME for m in messages) and not probe.fmu.claims(_ONLY_ONCE):
+    elif all(m.instance == NAME for m in messages) and not probe.fmu.claims(ONLY_ONCE):
         yield from _of_another(probe)
 
 

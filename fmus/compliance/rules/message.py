@@ -3,10 +3,10 @@
 import re
 from collections.abc import Iterator
 
-from fmus.compliance.instance_rules import unknown_reference
-from fmus.compliance.log_rules import calls_that_log, declared_categories, messages_of_a_session
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotJudgedError, behaviour_rule
+from fmus.compliance.rules.instance import unknown_reference
+from fmus.compliance.rules.log import calls_that_log, declared_categories, messages_of_a_session
 from fmus.compliance.session import NAME
 from fmus.fmi.binding import WARNING
 

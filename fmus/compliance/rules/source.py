@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from functools import lru_cache
 from itertools import zip_longest
 
-from fmus.compliance.archive_rules import CLAUSE, unreadable
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.implementation_rules import HEADERS, QUOTED_INCLUDE, SOURCES, TO_COMPILE
 from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.rules.archive import CLAUSE, unreadable
+from fmus.compliance.rules.implementation import HEADERS, QUOTED_INCLUDE, SOURCES, TO_COMPILE
 
 _NAMING = "2.1.1 Header Files and Naming of Functions"
 _COMMENT = re.compile(rb"/\*.*?\*/|//[^\n]*", re.DOTALL)

@@ -4,9 +4,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from fmus.compliance.comparison import RESTARTED, differing, failing_or_differing, same, texts, unlike
-from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotApplicableError, behaviour_rule
+from fmus.compliance.rules.instance import unknown_reference
 from fmus.compliance.script import KINDS, Reading, Script
 from fmus.compliance.values import (
     far_values,

@@ -3,12 +3,11 @@
 from collections.abc import Iterator
 from functools import partial
 
-from fmus.compliance.input_derivative_rules import INTERPOLATES
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, behaviour_rule
 from fmus.compliance.script import KINDS, Reply, Script
 from fmus.compliance.session import session
-from fmus.compliance.values import continuous_reals, references_of, start_value
+from fmus.compliance.values import INTERPOLATES, continuous_reals, references_of, start_value
 from fmus.compliance.variable import Variable
 from fmus.fmi.binding import ERROR, FATAL
 

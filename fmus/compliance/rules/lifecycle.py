@@ -8,16 +8,15 @@ from pathlib import PurePath
 
 from fmus.compliance.comparison import differing
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe, refusal
-from fmus.compliance.rule import CANNOT_LOAD, Level, NotJudgedError, behaviour_rule
+from fmus.compliance.rule import CANNOT_LOAD, RANDOM, Level, NotJudgedError, behaviour_rule
+from fmus.compliance.rules.instance import unknown_reference
 from fmus.compliance.script import CallError
 
 _NAMING = "2.1.1 Header Files and Naming of Functions"
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
 _WRONG_GUID = "{00000000-0000-0000-0000-000000000000}"
 _STEPS, _MANY_STEPS = 5, 30
-RANDOM = "the outputs are random"
 _ELSEWHERE = "install what it needs, or check it on a machine that has it"
 # what the loaders of glibc, musl, macOS and Windows tell; undefined symbols are the library's own fault
 _OF_THE_MACHINE = re.compile(

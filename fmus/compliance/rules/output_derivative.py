@@ -6,13 +6,12 @@ from collections.abc import Iterator, Sequence
 
 from fmus.compliance.comparison import same, texts
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.input_derivative_rules import INTERPOLATES
-from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, behaviour_rule
+from fmus.compliance.rules.instance import unknown_reference
 from fmus.compliance.script import Reply
 from fmus.compliance.slopes import Comparison, compared, read_in_steps, with_short_steps, wrong_slope
-from fmus.compliance.values import continuous_reals, references_of, unless_claimed
+from fmus.compliance.values import INTERPOLATES, continuous_reals, references_of, unless_claimed
 from fmus.compliance.variable import Variable
 from fmus.fmi.binding import DISCARD, ERROR
 

@@ -5,6 +5,7 @@ import time
 from collections.abc import Iterator
 
 from fmus.compliance.comparison import differing, failing_or_differing
+from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.values import if_not_claimed, other_values, settable_before
@@ -13,7 +14,6 @@ from fmus.fmi.binding import ERROR
 _STATUS = "2.1.3 Status Returned by Functions"
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
 _FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
-ONLY_ONCE = "canBeInstantiatedOnlyOncePerProcess"
 _STEPS, _INSTANCES = 5, 10
 _MOST_CHANGED = 50  # variables
 _LARGEST_REFERENCE = 2**32 - 1

@@ -4,10 +4,10 @@ import itertools
 import re
 from collections.abc import Iterable, Iterator
 
-from fmus.compliance.archive_rules import unreadable
 from fmus.compliance.contents import BUILD_DESCRIPTION, SCHEMAS, TERMINALS, schema_errors
 from fmus.compliance.fmu_file import C_IDENTIFIER, FmuFile
 from fmus.compliance.rule import Level, Stage, repeated, rule
+from fmus.compliance.rules.archive import unreadable
 from fmus.compliance.variable import is_true, number
 
 _DESCRIPTION = "2.2 FMI Description Schema"

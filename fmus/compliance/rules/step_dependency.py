@@ -10,9 +10,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from fmus.compliance.comparison import same
-from fmus.compliance.dependency_rules import declared
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, behaviour_rule
+from fmus.compliance.rules.dependency import declared
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import other_value, random_value, read_value, start_value
 from fmus.compliance.variable import Variable

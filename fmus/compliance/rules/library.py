@@ -1,10 +1,9 @@
 """Rules of the shared libraries of all platforms, read with LIEF without loading them."""
 
 from collections.abc import Iterator, Sequence
-from weakref import WeakKeyDictionary
 
-from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.library_reader import LIMIT_S, Library, Reading
+from fmus.compliance.fmu_file import FmuFile, no_co_simulation
+from fmus.compliance.library_reader import Library, no_library, start_reading
 from fmus.compliance.rule import IS_BROKEN, Level, NotJudgedError, Stage, rule
 from fmus.fmi.binding import platform_name
 
@@ -42,23 +41,6 @@ _FUNCTIONS = {
         GetNominalsOfContinuousStates
     """,
 }
-
-_readings: WeakKeyDictionary[FmuFile, Reading] = WeakKeyDictionary()
-
-
-def no_library(fmu: FmuFile) -> str:
-    return "" if fmu.libraries() else "there is no library"
-
-
-def start_reading(fmu: FmuFile, timeout: float = LIMIT_S) -> Reading:
-    """Starts LIEF's reading of the FMU's libraries at the first call, and returns it.
-
-    timeout: seconds for each library. Raises what `FmuFile.read` does, OSError without a process.
-    """
-    if fmu not in _readings:
-        members = [(path, folder, fmu.read(path)) for path, folder in fmu.libraries().items()]
-        _readings[fmu] = Reading(members, timeout)
-    return _readings[fmu]
 
 
 def _libraries(fmu: FmuFile) -> Sequence[Library]:
@@ -120,10 +102,6 @@ def libraries_have_an_rpath(fmu: FmuFile) -> Iterator[str]:
         inside = [name for name in library.needed if f"{library.directory}/{name}" in fmu.paths]
         if inside and not any(path.startswith(("$ORIGIN", "${ORIGIN}")) for path in library.search_paths):
             yield f"{library.path} needs {', '.join(inside)}, without RPATH: expected $ORIGIN"
-
-
-def no_co_simulation(fmu: FmuFile) -> str:
-    return "" if fmu.co_simulation is not None else "it has no co-simulation interface"
 
 
 @rule("advice: behaviour is judged where the library runs", Stage.LIBRARY, Level.WARNING, no_co_simulation)
