@@ -19,6 +19,7 @@ from fmus.fmi.binding import (
     FATAL,
     OK,
     PENDING,
+    WARNING,
     BoundInstance,
     Library,
     element_type,
@@ -205,6 +206,13 @@ class CalledInstance(BoundInstance):
         if self.last_status == PENDING:
             self.pending_steps += 1
             self.wait()
+
+    def do_steps(self, start: float, h: float, first: int, count: int) -> None:
+        """Makes equal steps of h seconds, from number `first` after the start, up to one that fails."""
+        for i in range(first, first + count):
+            self.do_step(start + i * h, h)
+            if not 0 <= self.last_status <= WARNING:
+                return
 
     def wait(self) -> None:
         """Waits until a pending step has ended; the time limit of the rule ends a wait without end."""

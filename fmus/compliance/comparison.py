@@ -2,17 +2,18 @@
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import read_value
-from fmus.compliance.variable import Variable
 
 _LARGE = 1e-5  # relative: what is more is compared with the variable itself
 RESTARTED = 1e-2  # relative: what a solver that begins anew at an event may change
 _SMALL = 0.01  # of the largest variable: what is smaller is compared against that
+_LONGEST_TEXT = 60  # characters of a value
 
 
 def texts(*values: Any) -> list[str]:
@@ -37,39 +38,42 @@ def same(a: Any, b: Any, tolerance: float = 0.0, scale: float = 0.0) -> bool:
     return abs(a - b) <= tolerance * max(abs(a), abs(b), scale)
 
 
-def unlike(
-    expected: Iterable[tuple[Variable, Any, Reading]], tolerance: float
-) -> Iterator[tuple[Variable, str, str]]:
-    """Yields the first reading of each variable that is not as expected, and both values as texts."""
-    named = set()
-    for v, value, reading in expected:
-        got = read_value(reading.values[v.name])
-        if v.name not in named and not same(got, value, tolerance):
-            named.add(v.name)
-            value_read, value_expected = texts(got, value)
-            yield v, value_read, value_expected
+@dataclass(frozen=True)
+class Given:
+    """Values that variables should have, in place of a reading of them."""
+
+    values: dict[str, Any]
 
 
 def differing(
-    expected: Sequence[Reading], got: Sequence[Reading], when: str, tolerance: float = 0.0
+    expected: Iterable[Reading | Given],
+    got: Iterable[Reading],
+    when: str,
+    tolerance: float = 0.0,
+    again: str = "{} again",
 ) -> Iterator[str]:
     """Yields each variable's first value that is not the same; a tolerance is relative to the largest number,
-    a large one to the variable's own, or a hundredth of the largest.
+    a large one to the variable's own, or a hundredth of the largest; to the value itself where it is given.
+
+    again: what is expected, in words, of the value
     """
-    before, after = ([reading.values for reading in readings] for readings in (expected, got))
+    pairs = [(row.values, other.values, row) for row, other in zip(expected, got, strict=True)]
     scales: dict[str, float] = {}
-    for name, value in (item for row in before for item in row.items()):
-        if isinstance(value, float) and math.isfinite(value):
-            scales[name] = max(abs(value), scales.get(name, 0.0))
+    for row, _, source in pairs:
+        for name, value in row.items() if isinstance(source, Reading) else ():
+            if isinstance(value, float) and math.isfinite(value):
+                scales[name] = max(abs(value), scales.get(name, 0.0))
     least = (_SMALL if tolerance >= _LARGE else 1.0) * max(scales.values(), default=0.0)
     named = set()
-    for i, (row, other) in enumerate(zip(before, after, strict=True), 1):
+    for i, (row, other, _) in enumerate(pairs, 1):
         for name, value in row.items():
+            value_read, value_expected = read_value(other[name]), read_value(value)
             scale = max(scales.get(name, 0.0), least)
-            if name not in named and not same(value, other[name], tolerance, scale):
+            if name not in named and not same(value_expected, value_read, tolerance, scale):
                 named.add(name)
-                new, old = texts(other[name], value)
-                yield f"{name} is {new} {when}, step {i}: expected {old} again"
+                new, old = (text[:_LONGEST_TEXT] for text in texts(value_read, value_expected))
+                step = f", step {i}" if len(pairs) > 1 else ""
+                yield f"{name} is {new} {when}{step}: expected {again.format(old)}"
 
 
 def _steady(probe: Probe) -> set[str]:
@@ -87,7 +91,7 @@ def _steady(probe: Probe) -> set[str]:
     return probe.once("comparison of two runs", names)
 
 
-def steadily(probe: Probe, messages: Iterator[str]) -> Iterator[str]:
+def steadily(probe: Probe, messages: Iterable[str]) -> Iterator[str]:
     """Returns the messages about variables that are the same in every instance."""
     steady = _steady(probe)
     return (message for message in messages if message.split(" is ", 1)[0] in steady)

@@ -19,7 +19,7 @@ from fmus.fmi.process import WorkerProcess
 T = TypeVar("T")
 _LICENCE = re.compile("licen[cs]e", re.IGNORECASE)
 _REFUSED_STEPS, _DISCARDED_STEP = "refused steps", "discarded step"  # among what the rules share
-_REFUSALS = "refusals"
+_REFUSALS, _PLAYED = "refusals", "answers of scripts that were played"
 _TOLERANCE, _MOST_TOLERANCE = 1e-4, 1e-3
 NO_INSTANCE = "fmi2Instantiate returned NULL"
 
@@ -163,10 +163,21 @@ class Probe:
         if failure and failure.function == "fmi2DoStep" and failure.status == DISCARD:
             self._shared[_DISCARDED_STEP] = "the FMU discards a step of the usual size"
 
-    def play_each(self, scripts: Sequence[Script]) -> None:
+    def play_once(self, scripts: Sequence[Script]) -> None:
+        """Plays scripts as `play_each`; those with the calls of one that was played so have its answers."""
+        known: dict[str, Sequence[Any]] = self._shared.setdefault(_PLAYED, {})
+        keys = [repr((script.options, script.calls)) for script in scripts]
+        new = {key: script for key, script in zip(keys, scripts, strict=True) if key not in known}
+        if new:
+            known |= zip(new, self.play_each(list(new.values())), strict=True)
+        for key, script in zip(keys, scripts, strict=True):
+            script.fill(0, known[key])
+
+    def play_each(self, scripts: Sequence[Script]) -> list[Sequence[Any]]:
         """Plays scripts one after the other in one message; an instance is freed before the next is created.
 
-        A call that fails ends nothing. Raises CallError where the FMU returns no instance.
+        A call that fails ends nothing. Returns the answers to each script. Raises CallError where the FMU
+        returns no instance.
         """
         calls: list[Call] = []
         for script in scripts:
@@ -184,6 +195,7 @@ class Probe:
             script.fill(0, answers)
         self._note_refusals(scripts)
         self._judge_steps(scripts)
+        return results[1::3]
 
     def hold(self, script: Script) -> int:
         """Plays a script to its end, whatever fails, and leaves its instance alive: returns its number, for

@@ -15,7 +15,7 @@ _FUNCTIONS = {  # method of `CalledInstance` -> function of FMI, where the argum
     "set_up_experiment": "fmi2SetupExperiment", "set_up_experiment_with": "fmi2SetupExperiment",
     "enter_initialization_mode": "fmi2EnterInitializationMode",
     "exit_initialization_mode": "fmi2ExitInitializationMode", "set_debug_logging": "fmi2SetDebugLogging",
-    "do_step": "fmi2DoStep", "begin_step": "fmi2DoStep", "wait": "fmi2DoStep",
+    "do_step": "fmi2DoStep", "do_steps": "fmi2DoStep", "begin_step": "fmi2DoStep", "wait": "fmi2DoStep",
     "directional_derivatives": "fmi2GetDirectionalDerivative",
     "set_input_derivatives": "fmi2SetRealInputDerivatives",
     "output_derivatives": "fmi2GetRealOutputDerivatives", "get_fmu_state": "fmi2GetFMUstate",
@@ -136,6 +136,7 @@ class Script:
         self.state = "instantiated"
         self.parts = [0]
         self._step = 0
+        self._saved: dict[int, tuple[int, str]] = {}  # slot -> number of the next step, state
 
     # writing
 
@@ -206,9 +207,33 @@ class Script:
             self._step += 1
         return self
 
-    def go_to(self, step: int) -> "Script":
-        """Makes the next step number `step`."""
-        self._step = step
+    def go_on(self, count: int) -> "Script":
+        """Adds steps of the default experiment's size in one call, up to the first that fails."""
+        self.call("do_steps", self._probe.start_time, self._probe.step_size, self._step, count)
+        self._step += count
+        return self
+
+    def save(self, slot: int = 0) -> "Script":
+        self.call("get_fmu_state", slot)
+        self._saved[slot] = self._step, self.state
+        return self
+
+    def restore(self, slot: int = 0) -> "Script":
+        """Sets a saved state back: the next step is the one that followed when it was saved."""
+        self.call("set_fmu_state", slot)
+        self._step, self.state = self._saved[slot]
+        return self
+
+    def copy(self, slot: int, other: int) -> "Script":
+        """Makes another saved state of the bytes of one."""
+        self.call("copy_fmu_state", slot, other)
+        self._saved[other] = self._saved[slot]
+        return self
+
+    def read_bytes(self, slot: int, content: str, source: "Script") -> "Script":
+        """Makes a saved state of bytes of the state in the same slot of another script."""
+        self.call("deserialize_fmu_state", slot, content)
+        self._saved[slot] = source._saved[slot]
         return self
 
     def terminate(self) -> Reply:

@@ -1,5 +1,6 @@
 """Values of variables for the rules: start values, other legal values, and which can be set."""
 
+import itertools
 import math
 import random
 from collections.abc import Iterable
@@ -13,6 +14,7 @@ from fmus.compliance.variable import Variable
 
 _TRUE = {"true": 1, "1": 1, "false": 0, "0": 0}
 INTERPOLATES = "canInterpolateInputs"
+_LARGEST_REFERENCE = 2**32 - 1
 _LEAST_INTEGER, _LARGEST_INTEGER = -(2**31), 2**31 - 1
 _STAYS = 0.3  # how often a random value is the start value
 _LONG_TEXT = "Tiefe ä, \N{GREEK SMALL LETTER PI}, \N{GRINNING FACE}; " * 20
@@ -171,6 +173,13 @@ def continuous_reals(probe: Probe, causality: str) -> list[Variable]:
 
 def references_of(variables: Iterable[Variable]) -> list[int]:
     return [v.reference or 0 for v in variables]
+
+
+def unknown_reference(probe: Probe) -> int:
+    """Returns a value reference far from the variables': some without an entry may lie between."""
+    used = {v.reference or 0 for v in probe.fmu.variables}
+    far = max(used, default=0) + 1000
+    return far if far <= _LARGEST_REFERENCE else next(i for i in itertools.count() if i not in used)
 
 
 def is_utf_8(content: bytes) -> bool:
