@@ -10,7 +10,7 @@ from fmus.compliance.comparison import differing
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe, refusal
-from fmus.compliance.rule import CANNOT_LOAD, Level, NotJudgedError, behaviour_rule
+from fmus.compliance.rule import CANNOT_LOAD, NotJudgedError, behaviour_rule
 from fmus.compliance.script import CallError
 
 _NAMING = "2.1.1 Header Files and Naming of Functions"
@@ -112,7 +112,7 @@ def runs_are_repeatable(probe: Probe) -> Iterator[str]:
     yield from different
 
 
-@behaviour_rule("advice: 4.1.2 knows no random numbers", Level.WARNING)
+@behaviour_rule("advice: 4.1.2 knows no random numbers")
 def runs_are_not_random(probe: Probe) -> Iterator[str]:
     """Processes give the same outputs for the same calls; otherwise nothing else is judged."""
     different, is_random = _compared(probe)
@@ -141,7 +141,7 @@ def _differences(probe: Probe) -> Iterator[str]:
     yield from differing(first, second, "in a second instance")
 
 
-@behaviour_rule(_CREATION, Level.WARNING)
+@behaviour_rule(_CREATION)
 def wrong_guid_is_refused(probe: Probe) -> Iterator[str]:
     """fmi2Instantiate returns NULL for a GUID that is not the description's, also where it is nearly so."""
     guid = probe.fmu.guid
