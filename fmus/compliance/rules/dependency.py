@@ -8,7 +8,7 @@ from typing import Any
 from fmus.compliance.accepted import accepted
 from fmus.compliance.comparison import same
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, behaviour_rule
+from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.values import (
     other_value,
     other_values,
@@ -99,7 +99,7 @@ def _noise(probe: Probe, known: Variable, names: set[str]) -> set[str]:
     }
 
 
-@behaviour_rule(_STRUCTURE, Level.WARNING, needs="variables-can-be-read")
+@behaviour_rule(_STRUCTURE, needs="variables-can-be-read")
 def dependencies_on_time_are_declared(probe: Probe) -> Iterator[str]:
     """An initial unknown changes with the start time only if it lists the independent variable, where that is
     defined.
@@ -120,7 +120,6 @@ def dependencies_on_time_are_declared(probe: Probe) -> Iterator[str]:
 
 @behaviour_rule(
     "advice: 2.2.8, dependencies may list more",
-    Level.WARNING,
     needs="allowed-calls-succeed variables-can-be-read",
 )
 def initial_dependencies_exist(probe: Probe) -> Iterator[str]:
@@ -177,7 +176,7 @@ def _points(knowns: list[Variable], chance: random.Random) -> Iterator[Point]:
         yield [(v, x) for v in moved if (x := random_value(v, chance)) is not None]
 
 
-@behaviour_rule(_STRUCTURE, Level.WARNING, needs="variables-can-be-read")
+@behaviour_rule(_STRUCTURE, needs="variables-can-be-read")
 def constant_factors_are_constant(probe: Probe) -> Iterator[str]:
     """An initial unknown changes with a known of the kind constant by the same factor everywhere, whatever
     the inputs are.

@@ -11,7 +11,7 @@ from typing import Any
 
 from fmus.compliance.comparison import same
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, behaviour_rule
+from fmus.compliance.rule import behaviour_rule
 from fmus.compliance.rules.dependency import declared
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import other_value, random_value, read_value, start_value
@@ -47,7 +47,6 @@ def _script(
 
 @behaviour_rule(
     _ADVICE,
-    Level.WARNING,
     needs="variables-can-be-read initial-dependencies-are-declared "
     "directional-derivatives-are-zero-without-dependency",
 )
@@ -106,7 +105,6 @@ def _remains(probe: Probe, v: Variable, value: Any, name: str) -> bool:
 
 @behaviour_rule(
     "advice: 2.2.8, dependencies may list more",
-    Level.WARNING,
     needs="allowed-calls-succeed variables-can-be-read",
 )
 def listed_inputs_move_outputs(probe: Probe) -> Iterator[str]:

@@ -8,7 +8,7 @@ from fmus.compliance.accepted import accepted_together
 from fmus.compliance.comparison import same, texts
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotApplicableError, behaviour_rule
+from fmus.compliance.rule import NotApplicableError, behaviour_rule
 from fmus.compliance.rules.directional import (
     AGREEMENT,
     DIFFERENCE,
@@ -34,7 +34,6 @@ _LATER = 3  # steps after which a factor is looked at again
 
 @behaviour_rule(
     DIRECTIONAL,
-    Level.WARNING,
     condition=PROVIDES,
     needs="directional-derivatives directional-derivatives-are-linear",
 )
@@ -107,7 +106,6 @@ def _in_step_mode(probe: Probe, point: list[tuple[Variable, Any]], known: Variab
 
 @behaviour_rule(
     "2.2.8 Definition of the Model Structure (ModelStructure)",
-    Level.WARNING,
     condition=PROVIDES,
     needs="directional-derivatives directional-derivatives-are-linear",
 )
