@@ -10,7 +10,7 @@ from fmus.compliance.accepted import accepted_together
 from fmus.compliance.comparison import same, texts
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, behaviour_rule
+from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.script import Reading, Reply, Script
 from fmus.compliance.values import (
     continuous_reals,
@@ -142,7 +142,7 @@ def _changed(probe: Probe, known: Variable, value: Any, unknowns: list[Variable]
     return {name for name in names if not is_noise(name)}
 
 
-@behaviour_rule(_STRUCTURE, Level.WARNING, needs="variables-can-be-read")
+@behaviour_rule(_STRUCTURE, needs="variables-can-be-read")
 def dependencies_on_time_are_declared(probe: Probe) -> Iterator[str]:
     """An initial unknown changes with the start time only if it lists the independent variable, where that is
     defined.
@@ -162,7 +162,7 @@ def dependencies_on_time_are_declared(probe: Probe) -> Iterator[str]:
             yield f"{name} changes with the start time: expected the independent variable in its dependencies"
 
 
-@behaviour_rule(_STRUCTURE, Level.WARNING, needs="variables-can-be-read")
+@behaviour_rule(_STRUCTURE, needs="variables-can-be-read")
 def constant_factors_are_constant(probe: Probe) -> Iterator[str]:
     """An initial unknown changes with a known of the kind constant by the same factor everywhere, whatever
     the inputs are.
@@ -202,7 +202,6 @@ def _other_factors(
 
 @behaviour_rule(
     "advice: 2.2.8, a direct dependency is told from one step's delay by no call",
-    Level.WARNING,
     needs="variables-can-be-read initial-dependencies-are-declared "
     "directional-derivatives-are-zero-without-dependency",
 )
@@ -281,7 +280,6 @@ def _initial_factors(fmu: FmuFile) -> Iterator[Factor]:
 
 @behaviour_rule(
     _PARTIAL,
-    Level.WARNING,
     condition=_PROVIDES,
     needs="directional-derivatives directional-derivatives-are-linear",
 )
@@ -416,7 +414,6 @@ def directional_derivatives_are_zero_without_dependency(probe: Probe) -> Iterato
 
 @behaviour_rule(
     _STRUCTURE,
-    Level.WARNING,
     condition=_PROVIDES,
     needs="directional-derivatives directional-derivatives-are-linear",
 )
