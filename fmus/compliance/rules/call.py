@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from functools import partial
 
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, behaviour_rule
+from fmus.compliance.rule import behaviour_rule
 from fmus.compliance.script import KINDS, Reply, Script
 from fmus.compliance.session import session
 from fmus.compliance.values import INTERPOLATES, continuous_reals, references_of, start_value
@@ -122,7 +122,7 @@ def _forbidden_derivatives(probe: Probe) -> Iterator[tuple[Script, Reply]]:
         yield script, script.call("directional_derivatives", outputs, inputs, [1.0])
 
 
-@behaviour_rule("advice: calls that 4.2.4 and 4.2.2 forbid to importers", Level.WARNING, last=True)
+@behaviour_rule("advice: calls that 4.2.4 and 4.2.2 forbid to importers", last=True)
 def forbidden_calls_are_refused(probe: Probe) -> Iterator[str]:
     """A call that its state forbids, a fixed parameter or an output set while stepping, a step that is not
     above 0 or does not start at the present, or a derivative of order 0 is refused.
@@ -148,7 +148,7 @@ def _named(reply: Reply, script: Script) -> str:
     return reply.function
 
 
-@behaviour_rule("advice: an empty call has nothing to refuse", Level.WARNING, needs="allowed-calls-succeed")
+@behaviour_rule("advice: an empty call has nothing to refuse", needs="allowed-calls-succeed")
 def empty_calls_succeed(probe: Probe) -> Iterator[str]:
     """Getting or setting no variables, with NULL for both arrays, succeeds."""
     script = probe.script(logging=True).begin()
