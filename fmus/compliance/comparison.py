@@ -66,8 +66,8 @@ def differing(
     least = (_SMALL if tolerance >= _LARGE else 1.0) * max(scales.values(), default=0.0)
     named = set()
     for i, (row, other, _) in enumerate(pairs, 1):
-        for name, value in row.items():
-            value_read, value_expected = read_value(other[name]), read_value(value)
+        for name, value in other.items():
+            value_read, value_expected = read_value(value), read_value(row[name])
             scale = max(scales.get(name, 0.0), least)
             if name not in named and not same(value_expected, value_read, tolerance, scale):
                 named.add(name)

@@ -3,6 +3,7 @@
 import itertools
 import math
 import re
+import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -20,6 +21,8 @@ T = TypeVar("T")
 _LICENCE = re.compile("licen[cs]e", re.IGNORECASE)
 _REFUSED_STEPS, _DISCARDED_STEP = "refused steps", "discarded step"  # among what the rules share
 _REFUSALS, _PLAYED = "refusals", "answers of scripts that were played"
+_FEWEST_STEPS, _MEASURED_STEPS, _MOST_STEPS = 10, 40, 10_000  # of a run over the default experiment
+_LONGEST_RUN_S = 1.0
 _TOLERANCE, _MOST_TOLERANCE = 1e-4, 1e-3
 NO_INSTANCE = "fmi2Instantiate returned NULL"
 
@@ -162,6 +165,28 @@ class Probe:
         failure = script.failure
         if failure and failure.function == "fmi2DoStep" and failure.status == DISCARD:
             self._shared[_DISCARDED_STEP] = "the FMU discards a step of the usual size"
+
+    @property
+    def steps_of_experiment(self) -> int:
+        """The number of usual steps up to the stop time of the default experiment, or those that take about
+        a second; measured once for all rules. Raises NotJudgedError where they fail, or are too few.
+        """
+        return self.once("run of many steps", self._steps_of_experiment)
+
+    def _steps_of_experiment(self) -> int:
+        span = min(self.stop_time - self.start_time, _MOST_STEPS * self.step_size)
+        steps = int(span / self.step_size + 1e-6)
+        first = min(steps, _MEASURED_STEPS)
+        if first < _FEWEST_STEPS:
+            raise NotApplicableError("the default experiment has too few steps")
+        script = self.script().begin().go_on(first)
+        begin = time.monotonic()
+        self.play_each([script])
+        seconds = (time.monotonic() - begin) / first
+        if script.failure:
+            raise NotJudgedError(f"the usual run fails: {script.failure.problem}")
+        budget = min(_LONGEST_RUN_S, (self.process.deadline - time.monotonic()) / 10)
+        return min(steps, max(first, int(budget / seconds)))
 
     def play_once(self, scripts: Sequence[Script]) -> None:
         """Plays scripts as `play_each`; those with the calls of one that was played so have its answers."""

@@ -7,10 +7,9 @@ from fmus.compliance.rule import RULES, Rule, Stage
 
 MODULES = (
     "archive", "implementation", "source", "documentation", "description", "unit", "type", "name", "variable",
-    "alias", "structure", "library", "lifecycle", "location", "reset", "initialization", "instance",
-    "resource", "call", "discard", "value", "constancy", "setting", "step", "asynchronous", "callback", "log",
-    "message", "process", "state", "saved_value", "input_derivative", "output_derivative", "derivative",
-    "input_slope", "effects", "reference",
+    "alias", "structure", "library", "lifecycle", "initialization", "call", "discard", "value", "setting",
+    "step", "asynchronous", "environment", "log", "message", "process", "state", "input_derivative",
+    "output_derivative", "derivative", "input_slope", "effects", "reference",
     "status",  # of refusals in the calls of all others
 )  # fmt: skip
 """Modules of `fmus.compliance.rules`, in the order in which their rules are judged and told."""

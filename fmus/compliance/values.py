@@ -44,6 +44,11 @@ def start_value(v: Variable) -> Any:
     return int(value) if value is not None and _is_integer_of_fmi(value) else None
 
 
+def start_values(variables: Iterable[Variable]) -> list[tuple[Variable, Any]]:
+    """Returns each variable that has a start value, with that value."""
+    return [(v, x) for v in variables if (x := start_value(v)) is not None]
+
+
 def other_value(v: Variable) -> Any:
     """Returns a legal value near the start value but another one; None if there is none."""
     start = start_value(v)
@@ -84,18 +89,6 @@ def far_values(v: Variable) -> list[Any]:
     ]
     is_meant = [v.causality == "input" or x * start >= 0.0 or x in (low, high) for x in values]
     return [x for x, meant in zip(values, is_meant, strict=True) if meant and _within(v, x) and x != start]
-
-
-def values_out_of_range(v: Variable) -> list[Any]:
-    """Numbers just below the min and just above the max of a variable."""
-    if v.kind not in ("Real", "Integer") or start_value(v) is None:
-        return []
-    low, high = v.number("min"), v.number("max")
-    limits = [(low, -1), (high, 1)]
-    if v.kind == "Integer":
-        return [int(x) + sign for x, sign in limits if x is not None and abs(x) < _LARGEST_INTEGER]
-    values = [x + sign * _PART * max(abs(x), 1.0) for x, sign in limits if x is not None]
-    return [x for x in values if math.isfinite(x)]  # 1.797e308 stands for no limit
 
 
 def read_value(value: Any) -> Any:

@@ -1,119 +1,146 @@
-"""Rules of setting up and initialising an FMU."""
+"""Setting up, initialising and resetting an FMU: start values, and what fmi2Reset gives back."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
+from fmus.compliance import actions as do
+from fmus.compliance import values
 from fmus.compliance.accepted import accepted
-from fmus.compliance.comparison import differing, failing_or_differing, unlike
+from fmus.compliance.actions import MOST_VARIABLES, Action
+from fmus.compliance.differential import OF_EXPERIMENT, Row, differential
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
-from fmus.compliance.script import KINDS, CallError, Script
-from fmus.compliance.values import other_value, other_values, settable_in_initialization, start_value
-from fmus.compliance.variable import Variable
+from fmus.compliance.rule import NotApplicableError, NotJudgedError
+from fmus.compliance.script import KINDS
 
 _INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"
 _VALUES = "2.1.7 Getting and Setting Variable Values"
-_MOST_VARIABLES = 50
-_ROUNDED = 1e-6
+_ROUNDED = 1e-6  # relative: tools write start values with as few as seven digits
 
 
-@behaviour_rule(_INITIALIZATION)
-def set_up_can_be_repeated(probe: Probe) -> Iterator[str]:
+def _rows_of_starts(probe: Probe, when: str, *before: Action) -> Iterator[Row]:
+    """Yields rows of start values, read in initialization mode, or after it where only then they can be."""
+    declared = values.start_values(
+        v
+        for v in probe.fmu.variables
+        if v.variability != "constant" and (v.initial == "exact" or v.causality == "input")
+    )
+    readable = values.readable_in_initialization(probe.fmu)
+    at_first = do.initialise, do.read_as([(v, x) for v, x in declared if v in readable])
+    later = do.begin, do.read_as([(v, x) for v, x in declared if values.keeps_its_value(v)])
+    for after in (at_first, later):
+        yield Row(when, (*before, *after), (), tolerance=_ROUNDED, may_fail=True, again="its start value {}")
+
+
+@differential(_VALUES)
+def start_values_are_as_declared(probe: Probe) -> Iterable[Row]:
+    """Variables with initial exact and inputs have their start values: in initialization mode, or after it
+    where only then they can be read.
+    """
+    return _rows_of_starts(probe, "at first")
+
+
+@differential("4.2.4 State Machine of Calling Sequence from Master to Slave")
+def reset_in_every_state(_: Probe) -> Iterator[Row]:
+    """fmi2Reset is allowed when instantiated, in initialization mode, while stepping and after
+    fmi2Terminate.
+    """
+    for state, actions in (
+        ("instantiated", ()),
+        ("initialization mode", (do.initialise,)),
+        ("step complete", (do.begin, do.step())),
+        ("terminated", (do.begin, do.step(), do.terminate)),
+    ):
+        when = f"after fmi2Reset in the state {state!r}"
+        yield Row(when, (*actions, do.reset, do.begin, do.step()))
+
+
+@differential(_INITIALIZATION, needs="start-values-are-as-declared reset-in-every-state")
+def reset_gives_the_start_values(probe: Probe) -> Iterator[Row]:
+    """After other values, steps and fmi2Reset, start values are back and the same steps give the same
+    outputs.
+    """
+    varied = do.begin, do.step(5), do.reset, do.begin, do.run(5)
+    yield Row("after fmi2Reset", varied, tolerance=OF_EXPERIMENT)
+    others = do.set_others(values.settable_before(probe.fmu))
+    yield from _rows_of_starts(probe, "after other values and fmi2Reset", others, do.reset)
+
+
+@differential(_INITIALIZATION, needs="reset-gives-the-start-values")
+def reset_ends_all_that_was_set(probe: Probe) -> Iterator[Row]:
+    """After other values, a stop time, changed inputs and fmi2Reset, every variable is in the same steps as
+    in a new instance.
+    """
+    before, stepping = (
+        do.set_others(values.settable_before(probe.fmu)),
+        values.settable_while_stepping(probe.fmu),
+    )
+    start = do.set_up(stop=2), do.enter_initialization_mode, do.exit_initialization_mode
+    changed = before, *start, do.set_others(stepping), do.step(), do.set_derivatives(), do.reset
+    varied = do.ignore(*changed), do.begin, do.run_all(5)
+    when, failing = "after other values and fmi2Reset", "after other values, a stop time and fmi2Reset"
+    yield Row(when, varied, (do.begin, do.run_all(5)), failing, OF_EXPERIMENT)
+
+
+@differential(_INITIALIZATION)
+def set_up_can_be_repeated(_: Probe) -> Iterator[Row]:
     """fmi2SetupExperiment may be called at least once: the last call counts, for time and stop time, and what
     was set before it stays.
     """
-    usual, script = probe.script().begin(), probe.script(logging=True)
-    expected = usual.run(2)
-    script.set_up(probe.point(7), probe.point(8)).begin()
-    got = script.run(2)
-    usual.play()
-    script.play(keep_going=True)
-    yield from failing_or_differing(script, expected, got, "after a second fmi2SetupExperiment")
+    yield Row("after a second fmi2SetupExperiment", (do.set_up(7, stop=8), do.begin, do.run(2)))
 
 
-@behaviour_rule(_INITIALIZATION)
-def undefined_tolerance_is_ignored(probe: Probe) -> Iterator[str]:
+@differential(_INITIALIZATION)
+def undefined_tolerance_is_ignored(probe: Probe) -> Iterator[Row]:
     """If toleranceDefined is false, tolerance is not looked at, and no stop time is needed."""
-    script = probe.script(logging=True)
-    script.call("set_up_experiment_with", [], probe.start_time, [], -1.0)
-    script.enter_initialization_mode().exit_initialization_mode().step().play(keep_going=True)
-    if script.failure:
-        yield f"with an undefined tolerance of -1: {script.failure.problem}"
+    set_up = do.call("set_up_experiment_with", [], probe.start_time, [], -1.0)
+    varied = set_up, do.enter_initialization_mode, do.exit_initialization_mode, do.run(1)
+    yield Row("with an undefined tolerance of -1", varied)
 
 
-@behaviour_rule("advice: a user may want to see windows")
-def visible_instances_run(probe: Probe) -> Iterator[str]:
+@differential("advice: a user may want to see windows")
+def visible_instances_run(_: Probe) -> Iterator[Row]:
     """With visible = fmi2True an instance is created and takes a step."""
-    script = probe.script(visible=True, logging=True).begin().step()
-    try:
-        script.play()
-    except CallError as error:
-        yield f"with visible = fmi2True: {error}"
+    yield Row("with visible = fmi2True", (do.begin, do.step()), options={"visible": True})
 
 
-@behaviour_rule(
+@differential(
     "2.2.7 Definition of Model Variables (ModelVariables)",
     needs="start-values-are-as-declared values-that-are-set-are-read",
 )
-def exact_values_remain_after_initialization(probe: Probe) -> Iterator[str]:
+def exact_values_remain_after_initialization(probe: Probe) -> Iterator[Row]:
     """Directly after fmi2ExitInitializationMode a variable with initial exact has its start value, or the
     value that was set.
     """
-    chosen = [
-        v for v in probe.fmu.variables
-        if v.initial == "exact" and v.variability != "constant" and start_value(v) is not None
-    ][:_MOST_VARIABLES]  # fmt: skip
-    usual = probe.script().begin()
-    unchanged = usual.read(chosen)
-    tried = [(v, x, probe.script().initialise()) for v in chosen if (x := other_value(v)) is not None]
-    readings = []
-    for v, value, script in tried:
-        script.set(v, value)
-        readings.append(script.exit_initialization_mode().read([v]))
-    probe.play_each([usual, *(script for *_, script in tried)])
-    expected = [(v, start_value(v), unchanged) for v in chosen] if unchanged.ok else []
-    expected += [
-        (v, x, reading) for (v, x, script), reading in zip(tried, readings, strict=True) if script.succeeded
-    ]
-    for v, value, exact in unlike(expected, _ROUNDED):
-        yield f"{v.name} is {value} after initialisation: expected {exact}, its exact value"
+    exact = [v for v in probe.fmu.variables if v.initial == "exact" and v.variability != "constant"]
+    starts = values.start_values(exact)[:MOST_VARIABLES]
+    runs: list[tuple[Action, ...]] = [(do.begin, do.read_as(starts))]
+    for pair in values.other_values([v for v, _ in starts]):
+        set_alone = do.initialise, do.set_values([pair]), do.exit_initialization_mode
+        runs.append((*set_alone, do.read_as([pair])))
+    for actions in runs:
+        again = "{}, its exact value"
+        yield Row("after initialisation", actions, (), tolerance=_ROUNDED, may_fail=True, again=again)
 
 
-@behaviour_rule(_VALUES, needs="values-that-are-set-are-read")
-def values_are_set_together(probe: Probe) -> Iterator[str]:
+@differential(_VALUES, needs="values-that-are-set-are-read")
+def values_are_set_together(probe: Probe) -> Iterator[Row]:
     """Several variables that are set in one call have the values that they have if each is set in a call of
     its own.
     """
-    pairs = other_values(settable_in_initialization(probe.fmu))
-    by_kind = {kind: [(v, x) for v, x in pairs if v.base_kind == kind][:_MOST_VARIABLES] for kind in KINDS}
-    several = {kind: chosen for kind, chosen in by_kind.items() if len(chosen) > 1}
-    if not several:
+    pairs = values.other_values(values.settable_in_initialization(probe.fmu))
+    by_kind = {kind: [(v, x) for v, x in pairs if v.base_kind == kind][:MOST_VARIABLES] for kind in KINDS}
+    if all(len(chosen) < 2 for chosen in by_kind.values()):
         raise NotApplicableError("no two variables of one type can be set in initialization mode")
     taken = {
-        kind: accepted(probe, chosen, lambda: probe.script().initialise()) for kind, chosen in several.items()
+        kind: accepted(probe, chosen, lambda: probe.script().initialise())
+        for kind, chosen in by_kind.items()
+        if len(chosen) > 1
     }
-    if not any(len(chosen) > 1 for chosen in taken.values()):
+    if all(len(pairs) < 2 for pairs in taken.values()):
         raise NotJudgedError("no two variables of one type take other values")
-    for kind, chosen in taken.items():
-        for ordered in (chosen, chosen[::-1]) if len(chosen) > 1 else ():
-            messages = list(_differently_set(probe, kind, ordered))
-            yield from messages
-            if messages:  # the other order has the same cause
-                break
-
-
-def _differently_set(probe: Probe, kind: str, chosen: list[tuple[Variable, object]]) -> Iterator[str]:
-    def script_of() -> Script:
-        return probe.script().initialise()
-
-    alone, together = script_of(), script_of()
-    for v, x in chosen:
-        alone.set(v, x)
-    contents = [x.encode().hex() if isinstance(x, str) else x for _, x in chosen]
-    together.call("set", kind, [v.reference or 0 for v, _ in chosen], contents)
-    variables = [v for v, _ in chosen]
-    expected = alone.exit_initialization_mode().read(variables)
-    got = together.exit_initialization_mode().read(variables)
-    probe.play_each([alone, together])
-    if failure := alone.failure or together.failure:
-        raise NotJudgedError(f"a run with other values fails: {failure.problem}")
-    yield from differing([expected], [got], f"where one fmi2Set{kind} sets {len(chosen)} variables")
+    for kind, pairs in taken.items():
+        end = do.exit_initialization_mode, do.read([v for v, _ in pairs])
+        for ordered in (pairs, pairs[::-1]):
+            usual = do.initialise, do.set_values(ordered), *end
+            together = do.initialise, do.set_at_once(kind, ordered), *end
+            when = f"where one fmi2Set{kind} sets {len(ordered)} variables"
+            yield Row(when, together, usual, may_fail=True)

@@ -1,22 +1,26 @@
-"""Behaviour that every FMU for co-simulation owes: it is loaded, created, initialised, stepped, reset
-and freed.
+"""Behaviour that every FMU owes: it is loaded, created, initialised, stepped, reset and freed, also beside
+other instances.
 """
 
 import re
+import time
 from collections.abc import Iterator
 from pathlib import PurePath
 
+from fmus.compliance import actions as do
 from fmus.compliance.comparison import differing
-from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.differential import OF_EXPERIMENT, Row, differential
+from fmus.compliance.fmu_file import ONLY_ONCE, FmuFile
 from fmus.compliance.probe import Probe, refusal
 from fmus.compliance.rule import CANNOT_LOAD, RANDOM, NotJudgedError, behaviour_rule
-from fmus.compliance.rules.instance import unknown_reference
 from fmus.compliance.script import CallError
+from fmus.compliance.values import if_not_claimed, settable_before, unknown_reference
 
 _NAMING = "2.1.1 Header Files and Naming of Functions"
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
+_ALONE = f"4.3.1 Co-Simulation FMU (CoSimulation): {ONLY_ONCE}"
 _WRONG_GUID = "{00000000-0000-0000-0000-000000000000}"
-_STEPS, _MANY_STEPS = 5, 30
+_STEPS, _MANY_STEPS, _INSTANCES = 5, 30, 10
 _ELSEWHERE = "install what it needs, or check it on a machine that has it"
 # what the loaders of glibc, musl, macOS and Windows tell; undefined symbols are the library's own fault
 _OF_THE_MACHINE = re.compile(
@@ -164,3 +168,42 @@ def failed_instantiation_is_logged(probe: Probe) -> Iterator[str]:
         raise NotJudgedError("fmi2Instantiate returns an instance for a wrong GUID")
     if not any(message.text.strip() for message in messages):
         yield "fmi2Instantiate returned NULL for a wrong GUID and logged nothing: expected the reason"
+
+
+@differential(_ALONE, condition=if_not_claimed(ONLY_ONCE))
+def several_instances(probe: Probe) -> Iterator[Row]:
+    """Instances live side by side: values and steps of one change nothing in another."""
+    varied = do.begin, do.run(2), do.pause, do.run(3)
+    changed = do.set_others(settable_before(probe.fmu)), do.initialise
+    yield Row("beside another instance", varied, beside=(changed, (do.begin, do.run(5))))
+
+
+@behaviour_rule(_CREATION, condition=if_not_claimed(ONLY_ONCE))
+def instances_follow_each_other(probe: Probe) -> Iterator[str]:
+    """After some instances that were used and freed, fewer of a slow FMU, another one takes a step."""
+    half = (time.monotonic() + probe.process.deadline) / 2
+    for _ in range(_INSTANCES):
+        probe.script().begin().step().play()
+        if time.monotonic() > half:
+            break
+    yield from ()
+
+
+@differential("2.1.3 Status Returned by Functions", needs="several-instances reset-gives-the-start-values")
+def error_leaves_other_instances_unchanged(probe: Probe) -> Iterator[Row]:
+    """After an error, other instances go on as before, and fmi2Reset brings the instance back."""
+    if not probe.fmu.claims(ONLY_ONCE):
+        failing = do.begin, do.step(), do.pause, do.fail, do.pause, do.reset, do.begin, do.step(3)
+        varied = do.begin, do.run(1), do.pause, do.pause, do.run(2)
+        yield Row("beside an instance in error", varied, beside=(failing,))
+    varied = do.begin, do.step(), do.fail, do.reset, do.begin, do.run(3)
+    when = "after an error and fmi2Reset"
+    yield Row(when, varied, failing="after an error", tolerance=OF_EXPERIMENT)
+
+
+@differential(_CREATION, condition=if_not_claimed(ONLY_ONCE), needs="several-instances")
+def freed_instance_changes_no_other(_: Probe) -> Iterator[Row]:
+    """Others go on as before where one instance is freed."""
+    varied = do.begin, do.run(1), do.pause, do.pause, do.run(2)
+    freed = do.begin, do.step(), do.pause, do.call("free")
+    yield Row("after another instance was freed", varied, beside=(freed,))

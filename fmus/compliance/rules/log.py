@@ -9,9 +9,9 @@ from fmus.compliance.comparison import failing_or_differing
 from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, behaviour_rule
-from fmus.compliance.rules.instance import unknown_reference
 from fmus.compliance.script import CallError, Message, Script
 from fmus.compliance.session import NAME, session
+from fmus.compliance.values import unknown_reference
 from fmus.fmi.binding import OK, WARNING
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"

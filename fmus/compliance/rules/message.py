@@ -5,9 +5,9 @@ from collections.abc import Iterator
 
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
-from fmus.compliance.rules.instance import unknown_reference
 from fmus.compliance.rules.log import calls_that_log, declared_categories, messages_of_a_session
 from fmus.compliance.session import NAME
+from fmus.compliance.values import unknown_reference
 from fmus.fmi.binding import WARNING
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"

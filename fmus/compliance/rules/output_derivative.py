@@ -8,10 +8,15 @@ from fmus.compliance.comparison import same, texts
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import behaviour_rule
-from fmus.compliance.rules.instance import unknown_reference
 from fmus.compliance.script import Reply
 from fmus.compliance.slopes import Comparison, compared, read_in_steps, with_short_steps, wrong_slope
-from fmus.compliance.values import INTERPOLATES, continuous_reals, references_of, unless_claimed
+from fmus.compliance.values import (
+    INTERPOLATES,
+    continuous_reals,
+    references_of,
+    unknown_reference,
+    unless_claimed,
+)
 from fmus.compliance.variable import Variable
 from fmus.fmi.binding import DISCARD, ERROR
 

@@ -1,246 +1,260 @@
-"""Behaviour of saved states: FMI 2.0.5, 2.1.8, as far as the FMU claims it."""
+"""Saved states, as far as the FMU claims them, and what asking for values may not change."""
 
 from collections.abc import Iterator
 
-from fmus.compliance.accepted import accepted_together
-from fmus.compliance.comparison import differing, failing_or_differing
+from fmus.compliance import actions as do
+from fmus.compliance import values
+from fmus.compliance.actions import Action
+from fmus.compliance.differential import ROUNDING, Row, differences, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
-from fmus.compliance.rules.instance import unknown_reference
-from fmus.compliance.script import Reading
-from fmus.compliance.values import (
-    other_values,
-    readable_in_initialization,
-    settable_in_initialization,
-    settable_while_stepping,
-    unless_claimed,
-)
-from fmus.fmi.binding import ERROR
 
 _CLAUSE = "2.1.8 Getting and Setting the Complete FMU State"
 _SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
-_STEPS = 5
-_ROUNDING = 1e-9  # relative; what is lost by writing a state as text is less
-_MOST_CHANGED = 50
-
-_saves = unless_claimed(_SAVES)
-
-
-def _restored(probe: Probe) -> tuple[list[Reading], list[Reading]]:
-    """Outputs at a saved state and after it, before and after it is set back."""
-    script = probe.script(logging=True).begin().step(2)
-    script.call("get_fmu_state", 0)
-    before = [script.read(probe.outputs), *script.run(_STEPS)]
-    script.call("set_fmu_state", 0)
-    script.go_to(2)
-    after = [script.read(probe.outputs), *script.run(_STEPS)]
-    script.play()
-    return before, after
+_SET_BACK = "in the state that was set back"
+_SIZE = do.call("serialized_fmu_state_size", 0)
+_SAVED = (do.begin, do.step(2), do.save(), _SIZE, _SIZE, do.call("serialize_fmu_state", 0), do.run(5))
+_saves, _serialises = values.unless_claimed(_SAVES), values.unless_claimed(_SERIALISES)
 
 
-@behaviour_rule(_CLAUSE, condition=_saves, needs="communication-points-may-be-rounded allowed-calls-succeed")
-def state_restores(probe: Probe) -> Iterator[str]:
+def _restored(probe: Probe, tolerance: float) -> Row:
+    """Returns the row of a state that is set back once."""
+    end = do.read(probe.outputs, _SET_BACK), do.run(5)
+    varied = do.begin, do.step(2), do.save(), do.expect(*end), do.restore(), *end
+    return Row("from the state that was set back", varied, (), "", tolerance)
+
+
+@differential(_CLAUSE, condition=_saves, needs="communication-points-may-be-rounded allowed-calls-succeed")
+def state_restores(probe: Probe) -> Iterator[Row]:
     """A state that is set back gives the same outputs at once and in the steps that follow, up to
     rounding.
     """
-    before, after = probe.once("saved state", lambda: _restored(probe))
-    yield from differing(before[:1], after[:1], "in the state that was set back", _ROUNDING)
-    yield from differing(before[1:], after[1:], "from the state that was set back", _ROUNDING)
+    yield _restored(probe, ROUNDING)
 
 
-@behaviour_rule(_CLAUSE, condition=_saves, needs="state-restores")
-def state_restores_exactly(probe: Probe) -> Iterator[str]:
+@differential(_CLAUSE, condition=_saves, needs="state-restores")
+def state_restores_exactly(probe: Probe) -> Iterator[Row]:
     """A state that is set back gives exactly the same outputs."""
-    before, after = probe.once("saved state", lambda: _restored(probe))
-    yield from differing(before, after, "from the state that was set back")
+    yield _restored(probe, 0.0)
 
 
-@behaviour_rule(_CLAUSE, condition=_saves, needs="state-restores")
-def state_holds_inputs_and_parameters(probe: Probe) -> Iterator[str]:
+@differential(_CLAUSE, condition=_saves, needs="state-restores")
+def state_holds_inputs_and_parameters(probe: Probe) -> Iterator[Row]:
     """A state holds inputs and tunable parameters too: changed after it was saved, they are back when
     it is set.
     """
-    usual = probe.script().begin().step(2)
-    expected = usual.run(_STEPS)
-    chosen = settable_while_stepping(probe.fmu)
-    pairs = other_values(chosen[:_MOST_CHANGED])
-    pairs = accepted_together(probe, pairs, lambda: probe.script().begin().step(2))
-    script = probe.script().begin().step(2)
-    script.call("get_fmu_state", 0)
-    for v, x in pairs:
-        script.set(v, x)
-    script.step()
-    script.call("set_fmu_state", 0)
-    values = script.read(chosen)
-    script.go_to(2)
-    got = script.run(_STEPS)
-    reference = probe.script().begin().step(2)
-    values_before = reference.read(chosen)
-    probe.play_each([usual, script, reference])
+    chosen = values.settable_while_stepping(probe.fmu)
+    pairs = do.others_accepted(probe, chosen, do.begin, do.step())
     if not pairs:
         raise NotJudgedError("no input or tunable parameter takes another value")
-    if script.failure:
-        raise NotJudgedError(f"a run with other values fails: {script.failure.problem}")
-    yield from differing([values_before], [values], "in the state that was set back", _ROUNDING)
-    yield from differing(expected, got, "from a state that was set back after inputs changed", _ROUNDING)
+    when = "from a state that was set back after inputs changed"
+    end = do.read(chosen, _SET_BACK), do.run(5)
+    varied = do.begin, do.step(2), do.save(), do.attempt(do.set_values(pairs), do.step()), do.restore(), *end
+    yield Row(when, varied, (do.begin, do.step(2), *end), tolerance=ROUNDING)
 
 
-@behaviour_rule(
+@differential(
     _CLAUSE, condition=_saves, needs="state-can-be-saved-often allowed-calls-succeed questions-change-nothing"
 )
-def state_in_initialization_mode(probe: Probe) -> Iterator[str]:
+def state_in_initialization_mode(probe: Probe) -> Iterator[Row]:
     """A state can be saved and set back when instantiated and in initialization mode, with what was set
     there.
     """
-    chosen = other_values(settable_in_initialization(probe.fmu))[:1]
-    readable = readable_in_initialization(probe.fmu)
-    script = probe.script(logging=True)
-    script.call("get_fmu_state", 0)
-    script.call("set_fmu_state", 0)
-    script.initialise()
-    before = script.read(readable)
-    script.call("get_fmu_state", 1)
-    changes = [script.set(v, value) for v, value in chosen]
-    script.call("set_fmu_state", 1)
-    after = script.read(readable)
-    got = script.exit_initialization_mode().run(2)
-    usual = probe.script().begin()
-    expected = usual.run(2)
-    usual.play()
-    script.play(keep_going=True)
-    if script.failure and script.failure not in changes:
-        yield f"in the state {script.failure.state!r}: {script.failure.problem}"
-    elif not script.failure:
-        state = "the state of initialization mode that was set back"
-        yield from differing([before], [after], f"in {state}", _ROUNDING)
-        yield from differing(expected, got, f"from {state}", _ROUNDING)
+    state = "the state of initialization mode that was set back"
+    end = (
+        do.read(values.readable_in_initialization(probe.fmu), f"in {state}"),
+        do.exit_initialization_mode,
+        do.run(2),
+    )
+    other = do.set_others(values.settable_in_initialization(probe.fmu)[:1])
+    varied = do.save(), do.restore(), do.initialise, do.save(1), other, do.restore(1), *end
+    yield Row(f"from {state}", varied, (do.initialise, *end), "in the state {state!r}", ROUNDING)
 
 
-@behaviour_rule(_CLAUSE, condition=_saves, needs="state-restores allowed-calls-succeed")
-def state_holds_the_mode(probe: Probe) -> Iterator[str]:
+@differential(_CLAUSE, condition=_saves, needs="state-restores allowed-calls-succeed")
+def state_holds_the_mode(_: Probe) -> Iterator[Row]:
     """A state holds internal status information: set back while stepping, one of initialization mode is
     in that mode.
     """
-    script = probe.script(logging=True).initialise()
-    script.call("get_fmu_state", 0)
-    first = script.exit_initialization_mode().run(3)
-    script.call("set_fmu_state", 0)
-    script.state = "initialization mode"
-    again = script.exit_initialization_mode().go_to(0).run(3)
-    script.play(keep_going=True)
-    when, failing = "from a state of initialization mode", "after a state of initialization mode was set back"
-    yield from failing_or_differing(script, first, again, when, _ROUNDING, failing)
+    first = do.initialise, do.save(), do.exit_initialization_mode, do.expect(do.run(3))
+    again = do.restore(), do.exit_initialization_mode, do.run(3)
+    failing = "after a state of initialization mode was set back"
+    yield Row("from a state of initialization mode", (*first, *again), (), failing, ROUNDING)
 
 
-@behaviour_rule(
+@differential(
     _CLAUSE,
     condition=_saves,
     needs="state-restores allowed-calls-succeed state-holds-the-mode step-beyond-the-stop-time-is-an-error",
 )
-def state_restores_after_the_end(probe: Probe) -> Iterator[str]:
+def state_restores_after_the_end(probe: Probe) -> Iterator[Row]:
     """A state can be set back after fmi2Terminate and after an error, and steps go on from it, up to the stop
     time.
     """
-    ends = ("fmi2Terminate", "an error of fmi2GetReal", "a step beyond the stop time")
-    for end in ends:
-        script = probe.script(logging=True).set_up(stop=probe.point(4))
-        script.enter_initialization_mode().exit_initialization_mode().step(2)
-        script.call("get_fmu_state", 0)
-        expected = script.run(2)
-        last = (
-            script.terminate() if end == ends[0]
-            else script.call("get", "Real", [unknown_reference(probe)]) if end == ends[1]
-            else script.call("do_step", probe.point(4), probe.step_size)
-        )  # fmt: skip
-        script.call("set_fmu_state", 0)
-        script.go_to(2)
-        got = script.run(2)
-        calls = list(script.replies)
-        beyond = script.call("do_step", probe.point(4), probe.step_size)
-        script.play(keep_going=True)
-        if last.status != ERROR and end != ends[0]:
-            continue
-        replies = [reply for reply in calls if reply.status is not None and reply is not last]
-        failure = next((reply for reply in replies if not reply.ok), None)
-        if failure:
-            yield f"after {end}: {failure.problem}"
-            return
-        yield from differing(expected, got, f"from a state set back after {end}", _ROUNDING)
-        if beyond.status != ERROR:
-            yield (
-                f"from a state set back after {end}: fmi2DoStep to {probe.point(5):g} s "
-                f"{beyond.status_name}: expected error beyond the stop time {probe.point(4):g} s"
-            )
-            return
+    start = do.set_up(stop=4), do.enter_initialization_mode, do.exit_initialization_mode
+    past = f"a step to {probe.point(5):g} s {{}}: expected error beyond the stop time {probe.point(4):g} s"
+    for end, action in (
+        ("fmi2Terminate", do.terminate),
+        ("an error of fmi2GetReal", do.fail),
+        ("a step beyond the stop time", do.error(do.step())),
+    ):
+        varied = (
+            *start,
+            do.step(2),
+            do.save(),
+            do.expect(do.run(2)),
+            action,
+            do.restore(),
+            do.run(2),
+            do.error(do.step(), past),
+        )
+        yield Row(f"from a state set back after {end}", varied, (), f"after {end}", ROUNDING)
 
 
-@behaviour_rule(_CLAUSE, condition=_saves, needs="state-restores")
-def state_can_be_saved_often(probe: Probe) -> Iterator[str]:
+@differential(_CLAUSE, condition=_saves, needs="state-restores")
+def state_can_be_saved_often(_: Probe) -> Iterator[Row]:
     """Several states are kept at a time, each its own; one that is given again is written over."""
-    script = probe.script(logging=True).begin()
-
-    def from_state(slot: int) -> list[Reading]:
-        script.call("set_fmu_state", slot)
-        return script.go_to(0).run(3)
-
-    script.call("get_fmu_state", 0)
-    first = script.run(3)
-    script.call("get_fmu_state", 1)
-    older = from_state(0)
-    script.call("set_fmu_state", 0)
-    script.call("get_fmu_state", 1)
-    again = script.go_to(0).run(3)
-    over = from_state(1)
-    script.call("free_fmu_state", 0)
-    left = from_state(1)
-    script.call("free_fmu_state", 1)
-    script.play()
-    yield from differing(first, older, "from the older of two states", _ROUNDING)
-    yield from differing(first, again, "after a state was written over", _ROUNDING)
-    yield from differing(first, over, "from the state that was written over", _ROUNDING)
-    yield from differing(first, left, "after another state was freed", _ROUNDING)
+    varied = (
+        do.begin, do.save(), do.expect(do.run(3)), do.save(1),
+        do.restore(), do.run(3, "from the older of two states"),
+        do.restore(), do.save(1), do.run(3, "after a state was written over"),
+        do.restore(1), do.run(3, "from the state that was written over"),
+        do.free_state(), do.restore(1), do.run(3, "after another state was freed"), do.free_state(1),
+    )  # fmt: skip
+    yield Row("with several states", varied, (), tolerance=ROUNDING)
 
 
 @behaviour_rule(_CLAUSE, condition=_saves, needs="state-restores")
 def freed_state_is_null(probe: Probe) -> Iterator[str]:
     """fmi2FreeFMUstate returns NULL in its argument."""
-    script = probe.script(logging=True).begin().step()
-    script.call("get_fmu_state", 0)
-    forgotten = script.call("free_fmu_state", 0)
+    script = probe.script(logging=True).begin().step().save()
+    freed = script.call("free_fmu_state", 0)
     script.play()
-    if not forgotten.value:
+    if not freed.value:
         yield "fmi2FreeFMUstate left the state's address: expected NULL"
 
 
-@behaviour_rule(_CLAUSE, condition=_saves, needs="state-restores")
-def free_of_null_state_is_ignored(probe: Probe) -> Iterator[str]:
+@differential(_CLAUSE, condition=_saves, needs="state-restores")
+def free_of_null_state_is_ignored(_: Probe) -> Iterator[Row]:
     """fmi2FreeFMUstate of a NULL state does nothing."""
-    script = probe.script(logging=True).begin().step()
-    script.call("free_fmu_state", 7)
-    script.step()
-    script.play(keep_going=True)
-    if script.failure:
-        yield f"with a state that is NULL: {script.failure.problem}"
+    yield Row("with a state that is NULL", (do.begin, do.run(1), do.free_state(7), do.run(2)))
 
 
-@behaviour_rule(_CLAUSE, condition=unless_claimed(_SERIALISES), needs="state-restores allowed-calls-succeed")
+@behaviour_rule(_CLAUSE, condition=_serialises, needs="state-restores allowed-calls-succeed")
 def serialised_state_restores(probe: Probe) -> Iterator[str]:
     """A state as bytes gives the same outputs in an instance of its own."""
-    script = probe.script(logging=True).begin().step(2)
-    script.call("get_fmu_state", 0)
-    size, again = script.call("serialized_fmu_state_size", 0), script.call("serialized_fmu_state_size", 0)
-    content = script.call("serialize_fmu_state", 0)
-    expected = script.run(_STEPS)
-    script.play()
-    if size.value != again.value:
-        yield f"fmi2SerializedFMUstateSize is {size.value} and then {again.value}: expected the same size"
-    if not content.value[1]:
-        yield f"fmi2SerializeFMUstate writes more than the {size.value} bytes of its size"
-    other = probe.script(logging=True).begin().step()
-    other.call("deserialize_fmu_state", 0, content.value[0])
-    other.call("set_fmu_state", 0)
-    other.go_to(2)
-    got = other.run(_STEPS)
-    other.call("free_fmu_state", 0)
-    other.play()
-    yield from differing(expected, got, "from a state read from bytes", _ROUNDING)
+    source = do.played(probe, _SAVED)
+    size, again = (reply.value for reply in source.replies_of("fmi2SerializedFMUstateSize"))
+    if size != again:
+        yield f"fmi2SerializedFMUstateSize is {size} and then {again}: expected the same size"
+    if not source.replies_of("fmi2SerializeFMUstate")[0].value[1]:
+        yield f"fmi2SerializeFMUstate writes more than the {size} bytes of its size"
+    varied = do.begin, do.step(), do.read_bytes(source), do.restore(), do.run(5), do.free_state()
+    yield from differences(probe, [Row("from a state read from bytes", varied, _SAVED, "", ROUNDING)])
+
+
+@differential(
+    _CLAUSE,
+    condition=_saves,
+    needs="state-restores input-derivatives questions-change-nothing state-holds-inputs-and-parameters",
+)
+def state_holds_every_value(probe: Probe) -> Iterator[Row]:
+    """Set back after inputs, tunable parameters and derivatives of inputs went back to their start values, a
+    state gives all variables again, at once and in the steps that follow, as if it had not been saved.
+    """
+    pairs = do.others_accepted(probe, values.settable_while_stepping(probe.fmu), do.begin, do.step())
+    moving = do.begin, do.step(), do.set_values(pairs), do.set_derivatives(), do.step(), do.set_derivatives()
+    slopes = values.continuous_reals(probe, "output") if probe.fmu.output_derivative_order else []
+    end = do.read_all(_SET_BACK), do.read_slopes(slopes, _SET_BACK), do.run_all(3)
+    back = do.set_derivatives(0.0), do.set_values(values.start_values(v for v, _ in pairs)), do.step(2)
+    varied = *moving, do.save(), *back, do.restore(), *end
+    when = "from a state that was set back"
+    yield Row(when, varied, (*moving, *end), tolerance=ROUNDING, may_fail=True)
+
+
+@behaviour_rule(
+    _CLAUSE,
+    condition=_serialises,
+    needs="state-holds-every-value serialised-state-restores strings-are-copied inputs-that-are-set-are-read",
+)
+def bytes_hold_every_value(probe: Probe) -> Iterator[str]:
+    """Bytes of a state with other values, that was freed, give all variables again in an instance with start
+    values; reading them changes nothing until the state is set.
+    """
+    pairs = do.others_accepted(probe, values.settable_before(probe.fmu))
+    bytes_of_a_freed_state = do.call("serialize_fmu_state", 0), do.free_state(), do.save(1), do.step()
+    usual = (
+        do.set_values(pairs),
+        do.begin,
+        do.step(2),
+        do.save(),
+        do.read_all(),
+        do.run_all(3),
+        *bytes_of_a_freed_state,
+    )
+    source = do.played(probe, usual)
+    if not source.content:
+        yield "a serialised state has no bytes"
+        return
+    still = "after fmi2DeSerializeFMUstate, before fmi2SetFMUstate"
+    end = (
+        do.read_bytes(source),
+        do.read_all(still),
+        do.restore(),
+        do.read_all(),
+        do.run_all(3),
+        do.free_state(),
+    )
+    varied = do.attempt(do.begin, do.step(), do.expect(do.read_all())), *end
+    yield from differences(probe, [Row("from bytes in another instance", varied, usual, tolerance=ROUNDING)])
+
+
+@differential(_CLAUSE, condition=_saves, needs="state-restores state-holds-the-mode reset-in-every-state")
+def state_can_be_set_after_reset(_: Probe) -> Iterator[Row]:
+    """A state that was saved before fmi2Reset can be set after it, and the steps that follow are the same."""
+    varied = do.begin, do.step(2), do.save(), do.expect(do.run(3)), do.reset, do.restore(), do.run(3)
+    failing = "with a state from before fmi2Reset"
+    yield Row("from a state from before fmi2Reset", varied, (), failing, ROUNDING)
+
+
+@differential(
+    _CLAUSE, condition=_saves, needs="state-restores state-holds-every-value bytes-hold-every-value"
+)
+def state_restores_over_the_experiment(probe: Probe) -> Iterator[Row]:
+    """A state of the middle of the default experiment, and its copy by bytes, give all variables again up to
+    the stop time, as far as steps take a second.
+    """
+    half, copied = probe.steps_of_experiment // 2, probe.fmu.claims(_SERIALISES)
+    t = f"{probe.point(half):g} s"
+    saved = (do.save(), do.copy(0, 1)) if copied else (do.save(),)
+    first = do.attempt(do.begin, do.go_on(half), *saved, do.expect(do.go_on_reading(half, 5)))
+    again = do.restore(), do.go_on_reading(half, 5, f"from a state of {t} that was set back")
+    by_bytes = do.restore(1), do.go_on_reading(half, 5, f"from bytes of a state of {t}")
+    yield Row(f"from a state of {t}", (first, *again, *(by_bytes if copied else ())), (), tolerance=ROUNDING)
+
+
+@differential(
+    "4.2.2 Computation (fmi2DoStep)",
+    condition=_saves,
+    needs="state-restores no-set-state-flag-changes-nothing",
+)
+def flag_keeps_the_states_of_the_present(_: Probe) -> Iterator[Row]:
+    """After a step with noSetFMUStatePriorToCurrentPoint, a state of its beginning can be set."""
+    varied = do.begin, do.step(2), do.save(), do.step(no_going_back=True), do.restore(), do.step()
+    yield Row("after noSetFMUStatePriorToCurrentPoint", varied)
+
+
+@differential("2.1.7 Getting and Setting Variable Values", needs="allowed-calls-succeed")
+def questions_change_nothing(probe: Probe) -> Iterator[Row]:
+    """Reading values and derivatives, or saving a state, changes nothing in the steps that follow."""
+    outputs, inputs = (values.references_of(values.continuous_reals(probe, c)) for c in ("output", "input"))
+    saved = (do.save(), do.free_state()) if probe.fmu.claims(_SAVES) else ()
+    asked: list[Action] = [do.glance(probe.fmu.variables)]
+    if outputs and probe.fmu.output_derivative_order:
+        asked.append(do.call("output_derivatives", outputs, 1))
+    if outputs and inputs and probe.fmu.claims("providesDirectionalDerivative"):
+        asked.append(do.call("directional_derivatives", outputs, inputs, [1.0] * len(inputs)))
+    varied = do.begin, *(do.set_derivatives(), *saved, do.step(), *asked, *saved, do.read_all()) * 4
+    when = "where values and derivatives are read more often"
+    usual = do.begin, *(do.set_derivatives(), do.run_all(1)) * 4
+    yield Row(when, varied, usual, tolerance=ROUNDING, may_fail=True)

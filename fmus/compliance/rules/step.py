@@ -7,10 +7,9 @@ from fmus.compliance.comparison import differing, failing_or_differing, steadily
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
-from fmus.compliance.rules.instance import unknown_reference
 from fmus.compliance.script import Reading, Reply, Script
 from fmus.compliance.session import LARGE_TOLERANCE, TOLERANCE, run_with_tolerance
-from fmus.compliance.values import continuous_reals, unless_claimed
+from fmus.compliance.values import continuous_reals, unknown_reference, unless_claimed
 from fmus.fmi.binding import DISCARD, ERROR
 
 _SETUP = "2.1.6 Initialization, Termination, and Resetting an FMU (fmi2SetupExperiment)"

@@ -14,7 +14,7 @@ from fmus.compliance.judge import judged_by_one_process
 from fmus.compliance.probe import Probe
 from fmus.compliance.registry import registered
 from fmus.compliance.rule import Result, Stage
-from fmus.compliance.rules.instance import unknown_reference
+from fmus.compliance.values import unknown_reference
 from tests.described_fmus import members
 
 from .archives import FALSE_CLAIMS, GLOBALS, STEP, Members, broken_rules, patched, write
