@@ -29,7 +29,10 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True)
 class Rule:
-    """One rule: `check` yields a message for each time that an FMU breaks it."""
+    """One rule: `check` yields a message for each time that an FMU breaks it.
+
+    interface: the element of the interface that it is of alone; empty for a rule of both
+    """
 
     name: str
     clause: str
@@ -40,6 +43,7 @@ class Rule:
     condition: Condition
     needs: tuple[str, ...] = ()
     last: bool = False
+    interface: str = ""
 
 
 IS_BROKEN = " is broken"
@@ -103,6 +107,7 @@ def rule(
     condition: Condition = _always,
     needs: str = "",
     last: bool = False,
+    interface: str = "",
 ) -> Callable[[Check], Check]:
     """Makes a function a rule: its name with dashes is the rule's, its docstring what the rule claims.
 
@@ -111,6 +116,7 @@ def rule(
     find the same.
     last: it is judged after the rules of its stage that are not, as it judges what came of their calls, or as
     its own may leave the process of the FMU damaged.
+    interface: see `Rule`.
     """
 
     def register(check: Check) -> Check:
@@ -118,7 +124,9 @@ def rule(
         claim = " ".join((inspect.getdoc(check) or "").split())
         if name in RULES:
             raise ValueError(f"rule {name}: expected one function of that name, got a second")
-        RULES[name] = Rule(name, clause, claim, level, stage, check, condition, tuple(needs.split()), last)
+        RULES[name] = Rule(
+            name, clause, claim, level, stage, check, condition, tuple(needs.split()), last, interface
+        )
         return check
 
     return register
@@ -130,9 +138,10 @@ def behaviour_rule(
     condition: Condition = _always,
     needs: str = "",
     last: bool = False,
+    interface: str = "",
 ) -> Callable[[Check], Check]:
     """Makes a function a rule of behaviour; arguments as of `rule`."""
-    return rule(clause, Stage.BEHAVIOUR, level, condition, needs, last)
+    return rule(clause, Stage.BEHAVIOUR, level, condition, needs, last, interface)
 
 
 def messages_of(check: Iterable[str]) -> tuple[str, ...]:
