@@ -219,14 +219,14 @@ def _without_instances_before(
     """
     rule, follow = result.rule, results.get(_AFTER_OTHERS)
     crashes = [m for m in result.messages if m.startswith((ENDED, NO_INSTANCE))]
-    is_advice = rule.level is Level.WARNING  # it may have made calls that FMI forbids
-    if (only_once and result.messages) or (is_advice and _is_no_instance(result)):
+    is_minor = rule.level is not Level.ERROR  # it may have made calls that FMI forbids
+    if (only_once and result.messages) or (is_minor and _is_no_instance(result)):
         return {rule.name: judge_alone()}
     if only_once or not crashes or follow is None:
         return {rule.name: result}
-    if len(follow.messages) >= (1 if is_advice else _MOST_CRASHES):
+    if len(follow.messages) >= (1 if is_minor else _MOST_CRASHES):
         return {rule.name: Result(rule, not_judged=f"{_AFTER_OTHERS}{IS_BROKEN}")}
-    if is_advice:
+    if is_minor:
         return {rule.name: result}
     alone = judge_alone()
     if any(message in alone.messages for message in crashes):

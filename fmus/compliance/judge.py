@@ -61,8 +61,8 @@ def _call(probe: Probe) -> str:
 
 
 def _breach(result: Result) -> str:
-    """Returns the reason why what needs a rule is not judged: it has an error, or is not judged itself."""
-    if result.outcome == "error":
+    """Returns the reason why what needs a rule is not judged: it is broken, or is not judged itself."""
+    if result.messages:
         return f"{result.rule.name}{IS_BROKEN}"
     is_of_all = result.not_judged.startswith(CANNOT_LOAD) or result.not_judged.endswith((IS_BROKEN, RANDOM))
     return result.not_judged if is_of_all else ""

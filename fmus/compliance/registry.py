@@ -10,7 +10,7 @@ MODULES = (
     "alias", "structure", "library", "lifecycle", "location", "reset", "initialization", "instance",
     "resource", "call", "discard", "value", "constancy", "setting", "step", "asynchronous", "callback", "log",
     "message", "process", "state", "saved_value", "input_derivative", "output_derivative", "derivative",
-    "input_slope", "directional", "step_directional", "dependency", "step_dependency", "reference",
+    "input_slope", "effects", "reference",
     "status",  # of refusals in the calls of all others
 )  # fmt: skip
 """Modules of `fmus.compliance.rules`, in the order in which their rules are judged and told."""

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.rule import Stage, rule
 from fmus.compliance.variable import Variable, integer, is_true
 
 _CLAUSE = "2.2.7 Definition of Model Variables (ModelVariables), alias variables"
@@ -63,7 +63,7 @@ def _value(v: Variable) -> float | int | bool | str | None:
     return integer(v.start) if v.base_kind == "Integer" else v.start
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION, Level.WARNING)
+@rule(_CLAUSE, Stage.DESCRIPTION)
 def alias_variability(fmu: FmuFile) -> Iterator[str]:
     """Variables of an alias set without input and parameter have the same variability."""
     for members in _sets(fmu):

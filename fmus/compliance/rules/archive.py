@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from fmus.compliance.fmu_file import DESCRIPTION, FmuFile
-from fmus.compliance.rule import Level, Stage, repeated, rule
+from fmus.compliance.rule import Stage, repeated, rule
 
 CLAUSE = "2.3 FMU Distribution"
 _FOLDERS = ("binaries", "documentation", "resources", "sources", "extra", "terminalsAndIcons")
@@ -149,14 +149,14 @@ def archive_paths_are_unique(fmu: FmuFile) -> Iterator[str]:
         yield f"{count} members are called {name!r}: expected one"
 
 
-@rule("advice: Windows and macOS do not tell them apart", Stage.FILE, Level.WARNING, condition=unreadable)
+@rule("advice: Windows and macOS do not tell them apart", Stage.FILE, condition=unreadable)
 def archive_paths_differ_by_more_than_case(fmu: FmuFile) -> Iterator[str]:
     """No two paths differ by upper and lower case alone."""
     for name in repeated(name.lower() for name in fmu.paths):
         yield f"several members are called {name!r} but for their case: expected other names"
 
 
-@rule(CLAUSE, Stage.FILE, Level.WARNING, condition=unreadable)
+@rule(CLAUSE, Stage.FILE, condition=unreadable)
 def archive_folders_are_ascii(fmu: FmuFile) -> Iterator[str]:
     """Names of directories hold ASCII characters alone."""
     for folder in sorted({name.rpartition("/")[0] for name in fmu.names}):
@@ -172,7 +172,7 @@ def archive_has_description(fmu: FmuFile) -> Iterator[str]:
         yield f"no {DESCRIPTION} at the top; it is at {', '.join(elsewhere) or 'no other place either'}"
 
 
-@rule(CLAUSE, Stage.FILE, Level.WARNING, condition=unreadable)
+@rule(CLAUSE, Stage.FILE, condition=unreadable)
 def archive_layout(fmu: FmuFile) -> Iterator[str]:
     """At the top of the archive there is nothing but what FMI puts there."""
     for name in sorted({path.split("/")[0] + "/" * ("/" in path) for path in fmu.names}):

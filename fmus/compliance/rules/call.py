@@ -5,7 +5,7 @@ from functools import partial
 
 from fmus.compliance.fmu_file import CO_SIMULATION
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, behaviour_rule
+from fmus.compliance.rule import behaviour_rule
 from fmus.compliance.script import KINDS, Reply, Script
 from fmus.compliance.session import session
 from fmus.compliance.values import INTERPOLATES, continuous_reals, references_of, start_value
@@ -125,7 +125,6 @@ def _forbidden_derivatives(probe: Probe) -> Iterator[tuple[Script, Reply]]:
 
 @behaviour_rule(
     "advice: calls that 4.2.4 and 4.2.2 forbid to importers",
-    Level.WARNING,
     last=True,
     interface=CO_SIMULATION,
 )
@@ -154,7 +153,7 @@ def _named(reply: Reply, script: Script) -> str:
     return reply.function
 
 
-@behaviour_rule("advice: an empty call has nothing to refuse", Level.WARNING, needs="allowed-calls-succeed")
+@behaviour_rule("advice: an empty call has nothing to refuse", needs="allowed-calls-succeed")
 def empty_calls_succeed(probe: Probe) -> Iterator[str]:
     """Getting or setting no variables, with NULL for both arrays, succeeds."""
     script = probe.script(logging=True).begin()

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from fmus.compliance.comparison import texts
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotApplicableError, behaviour_rule
+from fmus.compliance.rule import NotApplicableError, behaviour_rule
 from fmus.compliance.slopes import SHORT, compared, read_in_steps, with_short_steps, wrong_slope
 from fmus.compliance.variable import Variable, integer
 
@@ -44,7 +44,7 @@ def _is_wrong_in_short_steps(probe: Probe, name: str) -> bool:
     return any(_no_slope(run, SHORT * probe.step_size) for run in runs if run[0].name == name)
 
 
-@behaviour_rule(_DERIVATIVE, Level.WARNING, needs="derivatives-are-slopes")
+@behaviour_rule(_DERIVATIVE, needs="derivatives-are-slopes")
 def derivatives_integrate_to_their_variables(probe: Probe) -> Iterator[str]:
     """A variable changes by the integral of the variable that names it with the attribute derivative."""
     for v, state, values, slopes in _usual_runs(probe):

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 
 from fmus.compliance.contents import BUILD_DESCRIPTION, SCHEMAS, TERMINALS, schema_errors
 from fmus.compliance.fmu_file import C_IDENTIFIER, FmuFile
-from fmus.compliance.rule import Level, Stage, repeated, rule
+from fmus.compliance.rule import Stage, repeated, rule
 from fmus.compliance.rules.archive import unreadable
 from fmus.compliance.variable import is_true, number
 
@@ -55,7 +55,7 @@ def description_is_utf_8(fmu: FmuFile) -> Iterator[str]:
         yield f'it begins {fmu.xml[:40]!r}: expected <?xml version="1.0" encoding="UTF-8"?>'
 
 
-@rule(_DESCRIPTION, Stage.FILE, Level.WARNING, condition=unreadable)
+@rule(_DESCRIPTION, Stage.FILE, condition=unreadable)
 def other_xml_is_utf_8(fmu: FmuFile) -> Iterator[str]:
     """The first line of buildDescription.xml and of terminalsAndIcons.xml states the encoding UTF-8."""
     for path in {BUILD_DESCRIPTION, TERMINALS} & fmu.paths:
@@ -91,7 +91,7 @@ def interfaces(fmu: FmuFile) -> Iterator[str]:
             yield f"{number_of_elements} elements {kind}: expected one"
 
 
-@rule(_HEAD, Stage.DESCRIPTION, Level.WARNING)
+@rule(_HEAD, Stage.DESCRIPTION)
 def name_and_guid_are_given(fmu: FmuFile) -> Iterator[str]:
     """modelName and guid, which ties description and library together, are not empty."""
     for attribute in ("modelName", "guid"):
@@ -99,7 +99,7 @@ def name_and_guid_are_given(fmu: FmuFile) -> Iterator[str]:
             yield f"{attribute} {fmu.root.get(attribute)!r}: expected one that is not empty"
 
 
-@rule(_HEAD, Stage.DESCRIPTION, Level.WARNING)
+@rule(_HEAD, Stage.DESCRIPTION)
 def generation_date(fmu: FmuFile) -> Iterator[str]:
     """generationDateAndTime is a date in UTC, YYYY-MM-DDThh:mm:ssZ."""
     date = fmu.root.get("generationDateAndTime")
@@ -115,7 +115,7 @@ def log_categories_are_unique(fmu: FmuFile) -> Iterator[str]:
         yield f"log category {name!r} is defined {count} times: expected once"
 
 
-@rule(_CATEGORIES, Stage.DESCRIPTION, Level.WARNING)
+@rule(_CATEGORIES, Stage.DESCRIPTION)
 def log_category_names(fmu: FmuFile) -> Iterator[str]:
     """A standardized log category has its standardized name."""
     standard = {name.lower(): name for name in _STANDARD_CATEGORIES}
@@ -126,7 +126,7 @@ def log_category_names(fmu: FmuFile) -> Iterator[str]:
             yield f"log category {name!r}: expected {expected}, the standardized name"
 
 
-@rule(_CATEGORIES, Stage.DESCRIPTION, Level.WARNING)
+@rule(_CATEGORIES, Stage.DESCRIPTION)
 def log_category_descriptions(fmu: FmuFile) -> Iterator[str]:
     """The description of a log category, where there is one, is not empty."""
     for element in fmu.root.iterfind("LogCategories/Category"):
@@ -142,7 +142,7 @@ def default_experiment(fmu: FmuFile) -> Iterator[str]:
             yield text
 
 
-@rule(_EXPERIMENT, Stage.DESCRIPTION, Level.WARNING)
+@rule(_EXPERIMENT, Stage.DESCRIPTION)
 def default_experiment_is_meaningful(fmu: FmuFile) -> Iterator[str]:
     """The default experiment takes a step at least; its step size and tolerance are not 0."""
     for limit, text in _experiment(fmu):

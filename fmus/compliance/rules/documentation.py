@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from fmus.compliance.contents import TERMINALS, fmi3_schema_errors, parsed_member, unless_there
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Level, Stage, repeated, rule
+from fmus.compliance.rule import Stage, repeated, rule
 from fmus.compliance.rules.archive import CLAUSE, unreadable
 
 _EXTRA = "2.3.1 Extra Directory"
@@ -21,7 +21,7 @@ def _files(fmu: FmuFile, folder: str) -> list[str]:
     return [path for path in fmu.names if path.startswith(folder) and not path.endswith("/")]
 
 
-@rule(CLAUSE, Stage.FILE, Level.WARNING, condition=unreadable)
+@rule(CLAUSE, Stage.FILE, condition=unreadable)
 def documentation_has_an_entry(fmu: FmuFile) -> Iterator[str]:
     """Documentation is entered by documentation/index.html."""
     files = [
@@ -33,7 +33,7 @@ def documentation_has_an_entry(fmu: FmuFile) -> Iterator[str]:
         yield f"{', '.join(files[:3])}: expected documentation/index.html, where a reader begins"
 
 
-@rule(CLAUSE, Stage.FILE, Level.WARNING, condition=unreadable)
+@rule(CLAUSE, Stage.FILE, condition=unreadable)
 def licenses_have_an_entry(fmu: FmuFile) -> Iterator[str]:
     """Licences are entered by documentation/licenses/license.txt or license.html."""
     entries = {f"{_LICENSES}license.{extension}" for extension in ("txt", "html")}
@@ -41,7 +41,7 @@ def licenses_have_an_entry(fmu: FmuFile) -> Iterator[str]:
         yield f"{_LICENSES}: expected license.txt or license.html, where a reader begins"
 
 
-@rule(CLAUSE, Stage.FILE, Level.WARNING, condition=unreadable)
+@rule(CLAUSE, Stage.FILE, condition=unreadable)
 def icon_is_png(fmu: FmuFile) -> Iterator[str]:
     """model.png is a picture in the format PNG."""
     if "model.png" in fmu.paths and not fmu.read("model.png").startswith(_PNG):
@@ -63,7 +63,7 @@ def extra_names_are_not_reserved(fmu: FmuFile) -> Iterator[str]:
             yield f"extra/{name}: expected a name of the maker's own, as this is for layered standards of FMI"
 
 
-@rule(_EXTRA, Stage.FILE, Level.WARNING, condition=unreadable)
+@rule(_EXTRA, Stage.FILE, condition=unreadable)
 def extra_names_are_domains(fmu: FmuFile) -> Iterator[str]:
     """Files below extra are in a directory that is named by a domain, its parts reversed."""
     for name in _extra_folders(fmu):
@@ -96,7 +96,7 @@ def terminals_and_icons(fmu: FmuFile) -> Iterator[str]:
                 yield f"{TERMINALS}: {parent.get('name')!r} has {count} members {name!r}: expected one"
 
 
-@rule(_TERMINALS, Stage.DESCRIPTION, Level.WARNING, condition=unless_there(TERMINALS))
+@rule(_TERMINALS, Stage.DESCRIPTION, condition=unless_there(TERMINALS))
 def terminal_icons_exist(fmu: FmuFile) -> Iterator[str]:
     """Pictures of terminals are beside terminalsAndIcons.xml."""
     root, _ = parsed_member(fmu, TERMINALS)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from fmus.compliance.contents import BUILD_DESCRIPTION, fmi3_schema_errors, parsed_member, unless_there
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.rule import Stage, rule
 from fmus.compliance.rules.archive import CLAUSE, unreadable
 from fmus.compliance.variable import is_true
 
@@ -62,7 +62,7 @@ def _is_binary(path: str, identifier: str) -> bool:
     )
 
 
-@rule(CLAUSE, Stage.FILE, Level.WARNING, condition=unreadable)
+@rule(CLAUSE, Stage.FILE, condition=unreadable)
 def platform_names(fmu: FmuFile) -> Iterator[str]:
     """Folders below binaries are named as FMI 2.0 (linux64) or FMI 3.0 (aarch64-linux) does."""
     for folder in fmu.platforms():
@@ -106,7 +106,7 @@ def tool_wrapper_is_a_binary(fmu: FmuFile) -> Iterator[str]:
             yield f"{kind} has needsExecutionTool: expected a library {identifier} that talks to the tool"
 
 
-@rule(CLAUSE, Stage.DESCRIPTION, Level.WARNING)
+@rule(CLAUSE, Stage.DESCRIPTION)
 def tool_is_documented(fmu: FmuFile) -> Iterator[str]:
     """With needsExecutionTool, documentation/externalDependencies.txt or .html exists."""
     files = {f"documentation/externalDependencies.{extension}" for extension in ("txt", "html")}
@@ -115,7 +115,7 @@ def tool_is_documented(fmu: FmuFile) -> Iterator[str]:
             yield f"{kind} has needsExecutionTool: expected documentation/externalDependencies.txt or .html"
 
 
-@rule(CLAUSE, Stage.FILE, Level.WARNING, condition=unreadable)
+@rule(CLAUSE, Stage.FILE, condition=unreadable)
 def headers_of_fmi_are_left_out(fmu: FmuFile) -> Iterator[str]:
     """Below sources and binaries there are no header files of FMI: they are the importer's."""
     for path in fmu.names:
@@ -169,7 +169,7 @@ def source_files_exist(fmu: FmuFile) -> Iterator[str]:
                 yield f"{kind}: SourceFiles lists {name}: expected sources/{name} in the archive"
 
 
-@rule(CLAUSE, Stage.DESCRIPTION, Level.WARNING)
+@rule(CLAUSE, Stage.DESCRIPTION)
 def source_files_are_distributed(fmu: FmuFile) -> Iterator[str]:
     """SourceFiles, which is meaningful for sources alone, is left out where the FMU holds no sources."""
     for kind, names in _listed_sources(fmu).items():
@@ -177,7 +177,7 @@ def source_files_are_distributed(fmu: FmuFile) -> Iterator[str]:
             yield f"{kind}: SourceFiles lists {', '.join(names[:3])}: expected none, as there are no sources"
 
 
-@rule(CLAUSE, Stage.DESCRIPTION, Level.WARNING)
+@rule(CLAUSE, Stage.DESCRIPTION)
 def source_files_are_compiled(fmu: FmuFile) -> Iterator[str]:
     """SourceFiles lists no header, and no file that another one of them includes."""
     for kind, names in _listed_sources(fmu).items():
@@ -192,7 +192,7 @@ def source_files_are_compiled(fmu: FmuFile) -> Iterator[str]:
                 yield f"{kind}: SourceFiles lists {name}, which others include: expected files to compile"
 
 
-@rule(CLAUSE, Stage.FILE, Level.WARNING, condition=unreadable)
+@rule(CLAUSE, Stage.FILE, condition=unreadable)
 def includes_have_quotes(fmu: FmuFile) -> Iterator[str]:
     """Sources include the header files that the FMU holds by quotes, not by angle brackets."""
     sources = [path for path in fmu.names if path.startswith(SOURCES) and path.endswith((*TO_COMPILE, ".h"))]

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from fmus.compliance.comparison import RESTARTED, differing
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, behaviour_rule
+from fmus.compliance.rule import behaviour_rule
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import (
     INTERPOLATES,
@@ -52,9 +52,7 @@ def input_derivatives_have_an_effect(probe: Probe) -> Iterator[str]:
         yield f"the derivative of {without[0]} has no effect in a step, as canInterpolateInputs says it has"
 
 
-@behaviour_rule(
-    _TRANSFER, Level.WARNING, condition=unless_claimed(INTERPOLATES), needs="input-derivatives-have-an-effect"
-)
+@behaviour_rule(_TRANSFER, condition=unless_claimed(INTERPOLATES), needs="input-derivatives-have-an-effect")
 def each_input_derivative_has_an_effect(probe: Probe) -> Iterator[str]:
     """If the derivative of one continuous input has an effect, that of each that outputs follow has one."""
     for name, verdict in probe.once("effects of derivatives", lambda: input_effects(probe)):
@@ -102,7 +100,6 @@ def _moved(held: Reading, raised: Reading, moving: Reading) -> str:
 
 @behaviour_rule(
     "4.2.4 State Machine of Calling Sequence from Master to Slave",
-    Level.WARNING,
     condition=unless_claimed(INTERPOLATES),
     needs="allowed-calls-succeed",
 )

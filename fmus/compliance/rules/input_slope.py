@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 
 from fmus.compliance.comparison import differing, texts
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, behaviour_rule
+from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.rules.input_derivative import derive, input_effects
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import (
@@ -30,7 +30,6 @@ _NOISE = 1e-9  # relative
 
 @behaviour_rule(
     "4.2.1 Transfer of Input / Output Values and Parameters",
-    Level.WARNING,
     condition=unless_claimed(INTERPOLATES),
     needs="input-derivatives-have-an-effect setting-the-same-changes-nothing variable-step-size",
 )

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 from fmus.compliance.fmu_file import FmuFile, no_co_simulation
 from fmus.compliance.library_reader import Library, no_library, start_reading
-from fmus.compliance.rule import IS_BROKEN, Level, NotJudgedError, Stage, rule
+from fmus.compliance.rule import IS_BROKEN, NotJudgedError, Stage, rule
 from fmus.fmi.binding import platform_name
 
 _BINARIES = "2.3 FMU Distribution (binaries)"
@@ -84,7 +84,7 @@ def _functions(fmu: FmuFile, path: str) -> set[str]:
     return {f"fmi2{name}" for name in names.split()}
 
 
-@rule(_BINARIES, Stage.LIBRARY, Level.WARNING, condition=no_library)
+@rule(_BINARIES, Stage.LIBRARY, condition=no_library)
 def libraries_are_complete(fmu: FmuFile) -> Iterator[str]:
     """Libraries for Linux need those of the FMU and of the system alone, or externalDependencies tells."""
     documented = any(path.startswith("documentation/externalDependencies.") for path in fmu.names)
@@ -95,7 +95,7 @@ def libraries_are_complete(fmu: FmuFile) -> Iterator[str]:
             yield f"{library.path} needs {', '.join(missing)}: expected {expected}"
 
 
-@rule(_BINARIES, Stage.LIBRARY, Level.WARNING, condition=no_library)
+@rule(_BINARIES, Stage.LIBRARY, condition=no_library)
 def libraries_have_an_rpath(fmu: FmuFile) -> Iterator[str]:
     """Libraries for Linux that need others of the FMU have the RPATH $ORIGIN."""
     for library in _libraries(fmu):
@@ -104,7 +104,7 @@ def libraries_have_an_rpath(fmu: FmuFile) -> Iterator[str]:
             yield f"{library.path} needs {', '.join(inside)}, without RPATH: expected $ORIGIN"
 
 
-@rule("advice: behaviour is judged where the library runs", Stage.LIBRARY, Level.WARNING, no_co_simulation)
+@rule("advice: behaviour is judged where the library runs", Stage.LIBRARY, no_co_simulation)
 def runs_on_this_platform(fmu: FmuFile) -> Iterator[str]:
     """There is a library for the platform of this check, or its behaviour is not judged."""
     if not fmu.host_library:
@@ -119,7 +119,7 @@ def _own_memory(fmu: FmuFile) -> str:
     return "canNotUseMemoryManagementFunctions is claimed" if claimed else no_co_simulation(fmu)
 
 
-@rule("2.1.5 Creation, Destruction and Logging of FMU Instances", Stage.LIBRARY, Level.WARNING, _own_memory)
+@rule("2.1.5 Creation, Destruction and Logging of FMU Instances", Stage.LIBRARY, _own_memory)
 def memory_functions_are_callbacks(fmu: FmuFile) -> Iterator[str]:
     """Without canNotUseMemoryManagementFunctions, a library does not import malloc, calloc or realloc."""
     for library in _libraries(fmu):

@@ -8,7 +8,7 @@ from itertools import takewhile
 from fmus.compliance.comparison import failing_or_differing
 from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotApplicableError, behaviour_rule
+from fmus.compliance.rule import NotApplicableError, behaviour_rule
 from fmus.compliance.rules.instance import unknown_reference
 from fmus.compliance.script import CallError, Message, Script
 from fmus.compliance.session import NAME, session
@@ -76,7 +76,7 @@ def log_categories_are_declared(probe: Probe) -> Iterator[str]:
     yield from _undeclared(probe, messages_of_a_session(probe))
 
 
-@behaviour_rule(_CREATION, Level.WARNING)
+@behaviour_rule(_CREATION)
 def messages_have_a_category(probe: Probe) -> Iterator[str]:
     """Messages have a category, if LogCategories declares any."""
     declared = declared_categories(probe)
@@ -84,7 +84,7 @@ def messages_have_a_category(probe: Probe) -> Iterator[str]:
         yield f"a message has no category: expected one of {', '.join(declared)}"
 
 
-@behaviour_rule(_CREATION, Level.WARNING)
+@behaviour_rule(_CREATION)
 def log_category_of_a_refusal_is_declared(probe: Probe) -> Iterator[str]:
     """The message of an instantiation that fails, too, has a category of LogCategories."""
     created, messages = probe.creates(name=NAME, guid="wrong", logging=True)
@@ -101,7 +101,7 @@ def _undeclared(probe: Probe, messages: Sequence[Message]) -> Iterator[str]:
             yield f"a message has the category {category!r}: expected {expected}"
 
 
-@behaviour_rule(_CREATION, Level.WARNING)
+@behaviour_rule(_CREATION)
 def messages_have_no_trailing_line_break(probe: Probe) -> Iterator[str]:
     """Messages do not end with a line break."""
     for text in dict.fromkeys(m.text for m in messages_of_a_session(probe) if m.text.endswith(("\n", "\r"))):
@@ -171,7 +171,7 @@ def debug_logging_can_be_set(probe: Probe) -> Iterator[str]:
     yield from failing_or_differing(script, expected, got, "after fmi2SetDebugLogging", failing="")
 
 
-@behaviour_rule(_CREATION, Level.WARNING, needs="debug-logging-can-be-set")
+@behaviour_rule(_CREATION, needs="debug-logging-can-be-set")
 def only_chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
     """After fmi2SetDebugLogging with one category, messages of others do not arrive."""
     declared = declared_categories(probe)
@@ -194,7 +194,7 @@ def only_chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
             return
 
 
-@behaviour_rule(_CREATION, Level.WARNING, needs="debug-logging-can-be-set")
+@behaviour_rule(_CREATION, needs="debug-logging-can-be-set")
 def chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
     """Messages that arrive with all categories enabled arrive with their own alone, and if all are named."""
     usual = probe.script(logging=True)
@@ -223,9 +223,7 @@ def calls_that_log(probe: Probe, script: Script) -> None:
     script.terminate()
 
 
-@behaviour_rule(
-    "advice: an unknown log category is no reason to fail", Level.WARNING, needs="reset-in-every-state"
-)
+@behaviour_rule("advice: an unknown log category is no reason to fail", needs="reset-in-every-state")
 def reset_works_after_unknown_categories(probe: Probe) -> Iterator[str]:
     """After fmi2SetDebugLogging with a category that is not declared, which may be refused, fmi2Reset
     works.

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator
 
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotJudgedError, behaviour_rule
+from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.rules.instance import unknown_reference
 from fmus.compliance.rules.log import calls_that_log, declared_categories, messages_of_a_session
 from fmus.compliance.session import NAME
@@ -29,7 +29,7 @@ def messages_are_utf_8(probe: Probe) -> Iterator[str]:
         return
 
 
-@behaviour_rule("advice: a message is read for its text", Level.WARNING)
+@behaviour_rule("advice: a message is read for its text")
 def messages_have_a_text(probe: Probe) -> Iterator[str]:
     """Messages have a text."""
     if any(not m.text.strip() for m in messages_of_a_session(probe)):
@@ -52,7 +52,7 @@ def formats_of_messages_are_legal(probe: Probe) -> Iterator[str]:
             return
 
 
-@behaviour_rule("advice: a % before a word is seldom a conversion", Level.WARNING)
+@behaviour_rule("advice: a % before a word is seldom a conversion")
 def percent_signs_before_words_are_doubled(probe: Probe) -> Iterator[str]:
     """No format of a message has a conversion with a blank inside a word, as "100 % done" has."""
     for text in _formats(probe):
@@ -75,7 +75,7 @@ def _formats(probe: Probe) -> list[str]:
     return probe.once("log of formats", collected)
 
 
-@behaviour_rule(_CREATION, Level.WARNING)
+@behaviour_rule(_CREATION)
 def messages_of_a_refusal_are_complete(probe: Probe) -> Iterator[str]:
     """The message of a failed instantiation has the instance's name, its environment, and no status ok."""
     created, messages = probe.creates(name=NAME, guid="wrong", logging=True)
@@ -89,7 +89,7 @@ def messages_of_a_refusal_are_complete(probe: Probe) -> Iterator[str]:
         yield "the messages of a refused instantiation have the status ok: expected error"
 
 
-@behaviour_rule(_CREATION, Level.WARNING, needs="debug-logging-can-be-set")
+@behaviour_rule(_CREATION, needs="debug-logging-can-be-set")
 def disabled_categories_alone_are_disabled(probe: Probe) -> Iterator[str]:
     """Messages of a category that is disabled do not arrive, and those of others do."""
     declared = declared_categories(probe)
@@ -121,7 +121,6 @@ def _sent(probe: Probe, settings: list[tuple[bool, list[str]]]) -> set[str]:
 
 @behaviour_rule(
     "4.2.4 State Machine of Calling Sequence from Master to Slave",
-    Level.WARNING,
     needs="allowed-calls-succeed",
 )
 def debug_logging_is_allowed_after_an_error(probe: Probe) -> Iterator[str]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Level, Stage, repeated, rule
+from fmus.compliance.rule import Stage, repeated, rule
 
 _CLAUSE = "2.2.9 Variable Naming Conventions (variableNamingConvention)"
 LONGEST_NAME = 55
@@ -61,7 +61,7 @@ def type_names_are_legal(fmu: FmuFile) -> Iterator[str]:
             yield f"type {name!r}: expected a structured name such as Units.Length"
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION, Level.WARNING, condition=not_structured)
+@rule(_CLAUSE, Stage.DESCRIPTION, condition=not_structured)
 def quoted_names_have_legal_characters(fmu: FmuFile) -> Iterator[str]:
     """Between apostrophes a name holds the characters of Q-char and escapes alone."""
     for v in fmu.variables:
@@ -71,7 +71,7 @@ def quoted_names_have_legal_characters(fmu: FmuFile) -> Iterator[str]:
                 yield f"{v.name}: {' '.join(others)} between apostrophes: expected a character of Q-char"
 
 
-@rule("advice: Simulink cuts identifiers off beyond 63 characters", Stage.DESCRIPTION, Level.WARNING)
+@rule("advice: Simulink cuts identifiers off beyond 63 characters", Stage.DESCRIPTION)
 def variable_names_are_short(fmu: FmuFile) -> Iterator[str]:
     """Names have at most 55 characters, so that importers can put something before them."""
     for v in fmu.variables:

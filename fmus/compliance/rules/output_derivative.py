@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from fmus.compliance.comparison import same, texts
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, behaviour_rule
+from fmus.compliance.rule import behaviour_rule
 from fmus.compliance.rules.instance import unknown_reference
 from fmus.compliance.script import Reply
 from fmus.compliance.slopes import Comparison, compared, read_in_steps, with_short_steps, wrong_slope
@@ -55,7 +55,6 @@ def _derivatives(probe: Probe) -> list[tuple[str, int, float]]:
 
 @behaviour_rule(
     "advice: importers extrapolate with finite numbers",
-    Level.WARNING,
     condition=_orders,
     needs="output-derivatives",
 )
@@ -85,9 +84,7 @@ def _are_wrong_in_short_steps(probe: Probe, name: str) -> bool:
     return slopes is None or any(wrong_slope(name, slopes.get(name, ())))
 
 
-@behaviour_rule(
-    "advice: 4.2.1 allows 0 where the order is lower", Level.WARNING, condition=_orders, needs=_TO_COMPARE
-)
+@behaviour_rule("advice: 4.2.1 allows 0 where the order is lower", condition=_orders, needs=_TO_COMPARE)
 def output_derivatives_are_not_zero(probe: Probe) -> Iterator[str]:
     """The first derivative of an output that moves is not 0, as maxOutputDerivativeOrder claims one."""
     for name, comparisons in probe.once("slopes of outputs", lambda: _slopes(probe, 1.0)).items():
@@ -126,7 +123,7 @@ def _are_late(comparisons: list[Comparison]) -> bool:
     return bool(own) and min(own) > _FAR * max([rounding, *late])
 
 
-@behaviour_rule(_TRANSFER, Level.WARNING, condition=_orders, needs=_TO_COMPARE)
+@behaviour_rule(_TRANSFER, condition=_orders, needs=_TO_COMPARE)
 def higher_output_derivatives_are_right(probe: Probe) -> Iterator[str]:
     """A derivative of an output of a higher order is 0, where its order is lower, or the slope of the one
     before; each of several that are read in one call is its own.
@@ -178,7 +175,6 @@ def _of_other_orders(
 
 @behaviour_rule(
     "2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)",
-    Level.WARNING,
     condition=_no_derivatives,
     last=True,
 )

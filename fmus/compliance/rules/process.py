@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, behaviour_rule
+from fmus.compliance.rule import behaviour_rule
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN
 from fmus.compliance.session import session
 
@@ -27,7 +27,7 @@ def floating_point_control_is_restored(probe: Probe) -> Iterator[str]:
                 )
 
 
-@behaviour_rule("advice: 2.1, settings that other parts of the process share", Level.WARNING)
+@behaviour_rule("advice: 2.1, settings that other parts of the process share")
 def process_settings_are_restored(probe: Probe) -> Iterator[str]:
     """Working directory, locale, file mode mask, signal handlers and mask, environment, standard streams,
     timers, limits and priority are not changed.
@@ -59,7 +59,7 @@ def values_are_written(probe: Probe) -> Iterator[str]:
         yield f"{name} returned ok and left a value unwritten: expected each written"
 
 
-@behaviour_rule("advice: messages belong to the logger", Level.WARNING)
+@behaviour_rule("advice: messages belong to the logger")
 def nothing_is_printed(probe: Probe) -> Iterator[str]:
     """Nothing is printed to standard output or standard error."""
     printing = {reply.function: reply.printed for reply in session(probe).script.everything if reply.printed}

@@ -7,7 +7,7 @@ from functools import lru_cache
 from itertools import zip_longest
 
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.rule import Stage, rule
 from fmus.compliance.rules.archive import CLAUSE, unreadable
 from fmus.compliance.rules.implementation import HEADERS, QUOTED_INCLUDE, SOURCES, TO_COMPILE
 
@@ -49,7 +49,7 @@ def source_prefix(fmu: FmuFile) -> Iterator[str]:
             yield f"{path} defines FMI2_FUNCTION_PREFIX: expected that before it includes fmi2Functions.h"
 
 
-@rule(_NAMING, Stage.DESCRIPTION, Level.WARNING, condition=unreadable)
+@rule(_NAMING, Stage.DESCRIPTION, condition=unreadable)
 def source_prefix_is_defined(fmu: FmuFile) -> Iterator[str]:
     """Sources that include fmi2Functions.h define FMI2_FUNCTION_PREFIX directly before that, or say how their
     build does.
@@ -89,7 +89,7 @@ def _unconditional(text: bytes) -> bytes:
     return b"\n".join(lines)
 
 
-@rule(CLAUSE, Stage.FILE, Level.WARNING, condition=unreadable)
+@rule(CLAUSE, Stage.FILE, condition=unreadable)
 def included_files_exist(fmu: FmuFile) -> Iterator[str]:
     """Files that C files include by quotes, in no #if, are among the sources, but for those of FMI and C."""
     sources = {path: text for path, text in _sources(fmu).items() if path.endswith(TO_COMPILE)}

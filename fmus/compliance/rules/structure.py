@@ -6,7 +6,7 @@ from functools import lru_cache
 from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Level, Stage, repeated, rule
+from fmus.compliance.rule import Stage, repeated, rule
 from fmus.compliance.variable import Variable, integer
 
 _CLAUSE = "2.2.8 Definition of the Model Structure (ModelStructure)"
@@ -79,7 +79,7 @@ def derivatives_are_there(fmu: FmuFile) -> Iterator[str]:
             yield f"no Derivatives: expected {derivative.name} there, the derivative of {state.name}"
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION, Level.WARNING, condition=no_model_exchange)
+@rule(_CLAUSE, Stage.DESCRIPTION, condition=no_model_exchange)
 def state_derivatives_are_listed(fmu: FmuFile) -> Iterator[str]:
     """For model exchange, Derivatives lists the derivatives of local variables, which may be states."""
     for derivative, state in _unlisted_derivatives(fmu):
@@ -178,7 +178,7 @@ def dependencies_are_known(fmu: FmuFile) -> Iterator[str]:
             yield f"{where} depends on {known.name} ({known.causality}): expected {expected}"
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION, Level.WARNING)
+@rule(_CLAUSE, Stage.DESCRIPTION)
 def dependencies_on_parameters(fmu: FmuFile) -> Iterator[str]:
     """Outputs and Derivatives name no parameter among their dependencies."""
     for known, where, expected in _knowns(fmu):
@@ -213,7 +213,7 @@ def _possible_states(fmu: FmuFile) -> frozenset[int]:
     return fmu.states | {index for index in marked if index is not None}
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION, Level.WARNING)
+@rule(_CLAUSE, Stage.DESCRIPTION)
 def dependencies_on_states_are_provided(fmu: FmuFile) -> Iterator[str]:
     """For co-simulation alone, dependencies name states if providesDirectionalDerivative is true."""
     if not _derivatives_are_ignored(fmu):
@@ -242,7 +242,7 @@ def dependencies_kind(fmu: FmuFile) -> Iterator[str]:
                 yield f"{where}: kind {kind!r}: expected dependent or constant"
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION, Level.WARNING)
+@rule(_CLAUSE, Stage.DESCRIPTION)
 def dependencies_of_reals_have_factors(fmu: FmuFile) -> Iterator[str]:
     """Kinds of dependency with a factor, all but dependent, are of Real unknowns."""
     for _, where, unknown, _, element in _dependencies(fmu):

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Level, Stage, repeated, rule
+from fmus.compliance.rule import Stage, repeated, rule
 from fmus.compliance.variable import integer, number
 from fmus.errors import nearest
 
@@ -32,7 +32,7 @@ def type_names(fmu: FmuFile) -> Iterator[str]:
         yield f"type {name!r} is called like a variable: expected another name"
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION, Level.WARNING)
+@rule(_CLAUSE, Stage.DESCRIPTION)
 def types_are_used(fmu: FmuFile) -> Iterator[str]:
     """Each type that is defined is the declared type of a variable."""
     used = {v.typed.get("declaredType") for v in fmu.variables} - {None}
@@ -114,7 +114,7 @@ def enumeration_start_is_an_item(fmu: FmuFile) -> Iterator[str]:
             yield f"{v.name}: start {start}: expected one of {listed}"
 
 
-@rule(_VARIABLES, Stage.DESCRIPTION, Level.WARNING)
+@rule(_VARIABLES, Stage.DESCRIPTION)
 def enumeration_range_holds_an_item(fmu: FmuFile) -> Iterator[str]:
     """Between min and max of an Enumeration there is an item."""
     for index, values in _items(fmu):

@@ -5,7 +5,7 @@ from typing import Any
 
 from fmus.block.units import BASE_UNITS
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Level, Stage, repeated, rule
+from fmus.compliance.rule import Stage, repeated, rule
 from fmus.compliance.variable import integer, number
 from fmus.errors import nearest
 
@@ -56,7 +56,7 @@ def units_are_defined(fmu: FmuFile) -> Iterator[str]:
             yield f"{user}: displayUnit {display!r} without unit: expected both or none"
 
 
-@rule(_TYPES, Stage.DESCRIPTION, Level.WARNING)
+@rule(_TYPES, Stage.DESCRIPTION)
 def display_units_are_defined(fmu: FmuFile) -> Iterator[str]:
     """Each display unit belongs to its unit; otherwise importers ignore it."""
     units = _units(fmu)
@@ -67,7 +67,7 @@ def display_units_are_defined(fmu: FmuFile) -> Iterator[str]:
                 yield f"{user}: displayUnit {display!r} of {unit!r} is ignored; {nearest(display, known)}"
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION, Level.WARNING)
+@rule(_CLAUSE, Stage.DESCRIPTION)
 def units_are_used(fmu: FmuFile) -> Iterator[str]:
     """Each unit that is defined is used by a type or variable."""
     used = {unit for _, unit, _ in _used(fmu)} - {None}
@@ -78,7 +78,7 @@ def units_are_used(fmu: FmuFile) -> Iterator[str]:
             yield f"unit {name!r} is used by no type and no variable: expected it to be, or left out"
 
 
-@rule("advice: the usual meaning of names of units", Stage.DESCRIPTION, Level.WARNING)
+@rule("advice: the usual meaning of names of units", Stage.DESCRIPTION)
 def unit_exponents(fmu: FmuFile) -> Iterator[str]:
     """A unit whose name means a coherent SI unit has the exponents of that unit; rad may be left out."""
     for unit in fmu.root.iterfind("UnitDefinitions/Unit"):
@@ -96,7 +96,7 @@ def _text(exponents: dict) -> str:
     return " ".join(f"{name}^{exponent}" for name, exponent in exponents.items()) or "1"
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION, Level.WARNING)
+@rule(_CLAUSE, Stage.DESCRIPTION)
 def unit_factors(fmu: FmuFile) -> Iterator[str]:
     """Factors of base units and display units are not 0, or nothing could be converted back."""
     for unit in fmu.root.iterfind("UnitDefinitions/Unit"):

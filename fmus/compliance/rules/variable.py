@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.rule import Stage, rule
 from fmus.compliance.variable import INITIAL, Variable, integer
 
 _CLAUSE = "2.2.7 Definition of Model Variables (ModelVariables)"
@@ -68,7 +68,7 @@ def one_independent_variable(fmu: FmuFile) -> Iterator[str]:
             yield f"{v.name} is independent and {v.kind}: expected Real"
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION, Level.WARNING)
+@rule(_CLAUSE, Stage.DESCRIPTION)
 def time_is_independent(fmu: FmuFile) -> Iterator[str]:
     """Without an independent variable no other is called time, as FMI calls the one that is implied."""
     names = {v.name: v.causality for v in fmu.variables}
@@ -117,7 +117,7 @@ def derivative_is_of_a_variable(fmu: FmuFile) -> Iterator[str]:
                 yield from _not_continuous(v, other, variable)
 
 
-@rule("advice: a discrete variable has no derivative", Stage.DESCRIPTION, Level.WARNING)
+@rule("advice: a discrete variable has no derivative", Stage.DESCRIPTION)
 def derivative_is_continuous(fmu: FmuFile) -> Iterator[str]:
     """A derivative that Derivatives does not list, and its variable, are continuous."""
     for v in fmu.variables:
