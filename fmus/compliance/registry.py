@@ -8,8 +8,8 @@ from fmus.compliance.rule import RULES, Rule, Stage
 MODULES = (
     "archive", "implementation", "source", "documentation", "description", "unit", "type", "name", "variable",
     "alias", "structure", "library", "lifecycle", "location", "reset", "initialization", "instance",
-    "resource", "call", "discard", "value", "constancy", "setting", "step", "asynchronous", "callback", "log",
-    "message", "process", "state", "saved_value", "derivatives", "effects", "reference",
+    "resource", "call", "discard", "value", "constancy", "setting", "step", "asynchronous", "callback",
+    "messages", "state", "saved_value", "derivatives", "effects", "reference",
     "status",  # of refusals in the calls of all others
 )  # fmt: skip
 """Modules of `fmus.compliance.rules`, in the order in which their rules are judged and told."""
