@@ -18,7 +18,9 @@ Pair = tuple[Variable, Any]
 
 
 class Play:
-    """A script that actions write, with its readings: those expected, and those observed, each with when.
+    """A script that actions write, with its readings.
+
+    expected, observed: readings to be compared; the latter with words for when and where
 
     attempts: calls that the FMU may refuse, and then nothing can be compared
     ignored: calls whose failure tells nothing
@@ -28,7 +30,7 @@ class Play:
     def __init__(self, probe: Probe, actions: Iterable[Action], **options: Any) -> None:
         self.probe, self.script = probe, probe.script(**options)
         self.expected: list[Reading | Given] = []
-        self.observed: list[tuple[str, Reading]] = []
+        self.observed: list[tuple[str, str, Reading]] = []
         self.attempts, self.ignored = list[Reply](), list[Reply]()
         self.errors: list[tuple[Reply, str]] = []
         self.write(actions)
@@ -111,30 +113,37 @@ def free_state(slot: int = 0) -> Action:
     return call("free_fmu_state", slot)
 
 
-def read(variables: Iterable[Variable], when: str = "") -> Action:
+def read(variables: Iterable[Variable], when: str = "", where: str = "") -> Action:
     """Reads variables to be compared, all of one type by one call."""
-    return lambda play: play.observed.append((when, play.script.read(variables)))
+    return lambda play: play.observed.append((when, where, play.script.read(variables)))
 
 
-def read_all(when: str = "") -> Action:
-    return lambda play: play.write([read(play.script.variables, when)])
+def read_all(when: str = "", where: str = "") -> Action:
+    return lambda play: play.write([read(play.script.variables, when, where)])
 
 
 def go_on_reading(steps: int, readings: int, when: str = "") -> Action:
     """Makes many steps, in which all variables are read a few times."""
     ends = [steps * i // readings for i in range(readings + 1)]
-    parts = [(go_on(b - a), read_all(when)) for a, b in itertools.pairwise(ends)]
-    return lambda play: play.write(itertools.chain(*parts))
+
+    def action(play: Play) -> None:
+        for before, end in itertools.pairwise(ends):
+            play.script.go_on(end - before)
+            play.write([read_all(when, f", at {play.script.time:g} s")])
+
+    return action
 
 
 def run(steps: int, when: str = "") -> Action:
     """Makes steps, and reads the outputs after each."""
-    return lambda play: play.write([step(), read(play.probe.outputs, when)] * steps)
+    return lambda play: [
+        play.write([step(), read(play.probe.outputs, when, f", step {i + 1}")]) for i in range(steps)
+    ]
 
 
 def run_all(steps: int, when: str = "") -> Action:
     """Makes steps, and reads all variables after each."""
-    return lambda play: play.write([step(), read_all(when)] * steps)
+    return lambda play: [play.write([step(), read_all(when, f", step {i + 1}")]) for i in range(steps)]
 
 
 def glance(variables: Iterable[Variable]) -> Action:
@@ -147,7 +156,7 @@ def read_slopes(outputs: Sequence[Variable], when: str = "") -> Action:
 
     def action(play: Play) -> None:
         if outputs:
-            play.observed.append((when, play.script.read_output_derivatives(outputs)))
+            play.observed.append((when, "", play.script.read_output_derivatives(outputs)))
 
     return action
 
@@ -168,7 +177,7 @@ def expect(*actions: Action) -> Action:
     def action(play: Play) -> None:
         first = len(play.observed)
         play.write(actions)
-        play.expected += [reading for _, reading in play.observed[first:]]
+        play.expected += [reading for *_, reading in play.observed[first:]]
         del play.observed[first:]
 
     return action

@@ -51,11 +51,12 @@ def differing(
     when: str,
     tolerance: float = 0.0,
     again: str = "{} again",
+    where: Sequence[str] = (),
 ) -> Iterator[str]:
     """Yields each variable's first value that is not the same; a tolerance is relative to the largest number,
     a large one to the variable's own, or a hundredth of the largest; to the value itself where it is given.
 
-    again: what is expected, in words, of the value
+    again: what is expected, in words, of the value; where: words for each reading, if not its number
     """
     pairs = [(row.values, other.values, row) for row, other in zip(expected, got, strict=True)]
     scales: dict[str, float] = {}
@@ -65,15 +66,15 @@ def differing(
                 scales[name] = max(abs(value), scales.get(name, 0.0))
     least = (_SMALL if tolerance >= _LARGE else 1.0) * max(scales.values(), default=0.0)
     named = set()
-    for i, (row, other, _) in enumerate(pairs, 1):
+    for i, (row, other, _) in enumerate(pairs):
         for name, value in other.items():
             value_read, value_expected = read_value(value), read_value(row[name])
             scale = max(scales.get(name, 0.0), least)
             if name not in named and not same(value_expected, value_read, tolerance, scale):
                 named.add(name)
                 new, old = (text[:_LONGEST_TEXT] for text in texts(value_read, value_expected))
-                step = f", step {i}" if len(pairs) > 1 else ""
-                yield f"{name} is {new} {when}{step}: expected {again.format(old)}"
+                place = where[i] if where else f", step {i + 1}" if len(pairs) > 1 else ""
+                yield f"{name} is {new} {when}{place}: expected {again.format(old)}"
 
 
 def _steady(probe: Probe) -> set[str]:

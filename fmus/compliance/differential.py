@@ -123,11 +123,11 @@ def verdict(probe: Probe, row: Row, usual: Play, plays: Sequence[Play]) -> Itera
 
 
 def _unlike(probe: Probe, row: Row, usual: Play, play: Play) -> Iterator[str]:
-    if not all(reading.ok for _, reading in play.observed):
+    if not all(reading.ok for *_, reading in play.observed):
         raise NotJudgedError("a call fails that may")
     tolerance = probe.tolerance if row.tolerance is None else row.tolerance
-    expected = [*play.expected, *(reading for _, reading in usual.observed)]
-    pairs = zip(itertools.cycle(expected), play.observed, strict=False)
-    for when, group in itertools.groupby(pairs, lambda pair: pair[1][0]):
-        before, after = zip(*((one, other) for one, (_, other) in group), strict=True)
-        yield from differing(before, after, when or row.when, tolerance, row.again)
+    expected = [*play.expected, *(reading for *_, reading in usual.observed)]
+    compared = [(*seen, one) for one, seen in zip(itertools.cycle(expected), play.observed, strict=False)]
+    for when, group in itertools.groupby(compared, lambda parts: parts[0]):
+        _, where, after, before = zip(*group, strict=True)
+        yield from differing(before, after, when or row.when, tolerance, row.again, where)

@@ -46,13 +46,18 @@ def judged_by_one_process(
             yield _judge(rule, probe, results)
     except TimeoutError:
         if probe.process.hangs(limit):
-            yield Result(rule, (f"{HUNG} {limit:g} s in one call",))
+            yield Result(rule, (f"{HUNG} {limit:g} s in one call{_call(probe)}",))
         else:
             yield Result(rule, not_judged=f"{SLOW} {limit:g} s")
     except ProcessEndedError as ended:
-        yield Result(rule, (f"{ENDED} {ended}",))
+        yield Result(rule, (f"{ENDED} {ended}{_call(probe)}",))
     finally:
         probe.process.close()
+
+
+def _call(probe: Probe) -> str:
+    call = probe.process.call_under_way
+    return f", in {call}" if call else ""
 
 
 def _breach(result: Result) -> str:

@@ -8,8 +8,7 @@ from fmus.compliance.rule import RULES, Rule, Stage
 MODULES = (
     "archive", "implementation", "source", "documentation", "description", "unit", "type", "name", "variable",
     "alias", "structure", "library", "lifecycle", "initialization", "call", "discard", "value", "setting",
-    "step", "asynchronous", "environment", "log", "message", "process", "state", "input_derivative",
-    "output_derivative", "derivative", "input_slope", "effects", "reference",
+    "step", "asynchronous", "environment", "messages", "state", "derivatives", "effects", "reference",
     "status",  # of refusals in the calls of all others
 )  # fmt: skip
 """Modules of `fmus.compliance.rules`, in the order in which their rules are judged and told."""

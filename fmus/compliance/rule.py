@@ -37,7 +37,10 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True)
 class Rule:
-    """One rule: `check` yields a message for each time that an FMU breaks it."""
+    """One rule: `check` yields a message for each time that an FMU breaks it.
+
+    interface: the element of the interface that it is of alone; empty for a rule of both
+    """
 
     name: str
     clause: str
@@ -47,6 +50,7 @@ class Rule:
     condition: Condition
     needs: tuple[str, ...] = ()
     last: bool = False
+    interface: str = ""
 
     @property
     def level(self) -> Level:
@@ -114,6 +118,7 @@ def rule(
     condition: Condition = _always,
     needs: str = "",
     last: bool = False,
+    interface: str = "",
 ) -> Callable[[Check], Check]:
     """Makes a function a rule: its name with dashes is the rule's, its docstring what the rule claims.
 
@@ -122,6 +127,7 @@ def rule(
     find the same.
     last: it is judged after the rules of its stage that are not, as it judges what came of their calls, or as
     its own may leave the process of the FMU damaged.
+    interface: see `Rule`.
     """
 
     def register(check: Check) -> Check:
@@ -129,7 +135,9 @@ def rule(
         claim = " ".join((inspect.getdoc(check) or "").split())
         if name in RULES:
             raise ValueError(f"rule {name}: expected one function of that name, got a second")
-        RULES[name] = Rule(name, clause, claim, stage, check, condition, tuple(needs.split()), last)
+        RULES[name] = Rule(
+            name, clause, claim, stage, check, condition, tuple(needs.split()), last, interface
+        )
         return check
 
     return register
@@ -140,9 +148,10 @@ def behaviour_rule(
     condition: Condition = _always,
     needs: str = "",
     last: bool = False,
+    interface: str = "",
 ) -> Callable[[Check], Check]:
     """Makes a function a rule of behaviour; arguments as of `rule`."""
-    return rule(clause, Stage.BEHAVIOUR, condition, needs, last)
+    return rule(clause, Stage.BEHAVIOUR, condition, needs, last, interface)
 
 
 def messages_of(check: Iterable[str]) -> tuple[str, ...]:

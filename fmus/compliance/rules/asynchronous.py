@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 from fmus.compliance.comparison import differing
+from fmus.compliance.fmu_file import CO_SIMULATION
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.values import if_not_claimed, is_utf_8, unless_claimed
@@ -13,7 +14,7 @@ _ASYNCHRONOUS = "canRunAsynchronuously"
 _PENDING_STATUS = 1  # fmi2StatusKind
 
 
-@behaviour_rule(_COMPUTATION, condition=if_not_claimed(_ASYNCHRONOUS))
+@behaviour_rule(_COMPUTATION, condition=if_not_claimed(_ASYNCHRONOUS), interface=CO_SIMULATION)
 def steps_are_not_pending(probe: Probe) -> Iterator[str]:
     """Without canRunAsynchronuously, fmi2DoStep does not return pending."""
     script = probe.script(logging=True).begin()

@@ -69,12 +69,16 @@ def reset_ends_all_that_was_set(probe: Probe) -> Iterator[Row]:
     """After other values, a stop time, changed inputs and fmi2Reset, every variable is in the same steps as
     in a new instance.
     """
-    before, stepping = (
-        do.set_others(values.settable_before(probe.fmu)),
-        values.settable_while_stepping(probe.fmu),
-    )
+    before, stepping = values.settable_before(probe.fmu), values.settable_while_stepping(probe.fmu)
     start = do.set_up(stop=2), do.enter_initialization_mode, do.exit_initialization_mode
-    changed = before, *start, do.set_others(stepping), do.step(), do.set_derivatives(), do.reset
+    changed = (
+        do.set_others(before),
+        *start,
+        do.set_others(stepping),
+        do.step(),
+        do.set_derivatives(),
+        do.reset,
+    )
     varied = do.ignore(*changed), do.begin, do.run_all(5)
     when, failing = "after other values and fmi2Reset", "after other values, a stop time and fmi2Reset"
     yield Row(when, varied, (do.begin, do.run_all(5)), failing, OF_EXPERIMENT)

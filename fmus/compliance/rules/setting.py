@@ -69,9 +69,8 @@ def far_values_are_read(probe: Probe) -> Iterator[Row]:
 def strings_are_copied(probe: Probe) -> Iterator[Row]:
     """A String that is set is copied: it is read as it was although its memory was overwritten."""
     chosen = [v for v in values.settable_in_initialization(probe.fmu) if v.base_kind == "String"]
-    for pair in values.start_values(
-        v for v in chosen[:MOST_VARIABLES] if v.start and values.keeps_its_value(v)
-    ):
+    kept = [v for v in chosen[:MOST_VARIABLES] if v.start and values.keeps_its_value(v)]
+    for pair in values.start_values(kept):
         set_start = do.initialise, do.set_values([pair]), do.exit_initialization_mode
         when = "after it was set and its memory overwritten"
         yield Row(when, (*set_start, do.read_as([pair])), (), "", again="{}, a copy")

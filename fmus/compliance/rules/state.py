@@ -226,10 +226,9 @@ def state_restores_over_the_experiment(probe: Probe) -> Iterator[Row]:
     """
     half, copied = probe.steps_of_experiment // 2, probe.fmu.claims(_SERIALISES)
     t = f"{probe.point(half):g} s"
-    saved = (do.save(), do.copy(0, 1)) if copied else (do.save(),)
-    first = do.attempt(do.begin, do.go_on(half), *saved, do.expect(do.go_on_reading(half, 5)))
+    first = do.attempt(do.begin, do.go_on(half), do.save(), do.expect(do.go_on_reading(half, 5)))
     again = do.restore(), do.go_on_reading(half, 5, f"from a state of {t} that was set back")
-    by_bytes = do.restore(1), do.go_on_reading(half, 5, f"from bytes of a state of {t}")
+    by_bytes = do.copy(0, 1), do.restore(1), do.go_on_reading(half, 5, f"from bytes of a state of {t}")
     yield Row(f"from a state of {t}", (first, *again, *(by_bytes if copied else ())), (), tolerance=ROUNDING)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 
+from fmus.compliance.fmu_file import CO_SIMULATION
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.script import Reply
@@ -92,6 +93,7 @@ def messages_of_refusals_are_no_information(probe: Probe) -> Iterator[str]:
 @behaviour_rule(
     "4.2.3 Retrieving Status Information from the Slave",
     needs="discarded-steps-have-a-last-time",
+    interface=CO_SIMULATION,
 )
 def unknown_statuses_are_discarded(probe: Probe) -> Iterator[str]:
     """fmi2GetXXXStatus returns ok, or discard for what it cannot retrieve; no other status."""
@@ -108,7 +110,7 @@ def unknown_statuses_are_discarded(probe: Probe) -> Iterator[str]:
             yield f"in the state {reply.state!r} {reply.function} {reply.status_name}: expected ok or discard"
 
 
-@behaviour_rule("4.2.3 Retrieving Status Information from the Slave")
+@behaviour_rule("4.2.3 Retrieving Status Information from the Slave", interface=CO_SIMULATION)
 def last_successful_time_is_right(probe: Probe) -> Iterator[str]:
     """fmi2LastSuccessfulTime, where it is given, is the end of the last step; fmi2Terminated is then
     false.
@@ -129,7 +131,7 @@ def last_successful_time_is_right(probe: Probe) -> Iterator[str]:
         yield "fmi2Terminated is true after steps that succeeded: expected false"
 
 
-@behaviour_rule("4.2.3 Retrieving Status Information from the Slave")
+@behaviour_rule("4.2.3 Retrieving Status Information from the Slave", interface=CO_SIMULATION)
 def statuses_have_their_types(probe: Probe) -> Iterator[str]:
     """A status is given by the function of its type alone: another function returns discard."""
     pairs = []

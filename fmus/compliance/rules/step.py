@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Iterator
 
 from fmus.compliance.comparison import differing, failing_or_differing, steadily, texts
-from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.fmu_file import CO_SIMULATION, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.script import Reading, Reply, Script
@@ -41,15 +41,15 @@ def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[str]:
         yield f"with the stop time {probe.point(3):g} s, before it: {script.failure.problem}"
     elif beyond.status != ERROR:
         yield (
-            f"fmi2DoStep to {probe.point(4):g} s {beyond.status_name}: expected error beyond the "
+            f"{beyond.function} to {probe.point(4):g} s {beyond.status_name}: expected error beyond the "
             f"stop time {probe.point(3):g} s"
         )
     elif failed and _recovers(probe):
         yield f"after fmi2Reset from a step beyond the stop time: {failed.problem}"
     elif not failed and again.status != ERROR:
         yield (
-            f"after fmi2Reset fmi2DoStep to {probe.point(2):g} s {again.status_name}: expected error beyond "
-            f"the stop time {probe.point(1):g} s"
+            f"after fmi2Reset {again.function} to {probe.point(2):g} s {again.status_name}: expected error "
+            f"beyond the stop time {probe.point(1):g} s"
         )
 
 
@@ -128,7 +128,7 @@ def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
                 return
 
 
-@behaviour_rule(_COMPUTATION)
+@behaviour_rule(_COMPUTATION, interface=CO_SIMULATION)
 def communication_points_may_be_rounded(probe: Probe) -> Iterator[str]:
     """Communication points may be sums of step sizes or multiples of one: their rounding is no error."""
     script = probe.script(logging=True).begin()

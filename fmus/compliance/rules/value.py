@@ -54,7 +54,7 @@ def _read_in_runs(probe: Probe) -> list[tuple[str, Reading]]:
     with suppress(NotApplicableError, NotJudgedError):
         many = do.go_on_reading(probe.steps_of_experiment, 8, "in the default experiment")
         runs.append(do.played(probe, [do.begin, many]))
-    return [(when, reading) for play in runs for when, reading in play.observed if reading.ok]
+    return [(when + where, reading) for play in runs for when, where, reading in play.observed if reading.ok]
 
 
 def _first_wrong(probe: Probe, expected: Callable[[Variable, Any], str]) -> Iterator[str]:
