@@ -1,15 +1,21 @@
 """Small actions, of which scripts are written: calls on an instance, and readings to be compared."""
 
 import itertools
+import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from fmus.compliance.accepted import accepted_together
 from fmus.compliance.comparison import Given
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError
 from fmus.compliance.script import Reading, Reply, Script
-from fmus.compliance.values import other_values, references_of, set_input_derivatives, unknown_reference
+from fmus.compliance.values import (
+    accepted_together,
+    other_values,
+    references_of,
+    set_input_derivatives,
+    unknown_reference,
+)
 from fmus.compliance.variable import Variable
 
 MOST_VARIABLES = 50  # that are changed in a rule
@@ -21,7 +27,6 @@ class Play:
     """A script that actions write, with its readings.
 
     expected, observed: readings to be compared; the latter with words for when and where
-
     attempts: calls that the FMU may refuse, and then nothing can be compared
     ignored: calls whose failure tells nothing
     errors: calls that return error, each with words for a finding if it does not
@@ -79,11 +84,10 @@ def go_on(count: int) -> Action:
     return lambda play: play.script.go_on(count)
 
 
-def set_up(start: int = 0, stop: int | None = None) -> Action:
-    """Sets the experiment up with communication points by their numbers."""
-    return lambda play: play.script.set_up(
-        play.probe.point(start), None if stop is None else play.probe.point(stop)
-    )
+def begin_until(stop: int) -> tuple[Action, ...]:
+    """Initialises, with a stop time at the communication point of a number."""
+    set_up = _of_script(lambda script: script.set_up(stop=script.point(stop)))
+    return set_up, enter_initialization_mode, exit_initialization_mode
 
 
 def call(method: str, *arguments: Any) -> Action:
@@ -231,6 +235,17 @@ def played(probe: Probe, actions: Iterable[Action], **options: Any) -> Play:
     play = Play(probe, actions, **options)
     probe.play_once([play.script])
     return play
+
+
+def over_the_experiment(probe: Probe) -> Play:
+    """Returns a run with the stop time of the default experiment, if it has one, and all variables read a few
+    times; up to that time, or as far as steps take about a second.
+    """
+    stop = probe.stop_time if math.isfinite(probe.stop_time) else None
+    set_up = call("set_up_experiment", probe.start_time, stop)
+    steps = go_on_reading(probe.steps_of_experiment, 8, "in the default experiment")
+    start = set_up, enter_initialization_mode, exit_initialization_mode
+    return played(probe, [*start, steps], logging=True)
 
 
 def others_accepted(probe: Probe, variables: Sequence[Variable], *before: Action) -> list[Pair]:

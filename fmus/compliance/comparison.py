@@ -7,7 +7,7 @@ from typing import Any
 
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError
-from fmus.compliance.script import Reading, Script
+from fmus.compliance.script import Reading
 from fmus.compliance.values import read_value
 
 _LARGE = 1e-5  # relative: what is more is compared with the variable itself
@@ -96,22 +96,3 @@ def steadily(probe: Probe, messages: Iterable[str]) -> Iterator[str]:
     """Returns the messages about variables that are the same in every instance."""
     steady = _steady(probe)
     return (message for message in messages if message.split(" is ", 1)[0] in steady)
-
-
-def failing_or_differing(
-    script: Script,
-    expected: Sequence[Reading],
-    got: Sequence[Reading],
-    when: str,
-    tolerance: float = 0.0,
-    failing: str | None = None,
-) -> Iterator[str]:
-    """Yields a message where a call of a script that was played has failed, otherwise as `differing`.
-
-    failing: when it fails, unless that is `when`
-    """
-    if script.failure:
-        prefix = when if failing is None else failing
-        yield f"{prefix}: {script.failure.problem}" if prefix else script.failure.problem
-    else:
-        yield from differing(expected, got, when, tolerance)

@@ -269,10 +269,14 @@ class Script:
         reply = self.call("output_derivatives", [v.reference or 0 for v in outputs], 1)
         return Reading({"Real": list(outputs)}, {"Real": reply})
 
+    def point(self, i: int) -> float:
+        """Returns the time of communication point number i [s]."""
+        return self._probe.point(i)
+
     @property
     def time(self) -> float:
         """Time at which the next step begins [s]."""
-        return self._probe.point(self._step)
+        return self.point(self._step)
 
     @property
     def variables(self) -> Sequence[Variable]:

@@ -6,13 +6,13 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
-from fmus.compliance.accepted import accepted_together
 from fmus.compliance.comparison import same, texts
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.script import Reading, Reply, Script
 from fmus.compliance.values import (
+    accepted_together,
     continuous_reals,
     other_value,
     other_values,

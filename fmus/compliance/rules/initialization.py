@@ -1,14 +1,13 @@
 """Setting up, initialising and resetting an FMU: start values, and what fmi2Reset gives back."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.accepted import accepted
-from fmus.compliance.actions import MOST_VARIABLES, Action
+from fmus.compliance.actions import MOST_VARIABLES, Action, Pair
 from fmus.compliance.differential import OF_EXPERIMENT, Row, differential
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import NotApplicableError, NotJudgedError
+from fmus.compliance.rule import NotApplicableError
 from fmus.compliance.script import KINDS
 
 _INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"
@@ -70,26 +69,19 @@ def reset_ends_all_that_was_set(probe: Probe) -> Iterator[Row]:
     in a new instance.
     """
     before, stepping = values.settable_before(probe.fmu), values.settable_while_stepping(probe.fmu)
-    start = do.set_up(stop=2), do.enter_initialization_mode, do.exit_initialization_mode
-    changed = (
-        do.set_others(before),
-        *start,
-        do.set_others(stepping),
-        do.step(),
-        do.set_derivatives(),
-        do.reset,
-    )
-    varied = do.ignore(*changed), do.begin, do.run_all(5)
+    first = do.set_others(before), *do.begin_until(2), do.set_others(stepping)
+    varied = do.ignore(*first, do.step(), do.set_derivatives(), do.reset), do.begin, do.run_all(5)
     when, failing = "after other values and fmi2Reset", "after other values, a stop time and fmi2Reset"
     yield Row(when, varied, (do.begin, do.run_all(5)), failing, OF_EXPERIMENT)
 
 
 @differential(_INITIALIZATION)
-def set_up_can_be_repeated(_: Probe) -> Iterator[Row]:
+def set_up_can_be_repeated(probe: Probe) -> Iterator[Row]:
     """fmi2SetupExperiment may be called at least once: the last call counts, for time and stop time, and what
     was set before it stays.
     """
-    yield Row("after a second fmi2SetupExperiment", (do.set_up(7, stop=8), do.begin, do.run(2)))
+    another = do.call("set_up_experiment", probe.point(7), probe.point(8))
+    yield Row("after a second fmi2SetupExperiment", (another, do.begin, do.run(2)))
 
 
 @differential(_INITIALIZATION)
@@ -116,11 +108,9 @@ def exact_values_remain_after_initialization(probe: Probe) -> Iterator[Row]:
     """
     exact = [v for v in probe.fmu.variables if v.initial == "exact" and v.variability != "constant"]
     starts = values.start_values(exact)[:MOST_VARIABLES]
-    runs: list[tuple[Action, ...]] = [(do.begin, do.read_as(starts))]
-    for pair in values.other_values([v for v, _ in starts]):
-        set_alone = do.initialise, do.set_values([pair]), do.exit_initialization_mode
-        runs.append((*set_alone, do.read_as([pair])))
-    for actions in runs:
+    runs = [((), starts), *(([pair], [pair]) for pair in values.other_values(v for v, _ in starts))]
+    for pairs, expected in runs:
+        actions = do.initialise, do.set_values(pairs), do.exit_initialization_mode, do.read_as(expected)
         again = "{}, its exact value"
         yield Row("after initialisation", actions, (), tolerance=_ROUNDED, may_fail=True, again=again)
 
@@ -131,20 +121,19 @@ def values_are_set_together(probe: Probe) -> Iterator[Row]:
     its own.
     """
     pairs = values.other_values(values.settable_in_initialization(probe.fmu))
-    by_kind = {kind: [(v, x) for v, x in pairs if v.base_kind == kind][:MOST_VARIABLES] for kind in KINDS}
+    some = [pair for kind in KINDS for pair in _of_kind(pairs, kind)[:MOST_VARIABLES]]
+    taken = values.accepted_together(probe, some, lambda: probe.script().initialise())
+    by_kind = {kind: _of_kind(taken, kind) for kind in KINDS}
     if all(len(chosen) < 2 for chosen in by_kind.values()):
-        raise NotApplicableError("no two variables of one type can be set in initialization mode")
-    taken = {
-        kind: accepted(probe, chosen, lambda: probe.script().initialise())
-        for kind, chosen in by_kind.items()
-        if len(chosen) > 1
-    }
-    if all(len(pairs) < 2 for pairs in taken.values()):
-        raise NotJudgedError("no two variables of one type take other values")
-    for kind, pairs in taken.items():
-        end = do.exit_initialization_mode, do.read([v for v, _ in pairs])
-        for ordered in (pairs, pairs[::-1]):
+        raise NotApplicableError("no two variables of one type take other values in initialization mode")
+    for kind, chosen in by_kind.items():
+        end = do.exit_initialization_mode, do.read([v for v, _ in chosen])
+        for ordered in (chosen, chosen[::-1]) if len(chosen) > 1 else ():
             usual = do.initialise, do.set_values(ordered), *end
             together = do.initialise, do.set_at_once(kind, ordered), *end
             when = f"where one fmi2Set{kind} sets {len(ordered)} variables"
             yield Row(when, together, usual, may_fail=True)
+
+
+def _of_kind(pairs: Sequence[Pair], kind: str) -> list[Pair]:
+    return [(v, x) for v, x in pairs if v.base_kind == kind]

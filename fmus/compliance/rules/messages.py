@@ -4,7 +4,8 @@ import re
 from collections.abc import Iterator, Sequence
 from itertools import takewhile
 
-from fmus.compliance.comparison import failing_or_differing
+from fmus.compliance import actions as do
+from fmus.compliance.differential import Row, differential
 from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
@@ -227,21 +228,14 @@ def no_messages_with_logging_off(probe: Probe) -> Iterator[str]:
             yield f"a message arrives although logging is off {when}: {texts[0][:80]!r}"
 
 
-@behaviour_rule(_CREATION, needs="allowed-calls-succeed statuses-are-legal")
-def debug_logging_can_be_set(probe: Probe) -> Iterator[str]:
+@differential(_CREATION, needs="allowed-calls-succeed statuses-are-legal")
+def debug_logging_can_be_set(probe: Probe) -> Iterator[Row]:
     """fmi2SetDebugLogging accepts each declared category, and none at all, on and off; outputs stay the
     same.
     """
-    usual, script = probe.script().begin(), probe.script(logging=True)
-    expected = usual.run(2)
-    for on in (True, False):
-        for category in _declared_categories(probe):
-            script.call("set_debug_logging", on, [category])
-        script.call("set_debug_logging", on, [])
-    got = script.begin().run(2)
-    usual.play()
-    script.play(keep_going=True)
-    yield from failing_or_differing(script, expected, got, "after fmi2SetDebugLogging", failing="")
+    choices = [*([category] for category in _declared_categories(probe)), []]
+    calls = [do.call("set_debug_logging", on, choice) for on in (True, False) for choice in choices]
+    yield Row("after fmi2SetDebugLogging", (*calls, do.begin, do.run(2)), failing="")
 
 
 def _calls_that_log(probe: Probe, script: Script) -> None:

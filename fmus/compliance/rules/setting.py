@@ -108,16 +108,11 @@ def wrong_references_are_refused(probe: Probe) -> Iterator[Row]:
     """A value reference that no variable has is an error to read and to set, and so is a constant to set."""
     reference = values.unknown_reference(probe)
     for kind in KINDS:
-        getter, setter = (
-            do.call("get", kind, [reference]),
-            do.call("set", kind, [reference], [_NOTHING[kind]]),
-        )
-        for before, action, verb in (
-            ((do.begin, do.step()), getter, "Get"),
-            ((do.initialise,), setter, "Set"),
-        ):
-            what = f"fmi2{verb}{kind} of the value reference {reference}, which is none: {{}}: expected error"
-            yield Row("", (*before, do.error(action, what)), ())
+        unknown = f"of the value reference {reference}, which is none: {{}}: expected error"
+        read = do.error(do.call("get", kind, [reference]), f"fmi2Get{kind} {unknown}")
+        set_value = do.call("set", kind, [reference], [_NOTHING[kind]])
+        yield Row("", (do.begin, do.step(), read), ())
+        yield Row("", (do.initialise, do.error(set_value, f"fmi2Set{kind} {unknown}")), ())
 
 
 @differential(_PLATFORM)

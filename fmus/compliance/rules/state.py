@@ -61,11 +61,8 @@ def state_in_initialization_mode(probe: Probe) -> Iterator[Row]:
     there.
     """
     state = "the state of initialization mode that was set back"
-    end = (
-        do.read(values.readable_in_initialization(probe.fmu), f"in {state}"),
-        do.exit_initialization_mode,
-        do.run(2),
-    )
+    read = do.read(values.readable_in_initialization(probe.fmu), f"in {state}")
+    end = read, do.exit_initialization_mode, do.run(2)
     other = do.set_others(values.settable_in_initialization(probe.fmu)[:1])
     varied = do.save(), do.restore(), do.initialise, do.save(1), other, do.restore(1), *end
     yield Row(f"from {state}", varied, (do.initialise, *end), "in the state {state!r}", ROUNDING)
@@ -91,23 +88,14 @@ def state_restores_after_the_end(probe: Probe) -> Iterator[Row]:
     """A state can be set back after fmi2Terminate and after an error, and steps go on from it, up to the stop
     time.
     """
-    start = do.set_up(stop=4), do.enter_initialization_mode, do.exit_initialization_mode
     past = f"a step to {probe.point(5):g} s {{}}: expected error beyond the stop time {probe.point(4):g} s"
     for end, action in (
         ("fmi2Terminate", do.terminate),
         ("an error of fmi2GetReal", do.fail),
         ("a step beyond the stop time", do.error(do.step())),
     ):
-        varied = (
-            *start,
-            do.step(2),
-            do.save(),
-            do.expect(do.run(2)),
-            action,
-            do.restore(),
-            do.run(2),
-            do.error(do.step(), past),
-        )
+        first = *do.begin_until(4), do.step(2), do.save(), do.expect(do.run(2))
+        varied = *first, action, do.restore(), do.run(2), do.error(do.step(), past)
         yield Row(f"from a state set back after {end}", varied, (), f"after {end}", ROUNDING)
 
 
@@ -183,29 +171,16 @@ def bytes_hold_every_value(probe: Probe) -> Iterator[str]:
     """
     pairs = do.others_accepted(probe, values.settable_before(probe.fmu))
     bytes_of_a_freed_state = do.call("serialize_fmu_state", 0), do.free_state(), do.save(1), do.step()
-    usual = (
-        do.set_values(pairs),
-        do.begin,
-        do.step(2),
-        do.save(),
-        do.read_all(),
-        do.run_all(3),
-        *bytes_of_a_freed_state,
-    )
+    saved = do.set_values(pairs), do.begin, do.step(2), do.save()
+    usual = *saved, do.read_all(), do.run_all(3), *bytes_of_a_freed_state
     source = do.played(probe, usual)
     if not source.content:
         yield "a serialised state has no bytes"
         return
     still = "after fmi2DeSerializeFMUstate, before fmi2SetFMUstate"
-    end = (
-        do.read_bytes(source),
-        do.read_all(still),
-        do.restore(),
-        do.read_all(),
-        do.run_all(3),
-        do.free_state(),
-    )
-    varied = do.attempt(do.begin, do.step(), do.expect(do.read_all())), *end
+    first = do.attempt(do.begin, do.step(), do.expect(do.read_all()))
+    bytes_read = first, do.read_bytes(source), do.read_all(still)
+    varied = *bytes_read, do.restore(), do.read_all(), do.run_all(3), do.free_state()
     yield from differences(probe, [Row("from bytes in another instance", varied, usual, tolerance=ROUNDING)])
 
 

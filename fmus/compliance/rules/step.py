@@ -1,9 +1,12 @@
 """Steps: their times, their sizes, the stop time, and what a step does."""
 
 import itertools
+import math
 from collections.abc import Iterator
 
-from fmus.compliance.comparison import differing, failing_or_differing, steadily, texts
+from fmus.compliance import actions as do
+from fmus.compliance.comparison import texts
+from fmus.compliance.differential import Row, differential
 from fmus.compliance.fmu_file import CO_SIMULATION, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
@@ -16,7 +19,6 @@ _SETUP = "2.1.6 Initialization, Termination, and Resetting an FMU (fmi2SetupExpe
 _COMPUTATION = "4.2.2 Computation (fmi2DoStep)"
 _FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
 _ANY_STEP = "canHandleVariableCommunicationStepSize"
-_MOST_STEPS = 100  # of a default experiment that is run
 _MORE_STEPS = (13, 47, 211)  # instead of two: for each internal step from the usual size to a hundredth
 _APART = 0.4  # of the change over two steps: a rough solver, but not half a step
 
@@ -63,19 +65,13 @@ def _recovers(probe: Probe) -> bool:
     return all(reply.ok for reply in script.replies[first:])
 
 
-@behaviour_rule(_SETUP)
-def undefined_arguments_are_ignored(probe: Probe) -> Iterator[str]:
+@differential(_SETUP)
+def undefined_arguments_are_ignored(probe: Probe) -> Iterator[Row]:
     """A tolerance or a stop time that is not defined is not looked at."""
-    usual, other = probe.script().begin(), probe.script(logging=True)
-    expected = usual.run(2)
-    other.call("set_up_experiment_with", [], probe.start_time, [], probe.start_time - 1.0)
-    other.enter_initialization_mode().exit_initialization_mode()
-    got = other.run(2)
-    usual.play()
-    other.play(keep_going=True)
-    when = "where an undefined stop time lies before the start time"
+    set_up = do.call("set_up_experiment_with", [], probe.start_time, [], probe.start_time - 1.0)
+    varied = set_up, do.enter_initialization_mode, do.exit_initialization_mode, do.run(2)
     failing = "with neither tolerance nor stop time defined"
-    yield from failing_or_differing(other, expected, got, when, failing=failing)
+    yield Row("where an undefined stop time lies before the start time", varied, failing=failing)
 
 
 @behaviour_rule(_SETUP)
@@ -141,19 +137,13 @@ def communication_points_may_be_rounded(probe: Probe) -> Iterator[str]:
         yield script.failure.problem
 
 
-@behaviour_rule(_COMPUTATION, needs="variables-can-be-read")
-def no_set_state_flag_changes_nothing(probe: Probe) -> Iterator[str]:
+@differential(_COMPUTATION, needs="variables-can-be-read")
+def no_set_state_flag_changes_nothing(probe: Probe) -> Iterator[Row]:
     """noSetFMUStatePriorToCurrentPoint = fmi2True is accepted, and the values are the same."""
-    usual, other = probe.script().begin(), probe.script(logging=True).begin()
-    chosen = [v for v in probe.fmu.variables if v.causality != "independent"]
-    expected = [usual.step().read(chosen) for _ in range(3)]
-    got = [other.step(1, no_going_back=True).read(chosen) for _ in range(3)]
-    usual.play()
-    other.play(keep_going=True)
-    if other.failure:
-        yield other.failure.problem
-    else:
-        yield from steadily(probe, differing(expected, got, "with noSetFMUStatePriorToCurrentPoint"))
+    read = do.read([v for v in probe.fmu.variables if v.causality != "independent"])
+    varied = do.begin, *(do.step(no_going_back=True), read) * 3
+    when = "with noSetFMUStatePriorToCurrentPoint"
+    yield Row(when, varied, (do.begin, *(do.step(), read) * 3), failing="")
 
 
 @behaviour_rule(f"{_FLAGS}: {_ANY_STEP}", condition=unless_claimed(_ANY_STEP))
@@ -236,11 +226,9 @@ def _change(before: Reading, after: Reading, name: str) -> float:
 
 @behaviour_rule("advice: 2.2.5, what a user runs first", needs="communication-points-may-be-rounded")
 def default_experiment_runs(probe: Probe) -> Iterator[str]:
-    """The steps of DefaultExperiment, if they are few, succeed up to its stop time."""
-    steps = (probe.stop_time - probe.start_time) / probe.step_size
-    if not probe.states_step_size or not steps <= _MOST_STEPS:
-        raise NotApplicableError("no stop time and step size are stated, or the steps are many")
-    script = probe.script(logging=True).set_up(stop=probe.stop_time).enter_initialization_mode()
-    script.exit_initialization_mode().step(int(steps + 1e-6)).play(keep_going=True)
-    if script.failure and script.failure.status != DISCARD:
-        yield script.failure.problem
+    """The steps of DefaultExperiment succeed up to its stop time, as far as they take about a second."""
+    if not probe.states_step_size or not math.isfinite(probe.stop_time):
+        raise NotApplicableError("no stop time and step size are stated")
+    failure = do.over_the_experiment(probe).script.failure
+    if failure and failure.status != DISCARD:
+        yield failure.problem

@@ -52,8 +52,7 @@ def _read_in_runs(probe: Probe) -> list[tuple[str, Reading]]:
     start = do.initialise, do.read(probe.outputs, "in initialization mode"), do.exit_initialization_mode
     runs = [do.played(probe, [*start, *itertools.chain(*few)], logging=True)]
     with suppress(NotApplicableError, NotJudgedError):
-        many = do.go_on_reading(probe.steps_of_experiment, 8, "in the default experiment")
-        runs.append(do.played(probe, [do.begin, many]))
+        runs.append(do.over_the_experiment(probe))
     return [(when + where, reading) for play in runs for when, where, reading in play.observed if reading.ok]
 
 
