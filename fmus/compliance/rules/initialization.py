@@ -132,7 +132,7 @@ def values_are_set_together(probe: Probe) -> Iterator[Row]:
             usual = do.initialise, do.set_values(ordered), *end
             together = do.initialise, do.set_at_once(kind, ordered), *end
             when = f"where one fmi2Set{kind} sets {len(ordered)} variables"
-            yield Row(when, together, usual, may_fail=True)
+            yield Row(when, together, usual, may_fail=True, again="{}, as it is set alone")
 
 
 def _of_kind(pairs: Sequence[Pair], kind: str) -> list[Pair]:
