@@ -40,6 +40,7 @@ class Rule:
     condition: Condition
     needs: tuple[str, ...] = ()
     last: bool = False
+    module: str = ""
 
 
 IS_BROKEN = " is broken"
@@ -92,7 +93,8 @@ RULES: dict[str, Rule] = {}  # by name, of the modules that are imported; `regis
 _MOST_MESSAGES, _LONGEST_MESSAGE = 100, 2000
 
 
-def _always(_: Any) -> str:
+def always(_: Any) -> str:
+    """Returns no reason why a rule does not apply: it applies to every FMU."""
     return ""
 
 
@@ -100,7 +102,7 @@ def rule(
     clause: str,
     stage: Stage,
     level: Level = Level.ERROR,
-    condition: Condition = _always,
+    condition: Condition = always,
     needs: str = "",
     last: bool = False,
 ) -> Callable[[Check], Check]:
@@ -116,18 +118,24 @@ def rule(
     def register(check: Check) -> Check:
         name = check.__name__.replace("_", "-")
         claim = " ".join((inspect.getdoc(check) or "").split())
-        if name in RULES:
-            raise ValueError(f"rule {name}: expected one function of that name, got a second")
-        RULES[name] = Rule(name, clause, claim, level, stage, check, condition, tuple(needs.split()), last)
+        needed, module = tuple(needs.split()), check.__module__
+        add_rule(Rule(name, clause, claim, level, stage, check, condition, needed, last, module))
         return check
 
     return register
 
 
+def add_rule(added: Rule) -> None:
+    """Registers a rule. Raises ValueError for a name that another one has."""
+    if added.name in RULES:
+        raise ValueError(f"rule {added.name}: expected one of that name, got a second")
+    RULES[added.name] = added
+
+
 def behaviour_rule(
     clause: str,
     level: Level = Level.ERROR,
-    condition: Condition = _always,
+    condition: Condition = always,
     needs: str = "",
     last: bool = False,
 ) -> Callable[[Check], Check]:
