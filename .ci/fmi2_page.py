@@ -4,8 +4,8 @@ import re
 from collections.abc import Iterable, Sequence
 
 from fmus.compliance.registry import all_rules
-from fmus.compliance.rule import Rule
-from fmus.compliance.sentences import ADVICE, Sentence, sentences, sentences_of, titles
+from fmus.compliance.rule import Level, Rule
+from fmus.compliance.sentences import Sentence, sentences, sentences_of, titles
 
 _HEAD = """\
 # FMI 2.0.5, sentence by sentence
@@ -31,7 +31,7 @@ def _counts(entries: Sequence[Sentence], rules: Sequence[Rule]) -> str:
     return (
         f"{len(entries)} sentences: {checked} are checked, {hidden} cannot be observed, "
         f"{len(entries) - checked - hidden} concern model exchange alone. {len(rules)} rules, "
-        f"{sum(rule.clause.startswith(ADVICE) for rule in rules)} of them advice."
+        f"{sum(rule.level is Level.ADVICE for rule in rules)} of them advice."
     )
 
 

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fmus.compliance.fmu_file import ONLY_ONCE, FmuFile, no_co_simulation
+from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE, ONLY_ONCE, FmuFile
 from fmus.compliance.fmu_process import START_S
 from fmus.compliance.judge import ENDED, FUNDAMENTAL, HUNG, IS_BROKEN, SLOW, judged_by_one_process
 from fmus.compliance.probe import NO_INSTANCE, Probe
@@ -25,6 +25,7 @@ _STEPS = "steps-and-terminates"
 _FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs
 _AFTER_OTHERS, _MOST_CRASHES = "instances-follow-each-other", 2
 _MOST_HANGS, _MOST_SLOW = 3, 20  # then the rest is not judged: it would take minutes
+_NAMES = {CO_SIMULATION: "co-simulation", MODEL_EXCHANGE: "model exchange"}
 _OF_THE_HOST = ("ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EMFILE", "ENFILE", "EIO", "ENOMEM", "EAGAIN")
 
 
@@ -34,21 +35,55 @@ def behaviour(
     of_libraries: Callable[[], Sequence[Result]] = tuple,
     started: WorkerProcess | None = None,
 ) -> Iterator[Result]:
-    """Yields one result for each behaviour rule.
+    """Yields one result for each behaviour rule, of all interfaces that the FMU has.
 
     timeout: seconds for one rule; started: a process that does not know an FMU yet
     of_libraries: the results of the rules of libraries, which LIEF reads meanwhile; asked for when a
     process of the FMU has ended
     """
+    halves = {}
+    for interface in fmu.interfaces or [CO_SIMULATION]:
+        halves[interface] = _of_interface(fmu.judged_as(interface), timeout, of_libraries, started)
+        started = None
+    for rule in registered(Stage.BEHAVIOUR):
+        yield _joined(rule, {interface: results[rule.name] for interface, results in halves.items()})
+
+
+def _of_interface(
+    fmu: FmuFile,
+    timeout: float,
+    of_libraries: Callable[[], Sequence[Result]],
+    started: WorkerProcess | None,
+) -> dict[str, Result]:
+    """Returns rule name -> result for the interface of the FMU that is judged."""
     rules = registered(Stage.BEHAVIOUR)
     results: dict[str, Result] = {}
     reason = obstacle(fmu) or _unreadable_variable(fmu)
     if not reason:
-        results = {rule.name: Result(rule, not_applicable=rule.condition(fmu)) for rule in rules}
+        conditions = {rule: _other_interface(rule, fmu) or rule.condition(fmu) for rule in rules}
+        results = {rule.name: Result(rule, not_applicable=text) for rule, text in conditions.items()}
         names = [name for name, result in results.items() if not result.not_applicable]
         results |= _judged(fmu, _needs_first(names), timeout, of_libraries, started)
         reason = _broken_library(fmu, of_libraries())
-    yield from [Result(rule, not_judged=reason) for rule in rules] if reason else results.values()
+    return {rule.name: Result(rule, not_judged=reason) for rule in rules} if reason else results
+
+
+def _other_interface(rule: Rule, fmu: FmuFile) -> str:
+    """Returns the reason why a rule does not apply to the interface that is judged, if so."""
+    if rule.interface in ("", fmu.interface):
+        return ""
+    return f"it has no interface for {_NAMES[rule.interface]}"
+
+
+def _joined(rule: Rule, halves: Mapping[str, Result]) -> Result:
+    """Returns one result on all interfaces, which messages name unless it is co-simulation alone."""
+    if list(halves) == [CO_SIMULATION]:
+        return halves[CO_SIMULATION]
+    messages = [f"{_NAMES[kind]}: {m}" for kind, result in halves.items() for m in result.messages]
+    reasons = dict.fromkeys(result.not_judged for result in halves.values() if result.not_judged)
+    if messages or reasons:
+        return Result(rule, tuple(messages), not_judged="" if messages else "; ".join(reasons))
+    return min(halves.values(), key=lambda result: bool(result.not_applicable))
 
 
 def _needs_first(names: Sequence[str]) -> list[str]:
@@ -74,7 +109,7 @@ def obstacle(fmu: FmuFile) -> str:
         return "the FMU cannot be read"
     if fmu.other_version:
         return "it is no FMU of FMI 2.0"
-    return no_co_simulation(fmu) or ("" if fmu.host_library else f"no library for {platform_name()}")
+    return "" if fmu.host_library else f"no library for {platform_name()}"
 
 
 def _unreadable_variable(fmu: FmuFile) -> str:
@@ -184,14 +219,14 @@ def _without_instances_before(
     """
     rule, follow = result.rule, results.get(_AFTER_OTHERS)
     crashes = [m for m in result.messages if m.startswith((ENDED, NO_INSTANCE))]
-    is_advice = rule.level is Level.WARNING  # it may have made calls that FMI forbids
-    if (only_once and result.messages) or (is_advice and _is_no_instance(result)):
+    is_minor = rule.level is not Level.ERROR  # it may have made calls that FMI forbids
+    if (only_once and result.messages) or (is_minor and _is_no_instance(result)):
         return {rule.name: judge_alone()}
     if only_once or not crashes or follow is None:
         return {rule.name: result}
-    if len(follow.messages) >= (1 if is_advice else _MOST_CRASHES):
+    if len(follow.messages) >= (1 if is_minor else _MOST_CRASHES):
         return {rule.name: Result(rule, not_judged=f"{_AFTER_OTHERS}{IS_BROKEN}")}
-    if is_advice:
+    if is_minor:
         return {rule.name: result}
     alone = judge_alone()
     if any(message in alone.messages for message in crashes):

@@ -3,6 +3,7 @@
 import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from functools import cache, cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -20,6 +21,7 @@ DESCRIPTION = "modelDescription.xml"
 ONLY_ONCE = "canBeInstantiatedOnlyOncePerProcess"
 _LARGEST_DESCRIPTION = 100_000_000  # bytes; far beyond any that tools write, and a few GB of memory
 _LARGEST_MEMBER = 8_000_000_000  # bytes unpacked
+CO_SIMULATION, MODEL_EXCHANGE = "CoSimulation", "ModelExchange"  # the elements of both interfaces
 C_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _NOTHING: Mapping[str, str] = MappingProxyType({})
 _NO_DTD = "it has a document type declaration: expected none, it is not read (entities can be bombs)"
@@ -81,6 +83,7 @@ class FmuFile:
         self.archive_problem = self.description_problem = ""
         self.xml = b""
         self._root: Any = None
+        self._judged = ""
         try:
             with zipfile.ZipFile(path) as archive:
                 self.members = archive.infolist()
@@ -148,17 +151,36 @@ class FmuFile:
     def interfaces(self) -> dict[str, Mapping[str, str]]:
         return {
             kind: dict(self.root.find(kind).attrib)
-            for kind in ("CoSimulation", "ModelExchange")
+            for kind in (CO_SIMULATION, MODEL_EXCHANGE)
             if self.root.find(kind) is not None
         }
 
+    def judged_as(self, interface: str) -> "FmuFile":
+        """Returns this FMU with one of its interfaces, whose capabilities and library count."""
+        fmu = copy(self)
+        fmu._judged = interface
+        return fmu
+
+    @property
+    def interface(self) -> str:
+        """The interface that is judged: for co-simulation, unless another was chosen or is the only one."""
+        return self._judged or next(iter(self.interfaces), CO_SIMULATION)
+
+    @property
+    def is_model_exchange(self) -> bool:
+        return self.interface == MODEL_EXCHANGE
+
+    @property
+    def _attributes(self) -> Mapping[str, str]:
+        return self.interfaces.get(self.interface, _NOTHING)
+
     def claims(self, capability: str) -> bool:
-        """Whether a capability flag of co-simulation is true."""
-        return is_true((self.co_simulation or {}).get(capability))
+        """Whether a capability flag of the interface that is judged is true."""
+        return is_true(self._attributes.get(capability))
 
     @property
     def output_derivative_order(self) -> int:
-        return integer((self.co_simulation or {}).get("maxOutputDerivativeOrder")) or 0
+        return integer(self._attributes.get("maxOutputDerivativeOrder")) or 0
 
     @cached_property
     def units(self) -> dict[str, Any]:
@@ -255,7 +277,7 @@ class FmuFile:
     @property
     def host_library(self) -> str:
         """Path inside the archive of the library that this machine loads; empty if there is none."""
-        identifier = (self.co_simulation or {}).get("modelIdentifier", "")
+        identifier = self._attributes.get("modelIdentifier", "")
         return (library_member(self.names, identifier) or "") if C_IDENTIFIER.fullmatch(identifier) else ""
 
     def read(self, member: str, most: int = _LARGEST_MEMBER) -> bytes:

@@ -46,18 +46,23 @@ def judged_by_one_process(
             yield _judge(rule, probe, results)
     except TimeoutError:
         if probe.process.hangs(limit):
-            yield Result(rule, (f"{HUNG} {limit:g} s in one call",))
+            yield Result(rule, (f"{HUNG} {limit:g} s in one call{_call(probe)}",))
         else:
             yield Result(rule, not_judged=f"{SLOW} {limit:g} s")
     except ProcessEndedError as ended:
-        yield Result(rule, (f"{ENDED} {ended}",))
+        yield Result(rule, (f"{ENDED} {ended}{_call(probe)}",))
     finally:
         probe.process.close()
 
 
+def _call(probe: Probe) -> str:
+    call = probe.process.call_under_way
+    return f", in {call}" if call else ""
+
+
 def _breach(result: Result) -> str:
-    """Returns the reason why what needs a rule is not judged: it has an error, or is not judged itself."""
-    if result.outcome == "error":
+    """Returns the reason why what needs a rule is not judged: it is broken, or is not judged itself."""
+    if result.messages:
         return f"{result.rule.name}{IS_BROKEN}"
     is_of_all = result.not_judged.startswith(CANNOT_LOAD) or result.not_judged.endswith((IS_BROKEN, RANDOM))
     return result.not_judged if is_of_all else ""

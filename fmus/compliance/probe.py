@@ -12,7 +12,8 @@ from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.fmu_process import Call, FmuProcess, start_process
 from fmus.compliance.rule import NotApplicableError, NotJudgedError
 from fmus.compliance.script import CallError, Message, Reply, Script
-from fmus.compliance.variable import Variable, number
+from fmus.compliance.variable import Variable, integer, number
+from fmus.fmi import binding
 from fmus.fmi.binding import DISCARD, ERROR, OK, TERMINATED, WARNING
 from fmus.fmi.process import WorkerProcess
 
@@ -47,9 +48,12 @@ class Probe:
     ) -> None:
         self.fmu = fmu
         library, resources = folder / fmu.host_library, folder / "resources"
-        self.process = FmuProcess(started or start_process(), library, resources, deadline, one_instance)
+        interface = binding.MODEL_EXCHANGE if fmu.is_model_exchange else binding.CO_SIMULATION
+        process = started or start_process()
+        self.process = FmuProcess(process, (library, resources), interface, deadline, one_instance)
         self._instances = itertools.count(1)
         self._shared = shared
+        self._options = _sizes(fmu) if fmu.is_model_exchange else {}
         experiment = fmu.root.find("DefaultExperiment")
         get = experiment.get if experiment is not None else {}.get
         self.start_time = number(get("startTime")) or 0.0
@@ -68,7 +72,7 @@ class Probe:
         """Calls to be made on a new instance. options: of `CalledInstance`, but for the GUID of the
         description.
         """
-        return Script(self, {"guid": self.fmu.guid, **options})
+        return Script(self, {"guid": self.fmu.guid, **self._options, **options})
 
     def play(self, *scripts: Script, keep_going: bool = False) -> None:
         """Creates an instance for each script, plays the scripts in turn by parts, then frees the instances.
@@ -112,7 +116,7 @@ class Probe:
         except (CallError, DiscardedStepError):
             failure = script.failure
             may_refuse = (DISCARD,) if self.states_step_size else (DISCARD, ERROR)
-            if not failure or failure.function != "fmi2DoStep" or failure.status not in may_refuse:
+            if not failure or not failure.is_step or failure.status not in may_refuse:
                 raise
             stated = "it states in DefaultExperiment" if self.states_step_size else "is not stated by it"
             reason = f"the FMU refuses the step size {self.step_size:g} s, which {stated}"
@@ -125,7 +129,7 @@ class Probe:
         """
         for script in scripts:
             failure = script.failure
-            if failure is None or failure.function != "fmi2DoStep":
+            if failure is None or not failure.is_step:
                 continue
             if _REFUSED_STEPS in self._shared:
                 raise NotJudgedError(self._shared[_REFUSED_STEPS])
@@ -160,7 +164,7 @@ class Probe:
         with suppress(NotJudgedError):  # a step beyond the stop time
             self.play_each([script])
         failure = script.failure
-        if failure and failure.function == "fmi2DoStep" and failure.status == DISCARD:
+        if failure and failure.is_step and failure.status == DISCARD:
             self._shared[_DISCARDED_STEP] = "the FMU discards a step of the usual size"
 
     def play_each(self, scripts: Sequence[Script]) -> None:
@@ -204,7 +208,7 @@ class Probe:
     def _fail(self, script: Script, freed: list[Call]) -> None:
         failure = script.failure
         assert failure is not None
-        if failure.function == "fmi2DoStep" and failure.status == DISCARD and script.number:
+        if failure.is_step and failure.status == DISCARD and script.number:
             ((reply,),) = self.process.calls(
                 [("play", script.number, [("status_of", "Boolean", TERMINATED)], True)]
             )
@@ -213,15 +217,15 @@ class Probe:
                 raise NotJudgedError("the FMU terminates the simulation by itself")
         self.process.calls(freed)
         self._judge_steps([script])
-        if failure.function == "fmi2DoStep" and failure.status == DISCARD:
-            raise DiscardedStepError("the FMU discards a step")
+        if failure.is_step and failure.status == DISCARD:
+            raise DiscardedStepError(failure.value or "the FMU discards a step")
         raise CallError(failure.problem, failure.status)
 
     def creates(self, **options: Any) -> tuple[bool, list[Message]]:
         """Whether the FMU creates an instance, which is freed again, and its messages."""
         number = next(self._instances)
         (created, messages, *_), _ = self.process.calls(
-            [("create", number, {"guid": self.fmu.guid, **options}), ("free", number)]
+            [("create", number, {"guid": self.fmu.guid, **self._options, **options}), ("free", number)]
         )
         return created, [Message(*message) for message in messages]
 
@@ -253,6 +257,15 @@ class Probe:
     def real(self, causality: str) -> list[Variable]:
         """Returns the Real variables of a causality."""
         return [v for v in self.fmu.variables if v.causality == causality and v.kind == "Real"]
+
+
+def _sizes(fmu: FmuFile) -> dict[str, Any]:
+    """Returns the options of `ModelExchangeInstance`, from the description."""
+    return {
+        "states": sum(1 for _ in fmu.unknowns("Derivatives")),
+        "indicators": integer(fmu.root.get("numberOfEventIndicators")) or 0,
+        "needs_completed": not fmu.claims("completedIntegratorStepNotNeeded"),
+    }
 
 
 def _refused(messages: Sequence[Message]) -> Exception:

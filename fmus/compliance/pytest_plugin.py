@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class BrokenRuleWarning(UserWarning):
-    """An FMU breaks a rule that only warns."""
+    """An FMU breaks a rule whose level is below error."""
 
 
 class BrokenRuleError(Exception):
@@ -76,7 +76,7 @@ class FmuTests(pytest.File):
 
 
 class RuleTest(pytest.Item):
-    """One rule of one FMU: an error fails, a warning warns, what does not apply is skipped."""
+    """One rule of one FMU: an error fails, a finding below it warns, what does not apply is skipped."""
 
     def runtest(self) -> None:
         parent = self.parent
@@ -85,10 +85,10 @@ class RuleTest(pytest.Item):
         if reason := result.not_applicable or result.not_judged:
             pytest.skip(reason)
         text = f"{self.name} ({result.rule.clause}): " + "; ".join(result.messages)
-        if result.outcome == "warning":
-            warnings.warn(BrokenRuleWarning(f"{parent.path.name}: {text}"), stacklevel=1)
-        elif result.messages:
+        if result.outcome == "error":
             raise BrokenRuleError(text)
+        if result.messages:
+            warnings.warn(BrokenRuleWarning(f"{parent.path.name}: {text}"), stacklevel=1)
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
         if isinstance(excinfo.value, (BrokenRuleError, OSError)):

@@ -6,11 +6,10 @@ from importlib import import_module
 from fmus.compliance.rule import RULES, Rule, Stage
 
 MODULES = (
-    "archive", "files", "description", "variables",
-    "structure", "library", "lifecycle", "location", "reset", "initialization", "instance",
-    "resource", "call", "discard", "value", "constancy", "setting", "step", "asynchronous", "callback", "log",
-    "message", "process", "state", "saved_value", "input_derivative", "output_derivative", "derivative",
-    "input_slope", "directional", "step_directional", "dependency", "step_dependency", "reference",
+    "archive", "files", "description", "variables", "structure", "library",
+    "lifecycle", "location", "reset", "initialization", "instance",
+    "resource", "call", "discard", "value", "constancy", "setting", "step", "asynchronous", "callback",
+    "messages", "state", "saved_value", "derivatives", "effects", "reference",
     "status",  # of refusals in the calls of all others
 )  # fmt: skip
 """Modules of `fmus.compliance.rules`, in the order in which their rules are judged and told."""

@@ -8,16 +8,18 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from fmus.compliance.rule import CANNOT_LOAD, OUTCOMES, Result, Rule
+from fmus.compliance.rule import CANNOT_LOAD, OUTCOMES, Level, Result, Rule
 from fmus.compliance.sentences import sentences_of
 
 Findings = Mapping[Path, Sequence[Result]]
 _STANDARD = "https://github.com/modelica/fmi-standard/tree/v2.0.5/docs"
 _SARIF_SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
+_SARIF_LEVELS = {Level.ERROR: "error", Level.DEVIATION: "warning", Level.ADVICE: "note"}
+_GITHUB_COMMANDS = {Level.ERROR: "error", Level.DEVIATION: "warning", Level.ADVICE: "notice"}
 
 
 def count(findings: Findings, outcome: str) -> int:
-    """Returns the number of messages of an outcome ("error", "warning") in all."""
+    """Returns the number of messages of an outcome, such as "error", in all."""
     return sum(len(r.messages) for results in findings.values() for r in results if r.outcome == outcome)
 
 
@@ -29,9 +31,9 @@ def summary(results: Sequence[Result]) -> str:
 
 def total(findings: Findings) -> str:
     """Returns one line on all FMUs."""
-    errors, warnings = (count(findings, outcome) for outcome in ("error", "warning"))
+    counts = ", ".join(f"{count(findings, level)} {level}" for level in Level)
     bad = sum(any(r.outcome == "error" for r in results) for results in findings.values())
-    return f"{len(findings)} FMUs, {bad} with errors: {errors} errors, {warnings} warnings"
+    return f"{len(findings)} FMUs, {bad} with errors: {counts}"
 
 
 def unloaded(findings: Findings) -> list[str]:
@@ -71,8 +73,7 @@ def text(findings: Findings, every: bool = False) -> str:
 
 def json_text(findings: Findings) -> str:
     document = {
-        "errors": count(findings, "error"),
-        "warnings": count(findings, "warning"),
+        "counts": {level.value: count(findings, level) for level in Level},
         "fmus": [
             {"fmu": str(path), "rules": [_rule(r) for r in results]} for path, results in findings.items()
         ],
@@ -105,7 +106,7 @@ def sarif(findings: Findings) -> str:
                 "id": rule.name,
                 "shortDescription": {"text": rule.claim},
                 "help": {"text": f"FMI 2.0.5, {rule.clause}"},
-                "defaultConfiguration": {"level": rule.level.value},
+                "defaultConfiguration": {"level": _SARIF_LEVELS[rule.level]},
             }
             for rule in rules.values()
         ],
@@ -113,7 +114,7 @@ def sarif(findings: Findings) -> str:
     results = [
         {
             "ruleId": result.rule.name,
-            "level": result.rule.level.value,
+            "level": _SARIF_LEVELS[result.rule.level],
             "message": {"text": message},
             "locations": [{"physicalLocation": {"artifactLocation": {"uri": path.as_posix()}}}],
         }
@@ -125,7 +126,7 @@ def sarif(findings: Findings) -> str:
 
 
 def junit(findings: Findings) -> str:
-    """Returns JUnit's XML: a suite for each FMU, a test for each rule; tests that pass print warnings."""
+    """Returns JUnit's XML: a suite for each FMU, a test for each rule, which an error alone fails."""
     root = ElementTree.Element("testsuites", name="l1-depth check")
     for path, results in findings.items():
         outcomes = Counter(result.outcome for result in results)
@@ -138,8 +139,8 @@ def junit(findings: Findings) -> str:
             content = "\n".join(result.messages)
             if result.outcome == "error":
                 ElementTree.SubElement(case, "failure", message=result.messages[0]).text = content
-            elif result.outcome == "warning":
-                ElementTree.SubElement(case, "system-out").text = f"warning: {content}"
+            elif content:
+                ElementTree.SubElement(case, "system-out").text = f"{result.outcome}: {content}"
             elif reason := _reason(result):
                 ElementTree.SubElement(case, "skipped", message=reason)
     ElementTree.indent(root)
@@ -149,7 +150,8 @@ def junit(findings: Findings) -> str:
 def github(findings: Findings) -> str:
     """Returns workflow commands of GitHub: each message is an annotation of its FMU."""
     commands = [
-        f"::{result.outcome} file={_property(str(path))},title={result.rule.name}::{_data(message)}\n"
+        f"::{_GITHUB_COMMANDS[result.rule.level]} file={_property(str(path))},title={result.rule.name}"
+        f"::{_data(message)}\n"
         for path, results in findings.items()
         for result in results
         for message in result.messages

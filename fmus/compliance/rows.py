@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from fmus.compliance.fmu_file import FmuFile, etree
-from fmus.compliance.rule import Condition, Level, Rule, Stage, add_rule, always, repeated
+from fmus.compliance.rule import Condition, Rule, Stage, add_rule, always, repeated
 
 T = TypeVar("T")
 Case = tuple[Callable[[T, FmuFile], object], str]
@@ -45,7 +45,7 @@ def add_rows(
     """Makes a table of rows the rules of a module: of one clause and stage, with one condition."""
     for r in rows:
         its_clause = r.clause or clause
-        add_rule(Rule(r.name, its_clause, r.claim, Level.ERROR, stage, r.check, condition, module=module))
+        add_rule(Rule(r.name, its_clause, r.claim, stage, r.check, condition, module=module))
 
 
 def told(fmu: FmuFile, subjects: Iterable[T], *cases: Case[T]) -> Iterator[str]:

@@ -7,15 +7,23 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from fmus.compliance.sentences import levels
+
 Check = Callable[[Any], Iterable[str]]
 Condition = Callable[[Any], str]  # why the rule does not apply to an FMU; nothing if it does
 
 
 class Level(StrEnum):
-    """Level of a rule: breaking an error fails the check, breaking a warning is only told."""
+    """Level of a rule by the consequence of breaking it; the most severe one comes first.
+
+    ERROR: an importer that keeps the standard fails, crashes or gets a wrong result.
+    DEVIATION: a sentence demands it, but no importer known to us stumbles over it.
+    ADVICE: no sentence demands it.
+    """
 
     ERROR = "error"
-    WARNING = "warning"
+    DEVIATION = "deviation"
+    ADVICE = "advice"
 
 
 class Stage(StrEnum):
@@ -29,18 +37,26 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True)
 class Rule:
-    """One rule: `check` yields a message for each time that an FMU breaks it."""
+    """One rule: `check` yields a message for each time that an FMU breaks it.
+
+    interface: the element of the interface that it is of alone; empty for a rule of both
+    """
 
     name: str
     clause: str
     claim: str
-    level: Level
     stage: Stage
     check: Check
     condition: Condition
     needs: tuple[str, ...] = ()
     last: bool = False
+    interface: str = ""
     module: str = ""
+
+    @property
+    def level(self) -> Level:
+        """Level of the rule in `sentences/rules.toml`."""
+        return Level(levels()[self.name].level)
 
 
 IS_BROKEN = " is broken"
@@ -88,7 +104,7 @@ def defect(error: Exception) -> str:
 
 
 DEFECT = "the rule failed by a defect of this checker"
-OUTCOMES = ("passed", "not applicable", "not judged", "warning", "error")
+OUTCOMES = ("passed", "not applicable", "not judged", *reversed(Level))
 RULES: dict[str, Rule] = {}  # by name, of the modules that are imported; `registry` imports all
 _MOST_MESSAGES, _LONGEST_MESSAGE = 100, 2000
 
@@ -101,25 +117,26 @@ def always(_: Any) -> str:
 def rule(
     clause: str,
     stage: Stage,
-    level: Level = Level.ERROR,
     condition: Condition = always,
     needs: str = "",
     last: bool = False,
+    interface: str = "",
 ) -> Callable[[Check], Check]:
     """Makes a function a rule: its name with dashes is the rule's, its docstring what the rule claims.
 
     clause: section of FMI 2.0.5 with its title's words, or who else demands it.
-    needs: names of rules, with blanks between; if one of these has an error, this one is not judged: it would
+    needs: names of rules, with blanks between; if one of these is broken, this one is not judged: it would
     find the same.
     last: it is judged after the rules of its stage that are not, as it judges what came of their calls, or as
     its own may leave the process of the FMU damaged.
+    interface: see `Rule`.
     """
 
     def register(check: Check) -> Check:
         name = check.__name__.replace("_", "-")
         claim = " ".join((inspect.getdoc(check) or "").split())
         needed, module = tuple(needs.split()), check.__module__
-        add_rule(Rule(name, clause, claim, level, stage, check, condition, needed, last, module))
+        add_rule(Rule(name, clause, claim, stage, check, condition, needed, last, interface, module))
         return check
 
     return register
@@ -134,13 +151,13 @@ def add_rule(added: Rule) -> None:
 
 def behaviour_rule(
     clause: str,
-    level: Level = Level.ERROR,
     condition: Condition = always,
     needs: str = "",
     last: bool = False,
+    interface: str = "",
 ) -> Callable[[Check], Check]:
     """Makes a function a rule of behaviour; arguments as of `rule`."""
-    return rule(clause, Stage.BEHAVIOUR, level, condition, needs, last)
+    return rule(clause, Stage.BEHAVIOUR, condition, needs, last, interface)
 
 
 def messages_of(check: Iterable[str]) -> tuple[str, ...]:

@@ -62,6 +62,7 @@ class Reply:
     messages: list[Message] = field(default_factory=list)
     changed: list[list[str]] = field(default_factory=list)
     printed: int = 0
+    is_step: bool = False
 
     @property
     def ok(self) -> bool:
@@ -155,12 +156,14 @@ class Script:
 
     def call(self, method: str, *arguments: Any) -> Reply:
         """Adds a call of a method of `CalledInstance`."""
-        function = _FUNCTIONS.get(method)
+        is_step = method in ("do_step", "begin_step")
+        is_integrated = is_step and self._probe.fmu.is_model_exchange
+        function = "fmi2SetTime" if is_integrated else _FUNCTIONS.get(method)
         if function is None and method in ("get", "set"):
             function = f"fmi2{method.title()}{arguments[0]}"
         elif method == "status_of":
             function = f"fmi2Get{arguments[0]}Status"
-        reply = Reply(function or str(arguments[0]), self.state)
+        reply = Reply(function or str(arguments[0]), self.state, is_step=is_step)
         self.calls.append((method, *arguments))
         self.replies.append(reply)
         return reply
@@ -186,7 +189,7 @@ class Script:
 
     def exit_initialization_mode(self) -> "Script":
         self.call("exit_initialization_mode")
-        self.state = "step complete"
+        self.state = "event mode" if self._probe.fmu.is_model_exchange else "step complete"
         return self
 
     def initialise(self, start: float | None = None) -> "Script":
@@ -269,7 +272,9 @@ class Script:
             if not answer:
                 continue
             try:
-                status, reply.value, messages, changed, printed = answer
+                status, reply.value, messages, changed, printed, function = answer
+                if status and self._probe.fmu.is_model_exchange:  # a step is many calls
+                    reply.function = str(function)
                 reply.status, reply.changed, reply.printed = int(status), changed, int(printed)
                 reply.messages = [Message(*message) for message in messages]
             except (TypeError, ValueError):  # the FMU can write to the process that answers

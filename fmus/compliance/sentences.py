@@ -1,6 +1,7 @@
 """The sentences of FMI 2.0.5 that bind an FMU, each with the rules that check it or why none does.
 
-The data are the TOML files in `sentences/`, one for each section of the standard, in its order.
+The data are the TOML files in `sentences/`: one for each section of the standard, in its order, and
+`rules.toml` with the level of each rule.
 """
 
 import tomllib
@@ -10,6 +11,7 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
+_RULES = "rules.toml"
 ADVICE = "advice"  # begins the clause of a rule that no sentence of FMI demands
 
 
@@ -36,24 +38,49 @@ class Sentence:
             )
 
 
+@dataclass(frozen=True)
+class RuleLevel:
+    """Level of one rule ("error", "deviation", "advice"), and its reason."""
+
+    level: str
+    reason: str
+
+
 @cache
-def _files() -> tuple[Mapping[str, Any], ...]:
+def _files() -> dict[str, Mapping[str, Any]]:
+    """Returns name -> content of each file, in the order of the names."""
     folder = resources.files("fmus.compliance") / "sentences"
-    paths = sorted((path for path in folder.iterdir() if path.name.endswith(".toml")), key=lambda p: p.name)
-    return tuple(tomllib.loads(path.read_text(encoding="utf-8")) for path in paths)
+    texts = {
+        path.name: path.read_text(encoding="utf-8")
+        for path in folder.iterdir()
+        if path.name.endswith(".toml")
+    }
+    return {name: tomllib.loads(texts[name]) for name in sorted(texts)}
+
+
+@cache
+def levels() -> dict[str, RuleLevel]:
+    """Returns name of a rule -> its level."""
+    tables = {level: table for level, table in _files()[_RULES].items() if level != "off"}
+    return {name: RuleLevel(level, why) for level, table in tables.items() for name, why in table.items()}
+
+
+def off_by_default() -> frozenset[str]:
+    """Returns the names of the rules that are judged only on demand."""
+    return frozenset(_files()[_RULES]["off"])
 
 
 @cache
 def sentences() -> tuple[Sentence, ...]:
     """Returns all sentences, in the order of the standard."""
-    entries = [entry for file in _files() for entry in file["sentence"]]
+    entries = [entry for file in _files().values() for entry in file.get("sentence", ())]
     return tuple(Sentence(**entry | {"rules": tuple(entry.get("rules", ()))}) for entry in entries)
 
 
 @cache
 def titles() -> dict[str, str]:
     """Returns clause -> its title in the standard, of every clause that holds sentences."""
-    return {clause: title for file in _files() for clause, title in file["titles"].items()}
+    return {clause: title for file in _files().values() for clause, title in file.get("titles", {}).items()}
 
 
 def sentences_of(rule_name: str) -> tuple[Sentence, ...]:

@@ -3,8 +3,9 @@
 from collections.abc import Iterator
 
 from fmus.compliance.comparison import differing
+from fmus.compliance.fmu_file import CO_SIMULATION
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotJudgedError, behaviour_rule
+from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.values import if_not_claimed, is_utf_8, unless_claimed
 from fmus.fmi.binding import OK, WARNING, status_name
 
@@ -13,7 +14,7 @@ _ASYNCHRONOUS = "canRunAsynchronuously"
 _PENDING_STATUS = 1  # fmi2StatusKind
 
 
-@behaviour_rule(_COMPUTATION, condition=if_not_claimed(_ASYNCHRONOUS))
+@behaviour_rule(_COMPUTATION, condition=if_not_claimed(_ASYNCHRONOUS), interface=CO_SIMULATION)
 def steps_are_not_pending(probe: Probe) -> Iterator[str]:
     """Without canRunAsynchronuously, fmi2DoStep does not return pending."""
     script = probe.script(logging=True).begin()
@@ -97,7 +98,7 @@ def status_of_a_pending_step_is_given(probe: Probe) -> Iterator[str]:
         yield from differing(expected, [outputs], "after a step that has ended by fmi2GetStatus")
 
 
-@behaviour_rule(_COMPUTATION, Level.WARNING, condition=unless_claimed(_ASYNCHRONOUS))
+@behaviour_rule(_COMPUTATION, condition=unless_claimed(_ASYNCHRONOUS))
 def cancelled_step_ends_stepping(probe: Probe) -> Iterator[str]:
     """After fmi2CancelStep no step is accepted, and a saved state can be set."""
     script = probe.script(logging=True).forbidden().begin()  # where the step ends at once

@@ -3,8 +3,9 @@
 from collections.abc import Iterator
 from functools import partial
 
+from fmus.compliance.fmu_file import CO_SIMULATION
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, behaviour_rule
+from fmus.compliance.rule import behaviour_rule
 from fmus.compliance.script import KINDS, Reply, Script
 from fmus.compliance.session import session
 from fmus.compliance.values import INTERPOLATES, continuous_reals, references_of, start_value
@@ -14,7 +15,7 @@ from fmus.fmi.binding import ERROR, FATAL
 _STATES = "4.2.4 State Machine of Calling Sequence from Master to Slave"
 
 
-@behaviour_rule(_STATES, needs="reset-in-every-state variables-can-be-read")
+@behaviour_rule(_STATES, needs="variables-can-be-read")
 def allowed_calls_succeed(probe: Probe) -> Iterator[str]:
     """The functions that the FMU supports succeed in the states, instantiated to terminated, that allow
     them.
@@ -122,7 +123,11 @@ def _forbidden_derivatives(probe: Probe) -> Iterator[tuple[Script, Reply]]:
         yield script, script.call("directional_derivatives", outputs, inputs, [1.0])
 
 
-@behaviour_rule("advice: calls that 4.2.4 and 4.2.2 forbid to importers", Level.WARNING, last=True)
+@behaviour_rule(
+    "advice: calls that 4.2.4 and 4.2.2 forbid to importers",
+    last=True,
+    interface=CO_SIMULATION,
+)
 def forbidden_calls_are_refused(probe: Probe) -> Iterator[str]:
     """A call that its state forbids, a fixed parameter or an output set while stepping, a step that is not
     above 0 or does not start at the present, or a derivative of order 0 is refused.
@@ -148,7 +153,7 @@ def _named(reply: Reply, script: Script) -> str:
     return reply.function
 
 
-@behaviour_rule("advice: an empty call has nothing to refuse", Level.WARNING, needs="allowed-calls-succeed")
+@behaviour_rule("advice: an empty call has nothing to refuse", needs="allowed-calls-succeed")
 def empty_calls_succeed(probe: Probe) -> Iterator[str]:
     """Getting or setting no variables, with NULL for both arrays, succeeds."""
     script = probe.script(logging=True).begin()

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 from fmus.compliance.comparison import differing
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, behaviour_rule
+from fmus.compliance.rule import behaviour_rule
 from fmus.compliance.script import CallError, Reading, Script
 from fmus.compliance.values import unless_claimed
 
@@ -58,7 +58,6 @@ def arguments_of_instantiation_are_copied(probe: Probe) -> Iterator[str]:
 
 @behaviour_rule(
     "advice: 2.1.5, a note on the structure of callbacks",
-    Level.WARNING,
     needs="arguments-of-instantiation-are-copied",
 )
 def callbacks_are_copied(probe: Probe) -> Iterator[str]:
@@ -110,7 +109,7 @@ def memory_functions_may_be_null(probe: Probe) -> Iterator[str]:
         yield f"without memory functions: {error}"
 
 
-@behaviour_rule("advice: 2.1.5, allocateMemory returns NULL if memory is used up", Level.WARNING)
+@behaviour_rule("advice: 2.1.5, allocateMemory returns NULL if memory is used up")
 def failed_allocation_is_handled(probe: Probe) -> Iterator[str]:
     """fmi2Instantiate returns NULL where allocateMemory does, or an instance that needs no such memory."""
     script = probe.script(callbacks="refused memory").begin().step()

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from fmus.compliance.accepted import accepted
 from fmus.compliance.comparison import same, texts, unlike
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotApplicableError, behaviour_rule
+from fmus.compliance.rule import NotApplicableError, behaviour_rule
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import other_values, settable_while_stepping, start_value
 from fmus.compliance.variable import Variable
@@ -40,7 +40,6 @@ def constants_have_their_value(probe: Probe) -> Iterator[str]:
 
 @behaviour_rule(
     "advice: Reals are double, and 2.2.7 tells no precision of constants",
-    Level.WARNING,
     needs="constants-have-their-value",
 )
 def constants_have_double_precision(probe: Probe) -> Iterator[str]:

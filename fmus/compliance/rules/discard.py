@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 
+from fmus.compliance.fmu_file import CO_SIMULATION
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.script import Reply, Script
@@ -43,7 +44,7 @@ def _first_discarded(probe: Probe) -> _DiscardedStep | None:
     return _DiscardedStep(steps[-1], len(steps) - 1, time, terminated)
 
 
-@behaviour_rule("4.2.2 Computation (fmi2DoStep)")
+@behaviour_rule("4.2.2 Computation (fmi2DoStep)", interface=CO_SIMULATION)
 def discarded_steps_have_a_last_time(probe: Probe) -> Iterator[str]:
     """After a discarded step, fmi2LastSuccessfulTime, if given, lies in that step, before its end, and
     fmi2Terminated is a Boolean.
@@ -67,6 +68,7 @@ def discarded_steps_have_a_last_time(probe: Probe) -> Iterator[str]:
 @behaviour_rule(
     "4.2.4 State Machine of Calling Sequence from Master to Slave",
     needs="reset-in-every-state variables-can-be-read",
+    interface=CO_SIMULATION,
 )
 def discarded_steps_can_be_left(probe: Probe) -> Iterator[str]:
     """After a step was discarded variables can be read, and fmi2Terminate, fmi2Reset and, if it is

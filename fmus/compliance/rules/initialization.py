@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from fmus.compliance.accepted import accepted
 from fmus.compliance.comparison import differing, failing_or_differing, unlike
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, behaviour_rule
+from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.script import KINDS, CallError, Script
 from fmus.compliance.values import other_value, other_values, settable_in_initialization, start_value
 from fmus.compliance.variable import Variable
@@ -16,7 +16,7 @@ _MOST_VARIABLES = 50
 _ROUNDED = 1e-6
 
 
-@behaviour_rule(_INITIALIZATION, Level.WARNING)
+@behaviour_rule(_INITIALIZATION)
 def set_up_can_be_repeated(probe: Probe) -> Iterator[str]:
     """fmi2SetupExperiment may be called at least once: the last call counts, for time and stop time, and what
     was set before it stays.
@@ -40,7 +40,7 @@ def undefined_tolerance_is_ignored(probe: Probe) -> Iterator[str]:
         yield f"with an undefined tolerance of -1: {script.failure.problem}"
 
 
-@behaviour_rule("advice: a user may want to see windows", Level.WARNING)
+@behaviour_rule("advice: a user may want to see windows")
 def visible_instances_run(probe: Probe) -> Iterator[str]:
     """With visible = fmi2True an instance is created and takes a step."""
     script = probe.script(visible=True, logging=True).begin().step()
@@ -52,7 +52,6 @@ def visible_instances_run(probe: Probe) -> Iterator[str]:
 
 @behaviour_rule(
     "2.2.7 Definition of Model Variables (ModelVariables)",
-    Level.WARNING,
     needs="start-values-are-as-declared values-that-are-set-are-read",
 )
 def exact_values_remain_after_initialization(probe: Probe) -> Iterator[str]:

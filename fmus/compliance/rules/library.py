@@ -70,7 +70,7 @@ def _functions(fmu: FmuFile, path: str) -> set[str]:
     return {f"fmi2{name}" for name in names.split()}
 
 
-@rule("advice: behaviour is judged where the library runs", Stage.LIBRARY, condition=no_co_simulation)
+@rule("advice: behaviour is judged where the library runs", Stage.LIBRARY, no_co_simulation)
 def runs_on_this_platform(fmu: FmuFile) -> Iterator[str]:
     """There is a library for the platform of this check, or its behaviour is not judged."""
     if not fmu.host_library:

@@ -9,7 +9,7 @@ from pathlib import PurePath
 from fmus.compliance.comparison import differing
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe, refusal
-from fmus.compliance.rule import CANNOT_LOAD, RANDOM, Level, NotJudgedError, behaviour_rule
+from fmus.compliance.rule import CANNOT_LOAD, RANDOM, NotJudgedError, behaviour_rule
 from fmus.compliance.rules.instance import unknown_reference
 from fmus.compliance.script import CallError
 
@@ -111,7 +111,7 @@ def runs_are_repeatable(probe: Probe) -> Iterator[str]:
     yield from different
 
 
-@behaviour_rule("advice: 4.1.2 knows no random numbers", Level.WARNING)
+@behaviour_rule("advice: 4.1.2 knows no random numbers")
 def runs_are_not_random(probe: Probe) -> Iterator[str]:
     """Processes give the same outputs for the same calls; otherwise nothing else is judged."""
     different, is_random = _compared(probe)
@@ -140,7 +140,7 @@ def _differences(probe: Probe) -> Iterator[str]:
     yield from differing(first, second, "in a second instance")
 
 
-@behaviour_rule(_CREATION, Level.WARNING)
+@behaviour_rule(_CREATION)
 def wrong_guid_is_refused(probe: Probe) -> Iterator[str]:
     """fmi2Instantiate returns NULL for a GUID that is not the description's, also where it is nearly so."""
     guid = probe.fmu.guid

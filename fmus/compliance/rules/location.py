@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from fmus.compliance.comparison import differing, failing_or_differing
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotJudgedError, behaviour_rule
+from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.script import CallError, Reading
 from fmus.compliance.values import if_not_claimed
 
@@ -30,7 +30,7 @@ def resource_locations_of_both_forms(probe: Probe) -> Iterator[str]:
     yield from _with_location(probe, usual.replace("file:///", "file:/", 1), first)
 
 
-@behaviour_rule(_CREATION, Level.WARNING)
+@behaviour_rule(_CREATION)
 def resource_location_is_decoded(probe: Probe) -> Iterator[str]:
     """The location of the resources is a URI of RFC 3986: %20 in it is a space of the path."""
     script = probe.script().begin()

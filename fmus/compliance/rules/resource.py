@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from statistics import median
 
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, behaviour_rule
+from fmus.compliance.rule import behaviour_rule
 from fmus.compliance.values import if_not_claimed, settable_before, start_value
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
@@ -85,7 +85,7 @@ def resources_are_freed(probe: Probe) -> Iterator[str]:
             yield f"{more} more {name} after {_CYCLES - 1} instances were created and freed: expected none"
 
 
-@behaviour_rule(_CREATION, Level.WARNING, needs=f"resources-are-freed {_USED}")
+@behaviour_rule(_CREATION, needs=f"resources-are-freed {_USED}")
 def memory_does_not_grow(probe: Probe) -> Iterator[str]:
     """fmi2FreeInstance frees all memory: the heap does not grow with each instance that is created and
     freed.

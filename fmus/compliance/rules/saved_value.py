@@ -6,7 +6,7 @@ from typing import Any
 from fmus.compliance.accepted import accepted_together
 from fmus.compliance.comparison import differing, failing_or_differing, steadily
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotJudgedError, behaviour_rule
+from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import (
     continuous_reals,
@@ -141,7 +141,6 @@ def _serialised_with_other_values(probe: Probe) -> tuple[Any, list[Reading]]:
 
 @behaviour_rule(
     _CLAUSE,
-    Level.WARNING,
     condition=unless_claimed(_SAVES),
     needs="state-restores state-holds-the-mode reset-in-every-state",
 )
@@ -160,7 +159,6 @@ def state_can_be_set_after_reset(probe: Probe) -> Iterator[str]:
 
 @behaviour_rule(
     "4.2.2 Computation (fmi2DoStep)",
-    Level.WARNING,
     condition=unless_claimed(_SAVES),
     needs="state-restores no-set-state-flag-changes-nothing",
 )

@@ -5,7 +5,7 @@ from typing import Any
 
 from fmus.compliance.comparison import RESTARTED, differing, failing_or_differing, same, texts, unlike
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotApplicableError, behaviour_rule
+from fmus.compliance.rule import NotApplicableError, behaviour_rule
 from fmus.compliance.rules.instance import unknown_reference
 from fmus.compliance.script import KINDS, Reading, Script
 from fmus.compliance.values import (
@@ -98,7 +98,7 @@ def constants_cannot_be_set(probe: Probe) -> Iterator[str]:
                 yield f"{reply.function} of the constant {v.name}: {reply.status_name}: expected error"
 
 
-@behaviour_rule("advice: 4.2.4 allows to set no other variables", Level.WARNING)
+@behaviour_rule("advice: 4.2.4 allows to set no other variables")
 def calculated_values_cannot_be_set(probe: Probe) -> Iterator[str]:
     """Setting a variable that is calculated is refused, unless it is the alias of one that can be set."""
     settable = {(v.base_kind, v.reference) for v in probe.fmu.variables if v.is_settable}
@@ -205,7 +205,6 @@ def far_values_are_read(probe: Probe) -> Iterator[str]:
 
 @behaviour_rule(
     "advice: 2.2.3, what to do with a value beyond its range",
-    Level.WARNING,
     needs="values-that-are-set-are-read",
     last=True,
 )

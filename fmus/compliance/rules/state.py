@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from fmus.compliance.accepted import accepted_together
 from fmus.compliance.comparison import differing, failing_or_differing
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotJudgedError, behaviour_rule
+from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.rules.instance import unknown_reference
 from fmus.compliance.script import Reading
 from fmus.compliance.values import (
@@ -48,7 +48,7 @@ def state_restores(probe: Probe) -> Iterator[str]:
     yield from differing(before[1:], after[1:], "from the state that was set back", _ROUNDING)
 
 
-@behaviour_rule(_CLAUSE, Level.WARNING, condition=_saves, needs="state-restores")
+@behaviour_rule(_CLAUSE, condition=_saves, needs="state-restores")
 def state_restores_exactly(probe: Probe) -> Iterator[str]:
     """A state that is set back gives exactly the same outputs."""
     before, after = probe.once("saved state", lambda: _restored(probe))

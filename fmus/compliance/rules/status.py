@@ -2,8 +2,9 @@
 
 from collections.abc import Iterable, Iterator
 
+from fmus.compliance.fmu_file import CO_SIMULATION
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotJudgedError, behaviour_rule
+from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.script import Reply
 from fmus.compliance.session import session
 from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME, OK, PENDING, TERMINATED, status_name
@@ -64,7 +65,7 @@ def _refused(probe: Probe) -> list[Reply]:
     return [r for r in refused if r.function != "fmi2DoStep" or r.status != DISCARD]
 
 
-@behaviour_rule(_STATUS, Level.WARNING, last=True)
+@behaviour_rule(_STATUS, last=True)
 def refusals_are_logged(probe: Probe) -> Iterator[str]:
     """Whatever returns warning, discard or error has called the logger, if logging is on."""
     named = set()
@@ -75,7 +76,7 @@ def refusals_are_logged(probe: Probe) -> Iterator[str]:
             yield f"{reply.function} {reply.status_name} and logged nothing: expected the reason"
 
 
-@behaviour_rule(_STATUS, Level.WARNING, last=True)
+@behaviour_rule(_STATUS, last=True)
 def messages_of_refusals_are_no_information(probe: Probe) -> Iterator[str]:
     """The messages of what returns warning, discard or error do not have the status ok alone, which is that
     of pure information.
@@ -91,8 +92,8 @@ def messages_of_refusals_are_no_information(probe: Probe) -> Iterator[str]:
 
 @behaviour_rule(
     "4.2.3 Retrieving Status Information from the Slave",
-    Level.WARNING,
     needs="discarded-steps-have-a-last-time",
+    interface=CO_SIMULATION,
 )
 def unknown_statuses_are_discarded(probe: Probe) -> Iterator[str]:
     """fmi2GetXXXStatus returns ok, or discard for what it cannot retrieve; no other status."""
@@ -109,7 +110,7 @@ def unknown_statuses_are_discarded(probe: Probe) -> Iterator[str]:
             yield f"in the state {reply.state!r} {reply.function} {reply.status_name}: expected ok or discard"
 
 
-@behaviour_rule("4.2.3 Retrieving Status Information from the Slave", Level.WARNING)
+@behaviour_rule("4.2.3 Retrieving Status Information from the Slave", interface=CO_SIMULATION)
 def last_successful_time_is_right(probe: Probe) -> Iterator[str]:
     """fmi2LastSuccessfulTime, where it is given, is the end of the last step; fmi2Terminated is then
     false.
@@ -130,7 +131,7 @@ def last_successful_time_is_right(probe: Probe) -> Iterator[str]:
         yield "fmi2Terminated is true after steps that succeeded: expected false"
 
 
-@behaviour_rule("4.2.3 Retrieving Status Information from the Slave", Level.WARNING)
+@behaviour_rule("4.2.3 Retrieving Status Information from the Slave", interface=CO_SIMULATION)
 def statuses_have_their_types(probe: Probe) -> Iterator[str]:
     """A status is given by the function of its type alone: another function returns discard."""
     pairs = []

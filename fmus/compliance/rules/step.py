@@ -4,9 +4,9 @@ import itertools
 from collections.abc import Iterator
 
 from fmus.compliance.comparison import differing, failing_or_differing, steadily, texts
-from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.fmu_file import CO_SIMULATION, FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, behaviour_rule
+from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.rules.instance import unknown_reference
 from fmus.compliance.script import Reading, Reply, Script
 from fmus.compliance.session import LARGE_TOLERANCE, TOLERANCE, run_with_tolerance
@@ -42,15 +42,15 @@ def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[str]:
         yield f"with the stop time {probe.point(3):g} s, before it: {script.failure.problem}"
     elif beyond.status != ERROR:
         yield (
-            f"fmi2DoStep to {probe.point(4):g} s {beyond.status_name}: expected error beyond the "
+            f"{beyond.function} to {probe.point(4):g} s {beyond.status_name}: expected error beyond the "
             f"stop time {probe.point(3):g} s"
         )
     elif failed and _recovers(probe):
         yield f"after fmi2Reset from a step beyond the stop time: {failed.problem}"
     elif not failed and again.status != ERROR:
         yield (
-            f"after fmi2Reset fmi2DoStep to {probe.point(2):g} s {again.status_name}: expected error beyond "
-            f"the stop time {probe.point(1):g} s"
+            f"after fmi2Reset {again.function} to {probe.point(2):g} s {again.status_name}: expected error "
+            f"beyond the stop time {probe.point(1):g} s"
         )
 
 
@@ -129,7 +129,7 @@ def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
                 return
 
 
-@behaviour_rule(_COMPUTATION)
+@behaviour_rule(_COMPUTATION, interface=CO_SIMULATION)
 def communication_points_may_be_rounded(probe: Probe) -> Iterator[str]:
     """Communication points may be sums of step sizes or multiples of one: their rounding is no error."""
     script = probe.script(logging=True).begin()
@@ -192,9 +192,7 @@ def _discarded(
         yield f"a step from {t:g} to {end:g} s is discarded, and fmi2LastSuccessfulTime is {last.value:g} s"
 
 
-@behaviour_rule(
-    f"{_FLAGS}: {_ANY_STEP}", Level.WARNING, condition=unless_claimed(_ANY_STEP), needs="variable-step-size"
-)
+@behaviour_rule(f"{_FLAGS}: {_ANY_STEP}", condition=unless_claimed(_ANY_STEP), needs="variable-step-size")
 def two_steps_are_one_of_twice_the_size(probe: Probe) -> Iterator[str]:
     """A step reaches its end: after a step, two more bring continuous outputs about as far as one of twice
     the size, or many of no simple fraction of it.
@@ -237,9 +235,7 @@ def _change(before: Reading, after: Reading, name: str) -> float:
     return after.values[name] - before.values[name]
 
 
-@behaviour_rule(
-    "advice: 2.2.5, what a user runs first", Level.WARNING, needs="communication-points-may-be-rounded"
-)
+@behaviour_rule("advice: 2.2.5, what a user runs first", needs="communication-points-may-be-rounded")
 def default_experiment_runs(probe: Probe) -> Iterator[str]:
     """The steps of DefaultExperiment, if they are few, succeed up to its stop time."""
     steps = (probe.stop_time - probe.start_time) / probe.step_size

@@ -7,7 +7,7 @@ from typing import Any
 
 from fmus.compliance.comparison import differing, same, texts
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, behaviour_rule
+from fmus.compliance.rule import behaviour_rule
 from fmus.compliance.script import Reading
 from fmus.compliance.session import session
 from fmus.compliance.values import is_utf_8
@@ -34,7 +34,7 @@ def variables_can_be_read(probe: Probe) -> Iterator[str]:
             return
 
 
-@behaviour_rule("advice: other models expect numbers", Level.WARNING, needs="variables-can-be-read")
+@behaviour_rule("advice: other models expect numbers", needs="variables-can-be-read")
 def outputs_are_finite(probe: Probe) -> Iterator[str]:
     """The Real outputs are finite, in initialization mode and after steps."""
     named = set()
@@ -132,7 +132,7 @@ def enumerations_are_items(probe: Probe) -> Iterator[str]:
                 yield f"{name} is {value}: expected one of {', '.join(map(str, sorted(items)))}"
 
 
-@behaviour_rule("2.2.3 Definition of Types (TypeDefinitions)", Level.WARNING)
+@behaviour_rule("2.2.3 Definition of Types (TypeDefinitions)")
 def values_are_in_range(probe: Probe) -> Iterator[str]:
     """Integers and Enumerations that are read lie between min and max, and Reals up to rounding."""
     named = set()

@@ -26,9 +26,9 @@ NAME = "DepthReference"
 
 
 @pytest.fixture
-def warned(built: Fmus, tmp_path: Path) -> Path:
-    """An FMU with a warning and no error."""
-    return write(members(built[NAME]) | {"readme.txt": b""}, tmp_path / "warned.fmu")
+def deviating(built: Fmus, tmp_path: Path) -> Path:
+    """An FMU with a deviation and no error."""
+    return write(members(built[NAME]) | {"readme.txt": b""}, tmp_path / "deviating.fmu")
 
 
 @pytest.fixture
@@ -50,13 +50,13 @@ def assert_complete(document: dict[str, Any], path: Path, name: str, outcome: st
 
 
 def test_json_in_a_file_names_each_rule_with_clause_outcome_and_messages(
-    warned: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    deviating: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "found.json"
-    assert main([str(warned), "--json", str(file)]) == 0
+    assert main([str(deviating), "--json", str(file)]) == 0
     document = json.loads(file.read_text(encoding="utf-8"))
-    assert (document["errors"], document["warnings"]) == (0, 1)
-    assert_complete(document, warned, "archive-layout", "warning")
+    assert document["counts"] == {"error": 0, "deviation": 1, "advice": 0}
+    assert_complete(document, deviating, "archive-layout", "deviation")
     assert "archive-layout" in capsys.readouterr().out
 
 
@@ -65,13 +65,13 @@ def test_json_on_standard_output_is_all_that_is_there(wrong: Path) -> None:
     done = subprocess.run(command, capture_output=True, check=False, timeout=120)
     assert done.returncode == 1
     document = json.loads(done.stdout)
-    assert document["errors"] >= 1
+    assert document["counts"]["error"] >= 1
     assert_complete(document, wrong, "archive-paths-are-portable", "error")
 
 
-def test_a_warning_alone_gives_exit_status_0_and_an_error_1(warned: Path, wrong: Path) -> None:
-    assert main([str(warned)]) == 0
-    assert main([str(warned), str(wrong)]) == 1
+def test_a_deviation_alone_gives_exit_status_0_and_an_error_1(deviating: Path, wrong: Path) -> None:
+    assert main([str(deviating)]) == 0
+    assert main([str(deviating), str(wrong)]) == 1
 
 
 def test_a_file_that_is_not_there_gives_exit_status_1_and_its_name(
