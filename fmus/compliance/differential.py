@@ -23,7 +23,8 @@ class Row:
     """A varied run, which gives what a usual one gives.
 
     when: words for the variation, in messages; failing: for a call that fails, if others; {state} is replaced
-    usual: actions; what they read is expected, after what the varied run itself expects, and over again
+    usual: actions; what they read is expected, after what the varied run itself expects, and over again;
+      None for as many steps as outputs are read
     tolerance: relative; None is that of the default experiment
     options: of the instance; beside: actions on other instances, which take turns with it
     may_fail: whether the FMU may refuse a call, and then nothing can be compared
@@ -32,7 +33,7 @@ class Row:
 
     when: str
     varied: Sequence[Action]
-    usual: Sequence[Action] = (do.begin, do.run(5))
+    usual: Sequence[Action] | None = None
     failing: str | None = None
     tolerance: float | None = 0.0
     options: Mapping[str, Any] = field(default_factory=dict[str, Any])
@@ -62,8 +63,8 @@ def differences(probe: Probe, rows: Iterable[Row]) -> Iterator[str]:
 
     Raises NotJudgedError if no row can be judged.
     """
-    written = [(row, Play(probe, row.usual), _varied(probe, row)) for row in rows]
-    probe.play_once([usual.script for row, usual, _ in written if row.usual])
+    written = [_write(probe, row) for row in rows]
+    probe.play_once([usual.script for _, usual, _ in written if usual.script.calls])
     try:
         probe.play_once([plays[0].script for row, _, plays in written if not row.beside])
     except CallError as error:
@@ -90,10 +91,15 @@ def _failing(row: Row) -> str:
     return row.when if row.failing is None else row.failing
 
 
-def _varied(probe: Probe, row: Row) -> list[Play]:
-    if not row.beside:
-        return [Play(probe, row.varied, logging=not row.may_fail, **row.options)]
-    return [Play(probe, actions, name=f"instance {i}") for i, actions in enumerate([row.varied, *row.beside])]
+def _write(probe: Probe, row: Row) -> tuple[Row, Play, list[Play]]:
+    """Returns a row with its usual run, and its varied one with those beside it."""
+    plays = [Play(probe, row.varied, logging=not row.may_fail, **row.options)]
+    if row.beside:
+        all_actions = enumerate([row.varied, *row.beside])
+        plays = [Play(probe, actions, name=f"instance {i}") for i, actions in all_actions]
+    steps = max(len(play.observed) for play in plays)
+    usual = row.usual if row.usual is not None else (do.begin, do.run(steps)) if steps else ()
+    return row, Play(probe, usual), plays
 
 
 def verdict(probe: Probe, row: Row, usual: Play, plays: Sequence[Play]) -> Iterator[str]:
@@ -115,7 +121,7 @@ def verdict(probe: Probe, row: Row, usual: Play, plays: Sequence[Play]) -> Itera
             yield f"{prefix}: {failure.problem}" if prefix else failure.problem
             return
         messages = list(_unlike(probe, row, usual, play))
-        yield from steadily(probe, messages) if messages and row.usual else messages
+        yield from steadily(probe, messages) if messages and usual.observed else messages
     for reply, finding in errors:
         if finding and reply.status != ERROR:
             text = finding.format(reply.status_name)

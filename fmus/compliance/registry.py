@@ -6,8 +6,8 @@ from importlib import import_module
 from fmus.compliance.rule import RULES, Rule, Stage
 
 MODULES = (
-    "archive", "implementation", "source", "documentation", "description", "unit", "type", "name", "variable",
-    "alias", "structure", "library", "lifecycle", "initialization", "call", "discard", "value", "setting",
+    "archive", "files", "description", "variables", "structure", "library",
+    "lifecycle", "initialization", "call", "discard", "value", "setting",
     "step", "asynchronous", "environment", "messages", "state", "derivatives", "effects", "reference",
     "status",  # of refusals in the calls of all others
 )  # fmt: skip
@@ -19,7 +19,7 @@ def registered(stage: Stage) -> tuple[Rule, ...]:
     """Returns the rules of a stage, in the order of `MODULES`, and of their definitions in each."""
     modules = [import_module(f"fmus.compliance.rules.{name}").__name__ for name in MODULES]
     rules = (rule for rule in RULES.values() if rule.stage is stage)
-    return tuple(sorted(rules, key=lambda rule: modules.index(rule.check.__module__)))
+    return tuple(sorted(rules, key=lambda rule: modules.index(rule.module)))
 
 
 def all_rules() -> tuple[Rule, ...]:

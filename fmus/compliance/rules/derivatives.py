@@ -209,7 +209,9 @@ def _output_slopes(probe: Probe, part: float = 1.0) -> dict[str, _Slopes]:
 _COMPARED = "output-derivatives variables-can-be-read communication-points-may-be-rounded"
 
 
-@behaviour_rule(_TRANSFER, condition=_orders, needs="allowed-calls-succeed")
+@behaviour_rule(
+    _TRANSFER, condition=_orders, needs="allowed-calls-succeed communication-points-may-be-rounded"
+)
 def output_derivatives(probe: Probe) -> Iterator[str]:
     """After a step the derivatives of continuous Real outputs can be read, of each order that is claimed."""
     _series(probe, "derivatives of outputs", _outputs)

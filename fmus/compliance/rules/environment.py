@@ -58,8 +58,8 @@ def arguments_of_instantiation_are_copied(probe: Probe) -> Iterator[str]:
     whole.
     """
     play, _ = _overwritten(probe)
-    row = Row(_OVERWRITTEN, ())
-    yield from verdict(probe, row, do.played(probe, row.usual), [play])
+    usual = do.played(probe, [do.begin, do.run(2)])
+    yield from verdict(probe, Row(_OVERWRITTEN, ()), usual, [play])
     if play.script.failure:
         return
     names = {m.instance for reply in play.script.replies for m in reply.messages} - {_NAME}
