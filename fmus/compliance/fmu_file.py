@@ -110,6 +110,8 @@ class FmuFile:
     def _parse(self) -> None:
         try:
             self._root = parsed_xml(self.xml)
+            for date in filter(None, [self._root.get("generationDateAndTime")]):
+                self._root.set("generationDateAndTime", date.strip())  # libxml2 does not collapse its blanks
         except ValueError as error:
             self.description_problem = str(error)
 

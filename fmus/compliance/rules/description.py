@@ -218,7 +218,7 @@ add_rows(__name__, _HEAD, Stage.DESCRIPTION, rows=(
         (lambda root, _: not root.get("guid", "-").strip(), "guid is empty: expected one")),
     row("generation-date", "generationDateAndTime is a date in UTC, YYYY-MM-DDThh:mm:ssZ.",
         elements(".[@generationDateAndTime]"),
-        (lambda root, _: not _DATE.fullmatch(root.get("generationDateAndTime").strip()),
+        (lambda root, _: not _DATE.fullmatch(root.get("generationDateAndTime")),
          "generationDateAndTime {generationDateAndTime!r}: expected such as 2026-01-31T12:00:00Z")),
     row("log-categories-are-unique", "No two log categories have the same name.",
         lambda fmu: repeated_children(fmu.root, "LogCategories", "Category"),

@@ -124,19 +124,15 @@ def no_model_exchange(fmu: FmuFile) -> str:
     return "" if "ModelExchange" in fmu.interfaces else "it has no interface for model exchange"
 
 
-class _Derivative(NamedTuple):
-    derivative: Variable
-    state: Variable
-
-
-def _unlisted_derivatives(fmu: FmuFile) -> Iterator[_Derivative]:
-    """Yields derivatives that Derivatives lacks, of what is no state, nor its alias, nor a derivative."""
-    listed = set(_indices(fmu, "Derivatives"))
-    states = {(v.base_kind, v.reference) for v in fmu.variables if v.index in fmu.states | listed}
-    for index, state in fmu.derivatives.items():
-        is_possible = state.causality in ("local", "output") and state.variability == "continuous"
-        if index not in listed and is_possible and (state.base_kind, state.reference) not in states:
-            yield _Derivative(fmu.variables[index - 1], state)
+@rule(_CLAUSE, Stage.DESCRIPTION, condition=no_model_exchange)
+def derivatives_are_there(fmu: FmuFile) -> Iterator[str]:
+    """For model exchange there are Derivatives if a variable with initial exact has a derivative."""
+    are_missing = fmu.root.find("ModelStructure/Derivatives") is None
+    for index, state in fmu.derivatives.items() if are_missing else ():
+        is_state = state.causality in ("local", "output") and state.variability == "continuous"
+        if is_state and state.initial == "exact":
+            name = fmu.variables[index - 1].name
+            yield f"no Derivatives: expected {name} there, the derivative of {state.name}"
 
 
 class _Dependency(NamedTuple):
@@ -187,18 +183,6 @@ def _descent(indices: Sequence[int]) -> str:
     return next((f"{b} follows {a}" for a, b in itertools.pairwise(indices) if b < a), "")
 
 
-add_rows(__name__, _CLAUSE, Stage.DESCRIPTION, condition=no_model_exchange, rows=(
-    row("derivatives-are-there",
-        "For model exchange there are Derivatives if a variable with initial exact has a derivative.",
-        _unlisted_derivatives,
-        (lambda d, fmu: d.state.initial == "exact" and fmu.root.find("ModelStructure/Derivatives") is None,
-         "no Derivatives: expected {derivative.name} there, the derivative of {state.name}")),
-    row("state-derivatives-are-listed",
-        "For model exchange, Derivatives lists the derivatives of local variables, which may be states.",
-        _unlisted_derivatives,
-        (lambda d, _: d.state.causality == "local",
-         "Derivatives lacks {derivative.name} ({derivative.index}), the derivative of {state.name}")),
-))  # fmt: skip
 add_rows(__name__, _CLAUSE, Stage.DESCRIPTION, rows=(
     row("initial-unknowns-ascend", "InitialUnknowns are in ascending order of their indices.",
         lambda fmu: [_indices(fmu, "InitialUnknowns")],
