@@ -17,7 +17,6 @@ from fmus.compliance.variable import is_true
 BUILD_DESCRIPTION = "sources/buildDescription.xml"
 TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
 _NAMING = "2.1.1 Header Files and Naming of Functions"
-_SOURCE_FILES = "2.3 FMU Distribution, 3.3.1 and 4.3.1 (SourceFiles)"
 _EXTRA, _TERMINALS = "2.3.1 Extra Directory", "2.3.2 Terminals and Icons"
 
 _PLATFORM = re.compile(
@@ -222,7 +221,7 @@ add_rows(__name__, CLAUSE, Stage.DESCRIPTION, rows=(
          "line {subject.sourceline}, SourceFiles lists {name}: expected a path below sources"),
         (_is_missing,
          "line {subject.sourceline}, SourceFiles lists {name}: expected sources/{name} in the archive"),
-        clause=_SOURCE_FILES),
+        clause="2.3 FMU Distribution, 3.3.1 and 4.3.1 (SourceFiles)"),
     row("sources-are-listed",
         "SourceFiles, or buildDescription.xml, lists the C files below sources that are to be compiled.",
         lambda fmu: [] if fmu.libraries() else _unlisted(fmu, _TO_COMPILE),
@@ -251,7 +250,7 @@ def library_names(fmu: FmuFile) -> Iterator[str]:
             yield f"{top}: expected {expected}, as the folder exists"
 
 
-@rule(_SOURCE_FILES, Stage.DESCRIPTION)
+@rule(CLAUSE, Stage.DESCRIPTION)
 def source_files_are_complete(fmu: FmuFile) -> Iterator[str]:
     """The files in SourceFiles call no function that other C files alone define, and define those of FMI."""
     for interface in _interfaces(fmu):
