@@ -12,15 +12,22 @@ from importlib import resources
 from typing import Any
 
 _RULES = "rules.toml"
+NO_DEMANDS = {
+    "should": "the sentence says should",
+    "note": "it stands in an informative note",
+    "importer": "it binds the importer",
+    "explanation": "it explains",
+}
 ADVICE = "advice"  # begins the clause of a rule that no sentence of FMI demands
 
 
 @dataclass(frozen=True)
 class Sentence:
-    """One sentence in other words. Exactly one of the last three is not empty.
+    """One sentence in other words. Exactly one of rules, not_observable and model_exchange is not empty.
 
     not_observable: why no check of an FMU from outside can see it broken.
     model_exchange: it binds FMUs for model exchange alone, whose behaviour is not judged.
+    no_demand: why it demands nothing of an FMU, one of `NO_DEMANDS`; empty if it does.
     """
 
     clause: str
@@ -28,6 +35,7 @@ class Sentence:
     rules: tuple[str, ...] = ()
     not_observable: str = ""
     model_exchange: bool = False
+    no_demand: str = ""
 
     def __post_init__(self) -> None:
         count = sum(map(bool, (self.rules, self.not_observable, self.model_exchange)))
@@ -61,13 +69,18 @@ def _files() -> dict[str, Mapping[str, Any]]:
 @cache
 def levels() -> dict[str, RuleLevel]:
     """Returns name of a rule -> its level."""
-    tables = {level: table for level, table in _files()[_RULES].items() if level != "off"}
+    tables = {level: table for level, table in _files()[_RULES].items() if isinstance(table, dict)}
     return {name: RuleLevel(level, why) for level, table in tables.items() for name, why in table.items()}
 
 
 def off_by_default() -> frozenset[str]:
     """Returns the names of the rules that are judged only on demand."""
     return frozenset(_files()[_RULES]["off"])
+
+
+def made_by_pythonfmu() -> frozenset[str]:
+    """Returns the names of the rules that FMUs break because PythonFMU's binary does."""
+    return frozenset(_files()[_RULES]["pythonfmu"])
 
 
 @cache
