@@ -19,7 +19,7 @@ from fmus.compliance.values import (
     start_value,
     unless_claimed,
 )
-from fmus.compliance.variable import Variable, integer
+from fmus.compliance.variable import Variable, integer, is_true
 from fmus.fmi.binding import DISCARD, ERROR
 
 _ATTRIBUTE = "2.2.7 Definition of Model Variables (ModelVariables): derivative"
@@ -103,14 +103,18 @@ class _Slopes:
 
 
 def _named_derivatives(probe: Probe, part: float) -> Series:
-    """Returns the values of each continuous variable that another one names as its derivative."""
+    """Returns the values of each continuous variable that another one names as its derivative; states that
+    events change are left out.
+    """
     variables = probe.fmu.variables
     indices = [(v, integer(v.typed.get("derivative")) or 0) for v in variables]
     pairs = [(v, variables[i - 1]) for v, i in indices if 1 <= i <= len(variables) and i != v.index]
     continuous = [
         (v, w)
         for v, w in pairs
-        if v.kind == w.kind == "Real" and v.variability == w.variability == "continuous"
+        if v.kind == w.kind == "Real"
+        and v.variability == w.variability == "continuous"
+        and not is_true(w.get("reinit"))
     ]
     if not continuous:
         raise NotApplicableError("no continuous variable is marked as a derivative")
