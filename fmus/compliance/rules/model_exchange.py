@@ -60,7 +60,7 @@ def _tour(probe: Probe) -> Script:
         script = probe.script(logging=True, watched=True)
         _vectors(probe, script, (_NOMINALS,))
         script.initialise()
-        _vectors(probe, script)
+        _vectors(probe, script, (_STATES, _INDICATORS, _NOMINALS))
         script.exit_initialization_mode()
         for _ in range(2):
             _vectors(probe, script)
@@ -85,7 +85,7 @@ def _tour(probe: Probe) -> Script:
     return probe.once("tour of model exchange", played)
 
 
-@_rule(_MACHINE, needs="reset-in-every-state")
+@_rule(_MACHINE, needs="reset-in-every-state variables-can-be-read")
 def calls_of_model_exchange_succeed(probe: Probe) -> Iterator[str]:
     """The functions of model exchange succeed in the states that allow them; event mode can be entered from
     event mode and from continuous-time mode.
@@ -95,7 +95,17 @@ def calls_of_model_exchange_succeed(probe: Probe) -> Iterator[str]:
         yield f"in the state {failure.state!r}: {failure.problem}"
 
 
-@_rule(_EVALUATION, needs="calls-of-model-exchange-succeed")
+@_rule(_MACHINE, condition=_no_states, needs=_CALLS)
+def derivatives_are_given_in_initialization_mode(probe: Probe) -> Iterator[str]:
+    """fmi2GetDerivatives succeeds in initialization mode, as from FMI 2.0.1 on."""
+    script = probe.script(logging=True).initialise()
+    (reply,) = _vectors(probe, script, (_DERIVATIVES,))
+    script.play(keep_going=True)
+    if not reply.ok:
+        yield f"in the state {reply.state!r}: {reply.problem}"
+
+
+@_rule(_EVALUATION, needs=_CALLS)
 def vectors_have_their_length(probe: Probe) -> Iterator[str]:
     """Vectors of states, derivatives, nominal values and event indicators are written to the length that the
     description gives, and not beyond.
