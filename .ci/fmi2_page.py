@@ -11,10 +11,11 @@ _HEAD = """\
 # FMI 2.0.5, sentence by sentence
 
 Sentences of FMI 2.0.5 that bind an FMU, by clause and in our words, with the rules of `l1-depth check`
-that check them ([what the check does](compliance.md)), or the reason why that cannot be seen from outside. The text of the
-standard is public: repository `modelica/fmi-standard`, tag `v2.0.5`. `python .ci/fmi2_page.py` prints this
-page from the code, and a test compares both. `python -m tests.mutants` breaks, one after the other,
-sentences that have a mutant, and prints which rules find it."""
+that check them ([what the check does](compliance.md)), or the reason why they cannot be seen from outside.
+The text of the standard is public: repository `modelica/fmi-standard`, tag `v2.0.5`.
+`python .ci/fmi2_page.py` prints this page from the code, and a test compares both.
+`python -m tests.mutants` breaks, one after the other, sentences that have a mutant, and prints which rules
+find it."""
 
 
 def page() -> str:

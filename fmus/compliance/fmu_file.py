@@ -4,7 +4,7 @@ import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -14,6 +14,7 @@ from fmus.extras import require
 from fmus.files import extract_archive, too_large
 from fmus.fmi.binding import library_member
 from fmus.fmi.variable_types import TYPES
+from fmus.platforms import FMPY
 
 etree: Any = require("lxml.etree", "check", "a check of FMUs")  # without types
 DESCRIPTION = "modelDescription.xml"
@@ -40,6 +41,19 @@ def parsed_xml(content: bytes) -> Any:
     if root.getroottree().docinfo.doctype:
         raise BrokenMemberError(_NO_DTD)
     return root
+
+
+@cache
+def _schema(path: str) -> Any:
+    """Returns an XML schema of FMI, read once in a process."""
+    return etree.XMLSchema(etree.parse(FMPY / "schema" / path))
+
+
+def schema_errors(root: Any, path: str) -> list[Any]:
+    """Returns entries with `line`, `path` and `message`. path: of the schema, such as "fmi2/x.xsd"."""
+    definition = _schema(path)
+    definition.validate(root.getroottree())
+    return list(definition.error_log)
 
 
 class BrokenMemberError(ValueError):
@@ -169,6 +183,11 @@ class FmuFile:
         return integer(self._attributes.get("maxOutputDerivativeOrder")) or 0
 
     @cached_property
+    def units(self) -> dict[str, Any]:
+        """Name -> element Unit."""
+        return {unit.get("name", ""): unit for unit in self.root.iterfind("UnitDefinitions/Unit")}
+
+    @cached_property
     def types(self) -> dict[str, Any]:
         """Name -> element inside SimpleType, such as Enumeration."""
         types = {}
@@ -195,14 +214,20 @@ class FmuFile:
         )
 
     @cached_property
+    def derivatives(self) -> dict[int, Variable]:
+        """Index of each variable with the attribute derivative -> the other variable that it names."""
+        stated = {v.index: integer(v.typed.get("derivative")) or 0 for v in self.variables}
+        return {
+            index: self.variables[of - 1]
+            for index, of in stated.items()
+            if 1 <= of <= len(self.variables) and of != index
+        }
+
+    @cached_property
     def state_derivatives(self) -> dict[int, int]:
         """Index of each variable in Derivatives that has the attribute derivative -> index of its state."""
-        states = {}
-        for index, _ in self.unknowns("Derivatives"):
-            state = integer(self.variables[index - 1].typed.get("derivative")) if index is not None else None
-            if index is not None and state is not None and 1 <= state <= len(self.variables):
-                states[index] = state
-        return states
+        listed = (index for index, _ in self.unknowns("Derivatives"))
+        return {index: self.derivatives[index].index for index in listed if index in self.derivatives}
 
     @cached_property
     def states(self) -> frozenset[int]:
@@ -274,6 +299,14 @@ class FmuFile:
                 return archive.read(member)
             except Exception as error:  # each way of compression has its own errors
                 raise UnreadableMemberError(f"{member} cannot be unpacked: {error}") from error
+
+    def parsed(self, member: str) -> Any:
+        """Returns the root element of an XML file. Raises what `read` does, also if it cannot be parsed."""
+        content = self.read(member, _LARGEST_DESCRIPTION)
+        try:
+            return parsed_xml(content)
+        except BrokenMemberError as error:
+            raise BrokenMemberError(f"{member}: {error}") from None
 
     def extract(self, folder: Path) -> None:
         """Unpacks everything; zipfile keeps odd paths inside the folder. Raises what zipfile raises."""

@@ -6,8 +6,8 @@ from importlib import import_module
 from fmus.compliance.rule import RULES, Rule, Stage
 
 MODULES = (
-    "archive", "implementation", "source", "documentation", "description", "unit", "type", "name", "variable",
-    "alias", "structure", "library", "lifecycle", "location", "reset", "initialization", "instance",
+    "archive", "files", "description", "variables", "structure", "library",
+    "lifecycle", "location", "reset", "initialization", "instance",
     "resource", "call", "discard", "value", "constancy", "setting", "step", "asynchronous", "callback",
     "messages", "state", "saved_value", "derivatives", "effects", "reference",
     "model_exchange",
@@ -21,7 +21,7 @@ def registered(stage: Stage) -> tuple[Rule, ...]:
     """Returns the rules of a stage, in the order of `MODULES`, and of their definitions in each."""
     modules = [import_module(f"fmus.compliance.rules.{name}").__name__ for name in MODULES]
     rules = (rule for rule in RULES.values() if rule.stage is stage)
-    return tuple(sorted(rules, key=lambda rule: modules.index(rule.check.__module__)))
+    return tuple(sorted(rules, key=lambda rule: modules.index(rule.module)))
 
 
 def all_rules() -> tuple[Rule, ...]:

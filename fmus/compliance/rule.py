@@ -51,6 +51,7 @@ class Rule:
     needs: tuple[str, ...] = ()
     last: bool = False
     interface: str = ""
+    module: str = ""
 
     @property
     def level(self) -> Level:
@@ -108,14 +109,15 @@ RULES: dict[str, Rule] = {}  # by name, of the modules that are imported; `regis
 _MOST_MESSAGES, _LONGEST_MESSAGE = 100, 2000
 
 
-def _always(_: Any) -> str:
+def always(_: Any) -> str:
+    """Returns no reason why a rule does not apply: it applies to every FMU."""
     return ""
 
 
 def rule(
     clause: str,
     stage: Stage,
-    condition: Condition = _always,
+    condition: Condition = always,
     needs: str = "",
     last: bool = False,
     interface: str = "",
@@ -133,19 +135,23 @@ def rule(
     def register(check: Check) -> Check:
         name = check.__name__.replace("_", "-")
         claim = " ".join((inspect.getdoc(check) or "").split())
-        if name in RULES:
-            raise ValueError(f"rule {name}: expected one function of that name, got a second")
-        RULES[name] = Rule(
-            name, clause, claim, stage, check, condition, tuple(needs.split()), last, interface
-        )
+        needed, module = tuple(needs.split()), check.__module__
+        add_rule(Rule(name, clause, claim, stage, check, condition, needed, last, interface, module))
         return check
 
     return register
 
 
+def add_rule(added: Rule) -> None:
+    """Registers a rule. Raises ValueError for a name that another one has."""
+    if added.name in RULES:
+        raise ValueError(f"rule {added.name}: expected one of that name, got a second")
+    RULES[added.name] = added
+
+
 def behaviour_rule(
     clause: str,
-    condition: Condition = _always,
+    condition: Condition = always,
     needs: str = "",
     last: bool = False,
     interface: str = "",

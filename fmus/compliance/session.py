@@ -3,6 +3,7 @@ allow them, with a tolerance and a stop time; after fmi2Reset a run with neither
 """
 
 from fmus.compliance.probe import Probe
+from fmus.compliance.rule import NotJudgedError
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import (
     continuous_reals,
@@ -60,9 +61,10 @@ class Session:
         self._output_derivatives()
         self._derivatives("Outputs")
         self._states(3)
-        script.reset()
-        script.begin().step()
-        self.readings.append(script.read(self.fmu.variables))
+        if _resets(self.probe):
+            script.reset()
+            script.begin().step()
+            self.readings.append(script.read(self.fmu.variables))
 
     def _set(self, script: Script, variables: list[Variable]) -> None:
         for v in variables:
@@ -102,6 +104,21 @@ class Session:
                 script.call("serialize_fmu_state", slot)
             script.call("set_fmu_state", slot)
             script.call("free_fmu_state", slot)
+
+
+def _resets(probe: Probe) -> bool:
+    """Whether fmi2Reset brings a terminated instance back: `reset-in-every-state` tells what is wrong."""
+
+    def played() -> bool:
+        script = probe.script().begin().step()
+        script.terminate()
+        script.reset()
+        return script.begin().step().play(keep_going=True).succeeded
+
+    try:
+        return probe.once("run after fmi2Terminate and fmi2Reset", played)
+    except NotJudgedError:  # it has ended the process before
+        return False
 
 
 def run_with_tolerance(probe: Probe) -> Script:

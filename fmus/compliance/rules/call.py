@@ -15,7 +15,7 @@ from fmus.fmi.binding import ERROR, FATAL
 _STATES = "4.2.4 State Machine of Calling Sequence from Master to Slave"
 
 
-@behaviour_rule(_STATES, needs="reset-in-every-state variables-can-be-read")
+@behaviour_rule(_STATES, needs="variables-can-be-read")
 def allowed_calls_succeed(probe: Probe) -> Iterator[str]:
     """The functions that the FMU supports succeed in the states, instantiated to terminated, that allow
     them.

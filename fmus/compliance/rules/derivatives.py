@@ -103,8 +103,8 @@ class _Slopes:
 
 
 def _named_derivatives(probe: Probe, part: float) -> Series:
-    """Returns the values of each continuous variable that another one names as its derivative; states that
-    events change are left out.
+    """Returns the values of each continuous variable that another one names as its derivative, the values of
+    that, and the nominal value of the variable; states that events change are left out.
     """
     variables = probe.fmu.variables
     indices = [(v, integer(v.typed.get("derivative")) or 0) for v in variables]
@@ -122,8 +122,14 @@ def _named_derivatives(probe: Probe, part: float) -> Series:
     readings = [script.read(chosen), *_read_in_steps(probe, script, chosen, part)]
     script.play()
     rows = [reading.values for reading in readings]
-    series = {f"{v.name} by {w.name}": [[row[x.name] for row in rows] for x in (w, v)] for v, w in continuous}
-    return {name: both for name, both in series.items() if all(map(math.isfinite, [*both[0], *both[1]]))}
+    series = {
+        f"{v.name} by {w.name}": [
+            *([row[x.name] for row in rows] for x in (w, v)),
+            [w.number("nominal") or 1.0],
+        ]
+        for v, w in continuous
+    }
+    return {name: lists for name, lists in series.items() if all(map(math.isfinite, itertools.chain(*lists)))}
 
 
 @behaviour_rule(_ATTRIBUTE, needs="variables-can-be-read communication-points-may-be-rounded")
@@ -141,8 +147,8 @@ def derivatives_are_slopes(probe: Probe) -> Iterator[str]:
 
 def _no_slope(name: str, series: list[list[float]], step_size: float) -> list[str]:
     """Returns a message if neither the integral of a derivative nor its values are right."""
-    values, derivatives = series
-    if _difference_of_integral(values, derivatives, step_size) is None:
+    values, derivatives, _ = series
+    if _difference_of_integral(series, step_size) is None:
         return []
     return _Slopes(values, derivatives, step_size).wrong(name, judged=lambda _: True)
 
@@ -150,21 +156,20 @@ def _no_slope(name: str, series: list[list[float]], step_size: float) -> list[st
 @behaviour_rule(_ATTRIBUTE, needs="derivatives-are-slopes")
 def derivatives_integrate_to_their_variables(probe: Probe) -> Iterator[str]:
     """A variable changes by the integral of the variable that names it with the attribute derivative."""
-    for name, (values, derivatives) in _series(probe, "derivatives", _named_derivatives).items():
-        if (difference := _difference_of_integral(values, derivatives, probe.step_size)) is not None:
+    for name, series in _series(probe, "derivatives", _named_derivatives).items():
+        if (difference := _difference_of_integral(series, probe.step_size)) is not None:
             shown, (v, state) = texts(*difference), name.split(" by ")
             yield f"{state} changes by {shown[0]} where the integral of {v} is {shown[1]}"
 
 
-def _difference_of_integral(
-    values: list[float], slopes: list[float], step_size: float
-) -> tuple[float, float] | None:
+def _difference_of_integral(series: list[list[float]], step_size: float) -> tuple[float, float] | None:
     """Returns the change of a variable and the integral of its derivative, if they are not about the same."""
+    values, slopes, nominal = series
     integral = step_size * (sum(slopes) - (slopes[0] + slopes[-1]) / 2)
     variation = sum(abs(b - a) for a, b in itertools.pairwise(slopes))
     margin = step_size * (variation + _INTEGRATED * sum(map(abs, slopes)))
     change = values[-1] - values[0]
-    differ = abs(change - integral) > margin + _NOISE * max(map(abs, values))
+    differ = abs(change - integral) > margin + _NOISE * max(map(abs, [*nominal, *values]))
     return (change, integral) if differ else None
 
 

@@ -15,6 +15,7 @@ from fmus.fmi.binding import OK, WARNING
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
 _REFERENCE = re.compile(r"#([ribs])(\d+)#")
+_ALL = "logAll"  # of 2.2.4: all messages, whatever their category
 _KINDS = {"r": "Real", "i": "Integer", "b": "Boolean", "s": "String"}
 _NUMBER = r"(?:\*(?:\d+\$)?|\d+)"  # a width or a precision, also as an argument
 _CONVERSION = re.compile(  # of C, POSIX, glibc and Microsoft, without %n, which writes
@@ -266,11 +267,11 @@ def _sent(probe: Probe, *settings: tuple[bool, list[str]]) -> set[str]:
 
 @behaviour_rule(_CREATION, needs="debug-logging-can-be-set")
 def only_chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
-    """After fmi2SetDebugLogging with one category, messages of others do not arrive."""
+    """After fmi2SetDebugLogging with one category, but logAll (2.2.4), messages of others do not arrive."""
     declared = _declared_categories(probe)
     if len(declared) < 2:
         raise NotApplicableError("fewer than two log categories are declared")
-    for chosen in declared:
+    for chosen in [name for name in declared if name != _ALL]:
         for other in sorted(_sent(probe, (True, [chosen])) - {chosen}):
             yield f"a message of the category {other!r} arrives although {chosen!r} alone is enabled"
             return
@@ -295,7 +296,7 @@ def disabled_categories_alone_are_disabled(probe: Probe) -> Iterator[str]:
         if disabled in _sent(probe, (True, []), (False, [disabled])):
             yield f"a message of the category {disabled!r} arrives although it was disabled"
     for category in sent:
-        others = [name for name in _declared_categories(probe) if name != category]
+        others = [name for name in _declared_categories(probe) if name not in (category, _ALL)]
         if others and category not in _sent(probe, (True, []), (False, others[:1])):
             yield f"no message of {category!r} arrives after {others[0]!r} alone was disabled"
         if others and category not in _sent(probe, (True, [*others, category])):

@@ -1,18 +1,60 @@
 """Rules of dependencies and lists of unknowns: FMI 2.0.5, 2.2.8 Definition of the Model Structure."""
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.rows import add_rows, row
 from fmus.compliance.rule import Stage, repeated, rule
 from fmus.compliance.variable import Variable, integer
 
 _CLAUSE = "2.2.8 Definition of the Model Structure (ModelStructure)"
-_SECTIONS = ("Outputs", "Derivatives", "InitialUnknowns")
 _FACTORS = {"constant", "fixed", "tunable", "discrete"}
 _COMPUTED = ("approx", "calculated")
+_PARAMETERS = ("parameter", "calculatedParameter")
+
+
+class _Unknown(NamedTuple):
+    """An Unknown of a section. where: text that names it. knowns: the variables that it depends on."""
+
+    section: str
+    where: str
+    variable: Variable | None
+    element: Any
+    dependencies: Sequence[str]
+    kinds: Sequence[str]
+    knowns: Sequence[Variable]
+
+    @property
+    def is_initial(self) -> bool:
+        return self.section == "InitialUnknowns"
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """The numbers of kinds and of dependencies."""
+        return len(self.kinds), len(self.dependencies)
+
+    @property
+    def factors(self) -> list[str]:
+        return sorted(_FACTORS & {*self.kinds})
+
+
+@lru_cache(maxsize=1)
+def _unknowns(fmu: FmuFile) -> tuple[_Unknown, ...]:
+    return tuple(_read_unknowns(fmu))
+
+
+def _read_unknowns(fmu: FmuFile) -> Iterator[_Unknown]:
+    variables = {v.index: v for v in fmu.variables}
+    for section in ("Outputs", "Derivatives", "InitialUnknowns"):
+        for index, element in fmu.unknowns(section):
+            v, stated = variables.get(index or 0), element.get("index")
+            where = f"{section}, unknown {v.name} ({stated})" if v else f"{section}, index {stated}"
+            listed, kinds = (element.get(name, "").split() for name in ("dependencies", "dependenciesKind"))
+            knowns = [variables[i] for i in map(integer, listed) if i in variables]
+            yield _Unknown(section, where, v, element, listed, kinds, knowns)
 
 
 def _indices(fmu: FmuFile, section: str) -> list[int]:
@@ -31,24 +73,36 @@ def _derivatives_are_ignored(fmu: FmuFile) -> bool:
 @rule(_CLAUSE, Stage.DESCRIPTION)
 def structure_indices(fmu: FmuFile) -> Iterator[str]:
     """Each Unknown is the index of a variable, once in its section."""
-    for section in _SECTIONS:
-        for index, element in fmu.unknowns(section):
-            if index is None:
-                yield f"{section}: index {element.get('index')}: expected 1..{len(fmu.variables)}"
-        for index, count in repeated(_indices(fmu, section)).items():
-            yield f"{section} lists {_listed(fmu, {index})} {count} times: expected once"
+    for unknown in _unknowns(fmu):
+        if unknown.variable is None:
+            yield f"{unknown.where}: expected 1..{len(fmu.variables)}"
+    for where, count in repeated(unknown.where for unknown in _unknowns(fmu)).items():
+        yield f"{where} is listed {count} times: expected once"
 
 
 @rule(_CLAUSE, Stage.DESCRIPTION)
 def outputs_are_listed(fmu: FmuFile) -> Iterator[str]:
     """Outputs lists exactly the variables of causality output."""
-    got, expected = set(_indices(fmu, "Outputs")), {v.index for v in fmu.variables if v.causality == "output"}
-    yield from _difference(fmu, "Outputs", got, expected, expected)
+    expected = {v.index for v in fmu.variables if v.causality == "output"}
+    return _difference(fmu, "Outputs", expected, expected)
 
 
-def _difference(
-    fmu: FmuFile, section: str, got: set[int], expected: set[int], allowed: set[int]
-) -> Iterator[str]:
+@rule(_CLAUSE, Stage.DESCRIPTION)
+def initial_unknowns_are_complete(fmu: FmuFile) -> Iterator[str]:
+    """InitialUnknowns lists outputs, states and their derivatives with initial approx or calculated, and all
+    calculated parameters; no others."""
+    outputs = [v for v in fmu.variables if v.causality == "output"]
+    expected = {v.index for v in fmu.variables if v.causality == "calculatedParameter"}
+    expected |= {v.index for v in outputs if v.initial in _COMPUTED}
+    states = fmu.states | fmu.state_derivatives.keys()
+    of_states = {index for index in states if fmu.variables[index - 1].initial in _COMPUTED}
+    unclear = {v.index for v in outputs if not v.is_legal_pair}
+    needed = expected if _derivatives_are_ignored(fmu) else expected | of_states
+    return _difference(fmu, "InitialUnknowns", needed, expected | of_states | unclear)
+
+
+def _difference(fmu: FmuFile, section: str, expected: set[int], allowed: set[int]) -> Iterator[str]:
+    got = set(_indices(fmu, section))
     if expected - got:
         yield f"{section} lacks {_listed(fmu, expected - got)}"
     if got - allowed:
@@ -63,189 +117,125 @@ def derivatives_are_marked(fmu: FmuFile) -> Iterator[str]:
         if "derivative" not in v.typed:
             yield f"Derivatives lists {v.name} ({index}): expected a variable with the attribute derivative"
     for state, count in repeated(fmu.state_derivatives.values()).items():
-        if len(set(_indices(fmu, "Derivatives"))) == len(_indices(fmu, "Derivatives")):
-            yield f"Derivatives lists {count} derivatives of {_listed(fmu, {state})}: expected one"
+        yield f"Derivatives lists {count} derivatives of {_listed(fmu, {state})}: expected one"
 
 
 def no_model_exchange(fmu: FmuFile) -> str:
     return "" if "ModelExchange" in fmu.interfaces else "it has no interface for model exchange"
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION, condition=no_model_exchange)
-def derivatives_are_there(fmu: FmuFile) -> Iterator[str]:
-    """For model exchange there are Derivatives if a variable with initial exact has a derivative."""
-    for derivative, state in _unlisted_derivatives(fmu):
-        if fmu.root.find("ModelStructure/Derivatives") is None and state.initial == "exact":
-            yield f"no Derivatives: expected {derivative.name} there, the derivative of {state.name}"
+class _Derivative(NamedTuple):
+    derivative: Variable
+    state: Variable
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION, condition=no_model_exchange)
-def state_derivatives_are_listed(fmu: FmuFile) -> Iterator[str]:
-    """For model exchange, Derivatives lists the derivatives of local variables, which may be states."""
-    for derivative, state in _unlisted_derivatives(fmu):
-        if state.causality == "local":
-            yield f"Derivatives lacks {derivative.name} ({derivative.index}), the derivative of {state.name}"
-
-
-def _unlisted_derivatives(fmu: FmuFile) -> Iterator[tuple[Variable, Variable]]:
-    """Yields (derivative that Derivatives lacks, its variable): no state, nor its alias, nor a derivative."""
+def _unlisted_derivatives(fmu: FmuFile) -> Iterator[_Derivative]:
+    """Yields derivatives that Derivatives lacks, of what is no state, nor its alias, nor a derivative."""
     listed = set(_indices(fmu, "Derivatives"))
-    states = {(v.base_kind, v.reference) for v in (fmu.variables[i - 1] for i in fmu.states | listed)}
-    for v in fmu.variables:
-        index = integer(v.typed.get("derivative"))
-        if index is None or not 1 <= index <= len(fmu.variables) or v.index in listed or index == v.index:
-            continue
-        state = fmu.variables[index - 1]
+    states = {(v.base_kind, v.reference) for v in fmu.variables if v.index in fmu.states | listed}
+    for index, state in fmu.derivatives.items():
         is_possible = state.causality in ("local", "output") and state.variability == "continuous"
-        if is_possible and (state.base_kind, state.reference) not in states:
-            yield v, state
+        if index not in listed and is_possible and (state.base_kind, state.reference) not in states:
+            yield _Derivative(fmu.variables[index - 1], state)
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION)
-def initial_unknowns_are_complete(fmu: FmuFile) -> Iterator[str]:
-    """InitialUnknowns lists outputs, states and their derivatives with initial approx or calculated, and all
-    calculated parameters; no others."""
-    expected = {
-        v.index
-        for v in fmu.variables
-        if v.causality == "calculatedParameter" or (v.causality == "output" and v.initial in _COMPUTED)
-    }
-    of_states = {
-        index
-        for index in fmu.states | set(fmu.state_derivatives)
-        if fmu.variables[index - 1].initial in _COMPUTED
-    }
-    unclear = {v.index for v in fmu.variables if v.causality == "output" and not v.is_legal_pair}
-    allowed = expected | of_states | unclear
-    if not _derivatives_are_ignored(fmu):
-        expected |= of_states
-    yield from _difference(fmu, "InitialUnknowns", set(_indices(fmu, "InitialUnknowns")), expected, allowed)
+class _Dependency(NamedTuple):
+    """A dependency that is none of the Knowns, of an unknown."""
+
+    where: str
+    known: Variable
+    is_at_start: bool
+
+    @property
+    def expected(self) -> str:
+        if self.is_at_start:
+            return "an input or what has initial exact"
+        return "an input, a continuous-time state or the independent variable"
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION)
-def initial_unknowns_ascend(fmu: FmuFile) -> Iterator[str]:
-    """InitialUnknowns are in ascending order of their indices."""
-    for before, after in itertools.pairwise(_indices(fmu, "InitialUnknowns")):
-        if after < before:
-            yield f"InitialUnknowns: {after} follows {before}: expected ascending indices"
-
-
-_Dependencies = tuple[str, str, Variable | None, list[str], Any]
+def _unknown_dependencies(fmu: FmuFile) -> Iterator[_Dependency]:
+    states = _possible_states(fmu)
+    for unknown in _unknowns(fmu):
+        is_at_start = unknown.is_initial
+        for known in unknown.knowns:
+            is_given = known.initial == "exact" or known.causality == "parameter" or not known.is_legal_pair
+            is_known = is_given if is_at_start else known.index in states
+            if known.causality not in ("input", "independent") and not is_known:
+                yield _Dependency(unknown.where, known, is_at_start)
 
 
 @lru_cache(maxsize=1)
-def _dependencies(fmu: FmuFile) -> tuple[_Dependencies, ...]:
-    """Returns (section, text that names the unknown, unknown, its dependencies, element)."""
-    return tuple(_of_unknowns(fmu))
-
-
-def _of_unknowns(fmu: FmuFile) -> Iterator[_Dependencies]:
-    for section in _SECTIONS:
-        for index, element in fmu.unknowns(section):
-            unknown = fmu.variables[index - 1] if index is not None else None
-            where = f"{section}, unknown {unknown.name if unknown else ''} ({element.get('index')})"
-            yield section, where, unknown, element.get("dependencies", "").split(), element
-
-
-@rule(_CLAUSE, Stage.DESCRIPTION)
-def dependencies_are_indices(fmu: FmuFile) -> Iterator[str]:
-    """Dependencies are indices of variables, each once."""
-    for _, where, _, listed, _ in _dependencies(fmu):
-        for text in listed:
-            index = integer(text)
-            if index is not None and not 1 <= index <= len(fmu.variables):
-                yield f"{where}: dependency {text}: expected 1..{len(fmu.variables)}"
-        for text, count in repeated(listed).items():
-            yield f"{where}: dependency {text} is listed {count} times: expected once"
-
-
-@rule(_CLAUSE, Stage.DESCRIPTION)
-def dependencies_ascend(fmu: FmuFile) -> Iterator[str]:
-    """Dependencies are in ascending order."""
-    for _, where, _, listed, _ in _dependencies(fmu):
-        indices = [index for index in map(integer, listed) if index is not None]
-        for before, after in itertools.pairwise(indices):
-            if after < before:
-                yield f"{where}: dependency {after} follows {before}: expected ascending indices"
-
-
-@rule(_CLAUSE, Stage.DESCRIPTION)
-def dependencies_are_known(fmu: FmuFile) -> Iterator[str]:
-    """Outputs and Derivatives depend on inputs, continuous-time states and the independent variable;
-    InitialUnknowns on inputs, the independent variable and what has initial exact."""
-    for known, where, expected in _knowns(fmu):
-        if known.causality not in _PARAMETERS or expected == _AT_START:
-            yield f"{where} depends on {known.name} ({known.causality}): expected {expected}"
-
-
-@rule(_CLAUSE, Stage.DESCRIPTION)
-def dependencies_on_parameters(fmu: FmuFile) -> Iterator[str]:
-    """Outputs and Derivatives name no parameter among their dependencies."""
-    for known, where, expected in _knowns(fmu):
-        if known.causality in _PARAMETERS and expected != _AT_START:
-            yield f"{where} depends on {known.name}, a parameter: expected {expected}"
-
-
-_PARAMETERS = ("parameter", "calculatedParameter")
-_AT_START = "an input or what has initial exact"
-_LATER = "an input, a continuous-time state or the independent variable"
-
-
-def _knowns(fmu: FmuFile) -> Iterator[tuple[Variable, str, str]]:
-    """Yields (dependency that is none of the Knowns, its unknown, what is expected)."""
-    states = _possible_states(fmu)
-    for section, where, _, listed, _ in _dependencies(fmu):
-        for index in map(integer, listed):
-            if index is None or not 1 <= index <= len(fmu.variables):
-                continue
-            known, is_at_start = fmu.variables[index - 1], section == "InitialUnknowns"
-            is_given = known.initial == "exact" or known.causality == "parameter" or not known.is_legal_pair
-            known_otherwise = is_given if is_at_start else index in states
-            if known.causality not in ("input", "independent") and not known_otherwise:
-                yield known, where, _AT_START if is_at_start else _LATER
-
-
 def _possible_states(fmu: FmuFile) -> frozenset[int]:
     """States, and in an FMU that need not list Derivatives whatever another variable is the derivative of."""
-    if "ModelExchange" in fmu.interfaces:
-        return fmu.states
-    marked = (integer(v.typed.get("derivative")) for v in fmu.variables)
-    return fmu.states | {index for index in marked if index is not None}
+    is_exchanged = "ModelExchange" in fmu.interfaces
+    return fmu.states if is_exchanged else fmu.states | {v.index for v in fmu.derivatives.values()}
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION)
-def dependencies_on_states_are_provided(fmu: FmuFile) -> Iterator[str]:
-    """For co-simulation alone, dependencies name states if providesDirectionalDerivative is true."""
-    if not _derivatives_are_ignored(fmu):
-        return
-    states = _possible_states(fmu)
-    for section, where, _, listed, _ in _dependencies(fmu):
-        for index in map(integer, listed):
-            if section != "InitialUnknowns" and index in states:
-                name = fmu.variables[index - 1].name if 1 <= index <= len(fmu.variables) else ""
-                yield f"{where} depends on the state {name}: expected providesDirectionalDerivative"
+def _states_among(unknown: _Unknown, fmu: FmuFile) -> str:
+    known = [v.name for v in unknown.knowns if v.index in _possible_states(fmu)]
+    return "" if unknown.is_initial else ", ".join(known)
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION)
-def dependencies_kind(fmu: FmuFile) -> Iterator[str]:
-    """dependenciesKind has one word for each dependency; in InitialUnknowns dependent or constant."""
-    for section, where, _, listed, element in _dependencies(fmu):
-        kinds = element.get("dependenciesKind")
-        if kinds is None:
-            continue
-        if element.get("dependencies") is None:
-            yield f"{where} has dependenciesKind: expected dependencies too"
-        elif len(kinds.split()) != len(listed):
-            yield f"{where}: {len(kinds.split())} kinds of dependency: expected {len(listed)}, one each"
-        for kind in sorted(set(kinds.split()) & _FACTORS) if section == "InitialUnknowns" else ():
-            if kind != "constant":
-                yield f"{where}: kind {kind!r}: expected dependent or constant"
+def _no_index(unknown: _Unknown, fmu: FmuFile) -> str:
+    indices = [(text, integer(text)) for text in unknown.dependencies]
+    others = [t for t, index in indices if index is not None and not 1 <= index <= len(fmu.variables)]
+    return f"{', '.join(others)}: expected 1..{len(fmu.variables)}" if others else ""
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION)
-def dependencies_of_reals_have_factors(fmu: FmuFile) -> Iterator[str]:
-    """Kinds of dependency with a factor, all but dependent, are of Real unknowns."""
-    for _, where, unknown, _, element in _dependencies(fmu):
-        factors = sorted(set(element.get("dependenciesKind", "").split()) & _FACTORS)
-        if factors and unknown is not None and unknown.kind not in ("Real", ""):
-            yield f"{where} is {unknown.kind} and has kind {factors[0]!r}: expected dependent"
+def _descent(indices: Sequence[int]) -> str:
+    """Returns the first index after a greater one, with that."""
+    return next((f"{b} follows {a}" for a, b in itertools.pairwise(indices) if b < a), "")
+
+
+add_rows(__name__, _CLAUSE, Stage.DESCRIPTION, condition=no_model_exchange, rows=(
+    row("derivatives-are-there",
+        "For model exchange there are Derivatives if a variable with initial exact has a derivative.",
+        _unlisted_derivatives,
+        (lambda d, fmu: d.state.initial == "exact" and fmu.root.find("ModelStructure/Derivatives") is None,
+         "no Derivatives: expected {derivative.name} there, the derivative of {state.name}")),
+    row("state-derivatives-are-listed",
+        "For model exchange, Derivatives lists the derivatives of local variables, which may be states.",
+        _unlisted_derivatives,
+        (lambda d, _: d.state.causality == "local",
+         "Derivatives lacks {derivative.name} ({derivative.index}), the derivative of {state.name}")),
+))  # fmt: skip
+add_rows(__name__, _CLAUSE, Stage.DESCRIPTION, rows=(
+    row("initial-unknowns-ascend", "InitialUnknowns are in ascending order of their indices.",
+        lambda fmu: [_indices(fmu, "InitialUnknowns")],
+        (lambda indices, _: _descent(indices), "InitialUnknowns: {value}: expected ascending indices")),
+    row("dependencies-are-indices", "Dependencies are indices of variables, each once.", _unknowns,
+        (_no_index, "{where}: dependency {value}"),
+        (lambda unknown, _: ", ".join(repeated(unknown.dependencies)),
+         "{where}: dependency {value} is listed several times: expected once")),
+    row("dependencies-ascend", "Dependencies are in ascending order.", _unknowns,
+        (lambda unknown, _: _descent([index for text in unknown.dependencies if (index := integer(text))]),
+         "{where}: dependency {value}: expected ascending indices")),
+    row("dependencies-are-known",
+        "Outputs and Derivatives depend on inputs, continuous-time states and the independent variable; "
+        "InitialUnknowns on inputs, the independent variable and what has initial exact.",
+        _unknown_dependencies,
+        (lambda d, _: d.is_at_start or d.known.causality not in _PARAMETERS,
+         "{where} depends on {known.name} ({known.causality}): expected {expected}")),
+    row("dependencies-on-parameters", "Outputs and Derivatives name no parameter among their dependencies.",
+        _unknown_dependencies,
+        (lambda d, _: not d.is_at_start and d.known.causality in _PARAMETERS,
+         "{where} depends on {known.name}, a parameter: expected {expected}")),
+    row("dependencies-on-states-are-provided",
+        "For co-simulation alone, dependencies name states if providesDirectionalDerivative is true.",
+        lambda fmu: _unknowns(fmu) if _derivatives_are_ignored(fmu) else (),
+        (_states_among, "{where} depends on states ({value}): expected providesDirectionalDerivative")),
+    row("dependencies-kind",
+        "dependenciesKind has one word for each dependency; in InitialUnknowns dependent or constant.",
+        lambda fmu: [unknown for unknown in _unknowns(fmu) if "dependenciesKind" in unknown.element.attrib],
+        (lambda unknown, _: "dependencies" not in unknown.element.attrib,
+         "{where} has dependenciesKind: expected dependencies too"),
+        (lambda unknown, _: len(unknown.kinds) != len(unknown.dependencies) and unknown.counts,
+         "{where}: {value[0]} kinds of dependency: expected {value[1]}, one each"),
+        (lambda unknown, _: unknown.is_initial and ", ".join({*unknown.factors} - {"constant"}),
+         "{where}: kind {value!r}: expected dependent or constant")),
+    row("dependencies-of-reals-have-factors",
+        "Kinds of dependency with a factor, all but dependent, are of Real unknowns.",
+        lambda fmu: [u for u in _unknowns(fmu) if u.variable and u.variable.kind not in ("Real", "")],
+        (lambda unknown, _: next(iter(unknown.factors), ""),
+         "{where} is {variable.kind} and has kind {value!r}: expected dependent")),
+))  # fmt: skip
