@@ -12,20 +12,28 @@ from importlib import resources
 from typing import Any
 
 _RULES = "rules.toml"
+NO_DEMANDS = {
+    "should": "the sentence says should",
+    "note": "it stands in an informative note",
+    "importer": "it binds the importer",
+    "explanation": "it explains",
+}
 ADVICE = "advice"  # begins the clause of a rule that no sentence of FMI demands
 
 
 @dataclass(frozen=True)
 class Sentence:
-    """One sentence in other words. Exactly one of the last two is not empty.
+    """One sentence in other words. Exactly one of rules and not_observable is not empty.
 
     not_observable: why no check of an FMU from outside can see it broken.
+    no_demand: why it demands nothing of an FMU, one of `NO_DEMANDS`; empty if it does.
     """
 
     clause: str
     text: str
     rules: tuple[str, ...] = ()
     not_observable: str = ""
+    no_demand: str = ""
 
     def __post_init__(self) -> None:
         if bool(self.rules) == bool(self.not_observable):
@@ -58,13 +66,18 @@ def _files() -> dict[str, Mapping[str, Any]]:
 @cache
 def levels() -> dict[str, RuleLevel]:
     """Returns name of a rule -> its level."""
-    tables = {level: table for level, table in _files()[_RULES].items() if level != "off"}
+    tables = {level: table for level, table in _files()[_RULES].items() if isinstance(table, dict)}
     return {name: RuleLevel(level, why) for level, table in tables.items() for name, why in table.items()}
 
 
 def off_by_default() -> frozenset[str]:
     """Returns the names of the rules that are judged only on demand."""
     return frozenset(_files()[_RULES]["off"])
+
+
+def made_by_pythonfmu() -> frozenset[str]:
+    """Returns the names of the rules that FMUs break because PythonFMU's binary does."""
+    return frozenset(_files()[_RULES]["pythonfmu"])
 
 
 @cache

@@ -7,11 +7,12 @@ from xml.etree import ElementTree
 
 import pytest
 
-from fmus.compliance.check import main
+from fmus.compliance.command import main
 from fmus.compliance.examine import static_results
+from fmus.compliance.findings import findings_of
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.registry import all_rules
-from fmus.compliance.report import FORMATS, Findings
+from fmus.compliance.report import FORMATS, Checked
 from fmus.compliance.rule import OUTCOMES
 from tests.described_fmus import members
 from tests.shared_builds import Fmus
@@ -22,37 +23,38 @@ NAME = "DepthReference"
 
 
 @pytest.fixture(scope="module")
-def findings(built: Fmus, tmp_path_factory: pytest.TempPathFactory) -> Findings:
+def checked(built: Fmus, tmp_path_factory: pytest.TempPathFactory) -> Checked:
     """Of an FMU with an error and a warning, judged without being run."""
     content = members(built[NAME]) | {"../escape": b"", "readme.txt": b""}
     path = write(content, tmp_path_factory.mktemp("wrong") / "a, b.fmu")
-    return {path: list(static_results(FmuFile(path)))}
+    results = {path: list(static_results(FmuFile(path)))}
+    return Checked(results, findings_of(results))
 
 
 @pytest.fixture
-def document(findings: Findings) -> Callable[[str], str]:
-    return lambda name: FORMATS[name](findings)
+def document(checked: Checked) -> Callable[[str], str]:
+    return lambda name: FORMATS[name](checked)
 
 
 def test_sarif_holds_each_message_with_its_rule_and_file(
-    document: Callable[[str], str], findings: Findings
+    document: Callable[[str], str], checked: Checked
 ) -> None:
     (run,) = json.loads(document("sarif"))["runs"]
-    ((path, results),) = findings.items()
+    ((path, results),) = checked.results.items()
     levels = {"error": "error", "deviation": "warning", "advice": "note"}
     broken = [r for r in results if r.messages]
-    messages = [(r.rule.name, levels[r.outcome], message) for r in broken for message in r.messages]
-    assert [(r["ruleId"], r["level"], r["message"]["text"]) for r in run["results"]] == messages
+    messages = {(r.rule.name, levels[r.outcome], message) for r in broken for message in r.messages}
+    assert {(r["ruleId"], r["level"], r["message"]["text"]) for r in run["results"]} == messages
     assert {rule["id"] for rule in run["tool"]["driver"]["rules"]} == {name for name, *_ in messages}
     location = run["results"][0]["locations"][0]["physicalLocation"]["artifactLocation"]["uri"]
     assert location == path.as_posix()
 
 
 def test_junit_is_a_test_for_each_rule_and_fails_for_errors_alone(
-    document: Callable[[str], str], findings: Findings
+    document: Callable[[str], str], checked: Checked
 ) -> None:
     (suite,) = ElementTree.fromstring(document("junit"))
-    (results,) = findings.values()
+    (results,) = checked.results.values()
     assert [case.get("name") for case in suite] == [result.rule.name for result in results]
     failed = {case.get("name") for case in suite if case.find("failure") is not None}
     assert failed == {result.rule.name for result in results if result.outcome == "error"}
@@ -62,11 +64,17 @@ def test_junit_is_a_test_for_each_rule_and_fails_for_errors_alone(
 
 
 def test_annotations_of_github_name_file_and_rule_and_end_with_a_summary(
-    document: Callable[[str], str], findings: Findings
+    document: Callable[[str], str], checked: Checked
 ) -> None:
     *commands, last = document("github").splitlines()
-    assert any(c.startswith("::error file=") and "title=archive-paths-are-portable::" in c for c in commands)
-    assert any(c.startswith("::warning file=") and "title=archive-layout::" in c for c in commands)
+    assert any(
+        c.startswith("::error file=") and "title=archive-paths-are-portable (2.3 FMU Distribution)::" in c
+        for c in commands
+    )
+    assert any(
+        c.startswith("::warning file=") and "title=archive-layout (2.3 FMU Distribution)::" in c
+        for c in commands
+    )
     assert all(c.split(",title=")[0].endswith("/a%2C b.fmu") for c in commands)
     assert last.startswith("1 FMUs, 1 with errors: ")
 
@@ -95,5 +103,5 @@ def test_explain_tells_claim_clause_and_sentences(capsys: pytest.CaptureFixture[
 
 
 def test_an_unknown_rule_is_refused_with_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--explain", "variable-step-sizes"]) == 1
+    assert main(["--explain", "variable-step-sizes"]) == 2
     assert "variable-step-size" in capsys.readouterr().err

@@ -9,11 +9,15 @@ from typing import Any
 
 import pytest
 
-from fmus.compliance.check import main
+from fmus.compliance import command
+from fmus.compliance.check import NOT_JUDGED
+from fmus.compliance.command import main
 from fmus.compliance.probe import refusal
 from fmus.compliance.registry import all_rules
 from fmus.compliance.rule import OUTCOMES, repeated
 from fmus.compliance.script import Message
+from fmus.compliance.sentences import off_by_default
+from orchestration.cli import fmu
 from tests.described_fmus import members
 from tests.mutants.base import BASE, XML, changed, written
 from tests.mutants.mutant import broken_rules
@@ -41,8 +45,9 @@ def assert_complete(document: dict[str, Any], path: Path, name: str, outcome: st
     """The document names every rule of one FMU, and one of them has the outcome with its messages."""
     (fmu,) = document["fmus"]
     assert fmu["fmu"] == str(path)
-    assert [rule["rule"] for rule in fmu["rules"]] == [rule.name for rule in all_rules()]
-    assert [rule["clause"] for rule in fmu["rules"]] == [rule.clause for rule in all_rules()]
+    judged = [rule for rule in all_rules() if rule.name not in off_by_default()]
+    assert [rule["rule"] for rule in fmu["rules"]] == [rule.name for rule in judged]
+    assert [rule["clause"] for rule in fmu["rules"]] == [rule.clause for rule in judged]
     rules_with_messages = {rule["rule"]: rule for rule in fmu["rules"] if rule["messages"]}
     assert rules_with_messages[name]["outcome"] == outcome
     assert {rule["outcome"] for rule in fmu["rules"]} <= set(OUTCOMES)
@@ -74,16 +79,125 @@ def test_a_deviation_alone_gives_exit_status_0_and_an_error_1(deviating: Path, w
     assert main([str(deviating), str(wrong)]) == 1
 
 
-def test_a_file_that_is_not_there_gives_exit_status_1_and_its_name(
+def test_a_file_that_is_not_there_gives_exit_status_2_and_its_name(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([str(tmp_path / "none.fmu")]) == 1
+    assert main([str(tmp_path / "none.fmu")]) == 2
     assert "none.fmu" in capsys.readouterr().err
 
 
+WAIVER = """
+[[waiver]]
+rule = "{}"
+fmu = "*.fmu"
+reason = "a test"
+{}
+"""
+LATER, BEFORE = "until = 2999-12-31", "until = 2020-01-31"
+
+
+@pytest.fixture
+def unjudged(built: Fmus, tmp_path: Path) -> Path:
+    """An FMU whose library exports nothing, so that no behaviour is judged."""
+    content = members(built[NAME])
+    kind = re.search(rb"<CoSimulation .*?</CoSimulation>", content[XML], re.DOTALL)
+    assert kind is not None
+    exchange = b'<ModelExchange modelIdentifier="DepthReference"/>'
+    described = content[XML].replace(kind[0], exchange)
+    return write(content | {XML: described}, tmp_path / "unjudged.fmu")
+
+
+@pytest.mark.parametrize(
+    ("fmus", "options", "status"),
+    [
+        ("deviating", "", 0),
+        ("deviating", "--fail-on deviation", 1),
+        ("deviating", "--fail-on advice", 1),
+        ("deviating", "--fail-on deviation --waivers layout.toml", 0),
+        ("deviating", "--fail-on deviation --waivers expired.toml", 1),
+        ("wrong", "", 1),
+        ("wrong", "--waivers paths.toml", 0),
+        ("wrong", "--only archive-layout", 0),
+        ("wrong", "--only archive-layout,archive-paths-are-portable", 1),
+        ("deviating wrong", "--fail-on deviation --waivers layout.toml", 1),
+        ("deviating", "--strict", 0),
+        ("unjudged", "--waivers exports.toml", 0),
+        ("unjudged", "--waivers exports.toml --strict", NOT_JUDGED),
+        ("unjudged wrong", "--waivers exports.toml --strict", 1),
+        ("", "", 2),
+        ("none", "", 2),
+        ("deviating", "--only archive-layouts", 2),
+        ("deviating", "--waivers none.toml", 2),
+        ("deviating", "--waivers unknown.toml", 2),
+        ("deviating", "--baseline none.json", 2),
+        ("deviating", "--write-baseline", 2),
+        ("deviating", "--timeout 0", 2),
+        ("deviating", "--format yaml", 2),
+        ("deviating", "--fail-on warning", 2),
+        ("deviating", "--colour", 2),
+    ],
+)
+def test_the_exit_status_tells_what_is_left(
+    deviating: Path,
+    wrong: Path,
+    unjudged: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    fmus: str,
+    options: str,
+    status: int,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("layout.toml").write_text(WAIVER.format("archive-layout", LATER))
+    Path("expired.toml").write_text(WAIVER.format("archive-layout", BEFORE))
+    Path("paths.toml").write_text(WAIVER.format("archive-paths-are-portable", ""))
+    Path("exports.toml").write_text(WAIVER.format("library-exports", ""))
+    Path("unknown.toml").write_text(WAIVER.format("archive-layouts", ""))
+    assert main([*(f"{name}.fmu" for name in fmus.split()), *options.split()]) == status
+
+
+def test_only_findings_that_the_baseline_lacks_fail(
+    deviating: Path, wrong: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = str(tmp_path / "baseline.json")
+    assert main([str(wrong), "--baseline", file, "--write-baseline"]) == 0
+    assert "baseline.json: written, with 2 findings" in capsys.readouterr().err
+    assert main([str(wrong), "--baseline", file, "--fail-on", "advice"]) == 0
+    assert "2 accepted" in capsys.readouterr().out
+    assert main([str(deviating), "--baseline", file, "--fail-on", "deviation"]) == 1
+
+
+def test_what_was_not_judged_and_what_was_left_out_is_one_line_each(
+    unjudged: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main([str(unjudged)])
+    lines = capsys.readouterr().out.splitlines()
+    (reasons,) = [line for line in lines if " not judged: " in line]
+    assert re.fullmatch(r"  (\d+) not judged: library-exports is broken \(\1\)", reasons)
+    assert lines[-1].startswith("left out, as most FMUs break them at no cost (--all-rules): ")
+    assert [name for name in off_by_default() if name not in lines[-1]] == []
+    main([str(unjudged), "--all-rules"])
+    assert "left out" not in capsys.readouterr().out
+
+
+def test_errors_come_first_and_a_waiver_without_effect_is_told(
+    wrong: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "useless.toml"
+    file.write_text(WAIVER.format("schema", LATER))
+    assert main([str(wrong), "--waivers", str(file)]) == 1
+    shown = capsys.readouterr()
+    assert re.findall(r"^  (\w+): ", shown.out, re.MULTILINE) == ["error", "deviation"]
+    assert "the waiver of schema for *.fmu matches no finding" in shown.err
+    assert "1 error found: expected none" in shown.err
+
+
+def test_both_command_lines_are_one() -> None:
+    assert fmu.check is command.check
+
+
 def test_no_fmu_is_bad_usage() -> None:
-    with pytest.raises(SystemExit, match="2"):
-        main([])
+    assert main([]) == 2
 
 
 def test_all_shows_the_rules_that_hold_and_those_that_do_not_apply(

@@ -5,8 +5,17 @@ import runpy
 from pathlib import Path
 
 from fmus.compliance.registry import all_rules
-from fmus.compliance.rule import Stage
-from fmus.compliance.sentences import ADVICE, sentences, sentences_of, titles
+from fmus.compliance.rule import Level, Stage
+from fmus.compliance.sentences import (
+    ADVICE,
+    NO_DEMANDS,
+    levels,
+    made_by_pythonfmu,
+    off_by_default,
+    sentences,
+    sentences_of,
+    titles,
+)
 
 ROOT = Path(__file__).parents[3]
 
@@ -19,6 +28,20 @@ def test_every_rule_that_a_sentence_names_exists() -> None:
 def test_every_rule_checks_a_sentence_or_is_labelled_advice() -> None:
     rules = [rule for rule in all_rules() if not rule.clause.startswith(ADVICE)]
     assert [rule.name for rule in rules if not sentences_of(rule.name)] == []
+
+
+def test_each_rule_has_a_level_with_a_reason_in_one_line_and_no_other_has_one() -> None:
+    assert set(levels()) == {rule.name for rule in all_rules()}
+    assert [name for name, entry in levels().items() if entry.level not in list(Level)] == []
+    assert [name for name, entry in levels().items() if not 10 < len(entry.reason) <= 90] == []
+    assert off_by_default() | made_by_pythonfmu() <= set(levels())
+
+
+def test_advice_is_what_no_sentence_demands_and_the_rest_is_demanded() -> None:
+    for rule in all_rules():
+        demanding = [sentence for sentence in sentences_of(rule.name) if not sentence.no_demand]
+        assert (rule.level is Level.ADVICE) == (not demanding), (rule.name, demanding)
+    assert {sentence.no_demand for sentence in sentences()} == {"", *NO_DEMANDS}
 
 
 def test_a_rule_of_files_names_the_clauses_of_its_sentences() -> None:
