@@ -87,31 +87,24 @@ class FmuFile:
         try:
             with zipfile.ZipFile(path) as archive:
                 self.members = archive.infolist()
-                self._read_description(archive)
         except Exception as error:  # zipfile raises half a dozen kinds for a damaged archive
             self.archive_problem = f"it cannot be read as a zip: {error}"
-            self.description_problem = self.description_problem or "the archive cannot be read"
+            self.description_problem = "the archive cannot be read"
+        else:
+            self.description_problem = self._read_description()
 
-    def _read_description(self, archive: zipfile.ZipFile) -> None:
-        if DESCRIPTION not in self.names:
-            self.description_problem = self.NO_DESCRIPTION
-            return
-        size = archive.getinfo(DESCRIPTION).file_size
-        if size > _LARGEST_DESCRIPTION:
-            self.description_problem = f"{size} bytes: expected at most {_LARGEST_DESCRIPTION}"
-            return
+    def _read_description(self) -> str:
+        """Reads and parses the model description; returns the reason why it cannot."""
+        if DESCRIPTION not in self.paths:
+            return self.NO_DESCRIPTION
         try:
-            self.xml = archive.read(DESCRIPTION)
-        except Exception as error:
-            self.description_problem = f"it cannot be unpacked: {error}"
-            return
-        self._parse()
-
-    def _parse(self) -> None:
-        try:
+            self.xml = self.read(DESCRIPTION, _LARGEST_DESCRIPTION)
             self._root = parsed_xml(self.xml)
-        except ValueError as error:
-            self.description_problem = str(error)
+        except (BrokenMemberError, UnreadableMemberError) as error:
+            return str(error)
+        for date in filter(None, [self._root.get("generationDateAndTime")]):
+            self._root.set("generationDateAndTime", date.strip())  # libxml2 does not collapse its blanks
+        return ""
 
     @property
     def root(self) -> Any:

@@ -93,6 +93,11 @@ def repeats(names: Iterable[Any]) -> Iterator[Repeat]:
         yield Repeat(name, count)
 
 
+def alike(parents: str, child: str) -> Callable[[FmuFile], Iterator[Repeat]]:
+    """Returns the subjects of a row: the names that children of one parent have in common."""
+    return lambda fmu: repeated_children(fmu.root, parents, child)
+
+
 def repeated_children(root: Any, parents: str, child: str, attribute: str = "name") -> Iterator[Repeat]:
     """Yields what the children of each parent have in common: names, or what else an attribute holds."""
     for parent in root.iterfind(parents):

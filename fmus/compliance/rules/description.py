@@ -8,7 +8,17 @@ from typing import Any, NamedTuple
 
 from fmus.block.units import BASE_UNITS
 from fmus.compliance.fmu_file import C_IDENTIFIER, DESCRIPTION, FmuFile, schema_errors
-from fmus.compliance.rows import add_rows, anything, elements, owner, repeated_children, repeats, row, told
+from fmus.compliance.rows import (
+    add_rows,
+    alike,
+    anything,
+    elements,
+    owner,
+    repeated_children,
+    repeats,
+    row,
+    told,
+)
 from fmus.compliance.rule import Stage, rule
 from fmus.compliance.rules.archive import unreadable
 from fmus.compliance.rules.files import BUILD_DESCRIPTION, TERMINALS
@@ -218,10 +228,10 @@ add_rows(__name__, _HEAD, Stage.DESCRIPTION, rows=(
         (lambda root, _: not root.get("guid", "-").strip(), "guid is empty: expected one")),
     row("generation-date", "generationDateAndTime is a date in UTC, YYYY-MM-DDThh:mm:ssZ.",
         elements(".[@generationDateAndTime]"),
-        (lambda root, _: not _DATE.fullmatch(root.get("generationDateAndTime").strip()),
+        (lambda root, _: not _DATE.fullmatch(root.get("generationDateAndTime")),
          "generationDateAndTime {generationDateAndTime!r}: expected such as 2026-01-31T12:00:00Z")),
     row("log-categories-are-unique", "No two log categories have the same name.",
-        lambda fmu: repeated_children(fmu.root, "LogCategories", "Category"),
+        alike("LogCategories", "Category"),
         (anything, "log category {name!r} is defined {count} times: expected once"), clause=_CATEGORIES),
     row("log-category-names", "A standardized log category has its standardized name.",
         elements("LogCategories/Category"),
@@ -256,11 +266,10 @@ add_rows(__name__, _HEAD, Stage.DESCRIPTION, rows=(
          "{subject.tag} has canSerializeFMUstate: expected canGetAndSetFMUstate too"), clause=_FLAGS),
 ))  # fmt: skip
 add_rows(__name__, _UNITS, Stage.DESCRIPTION, rows=(
-    row("unit-names-are-unique", "No two units have the same name.",
-        lambda fmu: repeated_children(fmu.root, "UnitDefinitions", "Unit"),
+    row("unit-names-are-unique", "No two units have the same name.", alike("UnitDefinitions", "Unit"),
         (anything, "unit {name!r} is defined {count} times: expected once")),
     row("display-unit-names-are-unique", "No two display units of one unit have the same name.",
-        lambda fmu: repeated_children(fmu.root, "UnitDefinitions/Unit", "DisplayUnit"),
+        alike("UnitDefinitions/Unit", "DisplayUnit"),
         (anything, "display unit {name!r} of {owner!r} is defined {count} times: expected once")),
     row("units-are-defined",
         "Each unit of a type or variable is defined; none has a display unit without unit.", _uses,

@@ -2,10 +2,10 @@
 
 import posixpath
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from functools import lru_cache
-from itertools import filterfalse, zip_longest
+from itertools import filterfalse
 from typing import Any
 
 from fmus.compliance.fmu_file import BrokenMemberError, FmuFile, schema_errors
@@ -25,6 +25,11 @@ _PLATFORM = re.compile(
 _EXTENSIONS = {"darwin": ".dylib", "win": ".dll", "linux": ".so"}
 _SOURCES, _DOCUMENTATION = "sources/", "documentation/"
 _HEADERS = ("fmi2TypesPlatform.h", "fmi2FunctionTypes.h", "fmi2Functions.h")
+_HEADERS_OF_OTHERS = re.compile(  # of the standard library of C, and of other versions of FMI
+    r"(?:assert|complex|ctype|errno|fenv|float|inttypes|iso646|limits|locale|math|setjmp|signal|stdalign"
+    r"|stdarg|stdatomic|stdbool|stddef|stdint|stdio|stdlib|stdnoreturn|string|tgmath|threads|time|uchar"
+    r"|wchar|wctype|fmi\d?(?:TypesPlatform|PlatformTypes|FunctionTypes|Functions))\.h"
+)
 _TO_COMPILE = (".c", ".cc", ".cpp", ".cxx")
 _INDEX, _DEPENDENCIES = f"{_DOCUMENTATION}index.html", f"{_DOCUMENTATION}externalDependencies."
 _LICENSES = f"{_DOCUMENTATION}licenses/"
@@ -39,11 +44,12 @@ _QUOTED_INCLUDE = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*"([^"\n]+)"', re.MULT
 _PREFIX = re.compile(rb"^[ \t]*#[ \t]*define[ \t]+FMI2_FUNCTION_PREFIX[ \t]+(\w+)[ \t\r]*$", re.MULTILINE)
 _FUNCTIONS = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*["<]fmi2Functions\.h[">]', re.MULTILINE)
 _NAMES_FUNCTIONS = (b"FMI2_FUNCTION_PREFIX", b"FMI2_OVERRIDE_FUNCTION_PREFIX")
-_OF_THE_LANGUAGE = re.compile(
-    r"(?:assert|complex|ctype|errno|fenv|float|inttypes|iso646|limits|locale|math|setjmp|signal|stdalign"
-    r"|stdarg|stdatomic|stdbool|stddef|stdint|stdio|stdlib|stdnoreturn|string|tgmath|threads|time|uchar"
-    r"|wchar|wctype)\.h"
+_GUARD = re.compile(
+    rb"^[ \t]*#[ \t]*if(?:ndef|[ \t]+!defined)\W+(\w+)\W*\n\s*#[ \t]*define[ \t]+\1\b", re.MULTILINE
 )
+_DIRECTIVE = re.compile(rb"[ \t]*#[ \t]*(if|endif)")
+_DEFINED = re.compile(rb"^(static\s)?[A-Za-z_][\w \t*]*[\s*](\w+)[ \t]*\([^;{}]*\)\s*\{", re.MULTILINE)
+_MACRO, _CALLED = re.compile(rb"#[ \t]*define[ \t]+(\w+)"), re.compile(rb"\b(\w+)[ \t]*\(")
 
 
 def _files(fmu: FmuFile, folder: str) -> list[str]:
@@ -119,6 +125,13 @@ def _is_missing(file: Any, fmu: FmuFile) -> bool:
     return not is_there and (_has_sources(fmu) or not fmu.libraries())
 
 
+def _unlisted(fmu: FmuFile, extensions: str | tuple[str, ...]) -> list[list[str]]:
+    """Returns the sources with these extensions, as one subject, if nothing is listed."""
+    is_listed = BUILD_DESCRIPTION in fmu.paths or any(map(_listed, _interfaces(fmu)))
+    files = [path for path in _files(fmu, _SOURCES) if path.endswith(extensions)]
+    return [files] if files and fmu.interfaces and not is_listed else []
+
+
 @lru_cache(maxsize=1)
 def _sources(fmu: FmuFile) -> dict[str, bytes]:
     """Returns the path of each C file and header below sources -> its text without comments."""
@@ -128,6 +141,20 @@ def _sources(fmu: FmuFile) -> dict[str, bytes]:
 
 def _included(directive: re.Pattern[bytes], text: bytes) -> list[str]:
     return list(dict.fromkeys(name.decode("utf-8", "replace").strip() for name in directive.findall(text)))
+
+
+def _reached(fmu: FmuFile, listed: Iterable[str]) -> dict[str, bytes]:
+    """Returns path -> text of the sources that are listed, and of those that they include."""
+    sources, reached = _sources(fmu), {}
+    paths = {posixpath.basename(path): path for path in sources}
+    waiting = [_source_path(name) for name in listed]
+    while waiting:
+        path = waiting.pop()
+        if path in sources and path not in reached:
+            reached[path] = sources[path]
+            names = _included(_INCLUDE, sources[path]) + _included(_QUOTED_INCLUDE, sources[path])
+            waiting += [paths[name] for name in map(posixpath.basename, names) if name in paths]
+    return reached
 
 
 add_rows(__name__, CLAUSE, Stage.FILE, condition=unreadable, rows=(
@@ -195,6 +222,17 @@ add_rows(__name__, CLAUSE, Stage.DESCRIPTION, rows=(
         (_is_missing,
          "line {subject.sourceline}, SourceFiles lists {name}: expected sources/{name} in the archive"),
         clause="2.3 FMU Distribution, 3.3.1 and 4.3.1 (SourceFiles)"),
+    row("sources-are-listed",
+        "SourceFiles, or buildDescription.xml, lists the C files below sources that are to be compiled.",
+        lambda fmu: [] if fmu.libraries() else _unlisted(fmu, _TO_COMPILE),
+        (lambda files, _: ", ".join(files[:3]),
+         "{value}: expected SourceFiles that lists what is to be compiled")),
+    row("sources-beside-a-library-are-listed",
+        "Beside a library, SourceFiles or buildDescription.xml lists the files in C below sources too; files "
+        "of other languages may be there to be read.",
+        lambda fmu: _unlisted(fmu, ".c") if fmu.libraries() else [],
+        (lambda files, _: ", ".join(files[:3]),
+         "{value}: expected SourceFiles that lists what is to be compiled")),
 ))  # fmt: skip
 
 
@@ -205,22 +243,27 @@ def library_names(fmu: FmuFile) -> Iterator[str]:
     for folder in fmu.platforms():
         extension, top = _extension(folder), f"binaries/{folder}/"
         static = rf"{top}.+/(?:{identifier}\.(?:lib|a)|lib{identifier}\.a)"  # in a compiler's folder
-        library = re.compile(rf"{top}{identifier}{re.escape(extension)}|{static}")
+        case = "(?i)" if extension == ".dll" else ""  # Windows does not tell upper from lower case
+        library = re.compile(rf"{case}{top}{identifier}{re.escape(extension)}|{static}")
         if extension and not any(map(library.fullmatch, fmu.names)):
             expected = " or ".join(f"{name}{extension}" for name in _identifiers(fmu))
             yield f"{top}: expected {expected}, as the folder exists"
 
 
 @rule(CLAUSE, Stage.DESCRIPTION)
-def sources_are_listed(fmu: FmuFile) -> Iterator[str]:
-    """SourceFiles, or buildDescription.xml, lists the C files below sources that are to be compiled; beside
-    a library, files of other languages may be there to be read.
-    """
-    extensions = ".c" if fmu.libraries() else _TO_COMPILE
-    files = [path for path in _files(fmu, _SOURCES) if path.endswith(extensions)]
-    is_listed = BUILD_DESCRIPTION in fmu.paths or any(map(_listed, _interfaces(fmu)))
-    if files and fmu.interfaces and not is_listed:
-        yield f"{', '.join(files[:3])}: expected SourceFiles that lists what is to be compiled"
+def source_files_are_complete(fmu: FmuFile) -> Iterator[str]:
+    """The files in SourceFiles call no function that other C files alone define, and define those of FMI."""
+    for interface in _interfaces(fmu):
+        compiled = _reached(fmu, _listed(interface))
+        text = b"\n".join(compiled.values())
+        known = {name for _, name in _DEFINED.findall(text)} | {*_MACRO.findall(text)}
+        calls = b"\n".join(map(_unconditional, compiled.values()))
+        missing = {b"fmi2Instantiate", *_CALLED.findall(calls)} - known
+        others = {path: _sources(fmu)[path] for path in _sources(fmu).keys() - compiled} if compiled else {}
+        for path in sorted(path for path in others if path.endswith(_TO_COMPILE)):
+            if names := missing & {name for static, name in _DEFINED.findall(others[path]) if not static}:
+                what = f"{interface.tag}: SourceFiles leaves out {path.removeprefix(_SOURCES)}"
+                yield f"{what}, which alone defines {min(names).decode()}: expected all files to compile"
 
 
 @rule(CLAUSE, Stage.DESCRIPTION)
@@ -251,13 +294,16 @@ def includes_have_quotes(fmu: FmuFile) -> Iterator[str]:
 
 @rule(CLAUSE, Stage.FILE, condition=unreadable)
 def included_files_exist(fmu: FmuFile) -> Iterator[str]:
-    """Files that C files include by quotes, in no #if, are among the sources, but for those of FMI and C."""
-    known = {*map(posixpath.basename, _files(fmu, _SOURCES)), *_HEADERS}
-    sources = {path: text for path, text in _sources(fmu).items() if path.endswith(_TO_COMPILE)}
-    for path, text in sources.items():
-        for included in _included(_QUOTED_INCLUDE, _unconditional(text)):
+    """Files that C files include by quotes, in no #if, are among the sources, but for those of FMI and C.
+    Where SourceFiles lists files, those are judged that are compiled.
+    """
+    known = {posixpath.basename(path) for path in _files(fmu, _SOURCES)}
+    listed = [name for interface in _interfaces(fmu) for name in _listed(interface)]
+    sources = _reached(fmu, listed) if listed else _sources(fmu)
+    for path in sorted(path for path in sources if path.endswith(_TO_COMPILE)):
+        for included in _included(_QUOTED_INCLUDE, _unconditional(sources[path])):
             name = posixpath.basename(included)
-            if name not in known and not _OF_THE_LANGUAGE.fullmatch(name):
+            if name not in known and not _HEADERS_OF_OTHERS.fullmatch(name):
                 yield f'{path}: #include "{included}": expected that file below sources'
 
 
@@ -301,20 +347,13 @@ def source_prefix_is_defined(fmu: FmuFile) -> Iterator[str]:
 
 def _unconditional(text: bytes) -> bytes:
     """Returns the lines that every compiler reads: those in no #if but the guard of a header."""
-    lines, conditions = [], []
-    written = [line for line in text.splitlines() if line.strip()]
-    for line, after in zip_longest(written, written[1:], fillvalue=b""):
-        words = line.replace(b"#", b"# ", 1).split()
-        directive = words[1] if len(words) > 1 and words[0] == b"#" else b""
-        if directive.startswith(b"if"):
-            following = after.split()
-            conditions.append(following[:1] != [b"#define"] or following[1:2] != words[2:3])
-        elif directive.startswith(b"el") and conditions:
-            conditions[-1] = True
-        elif directive == b"endif" and conditions:
-            conditions.pop()
-        elif not any(conditions):
+    lines, depth = [], 0
+    for line in _GUARD.sub(b"", text).splitlines():
+        directive = _DIRECTIVE.match(line)
+        if directive is None and depth == 0:
             lines.append(line)
+        elif directive:
+            depth = max(0, depth + (-1 if directive.group(1) == b"endif" else 1))
     return b"\n".join(lines)
 
 

@@ -13,32 +13,21 @@ from fmus.compliance.variable import Variable, integer
 _CLAUSE = "2.2.8 Definition of the Model Structure (ModelStructure)"
 _FACTORS = {"constant", "fixed", "tunable", "discrete"}
 _COMPUTED = ("approx", "calculated")
+_LATER = "an input, a continuous-time state or the independent variable"
 _PARAMETERS = ("parameter", "calculatedParameter")
 
 
 class _Unknown(NamedTuple):
-    """An Unknown of a section. where: text that names it. knowns: the variables that it depends on."""
+    """An Unknown. where: text that names it. factors: kinds but dependent. knowns: what it depends on."""
 
-    section: str
     where: str
+    is_initial: bool
     variable: Variable | None
     element: Any
     dependencies: Sequence[str]
     kinds: Sequence[str]
+    factors: Sequence[str]
     knowns: Sequence[Variable]
-
-    @property
-    def is_initial(self) -> bool:
-        return self.section == "InitialUnknowns"
-
-    @property
-    def counts(self) -> tuple[int, int]:
-        """The numbers of kinds and of dependencies."""
-        return len(self.kinds), len(self.dependencies)
-
-    @property
-    def factors(self) -> list[str]:
-        return sorted(_FACTORS & {*self.kinds})
 
 
 @lru_cache(maxsize=1)
@@ -54,7 +43,8 @@ def _read_unknowns(fmu: FmuFile) -> Iterator[_Unknown]:
             where = f"{section}, unknown {v.name} ({stated})" if v else f"{section}, index {stated}"
             listed, kinds = (element.get(name, "").split() for name in ("dependencies", "dependenciesKind"))
             knowns = [variables[i] for i in map(integer, listed) if i in variables]
-            yield _Unknown(section, where, v, element, listed, kinds, knowns)
+            factors, is_initial = sorted(_FACTORS & {*kinds}), section == "InitialUnknowns"
+            yield _Unknown(where, is_initial, v, element, listed, kinds, factors, knowns)
 
 
 def _indices(fmu: FmuFile, section: str) -> list[int]:
@@ -124,44 +114,33 @@ def no_model_exchange(fmu: FmuFile) -> str:
     return "" if "ModelExchange" in fmu.interfaces else "it has no interface for model exchange"
 
 
-class _Derivative(NamedTuple):
-    derivative: Variable
-    state: Variable
-
-
-def _unlisted_derivatives(fmu: FmuFile) -> Iterator[_Derivative]:
-    """Yields derivatives that Derivatives lacks, of what is no state, nor its alias, nor a derivative."""
-    listed = set(_indices(fmu, "Derivatives"))
-    states = {(v.base_kind, v.reference) for v in fmu.variables if v.index in fmu.states | listed}
-    for index, state in fmu.derivatives.items():
-        is_possible = state.causality in ("local", "output") and state.variability == "continuous"
-        if index not in listed and is_possible and (state.base_kind, state.reference) not in states:
-            yield _Derivative(fmu.variables[index - 1], state)
+@rule(_CLAUSE, Stage.DESCRIPTION, condition=no_model_exchange)
+def derivatives_are_there(fmu: FmuFile) -> Iterator[str]:
+    """For model exchange there are Derivatives if a variable with initial exact has a derivative."""
+    are_missing = fmu.root.find("ModelStructure/Derivatives") is None
+    for index, state in fmu.derivatives.items() if are_missing else ():
+        is_state = state.causality in ("local", "output") and state.variability == "continuous"
+        if is_state and state.initial == "exact":
+            name = fmu.variables[index - 1].name
+            yield f"no Derivatives: expected {name} there, the derivative of {state.name}"
 
 
 class _Dependency(NamedTuple):
-    """A dependency that is none of the Knowns, of an unknown."""
+    """A dependency that is none of the Knowns, of an unknown. is_later: it is of Outputs or Derivatives."""
 
     where: str
     known: Variable
-    is_at_start: bool
-
-    @property
-    def expected(self) -> str:
-        if self.is_at_start:
-            return "an input or what has initial exact"
-        return "an input, a continuous-time state or the independent variable"
+    is_later: bool
 
 
 def _unknown_dependencies(fmu: FmuFile) -> Iterator[_Dependency]:
     states = _possible_states(fmu)
     for unknown in _unknowns(fmu):
-        is_at_start = unknown.is_initial
         for known in unknown.knowns:
             is_given = known.initial == "exact" or known.causality == "parameter" or not known.is_legal_pair
-            is_known = is_given if is_at_start else known.index in states
+            is_known = is_given if unknown.is_initial else known.index in states
             if known.causality not in ("input", "independent") and not is_known:
-                yield _Dependency(unknown.where, known, is_at_start)
+                yield _Dependency(unknown.where, known, not unknown.is_initial)
 
 
 @lru_cache(maxsize=1)
@@ -187,18 +166,6 @@ def _descent(indices: Sequence[int]) -> str:
     return next((f"{b} follows {a}" for a, b in itertools.pairwise(indices) if b < a), "")
 
 
-add_rows(__name__, _CLAUSE, Stage.DESCRIPTION, condition=no_model_exchange, rows=(
-    row("derivatives-are-there",
-        "For model exchange there are Derivatives if a variable with initial exact has a derivative.",
-        _unlisted_derivatives,
-        (lambda d, fmu: d.state.initial == "exact" and fmu.root.find("ModelStructure/Derivatives") is None,
-         "no Derivatives: expected {derivative.name} there, the derivative of {state.name}")),
-    row("state-derivatives-are-listed",
-        "For model exchange, Derivatives lists the derivatives of local variables, which may be states.",
-        _unlisted_derivatives,
-        (lambda d, _: d.state.causality == "local",
-         "Derivatives lacks {derivative.name} ({derivative.index}), the derivative of {state.name}")),
-))  # fmt: skip
 add_rows(__name__, _CLAUSE, Stage.DESCRIPTION, rows=(
     row("initial-unknowns-ascend", "InitialUnknowns are in ascending order of their indices.",
         lambda fmu: [_indices(fmu, "InitialUnknowns")],
@@ -214,12 +181,14 @@ add_rows(__name__, _CLAUSE, Stage.DESCRIPTION, rows=(
         "Outputs and Derivatives depend on inputs, continuous-time states and the independent variable; "
         "InitialUnknowns on inputs, the independent variable and what has initial exact.",
         _unknown_dependencies,
-        (lambda d, _: d.is_at_start or d.known.causality not in _PARAMETERS,
-         "{where} depends on {known.name} ({known.causality}): expected {expected}")),
+        (lambda d, _: not d.is_later,
+         "{where} depends on {known.name} ({known.causality}): expected an input or what has initial exact"),
+        (lambda d, _: d.known.causality not in _PARAMETERS,
+         f"{{where}} depends on {{known.name}} ({{known.causality}}): expected {_LATER}")),
     row("dependencies-on-parameters", "Outputs and Derivatives name no parameter among their dependencies.",
         _unknown_dependencies,
-        (lambda d, _: not d.is_at_start and d.known.causality in _PARAMETERS,
-         "{where} depends on {known.name}, a parameter: expected {expected}")),
+        (lambda d, _: d.is_later and d.known.causality in _PARAMETERS,
+         f"{{where}} depends on {{known.name}}, a parameter: expected {_LATER}")),
     row("dependencies-on-states-are-provided",
         "For co-simulation alone, dependencies name states if providesDirectionalDerivative is true.",
         lambda fmu: _unknowns(fmu) if _derivatives_are_ignored(fmu) else (),
@@ -229,7 +198,7 @@ add_rows(__name__, _CLAUSE, Stage.DESCRIPTION, rows=(
         lambda fmu: [unknown for unknown in _unknowns(fmu) if "dependenciesKind" in unknown.element.attrib],
         (lambda unknown, _: "dependencies" not in unknown.element.attrib,
          "{where} has dependenciesKind: expected dependencies too"),
-        (lambda unknown, _: len(unknown.kinds) != len(unknown.dependencies) and unknown.counts,
+        (lambda u, _: len(u.kinds) != len(u.dependencies) and (len(u.kinds), len(u.dependencies)),
          "{where}: {value[0]} kinds of dependency: expected {value[1]}, one each"),
         (lambda unknown, _: unknown.is_initial and ", ".join({*unknown.factors} - {"constant"}),
          "{where}: kind {value!r}: expected dependent or constant")),
