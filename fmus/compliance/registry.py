@@ -7,8 +7,8 @@ from fmus.compliance.rule import RULES, Rule, Stage
 
 MODULES = (
     "archive", "files", "description", "variables", "structure", "library",
-    "lifecycle", "initialization", "call", "discard", "value", "setting",
-    "step", "asynchronous", "environment", "messages", "state", "derivatives", "effects", "reference",
+    "lifecycle", "initialization", "call", "discard", "value", "setting", "step", "asynchronous",
+    "environment", "messages", "state", "derivatives", "effects", "reference", "model_exchange",
     "status",  # of refusals in the calls of all others
 )  # fmt: skip
 """Modules of `fmus.compliance.rules`, in the order in which their rules are judged and told."""
