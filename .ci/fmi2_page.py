@@ -20,11 +20,11 @@ _HEAD = """\
 # FMI 2.0.5, sentence by sentence
 
 Sentences of FMI 2.0.5 that bind an FMU, by clause and in our words, with the rules of `l1-depth check`
-that check them ([what the check does](compliance.md)). Where there is none: what cannot be seen from outside,
-with the reason, or what concerns model exchange alone, whose behaviour is not judged. The text of the
-standard is public: repository `modelica/fmi-standard`, tag `v2.0.5`. `python .ci/fmi2_page.py` prints this
-page from the code, and a test compares both. `python -m tests.mutants` breaks, one after the other,
-sentences that have a mutant, and prints which rules find it."""
+that check them ([what the check does](compliance.md)), or the reason why they cannot be seen from outside.
+The text of the standard is public: repository `modelica/fmi-standard`, tag `v2.0.5`.
+`python .ci/fmi2_page.py` prints this page from the code, and a test compares both.
+`python -m tests.mutants` breaks, one after the other, sentences that have a mutant, and prints which rules
+find it."""
 
 _OFF = ", ".join(f"`{name}`" for name in sorted(off_by_default()))
 _LEVELS = f"""\
@@ -43,11 +43,10 @@ def page() -> str:
 
 def _counts(entries: Sequence[Sentence], rules: Sequence[Rule]) -> str:
     checked = sum(bool(entry.rules) for entry in entries)
-    hidden = sum(bool(entry.not_observable) for entry in entries)
     counts = Counter(rule.level for rule in rules)
     return (
-        f"{len(entries)} sentences: {checked} are checked, {hidden} cannot be observed, "
-        f"{len(entries) - checked - hidden} concern model exchange alone. {len(rules)} rules: "
+        f"{len(entries)} sentences: {checked} are checked, {len(entries) - checked} cannot be observed. "
+        f"{len(rules)} rules: "
         f"{counts[Level.ERROR]} errors, {counts[Level.DEVIATION]} deviations, {counts[Level.ADVICE]} advice."
     )
 
@@ -65,7 +64,7 @@ def _checked_by(entry: Sentence) -> str:
     if entry.rules:
         names = ", ".join(f"`{name}`" for name in entry.rules)
         return f"{names} ({NO_DEMANDS[entry.no_demand]})" if entry.no_demand else names
-    return f"not observable: {entry.not_observable}" if entry.not_observable else "model exchange only"
+    return f"not observable: {entry.not_observable}"
 
 
 def _rules(rules: Sequence[Rule]) -> str:

@@ -25,7 +25,7 @@ CALLED = "called"  # a file of the working folder: the call that is under way, a
 _ANNOUNCED = 400  # bytes of that file
 _DEFECTS = (TypeError, LookupError, NameError, AssertionError, ctypes.ArgumentError)
 _AFTER_A_FAILURE = {  # status -> methods of `CalledInstance` that FMI allows then
-    DISCARD: ("status_of", "free_fmu_state", "set_debug_logging", "get", "end"),
+    DISCARD: ("status_of", "free_fmu_state", "set_debug_logging", "get", "end", "observed_events"),
     ERROR: ("free_fmu_state", "set_debug_logging"),
 }
 

@@ -10,13 +10,15 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from fmus.compliance.called_instance import CalledInstance
-from fmus.fmi.binding import DISCARD, MODEL_EXCHANGE, WARNING
+from fmus.fmi.binding import DISCARD, MODEL_EXCHANGE, OK, WARNING
 
 _MOST_SUBSTEPS, _MOST_EVENTS, _MOST_ITERATIONS = 500, 100, 100
 _LEAST = 1e-6  # smallest part of a step that is tried
 _TOLERANCE = 1e-4
 _TOO_MANY = "the explicit scheme of this checker needs more than"
-_GUARD = -1.2345678e-300  # the element behind an array, which the FMU may not write
+_STATES, _DERIVATIVES = "fmi2GetContinuousStates", "fmi2GetDerivatives"
+_INDICATORS = "fmi2GetEventIndicators"
+_GUARD = -1.2345678e-300  # an element that the FMU has not written
 
 
 _INFOS = (
@@ -48,7 +50,6 @@ class ModelExchangeInstance(CalledInstance):
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self._time = self._next_event = math.nan
-        self._is_terminated = False
         self._events: list[dict[str, Any]] = []
 
     # single functions
@@ -60,12 +61,23 @@ class ModelExchangeInstance(CalledInstance):
         self.call("fmi2SetContinuousStates", (ctypes.c_double * len(x))(*x), len(x))
 
     def vector(self, function: str) -> list[float]:
-        """Returns what a function gives: states, their derivatives or nominals, or event indicators."""
-        count = self._options["indicators" if function == "fmi2GetEventIndicators" else "states"]
-        values = (ctypes.c_double * (count + 1))(*[math.nan] * count, _GUARD)
+        """Returns what a function gives: states, their derivatives or nominals, or event indicators.
+
+        Notes whether elements are not written, or one behind them is.
+        """
+        *values, behind = self._with_guard(function)
+        self._overwritten |= behind != _GUARD
+        self._unwritten |= self.last_status == OK and _GUARD in values
+        return values
+
+    def _with_guard(self, function: str) -> list[float]:
+        count = self._count(function)
+        values = (ctypes.c_double * (count + 1))(*[_GUARD] * (count + 1))
         self.call(function, values, count)
-        self._overwritten |= values[count] != _GUARD
-        return values[:count]
+        return list(values)
+
+    def _count(self, function: str) -> int:
+        return self._options["indicators" if function == _INDICATORS else "states"]
 
     def new_discrete_states(self) -> dict[str, Any]:
         """Returns the elements of fmi2EventInfo by name."""
@@ -83,24 +95,22 @@ class ModelExchangeInstance(CalledInstance):
 
     # steps
 
-    def exit_initialization_mode(self) -> None:
+    def exit_initialization_mode(self) -> str:
+        """Leaves initialization mode and handles the first event; returns as `do_step`."""
         super().exit_initialization_mode()
-        if 0 <= self.last_status <= WARNING:
-            self._time = math.nan
-            self._lead(lambda: self._handle_event("start"))
+        if not 0 <= self.last_status <= WARNING:
+            return ""
+        self._time = math.nan
+        return self._lead(lambda: self._handle_event("start"))
 
     def do_step(self, t: float, h: float, no_going_back: bool = False) -> str:
         """Integrates from t to t + h seconds, with the events meanwhile.
 
-        Returns the reason of a step that is discarded, which is no failure of a call.
+        Returns the reason why a step is discarded although no call failed, or nothing.
         """
         if abs(t - self._time) < 1e-9 * max(abs(t), h):
             t = self._time  # but for rounding
         return self._lead(lambda: self._advance(t, t + h, no_going_back))
-
-    def status_of(self, kind: str, status_kind: int) -> Any:
-        """Returns whether the latest step ended as the FMU asked for it: the only status there is."""
-        return self._is_terminated
 
     def observed_events(self) -> list[dict[str, Any]]:
         """Returns the events since the last question."""
@@ -108,7 +118,6 @@ class ModelExchangeInstance(CalledInstance):
         return events
 
     def _lead(self, action: Callable[[], None]) -> str:
-        self._is_terminated = False
         try:
             action()
         except _StepEndsError as reason:
@@ -126,6 +135,7 @@ class ModelExchangeInstance(CalledInstance):
         return result
 
     def _advance(self, t: float, end: float, no_going_back: bool) -> None:
+        self._time = t
         self._handle_event("communication point")  # for what was set since
         self._substeps = 0
         for _ in range(_MOST_EVENTS):
@@ -142,25 +152,27 @@ class ModelExchangeInstance(CalledInstance):
     def _handle_event(self, cause: str) -> None:
         """Calls fmi2NewDiscreteStates until no new discrete states are needed."""
         observed = self._options.get("observed")
-        before = self._state_vectors() if observed else []
+        vectors = [self._state_vectors()] if observed else []
         infos: list[dict[str, Any]] = []
+        if observed:
+            self._events.append({"cause": cause, "time": self._time, "infos": infos, "vectors": vectors})
         while not infos or infos[-1]["newDiscreteStatesNeeded"]:
             if len(infos) == _MOST_ITERATIONS:
-                raise _StepEndsError(f"events need more than {_MOST_ITERATIONS} iterations")
+                raise _StepEndsError(f"an event needs more than {_MOST_ITERATIONS} iterations")
             infos.append(self._checked(self.new_discrete_states))
             self._terminate_if(infos[-1]["terminateSimulation"])
+            vectors += [self._state_vectors()] if observed else []
         last = infos[-1]
         self._next_event = last["nextEventTime"] if last["nextEventTimeDefined"] else math.inf
-        if observed:
-            vectors = [*before, *self._state_vectors()]
-            self._events.append({"cause": cause, "time": self._time, "infos": infos, "vectors": vectors})
 
     def _state_vectors(self) -> list[list[float]]:
-        functions = ("fmi2GetContinuousStates", "fmi2GetNominalsOfContinuousStates")
-        return [self._checked(self.vector, function) for function in functions]
+        return [self._read(_STATES), self._read("fmi2GetNominalsOfContinuousStates")]
+
+    def _read(self, function: str) -> list[float]:
+        """Returns a vector; an empty one without a call."""
+        return self._checked(self._with_guard, function)[:-1] if self._count(function) else []
 
     def _terminate_if(self, terminates: int) -> None:
-        self._is_terminated = bool(terminates)
         if terminates:
             raise _StepEndsError("the FMU terminates the simulation by itself")
 
@@ -169,10 +181,10 @@ class ModelExchangeInstance(CalledInstance):
 
         least: size of substeps at which neither the error nor an event indicator makes them smaller [s]
         """
-        x = self._checked(self.vector, "fmi2GetContinuousStates")
-        z = self._checked(self.vector, "fmi2GetEventIndicators")
+        x, z, slopes = (self._read(function) for function in (_STATES, _INDICATORS, _DERIVATIVES))
+        if self._events:
+            self._events[-1]["indicators"] = z
         size = end - t
-        slopes = self._checked(self.vector, "fmi2GetDerivatives")
         while t < end:
             self._substeps += 1
             if self._substeps > _MOST_SUBSTEPS:
@@ -186,16 +198,18 @@ class ModelExchangeInstance(CalledInstance):
                     raise _StepEndsError("the FMU discards states, or gives no numbers, in smallest substeps")
                 size = min(size, end - t) / 2
                 continue
-            t, (x, z, error) = new_t, trial
+            before, t, (x, z, error) = z, new_t, trial
             size *= 2 if error < 0.2 else 1
             enter = 0
             if self._options["needs_completed"]:
                 enter, terminates = self._checked(self.completed_integrator_step, no_going_back)
                 self._terminate_if(terminates)
+            if is_crossing and self._events:
+                self._events[-1]["crossing"] = [before, z]
             if enter or is_crossing:
                 return t, "step event" if enter else "state event"
             if t < end:
-                slopes = self._checked(self.vector, "fmi2GetDerivatives")
+                slopes = self._read(_DERIVATIVES)
         return t, "time event" if t == self._next_event else "communication point"
 
     def _trial(
@@ -215,7 +229,7 @@ class ModelExchangeInstance(CalledInstance):
             ]
             if x:
                 self._checked(self.set_continuous_states, new)
-            z = self._checked(self.vector, "fmi2GetEventIndicators")
+            z = self._read(_INDICATORS)
         except _StepEndsError:
             if self.last_status != DISCARD:
                 raise
@@ -230,7 +244,7 @@ class ModelExchangeInstance(CalledInstance):
         if not x:
             return []
         self._checked(self.set_continuous_states, x)
-        return self._checked(self.vector, "fmi2GetDerivatives")
+        return self._read(_DERIVATIVES)
 
 
 def _signs(indicators: Sequence[float]) -> list[bool]:

@@ -113,7 +113,11 @@ class Probe:
         """
         try:
             self.play(script)
-        except (CallError, DiscardedStepError):
+        except (CallError, DiscardedStepError) as error:
+            if self.fmu.is_model_exchange:
+                if isinstance(error, DiscardedStepError):
+                    self._shared[_REFUSED_STEPS] = str(error)
+                raise
             failure = script.failure
             may_refuse = (DISCARD,) if self.states_step_size else (DISCARD, ERROR)
             if not failure or not failure.is_step or failure.status not in may_refuse:
@@ -153,7 +157,7 @@ class Probe:
         for script in scripts:
             judged = script.options.get("logging") and not script.is_forbidden
             for reply in script.replies if judged else ():
-                if reply.status:
+                if reply.status and not reply.reason:
                     noted.setdefault((reply.function, reply.status, bool(reply.messages)), reply)
                 if reply.function == "fmi2SetDebugLogging":  # it may turn logging off
                     break
@@ -165,7 +169,7 @@ class Probe:
             self.play_each([script])
         failure = script.failure
         if failure and failure.is_step and failure.status == DISCARD:
-            self._shared[_DISCARDED_STEP] = "the FMU discards a step of the usual size"
+            self._shared[_DISCARDED_STEP] = failure.reason or "the FMU discards a step of the usual size"
 
     def play_each(self, scripts: Sequence[Script]) -> None:
         """Plays scripts one after the other in one message; an instance is freed before the next is created.
@@ -208,7 +212,11 @@ class Probe:
     def _fail(self, script: Script, freed: list[Call]) -> None:
         failure = script.failure
         assert failure is not None
-        if failure.is_step and failure.status == DISCARD and script.number:
+        is_discarded = failure.is_step and failure.status == DISCARD
+        if failure.reason or (is_discarded and self.fmu.is_model_exchange):
+            self.process.calls(freed)
+            raise DiscardedStepError(failure.reason or f"the FMU discards {failure.function}")
+        if is_discarded and script.number:
             ((reply,),) = self.process.calls(
                 [("play", script.number, [("status_of", "Boolean", TERMINATED)], True)]
             )
@@ -217,8 +225,8 @@ class Probe:
                 raise NotJudgedError("the FMU terminates the simulation by itself")
         self.process.calls(freed)
         self._judge_steps([script])
-        if failure.is_step and failure.status == DISCARD:
-            raise DiscardedStepError(failure.value or "the FMU discards a step")
+        if is_discarded:
+            raise DiscardedStepError("the FMU discards a step")
         raise CallError(failure.problem, failure.status)
 
     def creates(self, **options: Any) -> tuple[bool, list[Message]]:

@@ -10,6 +10,7 @@ MODULES = (
     "lifecycle", "location", "reset", "initialization", "instance",
     "resource", "call", "discard", "value", "constancy", "setting", "step", "asynchronous", "callback",
     "messages", "state", "saved_value", "derivatives", "effects", "reference",
+    "model_exchange",
     "status",  # of refusals in the calls of all others
 )  # fmt: skip
 """Modules of `fmus.compliance.rules`, in the order in which their rules are judged and told."""

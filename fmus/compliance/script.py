@@ -24,7 +24,9 @@ _FUNCTIONS = {  # method of `CalledInstance` -> function of FMI, where the argum
     "serialized_fmu_state_size": "fmi2SerializedFMUstateSize",
     "copy_fmu_state": "fmi2DeSerializeFMUstate", "poll_step": "fmi2GetStatus",
     "free": "fmi2FreeInstance", "end": "fmi2Terminate", "derive_nothing": "fmi2GetDirectionalDerivative",
-    "remove_link": "removing a link",
+    "remove_link": "removing a link", "set_time": "fmi2SetTime",
+    "new_discrete_states": "fmi2NewDiscreteStates", "set_continuous_states": "fmi2SetContinuousStates",
+    "completed_integrator_step": "fmi2CompletedIntegratorStep", "observed_events": "observing events",
 }  # fmt: skip
 
 
@@ -53,7 +55,10 @@ class Message:
 
 @dataclass
 class Reply:
-    """Reply to a call; `status` is None until it was made."""
+    """Reply to a call; `status` is None until it was made.
+
+    reason: why a step for model exchange is discarded although no call failed
+    """
 
     function: str
     state: str
@@ -63,6 +68,7 @@ class Reply:
     changed: list[list[str]] = field(default_factory=list)
     printed: int = 0
     is_step: bool = False
+    reason: str = ""
 
     @property
     def ok(self) -> bool:
@@ -275,6 +281,7 @@ class Script:
                 status, reply.value, messages, changed, printed, function = answer
                 if status and self._probe.fmu.is_model_exchange:  # a step is many calls
                     reply.function = str(function)
+                    reply.reason = reply.value if isinstance(reply.value, str) else ""
                 reply.status, reply.changed, reply.printed = int(status), changed, int(printed)
                 reply.messages = [Message(*message) for message in messages]
             except (TypeError, ValueError):  # the FMU can write to the process that answers

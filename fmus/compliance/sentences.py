@@ -23,10 +23,9 @@ ADVICE = "advice"  # begins the clause of a rule that no sentence of FMI demands
 
 @dataclass(frozen=True)
 class Sentence:
-    """One sentence in other words. Exactly one of rules, not_observable and model_exchange is not empty.
+    """One sentence in other words. Exactly one of rules and not_observable is not empty.
 
     not_observable: why no check of an FMU from outside can see it broken.
-    model_exchange: it binds FMUs for model exchange alone, whose behaviour is not judged.
     no_demand: why it demands nothing of an FMU, one of `NO_DEMANDS`; empty if it does.
     """
 
@@ -34,15 +33,13 @@ class Sentence:
     text: str
     rules: tuple[str, ...] = ()
     not_observable: str = ""
-    model_exchange: bool = False
     no_demand: str = ""
 
     def __post_init__(self) -> None:
-        count = sum(map(bool, (self.rules, self.not_observable, self.model_exchange)))
-        if count != 1:
+        if bool(self.rules) == bool(self.not_observable):
+            got = "both" if self.rules else "neither"
             raise ValueError(
-                f"sentence {self.clause}, {self.text!r}: "
-                f"expected one of rules, not_observable and model_exchange, got {count}"
+                f"sentence {self.clause}, {self.text!r}: expected rules or not_observable, got {got}"
             )
 
 

@@ -189,7 +189,7 @@ class BoundInstance(ABC):
     def enter_initialization_mode(self) -> None:
         self.call("fmi2EnterInitializationMode")
 
-    def exit_initialization_mode(self) -> None:
+    def exit_initialization_mode(self) -> object:
         self.call("fmi2ExitInitializationMode")
 
     def get_fmu_state(self, state: int | None = None) -> int:

@@ -19,7 +19,7 @@ from fmus.compliance.values import (
     start_value,
     unless_claimed,
 )
-from fmus.compliance.variable import Variable, integer
+from fmus.compliance.variable import Variable, integer, is_true
 from fmus.fmi.binding import DISCARD, ERROR
 
 _ATTRIBUTE = "2.2.7 Definition of Model Variables (ModelVariables): derivative"
@@ -104,7 +104,7 @@ class _Slopes:
 
 def _named_derivatives(probe: Probe, part: float) -> Series:
     """Returns the values of each continuous variable that another one names as its derivative, the values of
-    that, and the nominal value of the variable.
+    that, and the nominal value of the variable; states that events change are left out.
     """
     variables = probe.fmu.variables
     indices = [(v, integer(v.typed.get("derivative")) or 0) for v in variables]
@@ -112,7 +112,9 @@ def _named_derivatives(probe: Probe, part: float) -> Series:
     continuous = [
         (v, w)
         for v, w in pairs
-        if v.kind == w.kind == "Real" and v.variability == w.variability == "continuous"
+        if v.kind == w.kind == "Real"
+        and v.variability == w.variability == "continuous"
+        and not is_true(w.get("reinit"))
     ]
     if not continuous:
         raise NotApplicableError("no continuous variable is marked as a derivative")

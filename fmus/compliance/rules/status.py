@@ -20,18 +20,23 @@ _NO_STATUS = {
 }
 
 
-def _may_discard(reply: Reply) -> bool:
-    setter = reply.function in ("fmi2SetReal", "fmi2SetInteger", "fmi2SetBoolean", "fmi2SetString")
-    return setter or reply.function == "fmi2DoStep" or reply.function.endswith("Status")
+_SETTERS = ("fmi2SetReal", "fmi2SetInteger", "fmi2SetBoolean", "fmi2SetString")
+_OF_STATES = ("fmi2SetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndicators", "fmi2GetReal")
 
 
-def _illegal(replies: Iterable[Reply]) -> Iterator[str]:
+def _may_discard(probe: Probe, function: str) -> bool:
+    if probe.fmu.is_model_exchange and function in _OF_STATES:
+        return True
+    return function in (*_SETTERS, "fmi2DoStep") or function.endswith("Status")
+
+
+def _illegal(probe: Probe, replies: Iterable[Reply]) -> Iterator[str]:
     for reply in replies:
-        if reply.status is None:
+        if reply.status is None or reply.reason:
             continue
         if not 0 <= reply.status <= PENDING:
             yield f"{reply.function} returned {reply.status}: expected an fmi2Status, 0 to {PENDING}"
-        elif (reply.status == DISCARD and not _may_discard(reply)) or (
+        elif (reply.status == DISCARD and not _may_discard(probe, reply.function)) or (
             reply.status == PENDING and reply.function not in ("fmi2DoStep", "fmi2GetStatus")
         ):
             yield f"{reply.function} returned {status_name(reply.status)}, which it may not: {reply.logged}"
@@ -42,7 +47,7 @@ def statuses_are_legal(probe: Probe) -> Iterator[str]:
     """Discard and pending come only from functions that may return them; every status is one of
     fmi2Status.
     """
-    yield from _illegal(session(probe).script.replies)
+    yield from _illegal(probe, session(probe).script.replies)
 
 
 @behaviour_rule(
@@ -55,14 +60,14 @@ def refusals_have_legal_statuses(probe: Probe) -> Iterator[str]:
     """A refused call of another rule, which FMI allows and which does not end that rule, returns no status
     that its function may not return.
     """
-    yield from _illegal(probe.refusals)
+    yield from _illegal(probe, probe.refusals)
 
 
 def _refused(probe: Probe) -> list[Reply]:
     """Replies with logging that are warning, discard or error, without discarded steps: these have a rule."""
     replies = [*probe.refusals, *session(probe).script.replies]
     refused = [reply for reply in replies if reply.status not in (None, OK, PENDING)]
-    return [r for r in refused if r.function != "fmi2DoStep" or r.status != DISCARD]
+    return [r for r in refused if not r.reason and (not r.is_step or r.status != DISCARD)]
 
 
 @behaviour_rule(_STATUS, last=True)

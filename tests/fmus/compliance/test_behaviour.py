@@ -67,7 +67,7 @@ def test_nothing_is_judged_after_a_crash_of_a_library_that_lacks_a_function(
 
 def test_a_hang_is_a_finding_of_the_rule_that_it_stops(tmp_path: Path) -> None:
     hang = (
-        STEP + " if (h > 0 && h < 0.01) for (;;) pause();"
+        STEP + " if (h > 0 && h < 0.006) for (;;) pause();"
     )  # in the least step, of variable-step-size alone
     broken = broken_rules(
         patched({GLOBALS: f"#include <unistd.h>\n{GLOBALS}", STEP: hang}, tmp_path), timeout=2
