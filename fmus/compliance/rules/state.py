@@ -193,7 +193,9 @@ def state_can_be_set_after_reset(_: Probe) -> Iterator[Row]:
 
 
 @differential(
-    _CLAUSE, condition=_saves, needs="state-can-be-saved-often state-holds-every-value bytes-hold-every-value"
+    _CLAUSE,
+    condition=_saves,
+    needs="state-restores-exactly state-can-be-saved-often state-holds-every-value bytes-hold-every-value",
 )
 def state_restores_over_the_experiment(probe: Probe) -> Iterator[Row]:
     """A state of the middle of the default experiment, and its copy by bytes, give all variables again up to
