@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from fmus.compliance.command import main
+from fmus.compliance.check import main
 from fmus.compliance.examine import static_results
 from fmus.compliance.findings import findings_of
 from fmus.compliance.fmu_file import FmuFile

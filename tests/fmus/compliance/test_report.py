@@ -9,14 +9,12 @@ from typing import Any
 
 import pytest
 
-from fmus.compliance import command
-from fmus.compliance.check import NOT_JUDGED
-from fmus.compliance.command import main
+from fmus.compliance.check import NOT_JUDGED, check, main
 from fmus.compliance.probe import refusal
 from fmus.compliance.registry import all_rules
 from fmus.compliance.rule import OUTCOMES, repeated
 from fmus.compliance.script import Message
-from fmus.compliance.sentences import off_by_default
+from fmus.compliance.sentences import rule_table
 from orchestration.cli import fmu
 from tests.described_fmus import members
 from tests.mutants.base import BASE, XML, changed, written
@@ -45,7 +43,7 @@ def assert_complete(document: dict[str, Any], path: Path, name: str, outcome: st
     """The document names every rule of one FMU, and one of them has the outcome with its messages."""
     (fmu,) = document["fmus"]
     assert fmu["fmu"] == str(path)
-    judged = [rule for rule in all_rules() if rule.name not in off_by_default()]
+    judged = [rule for rule in all_rules() if rule.name not in rule_table()["off"]]
     assert [rule["rule"] for rule in fmu["rules"]] == [rule.name for rule in judged]
     assert [rule["clause"] for rule in fmu["rules"]] == [rule.clause for rule in judged]
     rules_with_messages = {rule["rule"]: rule for rule in fmu["rules"] if rule["messages"]}
@@ -173,10 +171,10 @@ def test_what_was_not_judged_and_what_was_left_out_is_one_line_each(
     main([str(unjudged)])
     lines = capsys.readouterr().out.splitlines()
     (reasons,) = [line for line in lines if " not judged: " in line]
-    assert "it is for model exchange alone" in reasons
-    assert lines[-1].startswith("left out, as most FMUs break them at no cost (--all-rules): ")
-    assert [name for name in off_by_default() if name not in lines[-1]] == []
-    main([str(unjudged), "--all-rules"])
+    assert "it has no co-simulation interface" in reasons
+    assert lines[-1].startswith("left out, as most FMUs break them at no cost (see --only): ")
+    assert [name for name in rule_table()["off"] if name not in lines[-1]] == []
+    main([str(unjudged), "--only", lines[-1].rpartition(": ")[2]])
     assert "left out" not in capsys.readouterr().out
 
 
@@ -193,7 +191,7 @@ def test_errors_come_first_and_a_waiver_without_effect_is_told(
 
 
 def test_both_command_lines_are_one() -> None:
-    assert fmu.check is command.check
+    assert fmu.check is check
 
 
 def test_no_fmu_is_bad_usage() -> None:
