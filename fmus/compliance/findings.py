@@ -41,6 +41,11 @@ class Finding:
     maker: str = ""
     accepted: str = ""
 
+    @property
+    def text(self) -> str:
+        """Message, with the maker where it is not of the model."""
+        return f"{self.message} [of {self.maker}, not of the model]" if self.maker else self.message
+
 
 def findings_of(results: Mapping[Path, Sequence[Result]]) -> list[Finding]:
     """Returns the findings about each FMU, errors first."""

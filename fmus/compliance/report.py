@@ -109,10 +109,9 @@ def lines(checked: Checked, path: Path) -> list[str]:
 
 
 def _line(finding: Finding, count: int) -> str:
-    maker = f" [of {finding.maker}, not of the model]" if finding.maker else ""
     more = f" (and {count - 1} more like it, see --all)" if count > 1 else ""
     accepted = f" ({finding.accepted})" if finding.accepted else ""
-    return f"{finding.rule.level}: {_title(finding.rule)}: {finding.message}{more}{maker}{accepted}"
+    return f"{finding.rule.level}: {_title(finding.rule)}: {finding.text}{more}{accepted}"
 
 
 def _title(rule: Rule) -> str:
@@ -198,7 +197,7 @@ def _sarif_result(finding: Finding) -> dict[str, Any]:
     return {
         "ruleId": finding.rule.name,
         "level": _SARIF_LEVELS[finding.rule.level],
-        "message": {"text": finding.message},
+        "message": {"text": finding.text},
         "locations": [{"physicalLocation": location | region, **member}],
         **(accepted if finding.accepted else {}),
     }
@@ -265,7 +264,7 @@ def _annotation(finding: Finding, count: int) -> str:
     line = f",line={finding.line}" if finding.line else ""
     more = f" (and {count - 1} more like it)" if count > 1 else ""
     place = f"file={_property(str(finding.fmu))}{line},title={_property(_title(finding.rule))}"
-    return f"::{command} {place}::{_data(finding.message + more)}\n"
+    return f"::{command} {place}::{_data(finding.text + more)}\n"
 
 
 def _data(content: str) -> str:

@@ -1,15 +1,17 @@
 """What the check tells: JSON, exit status, odd paths."""
 
+import io
 import json
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from fmus.compliance.check import NOT_JUDGED, check, main
+from fmus.compliance.check import NOT_JUDGED, _progress, check, main
 from fmus.compliance.probe import refusal
 from fmus.compliance.registry import all_rules
 from fmus.compliance.rule import OUTCOMES, repeated
@@ -236,3 +238,24 @@ def test_a_setting_that_was_empty_is_expected_to_stay(tmp_path: Path) -> None:
     path = write_slave(tmp_path, "a changed environment variable", slave="Oscillator")
     (message,) = broken_rules(path, is_static=False)["process-settings-are-restored"]
     assert message.endswith("changes the environment: TZ=UTC+5, expected no change")
+
+
+class _Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(
+    ("quiet", "delay", "expected"), [(False, 0.0, True), (True, 0.0, False), (False, 60.0, False)]
+)
+def test_a_slow_check_shows_on_a_terminal_what_it_does(
+    monkeypatch: pytest.MonkeyPatch, quiet: bool, delay: float, expected: bool
+) -> None:
+    terminal = _Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    monkeypatch.setattr("fmus.compliance.check._SHOWN_AFTER_S", delay)
+    monkeypatch.setenv("TERM", "xterm")
+    with _progress(quiet) as show:
+        show("check 1 of 2: [a].fmu")
+        time.sleep(0.3)
+    assert ("check 1 of 2: [a].fmu" in terminal.getvalue()) is expected
