@@ -10,7 +10,7 @@ from fmus.compliance.sentences import (
     NO_DEMANDS,
     Sentence,
     levels,
-    off_by_default,
+    rule_table,
     sentences,
     sentences_of,
     titles,
@@ -26,11 +26,11 @@ The text of the standard is public: repository `modelica/fmi-standard`, tag `v2.
 `python -m tests.mutants` breaks, one after the other, sentences that have a mutant, and prints which rules
 find it."""
 
-_OFF = ", ".join(f"`{name}`" for name in sorted(off_by_default()))
+_OFF = ", ".join(f"`{name}`" for name in rule_table()["off"])
 _LEVELS = f"""\
 The level of a rule is the consequence of breaking it. *error*: an importer that keeps the standard fails,
 crashes or gets a wrong result. *deviation*: a sentence demands it, but no importer known to us stumbles over
-it. *advice*: no sentence demands it. These rules are left out unless `--all-rules` or `--only` asks for them,
+it. *advice*: no sentence demands it. These rules are left out unless `--only` asks for them,
 since two thirds of all FMUs break them at no cost: {_OFF}."""
 
 
@@ -74,7 +74,7 @@ def _rules(rules: Sequence[Rule]) -> str:
             _clauses(rule),
             rule.claim,
             rule.level,
-            levels()[rule.name].reason,
+            levels()[rule.name][1],
         )
         for rule in rules
     ]

@@ -2,7 +2,7 @@
 
 import sys
 
-from fmus.compliance.command import main
+from fmus.compliance.check import main
 from fmus.errors import MissingExtraError
 
 try:

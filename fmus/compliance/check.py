@@ -1,142 +1,212 @@
-"""Judge FMUs, print the findings and return an exit status."""
+"""The command line of the check: `l1-depth check` and `python -m fmus.compliance`.
+
+The head of this file imports what declares the options; the check itself is imported when it runs.
+"""
 
 import sys
-import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
+from threading import Timer
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from fmus.compliance import findings, report
-from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, host_errors
-from fmus.compliance.examine import examine
-from fmus.compliance.library_reader import close_reader
-from fmus.compliance.registry import all_rules
-from fmus.compliance.rule import Level
-from fmus.compliance.sentences import off_by_default
-from fmus.errors import HostError, nearest
+import typer
+
+from fmus.compliance.rule import Level, Result
+
+if TYPE_CHECKING:
+    from fmus.compliance.report import Checked
 
 NO_VERDICT, NOT_JUDGED = 3, 4  # exit status
 _SHOWN_AFTER_S = 2.0
 
 
-@dataclass(frozen=True)
-class Options:
-    """Choices of a check; the names are those of the command line.
+def check(
+    fmus: Annotated[
+        list[Path] | None, typer.Argument(metavar="FMU...", help="FMUs of any origin.", show_default=False)
+    ] = None,
+    json_file: Annotated[
+        str, typer.Option("--json", metavar="FILE", help="Write the results as JSON; - prints them.")
+    ] = "",
+    format_name: Annotated[
+        Literal["text", "json", "sarif", "junit", "github"],
+        typer.Option("--format", help="Format of what is printed, or of --out; github: annotations."),
+    ] = "text",
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write that format to a file, and print text.")
+    ] = None,
+    every: Annotated[
+        bool, typer.Option("--all", help="Show each rule that is judged, and each finding, also accepted.")
+    ] = False,
+    only: Annotated[
+        str, typer.Option(metavar="RULE,RULE", help="Show these rules alone, also such as are left out.")
+    ] = "",
+    waivers: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Accept the findings of this file (TOML).")
+    ] = None,
+    baseline: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Accept the findings that were written to this file.")
+    ] = None,
+    write_baseline: Annotated[
+        bool, typer.Option("--write-baseline", help="Write the present findings to the --baseline.")
+    ] = False,
+    fail_on: Annotated[Level, typer.Option(help="Fail for findings of this level and above.")] = Level.ERROR,
+    strict: Annotated[bool, typer.Option("--strict", help="Fail if a rule is not judged.")] = False,
+    timeout: Annotated[float, typer.Option(min=0.1, help="Seconds that one rule may take.")] = 30.0,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
+    rule: Annotated[
+        str,
+        typer.Option("--explain", metavar="RULE", help="Show what a rule claims and its sentences of FMI."),
+    ] = "",
+) -> None:
+    """Check FMUs against the rules of FMI 2.0.5.
 
-    format: one of `report.FORMATS`; out: a file for the findings in that format, then text is printed too;
-    all: show each rule, also those that hold, and each finding; timeout: seconds for one behaviour
+    Exit status: 0; 1 for errors; 2 for wrong use or a missing file; 3 if this machine allows no verdict;
+    4 with --strict, if a rule is not judged.
     """
+    from fmus.compliance import findings, report
+    from fmus.compliance.behaviour import host_errors
+    from fmus.compliance.library_reader import check_lief
+    from fmus.compliance.registry import all_rules
+    from fmus.compliance.sentences import rule_table
+    from fmus.errors import HostError, OrchestrationError
 
-    json: str = ""
-    format: str = "text"
-    out: Path | None = None
-    all: bool = False
-    timeout: float = DEFAULT_TIMEOUT_S
-    only: Sequence[str] = ()
-    all_rules: bool = False
-    waivers: Path | None = None
-    baseline: Path | None = None
-    write_baseline: bool = False
-    fail_on: Level = Level.ERROR
-    strict: bool = False
-    quiet: bool = False
-
-
-def check(fmus: Sequence[Path], options: Options) -> int:
-    """Judges FMUs and prints the findings; returns the exit status.
-
-    0 if no finding of `fail_on` or above is left, else 1; 4 if a rule is not judged, with `strict`. Raises
-    ValueError for wrong options or files, OSError for a file that is not there, HostError if this machine
-    does not allow a verdict, such as for a library that it cannot load.
-    """
-    names = [rule.name for rule in all_rules()]
-    for name in options.only:
-        if name not in names:
-            raise ValueError(f"--only: no rule {name!r}: {nearest(name, names)}")
-    waivers = findings.read_waivers(options.waivers, names) if options.waivers else []
-    is_compared = options.baseline and not options.write_baseline
-    known = findings.read_baseline(options.baseline) if options.baseline and is_compared else {}
-
-    off = frozenset() if options.all_rules or options.only else off_by_default()
-    results = {}
+    names = [known.name for known in all_rules()]
     try:
-        with _progress(len(fmus), options.quiet) as begin:
-            for path in fmus:
-                begin(path.name)
-                results[path] = findings.chosen(examine(path, options.timeout), options.only, off)
-    finally:
-        close_reader()
-    today, found = date.today(), findings.findings_of(results)
-    of_rules = [w for w in waivers if not options.only or w.rule in options.only]
-    _tell(findings.useless(of_rules, found, today))
-    left = findings.without_known(findings.waived(found, waivers, today), known)
-    checked = report.Checked(results, left, options.fail_on, sorted(off), options.all)
-    with host_errors():
-        if options.baseline and options.write_baseline:
-            options.baseline.write_text(findings.baseline_text(left), encoding="utf-8")
-            _tell([f"{options.baseline}: written, with {len(checked.open)} findings"])
-        _print(checked, options)
-    return 0 if options.write_baseline else _status(checked, options)
+        if rule:
+            print(report.explain(rule, all_rules()), end="")
+            return
+        check_lief()
+        chosen = _chosen(only, names)
+        _refuse_wrong_use(fmus or [], baseline, write_baseline)
+        permitted = findings.read_waivers(waivers, names) if waivers else []
+        known = findings.read_baseline(baseline) if baseline and not write_baseline else {}
+        off = [] if chosen else rule_table()["off"]
+        results = _judged(fmus or [], chosen, off, timeout, quiet)
+        found, today = findings.findings_of(results), date.today()
+        left = findings.without_known(findings.waived(found, permitted, today), known)
+        checked = report.Checked(results, left, fail_on, off, every)
+        of_chosen = [waiver for waiver in permitted if not chosen or waiver.rule in chosen]
+        _tell(*findings.useless(of_chosen, found, today))
+        with host_errors():
+            if baseline and write_baseline:
+                baseline.write_text(findings.baseline_text(left), encoding="utf-8")
+                _tell(f"{baseline}: written, with {len(checked.open)} findings")
+            _print(checked, format_name, out, json_file)
+        status = 0 if write_baseline else _status(checked, strict)
+    except (ValueError, OSError, OrchestrationError, HostError) as error:
+        _tell(str(error))
+        status = NO_VERDICT if isinstance(error, HostError) else 2
+    raise typer.Exit(status)
 
 
-def _tell(lines: Sequence[str]) -> None:
+def _tell(*lines: str) -> None:
     for line in lines:
         print(f"l1-depth: {line}", file=sys.stderr)
 
 
-def _print(checked: report.Checked, options: Options) -> None:
-    document = report.FORMATS[options.format](checked)
-    if options.out is not None:
-        options.out.write_text(document, encoding="utf-8")
+def _chosen(only: str, names: Sequence[str]) -> list[str]:
+    from fmus.errors import nearest
+
+    chosen = [name.strip() for name in only.split(",") if name.strip()]
+    for name in chosen:
+        if name not in names:
+            raise ValueError(f"--only: no rule {name!r}: {nearest(name, names)}")
+    return chosen
+
+
+def _refuse_wrong_use(fmus: Sequence[Path], baseline: Path | None, write_baseline: bool) -> None:
+    from fmus.fmi.description import describe
+
+    if not fmus:
+        raise ValueError("expected FMUs, or --explain RULE")
+    if write_baseline and baseline is None:
+        raise ValueError("--write-baseline: expected --baseline FILE too")
+    if baseline and not write_baseline and not baseline.is_file():
+        raise ValueError(f"--baseline {baseline}: no such file: write it once with --write-baseline")
+    for path in fmus:
+        if not path.is_file():
+            describe(path)  # the error names the nearest FMU
+
+
+def _judged(
+    fmus: Sequence[Path], only: Collection[str], off: Collection[str], timeout: float, quiet: bool
+) -> dict[Path, list[Result]]:
+    """Returns the results of each FMU: of the rules in `only`, or, without one, of all but those in `off`."""
+    from fmus.compliance.examine import examine
+    from fmus.compliance.library_reader import close_reader
+
+    results = dict[Path, list[Result]]()
+    try:
+        with _progress(quiet) as show:
+            for number, path in enumerate(fmus, 1):
+                show(f"check {number} of {len(fmus)}: {path.name}")
+                of_all = examine(path, timeout)
+                is_shown = [r.rule.name in only if only else r.rule.name not in off for r in of_all]
+                results[path] = [result for result, shown in zip(of_all, is_shown, strict=True) if shown]
+    finally:
+        close_reader()
+    return results
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[str], None]]:
+    """Gives a function that shows a text on standard error, if that is a terminal and after some time."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda text: None
+        return
+    from rich.console import Console
+    from rich.markup import escape
+
+    status = Console(stderr=True).status("")
+    timer = Timer(_SHOWN_AFTER_S, status.start)
+    timer.start()
+    try:
+        yield lambda text: status.update(escape(text))
+    finally:
+        timer.cancel()
+        timer.join()  # it may be at work
+        status.stop()
+
+
+def _print(checked: "Checked", format_name: str, out: Path | None, json_file: str) -> None:
+    from fmus.compliance import report
+
+    document = report.FORMATS[format_name](checked)
+    if out is not None:
+        out.write_text(document, encoding="utf-8")
         document = report.text(checked)
-    if options.json == "-":
+    if json_file == "-":
         document = report.json_text(checked)
-    elif options.json:
-        Path(options.json).write_text(report.json_text(checked), encoding="utf-8")
+    elif json_file:
+        Path(json_file).write_text(report.json_text(checked), encoding="utf-8")
     print(document, end="")
 
 
-def _status(checked: report.Checked, options: Options) -> int:
+def _status(checked: "Checked", strict: bool) -> int:
+    from fmus.compliance.report import unloaded
+    from fmus.errors import HostError
+
     if count := len(checked.failing):
-        what = "error" if options.fail_on is Level.ERROR else "finding"
-        _tell([f"{count} {what}{'s' * (count > 1)} found: expected none"])
+        what = "error" if checked.fail_on is Level.ERROR else "finding"
+        _tell(f"{count} {what}{'s' * (count > 1)} found: expected none")
         return 1
-    if reasons := report.unloaded(checked.results):
+    if reasons := unloaded(checked.results):
         raise HostError("; ".join(reasons))
-    if options.strict and (count := sum(bool(r.not_judged) for of in checked.results.values() for r in of)):
-        _tell([f"--strict: {count} rules are not judged: expected none"])
+    count = sum(bool(result.not_judged) for results in checked.results.values() for result in results)
+    if strict and count:
+        _tell(f"--strict: {count} rules are not judged: expected none")
         return NOT_JUDGED
     return 0
 
 
-@contextmanager
-def _progress(total: int, quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Shows on standard error which FMU is checked and since when, if that is a terminal and takes long.
-
-    Gives a function that is called with the name of each FMU before it is checked.
-    """
-    if quiet or not sys.stderr.isatty():
-        yield lambda name: None
-        return
-    from rich.console import Console
-    from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    name_of_fmu = TextColumn("check {task.description}", markup=False)
-    columns = SpinnerColumn(), name_of_fmu, MofNCompleteColumn(), TimeElapsedColumn()
-    bar = Progress(*columns, console=Console(stderr=True), transient=True)
-    task = bar.add_task("", total=total, completed=-1)
-    timer = threading.Timer(_SHOWN_AFTER_S, bar.start)
-    timer.start()
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Returns the exit status of `python -m fmus.compliance` with these arguments."""
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    app.command()(check)
     try:
-        yield lambda name: bar.update(task, advance=1, description=name)
-    finally:
-        timer.cancel()
-        timer.join()  # it may be at work
-        bar.stop()
-
-
-def explain(name: str) -> str:
-    """Returns what a rule claims and checks. Raises ValueError for a name that no rule has."""
-    return report.explain(name, all_rules())
+        app(arguments, prog_name="python -m fmus.compliance")
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0

@@ -4,7 +4,7 @@ import json
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
 from datetime import date
 from fnmatch import fnmatchcase
@@ -12,7 +12,7 @@ from pathlib import Path
 
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rule import Level, Result, Rule, Stage
-from fmus.compliance.sentences import made_by_pythonfmu
+from fmus.compliance.sentences import rule_table
 from fmus.errors import nearest
 
 IN_BASELINE = "in the baseline"
@@ -41,6 +41,11 @@ class Finding:
     maker: str = ""
     accepted: str = ""
 
+    @property
+    def text(self) -> str:
+        """Message, with the maker where it is not of the model."""
+        return f"{self.message} [of {self.maker}, not of the model]" if self.maker else self.message
+
 
 def findings_of(results: Mapping[Path, Sequence[Result]]) -> list[Finding]:
     """Returns the findings about each FMU, errors first."""
@@ -50,7 +55,7 @@ def findings_of(results: Mapping[Path, Sequence[Result]]) -> list[Finding]:
         broken = [result for result in of_fmu if result.messages]
         fmu = FmuFile(path) if broken else None
         lines = _lines(fmu) if fmu else {}
-        of_maker = made_by_pythonfmu() if fmu and any(n.endswith(_PYTHONFMU) for n in fmu.names) else ()
+        of_maker = rule_table()["pythonfmu"] if fmu and any(n.endswith(_PYTHONFMU) for n in fmu.names) else ()
         for result in sorted(broken, key=lambda result: severity.index(result.rule.level)):
             maker = "PythonFMU" if result.rule.name in of_maker else ""
             in_archive = result.rule.stage in (Stage.FILE, Stage.LIBRARY)
@@ -150,40 +155,29 @@ def useless(waivers: Sequence[Waiver], findings: Sequence[Finding], today: date)
     return told
 
 
-def key_of(finding: Finding) -> tuple[str, str, str]:
+def key_of(finding: Finding) -> str:
     """Returns file name, rule and message of a finding, without folders and numbers, which vary from run to
     run and from machine to machine.
     """
     message = _NUMBER.sub("#", _FOLDERS.sub("", finding.message))
-    return finding.fmu.name, finding.rule.name, message
+    return f"{finding.fmu.name}: {finding.rule.name}: {message}"
 
 
 def baseline_text(findings: Iterable[Finding]) -> str:
-    """Returns the JSON of a baseline: FMU -> rule -> message -> count, of the findings that count."""
+    """Returns the JSON of a baseline: key -> count, of the findings that are not accepted."""
     counts = Counter(key_of(finding) for finding in findings if not finding.accepted)
-    document: dict[str, dict[str, dict[str, int]]] = {}
-    for (fmu, rule, message), count in counts.items():
-        document.setdefault(fmu, {}).setdefault(rule, {})[message] = count
-    return json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
+    return json.dumps(counts, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
 
 
-def read_baseline(path: Path) -> Counter[tuple[str, str, str]]:
+def read_baseline(path: Path) -> dict[str, int]:
     """Returns how often each finding of a baseline occurs. Raises ValueError, OSError if there is no file."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-        return Counter(
-            {
-                (fmu, rule, message): int(count)
-                for fmu, rules in document.items()
-                for rule, messages in rules.items()
-                for message, count in messages.items()
-            }
-        )
+        return {key: int(count) for key, count in json.loads(path.read_text(encoding="utf-8")).items()}
     except (AttributeError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}: expected a file of --write-baseline") from None
 
 
-def without_known(findings: Iterable[Finding], baseline: Mapping[tuple[str, str, str], int]) -> list[Finding]:
+def without_known(findings: Iterable[Finding], baseline: Mapping[str, int]) -> list[Finding]:
     """Returns the findings, those accepted that the baseline holds, as often as it does."""
     left, compared = Counter(baseline), list[Finding]()
     for finding in findings:
@@ -204,8 +198,3 @@ def folded(findings: Iterable[Finding]) -> list[tuple[Finding, int]]:
         is_long = len(group) > _MOST_SHOWN
         lines += [(group[0], len(group))] if is_long else [(finding, 1) for finding in group]
     return lines
-
-
-def chosen(results: Sequence[Result], only: Collection[str], off: Collection[str]) -> list[Result]:
-    """Returns the results of the rules in `only`, or of all but those in `off` if it is empty."""
-    return [r for r in results if (r.rule.name in only if only else r.rule.name not in off)]

@@ -58,12 +58,12 @@ class FmuTests(pytest.File):
         try:
             from fmus.compliance.library_reader import check_lief
             from fmus.compliance.registry import all_rules
-            from fmus.compliance.sentences import off_by_default
+            from fmus.compliance.sentences import rule_table
 
             check_lief()
         except ImportError as error:  # of the extra `check`
             raise pytest.UsageError(f"--fmu: {error}") from None
-        names = [rule.name for rule in all_rules() if rule.name not in off_by_default()]
+        names = [rule.name for rule in all_rules() if rule.name not in rule_table()["off"]]
         return [RuleTest.from_parent(self, name=name) for name in names]
 
     def result(self, name: str) -> "Result":

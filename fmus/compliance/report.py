@@ -86,12 +86,8 @@ def total(checked: Checked) -> str:
 
 def unloaded(results: Results) -> list[str]:
     """Returns each FMU whose library this machine cannot load, with the reason."""
-    both = ((path, result) for path, of_fmu in results.items() for result in of_fmu)
-    return [f"{path}: {result.not_judged}" for path, result in both if _is_unloaded(result)]
-
-
-def _is_unloaded(result: Result) -> bool:
-    return result.rule.name == "library-loads" and result.not_judged.startswith(CANNOT_LOAD)
+    loads = ((path, r) for path, of_fmu in results.items() for r in of_fmu if r.rule.name == "library-loads")
+    return [f"{path}: {r.not_judged}" for path, r in loads if r.not_judged.startswith(CANNOT_LOAD)]
 
 
 def not_judged(results: Sequence[Result]) -> str:
@@ -103,24 +99,19 @@ def not_judged(results: Sequence[Result]) -> str:
 
 def lines(checked: Checked, path: Path) -> list[str]:
     """Returns a line for what was not judged, and one for each finding (level, rule, clause, message)."""
-    results, findings = checked.results[path], checked.of(path) if checked.every else None
-    shown = (
-        folded(f for f in checked.open if f.fmu == path) if findings is None else [(f, 1) for f in findings]
-    )
+    results = checked.results[path]
     told = [line] if (line := not_judged(results)) else []
-    told += [_line(finding, count) for finding, count in shown]
-    if checked.every:
-        told += [
-            f"{r.outcome}: {_title(r.rule)}: {_reason(r) or r.rule.claim}" for r in results if not r.messages
-        ]
-    return told
+    if not checked.every:
+        return [*told, *(_line(f, count) for f, count in folded(checked.open) if f.fmu == path)]
+    others = [result for result in results if not result.messages]
+    told += [_line(finding, 1) for finding in checked.of(path)]
+    return told + [f"{r.outcome}: {_title(r.rule)}: {_reason(r) or r.rule.claim}" for r in others]
 
 
 def _line(finding: Finding, count: int) -> str:
-    maker = f" [of {finding.maker}, not of the model]" if finding.maker else ""
     more = f" (and {count - 1} more like it, see --all)" if count > 1 else ""
     accepted = f" ({finding.accepted})" if finding.accepted else ""
-    return f"{finding.rule.level}: {_title(finding.rule)}: {finding.message}{more}{maker}{accepted}"
+    return f"{finding.rule.level}: {_title(finding.rule)}: {finding.text}{more}{accepted}"
 
 
 def _title(rule: Rule) -> str:
@@ -138,7 +129,7 @@ def text(checked: Checked) -> str:
         parts += [f"{path}: {summary(checked, path)}", *(f"  {line}" for line in lines(checked, path))]
     parts += [total(checked)] if len(checked.results) > 1 else []
     if checked.off:
-        parts.append(f"left out, as most FMUs break them at no cost (--all-rules): {', '.join(checked.off)}")
+        parts.append(f"left out, as most FMUs break them at no cost (see --only): {', '.join(checked.off)}")
     return "\n".join(parts) + "\n"
 
 
@@ -206,7 +197,7 @@ def _sarif_result(finding: Finding) -> dict[str, Any]:
     return {
         "ruleId": finding.rule.name,
         "level": _SARIF_LEVELS[finding.rule.level],
-        "message": {"text": finding.message},
+        "message": {"text": finding.text},
         "locations": [{"physicalLocation": location | region, **member}],
         **(accepted if finding.accepted else {}),
     }
@@ -273,7 +264,7 @@ def _annotation(finding: Finding, count: int) -> str:
     line = f",line={finding.line}" if finding.line else ""
     more = f" (and {count - 1} more like it)" if count > 1 else ""
     place = f"file={_property(str(finding.fmu))}{line},title={_property(_title(finding.rule))}"
-    return f"::{command} {place}::{_data(finding.message + more)}\n"
+    return f"::{command} {place}::{_data(finding.text + more)}\n"
 
 
 def _data(content: str) -> str:
@@ -302,7 +293,7 @@ def explain(name: str, rules: Sequence[Rule]) -> str:
     checked = [f"  {sentence.clause}: {sentence.text}" for sentence in sentences_of(name)]
     body = ["sentences of FMI 2.0.5 that it checks:", *checked] if checked else [f"clause: {chosen.clause}"]
     needs = [f"not judged if broken: {', '.join(chosen.needs)}"] if chosen.needs else []
-    head = f"{name}: {chosen.level} ({levels()[name].reason}), judged by {_judged_by(chosen)}"
+    head = f"{name}: {chosen.level} ({levels()[name][1]}), judged by {_judged_by(chosen)}"
     return "\n".join([head, chosen.claim, *body, *needs, f"mutants: python -m tests.mutants {name}"]) + "\n"
 
 

@@ -56,7 +56,7 @@ class Rule:
     @property
     def level(self) -> Level:
         """Level of the rule in `sentences/rules.toml`."""
-        return Level(levels()[self.name].level)
+        return Level(levels()[self.name][0])
 
 
 IS_BROKEN = " is broken"

@@ -11,7 +11,7 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-_RULES = "rules.toml"
+_FOLDER = resources.files("fmus.compliance") / "sentences"
 NO_DEMANDS = {
     "should": "the sentence says should",
     "note": "it stands in an informative note",
@@ -43,54 +43,36 @@ class Sentence:
             )
 
 
-@dataclass(frozen=True)
-class RuleLevel:
-    """Level of one rule ("error", "deviation", "advice"), and its reason."""
-
-    level: str
-    reason: str
+@cache
+def _files() -> tuple[Mapping[str, Any], ...]:
+    paths = sorted((path for path in _FOLDER.iterdir() if path.name[0].isdigit()), key=lambda p: p.name)
+    return tuple(tomllib.loads(path.read_text(encoding="utf-8")) for path in paths)
 
 
 @cache
-def _files() -> dict[str, Mapping[str, Any]]:
-    """Returns name -> content of each file, in the order of the names."""
-    folder = resources.files("fmus.compliance") / "sentences"
-    texts = {
-        path.name: path.read_text(encoding="utf-8")
-        for path in folder.iterdir()
-        if path.name.endswith(".toml")
-    }
-    return {name: tomllib.loads(texts[name]) for name in sorted(texts)}
+def rule_table() -> Mapping[str, Any]:
+    """Returns `rules.toml`: level -> rule -> reason, and the lists "off" and "pythonfmu" of rules."""
+    return tomllib.loads((_FOLDER / "rules.toml").read_text(encoding="utf-8"))
 
 
 @cache
-def levels() -> dict[str, RuleLevel]:
-    """Returns name of a rule -> its level."""
-    tables = {level: table for level, table in _files()[_RULES].items() if isinstance(table, dict)}
-    return {name: RuleLevel(level, why) for level, table in tables.items() for name, why in table.items()}
-
-
-def off_by_default() -> frozenset[str]:
-    """Returns the names of the rules that are judged only on demand."""
-    return frozenset(_files()[_RULES]["off"])
-
-
-def made_by_pythonfmu() -> frozenset[str]:
-    """Returns the names of the rules that FMUs break because PythonFMU's binary does."""
-    return frozenset(_files()[_RULES]["pythonfmu"])
+def levels() -> dict[str, tuple[str, str]]:
+    """Returns name of a rule -> its level ("error", "deviation", "advice") and the reason."""
+    tables = {level: rule_table()[level] for level in ("error", "deviation", "advice")}
+    return {name: (level, reason) for level, table in tables.items() for name, reason in table.items()}
 
 
 @cache
 def sentences() -> tuple[Sentence, ...]:
     """Returns all sentences, in the order of the standard."""
-    entries = [entry for file in _files().values() for entry in file.get("sentence", ())]
+    entries = [entry for file in _files() for entry in file["sentence"]]
     return tuple(Sentence(**entry | {"rules": tuple(entry.get("rules", ()))}) for entry in entries)
 
 
 @cache
 def titles() -> dict[str, str]:
     """Returns clause -> its title in the standard, of every clause that holds sentences."""
-    return {clause: title for file in _files().values() for clause, title in file.get("titles", {}).items()}
+    return {clause: title for file in _files() for clause, title in file["titles"].items()}
 
 
 def sentences_of(rule_name: str) -> tuple[Sentence, ...]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fmus.build.stamp import Order, Stamps
-from fmus.compliance import command
+from fmus.compliance import check as compliance
 from fmus.errors import ExportError
 from fmus.platforms import PLATFORMS, check_platforms
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_names, fmu_folder
@@ -22,7 +22,7 @@ _FOLDERS = {Flavour.NATIVE: Path("fmus-built"), Flavour.PYTHON: Path("fmus-built
 Current = Mapping[Order, Sequence[Path] | None]
 """Order -> its FMUs, if they are what it would build now."""
 _PIPED_WIDTH = 260  # a line a variable, for grep
-check = command.check
+check = compliance.check
 
 
 def new(

@@ -350,7 +350,7 @@ def floating_point_control_is_restored(probe: Probe) -> Iterator[str]:
                 )
 
 
-@behaviour_rule("advice: 2.1, settings that other parts of the process share")
+@behaviour_rule(_GENERAL)
 def process_settings_are_restored(probe: Probe) -> Iterator[str]:
     """Working directory, locale, file mode mask, signal handlers and mask, environment, standard streams,
     timers, limits and priority are not changed.

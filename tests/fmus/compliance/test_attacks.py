@@ -15,7 +15,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from fmus.compliance.command import main
+from fmus.compliance.check import main
 from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
 from fmus.errors import HostError
@@ -41,7 +41,7 @@ def test_python_modules_inside_an_fmu_are_not_imported(built: Fmus, tmp_path: Pa
     names = {*sys.stdlib_module_names, "numpy", "fmpy", "lief", "lxml", "sitecustomize", "usercustomize"}
     modules = {f"{folder}{name}.py": code for folder in ("", "resources/") for name in names}
     path = write(members(built[NAME]) | modules, tmp_path / "modules.fmu")
-    command = f"from fmus.compliance.command import main; exit(main([{str(path)!r}, '--json', '-']))"
+    command = f"from fmus.compliance.check import main; exit(main([{str(path)!r}, '--json', '-']))"
     done = subprocess.run([sys.executable, "-c", command], capture_output=True, check=False, timeout=120)
     assert not marker.exists()
     verdict = json.loads(done.stdout)
@@ -188,7 +188,7 @@ def test_a_full_disk_is_an_error_of_the_host_with_its_own_status_and_no_finding(
     """A limit on the size of files stands for the disk."""
     module, function, arguments = {
         "l1-depth check": ("orchestration.cli.commands", "run_command", ["check", str(built[NAME])]),
-        "python -m fmus.compliance": ("fmus.compliance.command", "main", [str(built[NAME])]),
+        "python -m fmus.compliance": ("fmus.compliance.check", "main", [str(built[NAME])]),
     }[command]
     code = (
         f"import resource, sys; from {module} import {function}\n"

@@ -10,8 +10,7 @@ from typing import cast
 import pytest
 
 from fmus.compliance.behaviour import FUNDAMENTAL, behaviour
-from fmus.compliance.check import NO_VERDICT
-from fmus.compliance.command import main
+from fmus.compliance.check import NO_VERDICT, main
 from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.registry import registered

@@ -8,7 +8,6 @@ import pytest
 from fmus.compliance import findings
 from fmus.compliance.findings import IN_BASELINE, Finding, Waiver
 from fmus.compliance.registry import all_rules
-from fmus.compliance.rule import Result
 
 RULES = {rule.name: rule for rule in all_rules()}
 TODAY = date(2026, 11, 23)
@@ -93,7 +92,7 @@ def test_what_is_no_waiver_is_refused(tmp_path: Path) -> None:
         waivers_of(tmp_path, "[[waivers]]\nrule = 'x'\n")
 
 
-def baseline_of(found: list[Finding], folder: Path) -> dict[tuple[str, str, str], int]:
+def baseline_of(found: list[Finding], folder: Path) -> dict[str, int]:
     path = folder / "baseline.json"
     path.write_text(findings.baseline_text(found), encoding="utf-8")
     return findings.read_baseline(path)
@@ -128,7 +127,7 @@ def test_what_is_waived_is_not_in_the_baseline(tmp_path: Path) -> None:
     assert accepted(findings.without_known(waived, baseline_of([finding()], tmp_path))) == ["waived: r"]
 
 
-@pytest.mark.parametrize("text", ["[]", "{", '{"a": 1}', '{"a": {"b": {"c": "d"}}}'])
+@pytest.mark.parametrize("text", ["[]", "{", '{"a": "b"}'])
 def test_what_is_no_baseline_is_refused(text: str, tmp_path: Path) -> None:
     path = tmp_path / "baseline.json"
     path.write_text(text)
@@ -161,13 +160,3 @@ LINES = {"depth": 12, "a[1,2]": 13, "my name": 14, "the": 15}
 )
 def test_the_line_is_that_of_the_element_that_a_message_names(message: str, line: int) -> None:
     assert findings.line_of(message, LINES) == line
-
-
-def test_rules_are_left_out_unless_they_are_asked_for() -> None:
-    def names(only: list[str], off: set[str]) -> list[str]:
-        results = [Result(rule) for rule in (RULES[FIRST], RULES[SECOND])]
-        return [result.rule.name for result in findings.chosen(results, only, off)]
-
-    assert names([], {FIRST}) == [SECOND]
-    assert names([FIRST], {FIRST}) == [FIRST]
-    assert names([], set()) == [FIRST, SECOND]

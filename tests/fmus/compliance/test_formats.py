@@ -2,19 +2,20 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
-from fmus.compliance.command import main
+from fmus.compliance.check import main
 from fmus.compliance.examine import static_results
 from fmus.compliance.findings import findings_of
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.registry import all_rules
 from fmus.compliance.report import FORMATS, Checked
 from fmus.compliance.rule import OUTCOMES
-from tests.described_fmus import members
+from tests.described_fmus import XML, members
 from tests.shared_builds import Fmus
 
 from .archives import write
@@ -48,6 +49,47 @@ def test_sarif_holds_each_message_with_its_rule_and_file(
     assert {rule["id"] for rule in run["tool"]["driver"]["rules"]} == {name for name, *_ in messages}
     location = run["results"][0]["locations"][0]["physicalLocation"]["artifactLocation"]["uri"]
     assert location == path.as_posix()
+
+
+def test_a_finding_of_a_variable_has_its_line_and_its_rule_has_an_address(
+    built: Fmus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    content = members(built[NAME])
+    twice = content[XML].replace(b'name="smooth"', b'name="internal_step"')
+    path = write(content | {XML: twice}, tmp_path / "twice.fmu")
+    results = {path: list(static_results(FmuFile(path)))}
+    monkeypatch.setattr("fmus.compliance.report.metadata", lambda _: Message())
+    (run,) = json.loads(FORMATS["sarif"](Checked(results, findings_of(results))))["runs"]
+    (result,) = [r for r in run["results"] if r["ruleId"] == "variable-names-are-unique"]
+    line = result["locations"][0]["physicalLocation"]["region"]["startLine"]
+    assert b'name="internal_step"' in twice.splitlines()[line - 1]
+    (rule,) = [r for r in run["tool"]["driver"]["rules"] if r["id"] == "variable-names-are-unique"]
+    assert rule["helpUri"] == "https://example.org/docs/reference/fmi2/#variable-names-are-unique"
+
+
+class Message:
+    """Metadata of a package whose documentation is published."""
+
+    def get_all(self, _: str) -> list[str]:
+        return ["Source, https://example.org", "Documentation, https://example.org/docs/"]
+
+
+def test_findings_of_pythonfmu_are_marked_and_accepted_ones_are_suppressed(checked: Checked) -> None:
+    found = checked.findings[0]
+    marked = [replace(found, maker="PythonFMU"), replace(found, accepted="waived: known")]
+    other = Checked(checked.results, marked)
+    (run,) = json.loads(FORMATS["sarif"](other))["runs"]
+    assert run["results"][0]["message"]["text"].endswith("[of PythonFMU, not of the model]")
+    assert run["results"][1]["suppressions"][0]["justification"] == "waived: known"
+    assert FORMATS["github"](other).count("::error") == FORMATS["text"](other).count("PythonFMU") == 1
+
+
+def test_an_accepted_rule_is_skipped_in_junit_and_fails_nothing(checked: Checked) -> None:
+    accepted = [replace(found, accepted="waived: known") for found in checked.findings]
+    (suite,) = ElementTree.fromstring(FORMATS["junit"](Checked(checked.results, accepted)))
+    assert suite.get("failures") == "0"
+    (case,) = [case for case in suite if case.get("name") == accepted[0].rule.name]
+    assert [(child.tag, child.get("message")) for child in case] == [("skipped", "waived: known")]
 
 
 def test_junit_is_a_test_for_each_rule_and_fails_for_errors_alone(

@@ -1,22 +1,22 @@
 """What the check tells: JSON, exit status, odd paths."""
 
+import io
 import json
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from fmus.compliance import command
-from fmus.compliance.check import NOT_JUDGED
-from fmus.compliance.command import main
+from fmus.compliance.check import NOT_JUDGED, _progress, check, main
 from fmus.compliance.probe import refusal
 from fmus.compliance.registry import all_rules
 from fmus.compliance.rule import OUTCOMES, repeated
 from fmus.compliance.script import Message
-from fmus.compliance.sentences import off_by_default
+from fmus.compliance.sentences import rule_table
 from orchestration.cli import fmu
 from tests.described_fmus import members
 from tests.mutants.base import BASE, XML, changed, written
@@ -45,7 +45,7 @@ def assert_complete(document: dict[str, Any], path: Path, name: str, outcome: st
     """The document names every rule of one FMU, and one of them has the outcome with its messages."""
     (fmu,) = document["fmus"]
     assert fmu["fmu"] == str(path)
-    judged = [rule for rule in all_rules() if rule.name not in off_by_default()]
+    judged = [rule for rule in all_rules() if rule.name not in rule_table()["off"]]
     assert [rule["rule"] for rule in fmu["rules"]] == [rule.name for rule in judged]
     assert [rule["clause"] for rule in fmu["rules"]] == [rule.clause for rule in judged]
     rules_with_messages = {rule["rule"]: rule for rule in fmu["rules"] if rule["messages"]}
@@ -174,9 +174,9 @@ def test_what_was_not_judged_and_what_was_left_out_is_one_line_each(
     lines = capsys.readouterr().out.splitlines()
     (reasons,) = [line for line in lines if " not judged: " in line]
     assert re.fullmatch(r"  (\d+) not judged: library-exports is broken \(\1\)", reasons)
-    assert lines[-1].startswith("left out, as most FMUs break them at no cost (--all-rules): ")
-    assert [name for name in off_by_default() if name not in lines[-1]] == []
-    main([str(unjudged), "--all-rules"])
+    assert lines[-1].startswith("left out, as most FMUs break them at no cost (see --only): ")
+    assert [name for name in rule_table()["off"] if name not in lines[-1]] == []
+    main([str(unjudged), "--only", lines[-1].rpartition(": ")[2]])
     assert "left out" not in capsys.readouterr().out
 
 
@@ -193,7 +193,7 @@ def test_errors_come_first_and_a_waiver_without_effect_is_told(
 
 
 def test_both_command_lines_are_one() -> None:
-    assert fmu.check is command.check
+    assert fmu.check is check
 
 
 def test_no_fmu_is_bad_usage() -> None:
@@ -238,3 +238,24 @@ def test_a_setting_that_was_empty_is_expected_to_stay(tmp_path: Path) -> None:
     path = write_slave(tmp_path, "a changed environment variable", slave="Oscillator")
     (message,) = broken_rules(path, is_static=False)["process-settings-are-restored"]
     assert message.endswith("changes the environment: TZ=UTC+5, expected no change")
+
+
+class _Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(
+    ("quiet", "delay", "expected"), [(False, 0.0, True), (True, 0.0, False), (False, 60.0, False)]
+)
+def test_a_slow_check_shows_on_a_terminal_what_it_does(
+    monkeypatch: pytest.MonkeyPatch, quiet: bool, delay: float, expected: bool
+) -> None:
+    terminal = _Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    monkeypatch.setattr("fmus.compliance.check._SHOWN_AFTER_S", delay)
+    monkeypatch.setenv("TERM", "xterm")
+    with _progress(quiet) as show:
+        show("check 1 of 2: [a].fmu")
+        time.sleep(0.3)
+    assert ("check 1 of 2: [a].fmu" in terminal.getvalue()) is expected

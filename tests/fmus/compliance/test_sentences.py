@@ -10,8 +10,7 @@ from fmus.compliance.sentences import (
     ADVICE,
     NO_DEMANDS,
     levels,
-    made_by_pythonfmu,
-    off_by_default,
+    rule_table,
     sentences,
     sentences_of,
     titles,
@@ -32,9 +31,9 @@ def test_every_rule_checks_a_sentence_or_is_labelled_advice() -> None:
 
 def test_each_rule_has_a_level_with_a_reason_in_one_line_and_no_other_has_one() -> None:
     assert set(levels()) == {rule.name for rule in all_rules()}
-    assert [name for name, entry in levels().items() if entry.level not in list(Level)] == []
-    assert [name for name, entry in levels().items() if not 10 < len(entry.reason) <= 90] == []
-    assert off_by_default() | made_by_pythonfmu() <= set(levels())
+    assert [name for name, (level, _) in levels().items() if level not in list(Level)] == []
+    assert [name for name, (_, reason) in levels().items() if not 10 < len(reason) <= 90] == []
+    assert {*rule_table()["off"], *rule_table()["pythonfmu"]} <= set(levels())
 
 
 def test_advice_is_what_no_sentence_demands_and_the_rest_is_demanded() -> None:

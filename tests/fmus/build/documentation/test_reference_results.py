@@ -25,7 +25,7 @@ from fmus.build.documentation.reference_results import (
     cross_check_files,
     reference_run,
 )
-from fmus.compliance.command import main
+from fmus.compliance.check import main
 from fmus.errors import ExportError
 
 NAMES = builder.block_names()
