@@ -93,9 +93,9 @@ def repeats(names: Iterable[Any]) -> Iterator[Repeat]:
         yield Repeat(name, count)
 
 
-def alike(parents: str, child: str) -> Callable[[FmuFile], Iterator[Repeat]]:
-    """Returns the subjects of a row: the names that children of one parent have in common."""
-    return lambda fmu: repeated_children(fmu.root, parents, child)
+def alike(parents: str, child: str, attribute: str = "name") -> Callable[[FmuFile], Iterator[Repeat]]:
+    """Returns the subjects of a row: what children of one parent have in common, by an attribute."""
+    return lambda fmu: repeated_children(fmu.root, parents, child, attribute)
 
 
 def repeated_children(root: Any, parents: str, child: str, attribute: str = "name") -> Iterator[Repeat]:

@@ -44,7 +44,7 @@ class Variable:
 
     @property
     def legal_initial(self) -> tuple[str, ...] | None:
-        """What `initial` may be, the default first; None if causality and variability are no legal pair."""
+        """Values that `initial` may have, the default first; None if `is_legal_pair` is false."""
         return INITIAL.get((self.causality, self.variability))
 
     @property

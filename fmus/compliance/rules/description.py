@@ -8,17 +8,7 @@ from typing import Any, NamedTuple
 
 from fmus.block.units import BASE_UNITS
 from fmus.compliance.fmu_file import C_IDENTIFIER, DESCRIPTION, FmuFile, schema_errors
-from fmus.compliance.rows import (
-    add_rows,
-    alike,
-    anything,
-    elements,
-    owner,
-    repeated_children,
-    repeats,
-    row,
-    told,
-)
+from fmus.compliance.rows import add_rows, alike, anything, elements, owner, repeats, row, told
 from fmus.compliance.rule import Stage, rule
 from fmus.compliance.rules.archive import unreadable
 from fmus.compliance.rules.files import BUILD_DESCRIPTION, TERMINALS
@@ -250,8 +240,8 @@ add_rows(__name__, _HEAD, Stage.DESCRIPTION, rows=(
         _experiment, (lambda limit, _: limit.size == 0, "{text}"), clause=_EXPERIMENT),
     row("annotations-are-unique",
         "No two annotations of the FMU, or of one variable, are of one tool.",
-        lambda fmu: (*repeated_children(fmu.root, "VendorAnnotations", "Tool"),
-                     *repeated_children(fmu.root, "ModelVariables/ScalarVariable/Annotations", "Tool")),
+        lambda fmu: (*alike("VendorAnnotations", "Tool")(fmu),
+                     *alike("ModelVariables/ScalarVariable/Annotations", "Tool")(fmu)),
         (anything, "{place}: tool {name!r} occurs {count} times: expected once"),
         clause="2.2.6 Definition of Vendor Annotations (VendorAnnotations)"),
     row("model-identifier",
@@ -299,8 +289,7 @@ add_rows(__name__, _TYPES, Stage.DESCRIPTION, rows=(
         lambda fmu: repeats([*_type_names(fmu), *{v.name for v in fmu.variables} & {*_type_names(fmu)}]),
         (anything, "{count} types or variables are called {name!r}: expected other names")),
     row("enumeration-items", "Items of an enumeration have names and values that occur once.",
-        lambda fmu: (*repeated_children(fmu.root, _ENUMERATIONS, "Item"),
-                     *repeated_children(fmu.root, _ENUMERATIONS, "Item", "value")),
+        lambda fmu: (*alike(_ENUMERATIONS, "Item")(fmu), *alike(_ENUMERATIONS, "Item", "value")(fmu)),
         (anything, "enumeration {owner!r}: {count} items have {attribute} {name!r}: expected one")),
     row("types-are-used", "Each type that is defined is the declared type of a variable.",
         lambda fmu: _unused(fmu.types, {v.typed.get("declaredType") for v in fmu.variables}),

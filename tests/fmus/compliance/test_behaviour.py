@@ -110,3 +110,17 @@ def test_an_unknown_reference_is_one_of_32_bit_that_no_variable_has(
     variables = [SimpleNamespace(reference=reference) for reference in used]
     probe = SimpleNamespace(fmu=SimpleNamespace(variables=variables))
     assert unknown_reference(cast(Probe, probe)) == expected
+
+
+def test_findings_name_their_interface_unless_it_is_co_simulation_alone() -> None:
+    rule = registered(Stage.BEHAVIOUR)[0]
+    broken, lost = Result(rule, ("it fails",)), Result(rule, not_judged="it is slow")
+    co_simulation, model_exchange = "CoSimulation", "ModelExchange"
+    joined = behaviour._joined
+    assert joined(rule, {co_simulation: broken}).messages == ("it fails",)
+    assert joined(rule, {model_exchange: broken}).messages == ("model exchange: it fails",)
+    both = joined(rule, {co_simulation: broken, model_exchange: broken})
+    assert both.messages == ("co-simulation: it fails", "model exchange: it fails")
+    assert joined(rule, {co_simulation: Result(rule), model_exchange: lost}).not_judged == "it is slow"
+    other = Result(rule, not_applicable="it has no interface for co-simulation")
+    assert not joined(rule, {co_simulation: Result(rule), model_exchange: other}).not_applicable
