@@ -20,7 +20,7 @@ _NAME = "system.subsystem[2].'instance with a name of its own'.part"
 _OVERWRITTEN = "after the arguments of fmi2Instantiate were overwritten"
 _RESOURCES = "resources/"
 _CODE = (".class", ".dll", ".dylib", ".exe", ".jar", ".m", ".py", ".pyc", ".pyd", ".so", ".whl", ".zip")
-_USED = "serialised-state-restores state-restores reset-in-every-state"
+_USED = "serialised-state-restores state-can-be-saved-often reset-in-every-state"
 _CYCLES, _MORE_CYCLES, _LEAST_LEAK = 8, 30, 64  # instances; bytes that each of them leaves
 
 
