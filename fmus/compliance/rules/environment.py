@@ -1,4 +1,4 @@
-"""What surrounds instances: callbacks, arguments of fmi2Instantiate, memory, files, threads and locations."""
+"""Surroundings of instances: callbacks, arguments of fmi2Instantiate, memory, files, threads, locations."""
 
 import itertools
 from collections.abc import Iterator
