@@ -169,10 +169,22 @@ def references_of(variables: Iterable[Variable]) -> list[int]:
 
 
 def unknown_reference(probe: Probe) -> int:
-    """Returns a value reference far from the variables': some without an entry may lie between."""
+    """Returns a value reference far from the variables': some without an entry may lie between.
+
+    The FMU is asked once for its value before. Raises NotJudgedError if that ended the process, which
+    `wrong-references-are-refused` tells.
+    """
     used = {v.reference or 0 for v in probe.fmu.variables}
     far = max(used, default=0) + 1000
-    return far if far <= _LARGEST_REFERENCE else next(i for i in itertools.count() if i not in used)
+    reference = far if far <= _LARGEST_REFERENCE else next(i for i in itertools.count() if i not in used)
+
+    def asked() -> None:
+        script = probe.script().begin().forbidden()
+        script.call("get", "Real", [reference])
+        script.play(keep_going=True)
+
+    probe.once("read of a value reference that no variable has", asked)
+    return reference
 
 
 def is_utf_8(content: bytes) -> bool:

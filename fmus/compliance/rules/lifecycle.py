@@ -94,16 +94,27 @@ def steps_and_terminates(probe: Probe) -> Iterator[str]:
 
 @behaviour_rule("4.2.4 State Machine of Calling Sequence from Master to Slave")
 def frees_in_every_state(probe: Probe) -> Iterator[str]:
-    """fmi2FreeInstance is allowed when instantiated, in initialization mode, while stepping, after
-    fmi2Terminate and after an error.
+    """fmi2FreeInstance is allowed when instantiated, in initialization mode, while stepping and after
+    fmi2Terminate.
     """
     for script in (probe.script(), probe.script().initialise(), probe.script().begin().step()):
         script.play()
-    terminated, failed = probe.script().begin(), probe.script().begin()
+    terminated = probe.script().begin()
     terminated.terminate()
-    failed.call("get", "Real", [unknown_reference(probe)])
-    probe.play_each([terminated, failed])
+    probe.play_each([terminated])
     yield from ()
+
+
+@differential("2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)")
+def wrong_references_are_refused(probe: Probe) -> Iterator[Row]:
+    """A value reference that no variable has is an error to read and to set; the instance is freed then."""
+    reference = unknown_reference(probe)
+    for kind, value in (("Real", 0.0), ("Integer", 0), ("Boolean", 0), ("String", "")):
+        unknown = f"of the value reference {reference}, which is none: {{}}: expected error"
+        read = do.error(do.call("get", kind, [reference]), f"fmi2Get{kind} {unknown}")
+        set_value = do.call("set", kind, [reference], [value])
+        yield Row("", (do.begin, do.step(), read), ())
+        yield Row("", (do.initialise, do.error(set_value, f"fmi2Set{kind} {unknown}")), ())
 
 
 @behaviour_rule("4.1.2 Mathematical Model")

@@ -10,7 +10,6 @@ from fmus.compliance.comparison import RESTARTED
 from fmus.compliance.differential import Row, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, behaviour_rule
-from fmus.compliance.script import KINDS
 from fmus.compliance.variable import Variable
 
 _PLATFORM = "2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)"
@@ -101,18 +100,6 @@ def setting_the_same_changes_nothing(probe: Probe) -> Iterator[Row]:
     varied = do.begin, *(do.set_values(values.start_values(chosen)), do.run(1)) * 4
     when = "where inputs and tunable parameters were set to what they are"
     yield Row(when, varied, failing="in the state {state!r}", tolerance=RESTARTED)
-
-
-@differential(_PLATFORM)
-def wrong_references_are_refused(probe: Probe) -> Iterator[Row]:
-    """A value reference that no variable has is an error to read and to set, and so is a constant to set."""
-    reference = values.unknown_reference(probe)
-    for kind in KINDS:
-        unknown = f"of the value reference {reference}, which is none: {{}}: expected error"
-        read = do.error(do.call("get", kind, [reference]), f"fmi2Get{kind} {unknown}")
-        set_value = do.call("set", kind, [reference], [_NOTHING[kind]])
-        yield Row("", (do.begin, do.step(), read), ())
-        yield Row("", (do.initialise, do.error(set_value, f"fmi2Set{kind} {unknown}")), ())
 
 
 @differential(_PLATFORM)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from fmus.compliance import actions as do
 from fmus.compliance import values
 from fmus.compliance.actions import Action
-from fmus.compliance.differential import ROUNDING, Row, differences, differential
+from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
 
@@ -17,7 +17,7 @@ _SAVED = (do.begin, do.step(2), do.save(), _SIZE, _SIZE, do.call("serialize_fmu_
 _saves, _serialises = values.unless_claimed(_SAVES), values.unless_claimed(_SERIALISES)
 
 
-def _restored(probe: Probe, tolerance: float) -> Row:
+def _restored(probe: Probe, tolerance: float | None) -> Row:
     """Returns the row of a state that is set back once."""
     end = do.read(probe.outputs, _SET_BACK), do.run(5)
     varied = do.begin, do.step(2), do.save(), do.expect(*end), do.restore(), *end
@@ -27,9 +27,9 @@ def _restored(probe: Probe, tolerance: float) -> Row:
 @differential(_CLAUSE, condition=_saves, needs="communication-points-may-be-rounded allowed-calls-succeed")
 def state_restores(probe: Probe) -> Iterator[Row]:
     """A state that is set back gives the same outputs at once and in the steps that follow, up to
-    rounding.
+    the tolerance of the default experiment: a solver may begin anew.
     """
-    yield _restored(probe, ROUNDING)
+    yield _restored(probe, OF_EXPERIMENT)
 
 
 @differential(_CLAUSE, condition=_saves, needs="state-restores")
@@ -50,7 +50,7 @@ def state_holds_inputs_and_parameters(probe: Probe) -> Iterator[Row]:
     when = "from a state that was set back after inputs changed"
     end = do.read(chosen, _SET_BACK), do.run(5)
     varied = do.begin, do.step(2), do.save(), do.attempt(do.set_values(pairs), do.step()), do.restore(), *end
-    yield Row(when, varied, (do.begin, do.step(2), *end), tolerance=ROUNDING)
+    yield Row(when, varied, (do.begin, do.step(2), *end), tolerance=OF_EXPERIMENT)
 
 
 @differential(
@@ -65,7 +65,7 @@ def state_in_initialization_mode(probe: Probe) -> Iterator[Row]:
     end = read, do.exit_initialization_mode, do.run(2)
     other = do.set_others(values.settable_in_initialization(probe.fmu)[:1])
     varied = do.save(), do.restore(), do.initialise, do.save(1), other, do.restore(1), *end
-    yield Row(f"from {state}", varied, (do.initialise, *end), "in the state {state!r}", ROUNDING)
+    yield Row(f"from {state}", varied, (do.initialise, *end), "in the state {state!r}", OF_EXPERIMENT)
 
 
 @differential(_CLAUSE, condition=_saves, needs="state-restores allowed-calls-succeed")
@@ -76,7 +76,7 @@ def state_holds_the_mode(_: Probe) -> Iterator[Row]:
     first = do.initialise, do.save(), do.exit_initialization_mode, do.expect(do.run(3))
     again = do.restore(), do.exit_initialization_mode, do.run(3)
     failing = "after a state of initialization mode was set back"
-    yield Row("from a state of initialization mode", (*first, *again), (), failing, ROUNDING)
+    yield Row("from a state of initialization mode", (*first, *again), (), failing, OF_EXPERIMENT)
 
 
 @differential(
@@ -96,7 +96,7 @@ def state_restores_after_the_end(probe: Probe) -> Iterator[Row]:
     ):
         first = *do.begin_until(4), do.step(2), do.save(), do.expect(do.run(2))
         varied = *first, action, do.restore(), do.run(2), do.error(do.step(), past)
-        yield Row(f"from a state set back after {end}", varied, (), f"after {end}", ROUNDING)
+        yield Row(f"from a state set back after {end}", varied, (), f"after {end}", OF_EXPERIMENT)
 
 
 @differential(_CLAUSE, condition=_saves, needs="state-restores")
@@ -109,7 +109,7 @@ def state_can_be_saved_often(_: Probe) -> Iterator[Row]:
         do.restore(1), do.run(3, "from the state that was written over"),
         do.free_state(), do.restore(1), do.run(3, "after another state was freed"), do.free_state(1),
     )  # fmt: skip
-    yield Row("with several states", varied, (), tolerance=ROUNDING)
+    yield Row("with several states", varied, (), tolerance=OF_EXPERIMENT)
 
 
 @behaviour_rule(_CLAUSE, condition=_saves, needs="state-restores")
@@ -138,7 +138,7 @@ def serialised_state_restores(probe: Probe) -> Iterator[str]:
     if not source.replies_of("fmi2SerializeFMUstate")[0].value[1]:
         yield f"fmi2SerializeFMUstate writes more than the {size} bytes of its size"
     varied = do.begin, do.step(), do.read_bytes(source), do.restore(), do.run(5), do.free_state()
-    yield from differences(probe, [Row("from a state read from bytes", varied, _SAVED, "", ROUNDING)])
+    yield from differences(probe, [Row("from a state read from bytes", varied, _SAVED, "", OF_EXPERIMENT)])
 
 
 @differential(
@@ -157,7 +157,7 @@ def state_holds_every_value(probe: Probe) -> Iterator[Row]:
     back = do.set_derivatives(0.0), do.set_values(values.start_values(v for v, _ in pairs)), do.step(2)
     varied = *moving, do.save(), *back, do.restore(), *end
     when = "from a state that was set back"
-    yield Row(when, varied, (*moving, *end), tolerance=ROUNDING, may_fail=True)
+    yield Row(when, varied, (*moving, *end), tolerance=OF_EXPERIMENT, may_fail=True)
 
 
 @behaviour_rule(
@@ -181,7 +181,9 @@ def bytes_hold_every_value(probe: Probe) -> Iterator[str]:
     first = do.attempt(do.begin, do.step(), do.expect(do.read_all()))
     bytes_read = first, do.read_bytes(source), do.read_all(still)
     varied = *bytes_read, do.restore(), do.read_all(), do.run_all(3), do.free_state()
-    yield from differences(probe, [Row("from bytes in another instance", varied, usual, tolerance=ROUNDING)])
+    yield from differences(
+        probe, [Row("from bytes in another instance", varied, usual, tolerance=OF_EXPERIMENT)]
+    )
 
 
 @differential(_CLAUSE, condition=_saves, needs="state-restores state-holds-the-mode reset-in-every-state")
@@ -189,7 +191,7 @@ def state_can_be_set_after_reset(_: Probe) -> Iterator[Row]:
     """A state that was saved before fmi2Reset can be set after it, and the steps that follow are the same."""
     varied = do.begin, do.step(2), do.save(), do.expect(do.run(3)), do.reset, do.restore(), do.run(3)
     failing = "with a state from before fmi2Reset"
-    yield Row("from a state from before fmi2Reset", varied, (), failing, ROUNDING)
+    yield Row("from a state from before fmi2Reset", varied, (), failing, OF_EXPERIMENT)
 
 
 @differential(
@@ -206,7 +208,9 @@ def state_restores_over_the_experiment(probe: Probe) -> Iterator[Row]:
     first = do.attempt(do.begin, do.go_on(half), do.save(), do.expect(do.go_on_reading(half, 5)))
     again = do.restore(), do.go_on_reading(half, 5, f"from a state of {t} that was set back")
     by_bytes = do.copy(0, 1), do.restore(1), do.go_on_reading(half, 5, f"from bytes of a state of {t}")
-    yield Row(f"from a state of {t}", (first, *again, *(by_bytes if copied else ())), (), tolerance=ROUNDING)
+    yield Row(
+        f"from a state of {t}", (first, *again, *(by_bytes if copied else ())), (), tolerance=OF_EXPERIMENT
+    )
 
 
 @differential(
@@ -233,4 +237,4 @@ def questions_change_nothing(probe: Probe) -> Iterator[Row]:
     varied = do.begin, *(do.set_derivatives(), *saved, do.step(), *asked, *saved, do.read_all()) * 4
     when = "where values and derivatives are read more often"
     usual = do.begin, *(do.set_derivatives(), do.run_all(1)) * 4
-    yield Row(when, varied, usual, tolerance=ROUNDING, may_fail=True)
+    yield Row(when, varied, usual, tolerance=OF_EXPERIMENT, may_fail=True)
