@@ -4,8 +4,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from fmus.compliance.registry import all_rules
-from fmus.compliance.rule import Level, Rule
+from fmus.compliance.rule import Level, Rule, all_rules
 from fmus.compliance.sentences import (
     NO_DEMANDS,
     Sentence,

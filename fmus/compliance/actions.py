@@ -5,16 +5,16 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from fmus.compliance.comparison import Given
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError
 from fmus.compliance.script import Reading, Reply, Script
 from fmus.compliance.values import (
+    Given,
     accepted_together,
     other_values,
     references_of,
+    refused_reference,
     set_input_derivatives,
-    unknown_reference,
 )
 from fmus.compliance.variable import Variable
 
@@ -227,7 +227,7 @@ def error(action: Action, finding: str = "") -> Action:
 
 def fail(play: Play) -> None:
     """Makes a call that returns error."""
-    play.write([error(call("get", "Real", [unknown_reference(play.probe)]))])
+    play.write([error(call("get", "Real", [refused_reference(play.probe)]))])
 
 
 def played(probe: Probe, actions: Iterable[Action], **options: Any) -> Play:

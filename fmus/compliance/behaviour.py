@@ -1,4 +1,4 @@
-"""Judge behaviour rules in another process: a crash or a hang of the FMU is a finding."""
+"""Judge rules of behaviour in another process: a crash or a hang of the FMU is a finding."""
 
 import errno
 import tempfile
@@ -9,16 +9,96 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE, ONLY_ONCE, FmuFile
+from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE, ONLY_ONCE, BrokenMemberError, FmuFile
 from fmus.compliance.fmu_process import START_S
-from fmus.compliance.judge import ENDED, FUNDAMENTAL, HUNG, IS_BROKEN, SLOW, judged_by_one_process
 from fmus.compliance.probe import NO_INSTANCE, Probe
-from fmus.compliance.registry import registered
-from fmus.compliance.rule import Level, Result, Rule, Stage
-from fmus.compliance.script import KINDS
+from fmus.compliance.rule import (
+    CANNOT_LOAD,
+    IS_BROKEN,
+    RANDOM,
+    Level,
+    NotApplicableError,
+    NotJudgedError,
+    Result,
+    Rule,
+    Stage,
+    defect,
+    messages_of,
+    registered,
+)
+from fmus.compliance.script import KINDS, CallError, DefectError
 from fmus.errors import HostError
 from fmus.fmi.binding import platform_name
-from fmus.fmi.process import WorkerProcess
+from fmus.fmi.process import ProcessEndedError, WorkerProcess
+
+FUNDAMENTAL = (
+    "library-loads", "instantiates-and-frees", "steps-and-terminates", "frees-in-every-state",
+    "runs-are-repeatable",
+)  # fmt: skip
+"""Without these no behaviour is judged: what else would be found has the same cause."""
+ENDED = "the FMU ended the process with"
+_RANDOM_RUNS = "runs-are-not-random"
+HUNG, SLOW = "the FMU took more than", "the FMU is slow: its calls took more than"
+
+
+def judged_by_one_process(
+    probe: Probe, rules: Sequence[Rule], results: Mapping[str, Result], timeout: float
+) -> Iterator[Result]:
+    """Results, up to the first rule that the process does not survive, but one at least.
+
+    results: of the rules before; it grows with what this yields
+    """
+    rule, limit = rules[0], START_S
+    try:
+        probe.process.calls([])  # it has started
+        limit = timeout
+        for rule in rules:
+            probe.process.deadline = time.monotonic() + limit
+            yield _judge(rule, probe, results)
+    except TimeoutError:
+        if probe.process.hangs(limit):
+            yield Result(rule, (f"{HUNG} {limit:g} s in one call{_call(probe)}",))
+        else:
+            yield Result(rule, not_judged=f"{SLOW} {limit:g} s")
+    except ProcessEndedError as ended:
+        yield Result(rule, (f"{ENDED} {ended}{_call(probe)}",))
+    finally:
+        probe.process.close()
+
+
+def _call(probe: Probe) -> str:
+    call = probe.process.call_under_way
+    return f", in {call}" if call else ""
+
+
+def _breach(result: Result) -> str:
+    """Returns the reason why what needs a rule is not judged: it is broken, or is not judged itself."""
+    if result.messages:
+        return f"{result.rule.name}{IS_BROKEN}"
+    is_of_all = result.not_judged.startswith(CANNOT_LOAD) or result.not_judged.endswith((IS_BROKEN, RANDOM))
+    return result.not_judged if is_of_all else ""
+
+
+def _judge(rule: Rule, probe: Probe, results: Mapping[str, Result]) -> Result:
+    needed = [results[name] for name in (*FUNDAMENTAL, *rule.needs) if name in results]
+    reasons = set(filter(None, map(_breach, needed)))
+    if others := reasons - {RANDOM}:
+        return Result(rule, not_judged=min(others))
+    try:
+        messages = messages_of(rule.check(probe))
+        is_random = RANDOM in reasons and rule.name != _RANDOM_RUNS  # calls that fail or crash are told still
+        return Result(rule, not_judged=RANDOM) if is_random else Result(rule, messages)
+    except (TimeoutError, ProcessEndedError):
+        raise
+    except (NotJudgedError, DefectError) as reason:
+        return Result(rule, not_judged=str(reason))
+    except NotApplicableError as reason:
+        return Result(rule, not_applicable=str(reason))
+    except (CallError, BrokenMemberError) as error:  # whatever an FMU answers is a finding
+        return Result(rule, messages_of([str(error)]))
+    except Exception as error:
+        return Result(rule, not_judged=defect(error))
+
 
 DEFAULT_TIMEOUT_S = 30.0
 _STEPS = "steps-and-terminates"

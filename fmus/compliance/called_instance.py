@@ -8,9 +8,14 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from fmus.compliance.observed_callbacks import MessageLog, RefusingAllocator, logger_of_formats, set_traps
+from fmus.compliance.instance_parts import (
+    MessageLog,
+    RefusingAllocator,
+    SavedStates,
+    logger_of_formats,
+    set_traps,
+)
 from fmus.compliance.process_settings import ProcessSettings
-from fmus.compliance.saved_states import SavedStates
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN
 from fmus.fmi.binding import (
     CO_SIMULATION,

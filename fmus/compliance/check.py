@@ -68,7 +68,7 @@ def check(
     from fmus.compliance import findings, report
     from fmus.compliance.behaviour import host_errors
     from fmus.compliance.library_reader import check_lief
-    from fmus.compliance.registry import all_rules
+    from fmus.compliance.rule import all_rules
     from fmus.compliance.sentences import rule_table
     from fmus.errors import HostError, OrchestrationError
 

@@ -8,10 +8,10 @@ from typing import Any
 
 from fmus.compliance import actions as do
 from fmus.compliance.actions import Action, Play
-from fmus.compliance.comparison import differing, steadily
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Check, NotJudgedError, behaviour_rule
 from fmus.compliance.script import CallError
+from fmus.compliance.values import differing, steadily
 from fmus.fmi.binding import ERROR
 
 ROUNDING = 1e-9  # relative; what is lost by writing a state as text is less

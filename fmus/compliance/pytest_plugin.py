@@ -57,7 +57,7 @@ class FmuTests(pytest.File):
     def collect(self) -> Iterable["RuleTest"]:
         try:
             from fmus.compliance.library_reader import check_lief
-            from fmus.compliance.registry import all_rules
+            from fmus.compliance.rule import all_rules
             from fmus.compliance.sentences import rule_table
 
             check_lief()

@@ -49,7 +49,7 @@ def add_rows(
 
 
 def told(fmu: FmuFile, subjects: Iterable[T], *cases: Case[T]) -> Iterator[str]:
-    """Yields of each subject the message of the first case that holds, if one does."""
+    """Yields the message of the first case that holds, for each subject."""
     for subject in subjects:
         for is_wrong, message in cases:
             if value := is_wrong(subject, fmu):
@@ -66,7 +66,7 @@ class _Names(dict[str, Any]):
 
 
 def anything(*_: Any) -> bool:
-    """Case of subjects which are there only if something is wrong."""
+    """Whether a subject is wrong that is there only then: always."""
     return True
 
 

@@ -1,10 +1,12 @@
-"""Rules: each is one decorated function."""
+"""Rules: each is one decorated function, or a row of data; all of them in their order."""
 
 import inspect
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
+from importlib import import_module
 from typing import Any
 
 from fmus.compliance.sentences import levels
@@ -105,7 +107,7 @@ def defect(error: Exception) -> str:
 
 DEFECT = "the rule failed by a defect of this checker"
 OUTCOMES = ("passed", "not applicable", "not judged", *reversed(Level))
-RULES: dict[str, Rule] = {}  # by name, of the modules that are imported; `registry` imports all
+RULES: dict[str, Rule] = {}  # by name, of the modules that are imported; `registered` imports all
 _MOST_MESSAGES, _LONGEST_MESSAGE = 100, 2000
 
 
@@ -180,3 +182,24 @@ def repeated(names: Iterable[Any]) -> dict[Any, int]:
     None is left out: the schema tells what has no name.
     """
     return {name: count for name, count in Counter(names).items() if count > 1 and name is not None}
+
+
+MODULES = (
+    "archive", "files", "description", "variables", "structure", "library",
+    "lifecycle", "initialization", "call", "discard", "value", "setting", "step", "asynchronous",
+    "environment", "messages", "state", "derivatives", "effects", "reference", "model_exchange",
+    "status",  # of refusals in the calls of all others
+)  # fmt: skip
+"""Modules of `fmus.compliance.rules`, in the order in which their rules are judged and told."""
+
+
+@cache
+def registered(stage: Stage) -> tuple[Rule, ...]:
+    """Returns the rules of a stage, in the order of `MODULES`, and of their definitions in each."""
+    modules = [import_module(f"fmus.compliance.rules.{name}").__name__ for name in MODULES]
+    rules = (rule for rule in RULES.values() if rule.stage is stage)
+    return tuple(sorted(rules, key=lambda rule: modules.index(rule.module)))
+
+
+def all_rules() -> tuple[Rule, ...]:
+    return tuple(rule for stage in Stage for rule in registered(stage))

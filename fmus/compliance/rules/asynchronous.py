@@ -2,11 +2,10 @@
 
 from collections.abc import Iterator
 
-from fmus.compliance.comparison import differing
 from fmus.compliance.fmu_file import CO_SIMULATION
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
-from fmus.compliance.values import if_not_claimed, is_utf_8, unless_claimed
+from fmus.compliance.values import differing, if_not_claimed, is_utf_8, unless_claimed
 from fmus.fmi.binding import OK, WARNING, status_name
 
 _COMPUTATION = "4.2.2 Computation (fmi2DoStep)"

@@ -6,8 +6,8 @@ from functools import partial
 from fmus.compliance.fmu_file import CO_SIMULATION
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import behaviour_rule
+from fmus.compliance.rules.session import session
 from fmus.compliance.script import KINDS, Reply, Script
-from fmus.compliance.session import session
 from fmus.compliance.values import INTERPOLATES, continuous_reals, references_of, start_value
 from fmus.compliance.variable import Variable
 from fmus.fmi.binding import ERROR, FATAL

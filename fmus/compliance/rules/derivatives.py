@@ -4,19 +4,22 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 
-from fmus.compliance.comparison import RESTARTED, differing, same, texts
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.script import CallError, Reading, Script
 from fmus.compliance.values import (
     INTERPOLATES,
+    RESTARTED,
     continuous_reals,
+    differing,
     other_values,
     references_of,
+    refused_reference,
+    same,
     set_input_derivatives,
     start_value,
-    unknown_reference,
+    texts,
     unless_claimed,
 )
 from fmus.compliance.variable import Variable, integer, is_true
@@ -482,7 +485,7 @@ def _no_derivatives(fmu: FmuFile) -> str:
 )
 def wrong_references_of_derivatives_are_refused(probe: Probe) -> Iterator[str]:
     """A value reference that no variable has is an error for derivatives too."""
-    reference, calls = unknown_reference(probe), []
+    reference, calls = refused_reference(probe), []
     if probe.fmu.claims(INTERPOLATES):
         calls.append(("set_input_derivatives", [reference], [1], [0.0]))
     if probe.fmu.output_derivative_order > 0:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
-from fmus.compliance.comparison import same, texts
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
@@ -17,9 +16,11 @@ from fmus.compliance.values import (
     other_value,
     other_values,
     references_of,
+    same,
     settable_in_initialization,
     settable_while_stepping,
     start_value,
+    texts,
     unless_claimed,
 )
 from fmus.compliance.variable import Variable

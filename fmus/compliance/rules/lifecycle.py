@@ -8,13 +8,12 @@ from collections.abc import Iterator
 from pathlib import PurePath
 
 from fmus.compliance import actions as do
-from fmus.compliance.comparison import differing
 from fmus.compliance.differential import OF_EXPERIMENT, Row, differential
 from fmus.compliance.fmu_file import ONLY_ONCE, FmuFile
 from fmus.compliance.probe import Probe, refusal
 from fmus.compliance.rule import CANNOT_LOAD, RANDOM, NotJudgedError, behaviour_rule
 from fmus.compliance.script import CallError
-from fmus.compliance.values import if_not_claimed, settable_before, unknown_reference
+from fmus.compliance.values import differing, if_not_claimed, refused_reference, settable_before
 
 _NAMING = "2.1.1 Header Files and Naming of Functions"
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
@@ -108,7 +107,7 @@ def frees_in_every_state(probe: Probe) -> Iterator[str]:
 @differential("2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)")
 def wrong_references_are_refused(probe: Probe) -> Iterator[Row]:
     """A value reference that no variable has is an error to read and to set; the instance is freed then."""
-    reference = unknown_reference(probe)
+    reference = refused_reference(probe)
     for kind, value in (("Real", 0.0), ("Integer", 0), ("Boolean", 0), ("String", "")):
         unknown = f"of the value reference {reference}, which is none: {{}}: expected error"
         read = do.error(do.call("get", kind, [reference]), f"fmi2Get{kind} {unknown}")

@@ -9,9 +9,9 @@ from fmus.compliance.differential import Row, differential
 from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
+from fmus.compliance.rules.session import NAME, session
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, CallError, Message, Script
-from fmus.compliance.session import NAME, session
-from fmus.compliance.values import unknown_reference
+from fmus.compliance.values import refused_reference
 from fmus.fmi.binding import OK, WARNING
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
@@ -35,7 +35,7 @@ def _messages(probe: Probe) -> list[Message]:
 
     def collected() -> list[Message]:
         script = probe.script(name=NAME, logging=True).begin().step()
-        script.call("get", "Real", [unknown_reference(probe)])
+        script.call("get", "Real", [refused_reference(probe)])
         script.play(keep_going=True)
         before = takewhile(lambda reply: reply.function != "fmi2Reset", session(probe).script.everything)
         return [m for reply in (*before, *script.everything) for m in reply.messages]
@@ -65,7 +65,7 @@ def _of_another(probe: Probe) -> Iterator[str]:
     first, second = (probe.script(name=f"instance {i} of two", logging=True).forbidden() for i in (1, 2))
     for script in (first, second):
         script.begin().step().pause()
-        script.call("get", "Real", [unknown_reference(probe)])
+        script.call("get", "Real", [refused_reference(probe)])
     try:
         probe.play(first, second, keep_going=True)
     except CallError:  # no second instance: `several-instances` tells it
@@ -188,7 +188,7 @@ def _formats(probe: Probe) -> list[str]:
     def collected() -> list[str]:
         script = probe.script(name=_NAME_WITH_A_PERCENT_SIGN, logging=True, callbacks="formats")
         _calls_that_log(probe, script)
-        script.call("get", "Real", [unknown_reference(probe)])
+        script.call("get", "Real", [refused_reference(probe)])
         script.play(keep_going=True)
         return list(dict.fromkeys(m.text for reply in script.everything for m in reply.messages))
 
@@ -318,7 +318,7 @@ def reset_works_after_unknown_categories(probe: Probe) -> Iterator[str]:
 def debug_logging_is_allowed_after_an_error(probe: Probe) -> Iterator[str]:
     """fmi2SetDebugLogging succeeds after another function returned error."""
     script = probe.script(logging=True).begin().step()
-    script.call("get", "Real", [unknown_reference(probe)])
+    script.call("get", "Real", [refused_reference(probe)])
     reply = script.call("set_debug_logging", True, [])
     script.play(keep_going=True)
     if reply.status is not None and not reply.ok:

@@ -6,12 +6,11 @@ from contextlib import suppress
 from functools import partial
 from typing import Any
 
-from fmus.compliance.comparison import same, texts
 from fmus.compliance.fmu_file import MODEL_EXCHANGE, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, CallError, Reply, Script
-from fmus.compliance.values import continuous_reals, start_value, unless_claimed
+from fmus.compliance.values import continuous_reals, same, start_value, texts, unless_claimed
 from fmus.compliance.variable import is_true
 from fmus.fmi.binding import DISCARD, ERROR
 

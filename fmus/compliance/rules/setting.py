@@ -6,10 +6,10 @@ from typing import Any
 from fmus.compliance import actions as do
 from fmus.compliance import values
 from fmus.compliance.actions import MOST_VARIABLES
-from fmus.compliance.comparison import RESTARTED
 from fmus.compliance.differential import Row, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, behaviour_rule
+from fmus.compliance.values import RESTARTED
 from fmus.compliance.variable import Variable
 
 _PLATFORM = "2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)"

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Iterator
 from fmus.compliance.fmu_file import CO_SIMULATION
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
+from fmus.compliance.rules.session import session
 from fmus.compliance.script import Reply
-from fmus.compliance.session import session
 from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME, OK, PENDING, TERMINATED, status_name
 
 _STATUS = "2.1.3 Status Returned by Functions"

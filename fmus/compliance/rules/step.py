@@ -5,14 +5,13 @@ import math
 from collections.abc import Iterator
 
 from fmus.compliance import actions as do
-from fmus.compliance.comparison import texts
 from fmus.compliance.differential import Row, differential
 from fmus.compliance.fmu_file import CO_SIMULATION, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
+from fmus.compliance.rules.session import LARGE_TOLERANCE, TOLERANCE, run_with_tolerance
 from fmus.compliance.script import Reading, Reply, Script
-from fmus.compliance.session import LARGE_TOLERANCE, TOLERANCE, run_with_tolerance
-from fmus.compliance.values import continuous_reals, unknown_reference, unless_claimed
+from fmus.compliance.values import continuous_reals, refused_reference, texts, unless_claimed
 from fmus.fmi.binding import DISCARD, ERROR
 
 _SETUP = "2.1.6 Initialization, Termination, and Resetting an FMU (fmi2SetupExperiment)"
@@ -58,7 +57,7 @@ def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[str]:
 def _recovers(probe: Probe) -> bool:
     """Whether fmi2Reset brings an instance back after another error."""
     script = probe.script().begin().step()
-    script.call("get", "Real", [unknown_reference(probe)])
+    script.call("get", "Real", [refused_reference(probe)])
     first = len(script.replies)
     script.reset()
     script.begin().step().play(keep_going=True)

@@ -8,7 +8,6 @@ from typing import Any
 
 from fmus.compliance import actions as do
 from fmus.compliance.actions import MOST_VARIABLES
-from fmus.compliance.comparison import same, texts
 from fmus.compliance.differential import ROUNDING, Row, differences, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
@@ -16,8 +15,10 @@ from fmus.compliance.script import Reading
 from fmus.compliance.values import (
     is_utf_8,
     other_values,
+    same,
     settable_while_stepping,
     start_values,
+    texts,
 )
 from fmus.compliance.variable import Variable
 

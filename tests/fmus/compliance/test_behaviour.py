@@ -9,12 +9,11 @@ from typing import Any, cast
 import pytest
 
 from fmus.compliance import behaviour
+from fmus.compliance.behaviour import judged_by_one_process
 from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.judge import judged_by_one_process
 from fmus.compliance.probe import Probe
-from fmus.compliance.registry import registered
-from fmus.compliance.rule import Result, Stage
+from fmus.compliance.rule import Result, Stage, registered
 from fmus.compliance.values import unknown_reference
 from tests.described_fmus import members
 
@@ -108,8 +107,8 @@ def test_an_unknown_reference_is_one_of_32_bit_that_no_variable_has(
     used: list[int | None], expected: int
 ) -> None:
     variables = [SimpleNamespace(reference=reference) for reference in used]
-    probe = SimpleNamespace(fmu=SimpleNamespace(variables=variables))
-    assert unknown_reference(cast(Probe, probe)) == expected
+    fmu = SimpleNamespace(variables=variables)
+    assert unknown_reference(cast(FmuFile, fmu)) == expected
 
 
 def test_findings_name_their_interface_unless_it_is_co_simulation_alone() -> None:

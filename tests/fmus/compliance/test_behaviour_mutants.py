@@ -13,8 +13,7 @@ from fmus.compliance.behaviour import FUNDAMENTAL, behaviour
 from fmus.compliance.check import NO_VERDICT, main
 from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.registry import registered
-from fmus.compliance.rule import Rule, Stage
+from fmus.compliance.rule import Rule, Stage, registered
 from fmus.compliance.rules.lifecycle import is_of_the_machine
 from fmus.platforms import host_platform, library_name
 from tests.described_fmus import XML, members

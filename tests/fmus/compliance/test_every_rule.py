@@ -1,7 +1,7 @@
 """Each rule is shown to find what it is there for."""
 
 from fmus.compliance.behaviour import FUNDAMENTAL
-from fmus.compliance.registry import MODULES, all_rules
+from fmus.compliance.rule import MODULES, all_rules
 from tests.mutants.slaves import MUTANTS
 
 from .archives import FALSE_CLAIMS

@@ -7,7 +7,7 @@ import pytest
 
 from fmus.compliance import findings
 from fmus.compliance.findings import IN_BASELINE, Finding, Waiver
-from fmus.compliance.registry import all_rules
+from fmus.compliance.rule import all_rules
 
 RULES = {rule.name: rule for rule in all_rules()}
 TODAY = date(2026, 11, 23)

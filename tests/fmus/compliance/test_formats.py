@@ -12,9 +12,8 @@ from fmus.compliance.check import main
 from fmus.compliance.examine import static_results
 from fmus.compliance.findings import findings_of
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.registry import all_rules
 from fmus.compliance.report import FORMATS, Checked
-from fmus.compliance.rule import OUTCOMES
+from fmus.compliance.rule import OUTCOMES, all_rules
 from tests.described_fmus import XML, members
 from tests.shared_builds import Fmus
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from fmus.compliance.registry import all_rules
+from fmus.compliance.rule import all_rules
 from fmus.compliance.sentences import rule_table
 from tests.described_fmus import members
 from tests.shared_builds import Fmus

@@ -13,8 +13,7 @@ import pytest
 
 from fmus.compliance.check import NOT_JUDGED, _progress, check, main
 from fmus.compliance.probe import refusal
-from fmus.compliance.registry import all_rules
-from fmus.compliance.rule import OUTCOMES, repeated
+from fmus.compliance.rule import OUTCOMES, all_rules, repeated
 from fmus.compliance.script import Message
 from fmus.compliance.sentences import rule_table
 from orchestration.cli import fmu

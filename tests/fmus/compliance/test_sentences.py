@@ -4,8 +4,7 @@ import re
 import runpy
 from pathlib import Path
 
-from fmus.compliance.registry import all_rules
-from fmus.compliance.rule import Level, Stage
+from fmus.compliance.rule import Level, Stage, all_rules
 from fmus.compliance.sentences import (
     ADVICE,
     NO_DEMANDS,
