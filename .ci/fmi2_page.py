@@ -1,21 +1,36 @@
 """Prints docs/reference/fmi2.md, which rule checks which sentence of FMI 2.0.5, from the code."""
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from fmus.compliance.registry import all_rules
-from fmus.compliance.rule import Rule
-from fmus.compliance.sentences import ADVICE, Sentence, sentences, sentences_of, titles
+from fmus.compliance.rule import Level, Rule, all_rules
+from fmus.compliance.sentences import (
+    NO_DEMANDS,
+    Sentence,
+    levels,
+    rule_table,
+    sentences,
+    sentences_of,
+    titles,
+)
 
 _HEAD = """\
 # FMI 2.0.5, sentence by sentence
 
 Sentences of FMI 2.0.5 that bind an FMU, by clause and in our words, with the rules of `l1-depth check`
-that check them ([what the check does](compliance.md)). Where there is none: what cannot be seen from outside,
-with the reason, or what concerns model exchange alone, whose behaviour is not judged. The text of the
-standard is public: repository `modelica/fmi-standard`, tag `v2.0.5`. `python .ci/fmi2_page.py` prints this
-page from the code, and a test compares both. `python -m tests.mutants` breaks, one after the other,
-sentences that have a mutant, and prints which rules find it."""
+that check them ([what the check does](compliance.md)), or the reason why they cannot be seen from outside.
+The text of the standard is public: repository `modelica/fmi-standard`, tag `v2.0.5`.
+`python .ci/fmi2_page.py` prints this page from the code, and a test compares both.
+`python -m tests.mutants` breaks, one after the other, sentences that have a mutant, and prints which rules
+find it."""
+
+_OFF = ", ".join(f"`{name}`" for name in rule_table()["off"])
+_LEVELS = f"""\
+The level of a rule is the consequence of breaking it. *error*: an importer that keeps the standard fails,
+crashes or gets a wrong result. *deviation*: a sentence demands it, but no importer known to us stumbles over
+it. *advice*: no sentence demands it. These rules are left out unless `--only` asks for them,
+since two thirds of all FMUs break them at no cost: {_OFF}."""
 
 
 def page() -> str:
@@ -27,11 +42,11 @@ def page() -> str:
 
 def _counts(entries: Sequence[Sentence], rules: Sequence[Rule]) -> str:
     checked = sum(bool(entry.rules) for entry in entries)
-    hidden = sum(bool(entry.not_observable) for entry in entries)
+    counts = Counter(rule.level for rule in rules)
     return (
-        f"{len(entries)} sentences: {checked} are checked, {hidden} cannot be observed, "
-        f"{len(entries) - checked - hidden} concern model exchange alone. {len(rules)} rules, "
-        f"{sum(rule.clause.startswith(ADVICE) for rule in rules)} of them advice."
+        f"{len(entries)} sentences: {checked} are checked, {len(entries) - checked} cannot be observed. "
+        f"{len(rules)} rules: "
+        f"{counts[Level.ERROR]} errors, {counts[Level.DEVIATION]} deviations, {counts[Level.ADVICE]} advice."
     )
 
 
@@ -46,13 +61,23 @@ def _heading(clause: str) -> str:
 
 def _checked_by(entry: Sentence) -> str:
     if entry.rules:
-        return ", ".join(f"`{name}`" for name in entry.rules)
-    return f"not observable: {entry.not_observable}" if entry.not_observable else "model exchange only"
+        names = ", ".join(f"`{name}`" for name in entry.rules)
+        return f"{names} ({NO_DEMANDS[entry.no_demand]})" if entry.no_demand else names
+    return f"not observable: {entry.not_observable}"
 
 
 def _rules(rules: Sequence[Rule]) -> str:
-    rows = [(f"`{rule.name}`", _clauses(rule), rule.level, rule.claim) for rule in rules]
-    return f"## Rules\n\n{_table(('Rule', 'Clause', 'If broken', 'What holds'), rows)}"
+    rows = [
+        (
+            f'<a id="{rule.name}"></a>`{rule.name}`',
+            _clauses(rule),
+            rule.claim,
+            rule.level,
+            levels()[rule.name][1],
+        )
+        for rule in rules
+    ]
+    return f"## Rules\n\n{_LEVELS}\n\n{_table(('Rule', 'Clause', 'What holds', 'Level', 'Reason'), rows)}"
 
 
 def _clauses(rule: Rule) -> str:

@@ -1,12 +1,11 @@
-"""`python -m fmus.compliance FMU...`: exit status 1 if an FMU breaks a rule, 2 for bad usage."""
+"""`python -m fmus.compliance FMU...`: the same as `l1-depth check FMU...`."""
 
 import sys
 
+from fmus.compliance.check import main
 from fmus.errors import MissingExtraError
 
 try:
-    from fmus.compliance.check import main
-
     status = main()
 except MissingExtraError as error:
     sys.exit(f"python -m fmus.compliance: {error}")

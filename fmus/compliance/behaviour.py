@@ -1,4 +1,4 @@
-"""Judge behaviour rules in another process: a crash or a hang of the FMU is a finding."""
+"""Judge rules of behaviour in another process: a crash or a hang of the FMU is a finding."""
 
 import errno
 import tempfile
@@ -9,24 +9,103 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE, ONLY_ONCE, BrokenMemberError, FmuFile
 from fmus.compliance.fmu_process import START_S
-from fmus.compliance.instance_rules import ONLY_ONCE
-from fmus.compliance.judge import ENDED, FUNDAMENTAL, HUNG, IS_BROKEN, SLOW, judged_by_one_process
-from fmus.compliance.library_rules import no_co_simulation
 from fmus.compliance.probe import NO_INSTANCE, Probe
-from fmus.compliance.registry import registered
-from fmus.compliance.rule import Level, Result, Rule, Stage
-from fmus.compliance.script import KINDS
+from fmus.compliance.rule import (
+    CANNOT_LOAD,
+    IS_BROKEN,
+    RANDOM,
+    Level,
+    NotApplicableError,
+    NotJudgedError,
+    Result,
+    Rule,
+    Stage,
+    defect,
+    messages_of,
+    registered,
+)
+from fmus.compliance.script import KINDS, CallError, DefectError
 from fmus.errors import HostError
 from fmus.fmi.binding import platform_name
-from fmus.fmi.process import WorkerProcess
+from fmus.fmi.process import ProcessEndedError, WorkerProcess
+
+FUNDAMENTAL = (
+    "library-loads", "instantiates-and-frees", "steps-and-terminates", "frees-in-every-state",
+    "runs-are-repeatable",
+)  # fmt: skip
+"""Without these no behaviour is judged: what else would be found has the same cause."""
+ENDED = "the FMU ended the process with"
+_RANDOM_RUNS = "runs-are-not-random"
+HUNG, SLOW = "the FMU took more than", "the FMU is slow: its calls took more than"
+
+
+def judged_by_one_process(
+    probe: Probe, rules: Sequence[Rule], results: Mapping[str, Result], timeout: float
+) -> Iterator[Result]:
+    """Results, up to the first rule that the process does not survive, but one at least.
+
+    results: of the rules before; it grows with what this yields
+    """
+    rule, limit = rules[0], START_S
+    try:
+        probe.process.calls([])  # it has started
+        limit = timeout
+        for rule in rules:
+            probe.process.deadline = time.monotonic() + limit
+            yield _judge(rule, probe, results)
+    except TimeoutError:
+        if probe.process.hangs(limit):
+            yield Result(rule, (f"{HUNG} {limit:g} s in one call{_call(probe)}",))
+        else:
+            yield Result(rule, not_judged=f"{SLOW} {limit:g} s")
+    except ProcessEndedError as ended:
+        yield Result(rule, (f"{ENDED} {ended}{_call(probe)}",))
+    finally:
+        probe.process.close()
+
+
+def _call(probe: Probe) -> str:
+    call = probe.process.call_under_way
+    return f", in {call}" if call else ""
+
+
+def _breach(result: Result) -> str:
+    """Returns the reason why what needs a rule is not judged: it is broken, or is not judged itself."""
+    if result.messages:
+        return f"{result.rule.name}{IS_BROKEN}"
+    is_of_all = result.not_judged.startswith(CANNOT_LOAD) or result.not_judged.endswith((IS_BROKEN, RANDOM))
+    return result.not_judged if is_of_all else ""
+
+
+def _judge(rule: Rule, probe: Probe, results: Mapping[str, Result]) -> Result:
+    needed = [results[name] for name in (*FUNDAMENTAL, *rule.needs) if name in results]
+    reasons = set(filter(None, map(_breach, needed)))
+    if others := reasons - {RANDOM}:
+        return Result(rule, not_judged=min(others))
+    try:
+        messages = messages_of(rule.check(probe))
+        is_random = RANDOM in reasons and rule.name != _RANDOM_RUNS  # calls that fail or crash are told still
+        return Result(rule, not_judged=RANDOM) if is_random else Result(rule, messages)
+    except (TimeoutError, ProcessEndedError):
+        raise
+    except (NotJudgedError, DefectError) as reason:
+        return Result(rule, not_judged=str(reason))
+    except NotApplicableError as reason:
+        return Result(rule, not_applicable=str(reason))
+    except (CallError, BrokenMemberError) as error:  # whatever an FMU answers is a finding
+        return Result(rule, messages_of([str(error)]))
+    except Exception as error:
+        return Result(rule, not_judged=defect(error))
+
 
 DEFAULT_TIMEOUT_S = 30.0
 _STEPS = "steps-and-terminates"
 _FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs
 _AFTER_OTHERS, _MOST_CRASHES = "instances-follow-each-other", 2
 _MOST_HANGS, _MOST_SLOW = 3, 20  # then the rest is not judged: it would take minutes
+_NAMES = {CO_SIMULATION: "co-simulation", MODEL_EXCHANGE: "model exchange"}
 _OF_THE_HOST = ("ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EMFILE", "ENFILE", "EIO", "ENOMEM", "EAGAIN")
 
 
@@ -36,21 +115,55 @@ def behaviour(
     of_libraries: Callable[[], Sequence[Result]] = tuple,
     started: WorkerProcess | None = None,
 ) -> Iterator[Result]:
-    """Yields one result for each behaviour rule.
+    """Yields one result for each behaviour rule, of all interfaces that the FMU has.
 
     timeout: seconds for one rule; started: a process that does not know an FMU yet
     of_libraries: the results of the rules of libraries, which LIEF reads meanwhile; asked for when a
     process of the FMU has ended
     """
+    halves = {}
+    for interface in fmu.interfaces or [CO_SIMULATION]:
+        halves[interface] = _of_interface(fmu.judged_as(interface), timeout, of_libraries, started)
+        started = None
+    for rule in registered(Stage.BEHAVIOUR):
+        yield _joined(rule, {interface: results[rule.name] for interface, results in halves.items()})
+
+
+def _of_interface(
+    fmu: FmuFile,
+    timeout: float,
+    of_libraries: Callable[[], Sequence[Result]],
+    started: WorkerProcess | None,
+) -> dict[str, Result]:
+    """Returns rule name -> result for the interface of the FMU that is judged."""
     rules = registered(Stage.BEHAVIOUR)
     results: dict[str, Result] = {}
     reason = obstacle(fmu) or _unreadable_variable(fmu)
     if not reason:
-        results = {rule.name: Result(rule, not_applicable=rule.condition(fmu)) for rule in rules}
+        conditions = {rule: _other_interface(rule, fmu) or rule.condition(fmu) for rule in rules}
+        results = {rule.name: Result(rule, not_applicable=text) for rule, text in conditions.items()}
         names = [name for name, result in results.items() if not result.not_applicable]
         results |= _judged(fmu, _needs_first(names), timeout, of_libraries, started)
         reason = _broken_library(fmu, of_libraries())
-    yield from [Result(rule, not_judged=reason) for rule in rules] if reason else results.values()
+    return {rule.name: Result(rule, not_judged=reason) for rule in rules} if reason else results
+
+
+def _other_interface(rule: Rule, fmu: FmuFile) -> str:
+    """Returns the reason why a rule does not apply to the interface that is judged, if so."""
+    if rule.interface in ("", fmu.interface):
+        return ""
+    return f"it has no interface for {_NAMES[rule.interface]}"
+
+
+def _joined(rule: Rule, halves: Mapping[str, Result]) -> Result:
+    """Returns one result on all interfaces, which messages name unless it is co-simulation alone."""
+    if list(halves) == [CO_SIMULATION]:
+        return halves[CO_SIMULATION]
+    messages = [f"{_NAMES[kind]}: {m}" for kind, result in halves.items() for m in result.messages]
+    reasons = dict.fromkeys(result.not_judged for result in halves.values() if result.not_judged)
+    if messages or reasons:
+        return Result(rule, tuple(messages), not_judged="" if messages else "; ".join(reasons))
+    return min(halves.values(), key=lambda result: bool(result.not_applicable))
 
 
 def _needs_first(names: Sequence[str]) -> list[str]:
@@ -76,7 +189,7 @@ def obstacle(fmu: FmuFile) -> str:
         return "the FMU cannot be read"
     if fmu.other_version:
         return "it is no FMU of FMI 2.0"
-    return no_co_simulation(fmu) or ("" if fmu.host_library else f"no library for {platform_name()}")
+    return "" if fmu.host_library else f"no library for {platform_name()}"
 
 
 def _unreadable_variable(fmu: FmuFile) -> str:
@@ -186,14 +299,14 @@ def _without_instances_before(
     """
     rule, follow = result.rule, results.get(_AFTER_OTHERS)
     crashes = [m for m in result.messages if m.startswith((ENDED, NO_INSTANCE))]
-    is_advice = rule.level is Level.WARNING  # it may have made calls that FMI forbids
-    if (only_once and result.messages) or (is_advice and _is_no_instance(result)):
+    is_minor = rule.level is not Level.ERROR  # it may have made calls that FMI forbids
+    if (only_once and result.messages) or (is_minor and _is_no_instance(result)):
         return {rule.name: judge_alone()}
     if only_once or not crashes or follow is None:
         return {rule.name: result}
-    if len(follow.messages) >= (1 if is_advice else _MOST_CRASHES):
+    if len(follow.messages) >= (1 if is_minor else _MOST_CRASHES):
         return {rule.name: Result(rule, not_judged=f"{_AFTER_OTHERS}{IS_BROKEN}")}
-    if is_advice:
+    if is_minor:
         return {rule.name: result}
     alone = judge_alone()
     if any(message in alone.messages for message in crashes):

@@ -3,14 +3,19 @@
 import ctypes
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from fmus.compliance.observed_callbacks import MessageLog, RefusingAllocator, logger_of_formats, set_traps
+from fmus.compliance.instance_parts import (
+    MessageLog,
+    RefusingAllocator,
+    SavedStates,
+    logger_of_formats,
+    set_traps,
+)
 from fmus.compliance.process_settings import ProcessSettings
-from fmus.compliance.saved_states import SavedStates
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN
 from fmus.fmi.binding import (
     CO_SIMULATION,
@@ -19,6 +24,7 @@ from fmus.fmi.binding import (
     FATAL,
     OK,
     PENDING,
+    WARNING,
     BoundInstance,
     Library,
     element_type,
@@ -47,12 +53,21 @@ class CalledInstance(BoundInstance):
         "refused memory" with an allocator that returns NULL; "formats" with messages before they are printed
       overwritten: whether all arguments of fmi2Instantiate are overwritten after the call
       watched: whether settings of the process are compared before and after each call
+    announce: is told each call before it is made
     """
 
+    interface = CO_SIMULATION
+
     def __init__(
-        self, library: Library, memory: CountingAllocator, settings: ProcessSettings, options: dict[str, Any]
+        self,
+        library: Library,
+        memory: CountingAllocator,
+        settings: ProcessSettings,
+        options: dict[str, Any],
+        announce: Callable[..., None],
     ) -> None:
-        self._options, self._settings = options, settings
+        self._options, self._settings, self._announce = options, settings, announce
+        self.function = ""  # of the latest call
         self._kept: list[Any] = []
         self.states = SavedStates(self)
         self.traps: list[str] = []
@@ -94,8 +109,9 @@ class CalledInstance(BoundInstance):
         ]
         structure = type(self.callbacks.structure).from_buffer_copy(self.callbacks.structure)
         name, guid, location = strings
+        self._announce("fmi2Instantiate", options.get("name"), options.get("guid"))
         address = self.library.fmi2Instantiate(
-            name, CO_SIMULATION, guid, location, ctypes.byref(structure),
+            name, self.interface, guid, location, ctypes.byref(structure),
             int(options.get("visible", False)), int(options.get("logging", False)),
         )  # fmt: skip
         self.handle = ctypes.c_void_p(address) if address else None
@@ -112,9 +128,12 @@ class CalledInstance(BoundInstance):
     def call(self, function: str, *arguments: Any) -> None:
         """Calls a function, and notes if one that is watched writes into an array that is constant to it."""
         arrays = [x for x in arguments if self.watched and isinstance(x, ctypes.Array)]
-        if function.startswith(_RETURN_ARRAYS):
+        is_result = function.startswith(_RETURN_ARRAYS)
+        if is_result:
             arrays = arrays[:-1]
         before = [bytes(array) for array in arrays]
+        self.function = function
+        self._announce(function, *(arguments[:-1] if is_result else arguments))
         super().call(function, *arguments)
         self._overwritten |= before != [bytes(array) for array in arrays]
 
@@ -199,12 +218,24 @@ class CalledInstance(BoundInstance):
         for buffer in buffers:
             ctypes.memset(buffer, ord("#"), len(buffer) - 1)
 
-    def do_step(self, t: float, h: float, no_going_back: bool = False) -> None:
-        """Advances from t to t + h seconds; a pending step is waited for."""
+    def do_step(self, t: float, h: float, no_going_back: bool = False) -> str:
+        """Advances from t to t + h seconds; a pending step is waited for. Returns no reason."""
         self.call("fmi2DoStep", t, h, int(no_going_back))
         if self.last_status == PENDING:
             self.pending_steps += 1
             self.wait()
+        return ""
+
+    def do_steps(self, start: float, h: float, first: int, count: int) -> str:
+        """Makes equal steps of h seconds, from number `first` after the start, up to one that fails.
+
+        Returns the reason of a step that is discarded, as `do_step` does.
+        """
+        for i in range(first, first + count):
+            reason = self.do_step(start + i * h, h)
+            if not 0 <= self.last_status <= WARNING:
+                return reason
+        return ""
 
     def wait(self) -> None:
         """Waits until a pending step has ended; the time limit of the rule ends a wait without end."""
@@ -281,6 +312,7 @@ class CalledInstance(BoundInstance):
 
     def free(self) -> None:
         if self.handle is not None and self.last_status != FATAL:
+            self._announce("fmi2FreeInstance")
             self.status("fmi2FreeInstance")
         self.handle = None
         self.callbacks.close()

@@ -1,88 +1,212 @@
-"""Judge FMUs and print the findings: `python -m fmus.compliance FMU...`."""
+"""The command line of the check: `l1-depth check` and `python -m fmus.compliance`.
 
-import argparse
+The head of this file imports what declares the options; the check itself is imported when it runs.
+"""
+
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
+from datetime import date
 from pathlib import Path
+from threading import Timer
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from fmus.compliance import report
-from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, host_errors
-from fmus.compliance.examine import examine
-from fmus.compliance.library_reader import check_lief, close_reader
-from fmus.compliance.registry import all_rules
-from fmus.errors import HostError
+import typer
 
-NO_VERDICT = 3  # exit status
-FORMATS = tuple(report.FORMATS)
+from fmus.compliance.rule import Level, Result
+
+if TYPE_CHECKING:
+    from fmus.compliance.report import Checked
+
+NO_VERDICT, NOT_JUDGED = 3, 4  # exit status
+_SHOWN_AFTER_S = 2.0
 
 
 def check(
-    fmus: Sequence[Path],
-    json_file: str | None = None,
-    timeout: float = DEFAULT_TIMEOUT_S,
-    every: bool = False,
-    format_name: str = "text",
-    out: Path | None = None,
-) -> int:
-    """Judges FMUs and prints the findings; returns the number of errors.
+    fmus: Annotated[
+        list[Path] | None, typer.Argument(metavar="FMU...", help="FMUs of any origin.", show_default=False)
+    ] = None,
+    json_file: Annotated[
+        str, typer.Option("--json", metavar="FILE", help="Write the results as JSON; - prints them.")
+    ] = "",
+    format_name: Annotated[
+        Literal["text", "json", "sarif", "junit", "github"],
+        typer.Option("--format", help="Format of what is printed, or of --out; github: annotations."),
+    ] = "text",
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write that format to a file, and print text.")
+    ] = None,
+    every: Annotated[
+        bool, typer.Option("--all", help="Show each rule that is judged, and each finding, also accepted.")
+    ] = False,
+    only: Annotated[
+        str, typer.Option(metavar="RULE,RULE", help="Show these rules alone, also such as are left out.")
+    ] = "",
+    waivers: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Accept the findings of this file (TOML).")
+    ] = None,
+    baseline: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Accept the findings that were written to this file.")
+    ] = None,
+    write_baseline: Annotated[
+        bool, typer.Option("--write-baseline", help="Write the present findings to the --baseline.")
+    ] = False,
+    fail_on: Annotated[Level, typer.Option(help="Fail for findings of this level and above.")] = Level.ERROR,
+    strict: Annotated[bool, typer.Option("--strict", help="Fail if a rule is not judged.")] = False,
+    timeout: Annotated[float, typer.Option(min=0.1, help="Seconds that one rule may take.")] = 30.0,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
+    rule: Annotated[
+        str,
+        typer.Option("--explain", metavar="RULE", help="Show what a rule claims and its sentences of FMI."),
+    ] = "",
+) -> None:
+    """Check FMUs against the rules of FMI 2.0.5.
 
-    every: print each rule, also those that hold; format_name: one of `FORMATS`; out: a file for the findings
-    in that format, and then they are printed as text too. Raises OSError for a file that is not there,
-    HostError if this machine does not allow a verdict, after the findings where it cannot load a library.
+    Exit status: 0; 1 for errors; 2 for wrong use or a missing file; 3 if this machine allows no verdict;
+    4 with --strict, if a rule is not judged.
     """
+    from fmus.compliance import findings, report
+    from fmus.compliance.behaviour import host_errors
+    from fmus.compliance.library_reader import check_lief
+    from fmus.compliance.rule import all_rules
+    from fmus.compliance.sentences import rule_table
+    from fmus.errors import HostError, OrchestrationError
+
+    names = [known.name for known in all_rules()]
     try:
-        findings = {path: examine(path, timeout) for path in fmus}
+        if rule:
+            print(report.explain(rule, all_rules()), end="")
+            return
+        check_lief()
+        chosen = _chosen(only, names)
+        _refuse_wrong_use(fmus or [], baseline, write_baseline)
+        permitted = findings.read_waivers(waivers, names) if waivers else []
+        known = findings.read_baseline(baseline) if baseline and not write_baseline else {}
+        off = [] if chosen else rule_table()["off"]
+        results = _judged(fmus or [], chosen, off, timeout, quiet)
+        found, today = findings.findings_of(results), date.today()
+        left = findings.without_known(findings.waived(found, permitted, today), known)
+        checked = report.Checked(results, left, fail_on, off, every)
+        of_chosen = [waiver for waiver in permitted if not chosen or waiver.rule in chosen]
+        _tell(*findings.useless(of_chosen, found, today))
+        with host_errors():
+            if baseline and write_baseline:
+                baseline.write_text(findings.baseline_text(left), encoding="utf-8")
+                _tell(f"{baseline}: written, with {len(checked.open)} findings")
+            _print(checked, format_name, out, json_file)
+        status = 0 if write_baseline else _status(checked, strict)
+    except (ValueError, OSError, OrchestrationError, HostError) as error:
+        _tell(str(error))
+        status = NO_VERDICT if isinstance(error, HostError) else 2
+    raise typer.Exit(status)
+
+
+def _tell(*lines: str) -> None:
+    for line in lines:
+        print(f"l1-depth: {line}", file=sys.stderr)
+
+
+def _chosen(only: str, names: Sequence[str]) -> list[str]:
+    from fmus.errors import nearest
+
+    chosen = [name.strip() for name in only.split(",") if name.strip()]
+    for name in chosen:
+        if name not in names:
+            raise ValueError(f"--only: no rule {name!r}: {nearest(name, names)}")
+    return chosen
+
+
+def _refuse_wrong_use(fmus: Sequence[Path], baseline: Path | None, write_baseline: bool) -> None:
+    from fmus.fmi.description import describe
+
+    if not fmus:
+        raise ValueError("expected FMUs, or --explain RULE")
+    if write_baseline and baseline is None:
+        raise ValueError("--write-baseline: expected --baseline FILE too")
+    if baseline and not write_baseline and not baseline.is_file():
+        raise ValueError(f"--baseline {baseline}: no such file: write it once with --write-baseline")
+    for path in fmus:
+        if not path.is_file():
+            describe(path)  # the error names the nearest FMU
+
+
+def _judged(
+    fmus: Sequence[Path], only: Collection[str], off: Collection[str], timeout: float, quiet: bool
+) -> dict[Path, list[Result]]:
+    """Returns the results of each FMU: of the rules in `only`, or, without one, of all but those in `off`."""
+    from fmus.compliance.examine import examine
+    from fmus.compliance.library_reader import close_reader
+
+    results = dict[Path, list[Result]]()
+    try:
+        with _progress(quiet) as show:
+            for number, path in enumerate(fmus, 1):
+                show(f"check {number} of {len(fmus)}: {path.name}")
+                of_all = examine(path, timeout)
+                is_shown = [r.rule.name in only if only else r.rule.name not in off for r in of_all]
+                results[path] = [result for result, shown in zip(of_all, is_shown, strict=True) if shown]
     finally:
         close_reader()
-    document = (
-        report.text(findings, every) if format_name == "text" else report.FORMATS[format_name](findings)
-    )
-    with host_errors():
-        if out is not None:
-            out.write_text(document, encoding="utf-8")
-        if json_file not in (None, "-"):
-            Path(str(json_file)).write_text(report.json_text(findings), encoding="utf-8")
+    return results
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[str], None]]:
+    """Gives a function that shows a text on standard error, if that is a terminal and after some time."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda text: None
+        return
+    from rich.console import Console
+    from rich.markup import escape
+
+    status = Console(stderr=True).status("")
+    timer = Timer(_SHOWN_AFTER_S, status.start)
+    timer.start()
+    try:
+        yield lambda text: status.update(escape(text))
+    finally:
+        timer.cancel()
+        timer.join()  # it may be at work
+        status.stop()
+
+
+def _print(checked: "Checked", format_name: str, out: Path | None, json_file: str) -> None:
+    from fmus.compliance import report
+
+    document = report.FORMATS[format_name](checked)
+    if out is not None:
+        out.write_text(document, encoding="utf-8")
+        document = report.text(checked)
     if json_file == "-":
-        document = report.json_text(findings)
-    elif out is not None:
-        document = report.text(findings, every)
+        document = report.json_text(checked)
+    elif json_file:
+        Path(json_file).write_text(report.json_text(checked), encoding="utf-8")
     print(document, end="")
-    errors = report.count(findings, "error")
-    if not errors and (reasons := report.unloaded(findings)):
+
+
+def _status(checked: "Checked", strict: bool) -> int:
+    from fmus.compliance.report import unloaded
+    from fmus.errors import HostError
+
+    if count := len(checked.failing):
+        what = "error" if checked.fail_on is Level.ERROR else "finding"
+        _tell(f"{count} {what}{'s' * (count > 1)} found: expected none")
+        return 1
+    if reasons := unloaded(checked.results):
         raise HostError("; ".join(reasons))
-    return errors
-
-
-def explain(name: str) -> str:
-    """Returns what a rule claims and checks. Raises ValueError for a name that no rule has."""
-    return report.explain(name, all_rules())
+    count = sum(bool(result.not_judged) for results in checked.results.values() for result in results)
+    if strict and count:
+        _tell(f"--strict: {count} rules are not judged: expected none")
+        return NOT_JUDGED
+    return 0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Returns 0 without an error, 1 with one, 2 for bad usage, 3 if this machine allows no verdict."""
-    parser = argparse.ArgumentParser(prog="python -m fmus.compliance", description="Judge FMUs by FMI 2.0.5.")
-    parser.add_argument("fmus", nargs="*", type=Path, metavar="FMU")
-    parser.add_argument("--json", metavar="FILE", help="write the result as JSON, to - for standard output")
-    parser.add_argument("--format", choices=FORMATS, default="text", help="of what is printed, or of --out")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="write the findings to a file too")
-    parser.add_argument("--timeout", type=float, default=DEFAULT_TIMEOUT_S, help="seconds for one behaviour")
-    parser.add_argument("--all", action="store_true", help="show every rule, not only those broken")
-    parser.add_argument(
-        "--explain", metavar="RULE", help="what a rule claims, and the sentences that it checks"
-    )
-    options = parser.parse_args(arguments)
-    if options.explain is None and not options.fmus:
-        parser.error("expected FMUs, or --explain RULE")
+    """Returns the exit status of `python -m fmus.compliance` with these arguments."""
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    app.command()(check)
     try:
-        if options.explain is not None:
-            print(explain(options.explain), end="")
-            return 0
-        check_lief()  # whose absence is told first
-        return (
-            1
-            if check(options.fmus, options.json, options.timeout, options.all, options.format, options.out)
-            else 0
-        )
-    except (OSError, HostError, ValueError) as error:
-        print(f"{parser.prog}: {error}", file=sys.stderr)
-        return NO_VERDICT if isinstance(error, HostError) else 1
+        app(arguments, prog_name="python -m fmus.compliance")
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0

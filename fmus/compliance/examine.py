@@ -8,10 +8,8 @@ from pathlib import Path
 from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, behaviour, obstacle
 from fmus.compliance.fmu_file import BrokenMemberError, FmuFile, UnreadableMemberError
 from fmus.compliance.fmu_process import start_process
-from fmus.compliance.library_reader import check_lief, close_reader
-from fmus.compliance.library_rules import no_library, start_reading
-from fmus.compliance.registry import registered
-from fmus.compliance.rule import NotJudgedError, Result, Rule, Stage, defect, messages_of
+from fmus.compliance.library_reader import check_lief, close_reader, no_library, start_reading
+from fmus.compliance.rule import NotJudgedError, Result, Rule, Stage, defect, messages_of, registered
 from fmus.errors import MissingExtraError
 
 _STATIC = (Stage.FILE, Stage.DESCRIPTION, Stage.LIBRARY)

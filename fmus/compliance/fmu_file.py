@@ -3,7 +3,8 @@
 import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cached_property
+from copy import copy
+from functools import cache, cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -13,11 +14,14 @@ from fmus.extras import require
 from fmus.files import extract_archive, too_large
 from fmus.fmi.binding import library_member
 from fmus.fmi.variable_types import TYPES
+from fmus.platforms import FMPY
 
 etree: Any = require("lxml.etree", "check", "a check of FMUs")  # without types
 DESCRIPTION = "modelDescription.xml"
+ONLY_ONCE = "canBeInstantiatedOnlyOncePerProcess"
 _LARGEST_DESCRIPTION = 100_000_000  # bytes; far beyond any that tools write, and a few GB of memory
 _LARGEST_MEMBER = 8_000_000_000  # bytes unpacked
+CO_SIMULATION, MODEL_EXCHANGE = "CoSimulation", "ModelExchange"  # the elements of both interfaces
 C_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _NOTHING: Mapping[str, str] = MappingProxyType({})
 _NO_DTD = "it has a document type declaration: expected none, it is not read (entities can be bombs)"
@@ -37,6 +41,19 @@ def parsed_xml(content: bytes) -> Any:
     if root.getroottree().docinfo.doctype:
         raise BrokenMemberError(_NO_DTD)
     return root
+
+
+@cache
+def _schema(path: str) -> Any:
+    """Returns an XML schema of FMI, read once in a process."""
+    return etree.XMLSchema(etree.parse(FMPY / "schema" / path))
+
+
+def schema_errors(root: Any, path: str) -> list[Any]:
+    """Returns entries with `line`, `path` and `message`. path: of the schema, such as "fmi2/x.xsd"."""
+    definition = _schema(path)
+    definition.validate(root.getroottree())
+    return list(definition.error_log)
 
 
 class BrokenMemberError(ValueError):
@@ -66,34 +83,28 @@ class FmuFile:
         self.archive_problem = self.description_problem = ""
         self.xml = b""
         self._root: Any = None
+        self._judged = ""
         try:
             with zipfile.ZipFile(path) as archive:
                 self.members = archive.infolist()
-                self._read_description(archive)
         except Exception as error:  # zipfile raises half a dozen kinds for a damaged archive
             self.archive_problem = f"it cannot be read as a zip: {error}"
-            self.description_problem = self.description_problem or "the archive cannot be read"
+            self.description_problem = "the archive cannot be read"
+        else:
+            self.description_problem = self._read_description()
 
-    def _read_description(self, archive: zipfile.ZipFile) -> None:
-        if DESCRIPTION not in self.names:
-            self.description_problem = self.NO_DESCRIPTION
-            return
-        size = archive.getinfo(DESCRIPTION).file_size
-        if size > _LARGEST_DESCRIPTION:
-            self.description_problem = f"{size} bytes: expected at most {_LARGEST_DESCRIPTION}"
-            return
+    def _read_description(self) -> str:
+        """Reads and parses the model description; returns the reason why it cannot."""
+        if DESCRIPTION not in self.paths:
+            return self.NO_DESCRIPTION
         try:
-            self.xml = archive.read(DESCRIPTION)
-        except Exception as error:
-            self.description_problem = f"it cannot be unpacked: {error}"
-            return
-        self._parse()
-
-    def _parse(self) -> None:
-        try:
+            self.xml = self.read(DESCRIPTION, _LARGEST_DESCRIPTION)
             self._root = parsed_xml(self.xml)
-        except ValueError as error:
-            self.description_problem = str(error)
+        except (BrokenMemberError, UnreadableMemberError) as error:
+            return str(error)
+        for date in filter(None, [self._root.get("generationDateAndTime")]):
+            self._root.set("generationDateAndTime", date.strip())  # libxml2 does not collapse its blanks
+        return ""
 
     @property
     def root(self) -> Any:
@@ -133,17 +144,41 @@ class FmuFile:
     def interfaces(self) -> dict[str, Mapping[str, str]]:
         return {
             kind: dict(self.root.find(kind).attrib)
-            for kind in ("CoSimulation", "ModelExchange")
+            for kind in (CO_SIMULATION, MODEL_EXCHANGE)
             if self.root.find(kind) is not None
         }
 
+    def judged_as(self, interface: str) -> "FmuFile":
+        """Returns this FMU with one of its interfaces, whose capabilities and library count."""
+        fmu = copy(self)
+        fmu._judged = interface
+        return fmu
+
+    @property
+    def interface(self) -> str:
+        """The interface that is judged: for co-simulation, unless another was chosen or is the only one."""
+        return self._judged or next(iter(self.interfaces), CO_SIMULATION)
+
+    @property
+    def is_model_exchange(self) -> bool:
+        return self.interface == MODEL_EXCHANGE
+
+    @property
+    def _attributes(self) -> Mapping[str, str]:
+        return self.interfaces.get(self.interface, _NOTHING)
+
     def claims(self, capability: str) -> bool:
-        """Whether a capability flag of co-simulation is true."""
-        return is_true((self.co_simulation or {}).get(capability))
+        """Whether a capability flag of the interface that is judged is true."""
+        return is_true(self._attributes.get(capability))
 
     @property
     def output_derivative_order(self) -> int:
-        return integer((self.co_simulation or {}).get("maxOutputDerivativeOrder")) or 0
+        return integer(self._attributes.get("maxOutputDerivativeOrder")) or 0
+
+    @cached_property
+    def units(self) -> dict[str, Any]:
+        """Name -> element Unit."""
+        return {unit.get("name", ""): unit for unit in self.root.iterfind("UnitDefinitions/Unit")}
 
     @cached_property
     def types(self) -> dict[str, Any]:
@@ -172,14 +207,20 @@ class FmuFile:
         )
 
     @cached_property
+    def derivatives(self) -> dict[int, Variable]:
+        """Index of each variable with the attribute derivative -> the other variable that it names."""
+        stated = {v.index: integer(v.typed.get("derivative")) or 0 for v in self.variables}
+        return {
+            index: self.variables[of - 1]
+            for index, of in stated.items()
+            if 1 <= of <= len(self.variables) and of != index
+        }
+
+    @cached_property
     def state_derivatives(self) -> dict[int, int]:
         """Index of each variable in Derivatives that has the attribute derivative -> index of its state."""
-        states = {}
-        for index, _ in self.unknowns("Derivatives"):
-            state = integer(self.variables[index - 1].typed.get("derivative")) if index is not None else None
-            if index is not None and state is not None and 1 <= state <= len(self.variables):
-                states[index] = state
-        return states
+        listed = (index for index, _ in self.unknowns("Derivatives"))
+        return {index: self.derivatives[index].index for index in listed if index in self.derivatives}
 
     @cached_property
     def states(self) -> frozenset[int]:
@@ -229,7 +270,7 @@ class FmuFile:
     @property
     def host_library(self) -> str:
         """Path inside the archive of the library that this machine loads; empty if there is none."""
-        identifier = (self.co_simulation or {}).get("modelIdentifier", "")
+        identifier = self._attributes.get("modelIdentifier", "")
         return (library_member(self.names, identifier) or "") if C_IDENTIFIER.fullmatch(identifier) else ""
 
     def read(self, member: str, most: int = _LARGEST_MEMBER) -> bytes:
@@ -252,6 +293,19 @@ class FmuFile:
             except Exception as error:  # each way of compression has its own errors
                 raise UnreadableMemberError(f"{member} cannot be unpacked: {error}") from error
 
+    def parsed(self, member: str) -> Any:
+        """Returns the root element of an XML file. Raises what `read` does, also if it cannot be parsed."""
+        content = self.read(member, _LARGEST_DESCRIPTION)
+        try:
+            return parsed_xml(content)
+        except BrokenMemberError as error:
+            raise BrokenMemberError(f"{member}: {error}") from None
+
     def extract(self, folder: Path) -> None:
         """Unpacks everything; zipfile keeps odd paths inside the folder. Raises what zipfile raises."""
         extract_archive(self.path, folder)
+
+
+def no_co_simulation(fmu: FmuFile) -> str:
+    """Returns the reason why rules of co-simulation do not apply to an FMU."""
+    return "" if fmu.co_simulation is not None else "it has no co-simulation interface"

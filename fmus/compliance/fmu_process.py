@@ -25,16 +25,21 @@ def start_process() -> WorkerProcess:
 class FmuProcess:
     """The process that calls the FMU.
 
-    process: by `start_process`
+    process: by `start_process`; files: library and folder of resources; interface: fmi2Type
     deadline: of its answers, in `time.monotonic`; TimeoutError after that, ProcessEndedError after its end
     one_instance: whether an instance is created in a new process, but beside others that it is called with
     """
 
     def __init__(
-        self, process: WorkerProcess, library: Path, resources: Path, deadline: float, one_instance: bool
+        self,
+        process: WorkerProcess,
+        files: tuple[Path, Path],
+        interface: int,
+        deadline: float,
+        one_instance: bool,
     ) -> None:
         self.deadline = deadline
-        self._files, self.one_instance = (library, resources), one_instance
+        self._fmu, self.one_instance = (*files, interface), one_instance
         self._start(process)
 
     def _start(self, process: WorkerProcess) -> None:
@@ -43,7 +48,7 @@ class FmuProcess:
         self._process = process
         self._has_created, self._alive = False, set[int]()
         self._called = process.folder / CALLED
-        process.send((process.folder, *self._files))
+        process.send((process.folder, *self._fmu))
 
     def calls(self, calls: Sequence[Call]) -> list[Any]:
         """Returns the results of calls of `LoadedFmu`. Raises CallError for the first that fails."""
@@ -108,6 +113,15 @@ class FmuProcess:
             return self._called.stat().st_mtime
         except OSError:
             return 0.0
+
+    @property
+    def call_under_way(self) -> str:
+        """The call that is under way, with its arguments; empty if there is none."""
+        try:
+            content = self._called.read_bytes() if self._began() else b""
+        except OSError:
+            return ""
+        return content.decode("utf-8", "replace").strip(" \0")
 
     def close(self) -> None:
         self._process.close()

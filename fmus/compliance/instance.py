@@ -4,6 +4,7 @@ It judges nothing, and what it sends is not trusted: the FMU can do to it whatev
 """
 
 import ctypes
+import mmap
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -11,37 +12,58 @@ from pathlib import Path
 from typing import Any
 
 from fmus.compliance.called_instance import CalledInstance
+from fmus.compliance.model_exchange import ModelExchangeInstance
 from fmus.compliance.process_settings import ProcessSettings
 from fmus.compliance.rule import defect
-from fmus.fmi.binding import DISCARD, ERROR, FATAL, WARNING, Library
+from fmus.compliance.script import STEPS
+from fmus.fmi.binding import CO_SIMULATION, DISCARD, ERROR, FATAL, WARNING, Library
 from fmus.fmi.callbacks import CountingAllocator
 from fmus.fmi.process import Parent
 
 MOST_MEMORY = 4 << 30  # bytes
 MOST_OF_A_FILE = 1 << 30  # bytes
-CALLED = "called"  # a file of the working folder, of the time at which the call that is under way began
+CALLED = "called"  # a file of the working folder: the call that is under way, and the time at which it began
+_ANNOUNCED = 400  # bytes of that file
 _DEFECTS = (TypeError, LookupError, NameError, AssertionError, ctypes.ArgumentError)
 _AFTER_A_FAILURE = {  # status -> methods of `CalledInstance` that FMI allows then
-    DISCARD: ("status_of", "free_fmu_state", "set_debug_logging", "get", "end"),
+    DISCARD: ("status_of", "free_fmu_state", "set_debug_logging", "get", "end", "observed_events"),
     ERROR: ("free_fmu_state", "set_debug_logging"),
 }
 
 
+def _shown(argument: Any) -> str:
+    """Returns an argument of a call in a few characters; empty for an array of results or an address."""
+    match argument:
+        case None:
+            return "NULL"
+        case float():
+            return f"{argument:.9g}"
+        case int() | str():
+            return str(argument)
+        case ctypes.Array():
+            texts = argument._type_ in (ctypes.c_char, ctypes.c_char_p)  # the FMU may leave wrong addresses
+            return "[...]" if texts else str(list(argument[:8]))
+    return ""
+
+
 def _failed(method: str, status: int) -> int:
     """Returns the status that ends a run, if it is one."""
-    ends = status in (ERROR, FATAL) or (status == DISCARD and method in ("do_step", "begin_step"))
+    ends = status in (ERROR, FATAL) or (status == DISCARD and method in STEPS)
     return status if ends else 0
 
 
 class LoadedFmu:
     """A loaded library with its instances by number.
 
-    printed: the file that holds what the process prints
+    interface: fmi2Type; printed: the file that holds what the process prints
     """
 
-    def __init__(self, library: Path, resources: Path, printed: Path) -> None:
-        self._library, self._resources, self._printed = Library(library), resources, printed
+    def __init__(self, library: Path, resources: Path, interface: int, printed: Path) -> None:
+        self._library, self._resources, self._printed = Library(library, interface), resources, printed
+        self._class = CalledInstance if interface == CO_SIMULATION else ModelExchangeInstance
         self._called = str(printed.with_name(CALLED))
+        with Path(self._called).open("r+b") as file:
+            self._announced = mmap.mmap(file.fileno(), _ANNOUNCED)
         self._memory = CountingAllocator()
         self._settings = ProcessSettings()
         self._instances: dict[int, CalledInstance] = {}
@@ -88,7 +110,13 @@ class LoadedFmu:
         return self._resources.as_uri()
 
     def free_of_null(self) -> None:
+        self._announce("fmi2FreeInstance", None)
         self._library.fmi2FreeInstance(None)
+
+    def _announce(self, function: str, *arguments: Any) -> None:
+        """Writes the call that is about to be made into the file `CALLED`, for the case of a crash."""
+        text = f"{function}({', '.join(filter(None, map(_shown, arguments)))})".encode()[:_ANNOUNCED]
+        self._announced[:] = text.ljust(_ANNOUNCED)
 
     def create(self, number: int, options: dict[str, Any]) -> list[Any]:
         """Creates an instance; returns whether the FMU did, messages, changed settings, bytes printed.
@@ -96,12 +124,13 @@ class LoadedFmu:
         options: see `CalledInstance`
         """
         options = {"location": self._resources.as_uri(), **options}
-        instance = CalledInstance(self._library, self._memory, self._settings, options)
+        instance = self._class(self._library, self._memory, self._settings, options, self._announce)
         self._instances[number] = instance
         return self._observed(instance, instance.create)
 
     def play(self, number: int, calls: Sequence[Sequence[Any]], keep_going: bool) -> list[list[Any]]:
-        """Returns [status, value, messages, changed settings, bytes printed] of calls, up to one that fails.
+        """Returns [status, value, messages, changed settings, bytes printed, latest function] of calls, up
+        to one that fails.
 
         keep_going: also after a call that fails; what FMI forbids then is not called, and has no answer
         """
@@ -134,7 +163,7 @@ class LoadedFmu:
 
         instance.last_status = 0
         observed = self._observed(instance, call)
-        return [instance.last_status, *observed]
+        return [instance.last_status, *observed, instance.function]
 
     def _observed(self, instance: CalledInstance, action: Callable[[], Any]) -> list[Any]:
         """Returns the result of an action, the messages meanwhile, changed settings and printed bytes."""
@@ -170,16 +199,16 @@ class LoadedFmu:
 
 
 def call_fmu(parent: Parent) -> None:
-    """Receives a working folder and the paths of library and resources, then calls of `LoadedFmu`.
+    """Receives a working folder, the paths of library and resources, and fmi2Type; then calls of `LoadedFmu`.
 
     Sends [results, error]: results of the calls up to the first error, and that error, or null.
     """
-    folder, library, resources = parent.receive()
+    folder, library, resources, interface = parent.receive()
     os.chdir(folder)  # where the FMU writes files
     _limit_resources()
     printed = _print_to(Path(folder, "printed"))
     called = Path(folder, CALLED)
-    called.touch()
+    called.write_bytes(bytes(_ANNOUNCED))
     fmu = None
     while True:
         calls = parent.receive()
@@ -187,7 +216,7 @@ def call_fmu(parent: Parent) -> None:
         os.utime(called)
         try:
             if calls and fmu is None:
-                fmu = LoadedFmu(library, resources, printed)
+                fmu = LoadedFmu(library, resources, interface, printed)
             results.extend(getattr(fmu, method)(*arguments) for method, *arguments in calls)
         except _DEFECTS as exception:
             error = defect(exception)

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib.util import find_spec
 from typing import Any
+from weakref import WeakKeyDictionary
 
+from fmus.compliance.fmu_file import FmuFile
 from fmus.errors import MissingExtraError
 from fmus.extras import imports_of
 from fmus.fmi.process import Parent, ProcessEndedError, WorkerProcess
@@ -166,3 +168,21 @@ def _machine(parsed: Any) -> tuple[str, str]:
     header = parsed.header
     kind = getattr(header, "machine_type", None) or getattr(header, "machine", None) or header.cpu_type
     return parsed.format.name, getattr(kind, "name", str(kind))  # a number that LIEF does not know
+
+
+_readings: WeakKeyDictionary[FmuFile, Reading] = WeakKeyDictionary()
+
+
+def no_library(fmu: FmuFile) -> str:
+    return "" if fmu.libraries() else "there is no library"
+
+
+def start_reading(fmu: FmuFile, timeout: float = LIMIT_S) -> Reading:
+    """Starts LIEF's reading of the FMU's libraries at the first call, and returns it.
+
+    timeout: seconds for each library. Raises what `FmuFile.read` does, OSError without a process.
+    """
+    if fmu not in _readings:
+        members = [(path, folder, fmu.read(path)) for path, folder in fmu.libraries().items()]
+        _readings[fmu] = Reading(members, timeout)
+    return _readings[fmu]

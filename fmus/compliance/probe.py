@@ -3,6 +3,7 @@
 import itertools
 import math
 import re
+import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -12,14 +13,17 @@ from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.fmu_process import Call, FmuProcess, start_process
 from fmus.compliance.rule import NotApplicableError, NotJudgedError
 from fmus.compliance.script import CallError, Message, Reply, Script
-from fmus.compliance.variable import Variable, number
+from fmus.compliance.variable import Variable, integer, number
+from fmus.fmi import binding
 from fmus.fmi.binding import DISCARD, ERROR, OK, TERMINATED, WARNING
 from fmus.fmi.process import WorkerProcess
 
 T = TypeVar("T")
 _LICENCE = re.compile("licen[cs]e", re.IGNORECASE)
 _REFUSED_STEPS, _DISCARDED_STEP = "refused steps", "discarded step"  # among what the rules share
-_REFUSALS = "refusals"
+_REFUSALS, _PLAYED = "refusals", "answers of scripts that were played"
+_FEWEST_STEPS, _MEASURED_STEPS, _MOST_STEPS = 10, 40, 5_000  # of a run over the default experiment
+_LONGEST_RUN_S = 1.0
 _TOLERANCE, _MOST_TOLERANCE = 1e-4, 1e-3
 NO_INSTANCE = "fmi2Instantiate returned NULL"
 
@@ -47,9 +51,12 @@ class Probe:
     ) -> None:
         self.fmu = fmu
         library, resources = folder / fmu.host_library, folder / "resources"
-        self.process = FmuProcess(started or start_process(), library, resources, deadline, one_instance)
+        interface = binding.MODEL_EXCHANGE if fmu.is_model_exchange else binding.CO_SIMULATION
+        process = started or start_process()
+        self.process = FmuProcess(process, (library, resources), interface, deadline, one_instance)
         self._instances = itertools.count(1)
         self._shared = shared
+        self._options = _sizes(fmu) if fmu.is_model_exchange else {}
         experiment = fmu.root.find("DefaultExperiment")
         get = experiment.get if experiment is not None else {}.get
         self.start_time = number(get("startTime")) or 0.0
@@ -68,7 +75,7 @@ class Probe:
         """Calls to be made on a new instance. options: of `CalledInstance`, but for the GUID of the
         description.
         """
-        return Script(self, {"guid": self.fmu.guid, **options})
+        return Script(self, {"guid": self.fmu.guid, **self._options, **options})
 
     def play(self, *scripts: Script, keep_going: bool = False) -> None:
         """Creates an instance for each script, plays the scripts in turn by parts, then frees the instances.
@@ -109,10 +116,14 @@ class Probe:
         """
         try:
             self.play(script)
-        except (CallError, DiscardedStepError):
+        except (CallError, DiscardedStepError) as error:
+            if self.fmu.is_model_exchange:
+                if isinstance(error, DiscardedStepError):
+                    self._shared[_REFUSED_STEPS] = str(error)
+                raise
             failure = script.failure
             may_refuse = (DISCARD,) if self.states_step_size else (DISCARD, ERROR)
-            if not failure or failure.function != "fmi2DoStep" or failure.status not in may_refuse:
+            if not failure or not failure.is_step or failure.status not in may_refuse:
                 raise
             stated = "it states in DefaultExperiment" if self.states_step_size else "is not stated by it"
             reason = f"the FMU refuses the step size {self.step_size:g} s, which {stated}"
@@ -125,7 +136,7 @@ class Probe:
         """
         for script in scripts:
             failure = script.failure
-            if failure is None or failure.function != "fmi2DoStep":
+            if failure is None or not failure.is_step:
                 continue
             if _REFUSED_STEPS in self._shared:
                 raise NotJudgedError(self._shared[_REFUSED_STEPS])
@@ -149,7 +160,7 @@ class Probe:
         for script in scripts:
             judged = script.options.get("logging") and not script.is_forbidden
             for reply in script.replies if judged else ():
-                if reply.status:
+                if reply.status and not reply.reason:
                     noted.setdefault((reply.function, reply.status, bool(reply.messages)), reply)
                 if reply.function == "fmi2SetDebugLogging":  # it may turn logging off
                     break
@@ -160,13 +171,44 @@ class Probe:
         with suppress(NotJudgedError):  # a step beyond the stop time
             self.play_each([script])
         failure = script.failure
-        if failure and failure.function == "fmi2DoStep" and failure.status == DISCARD:
-            self._shared[_DISCARDED_STEP] = "the FMU discards a step of the usual size"
+        if failure and failure.is_step and failure.status == DISCARD:
+            self._shared[_DISCARDED_STEP] = failure.reason or "the FMU discards a step of the usual size"
 
-    def play_each(self, scripts: Sequence[Script]) -> None:
+    @property
+    def steps_of_experiment(self) -> int:
+        """The number of usual steps up to the stop time of the default experiment, or those that take about
+        a second; measured once for all rules. Raises NotApplicableError where they are few.
+        """
+        return self.once("run of many steps", self._steps_of_experiment)
+
+    def _steps_of_experiment(self) -> int:
+        span = min(self.stop_time - self.start_time, _MOST_STEPS * self.step_size)
+        steps = int(span / self.step_size + 1e-6)
+        first = min(steps, _MEASURED_STEPS)
+        if first < _FEWEST_STEPS:
+            raise NotApplicableError("the default experiment has too few steps")
+        script = self.script().begin().go_on(first)
+        begin = time.monotonic()
+        self.play_each([script])
+        seconds = (time.monotonic() - begin) / first
+        budget = min(_LONGEST_RUN_S, (self.process.deadline - time.monotonic()) / 10)
+        return min(steps, max(first, int(budget / seconds)))
+
+    def play_once(self, scripts: Sequence[Script]) -> None:
+        """Plays scripts as `play_each`; those with the calls of one that was played so have its answers."""
+        known: dict[str, Sequence[Any]] = self._shared.setdefault(_PLAYED, {})
+        keys = [repr((script.options, script.calls)) for script in scripts]
+        new = {key: script for key, script in zip(keys, scripts, strict=True) if key not in known}
+        if new:
+            known |= zip(new, self.play_each(list(new.values())), strict=True)
+        for key, script in zip(keys, scripts, strict=True):
+            script.fill(0, known[key])
+
+    def play_each(self, scripts: Sequence[Script]) -> list[Sequence[Any]]:
         """Plays scripts one after the other in one message; an instance is freed before the next is created.
 
-        A call that fails ends nothing. Raises CallError where the FMU returns no instance.
+        A call that fails ends nothing. Returns the answers to each script. Raises CallError where the FMU
+        returns no instance.
         """
         calls: list[Call] = []
         for script in scripts:
@@ -184,6 +226,7 @@ class Probe:
             script.fill(0, answers)
         self._note_refusals(scripts)
         self._judge_steps(scripts)
+        return results[1::3]
 
     def hold(self, script: Script) -> int:
         """Plays a script to its end, whatever fails, and leaves its instance alive: returns its number, for
@@ -204,7 +247,11 @@ class Probe:
     def _fail(self, script: Script, freed: list[Call]) -> None:
         failure = script.failure
         assert failure is not None
-        if failure.function == "fmi2DoStep" and failure.status == DISCARD and script.number:
+        is_discarded = failure.is_step and failure.status == DISCARD
+        if failure.reason or (is_discarded and self.fmu.is_model_exchange):
+            self.process.calls(freed)
+            raise DiscardedStepError(failure.reason or f"the FMU discards {failure.function}")
+        if is_discarded and script.number:
             ((reply,),) = self.process.calls(
                 [("play", script.number, [("status_of", "Boolean", TERMINATED)], True)]
             )
@@ -213,7 +260,7 @@ class Probe:
                 raise NotJudgedError("the FMU terminates the simulation by itself")
         self.process.calls(freed)
         self._judge_steps([script])
-        if failure.function == "fmi2DoStep" and failure.status == DISCARD:
+        if is_discarded:
             raise DiscardedStepError("the FMU discards a step")
         raise CallError(failure.problem, failure.status)
 
@@ -221,7 +268,7 @@ class Probe:
         """Whether the FMU creates an instance, which is freed again, and its messages."""
         number = next(self._instances)
         (created, messages, *_), _ = self.process.calls(
-            [("create", number, {"guid": self.fmu.guid, **options}), ("free", number)]
+            [("create", number, {"guid": self.fmu.guid, **self._options, **options}), ("free", number)]
         )
         return created, [Message(*message) for message in messages]
 
@@ -253,6 +300,15 @@ class Probe:
     def real(self, causality: str) -> list[Variable]:
         """Returns the Real variables of a causality."""
         return [v for v in self.fmu.variables if v.causality == causality and v.kind == "Real"]
+
+
+def _sizes(fmu: FmuFile) -> dict[str, Any]:
+    """Returns the options of `ModelExchangeInstance`, from the description."""
+    return {
+        "states": sum(1 for _ in fmu.unknowns("Derivatives")),
+        "indicators": integer(fmu.root.get("numberOfEventIndicators")) or 0,
+        "needs_completed": not fmu.claims("completedIntegratorStepNotNeeded"),
+    }
 
 
 def _refused(messages: Sequence[Message]) -> Exception:

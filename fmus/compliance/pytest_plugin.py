@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class BrokenRuleWarning(UserWarning):
-    """An FMU breaks a rule that only warns."""
+    """An FMU breaks a rule whose level is below error."""
 
 
 class BrokenRuleError(Exception):
@@ -57,12 +57,14 @@ class FmuTests(pytest.File):
     def collect(self) -> Iterable["RuleTest"]:
         try:
             from fmus.compliance.library_reader import check_lief
-            from fmus.compliance.registry import all_rules
+            from fmus.compliance.rule import all_rules
+            from fmus.compliance.sentences import rule_table
 
             check_lief()
         except ImportError as error:  # of the extra `check`
             raise pytest.UsageError(f"--fmu: {error}") from None
-        return [RuleTest.from_parent(self, name=rule.name) for rule in all_rules()]
+        names = [rule.name for rule in all_rules() if rule.name not in rule_table()["off"]]
+        return [RuleTest.from_parent(self, name=name) for name in names]
 
     def result(self, name: str) -> "Result":
         if self._results is None:
@@ -76,7 +78,7 @@ class FmuTests(pytest.File):
 
 
 class RuleTest(pytest.Item):
-    """One rule of one FMU: an error fails, a warning warns, what does not apply is skipped."""
+    """One rule of one FMU: an error fails, a finding below it warns, what does not apply is skipped."""
 
     def runtest(self) -> None:
         parent = self.parent
@@ -85,10 +87,10 @@ class RuleTest(pytest.Item):
         if reason := result.not_applicable or result.not_judged:
             pytest.skip(reason)
         text = f"{self.name} ({result.rule.clause}): " + "; ".join(result.messages)
-        if result.outcome == "warning":
-            warnings.warn(BrokenRuleWarning(f"{parent.path.name}: {text}"), stacklevel=1)
-        elif result.messages:
+        if result.outcome == "error":
             raise BrokenRuleError(text)
+        if result.messages:
+            warnings.warn(BrokenRuleWarning(f"{parent.path.name}: {text}"), stacklevel=1)
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
         if isinstance(excinfo.value, (BrokenRuleError, OSError)):

@@ -4,99 +4,173 @@ import difflib
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import PackageNotFoundError, metadata
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from fmus.compliance.rule import CANNOT_LOAD, OUTCOMES, Result, Rule
-from fmus.compliance.sentences import sentences_of
+from fmus.compliance.findings import Finding, folded
+from fmus.compliance.fmu_file import DESCRIPTION
+from fmus.compliance.rule import CANNOT_LOAD, OUTCOMES, Level, Result, Rule
+from fmus.compliance.sentences import levels, sentences_of
 
-Findings = Mapping[Path, Sequence[Result]]
+Results = Mapping[Path, Sequence[Result]]
 _STANDARD = "https://github.com/modelica/fmi-standard/tree/v2.0.5/docs"
 _SARIF_SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
+_SARIF_LEVELS = {Level.ERROR: "error", Level.DEVIATION: "warning", Level.ADVICE: "note"}
+_GITHUB_COMMANDS = {Level.ERROR: "error", Level.DEVIATION: "warning", Level.ADVICE: "notice"}
+_ACCEPTED = "accepted"  # outcome of a broken rule whose findings are all waived or in the baseline
 
 
-def count(findings: Findings, outcome: str) -> int:
-    """Returns the number of messages of an outcome ("error", "warning") in all."""
-    return sum(len(r.messages) for results in findings.values() for r in results if r.outcome == outcome)
+@dataclass(frozen=True)
+class Checked:
+    """Results of a check and their findings, those accepted too.
 
-
-def summary(results: Sequence[Result]) -> str:
-    """Returns one line: how many rules passed, and so on."""
-    counts = Counter(result.outcome for result in results)
-    return ", ".join(f"{counts[outcome]} {outcome}" for outcome in OUTCOMES if counts[outcome])
-
-
-def total(findings: Findings) -> str:
-    """Returns one line on all FMUs."""
-    errors, warnings = (count(findings, outcome) for outcome in ("error", "warning"))
-    bad = sum(any(r.outcome == "error" for r in results) for results in findings.values())
-    return f"{len(findings)} FMUs, {bad} with errors: {errors} errors, {warnings} warnings"
-
-
-def unloaded(findings: Findings) -> list[str]:
-    """Returns each FMU whose library this machine cannot load, with the reason."""
-    both = ((path, result) for path, results in findings.items() for result in results)
-    return [f"{path}: {result.not_judged}" for path, result in both if _is_unloaded(result)]
-
-
-def _is_unloaded(result: Result) -> bool:
-    return result.rule.name == "library-loads" and result.not_judged.startswith(CANNOT_LOAD)
-
-
-def lines(results: Sequence[Result], every: bool = False) -> list[str]:
-    """Returns a line for each message (outcome, rule, clause, message), also where the library cannot load.
-
-    every: a line for the other rules too
+    fail_on: the least level that fails; off: names of rules that were left out; every: show each rule and
+    each finding
     """
-    return [
-        f"{result.outcome}: {result.rule.name} ({result.rule.clause}): {message}"
-        for result in results
-        for message in result.messages
-        or [_reason(result) or result.rule.claim] * (every or _is_unloaded(result))
-    ]
+
+    results: Results
+    findings: Sequence[Finding]
+    fail_on: Level = Level.ERROR
+    off: Sequence[str] = ()
+    every: bool = False
+
+    @cached_property
+    def open(self) -> list[Finding]:
+        """Findings that are not accepted."""
+        return [finding for finding in self.findings if not finding.accepted]
+
+    @cached_property
+    def failing(self) -> list[Finding]:
+        """Open findings of the level that fails, or above it."""
+        levels = list(Level)
+        failing = levels[: levels.index(self.fail_on) + 1]
+        return [finding for finding in self.open if finding.rule.level in failing]
+
+    def outcome(self, path: Path, result: Result) -> str:
+        """Returns one of `OUTCOMES`, or "accepted"."""
+        is_open = not result.messages or (path, result.rule.name) in self._broken
+        return result.outcome if is_open else _ACCEPTED
+
+    @cached_property
+    def _broken(self) -> frozenset[tuple[Path, str]]:
+        return frozenset((finding.fmu, finding.rule.name) for finding in self.open)
+
+    def of(self, path: Path) -> list[Finding]:
+        """Returns the findings about one FMU."""
+        return [finding for finding in self.findings if finding.fmu == path]
+
+
+def _counts(checked: Checked) -> dict[str, int]:
+    """Returns level -> number of findings that are not accepted."""
+    counts = Counter(finding.rule.level for finding in checked.open)
+    return {level.value: counts[level] for level in Level}
+
+
+def summary(checked: Checked, path: Path) -> str:
+    """Returns one line: how many rules passed, and so on."""
+    counts = Counter(checked.outcome(path, result) for result in checked.results[path])
+    return ", ".join(f"{counts[name]} {name}" for name in (*OUTCOMES, _ACCEPTED) if counts[name])
+
+
+def total(checked: Checked) -> str:
+    """Returns one line on all FMUs."""
+    counts = ", ".join(f"{count} {level}" for level, count in _counts(checked).items())
+    bad = len({finding.fmu for finding in checked.open if finding.rule.level is Level.ERROR})
+    return f"{len(checked.results)} FMUs, {bad} with errors: {counts}"
+
+
+def unloaded(results: Results) -> list[str]:
+    """Returns each FMU whose library this machine cannot load, with the reason."""
+    loads = ((path, r) for path, of_fmu in results.items() for r in of_fmu if r.rule.name == "library-loads")
+    return [f"{path}: {r.not_judged}" for path, r in loads if r.not_judged.startswith(CANNOT_LOAD)]
+
+
+def not_judged(results: Sequence[Result]) -> str:
+    """Returns one line: how many rules were not judged and why, the most frequent reason first; or ""."""
+    reasons = Counter(result.not_judged for result in results if result.not_judged)
+    told = "; ".join(f"{reason} ({count})" for reason, count in reasons.most_common())
+    return f"{reasons.total()} not judged: {told}" if told else ""
+
+
+def lines(checked: Checked, path: Path) -> list[str]:
+    """Returns a line for what was not judged, and one for each finding (level, rule, clause, message)."""
+    results = checked.results[path]
+    told = [line] if (line := not_judged(results)) else []
+    if not checked.every:
+        return [*told, *(_line(f, count) for f, count in folded(checked.open) if f.fmu == path)]
+    others = [result for result in results if not result.messages]
+    told += [_line(finding, 1) for finding in checked.of(path)]
+    return told + [f"{r.outcome}: {_title(r.rule)}: {_reason(r) or r.rule.claim}" for r in others]
+
+
+def _line(finding: Finding, count: int) -> str:
+    more = f" (and {count - 1} more like it, see --all)" if count > 1 else ""
+    accepted = f" ({finding.accepted})" if finding.accepted else ""
+    return f"{finding.rule.level}: {_title(finding.rule)}: {finding.text}{more}{accepted}"
+
+
+def _title(rule: Rule) -> str:
+    return f"{rule.name} ({rule.clause})"
 
 
 def _reason(result: Result) -> str:
     return result.not_judged or result.not_applicable
 
 
-def text(findings: Findings, every: bool = False) -> str:
+def text(checked: Checked) -> str:
     """Returns the text that is printed for people."""
-    parts = []
-    for path, results in findings.items():
-        parts += [f"{path}: {summary(results)}", *(f"  {line}" for line in lines(results, every))]
-    return "\n".join([*parts, total(findings)] if len(findings) > 1 else parts) + "\n"
+    parts = list[str]()
+    for path in checked.results:
+        parts += [f"{path}: {summary(checked, path)}", *(f"  {line}" for line in lines(checked, path))]
+    parts += [total(checked)] if len(checked.results) > 1 else []
+    if checked.off:
+        parts.append(f"left out, as most FMUs break them at no cost (see --only): {', '.join(checked.off)}")
+    return "\n".join(parts) + "\n"
 
 
-def json_text(findings: Findings) -> str:
+def json_text(checked: Checked) -> str:
+    """Returns all results and findings, for programs."""
     document = {
-        "errors": count(findings, "error"),
-        "warnings": count(findings, "warning"),
+        "counts": _counts(checked),
         "fmus": [
-            {"fmu": str(path), "rules": [_rule(r) for r in results]} for path, results in findings.items()
+            {
+                "fmu": str(path),
+                "rules": [_rule(checked, path, result) for result in results],
+                "findings": [_finding(finding) for finding in checked.of(path)],
+            }
+            for path, results in checked.results.items()
         ],
     }
     return json.dumps(document, indent=2) + "\n"
 
 
-def _rule(result: Result) -> dict[str, Any]:
+def _rule(checked: Checked, path: Path, result: Result) -> dict[str, Any]:
     rule = result.rule
     return {
         "rule": rule.name,
         "clause": rule.clause,
         "claim": rule.claim,
-        "outcome": result.outcome,
+        "level": rule.level.value,
+        "outcome": checked.outcome(path, result),
         "messages": list(result.messages),
         "not_applicable": result.not_applicable,
         "not_judged": result.not_judged,
     }
 
 
-def sarif(findings: Findings) -> str:
+def _finding(finding: Finding) -> dict[str, Any]:
+    level, names = finding.rule.level.value, ("message", "line", "maker", "accepted")
+    return {"rule": finding.rule.name, "level": level, **{name: getattr(finding, name) for name in names}}
+
+
+def sarif(checked: Checked) -> str:
     """Returns SARIF 2.1.0, which code scanning of GitHub and others read."""
-    broken = [(path, result) for path, results in findings.items() for result in results if result.messages]
-    rules = {result.rule.name: result.rule for _, result in broken}
+    rules = {finding.rule.name: finding.rule for finding in checked.findings}
     driver = {
         "name": "l1-depth check",
         "informationUri": _STANDARD,
@@ -105,56 +179,92 @@ def sarif(findings: Findings) -> str:
                 "id": rule.name,
                 "shortDescription": {"text": rule.claim},
                 "help": {"text": f"FMI 2.0.5, {rule.clause}"},
-                "defaultConfiguration": {"level": rule.level.value},
+                "helpUri": help_uri(rule),
+                "defaultConfiguration": {"level": _SARIF_LEVELS[rule.level]},
             }
             for rule in rules.values()
         ],
     }
-    results = [
-        {
-            "ruleId": result.rule.name,
-            "level": result.rule.level.value,
-            "message": {"text": message},
-            "locations": [{"physicalLocation": {"artifactLocation": {"uri": path.as_posix()}}}],
-        }
-        for path, result in broken
-        for message in result.messages
-    ]
-    runs = [{"tool": {"driver": driver}, "results": results}]
+    runs = [{"tool": {"driver": driver}, "results": [_sarif_result(f) for f in checked.findings]}]
     return json.dumps({"$schema": _SARIF_SCHEMA, "version": "2.1.0", "runs": runs}, indent=2) + "\n"
 
 
-def junit(findings: Findings) -> str:
-    """Returns JUnit's XML: a suite for each FMU, a test for each rule; tests that pass print warnings."""
+def _sarif_result(finding: Finding) -> dict[str, Any]:
+    location: dict[str, Any] = {"artifactLocation": {"uri": finding.fmu.as_posix()}}
+    region = {"region": {"startLine": finding.line}} if finding.line else {}
+    member = {"logicalLocations": [{"name": DESCRIPTION}]} if finding.line else {}
+    accepted = {"suppressions": [{"kind": "external", "justification": finding.accepted}]}
+    return {
+        "ruleId": finding.rule.name,
+        "level": _SARIF_LEVELS[finding.rule.level],
+        "message": {"text": finding.text},
+        "locations": [{"physicalLocation": location | region, **member}],
+        **(accepted if finding.accepted else {}),
+    }
+
+
+def help_uri(rule: Rule) -> str:
+    """Returns the address of the rule in the published documentation, or of the text of FMI without one."""
+    with suppress(PackageNotFoundError):
+        for entry in metadata("l1-depth").get_all("Project-URL") or ():
+            label, _, address = entry.partition(", ")
+            if label.lower() == "documentation":
+                return f"{address.rstrip('/')}/reference/fmi2/#{rule.name}"
+    return _STANDARD
+
+
+def junit(checked: Checked) -> str:
+    """Returns JUnit's XML: a suite for each FMU, a test for each rule; only a level that fails fails it."""
     root = ElementTree.Element("testsuites", name="l1-depth check")
-    for path, results in findings.items():
-        outcomes = Counter(result.outcome for result in results)
-        skipped = outcomes["not applicable"] + outcomes["not judged"]
-        counts = {"tests": len(results), "failures": outcomes["error"], "skipped": skipped, "errors": 0}
-        numbers = {name: str(number) for name, number in counts.items()}
-        suite = ElementTree.SubElement(root, "testsuite", {"name": str(path), **numbers})
-        for result in results:
-            case = ElementTree.SubElement(suite, "testcase", name=result.rule.name, classname=path.name)
-            content = "\n".join(result.messages)
-            if result.outcome == "error":
-                ElementTree.SubElement(case, "failure", message=result.messages[0]).text = content
-            elif result.outcome == "warning":
-                ElementTree.SubElement(case, "system-out").text = f"warning: {content}"
-            elif reason := _reason(result):
-                ElementTree.SubElement(case, "skipped", message=reason)
+    failing = {(finding.fmu, finding.rule.name) for finding in checked.failing}
+    for path, results in checked.results.items():
+        cases = [_case(checked, path, result, (path, result.rule.name) in failing) for result in results]
+        counts = {name: sum(case.find(name) is not None for case in cases) for name in ("failure", "skipped")}
+        numbers = {
+            "tests": len(cases),
+            "failures": counts["failure"],
+            "skipped": counts["skipped"],
+            "errors": 0,
+        }
+        attributes = {name: str(number) for name, number in numbers.items()}
+        ElementTree.SubElement(root, "testsuite", {"name": str(path), **attributes}).extend(cases)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def github(findings: Findings) -> str:
-    """Returns workflow commands of GitHub: each message is an annotation of its FMU."""
-    commands = [
-        f"::{result.outcome} file={_property(str(path))},title={result.rule.name}::{_data(message)}\n"
-        for path, results in findings.items()
-        for result in results
-        for message in result.messages
+def _case(checked: Checked, path: Path, result: Result, fails: bool) -> ElementTree.Element:
+    case = ElementTree.Element("testcase", name=result.rule.name, classname=path.name)
+    content = "\n".join(result.messages)
+    outcome = checked.outcome(path, result)
+    if fails:
+        ElementTree.SubElement(case, "failure", message=result.messages[0]).text = content
+    elif outcome == _ACCEPTED:
+        reason = next(f.accepted for f in checked.of(path) if f.rule == result.rule)
+        ElementTree.SubElement(case, "skipped", message=reason)
+    elif content:
+        ElementTree.SubElement(case, "system-out").text = f"{outcome}: {content}"
+    elif reason := _reason(result):
+        ElementTree.SubElement(case, "skipped", message=reason)
+    return case
+
+
+def github(checked: Checked) -> str:
+    """Returns workflow commands of GitHub: an annotation of the FMU for each finding that is not accepted."""
+    commands = [_annotation(finding, count) for finding, count in folded(checked.open)]
+    skipped = [
+        f"::notice file={_property(str(path))},title=not judged::{_data(line)}\n"
+        for path, results in checked.results.items()
+        if (line := not_judged(results))
     ]
-    return "".join(commands) + total(findings) + "\n"
+    return "".join([*commands, *skipped]) + total(checked) + "\n"
+
+
+def _annotation(finding: Finding, count: int) -> str:
+    command = _GITHUB_COMMANDS[finding.rule.level]
+    line = f",line={finding.line}" if finding.line else ""
+    more = f" (and {count - 1} more like it)" if count > 1 else ""
+    place = f"file={_property(str(finding.fmu))}{line},title={_property(_title(finding.rule))}"
+    return f"::{command} {place}::{_data(finding.text + more)}\n"
 
 
 def _data(content: str) -> str:
@@ -165,7 +275,7 @@ def _property(content: str) -> str:
     return _data(content).replace(":", "%3A").replace(",", "%2C")
 
 
-FORMATS: Mapping[str, Callable[[Findings], str]] = {
+FORMATS: Mapping[str, Callable[[Checked], str]] = {
     "text": text, "json": json_text, "sarif": sarif, "junit": junit, "github": github,
 }  # fmt: skip
 
@@ -183,7 +293,7 @@ def explain(name: str, rules: Sequence[Rule]) -> str:
     checked = [f"  {sentence.clause}: {sentence.text}" for sentence in sentences_of(name)]
     body = ["sentences of FMI 2.0.5 that it checks:", *checked] if checked else [f"clause: {chosen.clause}"]
     needs = [f"not judged if broken: {', '.join(chosen.needs)}"] if chosen.needs else []
-    head = f"{name}: {chosen.level}, judged by {_judged_by(chosen)}"
+    head = f"{name}: {chosen.level} ({levels()[name][1]}), judged by {_judged_by(chosen)}"
     return "\n".join([head, chosen.claim, *body, *needs, f"mutants: python -m tests.mutants {name}"]) + "\n"
 
 

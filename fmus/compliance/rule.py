@@ -1,21 +1,31 @@
-"""Rules: each is one decorated function."""
+"""Rules: each is one decorated function, or a row of data; all of them in their order."""
 
 import inspect
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
+from importlib import import_module
 from typing import Any
+
+from fmus.compliance.sentences import levels
 
 Check = Callable[[Any], Iterable[str]]
 Condition = Callable[[Any], str]  # why the rule does not apply to an FMU; nothing if it does
 
 
 class Level(StrEnum):
-    """Level of a rule: breaking an error fails the check, breaking a warning is only told."""
+    """Level of a rule by the consequence of breaking it; the most severe one comes first.
+
+    ERROR: an importer that keeps the standard fails, crashes or gets a wrong result.
+    DEVIATION: a sentence demands it, but no importer known to us stumbles over it.
+    ADVICE: no sentence demands it.
+    """
 
     ERROR = "error"
-    WARNING = "warning"
+    DEVIATION = "deviation"
+    ADVICE = "advice"
 
 
 class Stage(StrEnum):
@@ -29,17 +39,26 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True)
 class Rule:
-    """One rule: `check` yields a message for each time that an FMU breaks it."""
+    """One rule: `check` yields a message for each time that an FMU breaks it.
+
+    interface: the element of the interface that it is of alone; empty for a rule of both
+    """
 
     name: str
     clause: str
     claim: str
-    level: Level
     stage: Stage
     check: Check
     condition: Condition
     needs: tuple[str, ...] = ()
     last: bool = False
+    interface: str = ""
+    module: str = ""
+
+    @property
+    def level(self) -> Level:
+        """Level of the rule in `sentences/rules.toml`."""
+        return Level(levels()[self.name][0])
 
 
 IS_BROKEN = " is broken"
@@ -47,6 +66,10 @@ IS_BROKEN = " is broken"
 
 CANNOT_LOAD = "this machine cannot load the library"
 """At the begin of the reason why no behaviour is judged on this machine."""
+
+
+RANDOM = "the outputs are random"
+"""Reason why no behaviour is judged, of an FMU whose runs cannot be compared."""
 
 
 class NotJudgedError(Exception):
@@ -83,52 +106,60 @@ def defect(error: Exception) -> str:
 
 
 DEFECT = "the rule failed by a defect of this checker"
-OUTCOMES = ("passed", "not applicable", "not judged", "warning", "error")
-RULES: dict[str, Rule] = {}  # by name, of the modules that are imported; `registry` imports all
+OUTCOMES = ("passed", "not applicable", "not judged", *reversed(Level))
+RULES: dict[str, Rule] = {}  # by name, of the modules that are imported; `registered` imports all
 _MOST_MESSAGES, _LONGEST_MESSAGE = 100, 2000
 
 
-def _always(_: Any) -> str:
+def always(_: Any) -> str:
+    """Returns no reason why a rule does not apply: it applies to every FMU."""
     return ""
 
 
 def rule(
     clause: str,
     stage: Stage,
-    level: Level = Level.ERROR,
-    condition: Condition = _always,
+    condition: Condition = always,
     needs: str = "",
     last: bool = False,
+    interface: str = "",
 ) -> Callable[[Check], Check]:
     """Makes a function a rule: its name with dashes is the rule's, its docstring what the rule claims.
 
     clause: section of FMI 2.0.5 with its title's words, or who else demands it.
-    needs: names of rules, with blanks between; if one of these has an error, this one is not judged: it would
+    needs: names of rules, with blanks between; if one of these is broken, this one is not judged: it would
     find the same.
     last: it is judged after the rules of its stage that are not, as it judges what came of their calls, or as
     its own may leave the process of the FMU damaged.
+    interface: see `Rule`.
     """
 
     def register(check: Check) -> Check:
         name = check.__name__.replace("_", "-")
         claim = " ".join((inspect.getdoc(check) or "").split())
-        if name in RULES:
-            raise ValueError(f"rule {name}: expected one function of that name, got a second")
-        RULES[name] = Rule(name, clause, claim, level, stage, check, condition, tuple(needs.split()), last)
+        needed, module = tuple(needs.split()), check.__module__
+        add_rule(Rule(name, clause, claim, stage, check, condition, needed, last, interface, module))
         return check
 
     return register
 
 
+def add_rule(added: Rule) -> None:
+    """Registers a rule. Raises ValueError for a name that another one has."""
+    if added.name in RULES:
+        raise ValueError(f"rule {added.name}: expected one of that name, got a second")
+    RULES[added.name] = added
+
+
 def behaviour_rule(
     clause: str,
-    level: Level = Level.ERROR,
-    condition: Condition = _always,
+    condition: Condition = always,
     needs: str = "",
     last: bool = False,
+    interface: str = "",
 ) -> Callable[[Check], Check]:
     """Makes a function a rule of behaviour; arguments as of `rule`."""
-    return rule(clause, Stage.BEHAVIOUR, level, condition, needs, last)
+    return rule(clause, Stage.BEHAVIOUR, condition, needs, last, interface)
 
 
 def messages_of(check: Iterable[str]) -> tuple[str, ...]:
@@ -151,3 +182,24 @@ def repeated(names: Iterable[Any]) -> dict[Any, int]:
     None is left out: the schema tells what has no name.
     """
     return {name: count for name, count in Counter(names).items() if count > 1 and name is not None}
+
+
+MODULES = (
+    "archive", "files", "description", "variables", "structure", "library",
+    "lifecycle", "initialization", "call", "discard", "value", "setting", "step", "asynchronous",
+    "environment", "messages", "state", "derivatives", "effects", "reference", "model_exchange",
+    "status",  # of refusals in the calls of all others
+)  # fmt: skip
+"""Modules of `fmus.compliance.rules`, in the order in which their rules are judged and told."""
+
+
+@cache
+def registered(stage: Stage) -> tuple[Rule, ...]:
+    """Returns the rules of a stage, in the order of `MODULES`, and of their definitions in each."""
+    modules = [import_module(f"fmus.compliance.rules.{name}").__name__ for name in MODULES]
+    rules = (rule for rule in RULES.values() if rule.stage is stage)
+    return tuple(sorted(rules, key=lambda rule: modules.index(rule.module)))
+
+
+def all_rules() -> tuple[Rule, ...]:
+    return tuple(rule for stage in Stage for rule in registered(stage))

@@ -9,13 +9,14 @@ from fmus.compliance.variable import Variable
 from fmus.fmi.binding import WARNING, status_name
 
 KINDS = ("Real", "Integer", "Boolean", "String")
+STEPS = ("do_step", "do_steps", "begin_step")
 UNWRITTEN = "values"  # among what a call changed: those that were asked for were not
 ARGUMENTS = "arguments"  # among what a call changed
 _FUNCTIONS = {  # method of `CalledInstance` -> function of FMI, where the arguments do not name it
     "set_up_experiment": "fmi2SetupExperiment", "set_up_experiment_with": "fmi2SetupExperiment",
     "enter_initialization_mode": "fmi2EnterInitializationMode",
     "exit_initialization_mode": "fmi2ExitInitializationMode", "set_debug_logging": "fmi2SetDebugLogging",
-    "do_step": "fmi2DoStep", "begin_step": "fmi2DoStep", "wait": "fmi2DoStep",
+    "do_step": "fmi2DoStep", "do_steps": "fmi2DoStep", "begin_step": "fmi2DoStep", "wait": "fmi2DoStep",
     "directional_derivatives": "fmi2GetDirectionalDerivative",
     "set_input_derivatives": "fmi2SetRealInputDerivatives",
     "output_derivatives": "fmi2GetRealOutputDerivatives", "get_fmu_state": "fmi2GetFMUstate",
@@ -24,7 +25,9 @@ _FUNCTIONS = {  # method of `CalledInstance` -> function of FMI, where the argum
     "serialized_fmu_state_size": "fmi2SerializedFMUstateSize",
     "copy_fmu_state": "fmi2DeSerializeFMUstate", "poll_step": "fmi2GetStatus",
     "free": "fmi2FreeInstance", "end": "fmi2Terminate", "derive_nothing": "fmi2GetDirectionalDerivative",
-    "remove_link": "removing a link",
+    "remove_link": "removing a link", "set_time": "fmi2SetTime",
+    "new_discrete_states": "fmi2NewDiscreteStates", "set_continuous_states": "fmi2SetContinuousStates",
+    "completed_integrator_step": "fmi2CompletedIntegratorStep", "observed_events": "observing events",
 }  # fmt: skip
 
 
@@ -53,7 +56,10 @@ class Message:
 
 @dataclass
 class Reply:
-    """Reply to a call; `status` is None until it was made."""
+    """Reply to a call; `status` is None until it was made.
+
+    reason: why a step for model exchange is discarded although no call failed
+    """
 
     function: str
     state: str
@@ -62,6 +68,8 @@ class Reply:
     messages: list[Message] = field(default_factory=list)
     changed: list[list[str]] = field(default_factory=list)
     printed: int = 0
+    is_step: bool = False
+    reason: str = ""
 
     @property
     def ok(self) -> bool:
@@ -136,6 +144,7 @@ class Script:
         self.state = "instantiated"
         self.parts = [0]
         self._step = 0
+        self._saved: dict[int, tuple[int, str]] = {}  # slot -> number of the next step, state
 
     # writing
 
@@ -155,12 +164,14 @@ class Script:
 
     def call(self, method: str, *arguments: Any) -> Reply:
         """Adds a call of a method of `CalledInstance`."""
-        function = _FUNCTIONS.get(method)
+        is_step = method in STEPS
+        is_integrated = is_step and self._probe.fmu.is_model_exchange
+        function = "fmi2SetTime" if is_integrated else _FUNCTIONS.get(method)
         if function is None and method in ("get", "set"):
             function = f"fmi2{method.title()}{arguments[0]}"
         elif method == "status_of":
             function = f"fmi2Get{arguments[0]}Status"
-        reply = Reply(function or str(arguments[0]), self.state)
+        reply = Reply(function or str(arguments[0]), self.state, is_step=is_step)
         self.calls.append((method, *arguments))
         self.replies.append(reply)
         return reply
@@ -186,7 +197,7 @@ class Script:
 
     def exit_initialization_mode(self) -> "Script":
         self.call("exit_initialization_mode")
-        self.state = "step complete"
+        self.state = "event mode" if self._probe.fmu.is_model_exchange else "step complete"
         return self
 
     def initialise(self, start: float | None = None) -> "Script":
@@ -206,9 +217,33 @@ class Script:
             self._step += 1
         return self
 
-    def go_to(self, step: int) -> "Script":
-        """Makes the next step number `step`."""
-        self._step = step
+    def go_on(self, count: int) -> "Script":
+        """Adds steps of the default experiment's size in one call, up to the first that fails."""
+        self.call("do_steps", self._probe.start_time, self._probe.step_size, self._step, count)
+        self._step += count
+        return self
+
+    def save(self, slot: int = 0) -> "Script":
+        self.call("get_fmu_state", slot)
+        self._saved[slot] = self._step, self.state
+        return self
+
+    def restore(self, slot: int = 0) -> "Script":
+        """Sets a saved state back: the next step is the one that followed when it was saved."""
+        self.call("set_fmu_state", slot)
+        self._step, self.state = self._saved[slot]
+        return self
+
+    def copy(self, slot: int, other: int) -> "Script":
+        """Makes another saved state of the bytes of one."""
+        self.call("copy_fmu_state", slot, other)
+        self._saved[other] = self._saved[slot]
+        return self
+
+    def read_bytes(self, slot: int, content: str, source: "Script") -> "Script":
+        """Makes a saved state of bytes of the state in the same slot of another script."""
+        self.call("deserialize_fmu_state", slot, content)
+        self._saved[slot] = source._saved[slot]
         return self
 
     def terminate(self) -> Reply:
@@ -240,6 +275,15 @@ class Script:
         reply = self.call("output_derivatives", [v.reference or 0 for v in outputs], 1)
         return Reading({"Real": list(outputs)}, {"Real": reply})
 
+    def point(self, i: int) -> float:
+        """Returns the time of communication point number i [s]."""
+        return self._probe.point(i)
+
+    @property
+    def time(self) -> float:
+        """Time at which the next step begins [s]."""
+        return self.point(self._step)
+
     @property
     def variables(self) -> Sequence[Variable]:
         """All variables of the FMU."""
@@ -269,7 +313,10 @@ class Script:
             if not answer:
                 continue
             try:
-                status, reply.value, messages, changed, printed = answer
+                status, reply.value, messages, changed, printed, function = answer
+                if status and self._probe.fmu.is_model_exchange:  # a step is many calls
+                    reply.function = str(function)
+                    reply.reason = reply.value if isinstance(reply.value, str) else ""
                 reply.status, reply.changed, reply.printed = int(status), changed, int(printed)
                 reply.messages = [Message(*message) for message in messages]
             except (TypeError, ValueError):  # the FMU can write to the process that answers

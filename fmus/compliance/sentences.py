@@ -1,6 +1,7 @@
 """The sentences of FMI 2.0.5 that bind an FMU, each with the rules that check it or why none does.
 
-The data are the TOML files in `sentences/`, one for each section of the standard, in its order.
+The data are the TOML files in `sentences/`: one for each section of the standard, in its order, and
+`rules.toml` with the level of each rule.
 """
 
 import tomllib
@@ -10,37 +11,55 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
+_FOLDER = resources.files("fmus.compliance") / "sentences"
+NO_DEMANDS = {
+    "should": "the sentence says should",
+    "note": "it stands in an informative note",
+    "importer": "it binds the importer",
+    "explanation": "it explains",
+}
 ADVICE = "advice"  # begins the clause of a rule that no sentence of FMI demands
 
 
 @dataclass(frozen=True)
 class Sentence:
-    """One sentence in other words. Exactly one of the last three is not empty.
+    """One sentence in other words. Exactly one of rules and not_observable is not empty.
 
     not_observable: why no check of an FMU from outside can see it broken.
-    model_exchange: it binds FMUs for model exchange alone, whose behaviour is not judged.
+    no_demand: why it demands nothing of an FMU, one of `NO_DEMANDS`; empty if it does.
     """
 
     clause: str
     text: str
     rules: tuple[str, ...] = ()
     not_observable: str = ""
-    model_exchange: bool = False
+    no_demand: str = ""
 
     def __post_init__(self) -> None:
-        count = sum(map(bool, (self.rules, self.not_observable, self.model_exchange)))
-        if count != 1:
+        if bool(self.rules) == bool(self.not_observable):
+            got = "both" if self.rules else "neither"
             raise ValueError(
-                f"sentence {self.clause}, {self.text!r}: "
-                f"expected one of rules, not_observable and model_exchange, got {count}"
+                f"sentence {self.clause}, {self.text!r}: expected rules or not_observable, got {got}"
             )
 
 
 @cache
 def _files() -> tuple[Mapping[str, Any], ...]:
-    folder = resources.files("fmus.compliance") / "sentences"
-    paths = sorted((path for path in folder.iterdir() if path.name.endswith(".toml")), key=lambda p: p.name)
+    paths = sorted((path for path in _FOLDER.iterdir() if path.name[0].isdigit()), key=lambda p: p.name)
     return tuple(tomllib.loads(path.read_text(encoding="utf-8")) for path in paths)
+
+
+@cache
+def rule_table() -> Mapping[str, Any]:
+    """Returns `rules.toml`: level -> rule -> reason, and the lists "off" and "pythonfmu" of rules."""
+    return tomllib.loads((_FOLDER / "rules.toml").read_text(encoding="utf-8"))
+
+
+@cache
+def levels() -> dict[str, tuple[str, str]]:
+    """Returns name of a rule -> its level ("error", "deviation", "advice") and the reason."""
+    tables = {level: rule_table()[level] for level in ("error", "deviation", "advice")}
+    return {name: (level, reason) for level, table in tables.items() for name, reason in table.items()}
 
 
 @cache

@@ -1,16 +1,21 @@
-"""Values of variables for the rules: start values, other legal values, and which can be set."""
+"""Values of variables for the rules: start values, other legal ones, which can be set; how two compare."""
 
+import itertools
 import math
 import random
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Condition
+from fmus.compliance.rule import Condition, NotJudgedError
+from fmus.compliance.script import Reading, Script
 from fmus.compliance.variable import Variable
 
 _TRUE = {"true": 1, "1": 1, "false": 0, "0": 0}
+INTERPOLATES = "canInterpolateInputs"
+_LARGEST_REFERENCE = 2**32 - 1
 _LEAST_INTEGER, _LARGEST_INTEGER = -(2**31), 2**31 - 1
 _STAYS = 0.3  # how often a random value is the start value
 _LONG_TEXT = "Tiefe ä, \N{GREEK SMALL LETTER PI}, \N{GRINNING FACE}; " * 20
@@ -38,6 +43,11 @@ def start_value(v: Variable) -> Any:
     if v.base_kind != "Integer":
         return value
     return int(value) if value is not None and _is_integer_of_fmi(value) else None
+
+
+def start_values(variables: Iterable[Variable]) -> list[tuple[Variable, Any]]:
+    """Returns each variable that has a start value, with that value."""
+    return [(v, x) for v in variables if (x := start_value(v)) is not None]
 
 
 def other_value(v: Variable) -> Any:
@@ -80,18 +90,6 @@ def far_values(v: Variable) -> list[Any]:
     ]
     is_meant = [v.causality == "input" or x * start >= 0.0 or x in (low, high) for x in values]
     return [x for x, meant in zip(values, is_meant, strict=True) if meant and _within(v, x) and x != start]
-
-
-def values_out_of_range(v: Variable) -> list[Any]:
-    """Numbers just below the min and just above the max of a variable."""
-    if v.kind not in ("Real", "Integer") or start_value(v) is None:
-        return []
-    low, high = v.number("min"), v.number("max")
-    limits = [(low, -1), (high, 1)]
-    if v.kind == "Integer":
-        return [int(x) + sign for x, sign in limits if x is not None and abs(x) < _LARGEST_INTEGER]
-    values = [x + sign * _PART * max(abs(x), 1.0) for x, sign in limits if x is not None]
-    return [x for x in values if math.isfinite(x)]  # 1.797e308 stands for no limit
 
 
 def read_value(value: Any) -> Any:
@@ -171,6 +169,29 @@ def references_of(variables: Iterable[Variable]) -> list[int]:
     return [v.reference or 0 for v in variables]
 
 
+def unknown_reference(fmu: FmuFile) -> int:
+    """Returns a value reference far from the variables': some without an entry may lie between."""
+    used = {v.reference or 0 for v in fmu.variables}
+    far = max(used, default=0) + 1000
+    return far if far <= _LARGEST_REFERENCE else next(i for i in itertools.count() if i not in used)
+
+
+def refused_reference(probe: Probe) -> int:
+    """Returns an unknown value reference, after the FMU was asked once for its value, whatever it answered.
+
+    Raises NotJudgedError if that ended the process, which `wrong-references-are-refused` tells.
+    """
+    reference = unknown_reference(probe.fmu)
+
+    def asked() -> None:
+        script = probe.script().begin().forbidden()
+        script.call("get", "Real", [reference])
+        script.play(keep_going=True)
+
+    probe.once("read of a value reference that no variable has", asked)
+    return reference
+
+
 def is_utf_8(content: bytes) -> bool:
     try:
         content.decode("utf-8")
@@ -182,3 +203,142 @@ def is_utf_8(content: bytes) -> bool:
 def other_values(variables: Iterable[Variable]) -> list[tuple[Variable, Any]]:
     """Returns each variable that has another legal value, with that value."""
     return [(v, x) for v in variables if (x := other_value(v)) is not None]
+
+
+def set_input_derivatives(probe: Probe, script: Script, value: float = 1.0) -> None:
+    """Sets first derivatives of all continuous Real inputs, if the FMU interpolates."""
+    references = references_of(continuous_reals(probe, "input"))
+    if references and probe.fmu.claims(INTERPOLATES):
+        count = len(references)
+        script.call("set_input_derivatives", references, [1] * count, [value] * count)
+
+
+def accepted_together(
+    probe: Probe, pairs: Sequence[tuple[Variable, Any]], begun: Callable[[], Script]
+) -> list[tuple[Variable, Any]]:
+    """Returns variables and values with which the FMU takes a step at once: those accepted alone, less those
+    that it refuses beside others; found once for all rules that begin alike.
+    """
+    values = [(v.name, x) for v, x in pairs]
+    return probe.once("choice of values", lambda: _chosen(probe, pairs, begun), values, begun().calls)
+
+
+def _chosen(
+    probe: Probe, pairs: Sequence[tuple[Variable, Any]], begun: Callable[[], Script]
+) -> list[tuple[Variable, Any]]:
+    if not pairs or _takes(probe, [pairs], begun)[0]:
+        return list(pairs)
+    succeeded = _takes(probe, [[pair] for pair in pairs], begun)
+    alone = [pair for pair, ok in zip(pairs, succeeded, strict=True) if ok]
+    if not alone or _takes(probe, [alone], begun)[0]:
+        return alone
+    together = list[tuple[Variable, Any]]()
+    for pair in alone:
+        if _takes(probe, [[*together, pair]], begun)[0]:
+            together.append(pair)
+    return together
+
+
+def _takes(
+    probe: Probe, choices: Sequence[Sequence[tuple[Variable, Any]]], begun: Callable[[], Script]
+) -> list[bool]:
+    """Whether the FMU takes a step after the values of each choice were set in a new script."""
+    scripts = [begun() for _ in choices]
+    for script, pairs in zip(scripts, choices, strict=True):
+        for v, x in pairs:
+            script.set(v, x)
+        if script.state == "instantiated":
+            script.initialise()
+        if script.state == "initialization mode":
+            script.exit_initialization_mode()
+        script.step()
+    probe.play_each(scripts)
+    return [script.succeeded for script in scripts]
+
+
+_LARGE = 1e-5  # relative: what is more is compared with the variable itself
+RESTARTED = 1e-2  # relative: what a solver that begins anew at an event may change
+_SMALL = 0.01  # of the largest variable: what is smaller is compared against that
+_LONGEST_TEXT = 60  # characters of a value
+
+
+def texts(*values: Any) -> list[str]:
+    """Numbers with as few digits as show that they differ, six at least."""
+    if not all(isinstance(value, (int, float)) for value in values):
+        return [repr(value) for value in values]
+    for digits in (6, 9, 12, 15):
+        shown = [f"{value:.{digits}g}" for value in values]
+        if len(set(shown)) == len({repr(value) for value in values}):
+            return shown
+    return [repr(value) for value in values]
+
+
+def same(a: Any, b: Any, tolerance: float = 0.0, scale: float = 0.0) -> bool:
+    """Whether two values are equal; numbers up to a tolerance relative to the larger and the scale."""
+    if a == b:
+        return True
+    if not isinstance(a, float) or not isinstance(b, (int, float)):
+        return False
+    if math.isnan(a) and math.isnan(b):
+        return True
+    return abs(a - b) <= tolerance * max(abs(a), abs(b), scale)
+
+
+@dataclass(frozen=True)
+class Given:
+    """Values that variables should have, in place of a reading of them."""
+
+    values: dict[str, Any]
+
+
+def differing(
+    expected: Iterable[Reading | Given],
+    got: Iterable[Reading],
+    when: str,
+    tolerance: float = 0.0,
+    again: str = "{} again",
+    where: Sequence[str] = (),
+) -> Iterator[str]:
+    """Yields each variable's first value that is not the same; a tolerance is relative to the largest number,
+    a large one to the variable's own, or a hundredth of the largest; to the value itself where it is given.
+
+    again: what is expected, in words, of the value; where: words for each reading, if not its number
+    """
+    pairs = [(row.values, other.values, row) for row, other in zip(expected, got, strict=True)]
+    scales: dict[str, float] = {}
+    for row, _, source in pairs:
+        for name, value in row.items() if isinstance(source, Reading) else ():
+            if isinstance(value, float) and math.isfinite(value):
+                scales[name] = max(abs(value), scales.get(name, 0.0))
+    least = (_SMALL if tolerance >= _LARGE else 1.0) * max(scales.values(), default=0.0)
+    named = set()
+    for i, (row, other, _) in enumerate(pairs):
+        for name, value in other.items():
+            value_read, value_expected = read_value(value), read_value(row[name])
+            scale = max(scales.get(name, 0.0), least)
+            if name not in named and not same(value_expected, value_read, tolerance, scale):
+                named.add(name)
+                new, old = (text[:_LONGEST_TEXT] for text in texts(value_read, value_expected))
+                place = where[i] if where else f", step {i + 1}" if len(pairs) > 1 else ""
+                yield f"{name} is {new} {when}{place}: expected {again.format(old)}"
+
+
+def _steady(probe: Probe) -> set[str]:
+    """Returns the names of the variables that are the same in every instance: no clock of the computer."""
+
+    def names() -> set[str]:
+        one, other = probe.script().begin(), probe.script().begin()
+        first, second = ([s.step().read(s.variables) for _ in range(3)] for s in (one, other))
+        probe.play_each([one, other])
+        if not one.succeeded or not other.succeeded:
+            raise NotJudgedError("a run fails")
+        others = {message.split(" is ", 1)[0] for message in differing(first, second, "")}
+        return {v.name for v in probe.fmu.variables} - others
+
+    return probe.once("comparison of two runs", names)
+
+
+def steadily(probe: Probe, messages: Iterable[str]) -> Iterator[str]:
+    """Returns the messages about variables that are the same in every instance."""
+    steady = _steady(probe)
+    return (message for message in messages if message.split(" is ", 1)[0] in steady)

@@ -43,9 +43,14 @@ class Variable:
         return self.attributes.get("name") or f"<variable {self.index} without a name>"
 
     @property
+    def legal_initial(self) -> tuple[str, ...] | None:
+        """Values that `initial` may have, the default first; None if `is_legal_pair` is false."""
+        return INITIAL.get((self.causality, self.variability))
+
+    @property
     def is_legal_pair(self) -> bool:
         """Whether causality and variability are a pair that FMI allows."""
-        return (self.causality, self.variability) in INITIAL
+        return self.legal_initial is not None
 
     @property
     def causality(self) -> str:
@@ -59,9 +64,8 @@ class Variable:
     def initial(self) -> str:
         """Attribute initial as stated, if that is legal here, else the default; "" where there is none."""
 
-        stated, pair = self.attributes.get("initial", ""), (self.causality, self.variability)
-        allowed = INITIAL.get(pair, (stated,))
-        return stated if stated in allowed else next(iter(allowed), "")
+        stated, legal = self.attributes.get("initial", ""), self.legal_initial
+        return stated if legal is None or stated in legal else next(iter(legal), "")
 
     @cached_property
     def reference(self) -> int | None:
@@ -80,6 +84,24 @@ class Variable:
 
     def number(self, attribute: str) -> float | None:
         return number(self.get(attribute))
+
+    @property
+    def low(self) -> float:
+        """The attribute min; -inf without one."""
+        low = self.number("min")
+        return -math.inf if low is None else low
+
+    @property
+    def high(self) -> float:
+        """The attribute max; inf without one."""
+        high = self.number("max")
+        return math.inf if high is None else high
+
+    @property
+    def nominal(self) -> float:
+        """The attribute nominal; 1.0 without one."""
+        nominal = self.number("nominal")
+        return 1.0 if nominal is None else nominal
 
     @property
     def start(self) -> str | None:

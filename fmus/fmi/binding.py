@@ -19,7 +19,7 @@ _STATUS_NAMES = ("ok", "warning", "discard", "error", "fatal", "pending")
 # type of the functions that transfer numbers -> ctypes element, as fmi2TypesPlatform.h has it
 ELEMENTS = {"Real": ctypes.c_double, "Integer": ctypes.c_int, "Boolean": ctypes.c_int}
 _FALSE, _TRUE = 0, 1  # fmi2Boolean
-CO_SIMULATION = 1  # fmi2Type
+MODEL_EXCHANGE, CO_SIMULATION = 0, 1  # fmi2Type
 
 
 def element_type(transfer_type: str) -> Any:
@@ -58,21 +58,34 @@ def reference_array(references: Sequence[int]) -> Any:
 
 # Functions of FMI 2.0 by the types of their arguments: p(ointer), s(ize), d(ouble), i(nt). They return a
 # status unless `_RESULTS` has another type.
-_SIGNATURES = {
+_COMMON_SIGNATURES = {
     "": "GetTypesPlatform GetVersion",
-    "p": "FreeInstance EnterInitializationMode ExitInitializationMode Terminate Reset CancelStep",
+    "p": "FreeInstance EnterInitializationMode ExitInitializationMode Terminate Reset",
     "pp": "GetFMUstate SetFMUstate FreeFMUstate",
     "ppp": "SerializedFMUstateSize",
-    "pip": "GetStatus GetRealStatus GetIntegerStatus GetBooleanStatus GetStringStatus",
-    "pddi": "DoStep",
     "pisp": "SetDebugLogging",
     "ppps": "SerializeFMUstate",
     "ppsp": "GetReal GetInteger GetBoolean GetString SetReal SetInteger SetBoolean SetString "
     "DeSerializeFMUstate",
-    "ppspp": "SetRealInputDerivatives GetRealOutputDerivatives",
     "ppspspp": "GetDirectionalDerivative",
     "piddid": "SetupExperiment",
     "pipppii": "Instantiate",
+}
+_SIGNATURES = {  # fmi2Type -> functions of that interface alone
+    CO_SIMULATION: {
+        "p": "CancelStep",
+        "pip": "GetStatus GetRealStatus GetIntegerStatus GetBooleanStatus GetStringStatus",
+        "pddi": "DoStep",
+        "ppspp": "SetRealInputDerivatives GetRealOutputDerivatives",
+    },
+    MODEL_EXCHANGE: {
+        "p": "EnterEventMode EnterContinuousTimeMode",
+        "pp": "NewDiscreteStates",
+        "pipp": "CompletedIntegratorStep",
+        "pd": "SetTime",
+        "pps": "SetContinuousStates GetDerivatives GetEventIndicators GetContinuousStates "
+        "GetNominalsOfContinuousStates",
+    },
 }
 _RESULTS = {
     "Instantiate": ctypes.c_void_p,
@@ -89,12 +102,14 @@ class Library:
     It is loaded by its whole path, from which the system also resolves what it needs; the working directory,
     which all threads share, stays as it is. Raises OSError if the system refuses, AttributeError if a
     function is missing.
+
+    interface: fmi2Type, whose functions it must have
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, interface: int = CO_SIMULATION) -> None:
         self._functions = ctypes.CDLL(str(path.resolve()))
         missing = []
-        for types, names in _SIGNATURES.items():
+        for types, names in (*_COMMON_SIGNATURES.items(), *_SIGNATURES[interface].items()):
             for name in names.split():
                 function = getattr(self._functions, f"fmi2{name}", None)
                 if function is None:
@@ -174,7 +189,7 @@ class BoundInstance(ABC):
     def enter_initialization_mode(self) -> None:
         self.call("fmi2EnterInitializationMode")
 
-    def exit_initialization_mode(self) -> None:
+    def exit_initialization_mode(self) -> object:
         self.call("fmi2ExitInitializationMode")
 
     def get_fmu_state(self, state: int | None = None) -> int:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fmus.build.stamp import Order, Stamps
+from fmus.compliance import check as compliance
 from fmus.errors import ExportError
 from fmus.platforms import PLATFORMS, check_platforms
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_names, fmu_folder
@@ -21,6 +22,7 @@ _FOLDERS = {Flavour.NATIVE: Path("fmus-built"), Flavour.PYTHON: Path("fmus-built
 Current = Mapping[Order, Sequence[Path] | None]
 """Order -> its FMUs, if they are what it would build now."""
 _PIPED_WIDTH = 260  # a line a variable, for grep
+check = compliance.check
 
 
 def new(
@@ -154,55 +156,6 @@ def _built(orders: Sequence[Order], current: Current) -> Generator[Sequence[Path
         yield from (current.get(order) or next(built) for order in orders)
     else:
         yield from (current[order] or () for order in orders)
-
-
-def check(
-    fmus: Annotated[
-        list[Path] | None, typer.Argument(metavar="FMU...", help="FMUs of any origin.", show_default=False)
-    ] = None,
-    json_file: Annotated[
-        str, typer.Option("--json", metavar="FILE", help="Write the results as JSON; - prints them.")
-    ] = "",
-    every: Annotated[bool, typer.Option("--all", help="Show every rule, not only broken ones.")] = False,
-    format_name: Annotated[
-        str, typer.Option("--format", help="Print text, json, sarif, junit or github (annotations).")
-    ] = "text",
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="FILE", help="Write that format to a file, and print text."),
-    ] = None,
-    rule: Annotated[
-        str,
-        typer.Option(
-            "--explain", metavar="RULE", help="Show what a rule claims and which sentences it checks."
-        ),
-    ] = "",
-) -> None:
-    """Check FMUs against the rules of FMI 2.0.5; the command fails if one has an error."""
-    from fmus.compliance.check import FORMATS, NO_VERDICT, explain
-    from fmus.compliance.check import check as count_errors
-    from fmus.errors import HostError
-    from fmus.fmi.description import describe
-
-    if rule:
-        try:
-            print(explain(rule), end="")
-        except ValueError as error:
-            fail(str(error))
-        return
-    if not fmus:
-        fail("expected FMUs, or --explain RULE", 2)
-    if format_name not in FORMATS:
-        fail(f"--format {format_name}: expected one of {', '.join(FORMATS)}", 2)
-    for path in fmus:
-        if not path.is_file():
-            describe(path)  # the error names the nearest FMU
-    try:
-        count = count_errors(fmus, json_file or None, every=every, format_name=format_name, out=out)
-    except HostError as error:
-        fail(str(error), NO_VERDICT)
-    if count:
-        fail(f"{count} error{'s' * (count > 1)} found: expected none")
 
 
 def inspect(

@@ -23,10 +23,7 @@ FALSE_CLAIMS = [
     ),
 ]
 PATCHED = "RovDepthPlant"  # its outputs move at the start values
-PYTHONFMU_ERRORS = {  # of its binary
-    "resource-locations-of-both-forms", "freed-state-is-null", "step-beyond-the-stop-time-is-an-error",
-    "wrong-references-are-refused",
-}  # fmt: skip
+PYTHONFMU_ERRORS = {"resource-locations-of-both-forms", "freed-state-is-null"}  # of its binary
 
 
 def write(content: Members, path: Path) -> Path:

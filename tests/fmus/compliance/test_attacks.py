@@ -45,8 +45,8 @@ def test_python_modules_inside_an_fmu_are_not_imported(built: Fmus, tmp_path: Pa
     done = subprocess.run([sys.executable, "-c", command], capture_output=True, check=False, timeout=120)
     assert not marker.exists()
     verdict = json.loads(done.stdout)
-    assert (verdict["errors"], done.returncode) == (0, 0)
-    assert verdict["warnings"] > 0  # of archive-layout
+    assert (verdict["counts"]["error"], done.returncode) == (0, 0)
+    assert verdict["counts"]["deviation"] > 0  # of archive-layout
 
 
 def test_answers_that_an_fmu_writes_itself_are_findings_and_what_it_prints_is_dropped(

@@ -1,5 +1,6 @@
 """An FMU that behaves otherwise than it claims is caught: patched C of our own, and claims that are false."""
 
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import SimpleNamespace
@@ -8,13 +9,12 @@ from typing import Any, cast
 import pytest
 
 from fmus.compliance import behaviour
+from fmus.compliance.behaviour import judged_by_one_process
 from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.instance_rules import unknown_reference
-from fmus.compliance.judge import judged_by_one_process
 from fmus.compliance.probe import Probe
-from fmus.compliance.registry import registered
-from fmus.compliance.rule import Result, Stage
+from fmus.compliance.rule import Result, Stage, registered
+from fmus.compliance.values import unknown_reference
 from tests.described_fmus import members
 
 from .archives import FALSE_CLAIMS, GLOBALS, STEP, Members, broken_rules, patched, write
@@ -38,7 +38,9 @@ def test_a_crash_is_one_finding_and_what_needs_steps_is_not_judged(tmp_path: Pat
     }
     assert [name for name, result in results.items() if result.messages] == ["steps-and-terminates"]
     (message,) = results["steps-and-terminates"].messages
-    assert message in ("the FMU ended the process with SIGSEGV", "the FMU ended the process with SIGILL")
+    assert re.fullmatch(
+        r"the FMU ended the process with (SIGSEGV|SIGILL), in fmi2DoStep\(0, 0.0\d+, 0\)", message
+    )
     assert results["several-instances"].outcome == "not judged"
     assert results["several-instances"].not_judged == "steps-and-terminates is broken"
 
@@ -64,12 +66,14 @@ def test_nothing_is_judged_after_a_crash_of_a_library_that_lacks_a_function(
 
 def test_a_hang_is_a_finding_of_the_rule_that_it_stops(tmp_path: Path) -> None:
     hang = (
-        STEP + " if (h > 0 && h < 0.01) for (;;) pause();"
+        STEP + " if (h > 0 && h < 0.006) for (;;) pause();"
     )  # in the least step, of variable-step-size alone
     broken = broken_rules(
         patched({GLOBALS: f"#include <unistd.h>\n{GLOBALS}", STEP: hang}, tmp_path), timeout=2
     )
-    assert broken == {"variable-step-size": ("the FMU took more than 2 s in one call",)}
+    (message,) = broken.pop("variable-step-size")
+    assert message == "the FMU took more than 2 s in one call, in fmi2DoStep(0.07, 0.005, 0)"
+    assert not broken
 
 
 @pytest.mark.slow
@@ -103,5 +107,19 @@ def test_an_unknown_reference_is_one_of_32_bit_that_no_variable_has(
     used: list[int | None], expected: int
 ) -> None:
     variables = [SimpleNamespace(reference=reference) for reference in used]
-    probe = SimpleNamespace(fmu=SimpleNamespace(variables=variables))
-    assert unknown_reference(cast(Probe, probe)) == expected
+    fmu = SimpleNamespace(variables=variables)
+    assert unknown_reference(cast(FmuFile, fmu)) == expected
+
+
+def test_findings_name_their_interface_unless_it_is_co_simulation_alone() -> None:
+    rule = registered(Stage.BEHAVIOUR)[0]
+    broken, lost = Result(rule, ("it fails",)), Result(rule, not_judged="it is slow")
+    co_simulation, model_exchange = "CoSimulation", "ModelExchange"
+    joined = behaviour._joined
+    assert joined(rule, {co_simulation: broken}).messages == ("it fails",)
+    assert joined(rule, {model_exchange: broken}).messages == ("model exchange: it fails",)
+    both = joined(rule, {co_simulation: broken, model_exchange: broken})
+    assert both.messages == ("co-simulation: it fails", "model exchange: it fails")
+    assert joined(rule, {co_simulation: Result(rule), model_exchange: lost}).not_judged == "it is slow"
+    other = Result(rule, not_applicable="it has no interface for co-simulation")
+    assert not joined(rule, {co_simulation: Result(rule), model_exchange: other}).not_applicable

@@ -13,9 +13,8 @@ from fmus.compliance.behaviour import FUNDAMENTAL, behaviour
 from fmus.compliance.check import NO_VERDICT, main
 from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.lifecycle_rules import is_of_the_machine
-from fmus.compliance.registry import registered
-from fmus.compliance.rule import Level, Rule, Stage
+from fmus.compliance.rule import Rule, Stage, registered
+from fmus.compliance.rules.lifecycle import is_of_the_machine
 from fmus.platforms import host_platform, library_name
 from tests.described_fmus import XML, members
 from tests.mutants.mutant import Mutant, broken_rules, unexpected
@@ -155,7 +154,7 @@ def test_a_rule_that_fails_by_itself_is_not_judged_and_no_finding_of_the_fmu(
         yield ""
 
     def one_rule(stage: Stage) -> tuple[Rule, ...]:
-        return (Rule("broken", "", "", Level.ERROR, stage, broken, lambda _: ""),)
+        return (Rule("schema", "", "", stage, broken, lambda _: ""),)
 
     monkeypatch.setattr("fmus.compliance.examine.registered", one_rule)
     monkeypatch.setattr("fmus.compliance.behaviour.registered", one_rule)

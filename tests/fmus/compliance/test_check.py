@@ -6,7 +6,7 @@ import pytest
 
 from fmus.build import builder
 from fmus.compliance.examine import examine
-from fmus.compliance.registry import all_rules
+from fmus.compliance.rule import all_rules
 from tests.shared_builds import Fmus
 
 from .archives import PYTHONFMU_ERRORS, broken_rules, errors

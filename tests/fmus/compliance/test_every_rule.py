@@ -1,7 +1,7 @@
 """Each rule is shown to find what it is there for."""
 
 from fmus.compliance.behaviour import FUNDAMENTAL
-from fmus.compliance.registry import MODULES, all_rules
+from fmus.compliance.rule import MODULES, all_rules
 from tests.mutants.slaves import MUTANTS
 
 from .archives import FALSE_CLAIMS
@@ -18,8 +18,8 @@ def test_every_rule_has_a_mutant_that_breaks_it() -> None:
 
 
 def test_the_order_of_rules_is_that_of_topics_and_not_of_imports() -> None:
-    modules = dict.fromkeys(rule.check.__module__ for rule in all_rules())
-    assert list(modules) == [module.__name__ for module in MODULES]
+    modules = dict.fromkeys(rule.module for rule in all_rules())
+    assert [module.rpartition(".")[2] for module in modules] == list(MODULES)
 
 
 def test_every_rule_that_another_one_needs_exists() -> None:

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -9,11 +10,11 @@ import pytest
 
 from fmus.compliance.check import main
 from fmus.compliance.examine import static_results
+from fmus.compliance.findings import findings_of
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.registry import all_rules
-from fmus.compliance.report import FORMATS, Findings
-from fmus.compliance.rule import OUTCOMES
-from tests.described_fmus import members
+from fmus.compliance.report import FORMATS, Checked
+from fmus.compliance.rule import OUTCOMES, all_rules
+from tests.described_fmus import XML, members
 from tests.shared_builds import Fmus
 
 from .archives import write
@@ -22,35 +23,79 @@ NAME = "DepthReference"
 
 
 @pytest.fixture(scope="module")
-def findings(built: Fmus, tmp_path_factory: pytest.TempPathFactory) -> Findings:
+def checked(built: Fmus, tmp_path_factory: pytest.TempPathFactory) -> Checked:
     """Of an FMU with an error and a warning, judged without being run."""
     content = members(built[NAME]) | {"../escape": b"", "readme.txt": b""}
     path = write(content, tmp_path_factory.mktemp("wrong") / "a, b.fmu")
-    return {path: list(static_results(FmuFile(path)))}
+    results = {path: list(static_results(FmuFile(path)))}
+    return Checked(results, findings_of(results))
 
 
 @pytest.fixture
-def document(findings: Findings) -> Callable[[str], str]:
-    return lambda name: FORMATS[name](findings)
+def document(checked: Checked) -> Callable[[str], str]:
+    return lambda name: FORMATS[name](checked)
 
 
 def test_sarif_holds_each_message_with_its_rule_and_file(
-    document: Callable[[str], str], findings: Findings
+    document: Callable[[str], str], checked: Checked
 ) -> None:
     (run,) = json.loads(document("sarif"))["runs"]
-    ((path, results),) = findings.items()
-    messages = [(r.rule.name, r.outcome, message) for r in results for message in r.messages]
-    assert [(r["ruleId"], r["level"], r["message"]["text"]) for r in run["results"]] == messages
+    ((path, results),) = checked.results.items()
+    levels = {"error": "error", "deviation": "warning", "advice": "note"}
+    broken = [r for r in results if r.messages]
+    messages = {(r.rule.name, levels[r.outcome], message) for r in broken for message in r.messages}
+    assert {(r["ruleId"], r["level"], r["message"]["text"]) for r in run["results"]} == messages
     assert {rule["id"] for rule in run["tool"]["driver"]["rules"]} == {name for name, *_ in messages}
     location = run["results"][0]["locations"][0]["physicalLocation"]["artifactLocation"]["uri"]
     assert location == path.as_posix()
 
 
+def test_a_finding_of_a_variable_has_its_line_and_its_rule_has_an_address(
+    built: Fmus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    content = members(built[NAME])
+    twice = content[XML].replace(b'name="smooth"', b'name="internal_step"')
+    path = write(content | {XML: twice}, tmp_path / "twice.fmu")
+    results = {path: list(static_results(FmuFile(path)))}
+    monkeypatch.setattr("fmus.compliance.report.metadata", lambda _: Message())
+    (run,) = json.loads(FORMATS["sarif"](Checked(results, findings_of(results))))["runs"]
+    (result,) = [r for r in run["results"] if r["ruleId"] == "variable-names-are-unique"]
+    line = result["locations"][0]["physicalLocation"]["region"]["startLine"]
+    assert b'name="internal_step"' in twice.splitlines()[line - 1]
+    (rule,) = [r for r in run["tool"]["driver"]["rules"] if r["id"] == "variable-names-are-unique"]
+    assert rule["helpUri"] == "https://example.org/docs/reference/fmi2/#variable-names-are-unique"
+
+
+class Message:
+    """Metadata of a package whose documentation is published."""
+
+    def get_all(self, _: str) -> list[str]:
+        return ["Source, https://example.org", "Documentation, https://example.org/docs/"]
+
+
+def test_findings_of_pythonfmu_are_marked_and_accepted_ones_are_suppressed(checked: Checked) -> None:
+    found = checked.findings[0]
+    marked = [replace(found, maker="PythonFMU"), replace(found, accepted="waived: known")]
+    other = Checked(checked.results, marked)
+    (run,) = json.loads(FORMATS["sarif"](other))["runs"]
+    assert run["results"][0]["message"]["text"].endswith("[of PythonFMU, not of the model]")
+    assert run["results"][1]["suppressions"][0]["justification"] == "waived: known"
+    assert FORMATS["github"](other).count("::error") == FORMATS["text"](other).count("PythonFMU") == 1
+
+
+def test_an_accepted_rule_is_skipped_in_junit_and_fails_nothing(checked: Checked) -> None:
+    accepted = [replace(found, accepted="waived: known") for found in checked.findings]
+    (suite,) = ElementTree.fromstring(FORMATS["junit"](Checked(checked.results, accepted)))
+    assert suite.get("failures") == "0"
+    (case,) = [case for case in suite if case.get("name") == accepted[0].rule.name]
+    assert [(child.tag, child.get("message")) for child in case] == [("skipped", "waived: known")]
+
+
 def test_junit_is_a_test_for_each_rule_and_fails_for_errors_alone(
-    document: Callable[[str], str], findings: Findings
+    document: Callable[[str], str], checked: Checked
 ) -> None:
     (suite,) = ElementTree.fromstring(document("junit"))
-    (results,) = findings.values()
+    (results,) = checked.results.values()
     assert [case.get("name") for case in suite] == [result.rule.name for result in results]
     failed = {case.get("name") for case in suite if case.find("failure") is not None}
     assert failed == {result.rule.name for result in results if result.outcome == "error"}
@@ -60,11 +105,17 @@ def test_junit_is_a_test_for_each_rule_and_fails_for_errors_alone(
 
 
 def test_annotations_of_github_name_file_and_rule_and_end_with_a_summary(
-    document: Callable[[str], str], findings: Findings
+    document: Callable[[str], str], checked: Checked
 ) -> None:
     *commands, last = document("github").splitlines()
-    assert any(c.startswith("::error file=") and "title=archive-paths-are-portable::" in c for c in commands)
-    assert any(c.startswith("::warning file=") and "title=archive-layout::" in c for c in commands)
+    assert any(
+        c.startswith("::error file=") and "title=archive-paths-are-portable (2.3 FMU Distribution)::" in c
+        for c in commands
+    )
+    assert any(
+        c.startswith("::warning file=") and "title=archive-layout (2.3 FMU Distribution)::" in c
+        for c in commands
+    )
     assert all(c.split(",title=")[0].endswith("/a%2C b.fmu") for c in commands)
     assert last.startswith("1 FMUs, 1 with errors: ")
 
@@ -93,5 +144,5 @@ def test_explain_tells_claim_clause_and_sentences(capsys: pytest.CaptureFixture[
 
 
 def test_an_unknown_rule_is_refused_with_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--explain", "variable-step-sizes"]) == 1
+    assert main(["--explain", "variable-step-sizes"]) == 2
     assert "variable-step-size" in capsys.readouterr().err

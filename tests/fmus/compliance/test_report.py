@@ -1,19 +1,22 @@
 """What the check tells: JSON, exit status, odd paths."""
 
+import io
 import json
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from fmus.compliance.check import main
+from fmus.compliance.check import NOT_JUDGED, _progress, check, main
 from fmus.compliance.probe import refusal
-from fmus.compliance.registry import all_rules
-from fmus.compliance.rule import OUTCOMES, repeated
+from fmus.compliance.rule import OUTCOMES, all_rules, repeated
 from fmus.compliance.script import Message
+from fmus.compliance.sentences import rule_table
+from orchestration.cli import fmu
 from tests.described_fmus import members
 from tests.mutants.base import BASE, XML, changed, written
 from tests.mutants.mutant import broken_rules
@@ -26,9 +29,9 @@ NAME = "DepthReference"
 
 
 @pytest.fixture
-def warned(built: Fmus, tmp_path: Path) -> Path:
-    """An FMU with a warning and no error."""
-    return write(members(built[NAME]) | {"readme.txt": b""}, tmp_path / "warned.fmu")
+def deviating(built: Fmus, tmp_path: Path) -> Path:
+    """An FMU with a deviation and no error."""
+    return write(members(built[NAME]) | {"readme.txt": b""}, tmp_path / "deviating.fmu")
 
 
 @pytest.fixture
@@ -41,8 +44,9 @@ def assert_complete(document: dict[str, Any], path: Path, name: str, outcome: st
     """The document names every rule of one FMU, and one of them has the outcome with its messages."""
     (fmu,) = document["fmus"]
     assert fmu["fmu"] == str(path)
-    assert [rule["rule"] for rule in fmu["rules"]] == [rule.name for rule in all_rules()]
-    assert [rule["clause"] for rule in fmu["rules"]] == [rule.clause for rule in all_rules()]
+    judged = [rule for rule in all_rules() if rule.name not in rule_table()["off"]]
+    assert [rule["rule"] for rule in fmu["rules"]] == [rule.name for rule in judged]
+    assert [rule["clause"] for rule in fmu["rules"]] == [rule.clause for rule in judged]
     rules_with_messages = {rule["rule"]: rule for rule in fmu["rules"] if rule["messages"]}
     assert rules_with_messages[name]["outcome"] == outcome
     assert {rule["outcome"] for rule in fmu["rules"]} <= set(OUTCOMES)
@@ -50,13 +54,13 @@ def assert_complete(document: dict[str, Any], path: Path, name: str, outcome: st
 
 
 def test_json_in_a_file_names_each_rule_with_clause_outcome_and_messages(
-    warned: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    deviating: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "found.json"
-    assert main([str(warned), "--json", str(file)]) == 0
+    assert main([str(deviating), "--json", str(file)]) == 0
     document = json.loads(file.read_text(encoding="utf-8"))
-    assert (document["errors"], document["warnings"]) == (0, 1)
-    assert_complete(document, warned, "archive-layout", "warning")
+    assert document["counts"] == {"error": 0, "deviation": 1, "advice": 0}
+    assert_complete(document, deviating, "archive-layout", "deviation")
     assert "archive-layout" in capsys.readouterr().out
 
 
@@ -65,25 +69,134 @@ def test_json_on_standard_output_is_all_that_is_there(wrong: Path) -> None:
     done = subprocess.run(command, capture_output=True, check=False, timeout=120)
     assert done.returncode == 1
     document = json.loads(done.stdout)
-    assert document["errors"] >= 1
+    assert document["counts"]["error"] >= 1
     assert_complete(document, wrong, "archive-paths-are-portable", "error")
 
 
-def test_a_warning_alone_gives_exit_status_0_and_an_error_1(warned: Path, wrong: Path) -> None:
-    assert main([str(warned)]) == 0
-    assert main([str(warned), str(wrong)]) == 1
+def test_a_deviation_alone_gives_exit_status_0_and_an_error_1(deviating: Path, wrong: Path) -> None:
+    assert main([str(deviating)]) == 0
+    assert main([str(deviating), str(wrong)]) == 1
 
 
-def test_a_file_that_is_not_there_gives_exit_status_1_and_its_name(
+def test_a_file_that_is_not_there_gives_exit_status_2_and_its_name(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([str(tmp_path / "none.fmu")]) == 1
+    assert main([str(tmp_path / "none.fmu")]) == 2
     assert "none.fmu" in capsys.readouterr().err
 
 
+WAIVER = """
+[[waiver]]
+rule = "{}"
+fmu = "*.fmu"
+reason = "a test"
+{}
+"""
+LATER, BEFORE = "until = 2999-12-31", "until = 2020-01-31"
+
+
+@pytest.fixture
+def unjudged(built: Fmus, tmp_path: Path) -> Path:
+    """An FMU whose library exports nothing, so that no behaviour is judged."""
+    content = members(built[NAME])
+    kind = re.search(rb"<CoSimulation .*?</CoSimulation>", content[XML], re.DOTALL)
+    assert kind is not None
+    exchange = b'<ModelExchange modelIdentifier="DepthReference"/>'
+    described = content[XML].replace(kind[0], exchange)
+    return write(content | {XML: described}, tmp_path / "unjudged.fmu")
+
+
+@pytest.mark.parametrize(
+    ("fmus", "options", "status"),
+    [
+        ("deviating", "", 0),
+        ("deviating", "--fail-on deviation", 1),
+        ("deviating", "--fail-on advice", 1),
+        ("deviating", "--fail-on deviation --waivers layout.toml", 0),
+        ("deviating", "--fail-on deviation --waivers expired.toml", 1),
+        ("wrong", "", 1),
+        ("wrong", "--waivers paths.toml", 0),
+        ("wrong", "--only archive-layout", 0),
+        ("wrong", "--only archive-layout,archive-paths-are-portable", 1),
+        ("deviating wrong", "--fail-on deviation --waivers layout.toml", 1),
+        ("deviating", "--strict", 0),
+        ("unjudged", "--waivers exports.toml", 0),
+        ("unjudged", "--waivers exports.toml --strict", NOT_JUDGED),
+        ("unjudged wrong", "--waivers exports.toml --strict", 1),
+        ("", "", 2),
+        ("none", "", 2),
+        ("deviating", "--only archive-layouts", 2),
+        ("deviating", "--waivers none.toml", 2),
+        ("deviating", "--waivers unknown.toml", 2),
+        ("deviating", "--baseline none.json", 2),
+        ("deviating", "--write-baseline", 2),
+        ("deviating", "--timeout 0", 2),
+        ("deviating", "--format yaml", 2),
+        ("deviating", "--fail-on warning", 2),
+        ("deviating", "--colour", 2),
+    ],
+)
+def test_the_exit_status_tells_what_is_left(
+    deviating: Path,
+    wrong: Path,
+    unjudged: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    fmus: str,
+    options: str,
+    status: int,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("layout.toml").write_text(WAIVER.format("archive-layout", LATER))
+    Path("expired.toml").write_text(WAIVER.format("archive-layout", BEFORE))
+    Path("paths.toml").write_text(WAIVER.format("archive-paths-are-portable", ""))
+    Path("exports.toml").write_text(WAIVER.format("library-exports", ""))
+    Path("unknown.toml").write_text(WAIVER.format("archive-layouts", ""))
+    assert main([*(f"{name}.fmu" for name in fmus.split()), *options.split()]) == status
+
+
+def test_only_findings_that_the_baseline_lacks_fail(
+    deviating: Path, wrong: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = str(tmp_path / "baseline.json")
+    assert main([str(wrong), "--baseline", file, "--write-baseline"]) == 0
+    assert "baseline.json: written, with 2 findings" in capsys.readouterr().err
+    assert main([str(wrong), "--baseline", file, "--fail-on", "advice"]) == 0
+    assert "2 accepted" in capsys.readouterr().out
+    assert main([str(deviating), "--baseline", file, "--fail-on", "deviation"]) == 1
+
+
+def test_what_was_not_judged_and_what_was_left_out_is_one_line_each(
+    unjudged: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main([str(unjudged)])
+    lines = capsys.readouterr().out.splitlines()
+    (reasons,) = [line for line in lines if " not judged: " in line]
+    assert re.fullmatch(r"  (\d+) not judged: library-exports is broken \(\1\)", reasons)
+    assert lines[-1].startswith("left out, as most FMUs break them at no cost (see --only): ")
+    assert [name for name in rule_table()["off"] if name not in lines[-1]] == []
+    main([str(unjudged), "--only", lines[-1].rpartition(": ")[2]])
+    assert "left out" not in capsys.readouterr().out
+
+
+def test_errors_come_first_and_a_waiver_without_effect_is_told(
+    wrong: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "useless.toml"
+    file.write_text(WAIVER.format("schema", LATER))
+    assert main([str(wrong), "--waivers", str(file)]) == 1
+    shown = capsys.readouterr()
+    assert re.findall(r"^  (\w+): ", shown.out, re.MULTILINE) == ["error", "deviation"]
+    assert "the waiver of schema for *.fmu matches no finding" in shown.err
+    assert "1 error found: expected none" in shown.err
+
+
+def test_both_command_lines_are_one() -> None:
+    assert fmu.check is check
+
+
 def test_no_fmu_is_bad_usage() -> None:
-    with pytest.raises(SystemExit, match="2"):
-        main([])
+    assert main([]) == 2
 
 
 def test_all_shows_the_rules_that_hold_and_those_that_do_not_apply(
@@ -124,3 +237,24 @@ def test_a_setting_that_was_empty_is_expected_to_stay(tmp_path: Path) -> None:
     path = write_slave(tmp_path, "a changed environment variable", slave="Oscillator")
     (message,) = broken_rules(path, is_static=False)["process-settings-are-restored"]
     assert message.endswith("changes the environment: TZ=UTC+5, expected no change")
+
+
+class _Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(
+    ("quiet", "delay", "expected"), [(False, 0.0, True), (True, 0.0, False), (False, 60.0, False)]
+)
+def test_a_slow_check_shows_on_a_terminal_what_it_does(
+    monkeypatch: pytest.MonkeyPatch, quiet: bool, delay: float, expected: bool
+) -> None:
+    terminal = _Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    monkeypatch.setattr("fmus.compliance.check._SHOWN_AFTER_S", delay)
+    monkeypatch.setenv("TERM", "xterm")
+    with _progress(quiet) as show:
+        show("check 1 of 2: [a].fmu")
+        time.sleep(0.3)
+    assert ("check 1 of 2: [a].fmu" in terminal.getvalue()) is expected

@@ -4,9 +4,16 @@ import re
 import runpy
 from pathlib import Path
 
-from fmus.compliance.registry import all_rules
-from fmus.compliance.rule import Stage
-from fmus.compliance.sentences import ADVICE, sentences, sentences_of, titles
+from fmus.compliance.rule import Level, Stage, all_rules
+from fmus.compliance.sentences import (
+    ADVICE,
+    NO_DEMANDS,
+    levels,
+    rule_table,
+    sentences,
+    sentences_of,
+    titles,
+)
 
 ROOT = Path(__file__).parents[3]
 
@@ -21,6 +28,20 @@ def test_every_rule_checks_a_sentence_or_is_labelled_advice() -> None:
     assert [rule.name for rule in rules if not sentences_of(rule.name)] == []
 
 
+def test_each_rule_has_a_level_with_a_reason_in_one_line_and_no_other_has_one() -> None:
+    assert set(levels()) == {rule.name for rule in all_rules()}
+    assert [name for name, (level, _) in levels().items() if level not in list(Level)] == []
+    assert [name for name, (_, reason) in levels().items() if not 10 < len(reason) <= 90] == []
+    assert {*rule_table()["off"], *rule_table()["pythonfmu"]} <= set(levels())
+
+
+def test_advice_is_what_no_sentence_demands_and_the_rest_is_demanded() -> None:
+    for rule in all_rules():
+        demanding = [sentence for sentence in sentences_of(rule.name) if not sentence.no_demand]
+        assert (rule.level is Level.ADVICE) == (not demanding), (rule.name, demanding)
+    assert {sentence.no_demand for sentence in sentences()} == {"", *NO_DEMANDS}
+
+
 def test_a_rule_of_files_names_the_clauses_of_its_sentences() -> None:
     for rule in all_rules():
         if rule.stage is not Stage.BEHAVIOUR:
@@ -29,11 +50,11 @@ def test_a_rule_of_files_names_the_clauses_of_its_sentences() -> None:
 
 
 def test_every_clause_that_binds_an_fmu_has_sentences() -> None:
-    """Sections 2.1 to 2.3 and 4.1 to 4.3 but for the examples, 4.2.5 and 4.3.2."""
+    """Sections 2.1 to 4.3 but for the examples, 3.2.4, 3.3.2, 4.2.5 and 4.3.2."""
     clauses = {sentence.clause for sentence in sentences()}
-    sections = {"2.1": 9, "2.2": 9, "2.3": 2, "4.1": 2, "4.2": 4, "4.3": 1}
+    sections = {"2.1": 9, "2.2": 9, "2.3": 2, "3.2": 3, "3.3": 1, "4.1": 2, "4.2": 4, "4.3": 1}
     expected = {f"{section}.{i}" for section, count in sections.items() for i in range(1, count + 1)}
-    assert expected - clauses == set()
+    assert (expected | {"3.1"}) - clauses == set()
 
 
 def test_every_sentence_stands_in_a_clause_with_a_title() -> None:

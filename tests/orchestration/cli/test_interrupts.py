@@ -25,7 +25,7 @@ SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 AT_WORK = {
     "new pid": "fmus.block.block_file.write_new_block",
     "build ExamplePlant --out out": "fmus.build.builder.build_orders",
-    "check {fmu}": "fmus.compliance.check.check",
+    "check {fmu}": "fmus.compliance.examine.examine",
     "inspect {fmu}": "fmus.fmi.description.describe_any",
     "cache": "fmus.store.entries",
     "scenarios": "orchestration.scenarios.scenario.load",
@@ -218,7 +218,7 @@ def test_an_interrupt_inside_a_library_in_cpp_does_not_abort_it(
     started: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:
     """The library calls Python while it is imported; an exception there would end the process by SIGABRT."""
-    code = INTERRUPT_AT_IMPORT.format(module="fmus.compliance.check").replace(
+    code = INTERRUPT_AT_IMPORT.format(module="fmus.compliance.examine").replace(
         "os.kill(os.getpid(), signal.SIGINT)", "enum.EnumType.__setattr__ = interrupted; import lief"
     )
     interrupted = """

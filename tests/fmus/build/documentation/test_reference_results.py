@@ -25,7 +25,7 @@ from fmus.build.documentation.reference_results import (
     cross_check_files,
     reference_run,
 )
-from fmus.compliance.check import check
+from fmus.compliance.check import main
 from fmus.errors import ExportError
 
 NAMES = builder.block_names()
@@ -273,4 +273,4 @@ def test_no_file_of_an_fmu_has_a_number_in_the_words_of_numpy(tmp_path: Path) ->
     with zipfile.ZipFile(builder.build_block(NUMPY, tmp_path)) as fmu:
         texts = {name: fmu.read(name) for name in fmu.namelist() if not name.startswith("binaries/")}
     assert [name for name, content in texts.items() if b"np." in content] == []
-    assert check([tmp_path / "Numpy.fmu"]) == 0
+    assert main([str(tmp_path / "Numpy.fmu")]) == 0

@@ -1,0 +1,135 @@
+"""Parts of an instance under examination: its callbacks, which are observed, and its saved states."""
+
+import ctypes
+from typing import Any, Protocol
+
+from fmus.compliance.process_settings import ProcessSettings
+from fmus.fmi.callbacks import AllocateMemory, CountingAllocator, FreeMemory, Log, Logger
+
+_MOST_MESSAGES = 1000
+
+
+class MessageLog(Log):
+    """Messages with the instance and the category that the FMU gave, and the floating-point settings."""
+
+    def __init__(self, settings: ProcessSettings, known_environment: bool = True) -> None:
+        super().__init__()
+        self._known_environment = known_environment
+        self.messages: list[list[Any]] = []
+        self.changed_in_callback = False
+        self._settings = settings
+
+    def add(
+        self, status: int, message: str, instance: str | None = None, category: str | None = None
+    ) -> None:
+        if self._settings.floating_point_differs():
+            self.changed_in_callback = True
+        if len(self.messages) < _MOST_MESSAGES:
+            self.messages.append([status, message, instance, category, self._known_environment])
+
+
+class RefusingAllocator(CountingAllocator):
+    """Memory that is used up."""
+
+    def _allocate(self, count: int, size: int) -> None:  # type: ignore[override]
+        return None
+
+
+def logger_of_formats(messages: MessageLog) -> Any:
+    """Returns a logger that keeps the format of each message, as arguments do not reach Python."""
+
+    def log(_: int | None, name: bytes, status: int, category: bytes, message: bytes) -> None:
+        texts = [None if text is None else text.decode("utf-8", "replace") for text in (name, category)]
+        messages.add(status, (message or b"").decode("utf-8", "replace"), *texts)
+
+    return Logger(log)
+
+
+def set_traps(structure: Any, usual: Any, traps: list[str]) -> list[Any]:
+    """Replaces the callbacks of a structure, which the FMU may not look at any more, and returns them.
+
+    usual: a structure with the callbacks that they call; traps: gets the name of each that the FMU calls
+    """
+
+    def log(*_: Any) -> None:
+        traps.append("logger")
+
+    def allocate(count: int, size: int) -> Any:
+        traps.append("allocateMemory")
+        return usual.allocateMemory(count, size)
+
+    def free(address: Any) -> None:
+        traps.append("freeMemory")
+        usual.freeMemory(address)
+
+    structure.logger = Logger(log)
+    structure.allocateMemory = AllocateMemory(allocate)
+    structure.freeMemory = FreeMemory(free)
+    return [structure.logger, structure.allocateMemory, structure.freeMemory]
+
+
+_GUARD = 64  # bytes behind a serialised state
+_GUARD_BYTE = b"\xa5"
+
+
+class Instance(Protocol):
+    """An instance whose functions are called. last_status: of the latest call."""
+
+    last_status: int
+
+    def call(self, function: str, *arguments: Any) -> None: ...
+
+
+class SavedStates:
+    """The states that were saved, each in a numbered slot."""
+
+    def __init__(self, instance: Instance) -> None:
+        self._instance = instance
+        self._pointers: dict[int, ctypes.c_void_p] = {}
+
+    def holds(self, slot: int) -> bool:
+        """Whether a state was saved in a slot."""
+        return bool(self._pointers.get(slot, ctypes.c_void_p()).value)
+
+    def get_fmu_state(self, slot: int) -> bool:
+        """Saves the state in a slot, over the one there; returns whether the FMU gave an address."""
+        pointer = self._pointers.setdefault(slot, ctypes.c_void_p())
+        self._instance.call("fmi2GetFMUstate", ctypes.byref(pointer))
+        return bool(pointer.value)
+
+    def set_fmu_state(self, slot: int) -> None:
+        self._instance.call("fmi2SetFMUstate", self._pointers[slot])
+
+    def free_fmu_state(self, slot: int) -> bool:
+        """Frees a saved state, or an empty slot; returns whether the FMU left NULL."""
+        pointer = self._pointers.pop(slot, ctypes.c_void_p())
+        self._instance.call("fmi2FreeFMUstate", ctypes.byref(pointer))
+        return not pointer.value
+
+    def serialized_fmu_state_size(self, slot: int) -> int:
+        size = ctypes.c_size_t()
+        self._instance.call("fmi2SerializedFMUstateSize", self._pointers[slot], ctypes.byref(size))
+        return size.value
+
+    def serialize_fmu_state(self, slot: int) -> list[Any]:
+        """Returns [the state as hexadecimal bytes, whether nothing was written behind its size]."""
+        size = self.serialized_fmu_state_size(slot)
+        if self._instance.last_status:
+            return ["", True]
+        content = ctypes.create_string_buffer(_GUARD_BYTE * (size + _GUARD), size + _GUARD)
+        self._instance.call("fmi2SerializeFMUstate", self._pointers[slot], content, size)
+        return [content.raw[:size].hex(), content.raw[size:] == _GUARD_BYTE * _GUARD]
+
+    def deserialize_fmu_state(self, slot: int, content: str) -> bool:
+        """Makes a saved state of bytes, which are overwritten after the call."""
+        data = bytes.fromhex(content)
+        buffer, pointer = ctypes.create_string_buffer(data, len(data)), ctypes.c_void_p()
+        self._instance.call("fmi2DeSerializeFMUstate", buffer, len(data), ctypes.byref(pointer))
+        ctypes.memset(buffer, ord("#"), len(data))
+        self._pointers[slot] = pointer
+        return bool(pointer.value)
+
+    def copy_fmu_state(self, slot: int, other: int) -> bool:
+        """Makes another saved state of the bytes of one."""
+        content, _ = self.serialize_fmu_state(slot)
+        return not self._instance.last_status and self.deserialize_fmu_state(other, content)

@@ -1,0 +1,252 @@
+"""One instance of an FMU for model exchange, led as a slave is: a step integrates and handles events.
+
+At communication points the instance is in event mode, in which every variable can be read, and inputs,
+tunable parameters and saved states can be set.
+"""
+
+import ctypes
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from fmus.compliance.called_instance import CalledInstance
+from fmus.fmi.binding import DISCARD, MODEL_EXCHANGE, OK, WARNING
+
+_MOST_SUBSTEPS, _MOST_EVENTS, _MOST_ITERATIONS = 500, 100, 100
+_LEAST = 1e-6  # smallest part of a step that is tried
+_TOLERANCE = 1e-4
+_TOO_MANY = "the explicit scheme of this checker needs more than"
+_STATES, _DERIVATIVES = "fmi2GetContinuousStates", "fmi2GetDerivatives"
+_INDICATORS = "fmi2GetEventIndicators"
+_GUARD = -1.2345678e-300  # an element that the FMU has not written
+
+
+_INFOS = (
+    "newDiscreteStatesNeeded", "terminateSimulation", "nominalsOfContinuousStatesChanged",
+    "valuesOfContinuousStatesChanged", "nextEventTimeDefined", "nextEventTime",
+)  # fmt: skip
+
+
+class EventInfo(ctypes.Structure):
+    """The structure fmi2EventInfo."""
+
+    _fields_ = [(name, ctypes.c_double if name == _INFOS[-1] else ctypes.c_int) for name in _INFOS]
+
+
+class _StepEndsError(Exception):
+    """A step that cannot go on; the message is the reason, or empty after a call that failed."""
+
+
+class ModelExchangeInstance(CalledInstance):
+    """An instance for model exchange.
+
+    options besides: states and indicators, the numbers of both
+      needs_completed: whether fmi2CompletedIntegratorStep must be called
+      observed: whether `observed_events` has the events
+    """
+
+    interface = MODEL_EXCHANGE
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._time = self._next_event = math.nan
+        self._events: list[dict[str, Any]] = []
+
+    # single functions
+
+    def set_time(self, t: float) -> None:
+        self.call("fmi2SetTime", t)
+
+    def set_continuous_states(self, x: Sequence[float]) -> None:
+        self.call("fmi2SetContinuousStates", (ctypes.c_double * len(x))(*x), len(x))
+
+    def vector(self, function: str) -> list[float]:
+        """Returns what a function gives: states, their derivatives or nominals, or event indicators.
+
+        Notes whether elements are not written, or one behind them is.
+        """
+        *values, behind = self._with_guard(function)
+        self._overwritten |= behind != _GUARD
+        self._unwritten |= self.last_status == OK and _GUARD in values
+        return values
+
+    def _with_guard(self, function: str) -> list[float]:
+        count = self._count(function)
+        values = (ctypes.c_double * (count + 1))(*[_GUARD] * (count + 1))
+        self.call(function, values, count)
+        return list(values)
+
+    def _count(self, function: str) -> int:
+        return self._options["indicators" if function == _INDICATORS else "states"]
+
+    def new_discrete_states(self) -> dict[str, Any]:
+        """Returns the elements of fmi2EventInfo by name."""
+        info = EventInfo()
+        self.call("fmi2NewDiscreteStates", ctypes.byref(info))
+        return {name: getattr(info, name) for name in _INFOS}
+
+    def completed_integrator_step(self, no_going_back: bool = True) -> list[int]:
+        """Returns enterEventMode and terminateSimulation."""
+        enter, terminate = ctypes.c_int(), ctypes.c_int()
+        self.call(
+            "fmi2CompletedIntegratorStep", int(no_going_back), ctypes.byref(enter), ctypes.byref(terminate)
+        )
+        return [enter.value, terminate.value]
+
+    # steps
+
+    def exit_initialization_mode(self) -> str:
+        """Leaves initialization mode and handles the first event; returns as `do_step`."""
+        super().exit_initialization_mode()
+        if not 0 <= self.last_status <= WARNING:
+            return ""
+        self._time = math.nan
+        return self._lead(lambda: self._handle_event("start"))
+
+    def do_step(self, t: float, h: float, no_going_back: bool = False) -> str:
+        """Integrates from t to t + h seconds, with the events meanwhile.
+
+        Returns the reason why a step is discarded although no call failed, or nothing.
+        """
+        if abs(t - self._time) < 1e-9 * max(abs(t), h):
+            t = self._time  # but for rounding
+        return self._lead(lambda: self._advance(t, t + h, no_going_back))
+
+    def observed_events(self) -> list[dict[str, Any]]:
+        """Returns the events since the last question."""
+        events, self._events = self._events, []
+        return events
+
+    def _lead(self, action: Callable[[], None]) -> str:
+        try:
+            action()
+        except _StepEndsError as reason:
+            if str(reason):
+                self.last_status = DISCARD
+            return str(reason)
+        return ""
+
+    def _checked(self, method: Callable[..., Any], *arguments: Any) -> Any:
+        """Returns what a method returns whose function does not fail."""
+        warned, result = self.last_status, method(*arguments)
+        if not 0 <= self.last_status <= WARNING:
+            raise _StepEndsError
+        self.last_status = max(warned, self.last_status)
+        return result
+
+    def _advance(self, t: float, end: float, no_going_back: bool) -> None:
+        self._time = t
+        self._handle_event("communication point")  # for what was set since
+        self._substeps = 0
+        for _ in range(_MOST_EVENTS):
+            self._checked(self.call_plain, "fmi2EnterContinuousTimeMode")
+            until = min(end, max(t, self._next_event))
+            t, cause = self._integrate(t, until, (end - t) * _LEAST, no_going_back)
+            self._time = t
+            self._checked(self.call_plain, "fmi2EnterEventMode")
+            self._handle_event(cause)
+            if t >= end:
+                return
+        raise _StepEndsError(f"the FMU has more than {_MOST_EVENTS} events in one step")
+
+    def _handle_event(self, cause: str) -> None:
+        """Calls fmi2NewDiscreteStates until no new discrete states are needed."""
+        observed = self._options.get("observed")
+        vectors = [self._state_vectors()] if observed else []
+        infos: list[dict[str, Any]] = []
+        if observed:
+            self._events.append({"cause": cause, "time": self._time, "infos": infos, "vectors": vectors})
+        while not infos or infos[-1]["newDiscreteStatesNeeded"]:
+            if len(infos) == _MOST_ITERATIONS:
+                raise _StepEndsError(f"an event needs more than {_MOST_ITERATIONS} iterations")
+            infos.append(self._checked(self.new_discrete_states))
+            self._terminate_if(infos[-1]["terminateSimulation"])
+            vectors += [self._state_vectors()] if observed else []
+        last = infos[-1]
+        self._next_event = last["nextEventTime"] if last["nextEventTimeDefined"] else math.inf
+
+    def _state_vectors(self) -> list[list[float]]:
+        return [self._read(_STATES), self._read("fmi2GetNominalsOfContinuousStates")]
+
+    def _read(self, function: str) -> list[float]:
+        """Returns a vector; an empty one without a call."""
+        return self._checked(self._with_guard, function)[:-1] if self._count(function) else []
+
+    def _terminate_if(self, terminates: int) -> None:
+        if terminates:
+            raise _StepEndsError("the FMU terminates the simulation by itself")
+
+    def _integrate(self, t: float, end: float, least: float, no_going_back: bool) -> tuple[float, str]:
+        """Integrates by Heun's scheme up to an event, or the end; returns its time and its cause.
+
+        least: size of substeps at which neither the error nor an event indicator makes them smaller [s]
+        """
+        x, z, slopes = (self._read(function) for function in (_STATES, _INDICATORS, _DERIVATIVES))
+        if self._events:
+            self._events[-1]["indicators"] = z
+        size = end - t
+        while t < end:
+            self._substeps += 1
+            if self._substeps > _MOST_SUBSTEPS:
+                raise _StepEndsError(f"{_TOO_MANY} {_MOST_SUBSTEPS} substeps in a step")
+            is_last = size >= end - t
+            new_t = end if is_last else t + size
+            trial = self._trial(x, slopes, t, new_t)
+            is_crossing = trial is not None and _signs(z) != _signs(trial[1])
+            if trial is None or ((is_crossing or trial[2] > 1) and size > least):
+                if trial is None and size <= least:
+                    raise _StepEndsError("the FMU discards states, or gives no numbers, in smallest substeps")
+                size = min(size, end - t) / 2
+                continue
+            before, t, (x, z, error) = z, new_t, trial
+            size *= 2 if error < 0.2 else 1
+            enter = 0
+            if self._options["needs_completed"]:
+                enter, terminates = self._checked(self.completed_integrator_step, no_going_back)
+                self._terminate_if(terminates)
+            if is_crossing and self._events:
+                self._events[-1]["crossing"] = [before, z]
+            if enter or is_crossing:
+                return t, "step event" if enter else "state event"
+            if t < end:
+                slopes = self._read(_DERIVATIVES)
+        return t, "time event" if t == self._next_event else "communication point"
+
+    def _trial(
+        self, x: Sequence[float], slopes: Sequence[float], t: float, end: float
+    ) -> tuple[list[float], list[float], float] | None:
+        """Returns states, indicators and the error over its tolerance at the end of a substep.
+
+        None if the FMU discards something, or what it gives is not finite.
+        """
+        h = end - t
+        try:
+            self._checked(self.set_time, end)
+            euler = [value + h * slope for value, slope in zip(x, slopes, strict=True)]
+            others = self._slopes_at(euler)
+            new = [
+                value + h * (slope + other) / 2 for value, slope, other in zip(x, slopes, others, strict=True)
+            ]
+            if x:
+                self._checked(self.set_continuous_states, new)
+            z = self._read(_INDICATORS)
+        except _StepEndsError:
+            if self.last_status != DISCARD:
+                raise
+            self.last_status = 0
+            return None
+        if not all(map(math.isfinite, [*new, *z])):
+            return None
+        sizes = (abs(a - b) / (_TOLERANCE * max(abs(a), 1e-3)) for a, b in zip(euler, new, strict=True))
+        return new, z, max(sizes, default=0.0)
+
+    def _slopes_at(self, x: Sequence[float]) -> list[float]:
+        if not x:
+            return []
+        self._checked(self.set_continuous_states, x)
+        return self._read(_DERIVATIVES)
+
+
+def _signs(indicators: Sequence[float]) -> list[bool]:
+    """Returns the domain of each event indicator, as 3.1 has it."""
+    return [z > 0 for z in indicators]

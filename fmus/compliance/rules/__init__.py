@@ -1,0 +1,1 @@
+"""Rules of the checker: each is one decorated function."""

@@ -1,0 +1,247 @@
+"""Surroundings of instances: callbacks, arguments of fmi2Instantiate, memory, files, threads, locations."""
+
+import itertools
+from collections.abc import Iterator
+from statistics import median
+
+from fmus.compliance import actions as do
+from fmus.compliance.actions import MOST_VARIABLES, Action, Play
+from fmus.compliance.differential import Row, differences, differential, verdict
+from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import NotJudgedError, behaviour_rule
+from fmus.compliance.script import CallError
+from fmus.compliance.values import if_not_claimed, settable_before, start_values, unless_claimed
+
+_CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
+_FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
+_OWN_MEMORY, _SAVES = "canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate"
+_NAME = "system.subsystem[2].'instance with a name of its own'.part"
+_OVERWRITTEN = "after the arguments of fmi2Instantiate were overwritten"
+_RESOURCES = "resources/"
+_CODE = (".class", ".dll", ".dylib", ".exe", ".jar", ".m", ".py", ".pyc", ".pyd", ".so", ".whl", ".zip")
+_USED = "serialised-state-restores state-can-be-saved-often reset-in-every-state"
+_CYCLES, _MORE_CYCLES, _LEAST_LEAK = 8, 30, 64  # instances; bytes that each of them leaves
+
+
+def _with_a_state(probe: Probe) -> tuple[Action, ...]:
+    """Returns actions of a step and a state that is saved and freed, if the FMU claims that."""
+    saved = (do.save(), do.free_state()) if probe.fmu.claims(_SAVES) else ()
+    return do.begin, do.step(), *saved
+
+
+# callbacks, and arguments that are valid during a call only
+
+
+def _overwritten(probe: Probe) -> tuple[Play, list[str]]:
+    """Returns a run after the arguments of fmi2Instantiate were overwritten, and the callbacks that the FMU
+    takes from the structure after it.
+    """
+
+    def held() -> tuple[Play, list[str]]:
+        actions = do.call("set_debug_logging", True, []), do.begin, do.run(2), do.reset, do.begin, do.step()
+        play = Play(probe, actions, name=_NAME, overwritten=True, logging=True)
+        number = probe.hold(play.script)
+        traps = probe.ask("traps", number)
+        probe.let_go(number)
+        return play, sorted(set(traps))
+
+    return probe.once("run with overwritten arguments", held)
+
+
+@behaviour_rule(
+    _CREATION,
+    needs="reset-in-every-state allowed-calls-succeed statuses-are-legal messages-have-the-instance-name",
+)
+def arguments_of_instantiation_are_copied(probe: Probe) -> Iterator[str]:
+    """Name, GUID and resource location are not used after fmi2Instantiate returned; a long name is kept
+    whole.
+    """
+    play, _ = _overwritten(probe)
+    usual = do.played(probe, [do.begin, do.run(2)])
+    yield from verdict(probe, Row(_OVERWRITTEN, ()), usual, [play])
+    if play.script.failure:
+        return
+    names = {m.instance for reply in play.script.replies for m in reply.messages} - {_NAME}
+    if any(name is not None and name.strip("#") == "" for name in names):
+        yield "messages carry the overwritten instance name: expected a copy of it"
+    elif cut := sorted(name for name in names if name and _NAME.startswith(name)):
+        yield f"messages carry the instance name {cut[0]!r}: expected {_NAME!r}"
+
+
+@behaviour_rule(
+    "advice: 2.1.5, a note on the structure of callbacks", needs="arguments-of-instantiation-are-copied"
+)
+def callbacks_are_copied(probe: Probe) -> Iterator[str]:
+    """The structure of callbacks is not used after fmi2Instantiate returned."""
+    for callback in _overwritten(probe)[1]:
+        yield f"{callback} was taken from the structure after fmi2Instantiate: expected a copy of it"
+
+
+@differential(_CREATION)
+def optional_callbacks_may_be_null(_: Probe) -> Iterator[Row]:
+    """stepFinished and componentEnvironment may be NULL."""
+    varied, options = (do.begin, do.run(2), do.terminate), {"callbacks": "fewest"}
+    yield Row("without stepFinished and environment", varied, options=options)
+
+
+@behaviour_rule(
+    f"{_FLAGS}: {_OWN_MEMORY}", condition=unless_claimed(_OWN_MEMORY), needs="state-can-be-saved-often"
+)
+def memory_functions_may_be_null(probe: Probe) -> Iterator[str]:
+    """With canNotUseMemoryManagementFunctions, allocateMemory and freeMemory may be NULL, and are not
+    called.
+    """
+    held = probe.ask("held_blocks")
+    number = probe.hold(Play(probe, _with_a_state(probe)[:3]).script)
+    if probe.ask("held_blocks") != held:
+        yield f"allocateMemory was called: expected no call, as {_OWN_MEMORY} is claimed"
+    probe.let_go(number)
+    varied, options = (*_with_a_state(probe), do.terminate), {"callbacks": "no memory"}
+    yield from differences(probe, [Row("without memory functions", varied, options=options)])
+
+
+@behaviour_rule("advice: 2.1.5, allocateMemory returns NULL if memory is used up")
+def failed_allocation_is_handled(probe: Probe) -> Iterator[str]:
+    """fmi2Instantiate returns NULL where allocateMemory does, or an instance that needs no such memory."""
+    script = probe.script(callbacks="refused memory").begin().step()
+    try:
+        script.play(keep_going=True)
+    except CallError:
+        return  # no instance
+    if script.failure:
+        yield f"where allocateMemory returns NULL: {script.failure.problem}"
+
+
+# resources that fmi2FreeInstance frees
+
+
+@behaviour_rule(f"{_FLAGS}: {_OWN_MEMORY}", condition=if_not_claimed(_OWN_MEMORY))
+def memory_is_freed(probe: Probe) -> Iterator[str]:
+    """An instance gives back by freeMemory what it took by allocateMemory, and nothing else, also if it is
+    initialised again after fmi2Reset.
+    """
+    held_before, frees_before = probe.ask("held_blocks"), probe.ask("foreign_frees")
+    actions = *_with_a_state(probe), do.terminate, do.reset, do.begin, do.step()
+    Play(probe, actions).script.play(keep_going=True)
+    held, foreign_frees = probe.ask("held_blocks"), probe.ask("foreign_frees")
+    if held > held_before:
+        yield f"{held - held_before} blocks are still held after fmi2FreeInstance: expected none"
+    if foreign_frees > frees_before:
+        yield f"{foreign_frees - frees_before} addresses were freed that were never given: expected none"
+
+
+def _resources_in_use(probe: Probe) -> list[dict[str, int]]:
+    """Resources in use after each of several instances was created, used and freed."""
+    return probe.once("use of several instances", lambda: _used_instances(probe, _CYCLES))
+
+
+def _used_instances(probe: Probe, cycles: int) -> list[dict[str, int]]:
+    """Uses some instances, the first two of which warm the process up: in each, an instantiation fails, then
+    values, steps, states and fmi2Reset are called.
+    """
+    by_bytes = do.call("serialize_fmu_state", 0), do.copy(0, 1), do.free_state(1)
+    copied = by_bytes if probe.fmu.claims("canSerializeFMUstate") else ()
+    states = do.save(), do.save(), *copied, do.restore(), do.free_state()
+    actions = (
+        do.set_values(start_values(settable_before(probe.fmu)[:MOST_VARIABLES])), do.begin, do.step(3),
+        *(states if probe.fmu.claims(_SAVES) else ()), do.terminate, do.reset, do.begin, do.step(2),
+    )  # fmt: skip
+    counts = []
+    for _ in range(cycles + 2):
+        probe.creates(guid="no GUID of this FMU")
+        Play(probe, actions).script.play(keep_going=True)
+        counts.append(probe.ask("resources_in_use"))
+    return counts[2:]
+
+
+@behaviour_rule(_CREATION, needs=_USED)
+def resources_are_freed(probe: Probe) -> Iterator[str]:
+    """fmi2FreeInstance closes the files and ends the threads of an instance."""
+    counts = _resources_in_use(probe)
+    for name in ("open files", "threads"):
+        numbers = [count.get(name, 0) for count in counts]
+        if all(b > a for a, b in itertools.pairwise(numbers)):
+            more = numbers[-1] - numbers[0]
+            yield f"{more} more {name} after {_CYCLES - 1} instances were created and freed: expected none"
+
+
+@behaviour_rule(_CREATION, needs=f"resources-are-freed {_USED}")
+def memory_does_not_grow(probe: Probe) -> Iterator[str]:
+    """fmi2FreeInstance frees all memory: the heap does not grow with each instance that is created and
+    freed.
+    """
+    growth = _growth_of_the_heap(_resources_in_use(probe))
+    if growth >= _LEAST_LEAK:  # a leak goes on; what this process itself comes to hold does not
+        growth = min(growth, _growth_of_the_heap(_used_instances(probe, _MORE_CYCLES)))
+    if growth >= _LEAST_LEAK:
+        yield f"an instance that is created and freed leaves {growth:g} bytes in the heap: expected none"
+
+
+def _growth_of_the_heap(counts: list[dict[str, int]]) -> float:
+    """Bytes from one count to the next: the median, as this process frees memory at times."""
+    return median(b["heap"] - a["heap"] for a, b in itertools.pairwise(counts))
+
+
+# locations
+
+
+@differential(_CREATION)
+def resource_locations_of_both_forms(probe: Probe) -> Iterator[Row]:
+    """The location of the resources may be a URI with or without authority: file:///path and file:/path."""
+    yield _with_location(probe.ask("resource_location").replace("file:///", "file:/", 1))
+
+
+@differential(_CREATION)
+def resource_location_is_decoded(probe: Probe) -> Iterator[Row]:
+    """The location of the resources is a URI of RFC 3986: %20 in it is a space of the path."""
+    yield _with_location(_link(probe, "a folder"))
+
+
+def _link(probe: Probe, name: str) -> str:
+    try:
+        return probe.ask("link", name)
+    except CallError as error:  # an operating system without links
+        raise NotJudgedError(str(error)) from error
+
+
+def _with_location(location: str) -> Row:
+    slashes = "/" * location[5:].count("/", 0, 3)
+    failing = f"with the resource location {location.split('/', maxsplit=1)[0]}{slashes}..."
+    options = {"location": location}
+    return Row(
+        f"with the resource location {location}", (do.begin, do.run(2)), failing=failing, options=options
+    )
+
+
+def _without_data(fmu: FmuFile) -> str:
+    if fmu.claims("needsExecutionTool"):
+        return "a tool may read its resources"
+    resources = [name for name in fmu.names if name.startswith(_RESOURCES) and not name.endswith("/")]
+    if any(name.lower().endswith(_CODE) for name in resources):
+        return "its resources hold code, which may be loaded later"
+    return "" if resources else "it has no resources"
+
+
+@differential("2.3 FMU Distribution (resources)", condition=_without_data)
+def resources_are_read_in_initialization(probe: Probe) -> Iterator[Row]:
+    """Resources that are data are read before fmi2ExitInitializationMode returns: steps need them no more."""
+    location = _link(probe, "linked")
+    try:
+        do.played(probe, [do.begin], location=location)
+    except CallError as error:  # an FMU that does not follow links
+        raise NotJudgedError(str(error)) from error
+    varied = do.begin, do.call("remove_link", location), do.run(2)
+    when = "without its resources after initialisation"
+    yield Row(when, varied, options={"location": location})
+
+
+@behaviour_rule(f"{_FLAGS}: needsExecutionTool", condition=if_not_claimed("needsExecutionTool"))
+def needs_no_tool(probe: Probe) -> Iterator[str]:
+    """Without needsExecutionTool, the FMU runs here although no program can be found by the search path."""
+    before = probe.ask("set_search_path", "")
+    try:
+        probe.script(logging=True).begin().step().play()
+    finally:
+        probe.ask("set_search_path", before)
+    yield from ()

@@ -1,0 +1,139 @@
+"""Setting up, initialising and resetting an FMU: start values, and what fmi2Reset gives back."""
+
+from collections.abc import Iterable, Iterator, Sequence
+
+from fmus.compliance import actions as do
+from fmus.compliance import values
+from fmus.compliance.actions import MOST_VARIABLES, Action, Pair
+from fmus.compliance.differential import OF_EXPERIMENT, Row, differential
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import NotApplicableError
+from fmus.compliance.script import KINDS
+
+_INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"
+_VALUES = "2.1.7 Getting and Setting Variable Values"
+_ROUNDED = 1e-6  # relative: tools write start values with as few as seven digits
+
+
+def _rows_of_starts(probe: Probe, when: str, *before: Action) -> Iterator[Row]:
+    """Yields rows of start values, read in initialization mode, or after it where only then they can be."""
+    declared = values.start_values(
+        v
+        for v in probe.fmu.variables
+        if v.variability != "constant" and (v.initial == "exact" or v.causality == "input")
+    )
+    readable = values.readable_in_initialization(probe.fmu)
+    at_first = do.initialise, do.read_as([(v, x) for v, x in declared if v in readable])
+    later = do.begin, do.read_as([(v, x) for v, x in declared if values.keeps_its_value(v)])
+    for after in (at_first, later):
+        yield Row(when, (*before, *after), (), tolerance=_ROUNDED, may_fail=True, again="its start value {}")
+
+
+@differential(_VALUES)
+def start_values_are_as_declared(probe: Probe) -> Iterable[Row]:
+    """Variables with initial exact and inputs have their start values: in initialization mode, or after it
+    where only then they can be read.
+    """
+    return _rows_of_starts(probe, "at first")
+
+
+@differential("4.2.4 State Machine of Calling Sequence from Master to Slave")
+def reset_in_every_state(_: Probe) -> Iterator[Row]:
+    """fmi2Reset is allowed when instantiated, in initialization mode, while stepping and after
+    fmi2Terminate.
+    """
+    for state, actions in (
+        ("instantiated", ()),
+        ("initialization mode", (do.initialise,)),
+        ("step complete", (do.begin, do.step())),
+        ("terminated", (do.begin, do.step(), do.terminate)),
+    ):
+        when = f"after fmi2Reset in the state {state!r}"
+        yield Row(when, (*actions, do.reset, do.begin, do.step()))
+
+
+@differential(_INITIALIZATION, needs="start-values-are-as-declared reset-in-every-state")
+def reset_gives_the_start_values(probe: Probe) -> Iterator[Row]:
+    """After other values, steps and fmi2Reset, start values are back and the same steps give the same
+    outputs.
+    """
+    varied = do.begin, do.step(5), do.reset, do.begin, do.run(5)
+    yield Row("after fmi2Reset", varied, tolerance=OF_EXPERIMENT)
+    others = do.set_others(values.settable_before(probe.fmu))
+    yield from _rows_of_starts(probe, "after other values and fmi2Reset", others, do.reset)
+
+
+@differential(_INITIALIZATION, needs="reset-gives-the-start-values")
+def reset_ends_all_that_was_set(probe: Probe) -> Iterator[Row]:
+    """After other values, a stop time, changed inputs and fmi2Reset, every variable is in the same steps as
+    in a new instance.
+    """
+    before, stepping = values.settable_before(probe.fmu), values.settable_while_stepping(probe.fmu)
+    first = do.set_others(before), *do.begin_until(2), do.set_others(stepping)
+    varied = do.ignore(*first, do.step(), do.set_derivatives(), do.reset), do.begin, do.run_all(5)
+    when, failing = "after other values and fmi2Reset", "after other values, a stop time and fmi2Reset"
+    yield Row(when, varied, (do.begin, do.run_all(5)), failing, OF_EXPERIMENT)
+
+
+@differential(_INITIALIZATION)
+def set_up_can_be_repeated(probe: Probe) -> Iterator[Row]:
+    """fmi2SetupExperiment may be called at least once: the last call counts, for time and stop time, and what
+    was set before it stays.
+    """
+    another = do.call("set_up_experiment", probe.point(7), probe.point(8))
+    yield Row("after a second fmi2SetupExperiment", (another, do.begin, do.run(2)))
+
+
+@differential(_INITIALIZATION)
+def undefined_tolerance_is_ignored(probe: Probe) -> Iterator[Row]:
+    """If toleranceDefined is false, tolerance is not looked at, and no stop time is needed."""
+    set_up = do.call("set_up_experiment_with", [], probe.start_time, [], -1.0)
+    varied = set_up, do.enter_initialization_mode, do.exit_initialization_mode, do.run(1)
+    yield Row("with an undefined tolerance of -1", varied)
+
+
+@differential("advice: a user may want to see windows")
+def visible_instances_run(_: Probe) -> Iterator[Row]:
+    """With visible = fmi2True an instance is created and takes a step."""
+    yield Row("with visible = fmi2True", (do.begin, do.step()), options={"visible": True})
+
+
+@differential(
+    "2.2.7 Definition of Model Variables (ModelVariables)",
+    needs="start-values-are-as-declared values-that-are-set-are-read",
+)
+def exact_values_remain_after_initialization(probe: Probe) -> Iterator[Row]:
+    """Directly after fmi2ExitInitializationMode a variable with initial exact has its start value, or the
+    value that was set.
+    """
+    exact = [v for v in probe.fmu.variables if v.initial == "exact" and v.variability != "constant"]
+    starts = values.start_values(exact)[:MOST_VARIABLES]
+    runs = [((), starts), *(([pair], [pair]) for pair in values.other_values(v for v, _ in starts))]
+    for pairs, expected in runs:
+        actions = do.initialise, do.set_values(pairs), do.exit_initialization_mode, do.read_as(expected)
+        again = "{}, its exact value"
+        yield Row("after initialisation", actions, (), tolerance=_ROUNDED, may_fail=True, again=again)
+
+
+@differential(_VALUES, needs="values-that-are-set-are-read")
+def values_are_set_together(probe: Probe) -> Iterator[Row]:
+    """Several variables that are set in one call have the values that they have if each is set in a call of
+    its own.
+    """
+    pairs = values.other_values(values.settable_in_initialization(probe.fmu))
+    some = [pair for kind in KINDS for pair in _of_kind(pairs, kind)[:MOST_VARIABLES]]
+    taken = values.accepted_together(probe, some, lambda: probe.script().initialise())
+    by_kind = {kind: _of_kind(taken, kind) for kind in KINDS}
+    if all(len(chosen) < 2 for chosen in by_kind.values()):
+        raise NotApplicableError("no two variables of one type take other values in initialization mode")
+    for kind, chosen in by_kind.items():
+        end = do.exit_initialization_mode, do.read([v for v, _ in chosen])
+        for ordered in (chosen, chosen[::-1]) if len(chosen) > 1 else ():
+            usual = do.initialise, do.set_values(ordered), *end
+            together = do.initialise, do.set_at_once(kind, ordered), *end
+            when = f"where one fmi2Set{kind} sets {len(ordered)} variables"
+            yield Row(when, together, usual, may_fail=True, again="{}, as it is set alone")
+
+
+def _of_kind(pairs: Sequence[Pair], kind: str) -> list[Pair]:
+    return [(v, x) for v, x in pairs if v.base_kind == kind]

@@ -1,0 +1,219 @@
+"""Behaviour that every FMU owes: it is loaded, created, initialised, stepped, reset and freed, also beside
+other instances.
+"""
+
+import re
+import time
+from collections.abc import Iterator
+from pathlib import PurePath
+
+from fmus.compliance import actions as do
+from fmus.compliance.differential import OF_EXPERIMENT, Row, differential
+from fmus.compliance.fmu_file import ONLY_ONCE, FmuFile
+from fmus.compliance.probe import Probe, refusal
+from fmus.compliance.rule import CANNOT_LOAD, RANDOM, NotJudgedError, behaviour_rule
+from fmus.compliance.script import CallError
+from fmus.compliance.values import differing, if_not_claimed, refused_reference, settable_before
+
+_NAMING = "2.1.1 Header Files and Naming of Functions"
+_CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
+_ALONE = f"4.3.1 Co-Simulation FMU (CoSimulation): {ONLY_ONCE}"
+_WRONG_GUID = "{00000000-0000-0000-0000-000000000000}"
+_STEPS, _MANY_STEPS, _INSTANCES = 5, 30, 10
+_ELSEWHERE = "install what it needs, or check it on a machine that has it"
+# what the loaders of glibc, musl, macOS and Windows tell; undefined symbols are the library's own fault
+_OF_THE_MACHINE = re.compile(
+    r"(?P<name>[^\s:]+): cannot open shared object"
+    r"|(?:Error loading shared library|Library not loaded:) (?P<other>[^\s:]+)"
+    r"|version `\S+' not found|wrong ELF class|incompatible architecture|\[WinError (?:126|193)\]"
+    r"|Could not find module"
+)
+
+
+@behaviour_rule(_NAMING)
+def library_loads(probe: Probe) -> Iterator[str]:
+    """The library of this platform loads, and has every function of FMI 2.0 for co-simulation."""
+    try:
+        probe.ask("load")
+    except CallError as error:
+        if is_of_the_machine(probe.fmu, str(error)):
+            raise NotJudgedError(f"{CANNOT_LOAD}: {error}; {_ELSEWHERE}") from error
+        raise
+    yield from ()
+
+
+def is_of_the_machine(fmu: FmuFile, message: str) -> bool:
+    """Whether a library cannot be loaded because of this machine: its processor, its C library, or a library
+    that it does not have and that is not in the FMU.
+    """
+    found = _OF_THE_MACHINE.search(message)
+    name = found and PurePath(found["name"] or found["other"] or "").name
+    folder, _, own = fmu.host_library.rpartition("/")
+    return found is not None and (name == own or f"{folder}/{name}" not in fmu.paths)
+
+
+@behaviour_rule(_CREATION)
+def instantiates_and_frees(probe: Probe) -> Iterator[str]:
+    """An instance is created, freed, and created and freed again."""
+    for _ in range(2):
+        created, messages = probe.creates(logging=True)
+        if not created:
+            yield refusal(messages)
+            return
+
+
+@behaviour_rule("2.1.4 Inquire Platform and Version Number of Header Files")
+def library_version(probe: Probe) -> Iterator[str]:
+    """fmi2GetVersion is 2.0, and fmi2GetTypesPlatform default, a static string."""
+    for function, expected in (("GetVersion", "2.0"), ("GetTypesPlatform", "default")):
+        got = probe.ask("text", f"fmi2{function}")
+        if got != expected:
+            yield f"fmi2{function} is {got!r}: expected {expected!r}"
+        elif function == "GetTypesPlatform" and not probe.ask("is_static", f"fmi2{function}"):
+            yield f"fmi2{function} returns another address each time: expected a static string"
+
+
+@behaviour_rule(_CREATION)
+def free_of_null_is_ignored(probe: Probe) -> Iterator[str]:
+    """fmi2FreeInstance of NULL does nothing, also after an instance was freed."""
+    probe.creates()
+    probe.ask("free_of_null")
+    yield from ()
+
+
+@behaviour_rule("4.2.2 Computation (fmi2DoStep)")
+def steps_and_terminates(probe: Probe) -> Iterator[str]:
+    """It is initialised; equal steps of the default experiment's size succeed, then fmi2Terminate."""
+    script = probe.script(logging=True).begin().step(_STEPS)
+    script.terminate()
+    probe.find_discarded_step(_MANY_STEPS)
+    probe.play_usual_steps(script)
+    yield from ()
+
+
+@behaviour_rule("4.2.4 State Machine of Calling Sequence from Master to Slave")
+def frees_in_every_state(probe: Probe) -> Iterator[str]:
+    """fmi2FreeInstance is allowed when instantiated, in initialization mode, while stepping and after
+    fmi2Terminate.
+    """
+    for script in (probe.script(), probe.script().initialise(), probe.script().begin().step()):
+        script.play()
+    terminated = probe.script().begin()
+    terminated.terminate()
+    probe.play_each([terminated])
+    yield from ()
+
+
+@differential("2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)")
+def wrong_references_are_refused(probe: Probe) -> Iterator[Row]:
+    """A value reference that no variable has is an error to read and to set; the instance is freed then."""
+    reference = refused_reference(probe)
+    for kind, value in (("Real", 0.0), ("Integer", 0), ("Boolean", 0), ("String", "")):
+        unknown = f"of the value reference {reference}, which is none: {{}}: expected error"
+        read = do.error(do.call("get", kind, [reference]), f"fmi2Get{kind} {unknown}")
+        set_value = do.call("set", kind, [reference], [value])
+        yield Row("", (do.begin, do.step(), read), ())
+        yield Row("", (do.initialise, do.error(set_value, f"fmi2Set{kind} {unknown}")), ())
+
+
+@behaviour_rule("4.1.2 Mathematical Model")
+def runs_are_repeatable(probe: Probe) -> Iterator[str]:
+    """Instances give the same outputs for the same calls, if processes do so."""
+    different, is_random = _compared(probe)
+    if is_random:
+        raise NotJudgedError(RANDOM)
+    yield from different
+
+
+@behaviour_rule("advice: 4.1.2 knows no random numbers")
+def runs_are_not_random(probe: Probe) -> Iterator[str]:
+    """Processes give the same outputs for the same calls; otherwise nothing else is judged."""
+    different, is_random = _compared(probe)
+    if is_random:
+        yield from different
+
+
+def _compared(probe: Probe) -> tuple[list[str], bool]:
+    """Returns how the outputs of a second instance differ, and whether they do so in an own process too."""
+
+    def compare() -> tuple[list[str], bool]:
+        different = list(_differences(probe))
+        if not different or probe.process.one_instance:
+            return different, bool(different)
+        with probe.process.in_new_processes():
+            return different, bool(list(_differences(probe)))
+
+    return probe.once("comparison of two instances", compare)
+
+
+def _differences(probe: Probe) -> Iterator[str]:
+    one, other = probe.script().begin(), probe.script(visible=False).begin()
+    first, second = one.run(5), other.run(5)
+    one.play()
+    other.play()
+    yield from differing(first, second, "in a second instance")
+
+
+@behaviour_rule(_CREATION)
+def wrong_guid_is_refused(probe: Probe) -> Iterator[str]:
+    """fmi2Instantiate returns NULL for a GUID that is not the description's, also where it is nearly so."""
+    guid = probe.fmu.guid
+    nearly = [
+        guid[:-1],
+        f"{guid}0",
+        guid[:-2] + ("1" if guid[-2:-1] == "0" else "0") + guid[-1:],
+        guid.swapcase(),
+    ]
+    for wrong in dict.fromkeys([_WRONG_GUID, *nearly]):
+        if wrong != guid and probe.creates(guid=wrong)[0]:
+            yield f"fmi2Instantiate gave an instance for the wrong GUID {wrong!r}: expected NULL"
+            return
+
+
+@behaviour_rule(_CREATION)
+def failed_instantiation_is_logged(probe: Probe) -> Iterator[str]:
+    """If fmi2Instantiate returns NULL, the logger was called with the reason."""
+    created, messages = probe.creates(guid=_WRONG_GUID, logging=True)
+    if created:
+        raise NotJudgedError("fmi2Instantiate returns an instance for a wrong GUID")
+    if not any(message.text.strip() for message in messages):
+        yield "fmi2Instantiate returned NULL for a wrong GUID and logged nothing: expected the reason"
+
+
+@differential(_ALONE, condition=if_not_claimed(ONLY_ONCE))
+def several_instances(probe: Probe) -> Iterator[Row]:
+    """Instances live side by side: values and steps of one change nothing in another."""
+    varied = do.begin, do.run(2), do.pause, do.run(3)
+    changed = do.set_others(settable_before(probe.fmu)), do.initialise
+    yield Row("beside another instance", varied, beside=(changed, (do.begin, do.run(5))))
+
+
+@behaviour_rule(_CREATION, condition=if_not_claimed(ONLY_ONCE))
+def instances_follow_each_other(probe: Probe) -> Iterator[str]:
+    """After some instances that were used and freed, fewer of a slow FMU, another one takes a step."""
+    half = (time.monotonic() + probe.process.deadline) / 2
+    for _ in range(_INSTANCES):
+        probe.script().begin().step().play()
+        if time.monotonic() > half:
+            break
+    yield from ()
+
+
+@differential("2.1.3 Status Returned by Functions", needs="several-instances reset-gives-the-start-values")
+def error_leaves_other_instances_unchanged(probe: Probe) -> Iterator[Row]:
+    """After an error, other instances go on as before, and fmi2Reset brings the instance back."""
+    if not probe.fmu.claims(ONLY_ONCE):
+        failing = do.begin, do.step(), do.pause, do.fail, do.pause, do.reset, do.begin, do.step(3)
+        varied = do.begin, do.run(1), do.pause, do.pause, do.run(2)
+        yield Row("beside an instance in error", varied, beside=(failing,))
+    varied = do.begin, do.step(), do.fail, do.reset, do.begin, do.run(3)
+    when = "after an error and fmi2Reset"
+    yield Row(when, varied, failing="after an error", tolerance=OF_EXPERIMENT)
+
+
+@differential(_CREATION, condition=if_not_claimed(ONLY_ONCE), needs="several-instances")
+def freed_instance_changes_no_other(_: Probe) -> Iterator[Row]:
+    """Others go on as before where one instance is freed."""
+    varied = do.begin, do.run(1), do.pause, do.pause, do.run(2)
+    freed = do.begin, do.step(), do.pause, do.call("free")
+    yield Row("after another instance was freed", varied, beside=(freed,))

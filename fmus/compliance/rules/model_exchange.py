@@ -1,0 +1,449 @@
+"""Model exchange (chapter 3): the order of calls, states and their derivatives, event indicators, events."""
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from functools import partial
+from typing import Any
+
+from fmus.compliance.fmu_file import MODEL_EXCHANGE, FmuFile
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import NotJudgedError, behaviour_rule
+from fmus.compliance.script import ARGUMENTS, UNWRITTEN, CallError, Reply, Script
+from fmus.compliance.values import continuous_reals, same, start_value, texts, unless_claimed
+from fmus.compliance.variable import is_true
+from fmus.fmi.binding import DISCARD, ERROR
+
+_MATH = "3.1 Mathematical description"
+_SETTING = "3.2.1 Providing Independent Variables and Re-initialization of Caching"
+_EVALUATION = "3.2.2 Evaluation of Model Equations"
+_MACHINE = "3.2.3 State Machine of Calling Sequence"
+_STATES, _DERIVATIVES = "fmi2GetContinuousStates", "fmi2GetDerivatives"
+_INDICATORS, _NOMINALS = "fmi2GetEventIndicators", "fmi2GetNominalsOfContinuousStates"
+_VECTORS = (_STATES, _DERIVATIVES, _INDICATORS, _NOMINALS)
+_STEPS = 50  # of the run whose events are observed
+_SOLVED = 1e-6  # relative: what an iterative solver in the FMU may change
+_JUMP = 0.01  # of an indicator of the order of one, in a millionth of a step
+_NOT_NEEDED = "completedIntegratorStepNotNeeded"
+_CALLS = "calls-of-model-exchange-succeed"
+_Observed = dict[str, Any]
+_rule = partial(behaviour_rule, interface=MODEL_EXCHANGE)
+
+
+def _count(fmu: FmuFile, function: str) -> int:
+    """Returns the number of elements that a function gives."""
+    if function == _INDICATORS:
+        return int(fmu.root.get("numberOfEventIndicators") or 0)
+    return sum(1 for _ in fmu.unknowns("Derivatives"))
+
+
+def _no_states(fmu: FmuFile) -> str:
+    return "" if _count(fmu, _STATES) else "it has no continuous states"
+
+
+def _no_indicators(fmu: FmuFile) -> str:
+    return "" if _count(fmu, _INDICATORS) else "it has no event indicators"
+
+
+def _vectors(probe: Probe, script: Script, functions: Sequence[str] = _VECTORS) -> list[Reply]:
+    return [script.call("vector", function) for function in functions if _count(probe.fmu, function)]
+
+
+# the order of calls
+
+
+def _tour(probe: Probe) -> Script:
+    """Returns a script of the calls that 3.2.3 allows in event and continuous-time mode, that was played."""
+
+    def played() -> Script:
+        script = probe.script(logging=True, watched=True).begin()
+        for _ in range(2):
+            _vectors(probe, script)
+            script.call("new_discrete_states")
+            script.state = "continuous-time mode"
+            script.plain("fmi2EnterContinuousTimeMode")
+            _vectors(probe, script)
+            for v in continuous_reals(probe, "input"):
+                if (value := start_value(v)) is not None:
+                    script.set(v, value)
+            script.read(probe.fmu.variables)
+            script.state = "event mode"
+            script.plain("fmi2EnterEventMode")
+            script.call("new_discrete_states")
+        script.plain("fmi2EnterContinuousTimeMode")
+        script.state = "continuous-time mode"
+        script.terminate()
+        return script.play(keep_going=True)
+
+    return probe.once("tour of model exchange", played)
+
+
+@_rule(_MACHINE, needs="variables-can-be-read")
+def calls_of_model_exchange_succeed(probe: Probe) -> Iterator[str]:
+    """The functions of model exchange succeed in event mode and in continuous-time mode."""
+    failure = _tour(probe).failure
+    if failure:
+        yield f"in the state {failure.state!r}: {failure.problem}"
+
+
+@_rule(_MACHINE, needs=_CALLS)
+def event_mode_is_entered_from_itself(probe: Probe) -> Iterator[str]:
+    """fmi2EnterEventMode succeeds in event mode too, as the table of 3.2.3 has it."""
+    script = probe.script(logging=True).begin()
+    reply = script.plain("fmi2EnterEventMode")
+    script.call("new_discrete_states")
+    script.play(keep_going=True)
+    if script.failure:
+        yield f"in the state {reply.state!r}: {script.failure.problem}"
+
+
+@_rule(_MACHINE, needs=_CALLS)
+def vectors_are_given_in_every_state(probe: Probe) -> Iterator[str]:
+    """Vectors can be read in initialization mode and when terminated, nominal values also before."""
+    scripts = probe.script(logging=True), probe.script(logging=True).initialise(), probe.script(logging=True)
+    scripts[2].begin().terminate()
+    for script in scripts:
+        replies = _vectors(probe, script, _VECTORS if script.calls else (_NOMINALS,))
+        if not replies:
+            continue
+        script.play(keep_going=True)
+        refused = [reply.function for reply in replies if reply.status == ERROR]
+        if refused:  # what follows in this instance has the same cause
+            yield f"in the state {script.state!r} {refused[0]} returned error: expected ok"
+
+
+@_rule(_EVALUATION, needs=_CALLS)
+def vectors_have_their_length(probe: Probe) -> Iterator[str]:
+    """Vectors of states, derivatives, nominal values and event indicators are written to the length that the
+    description gives, and not beyond.
+    """
+    problems = {
+        ARGUMENTS: "writes behind {0} elements: expected no more than are asked for",
+        UNWRITTEN: "returned ok and has not written each of {0} elements",
+    }
+    changes = [(reply.function, row[0]) for reply in _tour(probe).replies for row in reply.changed]
+    for function, change in dict.fromkeys(changes):
+        if function in _VECTORS and change in problems:
+            yield f"{function} {problems[change].format(_count(probe.fmu, function))}"
+
+
+# continuous-time mode
+
+
+class _Start:
+    """States at the start, and the times between which there is no time event."""
+
+    def __init__(self, probe: Probe) -> None:
+        script = probe.script().begin()
+        info = script.call("new_discrete_states")
+        states, nominals = _vectors(probe, script, (_STATES, _NOMINALS)) or (Reply("", ""), Reply("", ""))
+        script.play()
+        self.states, self.nominals = states.value or [], nominals.value or []
+        self.begin, end = probe.start_time, probe.start_time + probe.step_size
+        if info.value["nextEventTimeDefined"]:
+            end = min(end, info.value["nextEventTime"])
+        if not end > self.begin:
+            raise NotJudgedError("there is an event at the start")
+        self.size = end - self.begin
+
+    def near(self, part: float) -> list[float]:
+        """Returns states near those at the start, by less than a hundredth."""
+        pairs = zip(self.states, self.nominals, strict=True)
+        return [x + part * 1e-2 * min(abs(x) or nominal, abs(nominal)) for x, nominal in pairs]
+
+
+class _ContinuousTime:
+    """A script in continuous-time mode within the first step."""
+
+    def __init__(self, probe: Probe) -> None:
+        self._probe = probe
+        self.start = probe.once("start of model exchange", lambda: _Start(probe))
+        self.script = probe.script(logging=True).begin()
+        self.script.plain("fmi2EnterContinuousTimeMode")
+        self.script.state = "continuous-time mode"
+
+    def go(self, part: float, functions: Sequence[str] = (_DERIVATIVES, _INDICATORS)) -> list[Reply]:
+        """Sets the time to a part of the step, and states of that part; returns vectors there."""
+        self.script.call("set_time", self.start.begin + part * self.start.size)
+        if self.start.states:
+            self.script.call("set_continuous_states", self.start.near(part))
+        return _vectors(self._probe, self.script, functions)
+
+    def play(self) -> None:
+        """Plays the script. Raises NotJudgedError where the FMU discards states."""
+        self.script.play(keep_going=True)
+        failure = self.script.failure
+        if failure and failure.status == DISCARD:
+            raise NotJudgedError(f"the FMU discards {failure.function}")
+        if failure:
+            raise CallError(failure.problem, failure.status)
+
+
+def _differences(
+    expected: Sequence[Reply], got: Sequence[Reply], when: str, tolerance: float = _SOLVED
+) -> Iterator[str]:
+    """Yields the first element of each vector that is not as expected."""
+    for before, after in zip(expected, got, strict=True):
+        scale = max(map(abs, before.value), default=0.0)
+        for i, (a, b) in enumerate(zip(before.value, after.value, strict=True), 1):
+            if not same(a, b, tolerance, 1e-3 * scale):
+                wanted, found = texts(a, b)
+                yield f"{after.function} gives {found} for element {i} {when}: expected {wanted}"
+                break
+
+
+@_rule(_SETTING, condition=_no_states, needs=_CALLS)
+def states_that_are_set_are_read(probe: Probe) -> Iterator[str]:
+    """fmi2GetContinuousStates gives the states that fmi2SetContinuousStates has set."""
+    run = _ContinuousTime(probe)
+    for part in (0.7, -0.7):
+        run.script.call("set_continuous_states", run.start.near(part))
+        (states,) = _vectors(probe, run.script, (_STATES,))
+        run.play()
+        expected = Reply(_STATES, "", value=run.start.near(part))
+        yield from _differences([expected], [states], "after it was set", 0.0)
+        run = _ContinuousTime(probe)
+
+
+@_rule(_SETTING, needs=_CALLS)
+def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
+    """Derivatives and event indicators follow from time, states and inputs alone: setting time and states
+    back gives them again.
+    """
+    run = _ContinuousTime(probe)
+    before, _, after = (run.go(part) for part in (0.3, 0.6, 0.3))
+    run.play()
+    yield from _differences(before, after, "after time and states were set back")
+
+
+@_rule(_EVALUATION, needs="derivatives-have-no-history")
+def time_goes_back_in_continuous_time(probe: Probe) -> Iterator[str]:
+    """After a completed step, time can be set back as far as to the completed step before, and gives the
+    derivatives of that time.
+    """
+    run = _ContinuousTime(probe)
+    enters = []
+    before: list[Reply] = []
+    for part in (0.3, 0.6):
+        before = run.go(0.5) if part > 0.3 else []
+        run.go(part)
+        if not probe.fmu.claims(_NOT_NEEDED):
+            enters.append(run.script.call("completed_integrator_step", False))
+    first = len(run.script.replies)
+    after = run.go(0.5)
+    run.script.play(keep_going=True)
+    failure = run.script.failure
+    if any(any(enter.value or []) for enter in enters):
+        raise NotJudgedError("a step event comes first")
+    if failure in run.script.replies[first:]:
+        yield f"back in time, after the completed step before: {failure.problem}"
+    elif not failure:
+        yield from _differences(before, after, "after time was set back")
+
+
+@_rule(
+    "3.3.1 Model Exchange FMU (ModelExchange)",
+    condition=unless_claimed(_NOT_NEEDED),
+    needs="derivatives-have-no-history",
+)
+def completed_step_without_need_has_no_effect(probe: Probe) -> Iterator[str]:
+    """With completedIntegratorStepNotNeeded, fmi2CompletedIntegratorStep asks for nothing and changes
+    nothing.
+    """
+    run = _ContinuousTime(probe)
+    functions = (_STATES, _DERIVATIVES, _INDICATORS)
+    before = run.go(0.5, functions)
+    enter = run.script.call("completed_integrator_step")
+    after = _vectors(probe, run.script, functions)
+    run.play()
+    if any(enter.value):
+        yield f"{enter.function} asks for event mode or an end of the simulation: expected neither"
+    yield from _differences(before, after, f"after {enter.function}")
+
+
+@_rule("2.2.8 Definition of the Model Structure (ModelStructure)", condition=_no_states, needs=_CALLS)
+def vectors_have_the_order_of_the_description(probe: Probe) -> Iterator[str]:
+    """States and derivatives as vectors have the values and the order of the variables of Derivatives."""
+    pairs = [
+        (probe.fmu.variables[state - 1], probe.fmu.variables[derivative - 1])
+        for derivative, state in probe.fmu.state_derivatives.items()
+    ]
+    if len(pairs) != _count(probe.fmu, _STATES):
+        raise NotJudgedError("Derivatives lists variables that are derivatives of none")
+    run = _ContinuousTime(probe)
+    vectors = run.go(0.5, (_STATES, _DERIVATIVES))
+    readings = [run.script.read(group) for group in zip(*pairs, strict=True)]
+    run.play()
+    for vector, reading, group in zip(vectors, readings, zip(*pairs, strict=True), strict=True):
+        for i, v in enumerate(group):
+            if not same(vector.value[i], reading.values[v.name], _SOLVED):
+                got, read = texts(vector.value[i], reading.values[v.name])
+                yield f"{vector.function} gives {got} for element {i + 1}, {v.name}: expected {read}, as read"
+                break
+
+
+@_rule(_MATH, needs=_CALLS)
+def discrete_variables_are_frozen(probe: Probe) -> Iterator[str]:
+    """Discrete variables do not change in continuous-time mode, whatever time and states are."""
+    chosen = [v for v in probe.fmu.variables if v.variability == "discrete" and v.causality != "input"]
+    run = _ContinuousTime(probe)
+    before = run.script.read(chosen)
+    run.script.call("set_time", run.start.begin + 0.5 * run.start.size)
+    for sign in (1, -1) if run.start.states else ():
+        run.script.call("set_continuous_states", [sign * (x or 1e-3) for x in run.start.near(0.5)])
+    after = run.script.read(chosen)
+    run.play()
+    for v in chosen:
+        if (a := before.values[v.name]) != (b := after.values[v.name]):
+            yield f"{v.name} changes from {a!r} to {b!r} in continuous-time mode: expected {a!r}"
+
+
+# events
+
+
+def _run(probe: Probe) -> tuple[list[_Observed], str]:
+    """Returns the events of a run up to the stop time, played once, and the reason why it ended before."""
+
+    def played() -> tuple[list[_Observed], str]:
+        end = probe.stop_time if math.isfinite(probe.stop_time) else probe.start_time + 1.0
+        size = (end - probe.start_time) / _STEPS
+        script = probe.script(observed=True, logging=True).begin()
+        for i in range(_STEPS):
+            script.call("do_step", probe.start_time + i * size, size)
+        observed = script.call("observed_events")
+        with suppress(NotJudgedError):  # a step that is discarded ends the run
+            script.play(keep_going=True)
+        return observed.value or [], next((r.reason for r in script.replies if r.reason), "")
+
+    return probe.once("run of model exchange", played)
+
+
+def _event(probe: Probe, event: _Observed) -> str:
+    t = event["time"] if math.isfinite(event["time"]) else probe.start_time
+    return f"the {event['cause']} at {t:g} s"
+
+
+def _steps_of(event: _Observed) -> Iterator[tuple[_Observed, Sequence[float], Sequence[float], int]]:
+    """Yields fmi2EventInfo of each iteration with vectors before and after: of states, then of nominals."""
+    for which in (0, 1):
+        values = [vectors[which] for vectors in event["vectors"]]
+        for info, before, after in zip(event["infos"], values, values[1:], strict=False):
+            yield info, before, after, which
+
+
+def _changes(probe: Probe, which: int, element: str) -> Iterator[str]:
+    """Yields the first change that is not announced, of states (0) or nominals (1)."""
+    name = ("state", "nominal value")[which]
+    for event in _run(probe)[0]:
+        for info, before, after, of in _steps_of(event):
+            i = next((i for i, (a, b) in enumerate(zip(before, after, strict=True)) if a != b), None)
+            if of == which and i is not None and not info[element]:
+                old, new = texts(before[i], after[i])
+                change = f"{name} {i + 1} changes from {old} to {new}"
+                yield f"at {_event(probe, event)} {change}: expected {element} true"
+                return
+
+
+@_rule(_EVALUATION, condition=_no_states, needs=_CALLS)
+def changes_of_states_are_announced(probe: Probe) -> Iterator[str]:
+    """If fmi2NewDiscreteStates changes a state, valuesOfContinuousStatesChanged is true."""
+    yield from _changes(probe, 0, "valuesOfContinuousStatesChanged")
+
+
+@_rule(_EVALUATION, condition=_no_states, needs=_CALLS)
+def changes_of_nominals_are_announced(probe: Probe) -> Iterator[str]:
+    """If fmi2NewDiscreteStates changes a nominal value, nominalsOfContinuousStatesChanged is true."""
+    yield from _changes(probe, 1, "nominalsOfContinuousStatesChanged")
+
+
+@_rule(_EVALUATION, condition=_no_states, needs=_CALLS)
+def states_that_stay_are_not_announced(probe: Probe) -> Iterator[str]:
+    """If fmi2NewDiscreteStates changes no state, valuesOfContinuousStatesChanged is false."""
+    for event in _run(probe)[0]:
+        for info, before, after, which in _steps_of(event):
+            if which == 0 and before == after and info["valuesOfContinuousStatesChanged"]:
+                yield (
+                    f"at {_event(probe, event)} no state changes: "
+                    "expected valuesOfContinuousStatesChanged false"
+                )
+                return
+
+
+@_rule("2.2.7 Definition of Model Variables (ModelVariables), reinit", condition=_no_states, needs=_CALLS)
+def states_that_change_at_events_have_reinit(probe: Probe) -> Iterator[str]:
+    """A state that changes at an event after the start has reinit."""
+    states = [probe.fmu.variables[i - 1] for i in probe.fmu.state_derivatives.values()]
+    changed = {
+        i: event
+        for event in reversed(_run(probe)[0])
+        if event["cause"] != "start" and len(states) == len(event["vectors"][0][0])
+        for _, before, after, which in _steps_of(event)
+        for i in range(len(before))
+        if which == 0 and before[i] != after[i]
+    }
+    for i, event in changed.items():
+        if not is_true(states[i].get("reinit")):
+            yield f"{states[i].name} changes at {_event(probe, event)}: expected reinit=true"
+
+
+@_rule(_EVALUATION, condition=_no_states, needs=_CALLS)
+def nominals_are_positive(probe: Probe) -> Iterator[str]:
+    """Nominal values of states are above 0, from initialisation on."""
+    for event in _run(probe)[0]:
+        for i, nominal in enumerate(event["vectors"][-1][1], 1):
+            if not 0 < nominal < math.inf:
+                yield f"at {_event(probe, event)} nominal value {i} is {nominal:g}: expected above 0"
+                return
+
+
+@_rule(_EVALUATION, needs=_CALLS)
+def events_come_to_an_end(probe: Probe) -> Iterator[str]:
+    """newDiscreteStatesNeeded becomes false after some calls of fmi2NewDiscreteStates."""
+    _, ended = _run(probe)
+    if "iterations" in ended:
+        yield f"{ended}: expected newDiscreteStatesNeeded false"
+
+
+@_rule(_MATH, needs="events-come-to-an-end")
+def next_events_are_ahead(probe: Probe) -> Iterator[str]:
+    """nextEventTime, where it is defined, lies after the present."""
+    for event in _run(probe)[0][1:]:
+        last = event["infos"][-1] if event["infos"] else {}
+        if last.get("nextEventTimeDefined") and not last["nextEventTime"] > event["time"]:
+            yield f"at {_event(probe, event)} nextEventTime is {last['nextEventTime']:g} s: expected later"
+            return
+
+
+@_rule(_EVALUATION, condition=_no_indicators, needs=_CALLS)
+def event_indicators_are_finite(probe: Probe) -> Iterator[str]:
+    """Event indicators are numbers, neither infinite nor NaN."""
+    for event in _run(probe)[0]:
+        for i, z in enumerate(event.get("indicators", []), 1):
+            if not math.isfinite(z):
+                yield f"after {_event(probe, event)} event indicator {i} is {z}: expected a number"
+                return
+
+
+@_rule(_EVALUATION, condition=_no_indicators, needs=_CALLS)
+def event_indicators_are_not_zero_at_restart(probe: Probe) -> Iterator[str]:
+    """After an event, no event indicator is 0 when continuous-time mode is entered."""
+    for event in _run(probe)[0]:
+        if event["cause"] == "state event" and 0.0 in event.get("indicators", []):
+            i = event["indicators"].index(0.0) + 1
+            yield f"after {_event(probe, event)} event indicator {i} is 0: expected another value"
+            return
+
+
+@_rule(_MATH, condition=_no_indicators, needs=_CALLS)
+def event_indicators_are_continuous(probe: Probe) -> Iterator[str]:
+    """Event indicators do not jump where they change their sign."""
+    events, _ = _run(probe)
+    for event in events:
+        for i, (a, b) in enumerate(zip(*event.get("crossing", ([], [])), strict=True)):
+            sizes = [abs(e["indicators"][i]) for e in events if "indicators" in e]
+            if (a > 0) != (b > 0) and abs(a - b) > _JUMP * max(1.0, *sizes):
+                yield (
+                    f"event indicator {i + 1} jumps from {a:.6g} to {b:.6g} after {_event(probe, event)}: "
+                    "expected continuous values"
+                )
+                return

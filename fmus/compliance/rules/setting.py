@@ -1,0 +1,126 @@
+"""Setting variables: which, when, and what is read then."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from fmus.compliance import actions as do
+from fmus.compliance import values
+from fmus.compliance.actions import MOST_VARIABLES
+from fmus.compliance.differential import Row, differential
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import NotApplicableError, behaviour_rule
+from fmus.compliance.values import RESTARTED
+from fmus.compliance.variable import Variable
+
+_PLATFORM = "2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)"
+_INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"
+_VALUES = "2.1.7 Getting and Setting Variable Values"
+_ROUNDED, _EXACT = 1e-6, 1e-12
+_NOTHING = {"Real": 0.0, "Integer": 0, "Boolean": 0, "String": ""}
+
+
+@differential(_INITIALIZATION, needs="start-values-are-as-declared strings-are-copied")
+def values_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
+    """Values that are set when instantiated or in initialization mode are read afterwards."""
+    readable = values.readable_in_initialization(probe.fmu)
+    instantiated = [v for v in values.settable_before(probe.fmu) if v.initial == "exact"]
+    for chosen, before, after, when in (
+        (instantiated, (), (do.initialise,), "when instantiated"),
+        (values.settable_in_initialization(probe.fmu), (do.initialise,), (), "in initialization mode"),
+    ):
+        for v, x in values.other_values(chosen[:MOST_VARIABLES]):
+            if v in readable:
+                end = do.read_as([(v, x)]), do.exit_initialization_mode
+            elif values.keeps_its_value(v):
+                end = do.exit_initialization_mode, do.read_as([(v, x)])
+            else:
+                continue
+            yield _set_and_read(when, *before, do.set_values([(v, x)]), *after, *end)
+
+
+def _set_and_read(when: str, *actions: do.Action) -> Row:
+    return Row(f"after it was set {when}", actions, (), tolerance=_EXACT, may_fail=True, again="{}")
+
+
+@differential("4.1.2 Mathematical Model", needs="fixed-values-stay strings-are-copied")
+def inputs_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
+    """An input or tunable parameter that is set at a communication point has that value after the step."""
+    for pair in values.other_values(values.settable_while_stepping(probe.fmu)[:MOST_VARIABLES]):
+        yield _set_after_a_step(*pair)
+
+
+def _set_after_a_step(v: Variable, x: Any) -> Row:
+    actions = do.begin, do.step(), do.set_values([(v, x)]), do.step(), do.read_as([(v, x)])
+    return _set_and_read("at a communication point", *actions)
+
+
+@differential(_VALUES, needs="inputs-that-are-set-are-read")
+def far_values_are_read(probe: Probe) -> Iterator[Row]:
+    """An input or tunable parameter that is set far from its start value, within its range, or a String that
+    is long or empty, is read as it was set, unless the FMU refuses it.
+    """
+    for v in values.settable_while_stepping(probe.fmu)[:MOST_VARIABLES]:
+        for x in values.far_values(v):
+            yield _set_after_a_step(v, x)
+
+
+@differential(_PLATFORM, needs="allowed-calls-succeed")
+def strings_are_copied(probe: Probe) -> Iterator[Row]:
+    """A String that is set is copied: it is read as it was although its memory was overwritten."""
+    chosen = [v for v in values.settable_in_initialization(probe.fmu) if v.base_kind == "String"]
+    kept = [v for v in chosen[:MOST_VARIABLES] if v.start and values.keeps_its_value(v)]
+    for pair in values.start_values(kept):
+        set_start = do.initialise, do.set_values([pair]), do.exit_initialization_mode
+        when = "after it was set and its memory overwritten"
+        yield Row(when, (*set_start, do.read_as([pair])), (), "", again="{}, a copy")
+
+
+@differential(_VALUES, needs="questions-change-nothing")
+def initial_values_follow_what_is_set(probe: Probe) -> Iterator[Row]:
+    """In initialization mode, values follow what is set, also if they had been read before that."""
+    readable = values.readable_in_initialization(probe.fmu)
+    for v, x in values.other_values(values.settable_in_initialization(probe.fmu)[:MOST_VARIABLES]):
+        end = do.set_values([(v, x)]), do.read(readable)
+        varied = do.initialise, do.glance(readable), *end
+        when = f"where it had been read before {v.name} was set"
+        yield Row(when, varied, (do.initialise, *end), tolerance=_ROUNDED, may_fail=True)
+
+
+@differential(
+    "4.1.2 Mathematical Model",
+    needs="allowed-calls-succeed start-values-are-as-declared strings-are-copied statuses-are-legal",
+)
+def setting_the_same_changes_nothing(probe: Probe) -> Iterator[Row]:
+    """Inputs and tunable parameters can be set at communication points; set to what they are, no state
+    is lost.
+    """
+    chosen = values.settable_while_stepping(probe.fmu)
+    if not chosen:
+        raise NotApplicableError("there is neither an input nor a tunable parameter")
+    varied = do.begin, *(do.set_values(values.start_values(chosen)), do.run(1)) * 4
+    when = "where inputs and tunable parameters were set to what they are"
+    yield Row(when, varied, failing="in the state {state!r}", tolerance=RESTARTED)
+
+
+@differential(_PLATFORM)
+def constants_cannot_be_set(probe: Probe) -> Iterator[Row]:
+    """Setting a constant is an error."""
+    constants = [v for v in probe.fmu.variables if v.variability == "constant"]
+    for v, x in values.start_values(constants[:MOST_VARIABLES]):
+        what = f"fmi2Set{v.base_kind} of the constant {v.name}: {{}}: expected error"
+        yield Row("", (do.initialise, do.error(do.set_values([(v, x)]), what)), ())
+
+
+@behaviour_rule("advice: 4.2.4 allows to set no other variables")
+def calculated_values_cannot_be_set(probe: Probe) -> Iterator[str]:
+    """Setting a variable that is calculated is refused, unless it is the alias of one that can be set."""
+    settable = {(v.base_kind, v.reference) for v in probe.fmu.variables if v.is_settable}
+    calculated = [v for v in probe.fmu.variables if v.initial == "calculated" or v.causality == "independent"]
+    chosen = [v for v in calculated if (v.base_kind, v.reference) not in settable and v.base_kind != "String"]
+    for v in chosen[:MOST_VARIABLES]:
+        script = probe.script(logging=True).initialise()
+        reply = script.set(v, _NOTHING[v.base_kind])
+        script.play(keep_going=True)
+        if reply.ok:
+            yield f"{reply.function} of {v.name}, which is calculated, returned ok: expected error"
+            return

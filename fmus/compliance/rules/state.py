@@ -1,0 +1,240 @@
+"""Saved states, as far as the FMU claims them, and what asking for values may not change."""
+
+from collections.abc import Iterator
+
+from fmus.compliance import actions as do
+from fmus.compliance import values
+from fmus.compliance.actions import Action
+from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differential
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import NotJudgedError, behaviour_rule
+
+_CLAUSE = "2.1.8 Getting and Setting the Complete FMU State"
+_SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
+_SET_BACK = "in the state that was set back"
+_SIZE = do.call("serialized_fmu_state_size", 0)
+_SAVED = (do.begin, do.step(2), do.save(), _SIZE, _SIZE, do.call("serialize_fmu_state", 0), do.run(5))
+_saves, _serialises = values.unless_claimed(_SAVES), values.unless_claimed(_SERIALISES)
+
+
+def _restored(probe: Probe, tolerance: float | None) -> Row:
+    """Returns the row of a state that is set back once."""
+    end = do.read(probe.outputs, _SET_BACK), do.run(5)
+    varied = do.begin, do.step(2), do.save(), do.expect(*end), do.restore(), *end
+    return Row("from the state that was set back", varied, (), "", tolerance)
+
+
+@differential(_CLAUSE, condition=_saves, needs="communication-points-may-be-rounded allowed-calls-succeed")
+def state_restores(probe: Probe) -> Iterator[Row]:
+    """A state that is set back gives the same outputs at once and in the steps that follow, up to
+    the tolerance of the default experiment: a solver may begin anew.
+    """
+    yield _restored(probe, OF_EXPERIMENT)
+
+
+@differential(_CLAUSE, condition=_saves, needs="state-restores")
+def state_restores_exactly(probe: Probe) -> Iterator[Row]:
+    """A state that is set back gives exactly the same outputs."""
+    yield _restored(probe, 0.0)
+
+
+@differential(_CLAUSE, condition=_saves, needs="state-restores")
+def state_holds_inputs_and_parameters(probe: Probe) -> Iterator[Row]:
+    """A state holds inputs and tunable parameters too: changed after it was saved, they are back when
+    it is set.
+    """
+    chosen = values.settable_while_stepping(probe.fmu)
+    pairs = do.others_accepted(probe, chosen, do.begin, do.step())
+    if not pairs:
+        raise NotJudgedError("no input or tunable parameter takes another value")
+    when = "from a state that was set back after inputs changed"
+    end = do.read(chosen, _SET_BACK), do.run(5)
+    varied = do.begin, do.step(2), do.save(), do.attempt(do.set_values(pairs), do.step()), do.restore(), *end
+    yield Row(when, varied, (do.begin, do.step(2), *end), tolerance=OF_EXPERIMENT)
+
+
+@differential(
+    _CLAUSE, condition=_saves, needs="state-can-be-saved-often allowed-calls-succeed questions-change-nothing"
+)
+def state_in_initialization_mode(probe: Probe) -> Iterator[Row]:
+    """A state can be saved and set back when instantiated and in initialization mode, with what was set
+    there.
+    """
+    state = "the state of initialization mode that was set back"
+    read = do.read(values.readable_in_initialization(probe.fmu), f"in {state}")
+    end = read, do.exit_initialization_mode, do.run(2)
+    other = do.set_others(values.settable_in_initialization(probe.fmu)[:1])
+    varied = do.save(), do.restore(), do.initialise, do.save(1), other, do.restore(1), *end
+    yield Row(f"from {state}", varied, (do.initialise, *end), "in the state {state!r}", OF_EXPERIMENT)
+
+
+@differential(_CLAUSE, condition=_saves, needs="state-restores allowed-calls-succeed")
+def state_holds_the_mode(_: Probe) -> Iterator[Row]:
+    """A state holds internal status information: set back while stepping, one of initialization mode is
+    in that mode.
+    """
+    first = do.initialise, do.save(), do.exit_initialization_mode, do.expect(do.run(3))
+    again = do.restore(), do.exit_initialization_mode, do.run(3)
+    failing = "after a state of initialization mode was set back"
+    yield Row("from a state of initialization mode", (*first, *again), (), failing, OF_EXPERIMENT)
+
+
+@differential(
+    _CLAUSE,
+    condition=_saves,
+    needs="state-restores allowed-calls-succeed state-holds-the-mode step-beyond-the-stop-time-is-an-error",
+)
+def state_restores_after_the_end(probe: Probe) -> Iterator[Row]:
+    """A state can be set back after fmi2Terminate and after an error, and steps go on from it, up to the stop
+    time.
+    """
+    past = f"a step to {probe.point(5):g} s {{}}: expected error beyond the stop time {probe.point(4):g} s"
+    for end, action in (
+        ("fmi2Terminate", do.terminate),
+        ("an error of fmi2GetReal", do.fail),
+        ("a step beyond the stop time", do.error(do.step())),
+    ):
+        first = *do.begin_until(4), do.step(2), do.save(), do.expect(do.run(2))
+        varied = *first, action, do.restore(), do.run(2), do.error(do.step(), past)
+        yield Row(f"from a state set back after {end}", varied, (), f"after {end}", OF_EXPERIMENT)
+
+
+@differential(_CLAUSE, condition=_saves, needs="state-restores")
+def state_can_be_saved_often(_: Probe) -> Iterator[Row]:
+    """Several states are kept at a time, each its own; one that is given again is written over."""
+    varied = (
+        do.begin, do.save(), do.expect(do.run(3)), do.save(1),
+        do.restore(), do.run(3, "from the older of two states"),
+        do.restore(), do.save(1), do.run(3, "after a state was written over"),
+        do.restore(1), do.run(3, "from the state that was written over"),
+        do.free_state(), do.restore(1), do.run(3, "after another state was freed"), do.free_state(1),
+    )  # fmt: skip
+    yield Row("with several states", varied, (), tolerance=OF_EXPERIMENT)
+
+
+@behaviour_rule(_CLAUSE, condition=_saves, needs="state-restores")
+def freed_state_is_null(probe: Probe) -> Iterator[str]:
+    """fmi2FreeFMUstate returns NULL in its argument."""
+    script = probe.script(logging=True).begin().step().save()
+    freed = script.call("free_fmu_state", 0)
+    script.play()
+    if not freed.value:
+        yield "fmi2FreeFMUstate left the state's address: expected NULL"
+
+
+@differential(_CLAUSE, condition=_saves, needs="state-restores")
+def free_of_null_state_is_ignored(_: Probe) -> Iterator[Row]:
+    """fmi2FreeFMUstate of a NULL state does nothing."""
+    yield Row("with a state that is NULL", (do.begin, do.run(1), do.free_state(7), do.run(2)))
+
+
+@behaviour_rule(_CLAUSE, condition=_serialises, needs="state-restores allowed-calls-succeed")
+def serialised_state_restores(probe: Probe) -> Iterator[str]:
+    """A state as bytes gives the same outputs in an instance of its own."""
+    source = do.played(probe, _SAVED)
+    size, again = (reply.value for reply in source.replies_of("fmi2SerializedFMUstateSize"))
+    if size != again:
+        yield f"fmi2SerializedFMUstateSize is {size} and then {again}: expected the same size"
+    if not source.replies_of("fmi2SerializeFMUstate")[0].value[1]:
+        yield f"fmi2SerializeFMUstate writes more than the {size} bytes of its size"
+    varied = do.begin, do.step(), do.read_bytes(source), do.restore(), do.run(5), do.free_state()
+    yield from differences(probe, [Row("from a state read from bytes", varied, _SAVED, "", OF_EXPERIMENT)])
+
+
+@differential(
+    _CLAUSE,
+    condition=_saves,
+    needs="state-restores input-derivatives questions-change-nothing state-holds-inputs-and-parameters",
+)
+def state_holds_every_value(probe: Probe) -> Iterator[Row]:
+    """Set back after inputs, tunable parameters and derivatives of inputs went back to their start values, a
+    state gives all variables again, at once and in the steps that follow, as if it had not been saved.
+    """
+    pairs = do.others_accepted(probe, values.settable_while_stepping(probe.fmu), do.begin, do.step())
+    moving = do.begin, do.step(), do.set_values(pairs), do.set_derivatives(), do.step(), do.set_derivatives()
+    slopes = values.continuous_reals(probe, "output") if probe.fmu.output_derivative_order else []
+    end = do.read_all(_SET_BACK), do.read_slopes(slopes, _SET_BACK), do.run_all(3)
+    back = do.set_derivatives(0.0), do.set_values(values.start_values(v for v, _ in pairs)), do.step(2)
+    varied = *moving, do.save(), *back, do.restore(), *end
+    when = "from a state that was set back"
+    yield Row(when, varied, (*moving, *end), tolerance=OF_EXPERIMENT, may_fail=True)
+
+
+@behaviour_rule(
+    _CLAUSE,
+    condition=_serialises,
+    needs="state-holds-every-value serialised-state-restores strings-are-copied inputs-that-are-set-are-read",
+)
+def bytes_hold_every_value(probe: Probe) -> Iterator[str]:
+    """Bytes of a state with other values, that was freed, give all variables again in an instance with start
+    values; reading them changes nothing until the state is set.
+    """
+    pairs = do.others_accepted(probe, values.settable_before(probe.fmu))
+    bytes_of_a_freed_state = do.call("serialize_fmu_state", 0), do.free_state(), do.save(1), do.step()
+    saved = do.set_values(pairs), do.begin, do.step(2), do.save()
+    usual = *saved, do.read_all(), do.run_all(3), *bytes_of_a_freed_state
+    source = do.played(probe, usual)
+    if not source.content:
+        yield "a serialised state has no bytes"
+        return
+    still = "after fmi2DeSerializeFMUstate, before fmi2SetFMUstate"
+    first = do.attempt(do.begin, do.step(), do.expect(do.read_all()))
+    bytes_read = first, do.read_bytes(source), do.read_all(still)
+    varied = *bytes_read, do.restore(), do.read_all(), do.run_all(3), do.free_state()
+    yield from differences(
+        probe, [Row("from bytes in another instance", varied, usual, tolerance=OF_EXPERIMENT)]
+    )
+
+
+@differential(_CLAUSE, condition=_saves, needs="state-restores state-holds-the-mode reset-in-every-state")
+def state_can_be_set_after_reset(_: Probe) -> Iterator[Row]:
+    """A state that was saved before fmi2Reset can be set after it, and the steps that follow are the same."""
+    varied = do.begin, do.step(2), do.save(), do.expect(do.run(3)), do.reset, do.restore(), do.run(3)
+    failing = "with a state from before fmi2Reset"
+    yield Row("from a state from before fmi2Reset", varied, (), failing, OF_EXPERIMENT)
+
+
+@differential(
+    _CLAUSE,
+    condition=_saves,
+    needs="state-restores-exactly state-can-be-saved-often state-holds-every-value bytes-hold-every-value",
+)
+def state_restores_over_the_experiment(probe: Probe) -> Iterator[Row]:
+    """A state of the middle of the default experiment, and its copy by bytes, give all variables again up to
+    the stop time, as far as steps take a second.
+    """
+    half, copied = probe.steps_of_experiment // 2, probe.fmu.claims(_SERIALISES)
+    t = f"{probe.point(half):g} s"
+    first = do.attempt(do.begin, do.go_on(half), do.save(), do.expect(do.go_on_reading(half, 5)))
+    again = do.restore(), do.go_on_reading(half, 5, f"from a state of {t} that was set back")
+    by_bytes = do.copy(0, 1), do.restore(1), do.go_on_reading(half, 5, f"from bytes of a state of {t}")
+    yield Row(
+        f"from a state of {t}", (first, *again, *(by_bytes if copied else ())), (), tolerance=OF_EXPERIMENT
+    )
+
+
+@differential(
+    "4.2.2 Computation (fmi2DoStep)",
+    condition=_saves,
+    needs="state-restores no-set-state-flag-changes-nothing",
+)
+def flag_keeps_the_states_of_the_present(_: Probe) -> Iterator[Row]:
+    """After a step with noSetFMUStatePriorToCurrentPoint, a state of its beginning can be set."""
+    varied = do.begin, do.step(2), do.save(), do.step(no_going_back=True), do.restore(), do.step()
+    yield Row("after noSetFMUStatePriorToCurrentPoint", varied)
+
+
+@differential("2.1.7 Getting and Setting Variable Values", needs="allowed-calls-succeed")
+def questions_change_nothing(probe: Probe) -> Iterator[Row]:
+    """Reading values and derivatives, or saving a state, changes nothing in the steps that follow."""
+    outputs, inputs = (values.references_of(values.continuous_reals(probe, c)) for c in ("output", "input"))
+    saved = (do.save(), do.free_state()) if probe.fmu.claims(_SAVES) else ()
+    asked: list[Action] = [do.glance(probe.fmu.variables)]
+    if outputs and probe.fmu.output_derivative_order:
+        asked.append(do.call("output_derivatives", outputs, 1))
+    if outputs and inputs and probe.fmu.claims("providesDirectionalDerivative"):
+        asked.append(do.call("directional_derivatives", outputs, inputs, [1.0] * len(inputs)))
+    varied = do.begin, *(do.set_derivatives(), *saved, do.step(), *asked, *saved, do.read_all()) * 4
+    when = "where values and derivatives are read more often"
+    usual = do.begin, *(do.set_derivatives(), do.run_all(1)) * 4
+    yield Row(when, varied, usual, tolerance=OF_EXPERIMENT, may_fail=True)

@@ -1,0 +1,210 @@
+"""Rules of dependencies and lists of unknowns: FMI 2.0.5, 2.2.8 Definition of the Model Structure."""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.rows import add_rows, row
+from fmus.compliance.rule import Stage, repeated, rule
+from fmus.compliance.variable import Variable, integer
+
+_CLAUSE = "2.2.8 Definition of the Model Structure (ModelStructure)"
+_FACTORS = {"constant", "fixed", "tunable", "discrete"}
+_COMPUTED = ("approx", "calculated")
+_LATER = "an input, a continuous-time state or the independent variable"
+_PARAMETERS = ("parameter", "calculatedParameter")
+
+
+class _Unknown(NamedTuple):
+    """An Unknown. where: text that names it. factors: kinds but dependent. knowns: what it depends on."""
+
+    where: str
+    is_initial: bool
+    variable: Variable | None
+    element: Any
+    dependencies: Sequence[str]
+    kinds: Sequence[str]
+    factors: Sequence[str]
+    knowns: Sequence[Variable]
+
+
+@lru_cache(maxsize=1)
+def _unknowns(fmu: FmuFile) -> tuple[_Unknown, ...]:
+    return tuple(_read_unknowns(fmu))
+
+
+def _read_unknowns(fmu: FmuFile) -> Iterator[_Unknown]:
+    variables = {v.index: v for v in fmu.variables}
+    for section in ("Outputs", "Derivatives", "InitialUnknowns"):
+        for index, element in fmu.unknowns(section):
+            v, stated = variables.get(index or 0), element.get("index")
+            where = f"{section}, unknown {v.name} ({stated})" if v else f"{section}, index {stated}"
+            listed, kinds = (element.get(name, "").split() for name in ("dependencies", "dependenciesKind"))
+            knowns = [variables[i] for i in map(integer, listed) if i in variables]
+            factors, is_initial = sorted(_FACTORS & {*kinds}), section == "InitialUnknowns"
+            yield _Unknown(where, is_initial, v, element, listed, kinds, factors, knowns)
+
+
+def _indices(fmu: FmuFile, section: str) -> list[int]:
+    return [index for index, _ in fmu.unknowns(section) if index is not None]
+
+
+def _listed(fmu: FmuFile, indices: set[int]) -> str:
+    return ", ".join(f"{fmu.variables[index - 1].name} ({index})" for index in sorted(indices))
+
+
+def _derivatives_are_ignored(fmu: FmuFile) -> bool:
+    """Derivatives without directional derivatives mean nothing in an FMU for co-simulation alone."""
+    return set(fmu.interfaces) == {"CoSimulation"} and not fmu.claims("providesDirectionalDerivative")
+
+
+@rule(_CLAUSE, Stage.DESCRIPTION)
+def structure_indices(fmu: FmuFile) -> Iterator[str]:
+    """Each Unknown is the index of a variable, once in its section."""
+    for unknown in _unknowns(fmu):
+        if unknown.variable is None:
+            yield f"{unknown.where}: expected 1..{len(fmu.variables)}"
+    for where, count in repeated(unknown.where for unknown in _unknowns(fmu)).items():
+        yield f"{where} is listed {count} times: expected once"
+
+
+@rule(_CLAUSE, Stage.DESCRIPTION)
+def outputs_are_listed(fmu: FmuFile) -> Iterator[str]:
+    """Outputs lists exactly the variables of causality output."""
+    expected = {v.index for v in fmu.variables if v.causality == "output"}
+    return _difference(fmu, "Outputs", expected, expected)
+
+
+@rule(_CLAUSE, Stage.DESCRIPTION)
+def initial_unknowns_are_complete(fmu: FmuFile) -> Iterator[str]:
+    """InitialUnknowns lists outputs, states and their derivatives with initial approx or calculated, and all
+    calculated parameters; no others."""
+    outputs = [v for v in fmu.variables if v.causality == "output"]
+    expected = {v.index for v in fmu.variables if v.causality == "calculatedParameter"}
+    expected |= {v.index for v in outputs if v.initial in _COMPUTED}
+    states = fmu.states | fmu.state_derivatives.keys()
+    of_states = {index for index in states if fmu.variables[index - 1].initial in _COMPUTED}
+    unclear = {v.index for v in outputs if not v.is_legal_pair}
+    needed = expected if _derivatives_are_ignored(fmu) else expected | of_states
+    return _difference(fmu, "InitialUnknowns", needed, expected | of_states | unclear)
+
+
+def _difference(fmu: FmuFile, section: str, expected: set[int], allowed: set[int]) -> Iterator[str]:
+    got = set(_indices(fmu, section))
+    if expected - got:
+        yield f"{section} lacks {_listed(fmu, expected - got)}"
+    if got - allowed:
+        yield f"{section} lists {_listed(fmu, got - allowed)}: expected it not to"
+
+
+@rule(_CLAUSE, Stage.DESCRIPTION)
+def derivatives_are_marked(fmu: FmuFile) -> Iterator[str]:
+    """Variables that Derivatives lists have the attribute derivative, each of a state of its own."""
+    for index in _indices(fmu, "Derivatives"):
+        v = fmu.variables[index - 1]
+        if "derivative" not in v.typed:
+            yield f"Derivatives lists {v.name} ({index}): expected a variable with the attribute derivative"
+    for state, count in repeated(fmu.state_derivatives.values()).items():
+        yield f"Derivatives lists {count} derivatives of {_listed(fmu, {state})}: expected one"
+
+
+def no_model_exchange(fmu: FmuFile) -> str:
+    return "" if "ModelExchange" in fmu.interfaces else "it has no interface for model exchange"
+
+
+@rule(_CLAUSE, Stage.DESCRIPTION, condition=no_model_exchange)
+def derivatives_are_there(fmu: FmuFile) -> Iterator[str]:
+    """For model exchange there are Derivatives if a variable with initial exact has a derivative."""
+    are_missing = fmu.root.find("ModelStructure/Derivatives") is None
+    for index, state in fmu.derivatives.items() if are_missing else ():
+        is_state = state.causality in ("local", "output") and state.variability == "continuous"
+        if is_state and state.initial == "exact":
+            name = fmu.variables[index - 1].name
+            yield f"no Derivatives: expected {name} there, the derivative of {state.name}"
+
+
+class _Dependency(NamedTuple):
+    """A dependency that is none of the Knowns, of an unknown. is_later: it is of Outputs or Derivatives."""
+
+    where: str
+    known: Variable
+    is_later: bool
+
+
+def _unknown_dependencies(fmu: FmuFile) -> Iterator[_Dependency]:
+    states = _possible_states(fmu)
+    for unknown in _unknowns(fmu):
+        for known in unknown.knowns:
+            is_given = known.initial == "exact" or known.causality == "parameter" or not known.is_legal_pair
+            is_known = is_given if unknown.is_initial else known.index in states
+            if known.causality not in ("input", "independent") and not is_known:
+                yield _Dependency(unknown.where, known, not unknown.is_initial)
+
+
+@lru_cache(maxsize=1)
+def _possible_states(fmu: FmuFile) -> frozenset[int]:
+    """States, and in an FMU that need not list Derivatives whatever another variable is the derivative of."""
+    is_exchanged = "ModelExchange" in fmu.interfaces
+    return fmu.states if is_exchanged else fmu.states | {v.index for v in fmu.derivatives.values()}
+
+
+def _states_among(unknown: _Unknown, fmu: FmuFile) -> str:
+    known = [v.name for v in unknown.knowns if v.index in _possible_states(fmu)]
+    return "" if unknown.is_initial else ", ".join(known)
+
+
+def _no_index(unknown: _Unknown, fmu: FmuFile) -> str:
+    indices = [(text, integer(text)) for text in unknown.dependencies]
+    others = [t for t, index in indices if index is not None and not 1 <= index <= len(fmu.variables)]
+    return f"{', '.join(others)}: expected 1..{len(fmu.variables)}" if others else ""
+
+
+def _descent(indices: Sequence[int]) -> str:
+    """Returns the first index after a greater one, with that."""
+    return next((f"{b} follows {a}" for a, b in itertools.pairwise(indices) if b < a), "")
+
+
+add_rows(__name__, _CLAUSE, Stage.DESCRIPTION, rows=(
+    row("initial-unknowns-ascend", "InitialUnknowns are in ascending order of their indices.",
+        lambda fmu: [_indices(fmu, "InitialUnknowns")],
+        (lambda indices, _: _descent(indices), "InitialUnknowns: {value}: expected ascending indices")),
+    row("dependencies-are-indices", "Dependencies are indices of variables, each once.", _unknowns,
+        (_no_index, "{where}: dependency {value}"),
+        (lambda unknown, _: ", ".join(repeated(unknown.dependencies)),
+         "{where}: dependency {value} is listed several times: expected once")),
+    row("dependencies-ascend", "Dependencies are in ascending order.", _unknowns,
+        (lambda unknown, _: _descent([index for text in unknown.dependencies if (index := integer(text))]),
+         "{where}: dependency {value}: expected ascending indices")),
+    row("dependencies-are-known",
+        "Outputs and Derivatives depend on inputs, continuous-time states and the independent variable; "
+        "InitialUnknowns on inputs, the independent variable and what has initial exact.",
+        _unknown_dependencies,
+        (lambda d, _: not d.is_later,
+         "{where} depends on {known.name} ({known.causality}): expected an input or what has initial exact"),
+        (lambda d, _: d.known.causality not in _PARAMETERS,
+         f"{{where}} depends on {{known.name}} ({{known.causality}}): expected {_LATER}")),
+    row("dependencies-on-parameters", "Outputs and Derivatives name no parameter among their dependencies.",
+        _unknown_dependencies,
+        (lambda d, _: d.is_later and d.known.causality in _PARAMETERS,
+         f"{{where}} depends on {{known.name}}, a parameter: expected {_LATER}")),
+    row("dependencies-on-states-are-provided",
+        "For co-simulation alone, dependencies name states if providesDirectionalDerivative is true.",
+        lambda fmu: _unknowns(fmu) if _derivatives_are_ignored(fmu) else (),
+        (_states_among, "{where} depends on states ({value}): expected providesDirectionalDerivative")),
+    row("dependencies-kind",
+        "dependenciesKind has one word for each dependency; in InitialUnknowns dependent or constant.",
+        lambda fmu: [unknown for unknown in _unknowns(fmu) if "dependenciesKind" in unknown.element.attrib],
+        (lambda unknown, _: "dependencies" not in unknown.element.attrib,
+         "{where} has dependenciesKind: expected dependencies too"),
+        (lambda u, _: len(u.kinds) != len(u.dependencies) and (len(u.kinds), len(u.dependencies)),
+         "{where}: {value[0]} kinds of dependency: expected {value[1]}, one each"),
+        (lambda unknown, _: unknown.is_initial and ", ".join({*unknown.factors} - {"constant"}),
+         "{where}: kind {value!r}: expected dependent or constant")),
+    row("dependencies-of-reals-have-factors",
+        "Kinds of dependency with a factor, all but dependent, are of Real unknowns.",
+        lambda fmu: [u for u in _unknowns(fmu) if u.variable and u.variable.kind not in ("Real", "")],
+        (lambda unknown, _: next(iter(unknown.factors), ""),
+         "{where} is {variable.kind} and has kind {value!r}: expected dependent")),
+))  # fmt: skip

@@ -1,0 +1,162 @@
+"""Waivers, baseline and folding are filters on one list of findings."""
+
+from datetime import date
+from pathlib import Path
+
+import pytest
+
+from fmus.compliance import findings
+from fmus.compliance.findings import IN_BASELINE, Finding, Waiver
+from fmus.compliance.rule import all_rules
+
+RULES = {rule.name: rule for rule in all_rules()}
+TODAY = date(2026, 11, 23)
+FIRST, SECOND = "archive-layout", "includes-have-quotes"
+
+
+def finding(
+    message: str = "readme.txt: expected nothing", rule: str = FIRST, fmu: str = "a/plant.fmu"
+) -> Finding:
+    return Finding(Path(fmu), RULES[rule], message)
+
+
+def accepted(found: list[Finding]) -> list[str]:
+    return [f.accepted for f in found]
+
+
+def waivers_of(folder: Path, text: str) -> list[Waiver]:
+    path = folder / "waivers.toml"
+    path.write_text(text, encoding="utf-8")
+    return findings.read_waivers(path, RULES)
+
+
+@pytest.mark.parametrize("pattern", ["plant.fmu", "pl*.fmu", "a/plant.fmu", "*"])
+def test_a_waiver_names_an_fmu_or_a_pattern_and_gives_its_reason(pattern: str) -> None:
+    waiver = Waiver(FIRST, pattern, "the tool writes it")
+    others = [finding(rule=SECOND), finding()]
+    assert accepted(findings.waived(others, [waiver], TODAY)) == ["", "waived: the tool writes it"]
+    assert findings.useless([waiver], others, TODAY) == []
+
+
+@pytest.mark.parametrize(
+    "waiver",
+    [Waiver(FIRST, "other*.fmu", "r"), Waiver(FIRST, "*", "r", "notes.txt"), Waiver(SECOND, "*", "r")],
+)
+def test_a_waiver_of_another_fmu_message_or_rule_matches_nothing_and_is_told(waiver: Waiver) -> None:
+    assert accepted(findings.waived([finding()], [waiver], TODAY)) == [""]
+    (line,) = findings.useless([waiver], [finding()], TODAY)
+    assert "matches no finding: remove it" in line
+
+
+def test_a_waiver_holds_on_its_last_day_and_no_longer() -> None:
+    last, over = (Waiver(FIRST, "*", "r", until=day) for day in (TODAY, date(2026, 11, 22)))
+    assert accepted(findings.waived([finding()], [last], TODAY)) == ["waived: r"]
+    assert accepted(findings.waived([finding()], [over], TODAY)) == [""]
+    assert findings.useless([last], [finding()], TODAY) == []
+    (line,) = findings.useless([over], [finding()], TODAY)
+    assert line.endswith("expired on 2026-11-22: its findings count again")
+
+
+def test_waivers_are_read_from_tables(tmp_path: Path) -> None:
+    text = f"""
+[[waiver]]
+rule = "{FIRST}"
+fmu = "*.fmu"
+message = "readme"
+reason = "ours"
+until = 2027-01-31
+"""
+    assert waivers_of(tmp_path, text) == [Waiver(FIRST, "*.fmu", "ours", "readme", date(2027, 1, 31))]
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ('rule = "archive-layout"\nfmu = "*"', "waiver 1: no reason: expected rule, fmu and reason"),
+        ('rule = "archive-layout"\nfmu = "*"\nreason = " "', "waiver 1: no reason"),
+        ('rule = "archive-layouts"\nfmu = "*"\nreason = "r"', "nearest is 'archive-layout'"),
+        ('rule = "archive-layout"\nfmus = "*"\nreason = "r"', "no key 'fmus': nearest is 'fmu'"),
+        ('rule = "archive-layout"\nfmu = "*"\nreason = "r"\nuntil = "2027-01-31"', "without quotes"),
+        ('rule = "archive-layout"\nfmu = 1\nreason = "r"', "fmu is 1: expected a text"),
+        ("rule", "expected TOML"),
+    ],
+)
+def test_a_wrong_waiver_is_refused_with_what_was_expected(entry: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"waivers\.toml") as error:
+        waivers_of(tmp_path, f"[[waiver]]\n{entry}\n")
+    assert message in str(error.value)
+
+
+def test_what_is_no_waiver_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"waivers: expected tables \[\[waiver\]\] alone"):
+        waivers_of(tmp_path, "[[waivers]]\nrule = 'x'\n")
+
+
+def baseline_of(found: list[Finding], folder: Path) -> dict[str, int]:
+    path = folder / "baseline.json"
+    path.write_text(findings.baseline_text(found), encoding="utf-8")
+    return findings.read_baseline(path)
+
+
+def test_a_baseline_holds_in_another_folder_another_order_and_with_other_numbers(tmp_path: Path) -> None:
+    before = [finding("/tmp/x1/model.so needs 12 bytes at 0x7f: no"), finding("two", SECOND)]
+    after = [
+        finding("two", SECOND, "/b/plant.fmu"),
+        finding("/home/y/model.so needs 7.5e3 bytes at 0x8a: no"),
+    ]
+    assert findings.baseline_text(before) == findings.baseline_text(before[::-1])
+    compared = findings.without_known(after, baseline_of(before, tmp_path))
+    assert accepted(compared) == [IN_BASELINE, IN_BASELINE]
+
+
+def test_what_a_baseline_does_not_hold_is_new(tmp_path: Path) -> None:
+    known = baseline_of([finding("x[1]: no"), finding("same")], tmp_path)
+    others = [
+        finding("x[2]: no"),
+        finding("x1: no"),
+        finding("same", fmu="other.fmu"),
+        finding("same", SECOND),
+    ]
+    assert accepted(findings.without_known(others, known)) == [""] * 4
+    assert accepted(findings.without_known([finding("same")] * 2, known)) == [IN_BASELINE, ""]
+
+
+def test_what_is_waived_is_not_in_the_baseline(tmp_path: Path) -> None:
+    waived = findings.waived([finding()], [Waiver(FIRST, "*", "r")], TODAY)
+    assert baseline_of(waived, tmp_path) == {}
+    assert accepted(findings.without_known(waived, baseline_of([finding()], tmp_path))) == ["waived: r"]
+
+
+@pytest.mark.parametrize("text", ["[]", "{", '{"a": "b"}'])
+def test_what_is_no_baseline_is_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "baseline.json"
+    path.write_text(text)
+    with pytest.raises(ValueError, match="expected a file of --write-baseline"):
+        findings.read_baseline(path)
+
+
+def test_many_findings_of_one_rule_about_one_fmu_are_one_with_their_count() -> None:
+    many = [finding(f"file {i}", SECOND) for i in range(70)]
+    few = [finding(f"file {i}") for i in range(3)]
+    assert findings.folded([*many, *few]) == [(many[0], 70), *((f, 1) for f in few)]
+    assert findings.folded([*many[:2], *many[2:4]]) == [(many[0], 4)]
+    assert len(findings.folded([*many[:3], finding(rule=SECOND, fmu="b.fmu")])) == 4
+
+
+LINES = {"depth": 12, "a[1,2]": 13, "my name": 14, "the": 15}
+
+
+@pytest.mark.parametrize(
+    ("message", "line"),
+    [
+        ("line 7: attribute 'depth' is not allowed", 7),
+        ("depth is 1: expected 2", 12),
+        ("fmi2SetReal of depth, which is calculated: expected error", 12),
+        ("a[1,2]: expected a number", 13),
+        ("2 variables are called 'my name': expected one", 14),
+        ("in the state 'step complete' fmi2GetStatus returned error", 0),
+        ("sources/line 7: no", 0),
+    ],
+)
+def test_the_line_is_that_of_the_element_that_a_message_names(message: str, line: int) -> None:
+    assert findings.line_of(message, LINES) == line

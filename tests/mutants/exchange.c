@@ -1,0 +1,378 @@
+/* A legal FMU for model exchange that misbehaves in one way, by the name in resources/mutation.txt.
+ *
+ *   x' = v,  v' = a = u - k x + 0.1 stairs,  with reflection v := -e v where x falls below -0.3
+ *
+ * stairs counts time events, above and the reflection are state events, turns counts step events, where v
+ * changes its sign and the nominal value of x changes. The list of mutants stands in slaves.toml.
+ */
+
+#define _GNU_SOURCE
+#include <math.h>
+#include <stddef.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include "fmi2Functions.h"
+
+enum { INST = 1, INIT = 2, EVENT = 4, CONT = 8, TERM = 16, FAIL = 32 };
+enum { FIXED, TUNABLE, INPUT, DISCRETE_INPUT, STATE, OTHER };
+#define PERIOD 0.25
+#define ORDER "the order of states is another"
+
+typedef struct {
+    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step;
+    int up, stairs, turns, above, rising, state, set_up, iteration, evaluations, derivatives;
+} Data;
+typedef struct {
+    unsigned reference;
+    char type;
+    int kind;
+    size_t offset;
+} Variable;
+#define O(x) offsetof(Data, x)
+static const Variable VARIABLES[] = {
+    {0, 'r', OTHER, O(time)},  {1, 'r', TUNABLE, O(k)},        {2, 'r', FIXED, O(e)},
+    {3, 'r', INPUT, O(u)},     {10, 'r', STATE, O(x)},         {11, 'r', STATE, O(v)},
+    {12, 'r', OTHER, O(a)},    {1, 'b', DISCRETE_INPUT, O(up)}, {2, 'b', OTHER, O(above)},
+    {1, 'i', OTHER, O(stairs)}, {2, 'i', OTHER, O(turns)},
+};
+enum { COUNT = sizeof VARIABLES / sizeof *VARIABLES };
+
+typedef struct {
+    Data d;
+    fmi2CallbackFunctions callbacks;
+    char name[600];
+    unsigned enabled;
+} Model;
+
+static char mutation[100], flags[200];
+#define IS(n) (!strcmp(mutation, n))
+#define FLAG(n) (strstr(flags, n) != NULL)
+static const char *CATEGORIES[] = {"logEvents", "logStatusDiscard", "logStatusError"};
+
+static void say(Model *m, fmi2Status status, int category, const char *text) {
+    if (m->enabled & (1u << category))
+        m->callbacks.logger(m->callbacks.componentEnvironment, m->name, status, CATEGORIES[category], "%s", text);
+}
+static fmi2Status error(Model *m, const char *text) {
+    say(m, fmi2Error, 2, text);
+    m->d.state = FAIL;
+    return fmi2Error;
+}
+static fmi2Status need(Model *m, int states, const char *function) {
+    char cell[100];
+    if (m->d.state & states) {
+        snprintf(cell, sizeof cell, "%s fails in state %d", function + 4, m->d.state);
+        return IS(cell) ? error(m, function) : fmi2OK;
+    }
+    return error(m, function);
+}
+#define NEED(states)                                                                                         \
+    if (need(m, states, __func__) != fmi2OK) return fmi2Error
+
+static void evaluate(Data *d) {
+    d->a = d->u - d->k * d->x + 0.1 * d->stairs * (d->up ? 1 : -1);
+    if (IS("derivatives have a history")) d->a += 1e-3 * d->derivatives;
+    if (IS("relations are not frozen") && d->state == CONT) d->above = d->x > 0.1;
+    if (d->state == INIT || d->state == EVENT) d->above = d->x - 0.1 > 0;
+}
+static void start(Data *d) {
+    memset(d, 0, sizeof *d);
+    d->k = 4, d->e = 0.8, d->u = 0.2, d->x = 0.5, d->v = -0.5, d->up = 1, d->nominal = 1;
+    d->stop = d->next = INFINITY;
+    d->last_event = d->last_step = -INFINITY;
+    d->state = INST;
+    evaluate(d);
+    d->above = d->x > 0.1;
+}
+
+const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
+const char *fmi2GetVersion(void) { return fmi2Version; }
+
+static void decode(const char *uri, char *path) {
+    unsigned character;
+    uri += !strncmp(uri, "file:///", 8) ? 7 : !strncmp(uri, "file://", 7) ? 7 : 5;
+    for (; *uri; uri++)
+        if (*uri == '%' && sscanf(uri + 1, "%2x", &character) == 1) {
+            *path++ = (char)character;
+            uri += 2;
+        } else *path++ = *uri;
+    *path = 0;
+}
+fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String location,
+                              const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging) {
+    char path[3000];
+    decode(location, path);
+    strcat(path, "/mutation.txt");
+    FILE *file = fopen(path, "r");
+    if (file) {
+        if (fgets(mutation, sizeof mutation, file)) mutation[strcspn(mutation, "\n")] = 0;
+        if (fgets(flags, sizeof flags, file)) flags[strcspn(flags, "\n")] = 0;
+        fclose(file);
+    }
+    if (type != fmi2ModelExchange || strcmp(guid, "{0ddba11a-0000-4000-8000-0000000000b7}")) {
+        callbacks->logger(callbacks->componentEnvironment, name, fmi2Error, CATEGORIES[2], "wrong type or GUID");
+        return NULL;
+    }
+    Model *m = calloc(1, sizeof *m);
+    if (!m) return NULL;
+    m->callbacks = *callbacks;
+    snprintf(m->name, sizeof m->name, "%s", name);
+    m->enabled = logging ? 7 : 0;
+    start(&m->d);
+    say(m, fmi2OK, 0, "instantiated");
+    return m;
+}
+void fmi2FreeInstance(fmi2Component c) { free(c); }
+fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[]) {
+    Model *m = c;
+    unsigned chosen = n ? 0 : 7;
+    for (size_t i = 0; i < n; i++)
+        for (int k = 0; k < 3; k++)
+            if (!strcmp(categories[i], CATEGORIES[k])) chosen |= 1u << k;
+    m->enabled = on ? chosen : m->enabled & ~chosen;
+    return fmi2OK;
+}
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean tolerance_defined, fmi2Real tolerance, fmi2Real time,
+                               fmi2Boolean stop_defined, fmi2Real stop) {
+    Model *m = c;
+    NEED(INST);
+    m->d.set_up = 1;
+    m->d.time = time;
+    m->d.stop = stop_defined ? stop : INFINITY;
+    return fmi2OK;
+}
+fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
+    Model *m = c;
+    NEED(INST);
+    if (!m->d.set_up) return error(m, "set-up first");
+    m->d.state = INIT;
+    m->d.next = m->d.time + PERIOD;
+    evaluate(&m->d);
+    return fmi2OK;
+}
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
+    Model *m = c;
+    NEED(INIT);
+    m->d.rising = m->d.v > 0;
+    m->d.state = IS("initialization ends in continuous-time mode") ? CONT : EVENT;
+    m->d.last_event = m->d.last_step = m->d.time;
+    evaluate(&m->d);
+    return fmi2OK;
+}
+fmi2Status fmi2Terminate(fmi2Component c) {
+    Model *m = c;
+    NEED(EVENT | CONT);
+    m->d.state = TERM;
+    return fmi2OK;
+}
+fmi2Status fmi2Reset(fmi2Component c) {
+    Model *m = c;
+    start(&m->d);
+    return fmi2OK;
+}
+
+static const Variable *variable(char type, unsigned reference) {
+    for (int i = 0; i < COUNT; i++)
+        if (VARIABLES[i].type == type && VARIABLES[i].reference == reference) return VARIABLES + i;
+    return NULL;
+}
+static int settable(const Model *m, const Variable *v) {
+    switch (m->d.state) {
+        case INST: return v->kind == FIXED || v->kind == TUNABLE || v->kind == STATE;
+        case INIT: return v->kind != OTHER;
+        case EVENT: return v->kind == TUNABLE || v->kind == INPUT || v->kind == DISCRETE_INPUT;
+        default: return v->kind == INPUT || v->kind == STATE;
+    }
+}
+#define ACCESS(Name, type, letter)                                                                           \
+    fmi2Status fmi2Get##Name(fmi2Component c, const fmi2ValueReference r[], size_t n, type values[]) {       \
+        Model *m = c;                                                                                        \
+        NEED(INIT | EVENT | CONT | TERM | FAIL);                                                             \
+        for (size_t i = 0; i < n; i++) {                                                                     \
+            const Variable *v = variable(letter, r[i]);                                                      \
+            if (!v) return error(m, "no such variable");                                                     \
+            values[i] = *(type *)((char *)&m->d + v->offset);                                                \
+        }                                                                                                    \
+        return fmi2OK;                                                                                       \
+    }                                                                                                        \
+    fmi2Status fmi2Set##Name(fmi2Component c, const fmi2ValueReference r[], size_t n, const type values[]) { \
+        Model *m = c;                                                                                        \
+        NEED(INST | INIT | EVENT | CONT);                                                                    \
+        for (size_t i = 0; i < n; i++) {                                                                     \
+            const Variable *v = variable(letter, r[i]);                                                      \
+            if (!v) return error(m, "no such variable");                                                     \
+            if (!settable(m, v)) return error(m, "not settable");                                            \
+            *(type *)((char *)&m->d + v->offset) = values[i];                                                \
+        }                                                                                                    \
+        evaluate(&m->d);                                                                                     \
+        return fmi2OK;                                                                                       \
+    }
+ACCESS(Real, fmi2Real, 'r')
+ACCESS(Integer, fmi2Integer, 'i')
+ACCESS(Boolean, fmi2Boolean, 'b')
+fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2String values[]) {
+    return n ? error(c, "no such variable") : fmi2OK;
+}
+fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2String values[]) {
+    return n ? error(c, "no such variable") : fmi2OK;
+}
+
+/* Model exchange */
+
+fmi2Status fmi2EnterEventMode(fmi2Component c) {
+    Model *m = c;
+    NEED(EVENT | CONT);
+    m->d.state = EVENT;
+    m->d.last_event = m->d.time;
+    m->d.iteration = 0;
+    evaluate(&m->d);
+    return fmi2OK;
+}
+fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
+    Model *m = c;
+    Data *d = &m->d;
+    NEED(EVENT);
+    memset(info, 0, sizeof *info);
+    if (d->time >= d->next) {
+        d->stairs++;
+        d->next += PERIOD;
+        info->newDiscreteStatesNeeded = fmi2True;
+    }
+    if (IS("events never end") && d->stairs > 1) info->newDiscreteStatesNeeded = fmi2True;
+    if (d->x < -0.3 && d->v < 0) {
+        d->v *= -d->e;
+        info->valuesOfContinuousStatesChanged = !IS("a change of states is not announced");
+    }
+    if (IS("states that stay are announced") && d->stairs) info->valuesOfContinuousStatesChanged = fmi2True;
+    if (d->rising != (d->v > 0)) {
+        d->rising = d->v > 0;
+        d->turns++;
+        d->nominal = d->rising ? 0.5 : 1;
+        info->nominalsOfContinuousStatesChanged = !IS("a change of nominals is not announced");
+    }
+    if (IS("a nominal of 0") && d->turns) d->nominal = 0;
+    info->nextEventTimeDefined = fmi2True;
+    info->nextEventTime = d->next;
+    if (IS("the next event is in the past") && d->stairs > 1) info->nextEventTime = d->time - 0.1;
+    if (IS("ends without a message") && d->stairs > 2) info->terminateSimulation = fmi2True;
+    evaluate(d);
+    return fmi2OK;
+}
+fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
+    Model *m = c;
+    NEED(EVENT);
+    m->d.state = CONT;
+    return fmi2OK;
+}
+fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set_state, fmi2Boolean *enter,
+                                       fmi2Boolean *terminate) {
+    Model *m = c;
+    NEED(CONT);
+    m->d.last_step = m->d.time;
+    *enter = m->d.rising != (m->d.v > 0);
+    *terminate = fmi2False;
+    if (IS("a completed step that is not needed acts")) m->d.x += 1e-3;
+    if (FLAG("completed steps are not needed")) *enter = fmi2False;
+    return fmi2OK;
+}
+fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
+    Model *m = c;
+    NEED(CONT);
+    if (time > m->d.stop * (1 + 1e-9)) return error(m, "beyond the stop time");
+    if (time < m->d.last_event) return error(m, "before the last event");
+    if (IS("no way back in time") && time < m->d.last_step) return error(m, "back in time");
+    m->d.time = time;
+    evaluate(&m->d);
+    return fmi2OK;
+}
+fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n) {
+    Model *m = c;
+    NEED(CONT);
+    if (n != 2) return error(m, "two states");
+    if (x[0] < -5) {
+        say(m, fmi2Discard, 1, "too far");
+        return fmi2Discard;
+    }
+    const int first = IS(ORDER);
+    m->d.x = IS("states are limited") ? fmin(x[0], 0.5) : x[first];
+    m->d.v = x[1 - first];
+    evaluate(&m->d);
+    return fmi2OK;
+}
+#define VECTOR(Name, states, count, first, second)                                                           \
+    fmi2Status fmi2Get##Name(fmi2Component c, fmi2Real values[], size_t n) {                                 \
+        Model *m = c;                                                                                        \
+        Data *d = &m->d;                                                                                     \
+        NEED(states);                                                                                        \
+        if (n != count) return error(m, "wrong number");                                                     \
+        const int other = IS(ORDER) && strstr("Derivatives ContinuousStates", #Name);                        \
+        values[other] = first;                                                                               \
+        if (!IS(#Name " are not all written")) values[1 - other] = second;                                   \
+        if (IS(#Name " are too many")) values[2] = 7;                                                        \
+        return fmi2OK;                                                                                       \
+    }
+enum { READ = INIT | EVENT | CONT | TERM | FAIL };
+VECTOR(Derivatives, READ, 2, (d->derivatives++, d->v), (evaluate(d), d->a))
+VECTOR(ContinuousStates, READ, 2, d->x, d->v)
+VECTOR(NominalsOfContinuousStates, READ | INST, 2, d->nominal, 1)
+static double level(Data *d) {
+    const double z = d->x - 0.1 + (d->above ? 1e-9 : -1e-9);
+    if (IS("an indicator is no number") && d->stairs > 1) return NAN;
+    if (IS("an indicator of two values")) return z > 0 ? 1 : -1;
+    return z;
+}
+static double floor_level(Data *d) {
+    if (IS("an indicator is 0 after an event") && d->state == CONT && d->time == d->last_event) return 0;
+    return d->x + 0.3;
+}
+VECTOR(EventIndicators, READ, 2, level(d), floor_level(d))
+
+/* States and derivatives */
+
+fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) {
+    if (!*state) *state = calloc(1, sizeof(Data));
+    memcpy(*state, &((Model *)c)->d, sizeof(Data));
+    return fmi2OK;
+}
+fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
+    Model *m = c;
+    const Data before = m->d;
+    m->d = *(Data *)state;
+    if (IS("states without the next event")) m->d.next = before.next;
+    return fmi2OK;
+}
+fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) {
+    free(*state);
+    *state = NULL;
+    return fmi2OK;
+}
+fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *n) {
+    *n = sizeof(Data);
+    return fmi2OK;
+}
+fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t n) {
+    memcpy(bytes, state, n);
+    return fmi2OK;
+}
+fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t n, fmi2FMUstate *state) {
+    if (!*state) *state = calloc(1, sizeof(Data));
+    memcpy(*state, bytes, n);
+    return fmi2OK;
+}
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknowns[], size_t n,
+                                        const fmi2ValueReference knowns[], size_t count, const fmi2Real seed[],
+                                        fmi2Real result[]) {
+    Model *m = c;
+    NEED(READ);
+    for (size_t i = 0; i < n; i++) {
+        result[i] = 0;
+        for (size_t j = 0; j < count; j++) {
+            const unsigned u = unknowns[i], k = knowns[j];
+            double factor = u == k;
+            if (u == 12) factor = k == 3 ? 1 : k == 10 ? -m->d.k : k == 1 ? -m->d.x : factor;
+            result[i] += factor * seed[j];
+        }
+    }
+    return fmi2OK;
+}

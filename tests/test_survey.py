@@ -1,0 +1,63 @@
+"""The script of docs/explanation/survey/ checks the listed FMUs of clones and compares findings."""
+
+import json
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "docs" / "explanation" / "survey"))
+import survey  # pyright: ignore[reportMissingImports]
+
+sys.path.pop(0)
+
+FINDING = {"repository": "r", "revision": "0" * 40, "path": "a.fmu", "tool": "T", "year": "2020"}
+
+
+def test_the_list_has_many_tools_and_at_most_ten_fmus_of_each() -> None:
+    fmus = list(survey.listed())
+    tools = Counter(fmu["tool"] for fmu in fmus)
+    assert (len(fmus), len(tools), max(tools.values())) == (155, 27, 10)
+    assert len({survey.identity(fmu) for fmu in fmus}) == len(fmus)
+    assert all(len(fmu["revision"]) == 40 for fmu in fmus)
+
+
+def test_a_listed_fmu_is_checked_once_and_one_that_no_clone_holds_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def git(*arguments: str) -> str:
+        command = ["git", "-C", str(tmp_path / "clones" / "one"), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+    (tmp_path / "clones" / "one").mkdir(parents=True)
+    (tmp_path / "clones" / "one" / "a.fmu").write_text("no archive")
+    git("init", "-q")
+    git("add", ".")
+    git("-c", "user.name=a", "-c", "user.email=a@b", "commit", "-qm", "an FMU")
+    listed = [FINDING | {"revision": git("rev-parse", "HEAD")}, FINDING]
+    monkeypatch.setattr(survey, "listed", lambda: iter(listed))
+    findings = tmp_path / "findings.json"
+    for _ in range(2):
+        survey.check(findings, [tmp_path / "clones"], None)
+    checked, unchecked = sorted(map(json.loads, findings.read_text().splitlines()), key=len, reverse=True)
+    assert checked["rules"]["archive-is-zip"]["outcome"] == "error"
+    assert unchecked["unchecked"] == "no clone holds it"
+
+
+def test_a_comparison_tells_other_messages_but_for_their_numbers(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def written(name: str, **rules: str) -> Path:
+        broken = {rule: {"outcome": "error", "why": [message]} for rule, message in rules.items()}
+        (tmp_path / name).write_text(json.dumps(FINDING | {"rules": broken}) + "\n")
+        return tmp_path / name
+
+    before = written("before.json", first="y is 0.25: expected 1e-3", second="a crash")
+    after = written("after.json", first="y is 17: expected 2", third="a hang")
+    assert survey.compare(before, after) == 2
+    printed = capsys.readouterr().out
+    assert [rule in printed for rule in ("first", "second", "third")] == [False, True, True]
+    survey.tables(after)
+    assert "| error | `third` | 1 | 1 | T 2020 (1) |" in capsys.readouterr().out
