@@ -20,8 +20,8 @@ enum { FIXED, TUNABLE, INPUT, DISCRETE_INPUT, STATE, OTHER };
 #define ORDER "the order of states is another"
 
 typedef struct {
-    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step;
-    int up, stairs, turns, above, rising, state, set_up, iteration, evaluations, derivatives;
+    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept;
+    int is_kept, up, stairs, turns, above, rising, state, set_up, iteration, evaluations, derivatives;
 } Data;
 typedef struct {
     unsigned reference;
@@ -263,6 +263,7 @@ fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
     Model *m = c;
     NEED(EVENT);
     m->d.state = CONT;
+    m->d.is_kept = 0;
     return fmi2OK;
 }
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set_state, fmi2Boolean *enter,
@@ -283,6 +284,7 @@ fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
     if (time < m->d.last_event) return error(m, "before the last event");
     if (IS("no way back in time") && time < m->d.last_step) return error(m, "back in time");
     m->d.time = time;
+    m->d.is_kept = 0;
     evaluate(&m->d);
     return fmi2OK;
 }
@@ -313,7 +315,13 @@ fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n
         return fmi2OK;                                                                                       \
     }
 enum { READ = INIT | EVENT | CONT | TERM | FAIL };
-VECTOR(Derivatives, READ, 2, (d->derivatives++, d->v), (evaluate(d), d->a))
+static double acceleration(Data *d) {
+    evaluate(d);
+    if (!d->is_kept || d->state != CONT) d->kept = d->a;
+    d->is_kept = 1;
+    return IS("derivatives stay until the time is set") ? d->kept : d->a;
+}
+VECTOR(Derivatives, READ, 2, (d->derivatives++, d->v), acceleration(d))
 VECTOR(ContinuousStates, READ, 2, d->x, d->v)
 VECTOR(NominalsOfContinuousStates, READ | INST, 2, d->nominal, 1)
 static double level(Data *d) {

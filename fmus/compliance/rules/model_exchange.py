@@ -165,6 +165,10 @@ class _ContinuousTime:
     def go(self, part: float, functions: Sequence[str] = (_DERIVATIVES, _INDICATORS)) -> list[Reply]:
         """Sets the time to a part of the step, and states of that part; returns vectors there."""
         self.script.call("set_time", self.start.begin + part * self.start.size)
+        return self.move(part, functions)
+
+    def move(self, part: float, functions: Sequence[str] = (_DERIVATIVES, _INDICATORS)) -> list[Reply]:
+        """Sets states of a part of the step, and no time; returns vectors there."""
         if self.start.states:
             self.script.call("set_continuous_states", self.start.near(part))
         return _vectors(self._probe, self.script, functions)
@@ -208,12 +212,17 @@ def states_that_are_set_are_read(probe: Probe) -> Iterator[str]:
 @_rule(_SETTING, needs=_CALLS)
 def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
     """Derivatives and event indicators follow from time, states and inputs alone: setting time and states
-    back gives them again.
+    back gives them again, and other states at the same time give those of these states.
     """
-    run = _ContinuousTime(probe)
+    run, new = _ContinuousTime(probe), _ContinuousTime(probe)
     before, _, after = (run.go(part) for part in (0.3, 0.6, 0.3))
+    moved = run.move(0.9)
+    new.script.call("set_time", new.start.begin + 0.3 * new.start.size)
+    expected = new.move(0.9)
     run.play()
+    new.play()
     yield from _differences(before, after, "after time and states were set back")
+    yield from _differences(expected, moved, "after states were set at the same time, as in a new instance")
 
 
 @_rule(_EVALUATION, needs="derivatives-have-no-history")
