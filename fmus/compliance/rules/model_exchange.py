@@ -10,7 +10,7 @@ from fmus.compliance.fmu_file import MODEL_EXCHANGE, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, CallError, Reply, Script
-from fmus.compliance.values import continuous_reals, same, start_value, texts, unless_claimed
+from fmus.compliance.values import continuous_reals, if_not_claimed, same, start_value, texts, unless_claimed
 from fmus.compliance.variable import is_true
 from fmus.fmi.binding import DISCARD, ERROR
 
@@ -24,6 +24,7 @@ _VECTORS = (_STATES, _DERIVATIVES, _INDICATORS, _NOMINALS)
 _STEPS = 50  # of the run whose events are observed
 _SOLVED = 1e-6  # relative: what an iterative solver in the FMU may change
 _JUMP = 0.01  # of an indicator of the order of one, in a millionth of a step
+_NO_BOOLEAN = -1234567  # of a flag that the FMU has not written
 _NOT_NEEDED = "completedIntegratorStepNotNeeded"
 _CALLS = "calls-of-model-exchange-succeed"
 _Observed = dict[str, Any]
@@ -248,6 +249,19 @@ def time_goes_back_in_continuous_time(probe: Probe) -> Iterator[str]:
         yield f"back in time, after the completed step before: {failure.problem}"
     elif not failure:
         yield from _differences(before, after, "after time was set back")
+
+
+@_rule(_EVALUATION, condition=if_not_claimed(_NOT_NEEDED), needs=_CALLS)
+def completed_steps_write_booleans(probe: Probe) -> Iterator[str]:
+    """fmi2CompletedIntegratorStep writes a Boolean value to enterEventMode and to terminateSimulation."""
+    run = _ContinuousTime(probe)
+    run.go(0.5)
+    reply = run.script.call("completed_integrator_step", True, _NO_BOOLEAN)
+    run.play()
+    for name, value in zip(("enterEventMode", "terminateSimulation"), reply.value, strict=True):
+        if value not in (0, 1):
+            what = "does not write" if value == _NO_BOOLEAN else f"writes {value} to"
+            yield f"{reply.function} {what} {name}: expected fmi2False or fmi2True"
 
 
 @_rule(
