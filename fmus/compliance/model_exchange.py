@@ -85,9 +85,9 @@ class ModelExchangeInstance(CalledInstance):
         self.call("fmi2NewDiscreteStates", ctypes.byref(info))
         return {name: getattr(info, name) for name in _INFOS}
 
-    def completed_integrator_step(self, no_going_back: bool = True) -> list[int]:
-        """Returns enterEventMode and terminateSimulation."""
-        enter, terminate = ctypes.c_int(), ctypes.c_int()
+    def completed_integrator_step(self, no_going_back: bool = True, before: int = 0) -> list[int]:
+        """Returns enterEventMode and terminateSimulation, which have a value before the call."""
+        enter, terminate = ctypes.c_int(before), ctypes.c_int(before)
         self.call(
             "fmi2CompletedIntegratorStep", int(no_going_back), ctypes.byref(enter), ctypes.byref(terminate)
         )

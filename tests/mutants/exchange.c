@@ -20,8 +20,8 @@ enum { FIXED, TUNABLE, INPUT, DISCRETE_INPUT, STATE, OTHER };
 #define ORDER "the order of states is another"
 
 typedef struct {
-    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step;
-    int up, stairs, turns, above, rising, state, set_up, iteration, evaluations, derivatives;
+    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept;
+    int is_kept, is_read, up, stairs, turns, above, rising, state, set_up, iteration, evaluations, derivatives;
 } Data;
 typedef struct {
     unsigned reference;
@@ -71,6 +71,8 @@ static fmi2Status need(Model *m, int states, const char *function) {
     if (need(m, states, __func__) != fmi2OK) return fmi2Error
 
 static void evaluate(Data *d) {
+    if (IS("values stay in event mode once they are read") && d->is_read && d->state == EVENT) return;
+    if (IS("values stay in continuous-time mode once they are read") && d->is_read && d->state == CONT) return;
     d->a = d->u - d->k * d->x + 0.1 * d->stairs * (d->up ? 1 : -1);
     if (IS("derivatives have a history")) d->a += 1e-3 * d->derivatives;
     if (IS("relations are not frozen") && d->state == CONT) d->above = d->x > 0.1;
@@ -189,6 +191,7 @@ static int settable(const Model *m, const Variable *v) {
     fmi2Status fmi2Get##Name(fmi2Component c, const fmi2ValueReference r[], size_t n, type values[]) {       \
         Model *m = c;                                                                                        \
         NEED(INIT | EVENT | CONT | TERM | FAIL);                                                             \
+        m->d.is_read = 1;                                                                                    \
         for (size_t i = 0; i < n; i++) {                                                                     \
             const Variable *v = variable(letter, r[i]);                                                      \
             if (!v) return error(m, "no such variable");                                                     \
@@ -225,7 +228,7 @@ fmi2Status fmi2EnterEventMode(fmi2Component c) {
     NEED(EVENT | CONT);
     m->d.state = EVENT;
     m->d.last_event = m->d.time;
-    m->d.iteration = 0;
+    m->d.iteration = m->d.is_read = 0;
     evaluate(&m->d);
     return fmi2OK;
 }
@@ -233,6 +236,7 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
     Model *m = c;
     Data *d = &m->d;
     NEED(EVENT);
+    d->is_read = 0;
     memset(info, 0, sizeof *info);
     if (d->time >= d->next) {
         d->stairs++;
@@ -263,6 +267,7 @@ fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
     Model *m = c;
     NEED(EVENT);
     m->d.state = CONT;
+    m->d.is_kept = m->d.is_read = 0;
     return fmi2OK;
 }
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set_state, fmi2Boolean *enter,
@@ -270,7 +275,8 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set_state
     Model *m = c;
     NEED(CONT);
     m->d.last_step = m->d.time;
-    *enter = m->d.rising != (m->d.v > 0);
+    if (!IS("enterEventMode is not written")) *enter = m->d.rising != (m->d.v > 0);
+    if (IS("enterEventMode is 7")) *enter = 7;
     *terminate = fmi2False;
     if (IS("a completed step that is not needed acts")) m->d.x += 1e-3;
     if (FLAG("completed steps are not needed")) *enter = fmi2False;
@@ -283,6 +289,7 @@ fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
     if (time < m->d.last_event) return error(m, "before the last event");
     if (IS("no way back in time") && time < m->d.last_step) return error(m, "back in time");
     m->d.time = time;
+    m->d.is_kept = m->d.is_read = 0;
     evaluate(&m->d);
     return fmi2OK;
 }
@@ -313,7 +320,13 @@ fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n
         return fmi2OK;                                                                                       \
     }
 enum { READ = INIT | EVENT | CONT | TERM | FAIL };
-VECTOR(Derivatives, READ, 2, (d->derivatives++, d->v), (evaluate(d), d->a))
+static double acceleration(Data *d) {
+    evaluate(d);
+    if (!d->is_kept || d->state != CONT) d->kept = d->a;
+    d->is_kept = 1;
+    return IS("derivatives stay until the time is set") ? d->kept : d->a;
+}
+VECTOR(Derivatives, READ, 2, (d->derivatives++, d->v), acceleration(d))
 VECTOR(ContinuousStates, READ, 2, d->x, d->v)
 VECTOR(NominalsOfContinuousStates, READ | INST, 2, d->nominal, 1)
 static double level(Data *d) {

@@ -120,7 +120,7 @@ def _named_derivatives(probe: Probe, part: float) -> Series:
         and not is_true(w.get("reinit"))
     ]
     if not continuous:
-        raise NotApplicableError("no continuous variable is marked as a derivative")
+        raise NotApplicableError("no continuous variable without reinit has another as its derivative")
     script, chosen = probe.script().begin(), [x for pair in continuous for x in pair]
     readings = [script.read(chosen), *_read_in_steps(probe, script, chosen, part)]
     script.play()

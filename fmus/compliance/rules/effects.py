@@ -285,15 +285,16 @@ def _initial_factors(fmu: FmuFile) -> Iterator[Factor]:
     needs="directional-derivatives directional-derivatives-are-linear",
 )
 def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
-    """After initialisation with other values, the derivatives of outputs and state derivatives in step mode
-    lie near difference quotients: those of runs with other inputs and states at first.
+    """After initialisation with other values, the derivatives of continuous outputs and state derivatives in
+    step mode lie near difference quotients: those of runs with other inputs and states at first.
     """
     settable = [v for v in settable_in_initialization(probe.fmu) if v.kind == "Real"]
     states = {v.index for v in _states(probe.fmu)}
     knowns = (v for v in settable if v.causality == "input" or v.index in states)
     pairs = other_values(settable[:_MOST_CHANGED])
     point = accepted_together(probe, pairs, lambda: probe.script().initialise())
-    for known, unknowns in _by_known(_factors(probe.fmu, _STEPPING, knowns))[:_MOST_DERIVED]:
+    factors = (f for f in _factors(probe.fmu, _STEPPING, knowns) if f[0].variability == "continuous")
+    for known, unknowns in _by_known(factors)[:_MOST_DERIVED]:
         yield from _beside_quotients(probe, known, unknowns, point)
 
 
@@ -340,7 +341,7 @@ def _beside_quotients(
                 _AGREEMENT * max(map(abs, [derivative, *quotients])) + rounding + (1e-9 if states else 0.0)
             )
             if not min(quotients) - margin <= derivative <= max(quotients) + margin:
-                where = "" if point is None else " in step mode"
+                where = "" if point is None else f" in the state {usual.state!r}"
                 expected = f"{min(quotients):.9g}..{max(quotients):.9g}"
                 yield f"d {v.name} / d {known.name} is {derivative:.9g}{where}: expected {expected}"
 

@@ -10,7 +10,7 @@ from fmus.compliance.fmu_file import MODEL_EXCHANGE, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, CallError, Reply, Script
-from fmus.compliance.values import continuous_reals, same, start_value, texts, unless_claimed
+from fmus.compliance.values import continuous_reals, if_not_claimed, same, start_value, texts, unless_claimed
 from fmus.compliance.variable import is_true
 from fmus.fmi.binding import DISCARD, ERROR
 
@@ -24,6 +24,7 @@ _VECTORS = (_STATES, _DERIVATIVES, _INDICATORS, _NOMINALS)
 _STEPS = 50  # of the run whose events are observed
 _SOLVED = 1e-6  # relative: what an iterative solver in the FMU may change
 _JUMP = 0.01  # of an indicator of the order of one, in a millionth of a step
+_NO_BOOLEAN = -1234567  # of a flag that the FMU has not written
 _NOT_NEEDED = "completedIntegratorStepNotNeeded"
 _CALLS = "calls-of-model-exchange-succeed"
 _Observed = dict[str, Any]
@@ -165,6 +166,10 @@ class _ContinuousTime:
     def go(self, part: float, functions: Sequence[str] = (_DERIVATIVES, _INDICATORS)) -> list[Reply]:
         """Sets the time to a part of the step, and states of that part; returns vectors there."""
         self.script.call("set_time", self.start.begin + part * self.start.size)
+        return self.move(part, functions)
+
+    def move(self, part: float, functions: Sequence[str] = (_DERIVATIVES, _INDICATORS)) -> list[Reply]:
+        """Sets states of a part of the step, and no time; returns vectors there."""
         if self.start.states:
             self.script.call("set_continuous_states", self.start.near(part))
         return _vectors(self._probe, self.script, functions)
@@ -208,12 +213,17 @@ def states_that_are_set_are_read(probe: Probe) -> Iterator[str]:
 @_rule(_SETTING, needs=_CALLS)
 def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
     """Derivatives and event indicators follow from time, states and inputs alone: setting time and states
-    back gives them again.
+    back gives them again, and other states at the same time give those of these states.
     """
-    run = _ContinuousTime(probe)
+    run, new = _ContinuousTime(probe), _ContinuousTime(probe)
     before, _, after = (run.go(part) for part in (0.3, 0.6, 0.3))
+    moved = run.move(0.9)
+    new.script.call("set_time", new.start.begin + 0.3 * new.start.size)
+    expected = new.move(0.9)
     run.play()
+    new.play()
     yield from _differences(before, after, "after time and states were set back")
+    yield from _differences(expected, moved, "after states were set at the same time, as in a new instance")
 
 
 @_rule(_EVALUATION, needs="derivatives-have-no-history")
@@ -239,6 +249,19 @@ def time_goes_back_in_continuous_time(probe: Probe) -> Iterator[str]:
         yield f"back in time, after the completed step before: {failure.problem}"
     elif not failure:
         yield from _differences(before, after, "after time was set back")
+
+
+@_rule(_EVALUATION, condition=if_not_claimed(_NOT_NEEDED), needs=_CALLS)
+def completed_steps_write_booleans(probe: Probe) -> Iterator[str]:
+    """fmi2CompletedIntegratorStep writes a Boolean value to enterEventMode and to terminateSimulation."""
+    run = _ContinuousTime(probe)
+    run.go(0.5)
+    reply = run.script.call("completed_integrator_step", True, _NO_BOOLEAN)
+    run.play()
+    for name, value in zip(("enterEventMode", "terminateSimulation"), reply.value, strict=True):
+        if value not in (0, 1):
+            what = "does not write" if value == _NO_BOOLEAN else f"writes {value} to"
+            yield f"{reply.function} {what} {name}: expected fmi2False or fmi2True"
 
 
 @_rule(

@@ -7,6 +7,7 @@ from fmus.compliance import actions as do
 from fmus.compliance import values
 from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.differential import Row, differential
+from fmus.compliance.fmu_file import MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, behaviour_rule
 from fmus.compliance.values import RESTARTED
@@ -84,6 +85,28 @@ def initial_values_follow_what_is_set(probe: Probe) -> Iterator[Row]:
         varied = do.initialise, do.glance(readable), *end
         when = f"where it had been read before {v.name} was set"
         yield Row(when, varied, (do.initialise, *end), tolerance=_ROUNDED, may_fail=True)
+
+
+@differential(
+    "3.2.3 State Machine of Calling Sequence",
+    interface=MODEL_EXCHANGE,
+    needs="initial-values-follow-what-is-set calls-of-model-exchange-succeed",
+)
+def values_follow_what_is_set(probe: Probe) -> Iterator[Row]:
+    """In event mode, and in continuous-time mode for continuous inputs, values follow what is set, also if
+    they had been read before that.
+    """
+    enter = do.call("call_plain", "fmi2EnterContinuousTimeMode")
+    inputs = values.continuous_reals(probe, "input")
+    for mode, begin, settable in (
+        ("event mode", (do.begin,), values.settable_while_stepping(probe.fmu)),
+        ("continuous-time mode", (do.begin, enter), inputs),
+    ):
+        for v, x in values.other_values(settable[:MOST_VARIABLES]):
+            end = do.set_values([(v, x)]), do.read(probe.fmu.variables)
+            varied = *begin, do.glance(probe.fmu.variables), *end
+            when = f"where it had been read in {mode} before {v.name} was set"
+            yield Row(when, varied, (*begin, *end), tolerance=_ROUNDED, may_fail=True)
 
 
 @differential(
