@@ -163,7 +163,8 @@ def _joined(rule: Rule, halves: Mapping[str, Result]) -> Result:
     reasons = dict.fromkeys(result.not_judged for result in halves.values() if result.not_judged)
     if messages or reasons:
         return Result(rule, tuple(messages), not_judged="" if messages else "; ".join(reasons))
-    return min(halves.values(), key=lambda result: bool(result.not_applicable))
+    of_one = halves.get(rule.interface)
+    return of_one or min(halves.values(), key=lambda result: bool(result.not_applicable))
 
 
 def _needs_first(names: Sequence[str]) -> list[str]:
