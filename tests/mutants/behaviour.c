@@ -399,6 +399,9 @@ enum { READABLE = INITIALIZATION | STEPPING | TERMINATED | FAILED };
             }                                                                                          \
             if (s->data.state == INITIALIZATION && !(at_first))                                        \
                 return error(s, "cannot be read in initialization mode");                              \
+            if (IS("a fixed value cannot be read") && s->data.state == STEPPING && *#Name == 'R'       \
+                && vr[i] == TWICE)                                                                     \
+                return error(s, "is kept to itself");                                                  \
             value[i] = source;                                                                         \
         }                                                                                              \
         if (IS("reading is discarded") && s->data.state == TERMINATED) {                               \

@@ -21,7 +21,7 @@ from typing import Any
 
 LIST = Path(__file__).with_name("fmus.toml")
 PASSED = {"outcome": "passed", "why": ""}
-JUDGED = ("passed", "warning", "error")
+BROKEN = ("error", "deviation", "advice")
 OF_ONE_RUN = re.compile(r"fmu-check-\w+|b'.*?'|b\".*?\"|-?\d[\d.e+-]*")  # in messages
 Fmu = dict[str, Any]
 
@@ -98,11 +98,13 @@ def tables(findings: Path) -> None:
     broken: dict[tuple[str, str], list[Fmu]] = {}
     for fmu in fmus:
         for name, rule in fmu["rules"].items():
-            if rule["outcome"] in ("error", "warning"):
+            if rule["outcome"] in BROKEN:
                 broken.setdefault((rule["outcome"], name), []).append(fmu)
     print("| outcome | rule | FMUs | of judged | tools and years |\n|---|---|---:|---:|---|")
-    for (level, name), these in sorted(broken.items(), key=lambda item: (item[0][0], -len(item[1]))):
-        judged = sum(fmu["rules"].get(name, PASSED)["outcome"] in JUDGED for fmu in fmus)
+    for (level, name), these in sorted(
+        broken.items(), key=lambda item: (BROKEN.index(item[0][0]), -len(item[1]))
+    ):
+        judged = sum(fmu["rules"].get(name, PASSED)["outcome"] in ("passed", *BROKEN) for fmu in fmus)
         print(f"| {level} | `{name}` | {len(these)} | {judged} | {', '.join(by_tool(these))} |")
     steps = [fmu["rules"].get("steps-and-terminates", PASSED) for fmu in fmus]
     print("\n| no behaviour judged | FMUs |\n|---|---:|")

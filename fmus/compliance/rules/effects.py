@@ -39,7 +39,8 @@ _MOST_KNOWNS, _MOST_DERIVED = 100, 40  # of one FMU: each costs two runs, with d
 _MOST_INPUTS, _MOST_CHANGED = 20, 50
 _DIFFERENCE = 1e-6  # relative change for a difference quotient: half the digits for truncation and rounding
 _AGREEMENT = 1e-4  # relative; a wrong derivative is wrong by much more
-_LINEAR = 1e-6  # relative: derivatives may be difference quotients
+_LINEAR = 1e-6  # relative: of changes of values
+_SUMMED = 1e-3  # relative: derivatives may be difference quotients of one side (2.1.9)
 _NOISE = 1e-9  # relative: an iteration may stop elsewhere
 _CLOSE, _SHARE = 1e-6, 0.1  # of a change: two values that are as close give changes that are as equal
 _SELDOM = ("constant", "fixed", "tunable")  # kinds of a factor that does not change with every input
@@ -337,9 +338,7 @@ def _beside_quotients(
         quotients = [(side[v.name] - values[v.name]) / (x - start) for x, side in taken]
         if quotients and all(map(math.isfinite, [values[v.name], *quotients])):
             rounding = 1e-13 * abs(values[v.name]) / width  # some hundred roundings of the output
-            margin = (
-                _AGREEMENT * max(map(abs, [derivative, *quotients])) + rounding + (1e-9 if states else 0.0)
-            )
+            margin = _AGREEMENT * max(map(abs, [derivative, *quotients])) + rounding + _NOISE
             if not min(quotients) - margin <= derivative <= max(quotients) + margin:
                 where = "" if point is None else f" in the state {usual.state!r}"
                 expected = f"{min(quotients):.9g}..{max(quotients):.9g}"
@@ -377,7 +376,7 @@ def _other_sums(script: Script, unknowns: list[Variable], knowns: list[Variable]
     script.play()
     for i, (v, got) in enumerate(zip(unknowns, together.value, strict=True)):
         parts = [s * reply.value[i] for s, reply in zip(seed, alone, strict=True)]
-        if not abs(got - sum(parts)) <= _LINEAR * max([1e-300, abs(got), *map(abs, parts)]):
+        if not abs(got - sum(parts)) <= _SUMMED * max([1e-300, abs(got), *map(abs, parts)]):
             shown = texts(got, sum(parts))
             yield (
                 f"the directional derivative of {v.name} is {shown[0]} in the state "

@@ -223,7 +223,10 @@ def _change(before: Reading, after: Reading, name: str) -> float:
     return after.values[name] - before.values[name]
 
 
-@behaviour_rule("advice: 2.2.5, what a user runs first", needs="communication-points-may-be-rounded")
+@behaviour_rule(
+    "advice: 2.2.5, what a user runs first",
+    needs="communication-points-may-be-rounded variables-can-be-read",
+)
 def default_experiment_runs(probe: Probe) -> Iterator[str]:
     """The steps of DefaultExperiment succeed up to its stop time, as far as they take about a second."""
     if not probe.states_step_size or not math.isfinite(probe.stop_time):

@@ -169,7 +169,7 @@ def constants_have_their_value(probe: Probe) -> Iterator[Row]:
     yield Row("after steps", varied, (), tolerance=_ROUNDED, again="{}, as it is a constant")
 
 
-@differential(_VARIABLES, needs="communication-points-may-be-rounded")
+@differential(_VARIABLES, needs="communication-points-may-be-rounded variables-can-be-read")
 def fixed_values_stay(probe: Probe) -> Iterator[Row]:
     """Fixed and tunable variables, and inputs, change by steps only if the importer sets them."""
     chosen = [

@@ -72,7 +72,8 @@ def test_answers_that_an_fmu_writes_itself_are_findings_and_what_it_prints_is_dr
 @pytest.mark.slow
 def test_an_end_of_the_process_without_an_error_is_a_finding(tmp_path: Path) -> None:
     broken = broken_rules(attacker("exit(0);", tmp_path))
-    assert broken["steps-and-terminates"] == ("the FMU ended the process with exit status 0",)
+    (message,) = broken["steps-and-terminates"]
+    assert message.startswith("the FMU ended the process with exit status 0, in fmi2DoStep(")
 
 
 @pytest.mark.slow
@@ -161,7 +162,7 @@ def test_a_library_outside_the_archive_is_not_loaded(built: Fmus, tmp_path: Path
     [
         (b"<a>" * 100_000, "not well-formed"),
         pytest.param(
-            b"<a" + b" " * 100_000_000 + b"/>", "expected at most 100000000", marks=pytest.mark.slow
+            b"<a" + b" " * 100_000_000 + b"/>", "expected at most 200 times as many", marks=pytest.mark.slow
         ),
     ],
 )

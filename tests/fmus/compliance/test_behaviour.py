@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -123,3 +124,6 @@ def test_findings_name_their_interface_unless_it_is_co_simulation_alone() -> Non
     assert joined(rule, {co_simulation: Result(rule), model_exchange: lost}).not_judged == "it is slow"
     other = Result(rule, not_applicable="it has no interface for co-simulation")
     assert not joined(rule, {co_simulation: Result(rule), model_exchange: other}).not_applicable
+    rule = replace(rule, interface=model_exchange)
+    reasons = {kind: Result(rule, not_applicable=f"as {kind}") for kind in (co_simulation, model_exchange)}
+    assert joined(rule, reasons).not_applicable == "as ModelExchange"
