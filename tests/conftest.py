@@ -15,7 +15,7 @@ from fmus import platforms
 from fmus.block import Block
 from fmus.block.instance import BlockInstance
 from fmus.build import builder
-from fmus.build.stamp import Order
+from fmus.build.stamp import BuildRequest
 from fmus.errors import ExportError
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_names, fmu_folder
 from tests import foreign_fmus, foreign_pythonfmu
@@ -110,7 +110,7 @@ def _lazily_built(flavour: Flavour) -> LazyFmus:
     """With stamps: a command that runs them then traces no block."""
 
     def build(name: str, folder: Path) -> Path:
-        (files,) = builder.build_orders([Order(name, folder, flavour)])
+        (files,) = builder.build_orders([BuildRequest(name, folder, flavour)])
         assert not isinstance(files, ExportError), files
         return files[0]
 

@@ -25,7 +25,7 @@ from fmus.build.documentation.reference_results import ReferenceRun, reference_r
 from fmus.build.documentation.terminals_and_icon import icon, terminals
 from fmus.build.guard import location, own_line
 from fmus.build.shipped import ShippedLibrary
-from fmus.build.stamp import Order, Stamps, order_of_file
+from fmus.build.stamp import BuildCache, BuildRequest, order_of_file
 from fmus.build.symbolic import traced
 from fmus.errors import ExportError, nearest
 from fmus.files import packed, write_bytes_atomically
@@ -114,13 +114,13 @@ def build_block(
     reals_only: a native FMU whose every variable is a Real, for importers that know no other type
     """
     block = load_block(block) if isinstance(block, str) else block
-    order = Order(block.name, folder, flavour, tuple(platforms), with_terminals, reals_only)
+    order = BuildRequest(block.name, folder, flavour, tuple(platforms), with_terminals, reals_only)
     with _building(block, order) as write:
         return next(iter(write()))
 
 
 @contextmanager
-def _building(block: Block, order: Order) -> Iterator[Callable[[], dict[Path, bytes]]]:
+def _building(block: Block, order: BuildRequest) -> Iterator[Callable[[], dict[Path, bytes]]]:
     """Yields a function that writes the FMU of a block, whose libraries are compiled meanwhile.
 
     The function returns the files that it wrote: the FMU, then what belongs to it.
@@ -166,7 +166,7 @@ def _reference_run(block: Block) -> ReferenceRun:
         raise ExportError(f"block {block.name!r}: {where}the reference run ends: {error}") from error
 
 
-def build_orders(orders: Iterable[Order]) -> Iterator[list[Path] | ExportError]:
+def build_orders(orders: Iterable[BuildRequest]) -> Iterator[list[Path] | ExportError]:
     """Writes the FMUs of each order, whatever stands there, and stamps them.
 
     Yields the files of each, or the error that prevents it. Some are compiled while the next are traced.
@@ -193,8 +193,8 @@ def _ended(order: "_CompilingOrder | ExportError") -> list[Path] | ExportError:
 class _CompilingOrder:
     """An order whose FMUs are being compiled; it does not outlive the stack."""
 
-    def __init__(self, order: Order, stack: ExitStack) -> None:
-        self._stamps = Stamps()
+    def __init__(self, order: BuildRequest, stack: ExitStack) -> None:
+        self._stamps = BuildCache()
         sources = self._stamps.sources(order)
         with loaded(order.source) as blocks:
             self._writers = [stack.enter_context(_building(block, order)) for block in blocks]
@@ -212,7 +212,7 @@ def build_if_stale(name: str, folder: Path | None = None, flavour: Flavour = Fla
 
     folder: by default the one where scenarios find it
     """
-    return _built_if_stale(Order(name, folder or fmu_folder(flavour), flavour))
+    return _built_if_stale(BuildRequest(name, folder or fmu_folder(flavour), flavour))
 
 
 def fmu_of_file(path: Path, flavour: Flavour = Flavour.NATIVE) -> Path:
@@ -220,9 +220,9 @@ def fmu_of_file(path: Path, flavour: Flavour = Flavour.NATIVE) -> Path:
     return _built_if_stale(order_of_file(path, flavour))
 
 
-def _built_if_stale(order: Order) -> Path:
+def _built_if_stale(order: BuildRequest) -> Path:
     """Returns the FMU of the only block of an order."""
-    stamps = Stamps()
+    stamps = BuildCache()
     if current := stamps.current(order, to_run=True):
         return current[0]
     sources = stamps.sources(order)

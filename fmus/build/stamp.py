@@ -31,7 +31,7 @@ _RECENT_S = 2.0  # a file that changed so shortly before the process began may h
 
 
 @dataclass(frozen=True)
-class Order:
+class BuildRequest:
     """A build order.
 
     source: name of an installed block, or path of a Python file; platforms: by default this one
@@ -57,17 +57,17 @@ class Order:
         return str(Path(self.file).parent) if self.file else ""
 
 
-def order_of_file(path: Path, flavour: Flavour) -> Order:
+def order_of_file(path: Path, flavour: Flavour) -> BuildRequest:
     """Returns the FMU of a Python file's block that a command runs, in a folder of the user's cache."""
     folder = store.digest(str(path.absolute()).encode())[:12]
-    return Order(str(path), fmu_folder(flavour) / folder, flavour)
+    return BuildRequest(str(path), fmu_folder(flavour) / folder, flavour)
 
 
 def stale(paths: Iterable[Path]) -> list[Path]:
     """Returns the paths, among those at which scenarios find FMUs, whose block may have to be built."""
-    stamps = Stamps()
+    stamps = BuildCache()
     orders = {
-        fmu_path(name, flavour): Order(name, fmu_folder(flavour), flavour)
+        fmu_path(name, flavour): BuildRequest(name, fmu_folder(flavour), flavour)
         for name, flavour in block_fmus(paths)
     }
     return [path for path, order in orders.items() if not stamps.current(order, to_run=True)]
@@ -94,7 +94,7 @@ class Sources:
         return self if are_loaded and not fmus.IMPORTED_BEFORE.intersection(modules) else None
 
 
-class Stamps:
+class BuildCache:
     """The stamps of this user, and files as they are while this object is used: each is read once.
 
     package: the folder of `fmus`; begun: when this process began to import modules [s since the epoch]
@@ -105,7 +105,7 @@ class Stamps:
         self._modules = Modules()
         store.keep_fmus()
 
-    def current(self, order: Order, to_run: bool = False) -> list[Path] | None:
+    def current(self, order: BuildRequest, to_run: bool = False) -> list[Path] | None:
         """Returns the FMUs of an order, if they are what would be built now; None if that is not known.
 
         to_run: whether they may differ in what runs do not need, such as their icons
@@ -120,7 +120,7 @@ class Stamps:
                     return [*files]
         return None
 
-    def sources(self, order: Order) -> Sources | None:
+    def sources(self, order: BuildRequest) -> Sources | None:
         """Returns the present sources of an order; None if they cannot be known from files alone."""
         with suppress(ImpureError, ImportError, OSError, SyntaxError, ValueError):
             root = Path(order.file).stem if order.file else self._origin(order).partition(":")[0]
@@ -142,7 +142,7 @@ class Stamps:
             content = {"modules": sources.modules, "fmus": digests, "was_built": was_built}
             store.put(store.BUILDS, sources.key, json.dumps(content).encode())
 
-    def _key(self, order: Order) -> str:
+    def _key(self, order: BuildRequest) -> str:
         """Returns the digest of the folder, and of all but modules that decides about the FMUs in it."""
         options = order.flavour, order.platforms, order.with_terminals, order.reals_only
         host = sys.version, sys.flags.optimize, sys.platform, platform.machine()
@@ -150,7 +150,7 @@ class Stamps:
         parts = str(order.folder.absolute()), self._origin(order), *options, *host, date
         return store.digest(*parts, self._libraries, self._own_files[1])
 
-    def _origin(self, order: Order) -> str:
+    def _origin(self, order: BuildRequest) -> str:
         """Returns MODULE:NAME of an installed block, or the path of a file."""
         point = block_entry_points().get(order.source)
         if not order.file and point is None:
@@ -170,7 +170,7 @@ class Stamps:
         files = [*store.digests(self._package, _NOT_BUILDING)]
         return max(changed for *_, changed in files), [(path, digest) for path, digest, _ in files]
 
-    def _followed(self, order: Order, name: str, file: str) -> Iterator[Import]:
+    def _followed(self, order: BuildRequest, name: str, file: str) -> Iterator[Import]:
         """Yields what a pure module imports; of Python, the names that no file of the user's may hide."""
         for base, members in pure_imports(self._modules.read(file), name, file):
             top = base.partition(".")[0]
@@ -185,7 +185,7 @@ class Stamps:
             else:
                 yield base, members
 
-    def _module(self, name: str, order: Order) -> tuple[str, str]:
+    def _module(self, name: str, order: BuildRequest) -> tuple[str, str]:
         """Returns file and digest of the module that an import of this name loads; `_NO_FILE` if none."""
         file = self._modules.file(name, order.beside)
         return (

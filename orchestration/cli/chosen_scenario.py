@@ -73,7 +73,7 @@ def _build_missing(fmus: Iterable[Path]) -> None:
 
 
 def _fmu_of_file(path: Path, flavour: Flavour) -> Path:
-    if current := stamp.Stamps().current(stamp.order_of_file(path, flavour), to_run=True):
+    if current := stamp.BuildCache().current(stamp.order_of_file(path, flavour), to_run=True):
         return current[0]
     from fmus.build import builder
 

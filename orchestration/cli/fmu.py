@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fmus.build.stamp import Order, Stamps
+from fmus.build.stamp import BuildCache, BuildRequest
 from fmus.compliance import check as compliance
 from fmus.errors import ExportError
 from fmus.platforms import PLATFORMS, check_platforms
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from fmus.fmi.model_description import ScalarVariable
 
 _FOLDERS = {Flavour.NATIVE: Path("fmus-built"), Flavour.PYTHON: Path("fmus-built", "python")}
-Current = Mapping[Order, Sequence[Path] | None]
-"""Order -> its FMUs, if they are what it would build now."""
+Current = Mapping[BuildRequest, Sequence[Path] | None]
+"""Request -> its FMUs, if they are what it would build now."""
 _PIPED_WIDTH = 260  # a line a variable, for grep
 check = compliance.check
 
@@ -100,10 +100,10 @@ def build(
     platforms = PLATFORMS if all_platforms else named
 
     orders = [
-        Order(name, folder, flavour, tuple(platforms), terminals, reals_only, with_reference)
+        BuildRequest(name, folder, flavour, tuple(platforms), terminals, reals_only, with_reference)
         for name in names or block_names()
     ]
-    stamps = Stamps()
+    stamps = BuildCache()
     current = {} if with_reference else {order: stamps.current(order) for order in orders}
     _check_names(orders, current)
     refused: list[str] = []
@@ -120,7 +120,7 @@ def build(
         fail("; ".join(refused))
 
 
-def _check_names(orders: Sequence[Order], current: Current) -> None:
+def _check_names(orders: Sequence[BuildRequest], current: Current) -> None:
     """Raises ExportError for two blocks whose FMUs would have one name, before anything is built."""
     sources: dict[str, str] = {}  # name of an FMU in lower case, as some file systems know no other -> block
     for order in orders:
@@ -133,7 +133,7 @@ def _check_names(orders: Sequence[Order], current: Current) -> None:
             sources[name.casefold()] = f"block {name!r} of {order.source}"
 
 
-def _names(order: Order) -> list[str]:
+def _names(order: BuildRequest) -> list[str]:
     """Returns the names of the blocks of an order: an installed one has that of its entry point."""
     if order.source in block_names():
         return [order.source]
@@ -146,7 +146,9 @@ def _names(order: Order) -> list[str]:
         return [block.name for block in blocks]
 
 
-def _built(orders: Sequence[Order], current: Current) -> Generator[Sequence[Path] | ExportError, None, None]:
+def _built(
+    orders: Sequence[BuildRequest], current: Current
+) -> Generator[Sequence[Path] | ExportError]:
     """Yields the FMUs of each order, or why it cannot be built; builds only what is out of date."""
     stale = [order for order in orders if not current.get(order)]
     if stale:

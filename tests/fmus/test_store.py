@@ -11,7 +11,7 @@ import pytest
 
 from fmus import store
 from fmus.build import builder
-from fmus.build.stamp import Order, Stamps
+from fmus.build.stamp import BuildCache, BuildRequest
 from fmus.fmi.description import describe
 from fmus.registry import FOLDER_VARIABLE, fmu_folder, fmu_path
 from fmus.store import reason_for_distrust
@@ -127,17 +127,17 @@ def test_a_stamp_that_others_can_write_stamps_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    order = Order("ExamplePlant", tmp_path / "built")
-    stamps = Stamps(begun=float("inf"))
+    order = BuildRequest("ExamplePlant", tmp_path / "built")
+    stamps = BuildCache(begun=float("inf"))
     sources = stamps.sources(order)
     assert sources
     order.folder.mkdir()
     (order.folder / "ExamplePlant.fmu").write_bytes(b"an FMU")
     stamps.write(sources, {"ExamplePlant.fmu": b"an FMU"})
-    assert Stamps().current(order)
+    assert BuildCache().current(order)
     (stamp,) = (tmp_path / "l1-depth" / "builds").iterdir()
     stamp.chmod(0o666)
-    assert Stamps().current(order) is None
+    assert BuildCache().current(order) is None
 
 
 KEY = "an entry"

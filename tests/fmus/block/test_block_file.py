@@ -16,7 +16,7 @@ from fmus.block.block_file import blocks_in, write_new_block
 from fmus.build import builder
 from fmus.build.check_trace import check_trace
 from fmus.build.sources import source_closure
-from fmus.build.stamp import Order
+from fmus.build.stamp import BuildRequest
 from fmus.errors import ExportError
 from fmus.registry import Flavour
 
@@ -243,7 +243,10 @@ def test_a_block_that_ends_python_is_refused_with_the_line(
     expression: str, flavour: Flavour, tmp_path: Path
 ) -> None:
     path = write(tmp_path, expression=expression)
-    orders = [Order(str(path), tmp_path / "out", flavour), Order("ExamplePlant", tmp_path / "out", flavour)]
+    orders = [
+        BuildRequest(str(path), tmp_path / "out", flavour),
+        BuildRequest("ExamplePlant", tmp_path / "out", flavour),
+    ]
     refusal, built = builder.build_orders(orders)
     assert re.fullmatch(rf"{re.escape(str(path))}:\d+: exit\(0\): ends Python: .*", str(refusal))
     assert isinstance(built, list)

@@ -17,7 +17,7 @@ import fmus
 from fmus import store
 from fmus.block.block_file import blocks_in, write_new_block
 from fmus.build import builder
-from fmus.build.stamp import Order, Sources, Stamps
+from fmus.build.stamp import BuildCache, BuildRequest, Sources
 from fmus.platforms import PLATFORMS
 from fmus.registry import Flavour, block_names
 
@@ -61,31 +61,31 @@ Change = Callable[[Path], object]
 
 
 @pytest.fixture
-def order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Order:
+def order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> BuildRequest:
     """A block in a file beside a module that it imports, and what stands for its FMU, stamped."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     package = {f"package/{name}": text for name, text in PACKAGE.items()}
     for name, text in {"lag.py": BLOCK, "gains.py": "GAIN = 2.0\n", **package}.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
-    order = Order(str(tmp_path / "lag.py"), tmp_path / "built")
+    order = BuildRequest(str(tmp_path / "lag.py"), tmp_path / "built")
     (tmp_path / "built").mkdir()
     stamp(order)
     return order
 
 
-def stamps(order: Order, begun: float = LATER) -> Stamps:
+def stamps(order: BuildRequest, begun: float = LATER) -> BuildCache:
     """Those of a process that began then."""
-    return Stamps(order.folder.parent / "package", begun)
+    return BuildCache(order.folder.parent / "package", begun)
 
 
-def sources_of(order: Order) -> Sources:
+def sources_of(order: BuildRequest) -> Sources:
     sources = stamps(order).sources(order)
     assert sources
     return sources
 
 
-def stamp(order: Order) -> None:
+def stamp(order: BuildRequest) -> None:
     sources = sources_of(order)
     with blocks_in(Path(order.source)):
         fmu = order.folder / "Lag.fmu"
@@ -93,13 +93,13 @@ def stamp(order: Order) -> None:
         stamps(order).write(sources.if_loaded, {fmu.name: fmu.read_bytes()})
 
 
-def current(order: Order) -> list[Path] | None:
+def current(order: BuildRequest) -> list[Path] | None:
     return stamps(order).current(order)
 
 
-def test_an_fmu_of_unchanged_sources_is_current(order: Order, tmp_path: Path) -> None:
+def test_an_fmu_of_unchanged_sources_is_current(order: BuildRequest, tmp_path: Path) -> None:
     assert current(order) == [tmp_path / "built" / "Lag.fmu"]
-    assert current(Order(order.source, tmp_path / "elsewhere")) is None
+    assert current(BuildRequest(order.source, tmp_path / "elsewhere")) is None
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_an_fmu_of_unchanged_sources_is_current(order: Order, tmp_path: Path) ->
     ids=["function", "default", "helper", "C layer", "exporter", "documentation", "the FMU itself"],
 )
 def test_a_changed_file_makes_it_stale(
-    order: Order, tmp_path: Path, file: str, before: str, after: str
+    order: BuildRequest, tmp_path: Path, file: str, before: str, after: str
 ) -> None:
     path = tmp_path / file
     text = path.read_text()
@@ -137,7 +137,9 @@ def test_a_changed_file_makes_it_stale(
     ],
     ids=["a new file of the C layer", "a missing helper", "a package before the helper", "no FMU"],
 )
-def test_a_file_that_comes_or_goes_makes_it_stale(order: Order, tmp_path: Path, change: Change) -> None:
+def test_a_file_that_comes_or_goes_makes_it_stale(
+    order: BuildRequest, tmp_path: Path, change: Change
+) -> None:
     change(tmp_path)
     assert current(order) is None
 
@@ -152,13 +154,13 @@ def test_a_file_that_comes_or_goes_makes_it_stale(order: Order, tmp_path: Path, 
         {"reals_only": True},
     ],
 )
-def test_other_options_make_it_stale(order: Order, options: dict) -> None:
-    assert current(Order(order.source, order.folder, **options)) is None
+def test_other_options_make_it_stale(order: BuildRequest, options: dict) -> None:
+    assert current(BuildRequest(order.source, order.folder, **options)) is None
 
 
 @pytest.mark.parametrize("library", ["casadi", "ziglang", "l1-depth"])
 def test_another_version_of_a_library_makes_it_stale(
-    order: Order, library: str, monkeypatch: pytest.MonkeyPatch
+    order: BuildRequest, library: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kind = type(distribution(library))  # Dask brings a class of its own with importlib_metadata
     read_text = kind.read_text
@@ -172,15 +174,15 @@ def test_another_version_of_a_library_makes_it_stale(
     assert current(order) is None
 
 
-def test_python_without_assertions_and_docstrings_makes_it_stale(order: Order, tmp_path: Path) -> None:
+def test_python_without_assertions_and_docstrings_makes_it_stale(order: BuildRequest, tmp_path: Path) -> None:
     """A block may depend on `__debug__`, and its description on a docstring."""
     code = """
 import sys
 from pathlib import Path
-from fmus.build.stamp import Order, Sources, Stamps
+from fmus.build.stamp import BuildCache, BuildRequest, Sources
 folder = Path(sys.argv[1])
-order = Order(str(folder / "lag.py"), folder / "built")
-print(Stamps(folder / "package").current(order) is not None)
+order = BuildRequest(str(folder / "lag.py"), folder / "built")
+print(BuildCache(folder / "package").current(order) is not None)
 """
 
     def is_current(*options: str) -> str:
@@ -190,7 +192,7 @@ print(Stamps(folder / "package").current(order) is not None)
     assert [is_current(), is_current("-O"), is_current("-OO")] == ["True", "False", "False"]
 
 
-def test_another_date_makes_it_stale(order: Order, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_date_makes_it_stale(order: BuildRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1000000000")
     assert current(order) is None
 
@@ -233,7 +235,7 @@ def test_another_date_makes_it_stale(order: Order, monkeypatch: pytest.MonkeyPat
     ],
 )
 def test_a_block_that_may_depend_on_more_than_its_sources_gets_no_stamp(
-    order: Order, tmp_path: Path, line: str
+    order: BuildRequest, tmp_path: Path, line: str
 ) -> None:
     """Even where a module imports it that the block imports."""
     (tmp_path / "gains.py").write_text(
@@ -254,7 +256,7 @@ def test_a_block_that_may_depend_on_more_than_its_sources_gets_no_stamp(
     ],
 )
 def test_a_block_of_names_that_lead_to_nothing_else_gets_a_stamp(
-    order: Order, tmp_path: Path, line: str
+    order: BuildRequest, tmp_path: Path, line: str
 ) -> None:
     (tmp_path / "gains.py").write_text(f"GAIN = 2.0\nif GAIN > 3.0:\n    {line}\n")
     assert sources_of(order)
@@ -262,16 +264,16 @@ def test_a_block_of_names_that_lead_to_nothing_else_gets_a_stamp(
 
 @pytest.mark.parametrize("name", block_names())
 def test_every_installed_block_gets_a_stamp(name: str, tmp_path: Path) -> None:
-    assert Stamps().sources(Order(name, tmp_path))
+    assert BuildCache().sources(BuildRequest(name, tmp_path))
 
 
 def test_a_block_that_l1_depth_new_writes_gets_a_stamp(tmp_path: Path) -> None:
     (path, _) = write_new_block("depth_pid", tmp_path)
-    assert Stamps().sources(Order(str(path), tmp_path))
+    assert BuildCache().sources(BuildRequest(str(path), tmp_path))
 
 
 def test_sources_that_may_have_changed_since_they_were_loaded_give_no_stamp(
-    order: Order, tmp_path: Path
+    order: BuildRequest, tmp_path: Path
 ) -> None:
     fmu = tmp_path / "built" / "Lag.fmu"
     sources = sources_of(order)
@@ -286,7 +288,9 @@ def test_sources_that_may_have_changed_since_they_were_loaded_give_no_stamp(
     assert current(order)
 
 
-def test_a_module_that_appears_where_an_import_failed_makes_it_stale(order: Order, tmp_path: Path) -> None:
+def test_a_module_that_appears_where_an_import_failed_makes_it_stale(
+    order: BuildRequest, tmp_path: Path
+) -> None:
     """Also where it hides one of the standard library."""
     (tmp_path / "tools").mkdir()
     (tmp_path / "tools" / "__init__.py").write_text(
@@ -304,7 +308,7 @@ def test_a_module_that_appears_where_an_import_failed_makes_it_stale(order: Orde
 
 @pytest.mark.parametrize("folder", [".", "on_the_path"])
 def test_a_helper_named_like_a_module_of_python_is_a_source(
-    order: Order, tmp_path: Path, folder: str, monkeypatch: pytest.MonkeyPatch
+    order: BuildRequest, tmp_path: Path, folder: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Beside the block, or in a folder of PYTHONPATH, which comes before the standard library."""
     helper = tmp_path / folder / "statistics.py"
@@ -318,7 +322,7 @@ def test_a_helper_named_like_a_module_of_python_is_a_source(
 
 @pytest.mark.parametrize("file", ["gains.py", "lag.py", "tools/__init__.py"])
 def test_a_changed_source_of_the_same_size_and_second_is_what_is_imported(
-    order: Order, tmp_path: Path, file: str, monkeypatch: pytest.MonkeyPatch
+    order: BuildRequest, tmp_path: Path, file: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Python takes the compiled file of the older one for it."""
     monkeypatch.setattr(sys, "dont_write_bytecode", False)
@@ -345,7 +349,7 @@ def test_a_changed_source_of_the_same_size_and_second_is_what_is_imported(
 
 
 def test_modules_that_were_imported_before_this_package_give_no_stamp(
-    order: Order, monkeypatch: pytest.MonkeyPatch
+    order: BuildRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """When their files were read is not known."""
     sources = sources_of(order)
@@ -354,7 +358,9 @@ def test_modules_that_were_imported_before_this_package_give_no_stamp(
         assert sources.if_loaded is None
 
 
-def test_an_fmu_that_another_process_wrote_meanwhile_is_not_current(order: Order, tmp_path: Path) -> None:
+def test_an_fmu_that_another_process_wrote_meanwhile_is_not_current(
+    order: BuildRequest, tmp_path: Path
+) -> None:
     sources = stamps(order).sources(order)
     (tmp_path / "built" / "Lag.fmu").write_bytes(b"of the other")
     stamps(order).write(sources, {"Lag.fmu": b"of this one"})
@@ -366,19 +372,19 @@ def test_an_fmu_that_was_found_and_not_built_is_stamped_for_runs_alone(
 ) -> None:
     """Its GUID tells neither its icon nor whether it has terminals, with which `build --cache` wrote it."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(builder, "Stamps", partial(Stamps, begun=LATER))
+    monkeypatch.setattr(builder, "BuildCache", partial(BuildCache, begun=LATER))
     with monkeypatch.context() as older_sources:
         older_sources.setattr(builder, "icon", lambda block: b"an older icon")
         path = builder.build_block("ExamplePlant", tmp_path / "built", with_terminals=True)
     older = path.read_bytes()
-    order = Order("ExamplePlant", tmp_path / "built")
-    assert Stamps().current(order, to_run=True) is None
+    order = BuildRequest("ExamplePlant", tmp_path / "built")
+    assert BuildCache().current(order, to_run=True) is None
     assert builder.build_if_stale("ExamplePlant", tmp_path / "built").read_bytes() == older
-    assert Stamps().current(order, to_run=True) == [path]
-    assert Stamps().current(order) is None
+    assert BuildCache().current(order, to_run=True) == [path]
+    assert BuildCache().current(order) is None
     path.unlink()
     builder.build_if_stale("ExamplePlant", tmp_path / "built")
-    assert Stamps().current(order) == [path]
+    assert BuildCache().current(order) == [path]
     assert path.read_bytes() != older
 
 
@@ -399,7 +405,7 @@ def test_an_fmu_without_a_record_of_its_build_is_built_again_where_it_can_be(
 
 
 def test_modules_that_were_loaded_from_another_file_or_text_are_not_the_sources(
-    order: Order, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    order: BuildRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sources = sources_of(order)
     assert sources.if_loaded is None
@@ -414,7 +420,7 @@ def test_modules_that_were_loaded_from_another_file_or_text_are_not_the_sources(
         assert later.if_loaded is None
 
 
-def test_a_damaged_stamp_is_none(order: Order, tmp_path: Path) -> None:
+def test_a_damaged_stamp_is_none(order: BuildRequest, tmp_path: Path) -> None:
     (file,) = (tmp_path / "cache").rglob("builds/*")
     content = file.read_bytes()
     for damaged in (b"", b"{}", content[:-1], content[1:], content.replace(b"gains", b"pains", 1)):
