@@ -14,7 +14,7 @@ from fmus.compliance.script import CallError
 from fmus.compliance.values import differing, steadily
 from fmus.fmi.binding import ERROR
 
-ROUNDING = 1e-9  # relative; what is lost by writing a state as text is less
+ROUNDING = 1e-9  # relative: of values that are computed again
 OF_EXPERIMENT = None  # tolerance of a row: that of the default experiment
 
 

@@ -146,9 +146,7 @@ def _names(order: BuildRequest) -> list[str]:
         return [block.name for block in blocks]
 
 
-def _built(
-    orders: Sequence[BuildRequest], current: Current
-) -> Generator[Sequence[Path] | ExportError]:
+def _built(orders: Sequence[BuildRequest], current: Current) -> Generator[Sequence[Path] | ExportError]:
     """Yields the FMUs of each order, or why it cannot be built; builds only what is out of date."""
     stale = [order for order in orders if not current.get(order)]
     if stale:

@@ -13,7 +13,7 @@ from fmus.compliance.values import (
     settable_before,
     settable_in_initialization,
     settable_while_stepping,
-    start_value,
+    start_values,
 )  # fmt: skip
 from fmus.compliance.variable import Variable
 
@@ -35,19 +35,19 @@ class Session:
         script = self.script
         self._log()
         self._states(0)
-        self._set(script, settable_before(self.fmu))
+        self._set(settable_before(self.fmu))
         tolerance = TOLERANCE if run_with_tolerance(self.probe).succeeded else None
         script.set_up(stop=self.probe.point(1000), tolerance=tolerance)
         script.enter_initialization_mode()
         self._log()
         self._states(1)
-        self._set(script, settable_in_initialization(self.fmu))
+        self._set(settable_in_initialization(self.fmu))
         self._input_derivatives()
         self.readings.append(script.read(readable_in_initialization(self.fmu)))
         self._derivatives("InitialUnknowns")
         script.exit_initialization_mode()
         for _ in range(2):
-            self._set(script, settable_while_stepping(self.fmu))
+            self._set(settable_while_stepping(self.fmu))
             self._input_derivatives()
             script.step()
             self.readings.append(script.read(self.fmu.variables))
@@ -66,10 +66,9 @@ class Session:
             script.begin().step()
             self.readings.append(script.read(self.fmu.variables))
 
-    def _set(self, script: Script, variables: list[Variable]) -> None:
-        for v in variables:
-            if (value := start_value(v)) is not None:
-                script.set(v, value)
+    def _set(self, variables: list[Variable]) -> None:
+        for v, value in start_values(variables):
+            self.script.set(v, value)
 
     def _log(self) -> None:
         categories = [c.get("name", "") for c in self.fmu.root.iterfind("LogCategories/Category")]
