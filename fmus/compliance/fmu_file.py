@@ -24,23 +24,6 @@ _LARGEST_MEMBER = 8_000_000_000  # bytes unpacked
 CO_SIMULATION, MODEL_EXCHANGE = "CoSimulation", "ModelExchange"  # the elements of both interfaces
 C_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _NOTHING: Mapping[str, str] = MappingProxyType({})
-_NO_DTD = "it has a document type declaration: expected none, it is not read (entities can be bombs)"
-
-
-def parsed_xml(content: bytes) -> Any:
-    """Returns the root element. Raises BrokenMemberError for what is not well-formed, or has a document type
-    declaration.
-    """
-    parser = etree.XMLParser(
-        resolve_entities=False, no_network=True, load_dtd=False, remove_comments=True, remove_pis=True
-    )
-    try:
-        root = etree.fromstring(content, parser)
-    except (etree.XMLSyntaxError, ValueError) as error:
-        raise BrokenMemberError(f"it is not well-formed: {error}") from None
-    if root.getroottree().docinfo.doctype:
-        raise BrokenMemberError(_NO_DTD)
-    return root
 
 
 @cache
@@ -82,7 +65,7 @@ class FmuFile:
         self.members: list[zipfile.ZipInfo] = []
         self.archive_problem = self.description_problem = ""
         self.xml = b""
-        self._root: Any = None
+        self.root: Any = etree.Element("none")  # fmiModelDescription, if there is one
         self._judged = ""
         try:
             with zipfile.ZipFile(path) as archive:
@@ -99,17 +82,12 @@ class FmuFile:
             return self.NO_DESCRIPTION
         try:
             self.xml = self.read(DESCRIPTION, _LARGEST_DESCRIPTION)
-            self._root = parsed_xml(self.xml)
+            self.root = self.parsed(DESCRIPTION)
         except (BrokenMemberError, UnreadableMemberError) as error:
             return str(error)
-        for date in filter(None, [self._root.get("generationDateAndTime")]):
-            self._root.set("generationDateAndTime", date.strip())  # libxml2 does not collapse its blanks
+        for date in filter(None, [self.root.get("generationDateAndTime")]):
+            self.root.set("generationDateAndTime", date.strip())  # libxml2 does not collapse its blanks
         return ""
-
-    @property
-    def root(self) -> Any:
-        """The element fmiModelDescription; an empty element if there is none."""
-        return self._root if self._root is not None else etree.Element("none")
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -134,11 +112,6 @@ class FmuFile:
     @property
     def guid(self) -> str:
         return self.root.get("guid", "")
-
-    @property
-    def co_simulation(self) -> Mapping[str, str] | None:
-        """Attributes of CoSimulation; nothing for an FMU that is for model exchange only."""
-        return self.interfaces.get("CoSimulation")
 
     @cached_property
     def interfaces(self) -> dict[str, Mapping[str, str]]:
@@ -196,15 +169,14 @@ class FmuFile:
     def _variable(self, index: int, element: Any) -> Variable:
         typed = next((child for child in element if child.tag in TYPES), None)
         if typed is None:
-            return Variable(index, dict(element.attrib), "", _NOTHING, _NOTHING)
+            return Variable(index, dict(element.attrib), "", {}, {})
         declared = self.types.get(typed.get("declaredType", ""))
         if declared is None or declared.tag != typed.tag:
-            return Variable(index, dict(element.attrib), typed.tag, dict(typed.attrib), _NOTHING)
-        values = (integer(item.get("value")) for item in declared.iterfind("Item"))
+            declared = etree.Element("none")
+        values = [integer(item.get("value")) for item in declared.iterfind("Item")]
         items = frozenset(value for value in values if value is not None)
-        return Variable(
-            index, dict(element.attrib), typed.tag, dict(typed.attrib), dict(declared.attrib), items
-        )
+        attributes = (dict(one.attrib) for one in (typed, declared))
+        return Variable(index, dict(element.attrib), typed.tag, *attributes, items=items)
 
     @cached_property
     def derivatives(self) -> dict[int, Variable]:
@@ -256,16 +228,11 @@ class FmuFile:
 
         Others in the same folder are libraries that these need.
         """
-        identifiers = {kind.get("modelIdentifier", "") for kind in self.interfaces.values()}
-        split = {name: name.split("/") for name in self.names}
-        return {
-            name: parts[1]
-            for name, parts in split.items()
-            if parts[0] == "binaries"
-            and len(parts) == 3
-            and parts[2].rpartition(".")[0] in identifiers
-            and name.endswith((".so", ".dll", ".dylib"))
-        }
+        identifiers = "|".join(
+            re.escape(kind.get("modelIdentifier", "")) for kind in self.interfaces.values()
+        )
+        library = re.compile(rf"binaries/([^/]+)/(?:{identifiers})\.(?:so|dll|dylib)")
+        return {match.group(): match[1] for match in map(library.fullmatch, self.names) if match}
 
     @property
     def host_library(self) -> str:
@@ -293,19 +260,22 @@ class FmuFile:
             except Exception as error:  # each way of compression has its own errors
                 raise UnreadableMemberError(f"{member} cannot be unpacked: {error}") from error
 
-    def parsed(self, member: str) -> Any:
-        """Returns the root element of an XML file. Raises what `read` does, also if it cannot be parsed."""
-        content = self.read(member, _LARGEST_DESCRIPTION)
+    def parsed(self, member: str, most: int = _LARGEST_DESCRIPTION) -> Any:
+        """Returns the root element of an XML file. Raises what `read` does, and BrokenMemberError for what is
+        not well-formed, or has a document type declaration.
+        """
+        content = self.read(member, most)
+        parser = etree.XMLParser(
+            resolve_entities=False, no_network=True, load_dtd=False, remove_comments=True, remove_pis=True
+        )
         try:
-            return parsed_xml(content)
-        except BrokenMemberError as error:
-            raise BrokenMemberError(f"{member}: {error}") from None
+            root = etree.fromstring(content, parser)
+        except (etree.XMLSyntaxError, ValueError) as error:
+            raise BrokenMemberError(f"{member} is not well-formed: {error}") from None
+        if root.getroottree().docinfo.doctype:  # its entities can be bombs
+            raise BrokenMemberError(f"{member} has a document type declaration: expected none")
+        return root
 
     def extract(self, folder: Path) -> None:
         """Unpacks everything; zipfile keeps odd paths inside the folder. Raises what zipfile raises."""
         extract_archive(self.path, folder)
-
-
-def no_co_simulation(fmu: FmuFile) -> str:
-    """Returns the reason why rules of co-simulation do not apply to an FMU."""
-    return "" if fmu.co_simulation is not None else "it has no co-simulation interface"

@@ -27,20 +27,17 @@ Member = tuple[str, str, bytes]
 class Library:
     """Library as LIEF reads it, or one architecture's slice of a macOS one.
 
-    needed: libraries that it needs but the system's. search_paths: RPATH and RUNPATH of a library for Linux.
+    machine: format and processor. needed: libraries that it needs but the system's.
+    search_paths: RPATH and RUNPATH of a library for Linux.
     """
 
     path: str
     folder: str
-    machine: tuple[str, str]
+    machine: str
     exports: frozenset[str]
     imports: frozenset[str]
     needed: tuple[str, ...]
     search_paths: tuple[str, ...]
-
-    @property
-    def directory(self) -> str:
-        return self.path.rpartition("/")[0]
 
 
 # what every Linux of a distribution has, by the beginning of its name
@@ -72,37 +69,24 @@ class Reading:
         arguments = members, self._request
         threading.Thread(target=self._process.send, args=arguments, daemon=True).start()  # may take a while
 
-    @property
-    def libraries(self) -> Sequence[Library]:
-        """Every library that LIEF can read, up to the one of `failure`."""
-        return self._answer[0]
-
-    @property
-    def failure(self) -> str:
-        """Failure of LIEF: the library on which it crashes or hangs, and how; those after it are not read."""
-        return self._answer[1]
-
     @cached_property
-    def _answer(self) -> tuple[Sequence[Library], str]:
-        """Raises MissingExtraError where LIEF does not start, as when it cannot be imported."""
-        _, reason = self._receive(LIMIT_S)
-        if reason:
-            raise MissingExtraError(f"a check of FMUs needs lief, which does not start: {reason}")
-        libraries: list[Library] = []
-        for path in self._paths:
-            more, reason = self._receive(self._timeout)
-            if reason:
-                return libraries, f"LIEF cannot read {path}: {reason}"
-            libraries += more
-        return libraries, ""
+    def result(self) -> tuple[Sequence[Library], str]:
+        """Every library that LIEF can read, up to the one on which it crashes or hangs, and that failure.
 
-    def _receive(self, timeout: float) -> tuple[Any, str]:
-        """Returns the next message, or why there is none, and then the process is closed."""
-        try:
-            return self._process.receive(timeout, self._request), ""
-        except (ProcessEndedError, TimeoutError) as error:
-            close_reader()
-            return None, ": ".join(filter(None, (str(error), getattr(error, "last_error_line", ""))))
+        Raises MissingExtraError where LIEF does not start, as when it cannot be imported.
+        """
+        libraries: list[Library] = []
+        for path in ("", *self._paths):  # the first answer is that LIEF is imported
+            try:
+                libraries += self._process.receive(self._timeout if path else LIMIT_S, self._request)
+            except (ProcessEndedError, TimeoutError) as error:
+                close_reader()
+                reason = ": ".join(filter(None, (str(error), getattr(error, "last_error_line", ""))))
+                if path:
+                    return libraries, f"LIEF cannot read {path}: {reason}"
+                text = f"a check of FMUs needs lief, which does not start: {reason}"
+                raise MissingExtraError(text) from None
+        return libraries, ""
 
 
 @cache
@@ -120,13 +104,13 @@ def close_reader() -> None:
 
 
 def _read(parent: Parent) -> None:
-    """Sends for each message None once LIEF is imported, then the facts of each library."""
+    """Sends for each message an empty list once LIEF is imported, then the facts of each library."""
     import lief
 
     lief.logging.disable()
     while True:
         members = parent.receive()
-        parent.send(None)
+        parent.send([])
         for path, folder, content in members:
             parent.send([_facts(path, folder, parsed) for parsed in _slices(lief, content)])
 
@@ -139,35 +123,25 @@ def _slices(lief: Any, content: bytes) -> Iterator[Any]:
     if content.startswith(_MACH_O):
         universal: Any = lief.MachO.parse(list(content)) or ()
         yield from (universal.at(i) for i in range(len(universal)))
-        return
-    parsed = lief.parse(content)
-    if parsed is not None:
-        yield parsed
+    else:
+        yield from filter(None, [lief.parse(content)])
 
 
 def _facts(path: str, folder: str, parsed: Any) -> Library:
     symbols = [*parsed.exported_functions, *getattr(parsed, "exported_symbols", ())]
-    if parsed.format.name == "MACHO" and not (parsed.dyld_info or parsed.dyld_exports_trie):
-        symbols = [symbol for symbol in parsed.symbols if _is_exported(symbol.raw_type)]
-    exports = frozenset(str(symbol.name).removeprefix("_") for symbol in symbols)
     needed, search_paths = [], []
+    if parsed.format.name == "MACHO":  # whose table of exports may be missing
+        symbols += [symbol for symbol in parsed.symbols if symbol.category.name == "EXTERNAL"]
     if parsed.format.name == "ELF":
         needed = [str(name) for name in parsed.libraries if not str(name).startswith(_SYSTEM)]
         entries = [entry for entry in parsed.dynamic_entries if hasattr(entry, "paths")]
         search_paths = [str(one) for entry in entries for one in entry.paths]
-    imports = frozenset(str(symbol.name).removeprefix("_") for symbol in parsed.imported_functions)
-    return Library(path, folder, _machine(parsed), exports, imports, tuple(needed), tuple(search_paths))
-
-
-def _is_exported(raw_type: int) -> bool:
-    """Whether a type of Mach-O's symbol table is external and defined (loader.h): no N_STAB, no N_PEXT."""
-    return raw_type & 0xF1 == 0x01 and raw_type & 0x0E != 0
-
-
-def _machine(parsed: Any) -> tuple[str, str]:
-    header = parsed.header
-    kind = getattr(header, "machine_type", None) or getattr(header, "machine", None) or header.cpu_type
-    return parsed.format.name, getattr(kind, "name", str(kind))  # a number that LIEF does not know
+    exports, imports = (
+        frozenset(str(symbol.name).removeprefix("_") for symbol in some)
+        for some in (symbols, parsed.imported_functions)
+    )
+    machine = f"{parsed.format.name} {parsed.abstract.header.architecture.name}"
+    return Library(path, folder, machine, exports, imports, tuple(needed), tuple(search_paths))
 
 
 _readings: WeakKeyDictionary[FmuFile, Reading] = WeakKeyDictionary()

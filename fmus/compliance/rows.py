@@ -1,11 +1,11 @@
 """Rules of one shape as rows of data: what they look at, what is wrong with it, and the message if it is."""
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from fmus.compliance.fmu_file import FmuFile, etree
-from fmus.compliance.rule import Condition, Rule, Stage, add_rule, always, repeated
+from fmus.compliance.rule import Check, Condition, Rule, Stage, add_rule, always
+from fmus.compliance.sentences import sentences_of, titles
 
 T = TypeVar("T")
 Case = tuple[Callable[[T, FmuFile], object], str]
@@ -14,38 +14,28 @@ attributes of the subject, `subject` is the subject itself, `value` what the fun
 """
 
 
-@dataclass(frozen=True)
-class Row:
-    """One rule. subjects: what it looks at in an FMU. cases: of each subject the first that holds is told.
-
-    clause: its own, where it is not that of its table.
-    """
+class Row(NamedTuple):
+    """One rule. clause: who demands it, if no sentence of FMI does."""
 
     name: str
     claim: str
-    subjects: Callable[[FmuFile], Iterable[Any]]
-    cases: tuple[Case[Any], ...]
-    clause: str = ""
-
-    def check(self, fmu: FmuFile) -> Iterable[str]:
-        """Returns the messages, each once."""
-        return dict.fromkeys(told(fmu, self.subjects(fmu), *self.cases))
+    check: Check
+    clause: str
 
 
 def row(
     name: str, claim: str, subjects: Callable[[FmuFile], Iterable[T]], *cases: Case[T], clause: str = ""
 ) -> Row:
-    """Returns a row whose cases are of the type of its subjects."""
-    return Row(name, claim, subjects, cases, clause)
+    """Returns a rule that looks at subjects in an FMU: of each the first case that holds is told, once."""
+    return Row(name, claim, lambda fmu: dict.fromkeys(told(fmu, subjects(fmu), *cases)), clause)
 
 
-def add_rows(
-    module: str, clause: str, stage: Stage, rows: Iterable[Row], condition: Condition = always
-) -> None:
-    """Makes a table of rows the rules of a module: of one clause and stage, with one condition."""
+def add_rows(module: str, stage: Stage, rows: Iterable[Row], condition: Condition = always) -> None:
+    """Makes rows the rules of a module, of one stage and condition; their clauses are those of sentences."""
     for r in rows:
-        its_clause = r.clause or clause
-        add_rule(Rule(r.name, its_clause, r.claim, stage, r.check, condition, module=module))
+        clauses = dict.fromkeys(sentence.clause for sentence in sentences_of(r.name))
+        clause = r.clause or ", ".join(f"{number} {titles()[number]}" for number in clauses)
+        add_rule(Rule(r.name, clause, r.claim, stage, r.check, condition, module=module))
 
 
 def told(fmu: FmuFile, subjects: Iterable[T], *cases: Case[T]) -> Iterator[str]:
@@ -70,47 +60,11 @@ def anything(*_: Any) -> bool:
     return True
 
 
-@dataclass(frozen=True)
-class Repeat:
-    """A name that occurs more than once, or of an element's children another attribute.
-
-    tag: of that element. owner: its name, or that of the nearest around it that has one.
-    """
-
-    name: Any
-    count: int
-    attribute: str = ""
-    tag: str = ""
-    owner: str = ""
-
-    @property
-    def place(self) -> str:
-        return f"{self.tag} {self.owner}".strip()
+def elements(path: str) -> Callable[[FmuFile], Iterable[Any]]:
+    """Returns the subjects of a row: the elements or attributes of the model description with an XPath."""
+    return lambda fmu: fmu.root.xpath(path)
 
 
-def repeats(names: Iterable[Any]) -> Iterator[Repeat]:
-    for name, count in repeated(names).items():
-        yield Repeat(name, count)
-
-
-def alike(parents: str, child: str, attribute: str = "name") -> Callable[[FmuFile], Iterator[Repeat]]:
-    """Returns the subjects of a row: what children of one parent have in common, by an attribute."""
-    return lambda fmu: repeated_children(fmu.root, parents, child, attribute)
-
-
-def repeated_children(root: Any, parents: str, child: str, attribute: str = "name") -> Iterator[Repeat]:
-    """Yields what the children of each parent have in common: names, or what else an attribute holds."""
-    for parent in root.iterfind(parents):
-        for text, count in repeated(element.get(attribute) for element in parent.iterfind(child)).items():
-            yield Repeat(text, count, attribute, parent.tag, owner(parent))
-
-
-def elements(path: str) -> Callable[[FmuFile], Iterator[Any]]:
-    """Returns the subjects of a row: the elements of the model description with a path."""
-    return lambda fmu: fmu.root.iterfind(path)
-
-
-def owner(element: Any) -> str:
-    """Returns the name of an element, or of the nearest around it that has one."""
-    names = (one.get("name") or one.get("modelName") for one in (element, *element.iterancestors()))
-    return next(filter(None, names), "")
+def repeats(elements: str, attribute: str = "name") -> str:
+    """Returns the XPath of elements that have an attribute in common with one before, beside them."""
+    return f"{elements}[@{attribute}=preceding-sibling::*/@{attribute}]"

@@ -88,12 +88,18 @@ _SIGNATURES = {  # fmi2Type -> functions of that interface alone
     },
 }
 _RESULTS = {
-    "Instantiate": ctypes.c_void_p,
-    "FreeInstance": None,
-    "GetTypesPlatform": ctypes.c_char_p,
-    "GetVersion": ctypes.c_char_p,
+    "fmi2Instantiate": ctypes.c_void_p,
+    "fmi2FreeInstance": None,
+    "fmi2GetTypesPlatform": ctypes.c_char_p,
+    "fmi2GetVersion": ctypes.c_char_p,
 }
 _TYPES = {"p": ctypes.c_void_p, "s": ctypes.c_size_t, "d": ctypes.c_double, "i": ctypes.c_int}
+
+
+def signatures(interface: int) -> dict[str, str]:
+    """Returns function -> types of its arguments, of those that an interface, an fmi2Type, has."""
+    signatures = (*_COMMON_SIGNATURES.items(), *_SIGNATURES[interface].items())
+    return {f"fmi2{name}": types for types, names in signatures for name in names.split()}
 
 
 class Library:
@@ -109,14 +115,13 @@ class Library:
     def __init__(self, path: Path, interface: int = CO_SIMULATION) -> None:
         self._functions = ctypes.CDLL(str(path.resolve()))
         missing = []
-        for types, names in (*_COMMON_SIGNATURES.items(), *_SIGNATURES[interface].items()):
-            for name in names.split():
-                function = getattr(self._functions, f"fmi2{name}", None)
-                if function is None:
-                    missing.append(f"fmi2{name}")
-                    continue
-                function.argtypes = [_TYPES[letter] for letter in types]
-                function.restype = _RESULTS.get(name, ctypes.c_int)
+        for name, types in signatures(interface).items():
+            function = getattr(self._functions, name, None)
+            if function is None:
+                missing.append(name)
+                continue
+            function.argtypes = [_TYPES[letter] for letter in types]
+            function.restype = _RESULTS.get(name, ctypes.c_int)
         if missing:
             self.unload()
             raise AttributeError(

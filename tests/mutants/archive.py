@@ -24,7 +24,7 @@ def _field(signature: bytes, offset: int, change: Callable[[int], int]) -> Chang
     return changed_bytes
 
 
-_LOCAL, _CENTRAL, _END = b"PK\x03\x04", b"PK\x01\x02", b"PK\x05\x06"
+_LOCAL, _CENTRAL = b"PK\x03\x04", b"PK\x01\x02"
 
 
 def _changed_bytes(changes: list[Change], method: int, folder: Path) -> Path:
@@ -50,7 +50,8 @@ _BYTES: list[tuple[str, str, int, list[Change]]] = [
     ("bit 3 of a stored member", "archive-data-descriptors", 0, _both(6, lambda flags: flags | 8)),
     ("bit 3 of a stored member in the directory alone", "archive-data-descriptors", 0,
      [_field(_CENTRAL, 8, lambda flags: flags | 8)]),
-    ("part 2 of a split archive", "archive-is-one-file", 8, [_field(_END, 4, lambda _: 1)]),
+    ("a member in part 1 of a split archive", "archive-is-one-file", 8,
+     [_field(_CENTRAL, 34, lambda _: 1)]),
 ]  # fmt: skip
 
 

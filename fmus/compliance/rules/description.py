@@ -1,48 +1,39 @@
 """Rules of the model description but for variables: head, units, types. FMI 2.0.5, 2.2 and 4.3.1."""
 
-import itertools
-import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any
 
-from fmus.block.units import BASE_UNITS
 from fmus.compliance.fmu_file import C_IDENTIFIER, DESCRIPTION, FmuFile, schema_errors
-from fmus.compliance.rows import add_rows, alike, anything, elements, owner, repeats, row, told
-from fmus.compliance.rule import Stage, rule
+from fmus.compliance.rows import add_rows, anything, elements, repeats, row
+from fmus.compliance.rule import Stage, repeated, rule
 from fmus.compliance.rules.archive import unreadable
 from fmus.compliance.rules.files import BUILD_DESCRIPTION, TERMINALS
 from fmus.compliance.variable import Variable, integer, is_true, number
 from fmus.errors import nearest
 
-_DESCRIPTION = "2.2 FMI Description Schema"
 _HEAD = "2.2.1 Definition of an FMU (fmiModelDescription)"
-_CATEGORIES = "2.2.4 Definition of Log Categories (LogCategories)"
-_EXPERIMENT = "2.2.5 Definition of a Default Experiment (DefaultExperiment)"
-_VARIABLES = "2.2.7 Definition of Model Variables (ModelVariables)"
-_UNITS = "2.2.2 Definition of Units (UnitDefinitions)"
-_TYPES = "2.2.3 Definition of Types (TypeDefinitions)"
-_FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation), 3.3.1 Model Exchange FMU (ModelExchange)"
 _DATE = re.compile(r"\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01])T([01]\d|2[0-3]):[0-5]\d:[0-5]\dZ")
 _UTF_8 = re.compile(
     rb"(\xef\xbb\xbf)?<\?xml[^>\r\n]*[ \t]encoding[ \t]*=[ \t]*[\"']utf-8[\"']", re.IGNORECASE
 )
-_NO_NUMBER = re.compile(r"\s*[+-]?(?:inf|infinity|nan)\s*", re.IGNORECASE)
-_NUMBERS = {  # elements -> attributes of type xs:double
-    "TypeDefinitions/SimpleType/Real": ("min", "max", "nominal"),
-    "ModelVariables/ScalarVariable/Real": ("start", "min", "max", "nominal"),
-    "UnitDefinitions/Unit/*": ("factor", "offset"),
-    "DefaultExperiment": ("startTime", "stopTime", "tolerance", "stepSize"),
-}
+_NOT_UTF_8 = (
+    lambda file, _: not _UTF_8.match(file[1]) and file[1][:40],
+    '{subject[0]} begins {value!r}: expected <?xml version="1.0" encoding="UTF-8"?>',
+)
+_VARIABLE = "ModelVariables/ScalarVariable"
+_NUMBERS = f"""(
+    TypeDefinitions/SimpleType/Real | {_VARIABLE}/Real | UnitDefinitions/Unit/*
+    | DefaultExperiment
+)/@*[contains('|INF|-INF|NaN|', concat('|', normalize-space(), '|'))]"""
 _STANDARD_CATEGORIES = (
     "logEvents", "logSingularLinearSystems", "logNonlinearSystems", "logDynamicStateSelection",
     "logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal", "logStatusPending", "logAll",
 )  # fmt: skip
-_ENUMERATIONS = "TypeDefinitions/SimpleType/Enumeration"
-_EXPONENTS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+_ITEM = "TypeDefinitions/SimpleType/Enumeration/Item"
 
 
-@rule(_DESCRIPTION, Stage.FILE, condition=unreadable)
+@rule("2.2 FMI Description Schema", Stage.FILE, condition=unreadable)
 def description_is_readable(fmu: FmuFile) -> Iterable[str]:
     """modelDescription.xml is well-formed XML without a document type declaration."""
     return {fmu.description_problem} - {"", fmu.NO_DESCRIPTION}
@@ -54,48 +45,10 @@ def fmi_version(fmu: FmuFile) -> Iterable[str]:
     return {fmu.other_version} - {""}
 
 
-@rule(_DESCRIPTION, Stage.DESCRIPTION)
-def description_is_utf_8(fmu: FmuFile) -> Iterator[str]:
-    """The first line of the model description states the encoding UTF-8."""
-    return _other_encodings({DESCRIPTION: fmu.xml})
-
-
-@rule(_DESCRIPTION, Stage.FILE, condition=unreadable)
-def other_xml_is_utf_8(fmu: FmuFile) -> Iterator[str]:
-    """The first line of buildDescription.xml and of terminalsAndIcons.xml states the encoding UTF-8."""
-    return _other_encodings({path: fmu.read(path) for path in {BUILD_DESCRIPTION, TERMINALS} & fmu.paths})
-
-
-def _other_encodings(contents: Mapping[str, bytes]) -> Iterator[str]:
-    for path, content in contents.items():
-        if not _UTF_8.match(content):
-            yield f'{path} begins {content[:40]!r}: expected <?xml version="1.0" encoding="UTF-8"?>'
-
-
-@rule(_DESCRIPTION, Stage.DESCRIPTION)
-def schema(fmu: FmuFile) -> Iterator[str]:
-    """The model description is valid by the XML schema of FMI 2.0."""
-    for error in schema_errors(fmu.root, "fmi2/fmi2ModelDescription.xsd"):
-        yield f"line {error.line}: {error.message}"
-
-
-@rule(_DESCRIPTION, Stage.DESCRIPTION)
-def numbers_are_finite(fmu: FmuFile) -> Iterator[str]:
-    """No number is infinite or NaN."""
-    for path, attributes in _NUMBERS.items():
-        for element, attribute in itertools.product(fmu.root.iterfind(path), attributes):
-            if _NO_NUMBER.fullmatch(element.get(attribute, "")):
-                text = f"{attribute}={element.get(attribute)!r}"
-                yield f"line {element.sourceline}: {element.tag} has {text}: expected a finite number"
-
-
-@rule(_HEAD, Stage.DESCRIPTION)
-def interfaces(fmu: FmuFile) -> Iterator[str]:
-    """There is an element ModelExchange or CoSimulation, each at most once."""
-    tags = [element.tag for element in fmu.root.iterchildren("ModelExchange", "CoSimulation")]
-    if not tags:
-        yield "neither ModelExchange nor CoSimulation: expected one of them at least"
-    yield from told(fmu, repeats(tags), (anything, "{count} elements {name}: expected one"))
+def _owner(element: Any, _: FmuFile | None = None) -> str:
+    """Returns the name of the nearest element around one that has a name."""
+    names = (one.get("name") or one.get("modelName") for one in element.iterancestors())
+    return next(filter(None, names), "")
 
 
 def _standard_category(category: Any, _: FmuFile) -> str:
@@ -106,48 +59,49 @@ def _standard_category(category: Any, _: FmuFile) -> str:
     return "" if expected == name else str(expected)
 
 
-class _Positive(NamedTuple):
-    """Size of something in the default experiment that should be above 0; what is wrong if it is not."""
-
-    size: float
-    text: str
-
-
-def _experiment(fmu: FmuFile) -> Iterator[_Positive]:
+def _experiment(fmu: FmuFile) -> Iterator[tuple[float, str]]:
+    """Yields what should be above 0 in the default experiment, with the message if it is not."""
     for experiment in fmu.root.iterfind("DefaultExperiment"):
-        begin, end = experiment.get("startTime", "0"), experiment.get("stopTime", "inf")
-        span = (number(end) or 0.0) - (number(begin) or 0.0) if number(end) is not None else math.inf
-        yield _Positive(span, f"stopTime {end}: expected more than startTime {begin}")
-        sizes = {name: number(experiment.get(name)) for name in ("stepSize", "tolerance")}
-        for name, size in sizes.items():
+        begin, end = number(experiment.get("startTime", "0")), number(experiment.get("stopTime"))
+        span = None if end is None else end - (begin or 0.0)
+        step, tolerance = number(experiment.get("stepSize")), number(experiment.get("tolerance"))
+        if span is not None:
+            yield span, f"stopTime {end:g}: expected more than startTime {begin or 0.0:g}"
+        for name, size in (("stepSize", step), ("tolerance", tolerance)):
             if size is not None:
-                yield _Positive(size, f"{name} {size:g}: expected more than 0")
-        if 0 < span < (sizes["stepSize"] or 0.0):
-            text = f"stepSize {sizes['stepSize']:g}: expected at most the time from start to stop, {span:g} s"
-            yield _Positive(0.0, text)
+                yield size, f"{name} {size:g}: expected more than 0"
+        if span is not None and step is not None and 0 < span < step:
+            yield 0.0, f"stepSize {step:g}: expected at most the time from start to stop, {span:g} s"
 
 
-class _Use(NamedTuple):
-    """Use of a unit by a type, or by a variable, which inherits from its type."""
+def _stating(*attributes: str) -> Callable[[FmuFile], Iterator[Variable]]:
+    """Returns the subjects of a row: types, as if they were variables, and variables that state an attribute;
+    these inherit from types.
+    """
 
-    user: str
-    unit: str | None
-    display: str | None
+    def subjects(fmu: FmuFile) -> Iterator[Variable]:
+        types = (Variable(0, {"name": f"type {n}"}, "", dict(e.attrib), {}) for n, e in fmu.types.items())
+        return (v for v in (*types, *fmu.variables) if v.typed.keys() & {*attributes})
 
-
-def _uses(fmu: FmuFile) -> Iterator[_Use]:
-    for real in fmu.root.iterfind("TypeDefinitions/SimpleType/Real"):
-        yield _Use(f"type {owner(real)}", real.get("unit"), real.get("displayUnit"))
-    for v in fmu.variables:
-        if "unit" in v.typed or "displayUnit" in v.typed:
-            yield _Use(v.name, v.get("unit"), v.get("displayUnit"))
+    return subjects
 
 
-def _unknown_display_unit(use: _Use, fmu: FmuFile) -> str:
-    if use.display is None or use.unit is None or use.unit not in fmu.units:
+_using_units, _limited = _stating("unit", "displayUnit"), _stating("min", "max", "nominal")
+
+
+def _unit_problem(v: Variable, fmu: FmuFile) -> str:
+    unit, display = v.get("unit"), v.get("displayUnit")
+    if unit is None:
+        return "" if display is None else f"displayUnit {display!r} without unit: expected both or none"
+    return "" if unit in fmu.units else f"unit {unit!r} is not defined; {nearest(unit, fmu.units)}"
+
+
+def _display_unit_problem(v: Variable, fmu: FmuFile) -> str:
+    unit, display = v.get("unit"), v.get("displayUnit")
+    if unit not in fmu.units or display is None:
         return ""
-    known = [display.get("name", "") for display in fmu.units[use.unit].iterfind("DisplayUnit")]
-    return "" if use.display in known else nearest(use.display, known)
+    known = [element.get("name", "") for element in fmu.units[unit].iterfind("DisplayUnit")]
+    return "" if display in known else f"{display!r} of {unit!r} is ignored; {nearest(display, known)}"
 
 
 def _unused(defined: Mapping[str, Any], used: set[str | None]) -> list[str]:
@@ -155,28 +109,8 @@ def _unused(defined: Mapping[str, Any], used: set[str | None]) -> list[str]:
     return [name for name in defined if name not in used] if used - {None} <= defined.keys() else []
 
 
-def _other_exponents(unit: Any, _: FmuFile) -> str:
-    """Returns what a unit is and what it should be by its name, if these are not the same."""
-    base, expected = unit.find("BaseUnit"), BASE_UNITS.get(unit.get("name", ""))
-    if base is None or expected is None:
-        return ""
-    got = {name: integer(base.get(name, "0")) for name in _EXPONENTS}
-    is_other = any(got[name] not in (None, expected.get(name, 0)) for name in _EXPONENTS if name != "rad")
-    return f"{_product(got)}: expected {_product(expected)}" if is_other else ""
-
-
-def _product(exponents: Mapping[Any, Any]) -> str:
-    return " ".join(f"{name}^{exponent}" for name, exponent in exponents.items() if exponent) or "1"
-
-
 def _type_names(fmu: FmuFile) -> list[str]:
     return [element.get("name", "") for element in fmu.root.iterfind("TypeDefinitions/SimpleType")]
-
-
-def _limited(fmu: FmuFile) -> list[Variable]:
-    """Returns types, as if they were variables, and variables that state limits; these inherit from types."""
-    types = [Variable(0, {"name": f"type {name}"}, "", dict(e.attrib), {}) for name, e in fmu.types.items()]
-    return [v for v in (*types, *fmu.variables) if v.typed.keys() & {"min", "max", "nominal"}]
 
 
 def _starts_outside(v: Variable, _: FmuFile) -> bool:
@@ -185,112 +119,102 @@ def _starts_outside(v: Variable, _: FmuFile) -> bool:
 
 
 def _items(v: Variable) -> str:
-    return ", ".join(map(str, sorted(v.items))) or "its items, which have no values"
+    return ", ".join(map(str, sorted(v.items)))
 
 
-def _enumerations(fmu: FmuFile) -> Iterator[Variable]:
-    """Yields the variables with items."""
-    for v in _declaring(fmu):
-        declared = fmu.types.get(v.typed["declaredType"])
-        if declared is not None and v.kind == declared.tag == "Enumeration":
-            yield v
-
-
-def _declaring(fmu: FmuFile) -> list[Variable]:
-    return [v for v in fmu.variables if "declaredType" in v.typed]
-
-
-def _undefined_type(v: Variable, fmu: FmuFile) -> str:
+def _type_problem(v: Variable, fmu: FmuFile) -> str:
     name = v.typed["declaredType"]
-    return nearest(name, fmu.types) if name not in fmu.types else ""
+    if name not in fmu.types:
+        return f": declaredType {name!r} is not defined; {nearest(name, fmu.types)}"
+    tag = fmu.types[name].tag
+    return "" if tag == v.kind else f" is {v.kind}: expected a type of that kind, got {name!r}, {tag}"
 
 
-def _other_kind(v: Variable, fmu: FmuFile) -> str:
-    """Returns the kind of the declared type, if it is not that of the variable."""
-    tag = fmu.types[v.typed["declaredType"]].tag
-    return tag if tag != v.kind else ""
-
-
-add_rows(__name__, _HEAD, Stage.DESCRIPTION, rows=(
+add_rows(__name__, Stage.DESCRIPTION, rows=(
+    row("description-is-utf-8", "The first line of the model description states the encoding UTF-8.",
+        lambda fmu: [(DESCRIPTION, fmu.xml)], _NOT_UTF_8),
+    row("other-xml-is-utf-8",
+        "The first line of buildDescription.xml and of terminalsAndIcons.xml states the encoding UTF-8.",
+        lambda fmu: [(path, fmu.read(path)) for path in {BUILD_DESCRIPTION, TERMINALS} & fmu.paths],
+        _NOT_UTF_8),
+    row("schema", "The model description is valid by the XML schema of FMI 2.0.",
+        lambda fmu: schema_errors(fmu.root, "fmi2/fmi2ModelDescription.xsd"),
+        (anything, "line {line}: {message}")),
+    row("numbers-are-finite", "No number is infinite or NaN.", lambda fmu: fmu.root.xpath(_NUMBERS),
+        (lambda text, _: [text.getparent()],
+         "line {value[0].sourceline}: {value[0].tag} has {attrname}={subject!r}: expected a finite number")),
+    row("interfaces", "There is an element ModelExchange or CoSimulation, each at most once.",
+        lambda fmu: [[element.tag for element in fmu.root.iterchildren("ModelExchange", "CoSimulation")]],
+        (lambda tags, _: not tags, "neither ModelExchange nor CoSimulation: expected one of them at least"),
+        (lambda tags, _: ", ".join(f"{n} elements {tag}" for tag, n in repeated(tags).items()),
+         "{value}: expected one")),
     row("name-and-guid-are-given",
         "modelName and guid, which ties description and library together, are not empty.", elements("."),
         (lambda root, _: not root.get("modelName", "-").strip(), "modelName is empty: expected one"),
         (lambda root, _: not root.get("guid", "-").strip(), "guid is empty: expected one")),
     row("generation-date", "generationDateAndTime is a date in UTC, YYYY-MM-DDThh:mm:ssZ.",
-        elements(".[@generationDateAndTime]"),
+        elements("self::*[@generationDateAndTime]"),
         (lambda root, _: not _DATE.fullmatch(root.get("generationDateAndTime")),
          "generationDateAndTime {generationDateAndTime!r}: expected such as 2026-01-31T12:00:00Z")),
     row("log-categories-are-unique", "No two log categories have the same name.",
-        alike("LogCategories", "Category"),
-        (anything, "log category {name!r} is defined {count} times: expected once"), clause=_CATEGORIES),
+        elements(repeats("LogCategories/Category")),
+        (anything, "log category {name!r} is defined again in line {subject.sourceline}: expected once")),
     row("log-category-names", "A standardized log category has its standardized name.",
         elements("LogCategories/Category"),
-        (_standard_category, "log category {name!r}: expected {value}, the standardized name"),
-        clause=_CATEGORIES),
+        (_standard_category, "log category {name!r}: expected {value}, the standardized name")),
     row("log-category-descriptions",
         "The description of a log category, where there is one, is not empty.",
         elements("LogCategories/Category"),
         (lambda category, _: not category.get("description", "-").strip(),
-         "log category {name!r} has an empty description: expected one or none"), clause=_CATEGORIES),
+         "log category {name!r} has an empty description: expected one or none")),
     row("default-experiment",
         "The default experiment does not stop before it starts; step size and tolerance are not negative.",
-        _experiment, (lambda limit, _: limit.size < 0, "{text}"), clause=_EXPERIMENT),
+        _experiment, (lambda size, _: size[0] < 0, "{subject[1]}")),
     row("default-experiment-is-meaningful",
         "The default experiment takes a step at least; its step size and tolerance are not 0.",
-        _experiment, (lambda limit, _: limit.size == 0, "{text}"), clause=_EXPERIMENT),
+        _experiment, (lambda size, _: size[0] == 0, "{subject[1]}")),
     row("annotations-are-unique",
         "No two annotations of the FMU, or of one variable, are of one tool.",
-        lambda fmu: (*alike("VendorAnnotations", "Tool")(fmu),
-                     *alike("ModelVariables/ScalarVariable/Annotations", "Tool")(fmu)),
-        (anything, "{place}: tool {name!r} occurs {count} times: expected once"),
-        clause="2.2.6 Definition of Vendor Annotations (VendorAnnotations)"),
+        elements(f"{repeats('VendorAnnotations/Tool')} | {repeats(f'{_VARIABLE}/Annotations/Tool')}"),
+        (_owner, "{value}: tool {name!r} occurs again in line {subject.sourceline}: expected once")),
     row("model-identifier",
         "modelIdentifier is a C identifier, as it names files and the prefix of functions.",
         elements("*[@modelIdentifier]"),
         (lambda interface, _: not C_IDENTIFIER.fullmatch(interface.get("modelIdentifier")),
-         "{subject.tag} modelIdentifier {modelIdentifier!r}: expected letters, digits and _, no digit first"),
-        clause=_FLAGS),
+         "{subject.tag} modelIdentifier {modelIdentifier!r}: expected letters, digits and _, no digit first")
+        ),
     row("capabilities-agree", "canSerializeFMUstate only with canGetAndSetFMUstate.",
         elements("*[@canSerializeFMUstate]"),
         (lambda i, _: is_true(i.get("canSerializeFMUstate")) and not is_true(i.get("canGetAndSetFMUstate")),
-         "{subject.tag} has canSerializeFMUstate: expected canGetAndSetFMUstate too"), clause=_FLAGS),
-))  # fmt: skip
-add_rows(__name__, _UNITS, Stage.DESCRIPTION, rows=(
-    row("unit-names-are-unique", "No two units have the same name.", alike("UnitDefinitions", "Unit"),
-        (anything, "unit {name!r} is defined {count} times: expected once")),
+         "{subject.tag} has canSerializeFMUstate: expected canGetAndSetFMUstate too")),
+    row("unit-names-are-unique", "No two units have the same name.",
+        elements(repeats("UnitDefinitions/Unit")),
+        (anything, "unit {name!r} is defined again in line {subject.sourceline}: expected once")),
     row("display-unit-names-are-unique", "No two display units of one unit have the same name.",
-        alike("UnitDefinitions/Unit", "DisplayUnit"),
-        (anything, "display unit {name!r} of {owner!r} is defined {count} times: expected once")),
+        elements(repeats("UnitDefinitions/Unit/DisplayUnit")),
+        (_owner,
+         "display unit {name!r} of {value!r} is defined again in line {subject.sourceline}: expected once")),
     row("units-are-defined",
-        "Each unit of a type or variable is defined; none has a display unit without unit.", _uses,
-        (lambda use, fmu: use.unit is not None and use.unit not in fmu.units and nearest(use.unit, fmu.units),
-         "{user}: unit {unit!r} is not defined; {value}"),
-        (lambda use, _: use.display is not None and use.unit is None,
-         "{user}: displayUnit {display!r} without unit: expected both or none"), clause=_TYPES),
+        "Each unit of a type or variable is defined; none has a display unit without unit.",
+        _using_units, (_unit_problem, "{name}: {value}")),
     row("display-units-are-defined",
-        "Each display unit belongs to its unit; otherwise importers ignore it.", _uses,
-        (_unknown_display_unit, "{user}: displayUnit {display!r} of {unit!r} is ignored; {value}"),
-        clause=_TYPES),
+        "Each display unit belongs to its unit; otherwise importers ignore it.",
+        _using_units, (_display_unit_problem, "{name}: displayUnit {value}")),
     row("units-are-used", "Each unit that is defined is used by a type or variable.",
-        lambda fmu: _unused(fmu.units, {use.unit for use in _uses(fmu)}),
+        lambda fmu: _unused(fmu.units, {v.get("unit") for v in _using_units(fmu)}),
         (anything, "unit {subject!r} is used by no type and no variable: expected it to be, or left out")),
-    row("unit-exponents",
-        "A unit whose name means a coherent SI unit has the exponents of that unit; rad may be left out.",
-        elements("UnitDefinitions/Unit"), (_other_exponents, "unit {name!r} is {value}"),
-        clause="advice: the usual meaning of names of units"),
     row("unit-factors",
         "Factors of base units and display units are not 0, or nothing could be converted back.",
         elements("UnitDefinitions/Unit/*"),
-        (lambda e, _: number(e.get("factor", "1")) == 0 and f"unit {owner(e.getparent())!r}: {e.tag}",
+        (lambda e, _: number(e.get("factor", "1")) == 0 and f"unit {_owner(e)!r}: {e.tag}",
          "{value} with factor 0: expected another")),
-))  # fmt: skip
-add_rows(__name__, _TYPES, Stage.DESCRIPTION, rows=(
     row("type-names", "Names of types are unique, and differ from those of variables.",
-        lambda fmu: repeats([*_type_names(fmu), *{v.name for v in fmu.variables} & {*_type_names(fmu)}]),
-        (anything, "{count} types or variables are called {name!r}: expected other names")),
+        lambda fmu: repeated([*_type_names(fmu), *{v.name for v in fmu.variables}]).items(),
+        (anything, "{subject[1]} types or variables are called {subject[0]!r}: expected other names")),
     row("enumeration-items", "Items of an enumeration have names and values that occur once.",
-        lambda fmu: (*alike(_ENUMERATIONS, "Item")(fmu), *alike(_ENUMERATIONS, "Item", "value")(fmu)),
-        (anything, "enumeration {owner!r}: {count} items have {attribute} {name!r}: expected one")),
+        elements(f"{repeats(_ITEM)}/@name | {repeats(_ITEM, 'value')}/@value"),
+        (lambda text, _: [_owner(text.getparent())],
+         "enumeration {value[0]!r}: several items have {attrname} {subject!r}: expected one")),
     row("types-are-used", "Each type that is defined is the declared type of a variable.",
         lambda fmu: _unused(fmu.types, {v.typed.get("declaredType") for v in fmu.variables}),
         (anything, "type {subject!r} is declared by no variable: expected it to be, or left out")),
@@ -300,18 +224,16 @@ add_rows(__name__, _TYPES, Stage.DESCRIPTION, rows=(
         (lambda v, _: v.nominal <= 0, "{name}: nominal {nominal:g}: expected more than 0")),
     row("start-is-in-range", "A start value is not less than min and not more than max.",
         lambda fmu: fmu.variables,
-        (_starts_outside, "{name}: start {start}: expected {low:.17g}..{high:.17g}"), clause=_VARIABLES),
-    row("declared-type-fits", "declaredType is defined, and of the variable's own type.", _declaring,
-        (_undefined_type, "{name}: declaredType {typed[declaredType]!r} is not defined; {value}"),
-        (_other_kind,
-         "{name} is {kind}: expected a type of that kind, got {typed[declaredType]!r}, {value}"),
-        clause=_VARIABLES),
+        (_starts_outside, "{name}: start {start}: expected {low:.17g}..{high:.17g}")),
+    row("declared-type-fits", "declaredType is defined, and of the variable's own type.",
+        lambda fmu: [v for v in fmu.variables if "declaredType" in v.typed],
+        (_type_problem, "{name}{value}")),
     row("enumeration-start-is-an-item", "The start value of an Enumeration is the value of an item.",
-        _enumerations,
+        lambda fmu: [v for v in fmu.variables if v.items],
         (lambda v, _: integer(v.start) not in {*v.items, None} and _items(v),
-         "{name}: start {start}: expected one of {value}"), clause=_VARIABLES),
+         "{name}: start {start}: expected one of {value}")),
     row("enumeration-range-holds-an-item", "Between min and max of an Enumeration there is an item.",
-        _enumerations,
+        lambda fmu: [v for v in fmu.variables if v.items],
         (lambda v, _: v.low <= v.high and not any(v.low <= x <= v.high for x in v.items) and _items(v),
-         "{name}: min {low:g}, max {high:g}: expected an item between, of {value}"), clause=_VARIABLES),
+         "{name}: min {low:g}, max {high:g}: expected an item between, of {value}")),
 ))  # fmt: skip

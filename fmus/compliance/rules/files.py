@@ -2,14 +2,13 @@
 
 import posixpath
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import lru_cache
-from itertools import filterfalse
 from typing import Any
 
 from fmus.compliance.fmu_file import BrokenMemberError, FmuFile, schema_errors
-from fmus.compliance.rows import add_rows, anything, elements, repeated_children, row, told
+from fmus.compliance.rows import add_rows, elements, repeats, row
 from fmus.compliance.rule import Condition, Stage, rule
 from fmus.compliance.rules.archive import CLAUSE, unreadable
 from fmus.compliance.variable import is_true
@@ -17,13 +16,13 @@ from fmus.compliance.variable import is_true
 BUILD_DESCRIPTION = "sources/buildDescription.xml"
 TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
 _NAMING = "2.1.1 Header Files and Naming of Functions"
-_EXTRA, _TERMINALS = "2.3.1 Extra Directory", "2.3.2 Terminals and Icons"
+_TERMINALS = "2.3.2 Terminals and Icons"
 
 _PLATFORM = re.compile(
     r"(?:win|linux|darwin)(?:32|64)|(?:(?:aarch|riscv|ppc|x86_)(?:32|64)|x86)-(?:windows|linux|darwin)(?:-\w+)?"
 )
 _EXTENSIONS = {"darwin": ".dylib", "win": ".dll", "linux": ".so"}
-_SOURCES, _DOCUMENTATION = "sources/", "documentation/"
+_SOURCES = "sources/"
 _HEADERS = ("fmi2TypesPlatform.h", "fmi2FunctionTypes.h", "fmi2Functions.h")
 _HEADERS_OF_OTHERS = re.compile(  # of the standard library of C, and of other versions of FMI
     r"(?:assert|complex|ctype|errno|fenv|float|inttypes|iso646|limits|locale|math|setjmp|signal|stdalign"
@@ -31,34 +30,34 @@ _HEADERS_OF_OTHERS = re.compile(  # of the standard library of C, and of other v
     r"|wchar|wctype|fmi\d?(?:TypesPlatform|PlatformTypes|FunctionTypes|Functions))\.h"
 )
 _TO_COMPILE = (".c", ".cc", ".cpp", ".cxx")
-_INDEX, _DEPENDENCIES = f"{_DOCUMENTATION}index.html", f"{_DOCUMENTATION}externalDependencies."
-_LICENSES = f"{_DOCUMENTATION}licenses/"
-_PNG = b"\x89PNG\r\n\x1a\n"
+_DEPENDENCIES, _LICENSES = "documentation/externalDependencies.", "documentation/licenses/"
+_NO_PAGES = (_DEPENDENCIES, _LICENSES)  # which are entered otherwise than by index.html
 _RESERVED = ("extra/org.modelica", "extra/org.fmi-standard")
 _LAYERED_STANDARD = re.compile(r"extra/org\.(?:modelica|fmi-standard)\.fmi-ls-[a-z0-9-]+/?")
+_VARIABLES_OF_TERMINALS = """
+    //TerminalMemberVariable/@variableName
+    | //TerminalStreamMemberVariable/@*[name() = 'inStreamVariableName' or name() = 'outStreamVariableName']
+"""
+# by other rules than plug and bus members do not match by their names
+_MEMBER = "//Terminal[@matchingRule='plug' or @matchingRule='bus']/TerminalMemberVariable"
+_NAMES_OF_TERMINALS = f"{repeats('//Terminal')}/@name | {repeats(_MEMBER, 'memberName')}/@memberName"
 _REVERSE_DOMAIN = re.compile(r"extra/[A-Za-z][A-Za-z0-9-]*(?:\.[A-Za-z0-9_-]+)+/")
 
 _COMMENT = re.compile(rb"/\*.*?\*/|//[^\n]*", re.DOTALL)
-_INCLUDE = re.compile(rb"^[ \t]*#[ \t]*include[ \t]*<([^>\n]+)>", re.MULTILINE)
-_QUOTED_INCLUDE = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*"([^"\n]+)"', re.MULTILINE)
+_INCLUDE = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*([<"])([^">\n]+)[">]', re.MULTILINE)
 _PREFIX = re.compile(rb"^[ \t]*#[ \t]*define[ \t]+FMI2_FUNCTION_PREFIX[ \t]+(\w+)[ \t\r]*$", re.MULTILINE)
 _FUNCTIONS = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*["<]fmi2Functions\.h[">]', re.MULTILINE)
 _NAMES_FUNCTIONS = (b"FMI2_FUNCTION_PREFIX", b"FMI2_OVERRIDE_FUNCTION_PREFIX")
+_DEFINED = re.compile(rb"^(static\s)?[A-Za-z_][\w \t*]*[\s*](\w+)[ \t]*\([^;{}]*\)\s*\{", re.MULTILINE)
+_MACRO, _CALLED = re.compile(rb"#[ \t]*define[ \t]+(\w+)"), re.compile(rb"\b(\w+)[ \t]*\(")
 _GUARD = re.compile(
     rb"^[ \t]*#[ \t]*if(?:ndef|[ \t]+!defined)\W+(\w+)\W*\n\s*#[ \t]*define[ \t]+\1\b", re.MULTILINE
 )
 _DIRECTIVE = re.compile(rb"[ \t]*#[ \t]*(if|endif)")
-_DEFINED = re.compile(rb"^(static\s)?[A-Za-z_][\w \t*]*[\s*](\w+)[ \t]*\([^;{}]*\)\s*\{", re.MULTILINE)
-_MACRO, _CALLED = re.compile(rb"#[ \t]*define[ \t]+(\w+)"), re.compile(rb"\b(\w+)[ \t]*\(")
 
 
 def _files(fmu: FmuFile, folder: str) -> list[str]:
     return [path for path in fmu.names if path.startswith(folder) and not path.endswith("/")]
-
-
-def _is_no_page(path: str) -> bool:
-    """Whether a file below documentation is entered otherwise than by index.html."""
-    return path.startswith((_LICENSES, _DEPENDENCIES))
 
 
 def _extra(fmu: FmuFile) -> list[str]:
@@ -82,28 +81,19 @@ def _interfaces(fmu: FmuFile) -> Iterator[Any]:
 
 
 def _identifiers(fmu: FmuFile) -> list[str]:
-    return sorted({interface.get("modelIdentifier", "") for interface in _interfaces(fmu)})
+    return sorted({interface.get("modelIdentifier", "") for interface in _interfaces(fmu)} - {""})
 
 
-def _has_library(interface: Any, fmu: FmuFile) -> bool:
-    """Whether there is a shared library for a platform that FMI names."""
-    stems = {posixpath.basename(path).rpartition(".")[0] for path in fmu.libraries()}
-    return interface.get("modelIdentifier", "") in stems
+def _missing_binary(interface: Any, fmu: FmuFile) -> str:
+    """Returns the library that is there in no format, shared or static, for no platform."""
+    identifier = interface.get("modelIdentifier", "")
+    path = re.compile(rf"binaries/.+/(?:lib)?{re.escape(identifier)}\.\w+")
+    return "" if any(map(path.fullmatch, fmu.names)) else f"library {identifier}".strip()
 
 
-def _has_binary(interface: Any, fmu: FmuFile) -> bool:
-    """Whether there is a library of any format, shared or static, for any platform."""
-    name = re.compile(rf"binaries/.+/(?:lib)?{re.escape(interface.get('modelIdentifier', ''))}\.\w+")
-    return any(name.fullmatch(path) for path in fmu.names)
-
-
-def _is_without_tool(interface: Any, fmu: FmuFile) -> bool:
-    return is_true(interface.get("needsExecutionTool")) and not _has_library(interface, fmu)
-
-
-def _is_without_documents(interface: Any, fmu: FmuFile) -> bool:
-    documents = {f"{_DEPENDENCIES}txt", f"{_DEPENDENCIES}html"}
-    return is_true(interface.get("needsExecutionTool")) and not documents & fmu.paths
+def _tools(fmu: FmuFile) -> list[Any]:
+    """Returns the interfaces that need a tool."""
+    return [i for i in _interfaces(fmu) if is_true(i.get("needsExecutionTool"))]
 
 
 def _source_path(name: str) -> str:
@@ -114,10 +104,6 @@ def _source_path(name: str) -> str:
 def _listed(interface: Any) -> list[str]:
     """Returns the names that SourceFiles of an interface lists."""
     return [file.get("name", "") for file in interface.iterfind("SourceFiles/File")]
-
-
-def _listed_without_sources(interface: Any, fmu: FmuFile) -> str:
-    return "" if _has_sources(fmu) or not fmu.libraries() else ", ".join(_listed(interface)[:3])
 
 
 def _is_missing(file: Any, fmu: FmuFile) -> bool:
@@ -139,25 +125,20 @@ def _sources(fmu: FmuFile) -> dict[str, bytes]:
     return {path: _COMMENT.sub(b"", fmu.read(path)) for path in paths}
 
 
-def _included(directive: re.Pattern[bytes], text: bytes) -> list[str]:
-    return list(dict.fromkeys(name.decode("utf-8", "replace").strip() for name in directive.findall(text)))
+def _included(text: bytes, mark: bytes = b'"') -> list[str]:
+    """Returns the files that C code includes by quotes, or by the angle bracket `<`."""
+    names = [name for begin, name in _INCLUDE.findall(text) if begin == mark]
+    return list(dict.fromkeys(name.decode("utf-8", "replace").strip() for name in names))
 
 
-def _reached(fmu: FmuFile, listed: Iterable[str]) -> dict[str, bytes]:
-    """Returns path -> text of the sources that are listed, and of those that they include."""
-    sources, reached = _sources(fmu), {}
-    paths = {posixpath.basename(path): path for path in sources}
-    waiting = [_source_path(name) for name in listed]
-    while waiting:
-        path = waiting.pop()
-        if path in sources and path not in reached:
-            reached[path] = sources[path]
-            names = _included(_INCLUDE, sources[path]) + _included(_QUOTED_INCLUDE, sources[path])
-            waiting += [paths[name] for name in map(posixpath.basename, names) if name in paths]
-    return reached
+def _compiled(fmu: FmuFile, listed: list[str]) -> dict[str, bytes]:
+    """Returns path -> text of the sources that are listed, and of those that any source includes."""
+    names = {*listed, *(name for text in _sources(fmu).values() for name in _included(text))}
+    stems = {posixpath.basename(name) for name in names}
+    return {path: text for path, text in _sources(fmu).items() if posixpath.basename(path) in stems}
 
 
-add_rows(__name__, CLAUSE, Stage.FILE, condition=unreadable, rows=(
+add_rows(__name__, Stage.FILE, condition=unreadable, rows=(
     row("platform-names",
         "Folders below binaries are named as FMI 2.0 (linux64) or FMI 3.0 (aarch64-linux) does.",
         lambda fmu: fmu.platforms(),
@@ -169,8 +150,8 @@ add_rows(__name__, CLAUSE, Stage.FILE, condition=unreadable, rows=(
         (lambda path, _: posixpath.basename(path) in _HEADERS,
          "{subject}: expected it to be left out, the importer has it")),
     row("documentation-has-an-entry", "Documentation is entered by documentation/index.html.",
-        lambda fmu: [_files(fmu, _DOCUMENTATION)],
-        (lambda files, _: _INDEX not in files and ", ".join(list(filterfalse(_is_no_page, files))[:3]),
+        lambda fmu: [[path for path in _files(fmu, "documentation/") if not path.startswith(_NO_PAGES)]],
+        (lambda files, _: "documentation/index.html" not in files and ", ".join(files[:3]),
          "{value}: expected documentation/index.html, where a reader begins")),
     row("licenses-have-an-entry",
         "Licences are entered by documentation/licenses/license.txt or license.html.",
@@ -179,38 +160,36 @@ add_rows(__name__, CLAUSE, Stage.FILE, condition=unreadable, rows=(
          "documentation/licenses/: expected license.txt or license.html, where a reader begins")),
     row("icon-is-png", "model.png is a picture in the format PNG.",
         lambda fmu: [fmu.read(path) for path in fmu.paths if path == "model.png"],
-        (lambda content, _: not content.startswith(_PNG), "model.png: expected a picture in the format PNG")),
+        (lambda content, _: not content.startswith(b"\x89PNG\r\n\x1a\n"),
+         "model.png: expected a picture in the format PNG")),
     row("extra-names-are-not-reserved",
         "Names below extra that begin with org.modelica or org.fmi-standard are of layered standards of FMI.",
         _extra,
         (lambda path, _: path.startswith(_RESERVED) and not _LAYERED_STANDARD.fullmatch(path),
-         "{subject}: expected a name of the maker's own, as this is for layered standards of FMI"),
-        clause=_EXTRA),
+         "{subject}: expected a name of the maker's own, as this is for layered standards of FMI")),
     row("extra-names-are-domains",
         "Files below extra are in a directory that is named by a domain, its parts reversed.", _extra,
         (lambda path, _: not path.endswith("/"),
          "{subject}: expected it in a directory such as extra/com.example"),
         (lambda path, _: not _REVERSE_DOMAIN.fullmatch(path),
-         "{subject}: expected a reversed domain such as com.example"),
-        clause=_EXTRA),
+         "{subject}: expected a reversed domain such as com.example")),
 ))  # fmt: skip
-add_rows(__name__, CLAUSE, Stage.DESCRIPTION, rows=(
+add_rows(__name__, Stage.DESCRIPTION, rows=(
     row("has-an-implementation", "There is a binary for some platform, or sources, of each interface.",
         _interfaces,
-        (lambda interface, fmu: not _has_sources(fmu) and not _has_binary(interface, fmu),
-         "{subject.tag}: no library {modelIdentifier} below binaries, no C file in sources: expected one")),
+        (lambda interface, fmu: not _has_sources(fmu) and _missing_binary(interface, fmu),
+         "{subject.tag}: no {value} below binaries, no C file in sources: expected one")),
     row("tool-wrapper-is-a-binary", "With needsExecutionTool there is a binary, which talks to the tool.",
-        _interfaces,
-        (_is_without_tool,
-         "{subject.tag} has needsExecutionTool: expected a library {modelIdentifier} that talks to it")),
+        _tools,
+        (_missing_binary, "{subject.tag} has needsExecutionTool: expected a {value} that talks to it")),
     row("tool-is-documented",
-        "With needsExecutionTool, documentation/externalDependencies.txt or .html exists.", _interfaces,
-        (_is_without_documents,
+        "With needsExecutionTool, documentation/externalDependencies.txt or .html exists.", _tools,
+        (lambda _, fmu: not {f"{_DEPENDENCIES}txt", f"{_DEPENDENCIES}html"} & fmu.paths,
          "{subject.tag} has needsExecutionTool: expected documentation/externalDependencies.txt or .html")),
     row("source-files-are-distributed",
         "SourceFiles, which is meaningful for sources alone, is left out where the FMU holds no sources.",
-        _interfaces,
-        (_listed_without_sources,
+        lambda fmu: _interfaces(fmu) if fmu.libraries() and not _has_sources(fmu) else (),
+        (lambda interface, _: ", ".join(_listed(interface)[:3]),
          "{subject.tag}: SourceFiles lists {value}: expected none, as there are no sources")),
     row("source-files-exist",
         "Every file that SourceFiles lists is below sources, its path relative and with forward slashes.",
@@ -220,8 +199,7 @@ add_rows(__name__, CLAUSE, Stage.DESCRIPTION, rows=(
         (lambda file, _: file.get("name", "").startswith("/"),
          "line {subject.sourceline}, SourceFiles lists {name}: expected a path below sources"),
         (_is_missing,
-         "line {subject.sourceline}, SourceFiles lists {name}: expected sources/{name} in the archive"),
-        clause="2.3 FMU Distribution, 3.3.1 and 4.3.1 (SourceFiles)"),
+         "line {subject.sourceline}, SourceFiles lists {name}: expected sources/{name} in the archive")),
     row("sources-are-listed",
         "SourceFiles, or buildDescription.xml, lists the C files below sources that are to be compiled.",
         lambda fmu: [] if fmu.libraries() else _unlisted(fmu, _TO_COMPILE),
@@ -239,46 +217,48 @@ add_rows(__name__, CLAUSE, Stage.DESCRIPTION, rows=(
 @rule(CLAUSE, Stage.DESCRIPTION)
 def library_names(fmu: FmuFile) -> Iterator[str]:
     """A platform's folder holds a library that is called as a modelIdentifier, with its extension."""
-    identifier = f"(?:{'|'.join(map(re.escape, _identifiers(fmu)))})"
-    for folder in fmu.platforms():
+    identifiers = _identifiers(fmu)
+    identifier = f"(?:{'|'.join(map(re.escape, identifiers))})"
+    for folder in fmu.platforms() if identifiers else ():
         extension, top = _extension(folder), f"binaries/{folder}/"
         static = rf"{top}.+/(?:{identifier}\.(?:lib|a)|lib{identifier}\.a)"  # in a compiler's folder
         case = "(?i)" if extension == ".dll" else ""  # Windows does not tell upper from lower case
         library = re.compile(rf"{case}{top}{identifier}{re.escape(extension)}|{static}")
         if extension and not any(map(library.fullmatch, fmu.names)):
-            expected = " or ".join(f"{name}{extension}" for name in _identifiers(fmu))
+            expected = " or ".join(f"{name}{extension}" for name in identifiers)
             yield f"{top}: expected {expected}, as the folder exists"
 
 
 @rule(CLAUSE, Stage.DESCRIPTION)
 def source_files_are_complete(fmu: FmuFile) -> Iterator[str]:
     """The files in SourceFiles call no function that other C files alone define, and define those of FMI."""
-    for interface in _interfaces(fmu):
-        compiled = _reached(fmu, _listed(interface))
+    for interface in filter(_listed, _interfaces(fmu)):
+        compiled = _compiled(fmu, _listed(interface))
         text = b"\n".join(compiled.values())
-        known = {name for _, name in _DEFINED.findall(text)} | {*_MACRO.findall(text)}
         calls = b"\n".join(map(_unconditional, compiled.values()))
-        missing = {b"fmi2Instantiate", *_CALLED.findall(calls)} - known
-        others = {path: _sources(fmu)[path] for path in _sources(fmu).keys() - compiled} if compiled else {}
-        for path in sorted(path for path in others if path.endswith(_TO_COMPILE)):
-            if names := missing & {name for static, name in _DEFINED.findall(others[path]) if not static}:
-                what = f"{interface.tag}: SourceFiles leaves out {path.removeprefix(_SOURCES)}"
-                yield f"{what}, which alone defines {min(names).decode()}: expected all files to compile"
+        missing = {b"fmi2Instantiate", *_CALLED.findall(calls)} - {*_MACRO.findall(text)}
+        missing -= {name for _, name in _DEFINED.findall(text)}
+        for path in sorted(path for path in _sources(fmu).keys() - compiled if path.endswith(_TO_COMPILE)):
+            names = {name for is_static, name in _DEFINED.findall(_sources(fmu)[path]) if not is_static}
+            if names & missing:
+                what = f"{interface.tag}: SourceFiles leaves out {path.removeprefix(_SOURCES)}, which alone"
+                yield f"{what} defines {min(names & missing).decode()}: expected all files to compile"
 
 
 @rule(CLAUSE, Stage.DESCRIPTION)
 def source_files_are_compiled(fmu: FmuFile) -> Iterator[str]:
     """SourceFiles lists no header, and no file that another one of them includes."""
     for interface in _interfaces(fmu):
-        paths = {path: name for name in _listed(interface) if (path := _source_path(name)) in fmu.paths}
+        listed = {posixpath.normpath(name): name for name in _listed(interface)}
+        paths = [path for path in listed if f"{_SOURCES}{path}" in fmu.paths]
         included = {
             posixpath.normpath(posixpath.join(posixpath.dirname(path), name))
             for path in paths
-            for name in _included(_QUOTED_INCLUDE, fmu.read(path))
+            for name in _included(fmu.read(f"{_SOURCES}{path}"))
         }
-        for path, name in paths.items():
+        for path in paths:
             if path.endswith((".h", ".hpp")) or path in included:
-                what = f"{interface.tag}: SourceFiles lists {name}"
+                what = f"{interface.tag}: SourceFiles lists {listed[path]}"
                 yield f"{what}, which others include: expected files to compile"
 
 
@@ -287,24 +267,23 @@ def includes_have_quotes(fmu: FmuFile) -> Iterator[str]:
     """Sources include the header files that the FMU holds by quotes, not by angle brackets."""
     headers = {path.removeprefix(_SOURCES) for path in _sources(fmu)}
     for path, text in _sources(fmu).items():
-        for name in _included(_INCLUDE, text):
-            if name in headers:
-                yield f'{path}: #include <{name}>: expected "{name}", as it is in the FMU'
+        for name in headers.intersection(_included(text, b"<")):
+            yield f'{path}: #include <{name}>: expected "{name}", as it is in the FMU'
 
 
 @rule(CLAUSE, Stage.FILE, condition=unreadable)
 def included_files_exist(fmu: FmuFile) -> Iterator[str]:
     """Files that C files include by quotes, in no #if, are among the sources, but for those of FMI and C.
-    Where SourceFiles lists files, those are judged that are compiled.
+    Where SourceFiles lists files, those are judged, and those that others include.
     """
     known = {posixpath.basename(path) for path in _files(fmu, _SOURCES)}
     listed = [name for interface in _interfaces(fmu) for name in _listed(interface)]
-    sources = _reached(fmu, listed) if listed else _sources(fmu)
-    for path in sorted(path for path in sources if path.endswith(_TO_COMPILE)):
-        for included in _included(_QUOTED_INCLUDE, _unconditional(sources[path])):
-            name = posixpath.basename(included)
-            if name not in known and not _HEADERS_OF_OTHERS.fullmatch(name):
-                yield f'{path}: #include "{included}": expected that file below sources'
+    for path, text in sorted((_compiled(fmu, listed) if listed else _sources(fmu)).items()):
+        if path.endswith(_TO_COMPILE):
+            for included in _included(_unconditional(text)):
+                name = posixpath.basename(included)
+                if name not in known and not _HEADERS_OF_OTHERS.fullmatch(name):
+                    yield f'{path}: #include "{included}": expected that file below sources'
 
 
 @rule(_NAMING, Stage.DESCRIPTION, condition=unreadable)
@@ -313,14 +292,12 @@ def source_prefix(fmu: FmuFile) -> Iterator[str]:
     before they include fmi2Functions.h.
     """
     identifiers = _identifiers(fmu)
-    expected = {f"{identifier}_" for identifier in identifiers}
+    expected = [f"{identifier}_" for identifier in identifiers]
     for path, text in _sources(fmu).items() if expected else ():
-        prefixes = {name.decode("ascii", "replace") for name in _PREFIX.findall(text)} - expected
-        for prefix in sorted(name for name in prefixes if name.endswith("_") or name in identifiers):
-            yield f"{path} defines the prefix {prefix}: expected {' or '.join(sorted(expected))}"
-        lines = _unconditional(text)
-        define, include = _PREFIX.search(lines), _FUNCTIONS.search(lines)
-        if define and include and define.start() > include.start():
+        for prefix in sorted({name.decode("ascii", "replace") for name in _PREFIX.findall(text)}):
+            if prefix not in expected and (prefix.endswith("_") or prefix in identifiers):
+                yield f"{path} defines the prefix {prefix}: expected {' or '.join(expected)}"
+        if _between(text) is None:
             yield f"{path} defines FMI2_FUNCTION_PREFIX: expected that before it includes fmi2Functions.h"
 
 
@@ -337,12 +314,18 @@ def source_prefix_is_defined(fmu: FmuFile) -> Iterator[str]:
         expected = "expected #define FMI2_FUNCTION_PREFIX before that"
         yield f"{including[0]} includes fmi2Functions.h: {expected}"
     for path in including:
-        lines = _unconditional(own[path])
-        define, include = _PREFIX.search(lines), _FUNCTIONS.search(lines)
-        between = lines[define.end() : include.start()].split() if define and include else []
-        if between:
+        if between := (_between(own[path]) or b"").split():
             word = b" ".join(between)[:40].decode("utf-8", "replace")
             yield f"{path}: {word} follows FMI2_FUNCTION_PREFIX: expected fmi2Functions.h directly after it"
+
+
+def _between(text: bytes) -> bytes | None:
+    """Returns what stands between FMI2_FUNCTION_PREFIX and fmi2Functions.h; None in the other order."""
+    lines = _unconditional(text)
+    define, include = _PREFIX.search(lines), _FUNCTIONS.search(lines)
+    if not define or not include:
+        return b""
+    return lines[define.end() : include.start()] if define.start() < include.start() else None
 
 
 def _unconditional(text: bytes) -> bytes:
@@ -392,17 +375,13 @@ def terminals_and_icons(fmu: FmuFile) -> Iterator[str]:
     """terminalsAndIcons.xml is valid by FMI 3.0; terminals have unique names, and variables of the FMU."""
     root = fmu.parsed(TERMINALS)
     yield from _fmi3_errors(root, TERMINALS, "fmi3TerminalsAndIcons.xsd")
-    variables = {v.name for v in fmu.variables} | {""}
-    for element in root.iter("TerminalMemberVariable", "TerminalStreamMemberVariable"):
-        for attribute in ("variableName", "inStreamVariableName", "outStreamVariableName"):
-            if element.get(attribute, "") not in variables:
-                yield f"{TERMINALS}: {attribute} {element.get(attribute)!r}: expected the name of a variable"
-    repeats = [*repeated_children(root, ".//*", "Terminal")]
-    for rule_of_names in ("plug", "bus"):  # by the other rules members do not match by their names
-        parents = f".//Terminal[@matchingRule='{rule_of_names}']"
-        repeats += repeated_children(root, parents, "TerminalMemberVariable", "memberName")
-    message = f"{TERMINALS}: {{place}} has {{count}} elements with {{attribute}} {{name!r}}: expected one"
-    yield from told(fmu, repeats, (anything, message))
+    variables = {v.name for v in fmu.variables}
+    for name in root.xpath(_VARIABLES_OF_TERMINALS):
+        if name and name not in variables:
+            yield f"{TERMINALS}: {name.attrname} {name!r}: expected the name of a variable"
+    for name in root.xpath(_NAMES_OF_TERMINALS):
+        where = f"{TERMINALS}, line {name.getparent().sourceline}"
+        yield f"{where}: {name.attrname} {name!r} is that of another: expected one"
 
 
 @rule(_TERMINALS, Stage.DESCRIPTION, condition=_unless_there(TERMINALS))

@@ -1,76 +1,48 @@
 """Rules of the shared libraries of all platforms, read with LIEF without loading them."""
 
+import posixpath
 from collections.abc import Iterator, Sequence
 
-from fmus.compliance.fmu_file import FmuFile, no_co_simulation
+from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.library_reader import Library, no_library, start_reading
 from fmus.compliance.rows import add_rows, row
 from fmus.compliance.rule import IS_BROKEN, NotJudgedError, Stage, rule
-from fmus.fmi.binding import platform_name
+from fmus.fmi.binding import CO_SIMULATION, MODEL_EXCHANGE, platform_name, signatures
 
 _BINARIES = "2.3 FMU Distribution (binaries)"
 _MACHINES = {
-    "linux64": ("ELF", "X86_64"), "linux32": ("ELF", "I386"),
-    "win64": ("PE", "AMD64"), "win32": ("PE", "I386"), "darwin64": ("MACHO", "X86_64"),
-    "x86_64-linux": ("ELF", "X86_64"), "aarch64-linux": ("ELF", "AARCH64"),
-    "x86_64-windows": ("PE", "AMD64"), "aarch64-windows": ("PE", "ARM64"),
-    "x86_64-darwin": ("MACHO", "X86_64"), "aarch64-darwin": ("MACHO", "ARM64"),
+    "linux64": "ELF X86_64", "linux32": "ELF X86", "x86_64-linux": "ELF X86_64", "aarch64-linux": "ELF ARM64",
+    "win64": "PE X86_64", "win32": "PE X86", "x86_64-windows": "PE X86_64", "aarch64-windows": "PE ARM64",
+    "darwin64": "MACHO X86_64", "x86_64-darwin": "MACHO X86_64", "aarch64-darwin": "MACHO ARM64",
 }  # fmt: skip
-
-# functions of FMI 2.0.5, 2.1 to 2.3, 3.2 and 4.2, without their prefix
-_OF_EVERY_INTERFACE = """
-    GetTypesPlatform GetVersion SetDebugLogging Instantiate FreeInstance SetupExperiment
-    EnterInitializationMode ExitInitializationMode Terminate Reset
-    GetReal GetInteger GetBoolean GetString SetReal SetInteger SetBoolean SetString
-    GetFMUstate SetFMUstate FreeFMUstate SerializedFMUstateSize SerializeFMUstate DeSerializeFMUstate
-    GetDirectionalDerivative
-"""
-_FUNCTIONS = {
-    "CoSimulation": """
-        SetRealInputDerivatives GetRealOutputDerivatives DoStep CancelStep
-        GetStatus GetRealStatus GetIntegerStatus GetBooleanStatus GetStringStatus
-    """,
-    "ModelExchange": """
-        EnterEventMode NewDiscreteStates EnterContinuousTimeMode CompletedIntegratorStep SetTime
-        SetContinuousStates GetDerivatives GetEventIndicators GetContinuousStates
-        GetNominalsOfContinuousStates
-    """,
-}
+_TYPES = {"CoSimulation": CO_SIMULATION, "ModelExchange": MODEL_EXCHANGE}
 
 
 def _libraries(fmu: FmuFile) -> Sequence[Library]:
     """Returns every library that LIEF can read. Raises NotJudgedError if it crashes or hangs on one."""
-    reading = start_reading(fmu)
-    if reading.failure:
+    libraries, failure = start_reading(fmu).result
+    if failure:
         raise NotJudgedError(f"library-format{IS_BROKEN}")
-    return reading.libraries
+    return libraries
 
 
 @rule(_BINARIES, Stage.LIBRARY, condition=no_library)
 def library_format(fmu: FmuFile) -> Iterator[str]:
     """Each library has the format and the processor that its folder names."""
-    if failure := start_reading(fmu).failure:
+    libraries, failure = start_reading(fmu).result
+    if failure:
         yield failure
         return
     for path, folder in fmu.libraries().items():
         expected = _MACHINES.get(folder)
-        got = [library.machine for library in _libraries(fmu) if library.path == path]
+        got = [library.machine for library in libraries if library.path == path]
         if not got and expected:
             yield f"{path} is not a shared library: expected one for {folder}"
         elif expected and expected not in got:
-            machines = ", ".join(" ".join(machine) for machine in got)
-            yield f"{path} is {machines}: expected {' '.join(expected)}"
+            yield f"{path} is {', '.join(got)}: expected {expected}"
 
 
-def _functions(fmu: FmuFile, path: str) -> set[str]:
-    """Returns the functions of the interfaces whose modelIdentifier the library has as its name."""
-    identifier = path.rpartition("/")[2].rpartition(".")[0]
-    kinds = [kind for kind, stated in fmu.interfaces.items() if stated.get("modelIdentifier") == identifier]
-    names = " ".join([_OF_EVERY_INTERFACE, *(_FUNCTIONS[kind] for kind in kinds)])
-    return {f"fmi2{name}" for name in names.split()}
-
-
-@rule("advice: behaviour is judged where the library runs", Stage.LIBRARY, no_co_simulation)
+@rule("advice: behaviour is judged where the library runs", Stage.LIBRARY)
 def runs_on_this_platform(fmu: FmuFile) -> Iterator[str]:
     """There is a library for the platform of this check, or its behaviour is not judged."""
     if not fmu.host_library:
@@ -79,33 +51,36 @@ def runs_on_this_platform(fmu: FmuFile) -> Iterator[str]:
 
 
 def _missing_functions(library: Library, fmu: FmuFile) -> str:
-    return ", ".join(sorted(_functions(fmu, library.path) - library.exports))
+    """Returns the functions that the interfaces with the library's name as modelIdentifier have beside it."""
+    identifier = posixpath.basename(library.path).rpartition(".")[0]
+    kinds = [kind for kind, stated in fmu.interfaces.items() if stated.get("modelIdentifier") == identifier]
+    expected = {name for kind in kinds for name in signatures(_TYPES[kind])}
+    return ", ".join(sorted(expected - library.exports))
 
 
 def _missing_libraries(library: Library, fmu: FmuFile) -> str:
     is_documented = any(path.startswith("documentation/externalDependencies.") for path in fmu.names)
-    missing = [name for name in library.needed if f"{library.directory}/{name}" not in fmu.paths]
+    missing = [
+        name for name in library.needed if f"{posixpath.dirname(library.path)}/{name}" not in fmu.paths
+    ]
     return "" if is_documented else ", ".join(missing)
 
 
 def _unsought_libraries(library: Library, fmu: FmuFile) -> str:
     is_sought = any(path.startswith(("$ORIGIN", "${ORIGIN}")) for path in library.search_paths)
-    inside = [name for name in library.needed if f"{library.directory}/{name}" in fmu.paths]
+    inside = [name for name in library.needed if f"{posixpath.dirname(library.path)}/{name}" in fmu.paths]
     return "" if is_sought else ", ".join(inside)
 
 
-def _without_callbacks(fmu: FmuFile) -> str:
-    """Returns the reason why the functions for memory need not be callbacks."""
+def _own_memory(library: Library, fmu: FmuFile) -> str:
     is_claimed = fmu.claims("canNotUseMemoryManagementFunctions")
-    reason = "canNotUseMemoryManagementFunctions is claimed" if is_claimed else no_co_simulation(fmu)
-    return no_library(fmu) or reason
+    return "" if is_claimed else ", ".join(sorted(library.imports & {"malloc", "calloc", "realloc"}))
 
 
-add_rows(__name__, _BINARIES, Stage.LIBRARY, condition=no_library, rows=(
+add_rows(__name__, Stage.LIBRARY, condition=no_library, rows=(
     row("library-exports",
         "Each library exports every function of the interfaces that the description names.", _libraries,
-        (_missing_functions, "{path} does not export {value}"),
-        clause="2.3 FMU Distribution, 2.1.1 Header Files and Naming of Functions"),
+        (_missing_functions, "{path} does not export {value}")),
     row("libraries-are-complete",
         "Libraries for Linux need those of the FMU and of the system alone, or externalDependencies tells.",
         _libraries, (_missing_libraries,
@@ -113,12 +88,8 @@ add_rows(__name__, _BINARIES, Stage.LIBRARY, condition=no_library, rows=(
     row("libraries-have-an-rpath",
         "Libraries for Linux that need others of the FMU have the RPATH $ORIGIN.", _libraries,
         (_unsought_libraries, "{path} needs {value}, without RPATH: expected $ORIGIN")),
-))  # fmt: skip
-_MEMORY = "2.1.5 Creation, Destruction and Logging of FMU Instances"
-add_rows(__name__, _MEMORY, Stage.LIBRARY, condition=_without_callbacks, rows=[
     row("memory-functions-are-callbacks",
         "Without canNotUseMemoryManagementFunctions, a library does not import malloc, calloc or realloc.",
-        _libraries,
-        (lambda library, _: ", ".join(sorted(library.imports & {"malloc", "calloc", "realloc"})),
-         "{path} uses {value}: expected canNotUseMemoryManagementFunctions, or allocateMemory alone")),
-])  # fmt: skip
+        _libraries, (_own_memory,
+        "{path} uses {value}: expected canNotUseMemoryManagementFunctions, or allocateMemory alone")),
+))  # fmt: skip

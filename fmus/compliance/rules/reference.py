@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fmus.build.documentation.reference_results import LS_REF
-from fmus.compliance.fmu_file import BrokenMemberError, FmuFile, parsed_xml
+from fmus.compliance.fmu_file import BrokenMemberError, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import behaviour_rule
 from fmus.compliance.variable import Variable, number
@@ -52,7 +52,7 @@ def _files(fmu: FmuFile) -> list[str]:
 def reference_results_are_reproduced(probe: Probe) -> Iterator[str]:
     """Experiments inside the FMU give their reference results again, up to the stated tolerance."""
     for path in _files(probe.fmu):
-        for element in parsed_xml(probe.fmu.read(path, _MOST_BYTES)).iterfind("Experiment"):
+        for element in probe.fmu.parsed(path, _MOST_BYTES).iterfind("Experiment"):
             if {str(child.tag) for child in element} <= _UNDERSTOOD:  # with parameters it is another's
                 yield from (f"{path}: {message}" for message in _differences(probe, element))
 

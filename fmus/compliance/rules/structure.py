@@ -14,37 +14,43 @@ _CLAUSE = "2.2.8 Definition of the Model Structure (ModelStructure)"
 _FACTORS = {"constant", "fixed", "tunable", "discrete"}
 _COMPUTED = ("approx", "calculated")
 _LATER = "an input, a continuous-time state or the independent variable"
-_PARAMETERS = ("parameter", "calculatedParameter")
+_DEPENDS = "{subject[0].where} depends on {subject[1].name} ({subject[1].causality})"
 
 
 class _Unknown(NamedTuple):
-    """An Unknown. where: text that names it. factors: kinds but dependent. knowns: what it depends on."""
+    """An Unknown. variable: None for no index of one. knowns: what it depends on, of `dependencies`."""
 
-    where: str
-    is_initial: bool
+    section: str
     variable: Variable | None
     element: Any
     dependencies: Sequence[str]
     kinds: Sequence[str]
-    factors: Sequence[str]
     knowns: Sequence[Variable]
+
+    @property
+    def where(self) -> str:
+        v, index = self.variable, self.element.get("index")
+        return f"{self.section}, unknown {v.name} ({index})" if v else f"{self.section}, index {index}"
+
+    @property
+    def factors(self) -> set[str]:
+        """The kinds but dependent."""
+        return _FACTORS & {*self.kinds}
+
+    @property
+    def is_initial(self) -> bool:
+        return self.section == "InitialUnknowns"
 
 
 @lru_cache(maxsize=1)
-def _unknowns(fmu: FmuFile) -> tuple[_Unknown, ...]:
-    return tuple(_read_unknowns(fmu))
-
-
-def _read_unknowns(fmu: FmuFile) -> Iterator[_Unknown]:
-    variables = {v.index: v for v in fmu.variables}
+def _unknowns(fmu: FmuFile) -> list[_Unknown]:
+    variables, unknowns = {v.index: v for v in fmu.variables}, []
     for section in ("Outputs", "Derivatives", "InitialUnknowns"):
         for index, element in fmu.unknowns(section):
-            v, stated = variables.get(index or 0), element.get("index")
-            where = f"{section}, unknown {v.name} ({stated})" if v else f"{section}, index {stated}"
             listed, kinds = (element.get(name, "").split() for name in ("dependencies", "dependenciesKind"))
             knowns = [variables[i] for i in map(integer, listed) if i in variables]
-            factors, is_initial = sorted(_FACTORS & {*kinds}), section == "InitialUnknowns"
-            yield _Unknown(where, is_initial, v, element, listed, kinds, factors, knowns)
+            unknowns.append(_Unknown(section, variables.get(index or 0), element, listed, kinds, knowns))
+    return unknowns
 
 
 def _indices(fmu: FmuFile, section: str) -> list[int]:
@@ -81,11 +87,11 @@ def outputs_are_listed(fmu: FmuFile) -> Iterator[str]:
 def initial_unknowns_are_complete(fmu: FmuFile) -> Iterator[str]:
     """InitialUnknowns lists outputs, states and their derivatives with initial approx or calculated, and all
     calculated parameters; no others."""
+    computed = {v.index for v in fmu.variables if v.initial in _COMPUTED}
     outputs = [v for v in fmu.variables if v.causality == "output"]
     expected = {v.index for v in fmu.variables if v.causality == "calculatedParameter"}
-    expected |= {v.index for v in outputs if v.initial in _COMPUTED}
-    states = fmu.states | fmu.state_derivatives.keys()
-    of_states = {index for index in states if fmu.variables[index - 1].initial in _COMPUTED}
+    expected |= {v.index for v in outputs} & computed
+    of_states = (fmu.states | fmu.state_derivatives.keys()) & computed
     unclear = {v.index for v in outputs if not v.is_legal_pair}
     needed = expected if _derivatives_are_ignored(fmu) else expected | of_states
     return _difference(fmu, "InitialUnknowns", needed, expected | of_states | unclear)
@@ -110,37 +116,32 @@ def derivatives_are_marked(fmu: FmuFile) -> Iterator[str]:
         yield f"Derivatives lists {count} derivatives of {_listed(fmu, {state})}: expected one"
 
 
-def no_model_exchange(fmu: FmuFile) -> str:
-    return "" if "ModelExchange" in fmu.interfaces else "it has no interface for model exchange"
-
-
-@rule(_CLAUSE, Stage.DESCRIPTION, condition=no_model_exchange)
+@rule(_CLAUSE, Stage.DESCRIPTION)
 def derivatives_are_there(fmu: FmuFile) -> Iterator[str]:
     """For model exchange there are Derivatives if a variable with initial exact has a derivative."""
-    are_missing = fmu.root.find("ModelStructure/Derivatives") is None
-    for index, state in fmu.derivatives.items() if are_missing else ():
-        is_state = state.causality in ("local", "output") and state.variability == "continuous"
-        if is_state and state.initial == "exact":
-            name = fmu.variables[index - 1].name
-            yield f"no Derivatives: expected {name} there, the derivative of {state.name}"
+    if "ModelExchange" in fmu.interfaces and fmu.root.find("ModelStructure/Derivatives") is None:
+        for index, state in fmu.derivatives.items():
+            is_state = state.causality in ("local", "output") and state.variability == "continuous"
+            if is_state and state.initial == "exact":
+                name = fmu.variables[index - 1].name
+                yield f"no Derivatives: expected {name} there, the derivative of {state.name}"
 
 
-class _Dependency(NamedTuple):
-    """A dependency that is none of the Knowns, of an unknown. is_later: it is of Outputs or Derivatives."""
-
-    where: str
-    known: Variable
-    is_later: bool
-
-
-def _unknown_dependencies(fmu: FmuFile) -> Iterator[_Dependency]:
+def _unknown_dependencies(fmu: FmuFile) -> Iterator[tuple[_Unknown, Variable]]:
+    """Yields unknowns, each with a variable that it depends on and that is none of the Knowns."""
     states = _possible_states(fmu)
     for unknown in _unknowns(fmu):
         for known in unknown.knowns:
             is_given = known.initial == "exact" or known.causality == "parameter" or not known.is_legal_pair
             is_known = is_given if unknown.is_initial else known.index in states
             if known.causality not in ("input", "independent") and not is_known:
-                yield _Dependency(unknown.where, known, not unknown.is_initial)
+                yield unknown, known
+
+
+def _is_parameter(dependency: tuple[_Unknown, Variable], _: FmuFile) -> bool:
+    """Whether Outputs or Derivatives depend on a parameter."""
+    unknown, known = dependency
+    return not unknown.is_initial and known.causality in ("parameter", "calculatedParameter")
 
 
 @lru_cache(maxsize=1)
@@ -166,7 +167,7 @@ def _descent(indices: Sequence[int]) -> str:
     return next((f"{b} follows {a}" for a, b in itertools.pairwise(indices) if b < a), "")
 
 
-add_rows(__name__, _CLAUSE, Stage.DESCRIPTION, rows=(
+add_rows(__name__, Stage.DESCRIPTION, rows=(
     row("initial-unknowns-ascend", "InitialUnknowns are in ascending order of their indices.",
         lambda fmu: [_indices(fmu, "InitialUnknowns")],
         (lambda indices, _: _descent(indices), "InitialUnknowns: {value}: expected ascending indices")),
@@ -181,14 +182,10 @@ add_rows(__name__, _CLAUSE, Stage.DESCRIPTION, rows=(
         "Outputs and Derivatives depend on inputs, continuous-time states and the independent variable; "
         "InitialUnknowns on inputs, the independent variable and what has initial exact.",
         _unknown_dependencies,
-        (lambda d, _: not d.is_later,
-         "{where} depends on {known.name} ({known.causality}): expected an input or what has initial exact"),
-        (lambda d, _: d.known.causality not in _PARAMETERS,
-         f"{{where}} depends on {{known.name}} ({{known.causality}}): expected {_LATER}")),
+        (lambda d, _: d[0].is_initial, f"{_DEPENDS}: expected an input or what has initial exact"),
+        (lambda d, fmu: not _is_parameter(d, fmu), f"{_DEPENDS}: expected {_LATER}")),
     row("dependencies-on-parameters", "Outputs and Derivatives name no parameter among their dependencies.",
-        _unknown_dependencies,
-        (lambda d, _: d.is_later and d.known.causality in _PARAMETERS,
-         f"{{where}} depends on {{known.name}}, a parameter: expected {_LATER}")),
+        _unknown_dependencies, (_is_parameter, f"{_DEPENDS}: expected {_LATER}")),
     row("dependencies-on-states-are-provided",
         "For co-simulation alone, dependencies name states if providesDirectionalDerivative is true.",
         lambda fmu: _unknowns(fmu) if _derivatives_are_ignored(fmu) else (),
@@ -200,11 +197,11 @@ add_rows(__name__, _CLAUSE, Stage.DESCRIPTION, rows=(
          "{where} has dependenciesKind: expected dependencies too"),
         (lambda u, _: len(u.kinds) != len(u.dependencies) and (len(u.kinds), len(u.dependencies)),
          "{where}: {value[0]} kinds of dependency: expected {value[1]}, one each"),
-        (lambda unknown, _: unknown.is_initial and ", ".join({*unknown.factors} - {"constant"}),
+        (lambda unknown, _: unknown.is_initial and ", ".join(sorted(unknown.factors - {"constant"})),
          "{where}: kind {value!r}: expected dependent or constant")),
     row("dependencies-of-reals-have-factors",
         "Kinds of dependency with a factor, all but dependent, are of Real unknowns.",
         lambda fmu: [u for u in _unknowns(fmu) if u.variable and u.variable.kind not in ("Real", "")],
-        (lambda unknown, _: next(iter(unknown.factors), ""),
+        (lambda unknown, _: ", ".join(sorted(unknown.factors)),
          "{where} is {variable.kind} and has kind {value!r}: expected dependent")),
 ))  # fmt: skip

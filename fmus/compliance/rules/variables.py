@@ -2,16 +2,13 @@
 
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from functools import lru_cache
 from typing import NamedTuple
 
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rows import add_rows, anything, elements, repeats, row
-from fmus.compliance.rule import Stage, rule
-from fmus.compliance.variable import INITIAL, Variable, integer, is_true
+from fmus.compliance.rows import add_rows, anything, elements, row
+from fmus.compliance.rule import Stage, repeated, rule
+from fmus.compliance.variable import INITIAL, Variable, integer, is_true, number
 
-_VARIABLES = "2.2.7 Definition of Model Variables (ModelVariables)"
 _NAMES = "2.2.9 Variable Naming Conventions (variableNamingConvention)"
 _LONGEST_NAME = 55
 
@@ -24,6 +21,8 @@ _STRUCTURED = re.compile(rf"{_IDENTIFIER}|der\({_IDENTIFIER}(?:,[0-9]+)?\)")
 _OUTSIDE_OF_Q_CHAR = re.compile(r"""[^A-Za-z0-9_!#$%&()*+,\-./:;<>=?@\[\]^{}|~ ]""")
 _QUOTED_NAME, _QUOTED_ESCAPE = re.compile(_QUOTED), re.compile(_ESCAPE)
 _INDEXED = re.compile(rf"{_QUOTED}|({_INDICES})")
+_ELEMENT = re.compile(rf"(der\()?(.+){_INDICES}((?:,\d+)?\)?)")
+_VALUES = {"Boolean": is_true, "Real": number, "Integer": integer}
 _NO_LINE = re.compile(r"|.*[\r\n\t].*", re.DOTALL)  # what is no name by any convention
 
 
@@ -41,82 +40,43 @@ def _breaks_grammar(name: str, fmu: FmuFile) -> bool:
     return not _not_structured(fmu) and not _STRUCTURED.fullmatch(name)
 
 
-def _outside_of_q_char(v: Variable, _: FmuFile) -> str:
-    quoted = _QUOTED_NAME.findall(v.name) if _STRUCTURED.fullmatch(v.name) else ()
-    texts = "".join(_QUOTED_ESCAPE.sub("", part[1:-1]) for part in quoted)
+def _structured_names(fmu: FmuFile) -> list[str]:
+    """Returns the names that follow the grammar; none where the convention is flat."""
+    return [] if _not_structured(fmu) else [v.name for v in fmu.variables if _STRUCTURED.fullmatch(v.name)]
+
+
+def _outside_of_q_char(name: str, _: FmuFile) -> str:
+    texts = "".join(_QUOTED_ESCAPE.sub("", part[1:-1]) for part in _QUOTED_NAME.findall(name))
     return " ".join(sorted(set(_OUTSIDE_OF_Q_CHAR.findall(texts))))
-
-
-class _Element(NamedTuple):
-    """An element of an array, at a position of ModelVariables.
-
-    every_level: its name with no index of any level. own: its name without the indices at its end, empty if
-    there are none. of: the same of the variable that it is a derivative of.
-    """
-
-    position: int
-    every_level: str
-    indices: tuple[int, ...]
-    own: str
-    of: str
-
-
-@lru_cache(maxsize=1)
-def _elements(fmu: FmuFile) -> tuple[_Element, ...]:
-    return tuple(_read_elements(fmu))
-
-
-def _read_elements(fmu: FmuFile) -> Iterator[_Element]:
-    for v in fmu.variables:
-        found = [text for text in _INDEXED.findall(v.name) if text]
-        if found and _STRUCTURED.fullmatch(v.name):
-            indices = tuple(map(int, re.findall(r"\d+", " ".join(found))))
-            every_level = _INDEXED.sub(lambda match: "[]" if match.group(1) else match.group(), v.name)
-            before, _, after = v.name.rpartition(found[-1])
-            own = f"{before}[]{after}" if re.fullmatch(r"|(,\d+)?\)", after) else ""
-            yield _Element(v.index, every_level, indices, own, before.removeprefix("der(") if own else "")
 
 
 @rule(_NAMES, Stage.DESCRIPTION, condition=_not_structured)
 def arrays_are_consecutive(fmu: FmuFile) -> Iterator[str]:
     """Elements of an array follow one another; only derivatives of elements may stand between them."""
-    elements = {element.position: element for element in _elements(fmu)}
-    last: dict[str, int] = {}
-    for position, element in elements.items():
-        between = range(last.get(element.own, position), position)[1:]
-        others = [i for i in between if i not in elements or elements[i].of != element.of]
-        if element.own and others:
-            name = fmu.variables[others[0] - 1].name
-            yield f"{name} stands between elements of {element.own}: expected consecutive elements"
-        last[element.own] = position
+    matches = [_STRUCTURED.fullmatch(v.name) and _ELEMENT.fullmatch(v.name) for v in fmu.variables]
+    last: dict[tuple[str | None, ...], int] = {}
+    for i, match in enumerate(matches):
+        if match:
+            before, array, after = match.groups("")
+            between = range(last.get(match.groups(), i), i)[1:]
+            others = [j for j in between if not ((other := matches[j]) and other[2] == array)]
+            if others:
+                name, elements = fmu.variables[others[0]].name, f"{before}{array}[]{after}"
+                yield f"{name} stands between elements of {elements}: expected consecutive elements"
+            last[match.groups()] = i
 
 
 @rule(_NAMES, Stage.DESCRIPTION, condition=_not_structured)
 def arrays_are_row_major(fmu: FmuFile) -> Iterator[str]:
     """Elements of an array are in row-major order: the last index runs fastest."""
-    last: dict[str, _Element] = {}
-    for element in _elements(fmu):
-        before = last.get(element.every_level, element)
-        if element.indices < before.indices:
-            names = [fmu.variables[one.position - 1].name for one in (element, before)]
-            yield f"{names[0]} comes after {names[1]}: expected the last index to run fastest"
-        last[element.every_level] = element
-
-
-def _is_continuous_by(v: Variable, _: FmuFile) -> str:
-    """Returns why a variable other than Real and independent is continuous, if it is."""
-    if v.kind in ("Real", "") or v.causality == "independent" or not v.is_legal_pair:
-        return ""
-    reason = "stated" if "variability" in v.attributes else "the default"
-    return reason if v.variability == "continuous" else ""
-
-
-def _legal_initial(v: Variable, _: FmuFile) -> str:
-    """Returns what `initial` may be, if it is something else."""
-    stated, legal = v.attributes.get("initial"), v.legal_initial
-    if stated is None or legal is None or stated in legal:
-        return ""
-    return " or ".join(legal) or "none"
+    last: dict[str, tuple[list[int], str]] = {}
+    for name in _structured_names(fmu):
+        array = _INDEXED.sub(lambda match: "[]" if match[1] else match[0], name)  # of every level
+        indices = [int(index) for text in _INDEXED.findall(name) for index in re.findall(r"\d+", text)]
+        before, other = last.get(array, (indices, name))
+        if indices < before:
+            yield f"{name} comes after {other}: expected the last index to run fastest"
+        last[array] = indices, name
 
 
 def _needs_start(v: Variable) -> bool:
@@ -139,8 +99,7 @@ def _unlike(expected: str, attribute: str, v: Variable, fmu: FmuFile) -> str:
     return f"derivative of {of.name}: {listed}: expected {expected}" if others else ""
 
 
-@dataclass(frozen=True)
-class _AliasSet:
+class _AliasSet(NamedTuple):
     """Variables of one base type with one value reference."""
 
     members: list[Variable]
@@ -171,14 +130,6 @@ def _constants(alias: _AliasSet) -> list[Variable]:
     return [v for v in alias.members if v.variability == "constant"]
 
 
-def _start(v: Variable) -> float | bool | str | None:
-    if v.base_kind == "Boolean":
-        return is_true(v.start)
-    if v.base_kind == "Real":
-        return v.number("start")
-    return integer(v.start) if v.base_kind == "Integer" else v.start
-
-
 def _several(values: Iterable[object]) -> str:
     """Returns the values, if they are not all the same."""
     texts = {str(value) for value in values}
@@ -190,11 +141,10 @@ def _variabilities(alias: _AliasSet, _: FmuFile) -> str:
     return "" if is_given else _several({v.variability for v in alias.members} - {"constant"})
 
 
-add_rows(__name__, _NAMES, Stage.DESCRIPTION, rows=(
+add_rows(__name__, Stage.DESCRIPTION, rows=(
     row("variable-names-are-unique", "No two variables have the same name.",
-        lambda fmu: repeats(v.name for v in fmu.variables),
-        (anything, "{count} variables are called {name!r}: expected one"),
-        clause="2.2.7 Definition of Model Variables (ModelVariables), 2.2.9"),
+        lambda fmu: repeated(v.name for v in fmu.variables).items(),
+        (anything, "{subject[1]} variables are called {subject[0]!r}: expected one")),
     row("variable-names-are-legal",
         "Names are not empty and on one line; with the structured convention they follow its grammar.",
         lambda fmu: [v for v in fmu.variables if "name" in v.attributes],
@@ -208,28 +158,28 @@ add_rows(__name__, _NAMES, Stage.DESCRIPTION, rows=(
         (lambda element, _: _NO_LINE.fullmatch(element.get("name")),
          "type {name!r}: expected a name without tab or line break"),
         (lambda element, fmu: _breaks_grammar(element.get("name"), fmu),
-         "type {name!r}: expected a structured name such as Units.Length"),
-        clause="2.2.1 Definition of an FMU (fmiModelDescription)"),
+         "type {name!r}: expected a structured name such as Units.Length")),
     row("variable-names-are-short",
         "Names have at most 55 characters, so that importers can put something before them.", _variables,
         (lambda v, _: len(v.name) > _LONGEST_NAME and len(v.name),
          f"{{name}} has {{value}} characters: expected at most {_LONGEST_NAME}"),
         clause="advice: Simulink cuts identifiers off beyond 63 characters"),
-))  # fmt: skip
-add_rows(__name__, _NAMES, Stage.DESCRIPTION, condition=_not_structured, rows=[
     row("quoted-names-have-legal-characters",
-        "Between apostrophes a name holds the characters of Q-char and escapes alone.", _variables,
-        (_outside_of_q_char, "{name}: {value} between apostrophes: expected a character of Q-char")),
-])  # fmt: skip
-add_rows(__name__, _VARIABLES, Stage.DESCRIPTION, rows=(
+        "Between apostrophes structured names hold the characters of Q-char and escapes alone.",
+        _structured_names,
+        (_outside_of_q_char, "{subject}: {value} between apostrophes: expected a character of Q-char")),
     row("causality-and-variability", "Causality and variability are one of the pairs that FMI allows.",
         lambda fmu: [v for v in fmu.variables if not v.is_legal_pair],
         (lambda v, _: " or ".join(legal for causality, legal in INITIAL if causality == v.causality),
          "{name}: causality {causality} with variability {variability}: expected {value}")),
-    row("continuous-is-real", "Only a Real is continuous, which is the default.", _variables,
-        (_is_continuous_by, "{name} is {kind} and continuous ({value}): expected another variability")),
-    row("initial-is-legal", "`initial` is what causality and variability allow.", _variables,
-        (_legal_initial,
+    row("continuous-is-real", "Only a Real is continuous, which is the default.",
+        lambda fmu: [v for v in fmu.variables if v.variability == "continuous" and v.is_legal_pair],
+        (lambda v, _: v.kind not in ("Real", "") and v.causality != "independent" and
+         ("stated" if "variability" in v.attributes else "the default"),
+         "{name} is {kind} and continuous ({value}): expected another variability")),
+    row("initial-is-legal", "`initial` is what causality and variability allow.",
+        lambda fmu: [v for v in fmu.variables if v.is_legal_pair and "initial" in v.attributes],
+        (lambda v, _: v.initial != v.attributes["initial"] and (" or ".join(v.legal_initial or ()) or "none"),
          "{name} ({causality}, {variability}): initial {attributes[initial]}: expected {value}")),
     row("start-is-given",
         "Inputs and variables with initial exact or approx have a start value, no others.",
@@ -267,18 +217,10 @@ add_rows(__name__, _VARIABLES, Stage.DESCRIPTION, rows=(
         (lambda v, fmu: _unlike("Real", "kind", v, fmu), "{name}, {value}"),
         (lambda v, fmu: v.index in fmu.state_derivatives and _unlike("continuous", "variability", v, fmu),
          "{name}, {value}")),
-    row("derivative-is-continuous",
-        "A derivative that Derivatives does not list, and its variable, are continuous.",
-        lambda fmu: [fmu.variables[i - 1] for i in fmu.derivatives if i not in fmu.state_derivatives],
-        (lambda v, fmu: not _unlike("Real", "kind", v, fmu) and _unlike("continuous", "variability", v, fmu),
-         "{name}, {value}"),
-        clause="advice: a discrete variable has no derivative"),
     row("states-are-local-or-outputs", "A continuous-time state is a local variable or an output.",
         lambda fmu: [fmu.variables[index - 1] for index in sorted(fmu.states)],
         (lambda v, _: v.causality not in ("local", "output"),
          "{name} is a continuous-time state and {causality}: expected local or output")),
-))  # fmt: skip
-add_rows(__name__, f"{_VARIABLES}, alias variables", Stage.DESCRIPTION, rows=(
     row("alias-units", "Variables of an alias set have the same unit, or none of them has one.", _alias_sets,
         (lambda alias, _: _several(v.get("unit") for v in alias.members),
          "{names}: expected one unit, got {value}")),
@@ -291,7 +233,7 @@ add_rows(__name__, f"{_VARIABLES}, alias variables", Stage.DESCRIPTION, rows=(
         lambda fmu: [alias for alias in _alias_sets(fmu) if _constants(alias)],
         (lambda alias, _: len(_constants(alias)) < len(alias.members) and len(_constants(alias)),
          "{names}: expected all constant or none, got {value} constant"),
-        (lambda alias, _: _several(map(_start, alias.members)),
+        (lambda alias, _: _several(_VALUES.get(v.base_kind, str)(v.start) for v in alias.members),
          "{names} are constant: expected one start value, got {value}")),
     row("alias-variability",
         "Variables of an alias set without input and parameter have the same variability.", _alias_sets,

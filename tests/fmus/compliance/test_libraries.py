@@ -113,7 +113,7 @@ def test_a_processor_that_nobody_knows_is_caught(elsewhere: Path, tmp_path: Path
     content[path] = content[path][:18] + b"\xfe\xfe" + content[path][20:]  # e_machine of ELF
     (message,) = broken_rules(write(content, tmp_path / "mutant.fmu"))["library-format"]
     assert message.startswith(f"{path} is ELF")
-    assert message.endswith("expected ELF AARCH64")
+    assert message.endswith("expected ELF ARM64")
 
 
 def test_an_fmu_of_sources_alone_is_not_without_implementation(elsewhere: Path, tmp_path: Path) -> None:
