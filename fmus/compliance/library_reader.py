@@ -19,8 +19,7 @@ from fmus.extras import imports_of
 from fmus.fmi.process import Parent, ProcessEndedError, WorkerProcess
 
 LIMIT_S = 60.0  # for the import of LIEF, and for a library where no other limit is given
-Member = tuple[str, str, bytes]
-"""A library in an FMU: its path, the folder of its platform, its content."""
+Member = tuple[str, bytes]  # path of a library in an FMU, and its content
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,6 @@ class Library:
     """
 
     path: str
-    folder: str
     machine: str
     exports: frozenset[str]
     imports: frozenset[str]
@@ -62,7 +60,7 @@ class Reading:
     """
 
     def __init__(self, members: Sequence[Member], timeout: float) -> None:
-        self._paths, self._timeout = [path for path, _, _ in members], timeout
+        self._paths, self._timeout = [path for path, _ in members], timeout
         self._process = _reader()
         self._process.request += 1
         self._request = self._process.request
@@ -111,8 +109,8 @@ def _read(parent: Parent) -> None:
     while True:
         members = parent.receive()
         parent.send([])
-        for path, folder, content in members:
-            parent.send([_facts(path, folder, parsed) for parsed in _slices(lief, content)])
+        for path, content in members:
+            parent.send([_facts(path, parsed) for parsed in _slices(lief, content)])
 
 
 def _slices(lief: Any, content: bytes) -> Iterator[Any]:
@@ -127,7 +125,7 @@ def _slices(lief: Any, content: bytes) -> Iterator[Any]:
         yield from filter(None, [lief.parse(content)])
 
 
-def _facts(path: str, folder: str, parsed: Any) -> Library:
+def _facts(path: str, parsed: Any) -> Library:
     symbols = [*parsed.exported_functions, *getattr(parsed, "exported_symbols", ())]
     needed, search_paths = [], []
     if parsed.format.name == "MACHO":  # whose table of exports may be missing
@@ -141,7 +139,7 @@ def _facts(path: str, folder: str, parsed: Any) -> Library:
         for some in (symbols, parsed.imported_functions)
     )
     machine = f"{parsed.format.name} {parsed.abstract.header.architecture.name}"
-    return Library(path, folder, machine, exports, imports, tuple(needed), tuple(search_paths))
+    return Library(path, machine, exports, imports, tuple(needed), tuple(search_paths))
 
 
 _readings: WeakKeyDictionary[FmuFile, Reading] = WeakKeyDictionary()
@@ -157,6 +155,6 @@ def start_reading(fmu: FmuFile, timeout: float = LIMIT_S) -> Reading:
     timeout: seconds for each library. Raises what `FmuFile.read` does, OSError without a process.
     """
     if fmu not in _readings:
-        members = [(path, folder, fmu.read(path)) for path, folder in fmu.libraries().items()]
+        members = [(path, fmu.read(path)) for path in fmu.libraries()]
         _readings[fmu] = Reading(members, timeout)
     return _readings[fmu]

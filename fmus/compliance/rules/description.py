@@ -30,7 +30,7 @@ _STANDARD_CATEGORIES = (
     "logEvents", "logSingularLinearSystems", "logNonlinearSystems", "logDynamicStateSelection",
     "logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal", "logStatusPending", "logAll",
 )  # fmt: skip
-_ITEM = "TypeDefinitions/SimpleType/Enumeration/Item"
+_TYPE_NAMES, _ITEM = "TypeDefinitions/SimpleType/@name", "TypeDefinitions/SimpleType/Enumeration/Item"
 
 
 @rule("2.2 FMI Description Schema", Stage.FILE, condition=unreadable)
@@ -109,17 +109,9 @@ def _unused(defined: Mapping[str, Any], used: set[str | None]) -> list[str]:
     return [name for name in defined if name not in used] if used - {None} <= defined.keys() else []
 
 
-def _type_names(fmu: FmuFile) -> list[str]:
-    return [element.get("name", "") for element in fmu.root.iterfind("TypeDefinitions/SimpleType")]
-
-
 def _starts_outside(v: Variable, _: FmuFile) -> bool:
     start = number(v.start)
     return start is not None and v.low <= v.high and not v.low <= start <= v.high
-
-
-def _items(v: Variable) -> str:
-    return ", ".join(map(str, sorted(v.items)))
 
 
 def _type_problem(v: Variable, fmu: FmuFile) -> str:
@@ -209,7 +201,7 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
         (lambda e, _: number(e.get("factor", "1")) == 0 and f"unit {_owner(e)!r}: {e.tag}",
          "{value} with factor 0: expected another")),
     row("type-names", "Names of types are unique, and differ from those of variables.",
-        lambda fmu: repeated([*_type_names(fmu), *{v.name for v in fmu.variables}]).items(),
+        lambda fmu: repeated([*fmu.root.xpath(_TYPE_NAMES), *{v.name for v in fmu.variables}]).items(),
         (anything, "{subject[1]} types or variables are called {subject[0]!r}: expected other names")),
     row("enumeration-items", "Items of an enumeration have names and values that occur once.",
         elements(f"{repeats(_ITEM)}/@name | {repeats(_ITEM, 'value')}/@value"),
@@ -230,10 +222,10 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
         (_type_problem, "{name}{value}")),
     row("enumeration-start-is-an-item", "The start value of an Enumeration is the value of an item.",
         lambda fmu: [v for v in fmu.variables if v.items],
-        (lambda v, _: integer(v.start) not in {*v.items, None} and _items(v),
+        (lambda v, _: integer(v.start) not in {*v.items, None} and sorted(v.items),
          "{name}: start {start}: expected one of {value}")),
     row("enumeration-range-holds-an-item", "Between min and max of an Enumeration there is an item.",
         lambda fmu: [v for v in fmu.variables if v.items],
-        (lambda v, _: v.low <= v.high and not any(v.low <= x <= v.high for x in v.items) and _items(v),
-         "{name}: min {low:g}, max {high:g}: expected an item between, of {value}")),
+        (lambda v, _: v.low <= v.high and not any(v.low <= x <= v.high for x in v.items) and sorted(v.items),
+         "{name}: min {low:g}, max {high:g}: expected an item between, one of {value}")),
 ))  # fmt: skip

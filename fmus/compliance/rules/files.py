@@ -75,9 +75,7 @@ def _has_sources(fmu: FmuFile) -> bool:
     return any(path.endswith(_TO_COMPILE) for path in _files(fmu, _SOURCES))
 
 
-def _interfaces(fmu: FmuFile) -> Iterator[Any]:
-    """Yields the elements CoSimulation and ModelExchange."""
-    return fmu.root.iterchildren("CoSimulation", "ModelExchange")
+_interfaces = elements("CoSimulation | ModelExchange")
 
 
 def _identifiers(fmu: FmuFile) -> list[str]:

@@ -165,7 +165,7 @@ def test_a_killed_process_of_lief_is_followed_by_another(elsewhere: Path) -> Non
 
 def test_libraries_that_nobody_asked_for_are_not_those_of_the_next_fmu(elsewhere: Path) -> None:
     expected = libraries_results(examine(elsewhere))
-    Reading([("binaries/linux64/none.so", "linux64", b"no library")], timeout=30.0)
+    Reading([("binaries/linux64/none.so", b"no library")], timeout=30.0)
     assert libraries_results(examine(elsewhere)) == expected
 
 
