@@ -1,7 +1,7 @@
 """The sentences of FMI 2.0.5 that bind an FMU, each with the rules that check it or why none does.
 
-The data are the TOML files in `sentences/`: one for each section of the standard, in its order, and
-`rules.toml` with the level of each rule.
+The data are the TOML files in `sentences/`: one for each section of the standard, in its order, with a table
+for each clause, and `rules.toml` with the level of each rule.
 """
 
 import tomllib
@@ -44,9 +44,14 @@ class Sentence:
 
 
 @cache
-def _files() -> tuple[Mapping[str, Any], ...]:
+def _tables() -> Mapping[str, Mapping[str, Any]]:
+    """Returns heading of a clause -> sentence -> its rules, or a table with the fields of `Sentence`."""
     paths = sorted((path for path in _FOLDER.iterdir() if path.name[0].isdigit()), key=lambda p: p.name)
-    return tuple(tomllib.loads(path.read_text(encoding="utf-8")) for path in paths)
+    return {
+        heading: entries
+        for path in paths
+        for heading, entries in tomllib.loads(path.read_text(encoding="utf-8")).items()
+    }
 
 
 @cache
@@ -65,14 +70,22 @@ def levels() -> dict[str, tuple[str, str]]:
 @cache
 def sentences() -> tuple[Sentence, ...]:
     """Returns all sentences, in the order of the standard."""
-    entries = [entry for file in _files() for entry in file["sentence"]]
-    return tuple(Sentence(**entry | {"rules": tuple(entry.get("rules", ()))}) for entry in entries)
+    return tuple(
+        _sentence(heading.split()[0], text, entry)
+        for heading, entries in _tables().items()
+        for text, entry in entries.items()
+    )
+
+
+def _sentence(clause: str, text: str, entry: Any) -> Sentence:
+    fields = entry if isinstance(entry, dict) else {"rules": entry}
+    return Sentence(clause, text, **{**fields, "rules": tuple(fields.get("rules", ()))})
 
 
 @cache
 def titles() -> dict[str, str]:
     """Returns clause -> its title in the standard, of every clause that holds sentences."""
-    return {clause: title for file in _files() for clause, title in file["titles"].items()}
+    return {clause: title for clause, _, title in (heading.partition(" ") for heading in _tables())}
 
 
 def sentences_of(rule_name: str) -> tuple[Sentence, ...]:
