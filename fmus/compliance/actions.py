@@ -72,6 +72,8 @@ def _of_script(method: Callable[[Script], object]) -> Action:
 begin, initialise, pause = _of_script(Script.begin), _of_script(Script.initialise), _of_script(Script.pause)
 exit_initialization_mode = _of_script(Script.exit_initialization_mode)
 enter_initialization_mode = _of_script(Script.enter_initialization_mode)
+enter_event_mode = _of_script(Script.enter_event_mode)
+enter_continuous_time_mode = _of_script(Script.enter_continuous_time_mode)
 terminate, reset = _of_script(Script.terminate), _of_script(Script.reset)
 
 
@@ -84,10 +86,24 @@ def go_on(count: int) -> Action:
     return lambda play: play.script.go_on(count)
 
 
-def begin_until(stop: int) -> tuple[Action, ...]:
+def set_up(stop: int, tolerance: float | None = None) -> Action:
+    """Sets the experiment up with a stop time at the communication point of a number."""
+    return lambda play: play.script.set_up(stop=play.script.point(stop), tolerance=tolerance)
+
+
+def begin_until(stop: int, tolerance: float | None = None) -> tuple[Action, ...]:
     """Initialises, with a stop time at the communication point of a number."""
-    set_up = _of_script(lambda script: script.set_up(stop=script.point(stop)))
-    return set_up, enter_initialization_mode, exit_initialization_mode
+    return set_up(stop, tolerance), enter_initialization_mode, exit_initialization_mode
+
+
+def in_state(name: str) -> Action:
+    """Notes the state that the calls before lead to."""
+    return lambda play: setattr(play.script, "state", name)
+
+
+def plain(function: str) -> Action:
+    """Calls a function of FMI that has no argument but the instance."""
+    return lambda play: play.script.plain(function)
 
 
 def call(method: str, *arguments: Any) -> Action:
@@ -155,12 +171,13 @@ def glance(variables: Iterable[Variable]) -> Action:
     return lambda play: play.script.read(variables)
 
 
-def read_slopes(outputs: Sequence[Variable], when: str = "") -> Action:
-    """Reads the first derivatives of outputs, if there are any."""
+def read_slopes(outputs: Sequence[Variable], when: str = "", orders: int | Sequence[int] = 1) -> Action:
+    """Reads derivatives of outputs, if there are any, of one order or each of its own, in one call."""
 
     def action(play: Play) -> None:
         if outputs:
-            play.observed.append((when, "", play.script.read_output_derivatives(outputs)))
+            reply = play.script.call("output_derivatives", references_of(outputs), orders)
+            play.observed.append((when, "", Reading({"Real": list(outputs)}, {"Real": reply})))
 
     return action
 

@@ -106,7 +106,7 @@ class FmuFile:
     @property
     def other_version(self) -> str:
         """Other version of FMI than 2.0, as a reason, if so."""
-        version = self.root.get("fmiVersion")
+        version = self.root.get("fmiVersion", "")
         return "" if version == "2.0" else f"fmiVersion {version!r}: expected '2.0'"
 
     @property

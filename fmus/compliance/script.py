@@ -246,6 +246,16 @@ class Script:
         self._saved[slot] = source._saved[slot]
         return self
 
+    def enter_event_mode(self) -> "Script":
+        self.plain("fmi2EnterEventMode")
+        self.state = "event mode"
+        return self
+
+    def enter_continuous_time_mode(self) -> "Script":
+        self.plain("fmi2EnterContinuousTimeMode")
+        self.state = "continuous-time mode"
+        return self
+
     def terminate(self) -> Reply:
         reply = self.plain("fmi2Terminate")
         self.state = "terminated"
@@ -269,11 +279,6 @@ class Script:
             kind: self.call("get", kind, [v.reference for v in members]) for kind, members in groups.items()
         }
         return Reading(groups, replies)
-
-    def read_output_derivatives(self, outputs: Sequence[Variable]) -> Reading:
-        """Reads the first derivatives of continuous Real outputs."""
-        reply = self.call("output_derivatives", [v.reference or 0 for v in outputs], 1)
-        return Reading({"Real": list(outputs)}, {"Real": reply})
 
     def point(self, i: int) -> float:
         """Returns the time of communication point number i [s]."""
@@ -326,6 +331,11 @@ class Script:
     def everything(self) -> list[Reply]:
         """All replies, from the creation of the instance to its end."""
         return [self.creation, *self.replies, self.end]
+
+    @property
+    def pairs(self) -> Iterable[tuple[tuple[Any, ...], Reply]]:
+        """Calls with their replies."""
+        return zip(self.calls, self.replies, strict=True)
 
     @property
     def succeeded(self) -> bool:

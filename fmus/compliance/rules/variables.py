@@ -132,7 +132,7 @@ def _constants(alias: _AliasSet) -> list[Variable]:
 
 def _several(values: Iterable[object]) -> str:
     """Returns the values, if they are not all the same."""
-    texts = {str(value) for value in values}
+    texts = {"none" if value is None else str(value) for value in values}
     return ", ".join(sorted(texts)) if len(texts) > 1 else ""
 
 
