@@ -196,6 +196,8 @@ static int settable(const Model *m, const Variable *v) {
             const Variable *v = variable(letter, r[i]);                                                      \
             if (!v) return error(m, "no such variable");                                                     \
             values[i] = *(type *)((char *)&m->d + v->offset);                                                \
+            if (IS("out of range for a moment") && v->offset == O(stairs) && fabs(m->d.time - 2.3) < 0.05)   \
+                values[i] = (type)-5;                                                                        \
         }                                                                                                    \
         return fmi2OK;                                                                                       \
     }                                                                                                        \
