@@ -71,7 +71,7 @@ COMMANDS = (
     (f"build {' '.join(FIVE)} --out fmus", "of five FMUs, nothing changed", 0.3, False),
     ("check fmus/L1DepthController.fmu", "of one FMU", 1.5, True),
     ("score PidDepthController", "beside the controllers that ship, all anew", None, False),
-    ("tune PidDepthController --evaluations 20 --seeds 1 --restart", "", None, False),
+    ("tune PidDepthController --free kp=1:100 --evaluations 20 --seeds 1 --restart", "", None, False),
 )
 FIRST_RUN = """
 from orchestration import System, simulate
