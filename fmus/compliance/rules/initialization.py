@@ -1,10 +1,11 @@
 """Setting up, initialising and resetting an FMU: start values, and what fmi2Reset gives back."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
+from itertools import chain
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.actions import MOST_VARIABLES, Action, Pair
+from fmus.compliance.actions import MOST_VARIABLES, Action
 from fmus.compliance.differential import OF_EXPERIMENT, Row, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError
@@ -105,19 +106,17 @@ def values_are_set_together(probe: Probe) -> Iterator[Row]:
     its own.
     """
     pairs = values.other_values(values.settable_in_initialization(probe.fmu))
-    some = [pair for kind in KINDS for pair in _of_kind(pairs, kind)[:MOST_VARIABLES]]
-    taken = values.accepted_together(probe, some, lambda: probe.script().initialise())
-    by_kind = {kind: _of_kind(taken, kind) for kind in KINDS}
-    if all(len(chosen) < 2 for chosen in by_kind.values()):
+    of_kinds = [[pair for pair in pairs if pair[0].base_kind == kind][:MOST_VARIABLES] for kind in KINDS]
+    taken = values.accepted_together(probe, list(chain(*of_kinds)), lambda: probe.script().initialise())
+    several = [
+        chosen for of_kind in of_kinds if len(chosen := [pair for pair in of_kind if pair in taken]) > 1
+    ]
+    if not several:
         raise NotApplicableError("no two variables of one type take other values in initialization mode")
-    for kind, chosen in by_kind.items():
-        end = do.exit_initialization_mode, do.read([v for v, _ in chosen])
-        for ordered in (chosen, chosen[::-1]) if len(chosen) > 1 else ():
-            usual = do.initialise, do.set_values(ordered), *end
-            together = do.initialise, do.set_at_once(kind, ordered), *end
-            when = f"where one fmi2Set{kind} sets {len(ordered)} variables"
-            yield Row(when, together, usual, may_fail=True, again="{}, as it is set alone")
-
-
-def _of_kind(pairs: Sequence[Pair], kind: str) -> list[Pair]:
-    return [(v, x) for v, x in pairs if v.base_kind == kind]
+    for ordered in [*several, *(chosen[::-1] for chosen in several)]:
+        kind = ordered[0][0].base_kind
+        end = do.exit_initialization_mode, do.read([v for v, _ in ordered])
+        usual = do.initialise, do.set_values(ordered), *end
+        together = do.initialise, do.set_at_once(kind, ordered), *end
+        when = f"where one fmi2Set{kind} sets {len(ordered)} variables"
+        yield Row(when, together, usual, may_fail=True, again="{}, as it is set alone")

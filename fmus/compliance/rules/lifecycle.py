@@ -160,13 +160,8 @@ def _differences(probe: Probe) -> Iterator[str]:
 def wrong_guid_is_refused(probe: Probe) -> Iterator[str]:
     """fmi2Instantiate returns NULL for a GUID that is not the description's, also where it is nearly so."""
     guid = probe.fmu.guid
-    nearly = [
-        guid[:-1],
-        f"{guid}0",
-        guid[:-2] + ("1" if guid[-2:-1] == "0" else "0") + guid[-1:],
-        guid.swapcase(),
-    ]
-    for wrong in dict.fromkeys([_WRONG_GUID, *nearly]):
+    other = guid[:-2] + ("1" if guid[-2:-1] == "0" else "0") + guid[-1:]
+    for wrong in dict.fromkeys([_WRONG_GUID, guid[:-1], f"{guid}0", other, guid.swapcase()]):
         if wrong != guid and probe.creates(guid=wrong)[0]:
             yield f"fmi2Instantiate gave an instance for the wrong GUID {wrong!r}: expected NULL"
             return

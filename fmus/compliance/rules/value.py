@@ -12,13 +12,7 @@ from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.differential import ROUNDING, Row, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Check, NotApplicableError, NotJudgedError, behaviour_rule
-from fmus.compliance.values import (
-    is_utf_8,
-    other_values,
-    settable_while_stepping,
-    start_values,
-    texts,
-)
+from fmus.compliance.values import is_utf_8, other_values, settable_while_stepping, start_values, texts
 from fmus.compliance.variable import Variable
 
 _PLATFORM = "2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)"
