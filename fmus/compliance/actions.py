@@ -158,12 +158,13 @@ def glance(variables: Iterable[Variable]) -> Action:
     return lambda play: play.script.read(variables)
 
 
-def read_slopes(outputs: Sequence[Variable], when: str = "") -> Action:
-    """Reads the first derivatives of outputs, if there are any."""
+def read_slopes(outputs: Sequence[Variable], when: str = "", orders: int | Sequence[int] = 1) -> Action:
+    """Reads derivatives of outputs, if there are any, of one order or each of its own, in one call."""
 
     def action(play: Play) -> None:
         if outputs:
-            play.observed.append((when, "", play.script.read_output_derivatives(outputs)))
+            reply = play.script.call("output_derivatives", references_of(outputs), orders)
+            play.observed.append((when, "", Reading({"Real": list(outputs)}, {"Real": reply})))
 
     return action
 

@@ -279,11 +279,6 @@ class Script:
         }
         return Reading(groups, replies)
 
-    def read_output_derivatives(self, outputs: Sequence[Variable]) -> Reading:
-        """Reads the first derivatives of continuous Real outputs."""
-        reply = self.call("output_derivatives", [v.reference or 0 for v in outputs], 1)
-        return Reading({"Real": list(outputs)}, {"Real": reply})
-
     def point(self, i: int) -> float:
         """Returns the time of communication point number i [s]."""
         return self._probe.point(i)

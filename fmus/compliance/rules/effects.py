@@ -1,79 +1,55 @@
-"""Effects of variables on others: what ModelStructure and directional derivatives say of them, beside what
-runs show that differ in the value of one variable alone.
+"""Effects of variables on others: what ModelStructure and directional derivatives say of them, beside finite
+differences.
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, TypeVar
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
+from fmus.compliance import actions as do
+from fmus.compliance import values
+from fmus.compliance.actions import Action, Pair, Play
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
-from fmus.compliance.script import Reading, Reply, Script
-from fmus.compliance.values import (
-    accepted_together,
-    continuous_reals,
-    other_value,
-    other_values,
-    references_of,
-    same,
-    settable_in_initialization,
-    settable_while_stepping,
-    start_value,
-    texts,
-    unless_claimed,
-)
+from fmus.compliance.rules.finite_differences import ANY_STEP, NOISE, Column, followers, in_steps, values_of
+from fmus.compliance.script import CallError, Reply
+from fmus.compliance.values import continuous_reals, other_values, references_of, same, start_value, texts
 from fmus.compliance.variable import Variable
 
-T = TypeVar("T")
-Point = Sequence[tuple[Variable, Any]]
-Factor = tuple[Variable, Variable, str]
-"""An unknown, a known on which it depends, and the kind of this dependency."""
-
-_PARTIAL = "2.1.9 Getting Partial Derivatives"
 _STRUCTURE = "2.2.8 Definition of the Model Structure (ModelStructure)"
-_PROVIDES = unless_claimed("providesDirectionalDerivative")
-_ANY_STEP = "canHandleVariableCommunicationStepSize"
+_PARTIAL = "2.1.9 Getting Partial Derivatives"
+_PROVIDES = values.unless_claimed("providesDirectionalDerivative")
+_partial_rule = partial(behaviour_rule, _PARTIAL, _PROVIDES)
 _AT_FIRST, _STEPPING = ("InitialUnknowns",), ("Outputs", "Derivatives")
-_MOST_KNOWNS, _MOST_DERIVED = 100, 40  # of one FMU: each costs two runs, with derivatives three
-_MOST_INPUTS, _MOST_CHANGED = 20, 50
+_INITIALIZATION, _STEP = (do.initialise,), (do.begin, do.step())
+_MOST_KNOWNS, _MOST_DERIVED, _MOST_INPUTS = 100, 40, 20  # of one FMU: each costs runs
 _DIFFERENCE = 1e-6  # relative change for a difference quotient: half the digits for truncation and rounding
 _AGREEMENT = 1e-4  # relative; a wrong derivative is wrong by much more
-_LINEAR = 1e-6  # relative: of changes of values
+_LINEAR = 1e-6  # relative: of difference quotients
 _SUMMED = 1e-3  # relative: derivatives may be difference quotients of one side (2.1.9)
-_NOISE = 1e-9  # an iteration may stop elsewhere: relative to a value; of derivatives as it is
-_CLOSE, _SHARE = 1e-6, 0.1  # of a change: two values that are as close give changes that are as equal
 _SELDOM = ("constant", "fixed", "tunable")  # kinds of a factor that does not change with every input
 _PARTS = (1.0, 0.1, 0.01)  # of a step: an effect through a state shrinks with them
 _STAYS, _ENDS = 0.5, 0.1  # of an effect: in a short step, and a step after its cause has gone
+_TO_BE_LISTED = "expected that among its dependencies"
 
 
-def _runs(
-    probe: Probe,
-    begun: Callable[[], Script],
-    known: Variable,
-    values: Sequence[Any],
-    read: Callable[[Script], T],
-    point: Point = (),
-) -> list[tuple[Script, T]]:
-    """Returns runs that differ in the value of one variable alone, played, each with what it has read.
+class _Factor(NamedTuple):
+    """An unknown, a known on which it depends, and the kind of this dependency."""
 
-    begun: a new script, up to where values are set; values: None is not set; point: values of other variables
-    """
-    runs = []
-    for value in values:
-        script = begun()
-        for v, x in [*(pair for pair in point if pair[0] is not known), (known, value)]:
-            if x is not None:
-                script.set(v, x)
-        runs.append((script, read(script)))
-    probe.play_each([script for script, _ in runs])
-    return runs
+    unknown: Variable
+    known: Variable
+    kind: str
+
+
+_Group = tuple[Variable, Sequence[Variable]]
+"""A known with unknowns."""
 
 
 def _factors(
     fmu: FmuFile, sections: Sequence[str], knowns: Iterable[Variable], stated: bool = False
-) -> Iterator[Factor]:
+) -> Iterator[_Factor]:
     """Yields those of Real unknowns and knowns, each once.
 
     stated: only what is listed; otherwise an unknown that lists nothing depends on all knowns
@@ -84,17 +60,15 @@ def _factors(
             kind_of = dict(zip(listed or (), kinds, strict=False))
             chosen = by_index.keys() if listed is None and not stated else by_index.keys() & set(listed or ())
             for index in sorted(chosen - {unknown.index}) if unknown.kind == "Real" else ():
-                yield unknown, by_index[index], kind_of.get(index, "")
+                yield _Factor(unknown, by_index[index], kind_of.get(index, ""))
 
 
-def _by_known(factors: Iterable[Factor]) -> list[tuple[Variable, list[Variable]]]:
+def _by_known(factors: Iterable[_Factor], most: int = _MOST_DERIVED) -> Sequence[_Group]:
     """Returns each known with its unknowns, each once."""
-    knowns: dict[int, Variable] = {}
-    unknowns: dict[int, dict[int, Variable]] = {}
+    groups: dict[int, tuple[Variable, dict[int, Variable]]] = {}
     for unknown, known, _ in factors:
-        knowns[known.index] = known
-        unknowns.setdefault(known.index, {})[unknown.index] = unknown
-    return [(known, list(unknowns[index].values())) for index, known in knowns.items()]
+        groups.setdefault(known.index, (known, {}))[1][unknown.index] = unknown
+    return [(known, list(unknowns.values())) for known, unknowns in groups.values()][:most]
 
 
 def _states(fmu: FmuFile) -> list[Variable]:
@@ -102,46 +76,21 @@ def _states(fmu: FmuFile) -> list[Variable]:
     return [fmu.variables[index - 1] for index in fmu.state_derivatives.values()]
 
 
-# initial values
+# dependencies
 
 
 @behaviour_rule(_STRUCTURE)
 def initial_dependencies_are_declared(probe: Probe) -> Iterator[str]:
     """An initial unknown changes only with the knowns that its dependencies list."""
-    for known, value in other_values(settable_in_initialization(probe.fmu)[:_MOST_KNOWNS]):
+    for known, value in other_values(values.settable_in_initialization(probe.fmu)[:_MOST_KNOWNS]):
         unlisted = [
             unknown
             for unknown, listed, _ in probe.fmu.dependencies["InitialUnknowns"]
             if listed is not None and known.index not in listed and unknown.name != known.name
         ]
-        for name in sorted(_changed(probe, known, value, unlisted)):
-            expected = "expected that among its dependencies"
-            yield f"{name} changes with {known.name} in initialization mode: {expected}"
-
-
-def _changed(probe: Probe, known: Variable, value: Any, unknowns: list[Variable]) -> set[str]:
-    """Returns the unknowns that change when a known has another value, by more than an iteration leaves: not
-    as much between two values that are almost one.
-    """
-    start = start_value(known)
-
-    def values_with(*values: Any) -> list[dict[str, Any]]:
-        runs = _runs(probe, lambda: probe.script().initialise(), known, values, lambda s: s.read(unknowns))
-        return [reading.values for script, reading in runs if script.succeeded]
-
-    pair = values_with(None, value) if unknowns else []
-    names = {v.name for v in unknowns if pair[1:] and not same(pair[0][v.name], pair[1][v.name], _NOISE)}
-    if not names or not isinstance(start, float):
-        return names
-    near = values_with(start, value, value + _CLOSE * (value - start))
-    if len(near) < 3:
-        return names
-
-    def is_noise(name: str) -> bool:
-        a, b, c = (values[name] for values in near)
-        return isinstance(a, float) and abs(c - b) > _SHARE * abs(b - a)
-
-    return {name for name in names if not is_noise(name)}
+        read = [do.read(unlisted)]
+        for name in sorted(followers(probe, _INITIALIZATION, known, value, read) if unlisted else ()):
+            yield f"{name} changes with {known.name} in initialization mode: {_TO_BE_LISTED}"
 
 
 @behaviour_rule(_STRUCTURE, needs="variables-can-be-read")
@@ -153,53 +102,14 @@ def dependencies_on_time_are_declared(probe: Probe) -> Iterator[str]:
     if not independent:
         raise NotApplicableError("no variable is independent")
     initial = probe.fmu.dependencies["InitialUnknowns"]
-    scripts = [probe.script().initialise(t) for t in (probe.start_time, probe.start_time + probe.step_size)]
-    readings = [script.read(unknown for unknown, *_ in initial) for script in scripts]
-    probe.play_each(scripts)
-    if not all(script.succeeded for script in scripts):
+    unlisted = [v for v, listed, _ in initial if listed is not None and not {*listed} & independent]
+    set_up = [do.call("set_up_experiment", probe.point(i), None) for i in (0, 1)]
+    runs = values_of(probe, [(call, do.enter_initialization_mode, do.read(unlisted)) for call in set_up])
+    if not all(runs):
         raise NotJudgedError("another start time is refused")
-    before, after = (reading.values for reading in readings)
-    for name in [v.name for v, listed, _ in initial if listed is not None and not {*listed} & independent]:
-        if not same(before[name], after[name], _NOISE):
-            yield f"{name} changes with the start time: expected the independent variable in its dependencies"
-
-
-@behaviour_rule(_STRUCTURE, needs="variables-can-be-read")
-def constant_factors_are_constant(probe: Probe) -> Iterator[str]:
-    """An initial unknown changes with a known of the kind constant by the same factor everywhere, whatever
-    the inputs are.
-    """
-    fmu, knowns = probe.fmu, settable_in_initialization(probe.fmu)
-    point = other_values(v for v in knowns if v.causality == "input")
-    initial = {unknown.index for unknown, *_ in fmu.dependencies["InitialUnknowns"]}
-    factors = _factors(fmu, ("InitialUnknowns", "Outputs"), knowns, stated=True)
-    constant = (factor for factor in factors if factor[2] == "constant" and factor[0].index in initial)
-    for known, unknowns in _by_known(constant)[:_MOST_KNOWNS]:
-        start, value = start_value(known), other_value(known)
-        if isinstance(start, float) and value is not None:
-            yield from _other_factors(probe, known, unknowns, start, value, point)
-
-
-def _other_factors(
-    probe: Probe, known: Variable, unknowns: list[Variable], start: float, value: float, point: Point
-) -> Iterator[str]:
-    twice = start + 2 * (value - start)
-    runs = [
-        run
-        for values, others in (((start, value, twice), ()), ((start, value), point))
-        for run in _runs(
-            probe, lambda: probe.script().initialise(), known, values, lambda s: s.read(unknowns), others
-        )
-    ]
-    for v in unknowns if all(script.succeeded for script, _ in runs) else ():
-        a, b, c, d, e = (reading.values[v.name] for _, reading in runs)
-        changes, scale = [b - a, c - b, e - d], max(map(abs, (a, b, c, d, e)))
-        margin = _LINEAR * max(map(abs, changes)) + 1e-12 * scale
-        if math.isfinite(scale) and max(changes) - min(changes) > margin:
-            yield f"the factor of {known.name} in {v.name} is not constant: its dependenciesKind is"
-
-
-# outputs after steps
+    (before,), (after,) = runs
+    for name in [name for name, x in before.items() if not same(x, after[name], NOISE)]:
+        yield f"{name} changes with the start time: expected the independent variable in its dependencies"
 
 
 @behaviour_rule(
@@ -214,7 +124,7 @@ def outputs_follow_declared_inputs_alone(probe: Probe) -> Iterator[str]:
     # 4.2.4 allows no reading between setting an input and the next step
     inputs = [v for v in probe.fmu.variables if v.causality == "input"]
     indices = {v.index for v in inputs}
-    parts = _PARTS if probe.fmu.claims(_ANY_STEP) else _PARTS[:1]
+    parts = _PARTS if probe.fmu.claims(ANY_STEP) else _PARTS[:1]
     for v, value in other_values(inputs[:_MOST_INPUTS]):
         unlisted = [
             unknown.name
@@ -223,221 +133,211 @@ def outputs_follow_declared_inputs_alone(probe: Probe) -> Iterator[str]:
         ]
         effects = [_direct_effects(probe, v, value, part) for part in parts] if unlisted else []
         for name in sorted(unlisted):
-            found = [effect[name] for effect in effects if name in effect]
-            if len(found) == len(parts) and (found[-1] is True or found[-1] > _STAYS * found[0]):
-                expected = "expected that among its dependencies"
-                yield f"{name} changes with {v.name} in a step, however short: {expected}"
+            sizes = [effect.get(name, 0.0) for effect in effects]
+            if all(sizes) and sizes[-1] > _STAYS * sizes[0]:
+                yield f"{name} changes with {v.name} in a step, however short: {_TO_BE_LISTED}"
 
 
-def _direct_effects(probe: Probe, v: Variable, value: Any, part: float) -> dict[str, Any]:
+def _direct_effects(probe: Probe, v: Variable, value: Any, part: float) -> dict[str, float]:
     """Returns the outputs that another value of an input changes in a step of a part of the step size, and
-    that are as before one step after it, each with the change of a number, or True.
+    that are as before one step after it, each with the size of its change.
     """
-    t, h = probe.point(2), part * probe.step_size
+    start, size = start_value(v), part * probe.step_size
+    runs = values_of(probe, [in_steps(probe, v, (x, start), size) for x in (start, value)])
+    (usual, now), (changed, then) = runs if all(runs) else (({}, {}),) * 2
+    effects = {name: _distance(x, changed[name]) for name, x in usual.items()}
+    return {
+        name: effect
+        for name, effect in effects.items()
+        if math.isfinite(effect) and not same(usual[name], changed[name], NOISE)
+        if _distance(now[name], then[name]) <= _ENDS * effect
+    }
 
-    def read(script: Script) -> tuple[Reading, Reading]:
-        script.call("do_step", t, h)
-        first = script.read(probe.outputs)
-        script.set(v, start_value(v))
-        script.call("do_step", t + h, h)
-        return first, script.read(probe.outputs)
 
-    runs = _runs(probe, lambda: probe.script().begin().step(2), v, (start_value(v), value), read)
-    if not all(script.succeeded for script, _ in runs):
-        return {}
-    (usual, now), (changed, then) = ([r.values for r in readings] for _, readings in runs)
-    effects: dict[str, Any] = {}
-    for name in [name for name, x in usual.items() if not same(x, changed[name], _NOISE)]:
-        if not isinstance(usual[name], float):
-            effects |= {name: True} if now[name] == then[name] else {}
+def _distance(a: Any, b: Any) -> float:
+    """Returns how far two values are apart: 1 if they differ and are no Reals."""
+    return abs(a - b) if isinstance(a, float) else float(a != b)
+
+
+@behaviour_rule(_STRUCTURE, needs="variables-can-be-read")
+def constant_factors_are_constant(probe: Probe) -> Iterator[str]:
+    """An initial unknown changes with a known of the kind constant by the same factor everywhere, whatever
+    the inputs are.
+    """
+    knowns = values.settable_in_initialization(probe.fmu)
+    inputs = other_values(v for v in knowns if v.causality == "input")
+    initial = {unknown.index for unknown, *_ in probe.fmu.dependencies["InitialUnknowns"]}
+    factors = _factors(probe.fmu, ("InitialUnknowns", "Outputs"), knowns, stated=True)
+    constant = (f for f in factors if f.kind == "constant" and f.unknown.index in initial)
+    for known, unknowns in _by_known(constant, _MOST_KNOWNS):
+        start, value = start_value(known), values.other_value(known)
+        if not isinstance(start, float) or value is None:
             continue
-        effect = abs(changed[name] - usual[name])
-        if math.isfinite(effect) and abs(then[name] - now[name]) <= _ENDS * effect:
-            effects[name] = effect
-    return effects
+        column = partial(Column, probe, _INITIALIZATION, known, after=[do.read(unknowns)])
+        here, there = column((start, value, 2 * value - start)), column((start, value), point=inputs)
+        for v in unknowns if here.is_whole and there.is_whole else ():
+            quotients = [*here.quotients(v.name), *there.quotients(v.name)]
+            margin = _LINEAR * max(map(abs, quotients)) + here.rounding(v.name) + there.rounding(v.name)
+            if math.isfinite(margin) and max(quotients) - min(quotients) > margin:
+                yield f"the factor of {known.name} in {v.name} is not constant: its dependenciesKind is"
 
 
 # directional derivatives
 
 
-def _derivatives(script: Script, unknowns: Sequence[Variable], known: Variable) -> Reply:
-    return script.call("directional_derivatives", references_of(unknowns), references_of([known]), [1.0])
+def _derive(
+    unknowns: Sequence[Variable], knowns: Sequence[Variable], seed: Sequence[float] = (1.0,)
+) -> Action:
+    return do.call("directional_derivatives", references_of(unknowns), references_of(knowns), list(seed))
 
 
-@behaviour_rule(_PARTIAL, condition=_PROVIDES, needs="allowed-calls-succeed variables-can-be-read")
+def _derivatives(probe: Probe, mode: Iterable[Action], groups: Iterable[_Group]) -> list[Reply]:
+    """Returns replies with the derivatives of unknowns by each known, after some actions."""
+    play = Play(probe, mode, logging=True)
+    replies = play.write(_derive(unknowns, [known]) for known, unknowns in groups)
+    probe.play_once([play.script])
+    return replies
+
+
+@_partial_rule(needs="allowed-calls-succeed variables-can-be-read")
 def directional_derivatives(probe: Probe) -> Iterator[str]:
     """In initialization mode, derivatives of outputs, calculated parameters and state derivatives lie between
     difference quotients of both sides.
     """
-    for known, unknowns in _by_known(_initial_factors(probe.fmu))[:_MOST_DERIVED]:
-        yield from _beside_quotients(probe, known, unknowns)
+    return _beside_quotients(probe, (), _by_known(_initial_factors(probe.fmu)))
 
 
-def _initial_factors(fmu: FmuFile) -> Iterator[Factor]:
+def _initial_factors(fmu: FmuFile) -> Iterator[_Factor]:
     derivatives = {index for index, _ in fmu.unknowns("Derivatives")}
-    for factor in _factors(fmu, _AT_FIRST, settable_in_initialization(fmu)):
-        if factor[0].causality in ("output", "calculatedParameter") or factor[0].index in derivatives:
+    for factor in _factors(fmu, _AT_FIRST, values.settable_in_initialization(fmu)):
+        v = factor.unknown
+        if v.causality in ("output", "calculatedParameter") or v.index in derivatives:
             yield factor
 
 
-@behaviour_rule(
-    _PARTIAL,
-    condition=_PROVIDES,
-    needs="directional-derivatives directional-derivatives-are-linear",
-)
+@_partial_rule(needs="directional-derivatives directional-derivatives-are-linear")
 def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
     """After initialisation with other values, the derivatives of continuous outputs and state derivatives in
     step mode lie near difference quotients: those of runs with other inputs and states at first.
     """
-    settable = [v for v in settable_in_initialization(probe.fmu) if v.kind == "Real"]
+    settable = [v for v in values.settable_in_initialization(probe.fmu) if v.kind == "Real"]
     states = {v.index for v in _states(probe.fmu)}
     knowns = (v for v in settable if v.causality == "input" or v.index in states)
-    pairs = other_values(settable[:_MOST_CHANGED])
-    point = accepted_together(probe, pairs, lambda: probe.script().initialise())
-    factors = (f for f in _factors(probe.fmu, _STEPPING, knowns) if f[0].variability == "continuous")
-    for known, unknowns in _by_known(factors)[:_MOST_DERIVED]:
-        yield from _beside_quotients(probe, known, unknowns, point)
+    factors = (f for f in _factors(probe.fmu, _STEPPING, knowns) if f.unknown.variability == "continuous")
+    point = do.others_accepted(probe, settable, do.initialise)
+    return _beside_quotients(probe, (do.exit_initialization_mode,), _by_known(factors), point)
 
 
 def _beside_quotients(
-    probe: Probe, known: Variable, unknowns: list[Variable], point: Point | None = None
+    probe: Probe, exit_mode: Sequence[Action], groups: Sequence[_Group], others: Sequence[Pair] = ()
 ) -> Iterator[str]:
-    """Yields messages of derivatives outside of difference quotients.
-
-    point: values of initialization mode for step mode, unless a state follows the known at once
+    """Yields messages of derivatives outside of difference quotients where knowns have their start values, or
+    others. Raises CallError for a derivative that is refused at the start values.
     """
-    start = next((x for v, x in point or () if v is known), start_value(known))
-    if not isinstance(start, float):
-        return
-    states = [] if point is None else [v for v in _states(probe.fmu) if v is not known]
-    low, high, width = known.number("min"), known.number("max"), _DIFFERENCE * max(1.0, abs(start))
-    sides = [
-        x for x in (start - width, start + width)
-        if (low is None or x >= low) and (high is None or x <= high)
-    ]  # fmt: skip
-
-    def read(script: Script) -> tuple[Reading, Reply]:
-        if point is not None:
-            script.exit_initialization_mode()
-        # 4.2.4 lets only outputs and initial unknowns be read in initialization mode
-        return script.read([*unknowns, *states]), _derivatives(script, unknowns, known)
-
-    def begun() -> Script:
-        return probe.script(logging=True).initialise()
-
-    (usual, (middle, reply)), *others = _runs(probe, begun, known, [start, *sides], read, point or ())
-    if usual.failure and point is None:
-        yield usual.failure.problem
-    if not usual.succeeded:
-        return
-    values = middle.values
-    taken = [(x, r.values) for x, (script, (r, _)) in zip(sides, others, strict=True) if script.succeeded]
-    if any(values[v.name] != side[v.name] for v in states for _, side in taken):
-        return
-    for v, derivative in zip(unknowns, reply.value, strict=True):
-        quotients = [(side[v.name] - values[v.name]) / (x - start) for x, side in taken]
-        if quotients and all(map(math.isfinite, [values[v.name], *quotients])):
-            rounding = 1e-13 * abs(values[v.name]) / width  # some hundred roundings of the output
-            margin = _AGREEMENT * max(map(abs, [derivative, *quotients])) + rounding + _NOISE
-            if not min(quotients) - margin <= derivative <= max(quotients) + margin:
-                where = "" if point is None else f" in the state {usual.state!r}"
-                expected = f"{min(quotients):.9g}..{max(quotients):.9g}"
-                yield f"d {v.name} / d {known.name} is {derivative:.9g}{where}: expected {expected}"
+    point = {v.index: (v, x) for v, x in (*values.start_values(known for known, _ in groups), *others)}
+    judged = [(known, unknowns) for known, unknowns in groups if known.index in point]
+    replies = _derivatives(probe, (*_INITIALIZATION, do.set_values(point.values()), *exit_mode), judged)
+    refused = next((reply for reply in replies if not reply.ok), None)
+    if refused and not exit_mode:
+        raise CallError(refused.problem)
+    # 4.2.4 lets only outputs and initial unknowns be read in initialization mode
+    states = _states(probe.fmu) if exit_mode else []
+    read = do.read({v.index: v for v in (*(v for _, group in judged for v in group), *states)}.values())
+    for (known, unknowns), reply in zip(judged, replies, strict=True):
+        _, start = point[known.index]
+        width = _DIFFERENCE * max(1.0, abs(start))
+        xs = [start, *(x for x in (start - width, start + width) if known.low <= x <= known.high)]
+        column = Column(probe, _INITIALIZATION, known, xs, (*exit_mode, read), list(point.values()))
+        if not reply.ok or column.xs[:1] != [start] or len(column.xs) < 2:
+            continue
+        if column.changed(0.0) & {v.name for v in states if v is not known}:  # they follow the known at once
+            continue
+        where = f" in the state {reply.state!r}" if exit_mode else ""
+        for v, derivative in zip(unknowns, reply.value, strict=True):
+            quotients = column.quotients(v.name)
+            low, high = min(quotients), max(quotients)
+            margin = _AGREEMENT * max(map(abs, [derivative, low, high])) + column.rounding(v.name) + NOISE
+            if math.isfinite(high - low) and not low - margin <= derivative <= high + margin:
+                got = f"d {v.name} / d {known.name} is {derivative:.9g}{where}"
+                yield f"{got}: expected {low:.9g}..{high:.9g}"
 
 
-@behaviour_rule(_PARTIAL, condition=_PROVIDES, needs="directional-derivatives questions-change-nothing")
+@_partial_rule(needs="directional-derivatives questions-change-nothing")
 def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
     """A directional derivative is the sum of the partial derivatives, each times its seed, in every mode."""
     initial = [v for v, *_ in probe.fmu.dependencies["InitialUnknowns"] if v.kind == "Real"]
-    inputs = continuous_reals(probe, "input")
-    at_first = [known for known, _ in _by_known(_initial_factors(probe.fmu))]
+    inputs, at_first = continuous_reals(probe, "input"), _by_known(_initial_factors(probe.fmu))
     modes = (
-        (initial, [*inputs, *at_first], False),
-        (continuous_reals(probe, "output"), [*inputs, *_states(probe.fmu)], True),
+        (_INITIALIZATION, initial, [*inputs, *(known for known, _ in at_first)]),
+        (_STEP, continuous_reals(probe, "output"), [*inputs, *_states(probe.fmu)]),
     )
-    if not any(unknowns and knowns for unknowns, knowns, _ in modes):
+    judged = [(mode, unknowns, knowns) for mode, unknowns, knowns in modes if unknowns and knowns]
+    if not judged:
         raise NotApplicableError("there is no Real known, or neither an output nor an initial unknown")
-    for unknowns, knowns, stepping in modes:
-        if unknowns and knowns:
-            chosen = list({v.index: v for v in knowns}.values())[:_MOST_DERIVED]
-            yield from _other_sums(_in_mode(probe, stepping), unknowns, chosen)
+    for mode, unknowns, knowns in judged:
+        chosen = list({v.index: v for v in knowns}.values())[:_MOST_DERIVED]
+        yield from _other_sums(Play(probe, mode, logging=True), unknowns, chosen)
 
 
-def _in_mode(probe: Probe, stepping: bool) -> Script:
-    """Returns a script in step mode, after a step, or in initialization mode."""
-    script = probe.script(logging=True)
-    return script.begin().step() if stepping else script.initialise()
-
-
-def _other_sums(script: Script, unknowns: list[Variable], knowns: list[Variable]) -> Iterator[str]:
+def _other_sums(play: Play, unknowns: list[Variable], knowns: list[Variable]) -> Iterator[str]:
     seed = [2.5 + 0.5 * i for i in range(len(knowns))]
-    alone = [_derivatives(script, unknowns, known) for known in knowns]
-    together = script.call("directional_derivatives", references_of(unknowns), references_of(knowns), seed)
-    script.play()
+    partials = [_derive(unknowns, [known]) for known in knowns]
+    *alone, together = play.write([*partials, _derive(unknowns, knowns, seed)])
+    play.script.play()
     for i, (v, got) in enumerate(zip(unknowns, together.value, strict=True)):
         parts = [s * reply.value[i] for s, reply in zip(seed, alone, strict=True)]
         if not abs(got - sum(parts)) <= _SUMMED * max([1e-300, abs(got), *map(abs, parts)]):
-            shown = texts(got, sum(parts))
-            yield (
-                f"the directional derivative of {v.name} is {shown[0]} in the state "
-                f"{script.state!r}: expected {shown[1]}, the sum of its parts"
-            )
+            shown, what = texts(got, sum(parts)), f"the directional derivative of {v.name}"
+            where = f"in the state {together.state!r}"
+            yield f"{what} is {shown[0]} {where}: expected {shown[1]}, the sum of its parts"
 
 
-@behaviour_rule(
-    _PARTIAL, condition=_PROVIDES, needs="directional-derivatives initial-dependencies-are-declared"
-)
+@_partial_rule(needs="directional-derivatives initial-dependencies-are-declared")
 def directional_derivatives_are_zero_without_dependency(probe: Probe) -> Iterator[str]:
     """The derivative with respect to an input, in step mode also to a continuous state, that is not among
     the dependencies of an output or a state derivative is zero.
     """
     inputs, states = continuous_reals(probe, "input"), _states(probe.fmu)
     for section in (*_AT_FIRST, *_STEPPING):
-        stepping = section in _STEPPING
-        for unknown, stated, _ in probe.fmu.dependencies[section]:
-            observed = unknown.causality == "output" or section == "Derivatives"
-            if stated is None or unknown.kind != "Real" or not observed:
-                continue
+        mode, knowns = (_STEP, [*inputs, *states]) if section in _STEPPING else (_INITIALIZATION, inputs)
+        groups = list(_unlisted(probe.fmu, section, knowns))
+        for (known, (unknown,)), reply in zip(groups, _derivatives(probe, mode, groups), strict=True):
+            if reply.ok and reply.value[0] != 0.0:
+                got = (
+                    f"d {unknown.name} / d {known.name} is {reply.value[0]:.9g} in the state {reply.state!r}"
+                )
+                yield f"{got}: expected 0, as {section} lists no such dependency"
+
+
+def _unlisted(fmu: FmuFile, section: str, knowns: Sequence[Variable]) -> Iterator[_Group]:
+    """Yields knowns, each with an output or state derivative that lists others and not this one."""
+    for unknown, stated, _ in fmu.dependencies[section]:
+        is_observed = unknown.causality == "output" or section == "Derivatives"
+        if stated is not None and unknown.kind == "Real" and is_observed:
             indices = {*stated, unknown.index}
-            listed = {(v.base_kind, v.reference) for v in probe.fmu.variables if v.index in indices}
-            knowns = [*inputs, *states] if stepping else inputs
-            others = [v for v in knowns if (v.base_kind, v.reference) not in listed][:_MOST_DERIVED]
-            script = _in_mode(probe, stepping)
-            replies = [_derivatives(script, [unknown], known) for known in others]
-            script.play(keep_going=True)
-            for known, reply in zip(others, replies, strict=True):
-                if reply.ok and reply.value[0] != 0.0:
-                    yield (
-                        f"d {unknown.name} / d {known.name} is {reply.value[0]:.9g} in the state "
-                        f"{script.state!r}: expected 0, as {section} lists no such dependency"
-                    )
+            listed = {(v.base_kind, v.reference) for v in fmu.variables if v.index in indices}
+            others = [v for v in knowns if (v.base_kind, v.reference) not in listed]
+            yield from ((known, [unknown]) for known in others[:_MOST_DERIVED])
 
 
-@behaviour_rule(
-    _STRUCTURE,
-    condition=_PROVIDES,
-    needs="directional-derivatives directional-derivatives-are-linear",
-)
+@behaviour_rule(_STRUCTURE, _PROVIDES, needs="directional-derivatives directional-derivatives-are-linear")
 def factors_change_as_declared(probe: Probe) -> Iterator[str]:
     """In step mode a factor that is constant or fixed is the same when inputs, states and tunable parameters
     have changed, and a tunable one when inputs and states have.
     """
     knowns = [v for v in probe.fmu.variables if v.causality != "independent"]
-    factors = [f for f in _factors(probe.fmu, _STEPPING, knowns, stated=True) if f[2] in _SELDOM]
+    factors = [f for f in _factors(probe.fmu, _STEPPING, knowns, stated=True) if f.kind in _SELDOM]
     if not factors:
         raise NotApplicableError("no dependency is of the kind constant, fixed or tunable")
-    changes = other_values(settable_while_stepping(probe.fmu))
-    of_inputs = [(v, x) for v, x in changes if v.causality == "input"]
-    for kinds, chosen in ((_SELDOM[:2], changes), (_SELDOM[2:], of_inputs)):
-        judged = [factor for factor in factors if factor[2] in kinds][:_MOST_DERIVED]
-        first, later = probe.script().begin().step(), probe.script().begin()
-        pairs = chosen[:_MOST_CHANGED] if judged else []
-        for v, x in accepted_together(probe, pairs, lambda: probe.script().begin()):
-            later.set(v, x)
-        later.step(3)
-        replies = [[_derivatives(script, [u], k) for u, k, _ in judged] for script in (first, later)]
-        probe.play_each([first, later])
-        for (u, k, kind), one, other in zip(judged, *replies, strict=True):
+    settable = values.settable_while_stepping(probe.fmu)
+    inputs = [v for v in settable if v.causality == "input"]
+    for kinds, changed in ((_SELDOM[:2], settable), (_SELDOM[2:], inputs)):
+        judged = [f for f in factors if f.kind in kinds][:_MOST_DERIVED]
+        groups = [(f.known, [f.unknown]) for f in judged]
+        others = do.others_accepted(probe, changed, do.begin) if judged else []
+        first = _derivatives(probe, _STEP, groups)
+        later = _derivatives(probe, (do.begin, do.set_values(others), do.step(3)), groups)
+        for (u, k, kind), one, other in zip(judged, first, later, strict=True):
             if one.ok and other.ok and not same(one.value[0], other.value[0], _AGREEMENT, 1e-12):
                 shown = texts(other.value[0], one.value[0])
                 yield f"d {u.name} / d {k.name} is {shown[0]} and was {shown[1]}: its factor is said {kind}"

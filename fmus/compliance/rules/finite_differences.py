@@ -1,0 +1,167 @@
+"""Finite differences beside which rules judge derivatives and dependencies: between runs that differ in one
+value alone, and between values of one run.
+"""
+
+import itertools
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from fmus.compliance import actions as do
+from fmus.compliance.actions import Action, Pair, Play
+from fmus.compliance.probe import Probe
+from fmus.compliance.script import CallError
+from fmus.compliance.values import references_of, same, start_value, texts
+from fmus.compliance.variable import Variable
+
+Values = dict[str, Any]
+ANY_STEP = "canHandleVariableCommunicationStepSize"
+NOISE = 1e-9  # relative to a value: an iteration may stop elsewhere
+_ROUNDING = 1e-12  # relative to a value: some thousand roundings of it
+_CLOSE, _SHARE = 1e-6, 0.1  # of a change: two values that are as close give changes that are as equal
+_ROUGH = 0.1  # relative: of slopes over a step, which is no limit
+_FAR = 10.0  # times: a derivative of one communication point, and not of the next
+_INTEGRATED = 0.02  # relative: of an integral, beside the error of a coarse solver
+
+
+def values_of(probe: Probe, runs: Iterable[Iterable[Action]]) -> list[list[Values]]:
+    """Returns the values of each reading of each run, played once for all rules; none of a run that fails."""
+    plays = [Play(probe, actions) for actions in runs]
+    probe.play_once([play.script for play in plays])
+    return [[r.values for *_, r in play.observed] if play.script.succeeded else [] for play in plays]
+
+
+class Column:
+    """A column of the matrix d(unknown) / d(known) at a point: the values of unknowns in runs that differ in
+    the value of the known alone.
+
+    point: values of other knowns; before, after: actions before values are set, and up to where unknowns are
+      read; xs, rows: values of the known and of the unknowns, of the runs that succeed
+    """
+
+    def __init__(
+        self, probe: Probe, before: Sequence[Action], known: Variable, values: Sequence[Any],
+        after: Sequence[Action], point: Sequence[Pair] = (),
+    ) -> None:  # fmt: skip
+        others = {v.index: (v, x) for v, x in point}
+        points = [(others | {known.index: (known, x)}).values() for x in values]
+        readings = values_of(probe, [(*before, do.set_values(pairs), *after) for pairs in points])
+        self.xs = [x for x, run in zip(values, readings, strict=True) if run]
+        self.rows = [run[-1] for run in readings if run]
+        self.is_whole = len(self.rows) == len(values)
+
+    def quotients(self, name: str) -> list[float]:
+        """Returns the difference quotients of an unknown, each between another run and the first."""
+        others = zip(self.xs[1:], self.rows[1:], strict=True)
+        return [(row[name] - self.rows[0][name]) / (x - self.xs[0]) for x, row in others]
+
+    def rounding(self, name: str) -> float:
+        """Returns how far rounding of the unknown may change its quotients."""
+        return _ROUNDING * max(abs(row[name]) for row in self.rows) / abs(self.xs[1] - self.xs[0])
+
+    def changed(self, tolerance: float = NOISE) -> set[str]:
+        """Returns the names of the unknowns that differ between the first run and another."""
+        first, *others = self.rows
+        return {name for row in others for name, x in first.items() if not same(x, row[name], tolerance)}
+
+
+def followers(
+    probe: Probe, before: Sequence[Action], known: Variable, value: Any, after: Sequence[Action]
+) -> set[str]:
+    """Returns the names of the unknowns that change when a known has another value, by more than an iteration
+    leaves: not as much between two values that are almost one. Arguments as of `Column`.
+    """
+    start = start_value(known)
+    column = Column(probe, before, known, (start, value), after)
+    names = column.changed() if column.is_whole else set[str]()
+    if not names or not isinstance(start, float):
+        return names
+    near = Column(probe, before, known, (start, value, value + _CLOSE * (value - start)), after)
+    if not near.is_whole:
+        return names
+    a, b, c = near.rows
+    reals = (name for name in names if isinstance(a[name], float))
+    return names - {name for name in reals if abs(c[name] - b[name]) > _SHARE * abs(b[name] - a[name])}
+
+
+def in_steps(
+    probe: Probe, v: Variable, values: Sequence[Any], size: float, slope: float | None = None
+) -> Sequence[Action]:
+    """Returns actions that make steps of a size from the second communication point on, before each of which
+    an input gets a value, and in the end a slope; after each the outputs are read.
+    """
+    actions = [do.begin, do.step()]
+    for i, x in enumerate(values):
+        actions.append(do.set_values([(v, x)]))
+        if slope is not None:
+            actions.append(do.call("set_input_derivatives", references_of([v]), [1], [slope]))
+        actions += do.call("do_step", probe.point(1) + i * size, size), do.read(probe.outputs)
+    return actions
+
+
+def series(
+    probe: Probe, variables: Sequence[Variable], steps: int, part: float = 1.0, orders: int = 0
+) -> dict[str, list[list[float]]]:
+    """Returns the values of Real variables after steps of a part of the step size, and those of their
+    derivatives of each order that is asked for; nothing where short steps fail.
+
+    Raises CallError where steps of the usual size fail.
+    """
+    size, actions = part * probe.step_size, [do.begin]
+    read = do.read(variables), *(do.read_slopes(variables, orders=order + 1) for order in range(orders))
+    for i in range(steps if variables else 0):
+        actions += do.call("do_step", probe.point(0) + i * size, size), *read
+    play = do.played(probe, actions, logging=True)
+    failure = play.script.failure
+    if failure and part == 1.0:
+        raise CallError(failure.problem)
+    rows = [] if failure else [reading.values for *_, reading in play.observed]
+    return {
+        v.name: [[row[v.name] for row in rows[k :: len(read)]] for k in range(len(read))]
+        for v in variables
+        if rows
+    }
+
+
+class Slopes:
+    """Derivatives at communication points beside the slopes of the values before and after them."""
+
+    def __init__(self, values: Sequence[float], derivatives: Sequence[float], step_size: float) -> None:
+        self._values, self._derivatives, self._step_size = values, derivatives, step_size
+        self._sides = list(itertools.pairwise((b - a) / step_size for a, b in itertools.pairwise(values)))
+        self._rounding = NOISE * max(map(abs, values)) / step_size
+
+    def wrong(self, judged: Callable[[float], bool] = bool) -> str:
+        """Returns a message if over half of the derivatives are wrong, and are to be judged: those that are
+        not 0, unless `judged` is given.
+        """
+        pairs = zip(self._derivatives[1:-1], self._sides, strict=True)
+        wrong = [(x, *sides) for x, sides in pairs if judged(x) and self._is_wrong(x, *sides)]
+        if len(wrong) <= (len(self._sides) + 1) // 2:  # a jump or an event is not a wrong derivative
+            return ""
+        shown = texts(*wrong[0])
+        return f"its derivative is {shown[0]}: expected about {shown[1]}..{shown[2]}, its slopes"
+
+    def _is_wrong(self, derivative: float, before: float, after: float) -> bool:
+        margin = 2 * abs(after - before) + _ROUGH * max(abs(before), abs(after)) + self._rounding
+        return not min(before, after) - margin <= derivative <= max(before, after) + margin
+
+    def are_late(self) -> bool:
+        """Whether each derivative is the mean slope around the communication point before, and not around its
+        own: nearer by far, and not for rounding.
+        """
+        means = [(before + after) / 2 for before, after in self._sides]
+        own = [abs(x - mean) for x, mean in zip(self._derivatives[2:-1], means[1:], strict=True)]
+        late = [abs(x - mean) for x, mean in zip(self._derivatives[2:-1], means, strict=False)]
+        return bool(own) and min(own) > _FAR * max([self._rounding, *late])
+
+    def difference_of_integral(self, nominal: float) -> tuple[float, float] | None:
+        """Returns the change of the variable and the integral of its derivative, unless they are about the
+        same.
+        """
+        slopes, size = self._derivatives, self._step_size
+        integral = size * (sum(slopes) - (slopes[0] + slopes[-1]) / 2)
+        variation = sum(abs(b - a) for a, b in itertools.pairwise(slopes))
+        margin = size * (variation + _INTEGRATED * sum(map(abs, slopes)))
+        change = self._values[-1] - self._values[0]
+        differ = abs(change - integral) > margin + NOISE * max(map(abs, [nominal, *self._values]))
+        return (change, integral) if differ else None
