@@ -13,7 +13,7 @@ from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rows import told
 from fmus.compliance.rule import Check, NotJudgedError, Rule, Stage, add_rule, always, behaviour_rule
-from fmus.compliance.rules.session import NAME, session
+from fmus.compliance.rules.call_table import NAME, tour
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, CallError, Message, Script
 from fmus.compliance.values import refused_reference
 from fmus.fmi.binding import ERROR, OK, PENDING, WARNING
@@ -119,8 +119,8 @@ def _is_of_floating_point(change: _Change, _: Probe) -> str:
 
 
 def _changes(probe: Probe) -> Iterator[_Change]:
-    """Yields what functions change in the session; the number of bytes is printed after them."""
-    for reply in session(probe).script.everything:
+    """Yields what functions change in the tour of the states; the number of bytes is printed after them."""
+    for reply in tour(probe).everything:
         for setting, before, after in reply.changed:
             yield _Change(reply.function, setting, before, after)
         if reply.printed:

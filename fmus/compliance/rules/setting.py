@@ -7,14 +7,13 @@ from fmus.compliance import values
 from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.differential import Row, differential
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import NotApplicableError, behaviour_rule
+from fmus.compliance.rule import NotApplicableError
 from fmus.compliance.values import RESTARTED
 
 _PLATFORM = "2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)"
 _INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"
 _VALUES = "2.1.7 Getting and Setting Variable Values"
 _ROUNDED, _EXACT = 1e-6, 1e-12
-_NOTHING = {"Real": 0.0, "Integer": 0, "Boolean": 0, "String": ""}
 
 
 @differential(_INITIALIZATION, needs="start-values-are-as-declared strings-are-copied")
@@ -69,7 +68,7 @@ def values_follow_what_is_set(probe: Probe) -> Iterator[Row]:
     """Values follow what is set, also if they had been read before that: in initialization mode, and for
     model exchange in event mode, and in continuous-time mode after continuous inputs.
     """
-    fmu, enter = probe.fmu, do.call("call_plain", "fmi2EnterContinuousTimeMode")
+    fmu, enter = probe.fmu, do.enter_continuous_time_mode
     modes = [
         ("initialization mode", (do.initialise,), values.settable_in_initialization(fmu),
          values.readable_in_initialization(fmu)),
@@ -98,27 +97,3 @@ def setting_the_same_changes_nothing(probe: Probe) -> Iterator[Row]:
     varied = do.begin, *(do.set_values(values.start_values(chosen)), do.run(1)) * 4
     when = "where inputs and tunable parameters were set to what they are"
     yield Row(when, varied, failing="in the state {state!r}", tolerance=RESTARTED)
-
-
-@differential(_PLATFORM)
-def constants_cannot_be_set(probe: Probe) -> Iterator[Row]:
-    """Setting a constant is an error."""
-    constants = [v for v in probe.fmu.variables if v.variability == "constant"]
-    for v, x in values.start_values(constants[:MOST_VARIABLES]):
-        what = f"fmi2Set{v.base_kind} of the constant {v.name}: {{}}: expected error"
-        yield Row("", (do.initialise, do.error(do.set_values([(v, x)]), what)), ())
-
-
-@behaviour_rule("advice: 4.2.4 allows to set no other variables")
-def calculated_values_cannot_be_set(probe: Probe) -> Iterator[str]:
-    """Setting a variable that is calculated is refused, unless it is the alias of one that can be set."""
-    settable = {(v.base_kind, v.reference) for v in probe.fmu.variables if v.is_settable}
-    calculated = [v for v in probe.fmu.variables if v.initial == "calculated" or v.causality == "independent"]
-    chosen = [v for v in calculated if (v.base_kind, v.reference) not in settable and v.base_kind != "String"]
-    for v in chosen[:MOST_VARIABLES]:
-        script = probe.script(logging=True).initialise()
-        reply = script.set(v, _NOTHING[v.base_kind])
-        script.play(keep_going=True)
-        if reply.ok:
-            yield f"{reply.function} of {v.name}, which is calculated, returned ok: expected error"
-            return
