@@ -72,6 +72,8 @@ def _of_script(method: Callable[[Script], object]) -> Action:
 begin, initialise, pause = _of_script(Script.begin), _of_script(Script.initialise), _of_script(Script.pause)
 exit_initialization_mode = _of_script(Script.exit_initialization_mode)
 enter_initialization_mode = _of_script(Script.enter_initialization_mode)
+enter_event_mode = _of_script(Script.enter_event_mode)
+enter_continuous_time_mode = _of_script(Script.enter_continuous_time_mode)
 terminate, reset = _of_script(Script.terminate), _of_script(Script.reset)
 
 
@@ -84,10 +86,24 @@ def go_on(count: int) -> Action:
     return lambda play: play.script.go_on(count)
 
 
-def begin_until(stop: int) -> tuple[Action, ...]:
+def set_up(stop: int, tolerance: float | None = None) -> Action:
+    """Sets the experiment up with a stop time at the communication point of a number."""
+    return lambda play: play.script.set_up(stop=play.script.point(stop), tolerance=tolerance)
+
+
+def begin_until(stop: int, tolerance: float | None = None) -> tuple[Action, ...]:
     """Initialises, with a stop time at the communication point of a number."""
-    set_up = _of_script(lambda script: script.set_up(stop=script.point(stop)))
-    return set_up, enter_initialization_mode, exit_initialization_mode
+    return set_up(stop, tolerance), enter_initialization_mode, exit_initialization_mode
+
+
+def in_state(name: str) -> Action:
+    """Notes the state that the calls before lead to."""
+    return lambda play: setattr(play.script, "state", name)
+
+
+def plain(function: str) -> Action:
+    """Calls a function of FMI that has no argument but the instance."""
+    return lambda play: play.script.plain(function)
 
 
 def call(method: str, *arguments: Any) -> Action:

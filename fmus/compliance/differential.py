@@ -123,7 +123,7 @@ def verdict(probe: Probe, row: Row, usual: Play, plays: Sequence[Play]) -> Itera
         messages = list(_unlike(probe, row, usual, play))
         yield from steadily(probe, messages) if messages and usual.observed else messages
     for reply, finding in errors:
-        if finding and reply.status != ERROR:
+        if finding and reply.status not in (None, ERROR):
             text = finding.format(reply.status_name)
             yield f"{row.when}: {text}" if row.when else text
 

@@ -21,6 +21,7 @@ from fmus.fmi.process import WorkerProcess
 T = TypeVar("T")
 _LICENCE = re.compile("licen[cs]e", re.IGNORECASE)
 _REFUSED_STEPS, _DISCARDED_STEP = "refused steps", "discarded step"  # among what the rules share
+_NUMBER_OF_IT = "number of the discarded step"
 _REFUSALS, _PLAYED = "refusals", "answers of scripts that were played"
 _FEWEST_STEPS, _MEASURED_STEPS, _MOST_STEPS = 10, 40, 5_000  # of a run over the default experiment
 _LONGEST_RUN_S = 1.0
@@ -173,6 +174,12 @@ class Probe:
         failure = script.failure
         if failure and failure.is_step and failure.status == DISCARD:
             self._shared[_DISCARDED_STEP] = failure.reason or "the FMU discards a step of the usual size"
+            self._shared[_NUMBER_OF_IT] = sum(reply.is_step and reply.ok for reply in script.replies)
+
+    @property
+    def discarded_step(self) -> int | None:
+        """Number of usual steps before the first that the FMU discards, if it discards one."""
+        return self._shared.get(_NUMBER_OF_IT)
 
     @property
     def steps_of_experiment(self) -> int:

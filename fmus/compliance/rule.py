@@ -186,7 +186,7 @@ def repeated(names: Iterable[Any]) -> dict[Any, int]:
 
 MODULES = (
     "archive", "files", "description", "variables", "structure", "library",
-    "lifecycle", "initialization", "call", "discard", "value", "setting", "step", "asynchronous",
+    "lifecycle", "initialization", "calls", "value", "setting", "step", "asynchronous",
     "environment", "messages", "state", "derivatives", "effects", "reference", "model_exchange",
     "status",  # of refusals in the calls of all others
 )  # fmt: skip

@@ -246,6 +246,16 @@ class Script:
         self._saved[slot] = source._saved[slot]
         return self
 
+    def enter_event_mode(self) -> "Script":
+        self.plain("fmi2EnterEventMode")
+        self.state = "event mode"
+        return self
+
+    def enter_continuous_time_mode(self) -> "Script":
+        self.plain("fmi2EnterContinuousTimeMode")
+        self.state = "continuous-time mode"
+        return self
+
     def terminate(self) -> Reply:
         reply = self.plain("fmi2Terminate")
         self.state = "terminated"
@@ -321,6 +331,11 @@ class Script:
     def everything(self) -> list[Reply]:
         """All replies, from the creation of the instance to its end."""
         return [self.creation, *self.replies, self.end]
+
+    @property
+    def pairs(self) -> Iterable[tuple[tuple[Any, ...], Reply]]:
+        """Calls with their replies."""
+        return zip(self.calls, self.replies, strict=True)
 
     @property
     def succeeded(self) -> bool:

@@ -1,4 +1,4 @@
-"""Steps that are pending: their end, their status and how they are cancelled."""
+"""Steps that are pending: their end and their status."""
 
 from collections.abc import Iterator
 
@@ -54,18 +54,6 @@ def step_finished_is_called(probe: Probe) -> Iterator[str]:
         yield f"without stepFinished: {fewest.failure.problem}"
 
 
-@behaviour_rule(_COMPUTATION, condition=unless_claimed(_ASYNCHRONOUS))
-def cancelled_step_can_be_left(probe: Probe) -> Iterator[str]:
-    """A pending step can be cancelled; fmi2Reset is allowed then."""
-    script = probe.script(logging=True).forbidden().begin()  # where the step ends at once
-    pending = script.call("begin_step", probe.start_time, probe.step_size)
-    script.plain("fmi2CancelStep")
-    script.reset()
-    script.begin().step().play(keep_going=True)
-    if pending.value and script.failure:
-        yield script.failure.problem
-
-
 @behaviour_rule("4.2.3 Retrieving Status Information from the Slave", condition=unless_claimed(_ASYNCHRONOUS))
 def status_of_a_pending_step_is_given(probe: Probe) -> Iterator[str]:
     """While a step is pending, fmi2GetStatus returns ok and gives pending, or the status of the step that has
@@ -95,28 +83,3 @@ def status_of_a_pending_step_is_given(probe: Probe) -> Iterator[str]:
         yield f"fmi2GetStatus gives {status_name(step)} for a step that succeeds: expected ok"
     elif outputs.ok and time.ok:
         yield from differing(expected, [outputs], "after a step that has ended by fmi2GetStatus")
-
-
-@behaviour_rule(_COMPUTATION, condition=unless_claimed(_ASYNCHRONOUS))
-def cancelled_step_ends_stepping(probe: Probe) -> Iterator[str]:
-    """After fmi2CancelStep no step is accepted, and a saved state can be set."""
-    script = probe.script(logging=True).forbidden().begin()  # where the step ends at once
-    pending = script.call("begin_step", probe.start_time, probe.step_size)
-    script.plain("fmi2CancelStep")
-    step = script.call("do_step", probe.start_time, probe.step_size)
-    other = probe.script(logging=True).forbidden().begin()
-    saves = probe.fmu.claims("canGetAndSetFMUstate")
-    if saves:
-        other.call("get_fmu_state", 0)
-    other_pending = other.call("begin_step", probe.start_time, probe.step_size)
-    other.plain("fmi2CancelStep")
-    if saves:
-        other.call("set_fmu_state", 0)
-        other.step()
-    probe.play_each([script, other])
-    if not pending.value:
-        raise NotJudgedError("the step was not pending")
-    if step.ok:
-        yield "fmi2DoStep returned ok after fmi2CancelStep: expected error until fmi2Reset or fmi2SetFMUstate"
-    if other_pending.value and other.failure:
-        yield f"after fmi2CancelStep: {other.failure.problem}"

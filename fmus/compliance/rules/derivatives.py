@@ -27,14 +27,11 @@ from fmus.compliance.values import (
     continuous_reals,
     other_values,
     references_of,
-    refused_reference,
-    set_input_derivatives,
     start_value,
     texts,
     unless_claimed,
 )  # fmt: skip
 from fmus.compliance.variable import Variable, is_true
-from fmus.fmi.binding import DISCARD, ERROR
 
 
 def _orders(fmu: FmuFile) -> str:
@@ -266,23 +263,6 @@ def _runs_to(probe: Probe, v: Variable, value: float, parts: int) -> list[list[V
     return values_of(probe, [in_steps(probe, v, xs, size, slope) for xs, slope in runs])
 
 
-@behaviour_rule(
-    "4.2.4 State Machine of Calling Sequence from Master to Slave",
-    condition=unless_claimed(INTERPOLATES),
-    needs="allowed-calls-succeed",
-)
-def input_derivatives_when_instantiated(probe: Probe) -> Iterator[str]:
-    """Derivatives of inputs can be set when instantiated: 4.2.4 allows it, although 4.2.1 gives them the
-    restrictions of fmi2SetReal, which cannot set inputs there.
-    """
-    script = probe.script(logging=True)
-    set_input_derivatives(probe, script, 0.0)
-    script.begin().step().play(keep_going=True)
-    if script.failure:
-        when = "when instantiated, which 4.2.4 allows and 4.2.1 does not"
-        yield f"where derivatives of inputs were set {when}: {script.failure.problem}"
-
-
 @_of_inputs(needs="input-derivatives-have-an-effect setting-the-same-changes-nothing variable-step-size")
 def input_derivatives_are_slopes(probe: Probe) -> Iterator[str]:
     """With its first derivative an input moves an output, which follows it through a state, in a step about
@@ -339,24 +319,3 @@ def input_derivatives_are_set_together(probe: Probe) -> Iterator[Row]:
         together = *begin, do.call("set_input_derivatives", references, orders, slopes), end
         when = f"where one call sets derivatives of {len(changes)} inputs"
         yield Row(when, together, (*begin, *alone, end), may_fail=True)  # it may know the first order alone
-
-
-def _no_derivatives(fmu: FmuFile) -> str:
-    return _orders(fmu) and unless_claimed(INTERPOLATES)(fmu) and "no derivatives are claimed"
-
-
-@behaviour_rule(
-    "2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)", condition=_no_derivatives, last=True
-)
-def wrong_references_of_derivatives_are_refused(probe: Probe) -> Iterator[str]:
-    """A value reference that no variable has is an error for derivatives too."""
-    reference, calls = refused_reference(probe), []
-    if probe.fmu.claims(INTERPOLATES):
-        calls.append(("set_input_derivatives", [reference], [1], [0.0]))
-    if probe.fmu.output_derivative_order > 0:
-        calls.append(("output_derivatives", [reference], 1))
-    pairs = [(script := probe.script(logging=True).begin().step(), script.call(*call)) for call in calls]
-    probe.play_each([script for script, _ in pairs])
-    for _, reply in pairs:
-        if reply.status not in (None, ERROR, DISCARD):  # discard is illegal: `refusals-have-legal-statuses`
-            yield f"{reply.function} of the value reference {reference}, which is none: {reply.status_name}"

@@ -197,6 +197,9 @@ add_rows(__name__, CLAUSE, Stage.FILE, condition=unreadable, rows=(
 add_rows(__name__, CLAUSE, Stage.DESCRIPTION, rows=(
     row("has-an-implementation", "There is a binary for some platform, or sources, of each interface.",
         _interfaces,
+        (lambda interface, fmu: not _has_sources(fmu) and not interface.get("modelIdentifier"),
+         "{subject.tag} has no modelIdentifier, which names its library, and there is no C file in sources: "
+         "expected one"),
         (lambda interface, fmu: not _has_sources(fmu) and not _has_binary(interface, fmu),
          "{subject.tag}: no library {modelIdentifier} below binaries, no C file in sources: expected one")),
     row("tool-wrapper-is-a-binary", "With needsExecutionTool there is a binary, which talks to the tool.",

@@ -37,21 +37,6 @@ def start_values_are_as_declared(probe: Probe) -> Iterable[Row]:
     return _rows_of_starts(probe, "at first")
 
 
-@differential("4.2.4 State Machine of Calling Sequence from Master to Slave")
-def reset_in_every_state(_: Probe) -> Iterator[Row]:
-    """fmi2Reset is allowed when instantiated, in initialization mode, while stepping and after
-    fmi2Terminate.
-    """
-    for state, actions in (
-        ("instantiated", ()),
-        ("initialization mode", (do.initialise,)),
-        ("step complete", (do.begin, do.step())),
-        ("terminated", (do.begin, do.step(), do.terminate)),
-    ):
-        when = f"after fmi2Reset in the state {state!r}"
-        yield Row(when, (*actions, do.reset, do.begin, do.step()))
-
-
 @differential(_INITIALIZATION, needs="start-values-are-as-declared reset-in-every-state")
 def reset_gives_the_start_values(probe: Probe) -> Iterator[Row]:
     """After other values, steps and fmi2Reset, start values are back and the same steps give the same

@@ -13,7 +13,7 @@ from fmus.compliance.fmu_file import ONLY_ONCE, FmuFile
 from fmus.compliance.probe import Probe, refusal
 from fmus.compliance.rule import CANNOT_LOAD, RANDOM, NotJudgedError, behaviour_rule
 from fmus.compliance.script import CallError
-from fmus.compliance.values import differing, if_not_claimed, refused_reference, settable_before
+from fmus.compliance.values import differing, if_not_claimed, settable_before
 
 _NAMING = "2.1.1 Header Files and Naming of Functions"
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
@@ -89,31 +89,6 @@ def steps_and_terminates(probe: Probe) -> Iterator[str]:
     probe.find_discarded_step(_MANY_STEPS)
     probe.play_usual_steps(script)
     yield from ()
-
-
-@behaviour_rule("4.2.4 State Machine of Calling Sequence from Master to Slave")
-def frees_in_every_state(probe: Probe) -> Iterator[str]:
-    """fmi2FreeInstance is allowed when instantiated, in initialization mode, while stepping and after
-    fmi2Terminate.
-    """
-    for script in (probe.script(), probe.script().initialise(), probe.script().begin().step()):
-        script.play()
-    terminated = probe.script().begin()
-    terminated.terminate()
-    probe.play_each([terminated])
-    yield from ()
-
-
-@differential("2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)")
-def wrong_references_are_refused(probe: Probe) -> Iterator[Row]:
-    """A value reference that no variable has is an error to read and to set; the instance is freed then."""
-    reference = refused_reference(probe)
-    for kind, value in (("Real", 0.0), ("Integer", 0), ("Boolean", 0), ("String", "")):
-        unknown = f"of the value reference {reference}, which is none: {{}}: expected error"
-        read = do.error(do.call("get", kind, [reference]), f"fmi2Get{kind} {unknown}")
-        set_value = do.call("set", kind, [reference], [value])
-        yield Row("", (do.begin, do.step(), read), ())
-        yield Row("", (do.initialise, do.error(set_value, f"fmi2Set{kind} {unknown}")), ())
 
 
 @behaviour_rule("4.1.2 Mathematical Model")

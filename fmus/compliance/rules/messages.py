@@ -2,14 +2,13 @@
 
 import re
 from collections.abc import Iterator, Sequence
-from itertools import takewhile
 
 from fmus.compliance import actions as do
 from fmus.compliance.differential import Row, differential
 from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
-from fmus.compliance.rules.session import NAME, session
+from fmus.compliance.rules.call_table import NAME, tour
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, CallError, Message, Script
 from fmus.compliance.values import refused_reference
 from fmus.fmi.binding import OK, WARNING
@@ -31,14 +30,13 @@ _FLOATING_POINT = "floating-point control"
 
 
 def _messages(probe: Probe) -> list[Message]:
-    """Returns the messages of the session, up to its reset, and of a call that fails."""
+    """Returns the messages of the tour of the states, and of a call that fails."""
 
     def collected() -> list[Message]:
         script = probe.script(name=NAME, logging=True).begin().step()
         script.call("get", "Real", [refused_reference(probe)])
         script.play(keep_going=True)
-        before = takewhile(lambda reply: reply.function != "fmi2Reset", session(probe).script.everything)
-        return [m for reply in (*before, *script.everything) for m in reply.messages]
+        return [m for reply in (*tour(probe).everything, *script.everything) for m in reply.messages]
 
     return probe.once("log", collected)
 
@@ -332,7 +330,7 @@ def debug_logging_is_allowed_after_an_error(probe: Probe) -> Iterator[str]:
 def floating_point_control_is_restored(probe: Probe) -> Iterator[str]:
     """Rounding mode, traps and flushing to zero are as before when a function returns or calls back."""
     named = set()
-    for reply in session(probe).script.everything:
+    for reply in tour(probe).everything:
         for setting, before, after in reply.changed:
             if setting.startswith(_FLOATING_POINT) and reply.function not in named:
                 named.add(reply.function)
@@ -350,7 +348,7 @@ def process_settings_are_restored(probe: Probe) -> Iterator[str]:
     timers, limits and priority are not changed.
     """
     named = set()
-    for reply in session(probe).script.everything:
+    for reply in tour(probe).everything:
         for setting, before, after in reply.changed:
             if not setting.startswith((_FLOATING_POINT, ARGUMENTS, UNWRITTEN)) and setting not in named:
                 named.add(setting)
@@ -363,7 +361,7 @@ def arguments_are_not_written(probe: Probe) -> Iterator[str]:
     """Arrays that are constant by their declaration, value references and values to set, stay as they are,
     and so does what lies behind an array of values that are read.
     """
-    everything = session(probe).script.everything
+    everything = tour(probe).everything
     for name in dict.fromkeys(r.function for r in everything for row in r.changed if row[0] == ARGUMENTS):
         yield f"{name} writes into an array that is constant, or behind one: expected that unchanged"
 
@@ -371,7 +369,7 @@ def arguments_are_not_written(probe: Probe) -> Iterator[str]:
 @behaviour_rule("2.1.7 Getting and Setting Variable Values")
 def values_are_written(probe: Probe) -> Iterator[str]:
     """fmi2GetXXX that returns ok has written each value."""
-    everything = session(probe).script.everything
+    everything = tour(probe).everything
     for name in dict.fromkeys(r.function for r in everything for row in r.changed if row[0] == UNWRITTEN):
         yield f"{name} returned ok and left a value unwritten: expected each written"
 
@@ -379,7 +377,7 @@ def values_are_written(probe: Probe) -> Iterator[str]:
 @behaviour_rule("advice: messages belong to the logger")
 def nothing_is_printed(probe: Probe) -> Iterator[str]:
     """Nothing is printed to standard output or standard error."""
-    printing = {reply.function: reply.printed for reply in session(probe).script.everything if reply.printed}
+    printing = {reply.function: reply.printed for reply in tour(probe).everything if reply.printed}
     for function, count in printing.items():
         yield f"{function} prints {count} bytes to standard output or standard error: expected none"
         return

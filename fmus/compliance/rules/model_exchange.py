@@ -9,123 +9,37 @@ from typing import Any
 from fmus.compliance.fmu_file import MODEL_EXCHANGE, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
-from fmus.compliance.script import ARGUMENTS, UNWRITTEN, CallError, Reply, Script
-from fmus.compliance.values import continuous_reals, if_not_claimed, same, start_value, texts, unless_claimed
+from fmus.compliance.rules.call_table import vector_length
+from fmus.compliance.script import CallError, Reply, Script
+from fmus.compliance.values import if_not_claimed, same, texts, unless_claimed
 from fmus.compliance.variable import is_true
-from fmus.fmi.binding import DISCARD, ERROR
+from fmus.fmi.binding import DISCARD
 
 _MATH = "3.1 Mathematical description"
 _SETTING = "3.2.1 Providing Independent Variables and Re-initialization of Caching"
 _EVALUATION = "3.2.2 Evaluation of Model Equations"
-_MACHINE = "3.2.3 State Machine of Calling Sequence"
 _STATES, _DERIVATIVES = "fmi2GetContinuousStates", "fmi2GetDerivatives"
 _INDICATORS, _NOMINALS = "fmi2GetEventIndicators", "fmi2GetNominalsOfContinuousStates"
-_VECTORS = (_STATES, _DERIVATIVES, _INDICATORS, _NOMINALS)
 _STEPS = 50  # of the run whose events are observed
 _SOLVED = 1e-6  # relative: what an iterative solver in the FMU may change
 _JUMP = 0.01  # of an indicator of the order of one, in a millionth of a step
 _NO_BOOLEAN = -1234567  # of a flag that the FMU has not written
 _NOT_NEEDED = "completedIntegratorStepNotNeeded"
-_CALLS = "calls-of-model-exchange-succeed"
+_CALLS = "allowed-calls-succeed"
 _Observed = dict[str, Any]
 _rule = partial(behaviour_rule, interface=MODEL_EXCHANGE)
 
 
-def _count(fmu: FmuFile, function: str) -> int:
-    """Returns the number of elements that a function gives."""
-    if function == _INDICATORS:
-        return int(fmu.root.get("numberOfEventIndicators") or 0)
-    return sum(1 for _ in fmu.unknowns("Derivatives"))
-
-
 def _no_states(fmu: FmuFile) -> str:
-    return "" if _count(fmu, _STATES) else "it has no continuous states"
+    return "" if vector_length(fmu, _STATES) else "it has no continuous states"
 
 
 def _no_indicators(fmu: FmuFile) -> str:
-    return "" if _count(fmu, _INDICATORS) else "it has no event indicators"
+    return "" if vector_length(fmu, _INDICATORS) else "it has no event indicators"
 
 
-def _vectors(probe: Probe, script: Script, functions: Sequence[str] = _VECTORS) -> list[Reply]:
-    return [script.call("vector", function) for function in functions if _count(probe.fmu, function)]
-
-
-# the order of calls
-
-
-def _tour(probe: Probe) -> Script:
-    """Returns a script of the calls that 3.2.3 allows in event and continuous-time mode, that was played."""
-
-    def played() -> Script:
-        script = probe.script(logging=True, watched=True).begin()
-        for _ in range(2):
-            _vectors(probe, script)
-            script.call("new_discrete_states")
-            script.state = "continuous-time mode"
-            script.plain("fmi2EnterContinuousTimeMode")
-            _vectors(probe, script)
-            for v in continuous_reals(probe, "input"):
-                if (value := start_value(v)) is not None:
-                    script.set(v, value)
-            script.read(probe.fmu.variables)
-            script.state = "event mode"
-            script.plain("fmi2EnterEventMode")
-            script.call("new_discrete_states")
-        script.plain("fmi2EnterContinuousTimeMode")
-        script.state = "continuous-time mode"
-        script.terminate()
-        return script.play(keep_going=True)
-
-    return probe.once("tour of model exchange", played)
-
-
-@_rule(_MACHINE, needs="variables-can-be-read")
-def calls_of_model_exchange_succeed(probe: Probe) -> Iterator[str]:
-    """The functions of model exchange succeed in event mode and in continuous-time mode."""
-    failure = _tour(probe).failure
-    if failure:
-        yield f"in the state {failure.state!r}: {failure.problem}"
-
-
-@_rule(_MACHINE, needs=_CALLS)
-def event_mode_is_entered_from_itself(probe: Probe) -> Iterator[str]:
-    """fmi2EnterEventMode succeeds in event mode too, as the table of 3.2.3 has it."""
-    script = probe.script(logging=True).begin()
-    reply = script.plain("fmi2EnterEventMode")
-    script.call("new_discrete_states")
-    script.play(keep_going=True)
-    if script.failure:
-        yield f"in the state {reply.state!r}: {script.failure.problem}"
-
-
-@_rule(_MACHINE, needs=_CALLS)
-def vectors_are_given_in_every_state(probe: Probe) -> Iterator[str]:
-    """Vectors can be read in initialization mode and when terminated, nominal values also before."""
-    scripts = probe.script(logging=True), probe.script(logging=True).initialise(), probe.script(logging=True)
-    scripts[2].begin().terminate()
-    for script in scripts:
-        replies = _vectors(probe, script, _VECTORS if script.calls else (_NOMINALS,))
-        if not replies:
-            continue
-        script.play(keep_going=True)
-        refused = [reply.function for reply in replies if reply.status == ERROR]
-        if refused:  # what follows in this instance has the same cause
-            yield f"in the state {script.state!r} {refused[0]} returned error: expected ok"
-
-
-@_rule(_EVALUATION, needs=_CALLS)
-def vectors_have_their_length(probe: Probe) -> Iterator[str]:
-    """Vectors of states, derivatives, nominal values and event indicators are written to the length that the
-    description gives, and not beyond.
-    """
-    problems = {
-        ARGUMENTS: "writes behind {0} elements: expected no more than are asked for",
-        UNWRITTEN: "returned ok and has not written each of {0} elements",
-    }
-    changes = [(reply.function, row[0]) for reply in _tour(probe).replies for row in reply.changed]
-    for function, change in dict.fromkeys(changes):
-        if function in _VECTORS and change in problems:
-            yield f"{function} {problems[change].format(_count(probe.fmu, function))}"
+def _vectors(probe: Probe, script: Script, functions: Sequence[str]) -> list[Reply]:
+    return [script.call("vector", function) for function in functions if vector_length(probe.fmu, function)]
 
 
 # continuous-time mode
@@ -159,9 +73,7 @@ class _ContinuousTime:
     def __init__(self, probe: Probe) -> None:
         self._probe = probe
         self.start = probe.once("start of model exchange", lambda: _Start(probe))
-        self.script = probe.script(logging=True).begin()
-        self.script.plain("fmi2EnterContinuousTimeMode")
-        self.script.state = "continuous-time mode"
+        self.script = probe.script(logging=True).begin().enter_continuous_time_mode()
 
     def go(self, part: float, functions: Sequence[str] = (_DERIVATIVES, _INDICATORS)) -> list[Reply]:
         """Sets the time to a part of the step, and states of that part; returns vectors there."""
@@ -291,7 +203,7 @@ def vectors_have_the_order_of_the_description(probe: Probe) -> Iterator[str]:
         (probe.fmu.variables[state - 1], probe.fmu.variables[derivative - 1])
         for derivative, state in probe.fmu.state_derivatives.items()
     ]
-    if len(pairs) != _count(probe.fmu, _STATES):
+    if len(pairs) != vector_length(probe.fmu, _STATES):
         raise NotJudgedError("Derivatives lists variables that are derivatives of none")
     run = _ContinuousTime(probe)
     vectors = run.go(0.5, (_STATES, _DERIVATIVES))

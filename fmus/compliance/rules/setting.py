@@ -9,7 +9,7 @@ from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.differential import Row, differential
 from fmus.compliance.fmu_file import MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import NotApplicableError, behaviour_rule
+from fmus.compliance.rule import NotApplicableError
 from fmus.compliance.values import RESTARTED
 from fmus.compliance.variable import Variable
 
@@ -17,7 +17,6 @@ _PLATFORM = "2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)"
 _INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"
 _VALUES = "2.1.7 Getting and Setting Variable Values"
 _ROUNDED, _EXACT = 1e-6, 1e-12
-_NOTHING = {"Real": 0.0, "Integer": 0, "Boolean": 0, "String": ""}
 
 
 @differential(_INITIALIZATION, needs="start-values-are-as-declared strings-are-copied")
@@ -90,17 +89,16 @@ def initial_values_follow_what_is_set(probe: Probe) -> Iterator[Row]:
 @differential(
     "3.2.3 State Machine of Calling Sequence",
     interface=MODEL_EXCHANGE,
-    needs="initial-values-follow-what-is-set calls-of-model-exchange-succeed",
+    needs="initial-values-follow-what-is-set allowed-calls-succeed",
 )
 def values_follow_what_is_set(probe: Probe) -> Iterator[Row]:
     """In event mode, and in continuous-time mode for continuous inputs, values follow what is set, also if
     they had been read before that.
     """
-    enter = do.call("call_plain", "fmi2EnterContinuousTimeMode")
     inputs = values.continuous_reals(probe, "input")
     for mode, begin, settable in (
         ("event mode", (do.begin,), values.settable_while_stepping(probe.fmu)),
-        ("continuous-time mode", (do.begin, enter), inputs),
+        ("continuous-time mode", (do.begin, do.enter_continuous_time_mode), inputs),
     ):
         for v, x in values.other_values(settable[:MOST_VARIABLES]):
             end = do.set_values([(v, x)]), do.read(probe.fmu.variables)
@@ -123,27 +121,3 @@ def setting_the_same_changes_nothing(probe: Probe) -> Iterator[Row]:
     varied = do.begin, *(do.set_values(values.start_values(chosen)), do.run(1)) * 4
     when = "where inputs and tunable parameters were set to what they are"
     yield Row(when, varied, failing="in the state {state!r}", tolerance=RESTARTED)
-
-
-@differential(_PLATFORM)
-def constants_cannot_be_set(probe: Probe) -> Iterator[Row]:
-    """Setting a constant is an error."""
-    constants = [v for v in probe.fmu.variables if v.variability == "constant"]
-    for v, x in values.start_values(constants[:MOST_VARIABLES]):
-        what = f"fmi2Set{v.base_kind} of the constant {v.name}: {{}}: expected error"
-        yield Row("", (do.initialise, do.error(do.set_values([(v, x)]), what)), ())
-
-
-@behaviour_rule("advice: 4.2.4 allows to set no other variables")
-def calculated_values_cannot_be_set(probe: Probe) -> Iterator[str]:
-    """Setting a variable that is calculated is refused, unless it is the alias of one that can be set."""
-    settable = {(v.base_kind, v.reference) for v in probe.fmu.variables if v.is_settable}
-    calculated = [v for v in probe.fmu.variables if v.initial == "calculated" or v.causality == "independent"]
-    chosen = [v for v in calculated if (v.base_kind, v.reference) not in settable and v.base_kind != "String"]
-    for v in chosen[:MOST_VARIABLES]:
-        script = probe.script(logging=True).initialise()
-        reply = script.set(v, _NOTHING[v.base_kind])
-        script.play(keep_going=True)
-        if reply.ok:
-            yield f"{reply.function} of {v.name}, which is calculated, returned ok: expected error"
-            return

@@ -9,10 +9,10 @@ from fmus.compliance.differential import Row, differential
 from fmus.compliance.fmu_file import CO_SIMULATION, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
-from fmus.compliance.rules.session import LARGE_TOLERANCE, TOLERANCE, run_with_tolerance
-from fmus.compliance.script import Reading, Reply, Script
-from fmus.compliance.values import continuous_reals, refused_reference, texts, unless_claimed
-from fmus.fmi.binding import DISCARD, ERROR
+from fmus.compliance.rules.call_table import LARGE_TOLERANCE, TOLERANCE, run_with_tolerance
+from fmus.compliance.script import Reading, Script
+from fmus.compliance.values import continuous_reals, texts, unless_claimed
+from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME
 
 _SETUP = "2.1.6 Initialization, Termination, and Resetting an FMU (fmi2SetupExperiment)"
 _COMPUTATION = "4.2.2 Computation (fmi2DoStep)"
@@ -22,46 +22,23 @@ _MORE_STEPS = (13, 47, 211)  # instead of two: for each internal step from the u
 _APART = 0.4  # of the change over two steps: a rough solver, but not half a step
 
 
-@behaviour_rule(_SETUP, needs="reset-in-every-state")
-def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[str]:
+@differential(_SETUP, needs="reset-in-every-state error-leaves-other-instances-unchanged")
+def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[Row]:
     """If a stop time is defined, steps up to it succeed and a step past it returns error; fmi2Reset brings
     the instance back, where the same holds of another stop time with a tolerance.
     """
     tolerance = TOLERANCE if run_with_tolerance(probe).succeeded else None
-    script = probe.script(logging=True).set_up(stop=probe.point(3))
-    script.enter_initialization_mode().exit_initialization_mode().step(3)
-    beyond = script.call("do_step", probe.point(3), probe.step_size)
-    script.reset()
-    script.set_up(stop=probe.point(1), tolerance=tolerance)
-    script.enter_initialization_mode().exit_initialization_mode().step()
-    again = script.call("do_step", probe.point(1), probe.step_size)
-    script.play(keep_going=True)
-    after = script.replies[script.replies.index(beyond) + 1 : -1]
-    failed = next((reply for reply in after if reply.status is not None and not reply.ok), None)
-    if script.failure not in (None, beyond, failed):
-        yield f"with the stop time {probe.point(3):g} s, before it: {script.failure.problem}"
-    elif beyond.status != ERROR:
-        yield (
-            f"{beyond.function} to {probe.point(4):g} s {beyond.status_name}: expected error beyond the "
-            f"stop time {probe.point(3):g} s"
-        )
-    elif failed and _recovers(probe):
-        yield f"after fmi2Reset from a step beyond the stop time: {failed.problem}"
-    elif not failed and again.status != ERROR:
-        yield (
-            f"after fmi2Reset {again.function} to {probe.point(2):g} s {again.status_name}: expected error "
-            f"beyond the stop time {probe.point(1):g} s"
-        )
-
-
-def _recovers(probe: Probe) -> bool:
-    """Whether fmi2Reset brings an instance back after another error."""
-    script = probe.script().begin().step()
-    script.call("get", "Real", [refused_reference(probe)])
-    first = len(script.replies)
-    script.reset()
-    script.begin().step().play(keep_going=True)
-    return all(reply.ok for reply in script.replies[first:])
+    beyond = "a step to {} s {{}}: expected error beyond the stop time {} s"
+    first, again = (
+        do.error(do.step(), beyond.format(*(f"{probe.point(i):g}" for i in (stop + 1, stop))))
+        for stop in (3, 1)
+    )
+    until = *do.begin_until(3), do.step(3)
+    failing = f"with the stop time {probe.point(3):g} s, before it"
+    yield Row("", (*until, first), (), failing)
+    after = "after fmi2Reset from a step beyond the stop time"
+    varied = *until, do.ignore(do.step()), do.reset, *do.begin_until(1, tolerance), do.step(), again
+    yield Row(after, varied, ())
 
 
 @differential(_SETUP)
@@ -149,32 +126,19 @@ def no_set_state_flag_changes_nothing(probe: Probe) -> Iterator[Row]:
 def variable_step_size(probe: Probe) -> Iterator[str]:
     """Steps of different sizes succeed one after the other; one that is discarded says how far it came."""
     script = probe.script(logging=True).begin()
-    t, ends = probe.start_time, []
+    ends = [probe.start_time]
     for factor in (1.0, 0.5, 2.0, 0.25, 1.5):
-        ends.append((t, t + factor * probe.step_size))
-        script.call("do_step", t, factor * probe.step_size)
-        t = ends[-1][1]
+        script.call("do_step", ends[-1], factor * probe.step_size)
+        ends.append(ends[-1] + factor * probe.step_size)
+    last = script.call("status_of", "Real", LAST_SUCCESSFUL_TIME)
     script.play(keep_going=True)
-    failure = script.failure
-    if failure and failure.status != DISCARD:
-        yield failure.problem
-    elif failure:
-        yield from _discarded(probe, script, failure, ends)
-
-
-def _discarded(
-    probe: Probe, script: Script, failure: Reply, ends: list[tuple[float, float]]
-) -> Iterator[str]:
-    """Yields what is wrong with a discarded step: the master cannot know where it ended."""
-    steps = [reply for reply in script.replies if reply.function == "fmi2DoStep"]
-    number = steps.index(failure)
-    again = probe.script(logging=True).begin()
-    for t, end in ends[: number + 1]:
-        again.call("do_step", t, end - t)
-    last = again.call("status_of", "Real", 2)
-    again.play(keep_going=True)
-    t, end = ends[number]
-    if end - t < 0.9 * probe.step_size:
+    failure = script.failure if script.failure is not last else None
+    if failure is None:
+        return
+    number = sum(reply.is_step and reply.ok for reply in script.replies)
+    t, end = ends[number : number + 2]
+    # a discarded step tells where it ended: without that the master cannot go on
+    if failure.status != DISCARD or end - t < 0.9 * probe.step_size:
         yield f"a step of {end - t:g} s after one of {probe.step_size:g} s: {failure.problem}"
     if last.ok and not t - 1e-9 * abs(t) <= last.value < end:
         yield f"a step from {t:g} to {end:g} s is discarded, and fmi2LastSuccessfulTime is {last.value:g} s"

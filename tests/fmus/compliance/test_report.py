@@ -218,7 +218,7 @@ def test_an_fmu_in_a_folder_of_any_name_breaks_no_rule(
     file = folder / f"{name}.json"
     assert main([str(path), "--json", str(file)]) == 0
     assert json.loads(file.read_text(encoding="utf-8"))["fmus"][0]["fmu"] == str(path)
-    assert "error" not in capsys.readouterr().out.removeprefix(str(path))
+    assert " error" not in capsys.readouterr().out.removeprefix(str(path))
 
 
 def test_names_and_expectations_in_messages_are_not_empty(tmp_path: Path) -> None:

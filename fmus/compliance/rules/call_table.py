@@ -1,0 +1,280 @@
+"""Table of the calls that the state machines of 3.2.3 and 4.2.4 allow, and how rules ask for calls."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import wraps
+from itertools import islice
+from typing import Any
+
+from fmus.compliance import actions as do
+from fmus.compliance import values
+from fmus.compliance.actions import Action, Pair, Play
+from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE, FmuFile
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import Check, NotApplicableError, NotJudgedError, behaviour_rule
+from fmus.compliance.script import Script
+from fmus.fmi.binding import DISCARD, ERROR, FATAL, OK, WARNING
+
+NAME = "instance of the tour"
+TOLERANCE, LARGE_TOLERANCE = 1e-5, 1e-3
+_SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
+_NOMINALS, _INDICATORS = "fmi2GetNominalsOfContinuousStates", "fmi2GetEventIndicators"
+VECTORS = ("fmi2GetContinuousStates", "fmi2GetDerivatives", _INDICATORS, _NOMINALS)
+
+Calls = Callable[[Probe, str], Iterable[Action]]
+
+STATES = {CO_SIMULATION: "IMBCFPXT", MODEL_EXCHANGE: "IMEKT"}
+"""I instantiated, M initialization mode, B and C step complete, before the first step and after one, F step
+failed, P step in progress, X step canceled, E event mode, K continuous-time mode, T terminated.
+"""
+
+
+def _way(probe: Probe, state: str) -> Iterable[Action]:
+    """Returns actions that lead to a state; those of B, C and what follows save it in slot 0, if they can."""
+    begin = do.begin, *([do.save()] if probe.fmu.claims(_SAVES) else [])
+    pending = (
+        *begin,
+        do.call("begin_step", probe.start_time, probe.step_size),
+        do.in_state("step in progress"),
+    )
+    if state == "F":
+        return *begin, do.step(discarded_step(probe) + 1), do.in_state("step failed")
+    return {
+        "I": (), "M": (do.initialise,), "B": (do.begin,), "C": (do.begin, do.step()), "E": (do.begin,),
+        "K": (do.begin, do.enter_continuous_time_mode), "P": pending,
+        "X": (*pending, do.plain("fmi2CancelStep"), do.in_state("step canceled")),
+        "T": (do.begin, do.step(), do.terminate),
+    }[state]  # fmt: skip
+
+
+def discarded_step(probe: Probe) -> int:
+    """Returns the number of equal steps before the first that the FMU discards."""
+    if probe.discarded_step is None:
+        raise NotApplicableError("no step is discarded")
+    return probe.discarded_step
+
+
+def _log(probe: Probe, _: str) -> Iterator[Action]:
+    categories = [c.get("name", "") for c in probe.fmu.root.iterfind("LogCategories/Category")]
+    yield do.call("set_debug_logging", False, [])
+    if categories:
+        yield do.call("set_debug_logging", True, categories)
+    yield do.call("set_debug_logging", True, [])
+
+
+def _save(probe: Probe, _: str) -> Iterator[Action]:
+    def action(play: Play) -> None:
+        slot = len(play.script.calls)  # no other state is in it
+        for method in methods:
+            play.script.call(method, slot)
+
+    serialised = "serialized_fmu_state_size serialize_fmu_state " * probe.fmu.claims(_SERIALISES)
+    methods = f"get_fmu_state {serialised}set_fmu_state free_fmu_state".split()
+    if probe.fmu.claims(_SAVES):
+        yield action
+
+
+def _set(probe: Probe, state: str) -> Iterator[Action]:
+    """Yields what sets variables to their start values; where that is forbidden, one of each type."""
+    at_first = {"I": values.settable_before, "M": values.settable_in_initialization}
+    chosen = at_first.get(state, values.settable_while_stepping)(probe.fmu)
+    pairs = values.start_values(chosen if state != "K" else values.continuous_reals(probe, "input"))
+    yield from (do.set_values([pair]) for pair in (of_each_type(pairs) if state == "T" else pairs))
+
+
+def of_each_type(pairs: Iterable[Pair]) -> Iterable[Pair]:
+    """Returns the first variable of each type, with its value."""
+    return {v.base_kind: (v, x) for v, x in reversed([*pairs])}.values()
+
+
+def input_derivatives(probe: Probe, _: str, order: int = 1) -> Iterator[Action]:
+    inputs = values.references_of(values.continuous_reals(probe, "input"))
+    if inputs and probe.fmu.claims(values.INTERPOLATES):
+        yield do.call("set_input_derivatives", inputs, [order] * len(inputs), [0.0] * len(inputs))
+
+
+def _get(probe: Probe, state: str) -> Iterator[Action]:
+    # most FMUs answer when instantiated too, which harms nobody
+    if state != "I":
+        yield do.glance(values.readable_in_initialization(probe.fmu) if state == "M" else probe.fmu.variables)
+
+
+def _output_derivatives(probe: Probe, _: str) -> Iterator[Action]:
+    outputs = values.references_of(values.continuous_reals(probe, "output"))
+    for order in range(1, probe.fmu.output_derivative_order + 1) if outputs else ():
+        yield do.call("output_derivatives", outputs, order)
+
+
+def _directional_derivatives(probe: Probe, state: str) -> Iterator[Action]:
+    indices = probe.fmu.unknowns("InitialUnknowns" if state == "M" else "Outputs")
+    unknowns = [probe.fmu.variables[(index or 1) - 1] for index, _ in indices]
+    references = values.references_of(v for v in unknowns if v.kind == "Real")
+    inputs = values.references_of(values.continuous_reals(probe, "input"))
+    if references and inputs and probe.fmu.claims("providesDirectionalDerivative"):
+        yield do.call("directional_derivatives", references, inputs, [1.0] * len(inputs))
+
+
+def vector_length(fmu: FmuFile, function: str) -> int:
+    """Returns the number of elements that a function of model exchange gives."""
+    if function == _INDICATORS:
+        return int(fmu.root.get("numberOfEventIndicators") or 0)
+    return sum(1 for _ in fmu.unknowns("Derivatives"))
+
+
+def vectors(probe: Probe, state: str) -> Iterator[Action]:
+    """Yields what reads vectors that have elements: nominal values alone when instantiated."""
+    for function in (_NOMINALS,) if state == "I" else VECTORS:
+        if probe.fmu.is_model_exchange and vector_length(probe.fmu, function):
+            yield do.call("vector", function)
+
+
+def _set_time(probe: Probe, _: str) -> Iterator[Action]:
+    yield lambda play: play.script.call("set_time", play.script.time)
+
+
+def _set_states(probe: Probe, _: str) -> Iterator[Action]:
+    if count := vector_length(probe.fmu, VECTORS[0]):
+        yield do.call("set_continuous_states", [0.0] * count)
+
+
+def _complete_step(probe: Probe, _: str) -> Iterator[Action]:
+    if not probe.fmu.claims("completedIntegratorStepNotNeeded"):
+        yield do.call("completed_integrator_step")
+
+
+def _one(action: Action) -> Calls:
+    return lambda *_: [action]
+
+
+@dataclass(frozen=True)
+class Row:
+    """Calls with usual arguments, which some states allow.
+
+    apart: those of them in which the tour does not make these calls: they lead to another state, or have a
+    rule of their own
+    """
+
+    allowed: str
+    apart: str
+    calls: Calls
+
+
+TABLE = (
+    Row("IMBCFPXEKT", "FPX", _log),
+    Row("IMBCFXEKT", "FX", _save),
+    Row("IMBCEK", "", _set),
+    Row("IMBC", "I", input_derivatives),
+    Row("MBCFXEKT", "FX", _get),
+    Row("BCFXT", "BFX", _output_derivatives),
+    Row("MBCFXEKT", "FX", _directional_derivatives),
+    Row("IMEKT", "IMT", vectors),
+    Row("EK", "EK", _set_time),
+    Row("K", "K", _set_states),
+    Row("K", "", _complete_step),
+    Row("E", "", _one(do.call("new_discrete_states"))),
+    Row("I", "I", lambda probe, _: [do.call("set_up_experiment", probe.start_time)]),
+    Row("I", "I", _one(do.call("enter_initialization_mode"))),
+    Row("M", "M", _one(do.plain("fmi2ExitInitializationMode"))),
+    Row("EK", "EK", _one(do.plain("fmi2EnterEventMode"))),
+    Row("E", "E", _one(do.plain("fmi2EnterContinuousTimeMode"))),
+    Row("BC", "BC", _one(do.step())),
+    Row("P", "P", _one(do.plain("fmi2CancelStep"))),
+    Row("BCFEK", "BCFEK", _one(do.plain("fmi2Terminate"))),
+)  # fmt: skip
+
+
+def tour(probe: Probe) -> Script:
+    """Returns the calls that the states from instantiated to terminated allow, with a tolerance and a stop
+    time, played once for all rules with settings of the process watched.
+    """
+    return probe.once("tour of the states", lambda: _played_tour(probe))
+
+
+def _played_tour(probe: Probe) -> Script:
+    tolerance = TOLERANCE if run_with_tolerance(probe).succeeded else None
+    initialise = do.set_up(1000, tolerance), do.enter_initialization_mode
+    leads = [(), initialise, (do.exit_initialization_mode,), (do.step(),), (do.step(),), (do.terminate,)]
+    states = "IMBCCT"
+    if probe.fmu.is_model_exchange:
+        leads[3:3] = (do.enter_continuous_time_mode,), (do.enter_event_mode,)
+        leads[-1:-1] = [(do.enter_continuous_time_mode,)]
+        states = "IMEKEEEKT"
+    play = Play(probe, (), name=NAME, logging=True, watched=True)
+    for lead, state in zip(leads, states, strict=True):
+        rows = [row for row in TABLE if state in row.allowed and state not in row.apart]
+        play.write((*lead, *(action for row in rows for action in row.calls(probe, state))))
+    return play.script.play(keep_going=True)
+
+
+def run_with_tolerance(probe: Probe) -> Script:
+    """Returns a run in which tolerance and stop time are defined."""
+    return do.played(probe, (*do.begin_until(1000, TOLERANCE), do.step(2)), logging=True).script
+
+
+# calls that rules ask for
+
+
+@dataclass(frozen=True)
+class Ask:
+    """Calls in a state, all of which return what a rule expects; words: for their arguments."""
+
+    state: str
+    actions: Sequence[Action]
+    words: str = ""
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Statuses that calls return, in words of messages."""
+
+    name: str
+    statuses: frozenset[int]
+
+
+# rules of statuses tell which discard is illegal
+SUCCESS = Expected("ok", frozenset({OK, WARNING, DISCARD}))
+AN_ERROR = Expected("error", frozenset({ERROR}))
+REFUSAL = Expected("error or discard", frozenset({DISCARD, ERROR, FATAL}))
+KNOWN_OR_NOT = Expected("ok or discard", frozenset({OK, WARNING, DISCARD}))
+
+
+def call_rule(
+    clause: str, expected: Expected, **options: Any
+) -> Callable[[Callable[[Probe], Iterable[Ask]]], Check]:
+    """Makes a function that yields calls a rule: its docstring is what the rule claims.
+
+    options: of `behaviour_rule`
+    """
+
+    def register(asks: Callable[[Probe], Iterable[Ask]]) -> Check:
+        @wraps(asks)
+        def check(probe: Probe) -> Iterator[str]:
+            return _unexpected(probe, expected, asks(probe))
+
+        return behaviour_rule(clause, **options)(check)
+
+    return register
+
+
+def _unexpected(probe: Probe, expected: Expected, asks: Iterable[Ask]) -> Iterator[str]:
+    """Yields the first call of each script that does not return what is expected."""
+    chosen = [ask for ask in asks if ask.state in STATES[probe.fmu.interface]]
+    plays = [Play(probe, _way(probe, ask.state), logging=True) for ask in chosen]
+    all_replies = [play.write(ask.actions) for play, ask in zip(plays, chosen, strict=True)]
+    for play, ask in zip(plays, chosen, strict=True):
+        play.script.is_forbidden = expected is REFUSAL or ask.state in "PX"
+    # that a step is discarded, in the state F, is no reason
+    with suppress(*([NotJudgedError] if any(ask.state == "F" for ask in chosen) else [])):
+        probe.play_once([play.script for play in plays])
+    for play, ask, replies in zip(plays, chosen, all_replies, strict=True):
+        if any(call[0] == "begin_step" and not r.value for call, r in play.script.pairs):
+            raise NotJudgedError("the step was not pending")
+        wrong = (reply for reply in replies if reply.status not in (None, *expected.statuses))
+        for reply in islice(wrong, 1):
+            first = f"after {replies[0].function} in" if reply is not replies[0] else "in"
+            logged = "" if reply.ok else f"; {reply.logged}"
+            yield (
+                f"{first} the state {replies[0].state!r} {reply.function}{ask.words} {reply.status_name}: "
+                f"expected {expected.name}{logged}"
+            )
