@@ -19,7 +19,7 @@ from fmus.compliance.rules.finite_differences import (
     in_steps,
     series,
     values_of,
-)  # fmt: skip
+)
 from fmus.compliance.script import Reading
 from fmus.compliance.values import (
     INTERPOLATES,
@@ -30,13 +30,8 @@ from fmus.compliance.values import (
     start_value,
     texts,
     unless_claimed,
-)  # fmt: skip
+)
 from fmus.compliance.variable import Variable, is_true
-
-
-def _orders(fmu: FmuFile) -> str:
-    return "" if fmu.output_derivative_order > 0 else "maxOutputDerivativeOrder is 0"
-
 
 _ATTRIBUTE = "2.2.7 Definition of Model Variables (ModelVariables): derivative"
 _TRANSFER = "4.2.1 Transfer of Input / Output Values and Parameters"
@@ -108,6 +103,10 @@ def derivatives_integrate_to_their_variables(probe: Probe) -> Iterator[str]:
 
 
 # derivatives of outputs
+
+
+def _orders(fmu: FmuFile) -> str:
+    return "" if fmu.output_derivative_order > 0 else "maxOutputDerivativeOrder is 0"
 
 
 _of_outputs = partial(behaviour_rule, condition=_orders)
