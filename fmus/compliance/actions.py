@@ -9,12 +9,13 @@ from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError
 from fmus.compliance.script import Reading, Reply, Script
 from fmus.compliance.values import (
+    INTERPOLATES,
     Given,
     accepted_together,
+    continuous_reals,
     other_values,
     references_of,
     refused_reference,
-    set_input_derivatives,
 )
 from fmus.compliance.variable import Variable
 
@@ -233,9 +234,16 @@ def set_at_once(kind: str, pairs: Sequence[Pair]) -> Action:
     return call("set", kind, references_of(v for v, _ in pairs), contents)
 
 
-def set_derivatives(value: float = 1.0) -> Action:
-    """Sets first derivatives of all continuous Real inputs, if the FMU interpolates."""
-    return lambda play: set_input_derivatives(play.probe, play.script, value)
+def set_derivatives(value: float = 1.0, order: int = 1) -> Action:
+    """Sets derivatives of one order, of all continuous Real inputs, if the FMU interpolates."""
+
+    def action(play: Play) -> None:
+        references = references_of(continuous_reals(play.probe, "input"))
+        if references and play.probe.fmu.claims(INTERPOLATES):
+            count = len(references)
+            play.script.call("set_input_derivatives", references, [order] * count, [value] * count)
+
+    return action
 
 
 def error(action: Action, finding: str = "") -> Action:

@@ -338,6 +338,8 @@ static double level(Data *d) {
     return z;
 }
 static double floor_level(Data *d) {
+    const int time_event = d->stairs && fabs(d->next - PERIOD - d->time) < 1e-9;
+    if (IS("an indicator is 0 after a time event") && d->state == CONT && time_event) return 0;
     if (IS("an indicator is 0 after an event") && d->state == CONT && d->time == d->last_event) return 0;
     return d->x + 0.3;
 }
