@@ -19,7 +19,7 @@ from fmus.compliance.rules.finite_differences import (
     in_steps,
     series,
     values_of,
-)  # fmt: skip
+)
 from fmus.compliance.script import Reading
 from fmus.compliance.values import (
     INTERPOLATES,
@@ -30,13 +30,8 @@ from fmus.compliance.values import (
     start_value,
     texts,
     unless_claimed,
-)  # fmt: skip
+)
 from fmus.compliance.variable import Variable, is_true
-
-
-def _orders(fmu: FmuFile) -> str:
-    return "" if fmu.output_derivative_order > 0 else "maxOutputDerivativeOrder is 0"
-
 
 _ATTRIBUTE = "2.2.7 Definition of Model Variables (ModelVariables): derivative"
 _TRANSFER = "4.2.1 Transfer of Input / Output Values and Parameters"
@@ -108,6 +103,10 @@ def derivatives_integrate_to_their_variables(probe: Probe) -> Iterator[str]:
 
 
 # derivatives of outputs
+
+
+def _orders(fmu: FmuFile) -> str:
+    return "" if fmu.output_derivative_order > 0 else "maxOutputDerivativeOrder is 0"
 
 
 _of_outputs = partial(behaviour_rule, condition=_orders)
@@ -185,9 +184,10 @@ def _read_together(probe: Probe) -> Iterator[Row]:
     chosen, highest = continuous_reals(probe, "output"), probe.fmu.output_derivative_order
     alternating = [1 + (highest - 1) * (i % 2) for i in range(len(chosen))]
     for orders in ([1] * len(chosen), alternating, [1 + highest - order for order in alternating]):
-        begin, when = (do.begin, do.step(3)), f"as derivative where one call reads orders {orders}"
-        varied = *begin, do.read_slopes(chosen, orders=orders)
-        yield Row(when, varied, (*begin, _read_alone(chosen, orders)), again="{}, as alone")
+        names = " or ".join(str(order) for order in sorted(set(orders)))
+        when = f"as derivative of order {names}, read in one call with those of others"
+        begin, together = (do.begin, do.step(3)), do.read_slopes(chosen, orders=orders)
+        yield Row(when, (*begin, together), (*begin, _read_alone(chosen, orders)), again="{}, as alone")
 
 
 def _read_alone(outputs: Sequence[Variable], orders: Sequence[int]) -> Action:
@@ -257,11 +257,9 @@ def _runs_to(probe: Probe, v: Variable, value: float, parts: int) -> list[list[V
     """
     start, size = start_value(v), probe.step_size / parts
     on_line = [start + (value - start) * (i + 0.5) / parts for i in range(parts)]
-    moving = [start] if parts == 1 else on_line
-    slope = (value - start) / size if parts == 1 else None
-    runs: tuple[tuple[list[float], float | None], ...]
-    runs = ([start] * parts, None), ([value] * parts, None), (moving, slope)
-    return values_of(probe, [in_steps(probe, v, xs, size, derivative) for xs, derivative in runs])
+    moving = (on_line, None) if parts > 1 else ([start], (value - start) / size)
+    runs = ([start] * parts, None), ([value] * parts, None), moving
+    return values_of(probe, [in_steps(probe, v, xs, size, slope) for xs, slope in runs])
 
 
 @_of_inputs(needs="input-derivatives-have-an-effect setting-the-same-changes-nothing variable-step-size")

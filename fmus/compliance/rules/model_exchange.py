@@ -1,4 +1,4 @@
-"""Model exchange (chapter 3): the order of calls, states and their derivatives, event indicators, events."""
+"""Model exchange (chapter 3): states and their derivatives, event indicators, events."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -199,17 +199,15 @@ def completed_step_without_need_has_no_effect(probe: Probe) -> Iterator[str]:
 @_rule("2.2.8 Definition of the Model Structure (ModelStructure)", condition=_no_states, needs=_CALLS)
 def vectors_have_the_order_of_the_description(probe: Probe) -> Iterator[str]:
     """States and derivatives as vectors have the values and the order of the variables of Derivatives."""
-    pairs = [
-        (probe.fmu.variables[state - 1], probe.fmu.variables[derivative - 1])
-        for derivative, state in probe.fmu.state_derivatives.items()
-    ]
-    if len(pairs) != vector_length(probe.fmu, _STATES):
+    derivatives, states = probe.fmu.state_derivatives.keys(), probe.fmu.state_derivatives.values()
+    if len(states) != vector_length(probe.fmu, _STATES):
         raise NotJudgedError("Derivatives lists variables that are derivatives of none")
+    groups = [[probe.fmu.variables[index - 1] for index in indices] for indices in (states, derivatives)]
     run = _ContinuousTime(probe)
     vectors = run.go(0.5, (_STATES, _DERIVATIVES))
-    readings = [run.script.read(group) for group in zip(*pairs, strict=True)]
+    readings = [run.script.read(group) for group in groups]
     run.play()
-    for vector, reading, group in zip(vectors, readings, zip(*pairs, strict=True), strict=True):
+    for vector, reading, group in zip(vectors, readings, groups, strict=True):
         for i, v in enumerate(group):
             if not same(vector.value[i], reading.values[v.name], _SOLVED):
                 got, read = texts(vector.value[i], reading.values[v.name])
@@ -361,9 +359,11 @@ def event_indicators_are_finite(probe: Probe) -> Iterator[str]:
 
 @_rule(_EVALUATION, condition=_no_indicators, needs=_CALLS)
 def event_indicators_are_not_zero_at_restart(probe: Probe) -> Iterator[str]:
-    """After an event, no event indicator is 0 when continuous-time mode is entered."""
+    """After a state, time or step event, no event indicator is 0 when continuous-time mode is entered."""
     for event in _run(probe)[0]:
-        if event["cause"] == "state event" and 0.0 in event.get("indicators", []):
+        # whether the start, or a communication point without an event, is a restart is a matter of reading
+        is_restart = event["cause"] in ("state event", "time event", "step event")
+        if is_restart and 0.0 in event.get("indicators", []):
             i = event["indicators"].index(0.0) + 1
             yield f"after {_event(probe, event)} event indicator {i} is 0: expected another value"
             return
