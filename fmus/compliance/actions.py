@@ -9,12 +9,13 @@ from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError
 from fmus.compliance.script import Reading, Reply, Script
 from fmus.compliance.values import (
+    INTERPOLATES,
     Given,
     accepted_together,
+    continuous_reals,
     other_values,
     references_of,
     refused_reference,
-    set_input_derivatives,
 )
 from fmus.compliance.variable import Variable
 
@@ -70,6 +71,7 @@ def _of_script(method: Callable[[Script], object]) -> Action:
 
 
 begin, initialise, pause = _of_script(Script.begin), _of_script(Script.initialise), _of_script(Script.pause)
+forbidden = _of_script(Script.forbidden)
 exit_initialization_mode = _of_script(Script.exit_initialization_mode)
 enter_initialization_mode = _of_script(Script.enter_initialization_mode)
 enter_event_mode = _of_script(Script.enter_event_mode)
@@ -142,13 +144,15 @@ def read_all(when: str = "", where: str = "") -> Action:
     return lambda play: play.write([read(play.script.variables, when, where)])
 
 
-def go_on_reading(steps: int, readings: int, when: str = "") -> Action:
-    """Makes many steps, in which all variables are read a few times."""
+def go_on_reading(steps: int, readings: int, when: str = "", observed: Sequence[Variable] = ()) -> Action:
+    """Makes many steps, in which all variables are read a few times, and those observed after each."""
     ends = [steps * i // readings for i in range(readings + 1)]
+    groups = itertools.groupby(observed, lambda v: v.base_kind)
+    of_kinds = [(kind, references_of(variables)) for kind, variables in groups]
 
     def action(play: Play) -> None:
         for before, end in itertools.pairwise(ends):
-            play.script.go_on(end - before)
+            play.script.go_on(end - before, of_kinds)
             play.write([read_all(when, f", at {play.script.time:g} s")])
 
     return action
@@ -230,9 +234,16 @@ def set_at_once(kind: str, pairs: Sequence[Pair]) -> Action:
     return call("set", kind, references_of(v for v, _ in pairs), contents)
 
 
-def set_derivatives(value: float = 1.0) -> Action:
-    """Sets first derivatives of all continuous Real inputs, if the FMU interpolates."""
-    return lambda play: set_input_derivatives(play.probe, play.script, value)
+def set_derivatives(value: float = 1.0, order: int = 1) -> Action:
+    """Sets derivatives of one order, of all continuous Real inputs, if the FMU interpolates."""
+
+    def action(play: Play) -> None:
+        references = references_of(continuous_reals(play.probe, "input"))
+        if references and play.probe.fmu.claims(INTERPOLATES):
+            count = len(references)
+            play.script.call("set_input_derivatives", references, [order] * count, [value] * count)
+
+    return action
 
 
 def error(action: Action, finding: str = "") -> Action:
@@ -255,14 +266,20 @@ def played(probe: Probe, actions: Iterable[Action], **options: Any) -> Play:
 
 
 def over_the_experiment(probe: Probe) -> Play:
-    """Returns a run with the stop time of the default experiment, if it has one, and all variables read a few
-    times; up to that time, or as far as steps take about a second.
+    """Returns a run with the stop time of the default experiment, if it has one, all variables read a few
+    times and numbers among the outputs after each step; up to that time, or as far as steps take about a
+    second.
     """
     stop = probe.stop_time if math.isfinite(probe.stop_time) else None
     set_up = call("set_up_experiment", probe.start_time, stop)
-    steps = go_on_reading(probe.steps_of_experiment, 8, "in the default experiment")
+    steps = go_on_reading(probe.steps_of_experiment, 8, "in the default experiment", number_outputs(probe))
     start = set_up, enter_initialization_mode, exit_initialization_mode
     return played(probe, [*start, steps], logging=True)
+
+
+def number_outputs(probe: Probe) -> list[Variable]:
+    """Returns the outputs that are numbers, by type."""
+    return [v for kind in ("Real", "Integer") for v in probe.outputs if v.base_kind == kind]
 
 
 def others_accepted(probe: Probe, variables: Sequence[Variable], *before: Action) -> list[Pair]:

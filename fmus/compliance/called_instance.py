@@ -16,7 +16,7 @@ from fmus.compliance.instance_parts import (
     set_traps,
 )
 from fmus.compliance.process_settings import ProcessSettings
-from fmus.compliance.script import ARGUMENTS, UNWRITTEN
+from fmus.compliance.script import ARGUMENTS, UNWRITTEN, USUAL_NAME
 from fmus.fmi.binding import (
     CO_SIMULATION,
     DO_STEP_STATUS,
@@ -57,6 +57,7 @@ class CalledInstance(BoundInstance):
     """
 
     interface = CO_SIMULATION
+    _unknown: MessageLog  # of environments of no instance, perhaps of one that was freed
 
     def __init__(
         self,
@@ -70,7 +71,7 @@ class CalledInstance(BoundInstance):
         self.function = ""  # of the latest call
         self._kept: list[Any] = []
         self.states = SavedStates(self)
-        self.traps: list[str] = []
+        self._memory, self._traps = memory, list[str]()
         self.finished_steps: list[list[Any]] = []
         self.last_status = self.pending_steps = 0
         self.watched = bool(options.get("watched"))
@@ -79,9 +80,10 @@ class CalledInstance(BoundInstance):
         allocator = RefusingAllocator() if kind == "refused memory" else memory
         log = MessageLog(settings)
         super().__init__(library, Callbacks(allocator, log=log, environment=0 if kind == "fewest" else None))
-        self.messages, self._unknown = log, MessageLog(settings, False)
+        self.messages = log
+        CalledInstance._unknown = MessageLog(settings, False)
         if kind != "fewest":
-            Callbacks(environment=0, log=self._unknown)
+            Callbacks(environment=0, log=CalledInstance._unknown)
         self._kept += [allocator]
         self._fill(self.callbacks.structure, kind)
 
@@ -105,7 +107,7 @@ class CalledInstance(BoundInstance):
         options = self._options
         strings = [
             ctypes.create_string_buffer(options.get(key, default).encode())
-            for key, default in (("name", "instance"), ("guid", ""), ("location", ""))
+            for key, default in (("name", USUAL_NAME), ("guid", ""), ("location", ""))
         ]
         structure = type(self.callbacks.structure).from_buffer_copy(self.callbacks.structure)
         name, guid, location = strings
@@ -119,7 +121,7 @@ class CalledInstance(BoundInstance):
         if options.get("overwritten"):
             for buffer in strings:
                 ctypes.memset(buffer, ord("#"), len(buffer) - 1)
-            self._kept += set_traps(structure, self.callbacks.structure, self.traps)
+            self._kept += set_traps(structure, self.callbacks.structure, self._traps)
         return self.handle is not None
 
     def check_status(self, function: str, status: int) -> None:
@@ -139,8 +141,9 @@ class CalledInstance(BoundInstance):
 
     def new_messages(self) -> list[list[Any]]:
         """Returns [status, message, instance, category, right environment or not] of each new message."""
-        messages = self.messages.messages + self._unknown.messages
-        self.messages.messages, self._unknown.messages = [], []
+        unknown = CalledInstance._unknown
+        messages = self.messages.messages + unknown.messages
+        self.messages.messages, unknown.messages = [], []
         return messages
 
     def changed_settings(self) -> list[list[str]]:
@@ -226,16 +229,28 @@ class CalledInstance(BoundInstance):
             self.wait()
         return ""
 
-    def do_steps(self, start: float, h: float, first: int, count: int) -> str:
+    def do_steps(
+        self, start: float, h: float, first: int, count: int, observed: Sequence[tuple[str, list[int]]] = ()
+    ) -> str | list[list[Any]]:
         """Makes equal steps of h seconds, from number `first` after the start, up to one that fails.
 
-        Returns the reason of a step that is discarded, as `do_step` does.
+        observed: types with value references, which are read after each step
+        Returns the reason of a step that is discarded, as `do_step` does, or each value that was observed
+        with the times at which it was least and largest: [least, time, largest, time].
         """
+        extremes: list[list[Any]] = []
         for i in range(first, first + count):
             reason = self.do_step(start + i * h, h)
             if not 0 <= self.last_status <= WARNING:
                 return reason
-        return ""
+            t, values = start + (i + 1) * h, [x for kind, of in observed for x in self.get(kind, of)]
+            extremes = extremes or [[x, t, x, t] for x in values]
+            for value, extreme in zip(values, extremes, strict=True):
+                if value < extreme[0] or math.isnan(value):
+                    extreme[:2] = value, t
+                if value > extreme[2]:
+                    extreme[2:] = value, t
+        return extremes if observed else ""
 
     def wait(self) -> None:
         """Waits until a pending step has ended; the time limit of the rule ends a wait without end."""
@@ -269,6 +284,14 @@ class CalledInstance(BoundInstance):
     def derive_nothing(self) -> None:
         """Reads directional derivatives of no unknowns with respect to no knowns."""
         self.call("fmi2GetDirectionalDerivative", None, 0, None, 0, None, None)
+
+    def used_traps(self) -> list[str]:
+        """Returns what the FMU used that was valid during fmi2Instantiate only."""
+        return sorted(set(self._traps))
+
+    def held_blocks(self) -> int:
+        """Returns the number of blocks of memory of `allocateMemory` that are in use."""
+        return len(self._memory.held)
 
     def call_plain(self, function: str) -> None:
         """Calls a function of FMI that has no argument but the instance."""

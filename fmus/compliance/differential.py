@@ -96,7 +96,7 @@ def _write(probe: Probe, row: Row) -> tuple[Row, Play, list[Play]]:
     plays = [Play(probe, row.varied, logging=not row.may_fail, **row.options)]
     if row.beside:
         all_actions = enumerate([row.varied, *row.beside])
-        plays = [Play(probe, actions, name=f"instance {i}") for i, actions in all_actions]
+        plays = [Play(probe, actions, name=f"instance {i}", logging=True) for i, actions in all_actions]
     steps = max(len(play.observed) for play in plays)
     usual = row.usual if row.usual is not None else (do.begin, do.run(steps)) if steps else ()
     return row, Play(probe, usual), plays

@@ -181,10 +181,6 @@ class LoadedFmu:
             printed = self._printed.stat().st_size - printed
         return [value, instance.new_messages(), changed, printed]
 
-    def traps(self, number: int) -> list[str]:
-        """Returns what the FMU used that was valid during fmi2Instantiate only."""
-        return self._instances[number].traps
-
     def finished_steps(self, number: int) -> list[Any]:
         """Returns the number of pending steps, and [status, right environment] of each `stepFinished`."""
         instance = self._instances[number]

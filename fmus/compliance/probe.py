@@ -6,13 +6,14 @@ import re
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.fmu_process import Call, FmuProcess, start_process
 from fmus.compliance.rule import NotApplicableError, NotJudgedError
-from fmus.compliance.script import CallError, Message, Reply, Script
+from fmus.compliance.script import USUAL_NAME, CallError, Message, Reply, Script
 from fmus.compliance.variable import Variable, integer, number
 from fmus.fmi import binding
 from fmus.fmi.binding import DISCARD, ERROR, OK, TERMINATED, WARNING
@@ -22,7 +23,8 @@ T = TypeVar("T")
 _LICENCE = re.compile("licen[cs]e", re.IGNORECASE)
 _REFUSED_STEPS, _DISCARDED_STEP = "refused steps", "discarded step"  # among what the rules share
 _NUMBER_OF_IT = "number of the discarded step"
-_REFUSALS, _PLAYED = "refusals", "answers of scripts that were played"
+_REFUSALS, _PLAYED, _LOG = "refusals", "answers of scripts that were played", "messages"
+_MOST_MESSAGES = 10_000
 _FEWEST_STEPS, _MEASURED_STEPS, _MOST_STEPS = 10, 40, 5_000  # of a run over the default experiment
 _LONGEST_RUN_S = 1.0
 _TOLERANCE, _MOST_TOLERANCE = 1e-4, 1e-3
@@ -106,6 +108,7 @@ class Probe:
         ends = self.process.calls(freed)
         for script, creation, end in zip(scripts, created, ends, strict=True):
             script.fill_ends(creation, end)
+        self._note_messages(scripts)
         self._note_refusals(scripts)
         self._judge_steps(scripts)
 
@@ -165,6 +168,21 @@ class Probe:
                     noted.setdefault((reply.function, reply.status, bool(reply.messages)), reply)
                 if reply.function == "fmi2SetDebugLogging":  # it may turn logging off
                     break
+
+    @property
+    def log(self) -> list[Message]:
+        """Messages, each once, of all instances with logging on that were played up to now, but those with
+        calls or arguments that FMI forbids.
+        """
+        return list(self._shared.get(_LOG, ()))
+
+    def _note_messages(self, scripts: Sequence[Script]) -> None:
+        log: dict[Message, None] = self._shared.setdefault(_LOG, {})
+        for script in scripts:
+            is_usual = script.options.get("logging") and not {"callbacks", "overwritten"} & {*script.options}
+            for reply in script.everything if is_usual and not script.is_forbidden else ():
+                for message in reply.messages if len(log) < _MOST_MESSAGES else ():
+                    log[replace(message, given_name=script.options.get("name", USUAL_NAME))] = None
 
     def find_discarded_step(self, steps: int) -> None:
         """Notes, for all rules, whether the FMU discards one of some equal steps of the usual size."""
@@ -229,8 +247,10 @@ class Probe:
         for created, messages, *_ in results[::3]:
             if not created:
                 raise _refused([Message(*message) for message in messages])
-        for script, answers in zip(scripts, results[1::3], strict=True):
+        for script, creation, answers, end in zip(scripts, *(results[i::3] for i in range(3)), strict=True):
+            script.fill_ends(creation, end)
             script.fill(0, answers)
+        self._note_messages(scripts)
         self._note_refusals(scripts)
         self._judge_steps(scripts)
         return results[1::3]

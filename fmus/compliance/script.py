@@ -8,6 +8,7 @@ from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.variable import Variable
 from fmus.fmi.binding import WARNING, status_name
 
+USUAL_NAME = "instance"
 KINDS = ("Real", "Integer", "Boolean", "String")
 STEPS = ("do_step", "do_steps", "begin_step")
 UNWRITTEN = "values"  # among what a call changed: those that were asked for were not
@@ -24,6 +25,7 @@ _FUNCTIONS = {  # method of `CalledInstance` -> function of FMI, where the argum
     "serialize_fmu_state": "fmi2SerializeFMUstate", "deserialize_fmu_state": "fmi2DeSerializeFMUstate",
     "serialized_fmu_state_size": "fmi2SerializedFMUstateSize",
     "copy_fmu_state": "fmi2DeSerializeFMUstate", "poll_step": "fmi2GetStatus",
+    "used_traps": "asking for callbacks", "held_blocks": "asking for memory",
     "free": "fmi2FreeInstance", "end": "fmi2Terminate", "derive_nothing": "fmi2GetDirectionalDerivative",
     "remove_link": "removing a link", "set_time": "fmi2SetTime",
     "new_discrete_states": "fmi2NewDiscreteStates", "set_continuous_states": "fmi2SetContinuousStates",
@@ -45,13 +47,17 @@ class DefectError(Exception):
 
 @dataclass(frozen=True)
 class Message:
-    """A message of the FMU. right_environment: whether it came with the environment of its instance."""
+    """A message of the FMU.
+
+    right_environment: whether it came with the environment of its instance; given_name: of its instance
+    """
 
     status: int
     text: str
     instance: str | None
     category: str | None
     right_environment: bool = True
+    given_name: str = ""
 
 
 @dataclass
@@ -217,9 +223,12 @@ class Script:
             self._step += 1
         return self
 
-    def go_on(self, count: int) -> "Script":
-        """Adds steps of the default experiment's size in one call, up to the first that fails."""
-        self.call("do_steps", self._probe.start_time, self._probe.step_size, self._step, count)
+    def go_on(self, count: int, observed: Sequence[tuple[str, list[int]]] = ()) -> "Script":
+        """Adds steps of the default experiment's size in one call, up to the first that fails.
+
+        observed: see `CalledInstance.do_steps`
+        """
+        self.call("do_steps", self._probe.start_time, self._probe.step_size, self._step, count, observed)
         self._step += count
         return self
 

@@ -205,14 +205,6 @@ def other_values(variables: Iterable[Variable]) -> list[tuple[Variable, Any]]:
     return [(v, x) for v in variables if (x := other_value(v)) is not None]
 
 
-def set_input_derivatives(probe: Probe, script: Script, value: float = 1.0) -> None:
-    """Sets first derivatives of all continuous Real inputs, if the FMU interpolates."""
-    references = references_of(continuous_reals(probe, "input"))
-    if references and probe.fmu.claims(INTERPOLATES):
-        count = len(references)
-        script.call("set_input_derivatives", references, [1] * count, [value] * count)
-
-
 def accepted_together(
     probe: Probe, pairs: Sequence[tuple[Variable, Any]], begun: Callable[[], Script]
 ) -> list[tuple[Variable, Any]]:

@@ -77,19 +77,24 @@ static char mutation[100], flags[200];
 #define IS(n) (!strcmp(mutation, n))
 #define FLAG(n) (strstr(flags, n) != NULL)
 static int failed_globally, live;
-static Slave *latest;
+static unsigned enabled_in_all;
+static Slave *latest, *first;
+static fmi2ComponentEnvironment freed; /* of an instance that was freed beside others */
 static const char *CAT[] = {"logEvents",      "logStatusWarning", "logStatusDiscard",
                             "logStatusError", "logStatusFatal",   "logStatusPending"};
 static const char GUID[] = "{f00dcafe-0000-4000-8000-00000000beef}";
 
 static void say(Slave *s, fmi2Status st, int cat, const char *text) {
-    if (!(s->enabled & (1u << cat)) || !s->cb.logger) return;
+    const unsigned enabled = IS("debug logging is of all instances") ? enabled_in_all : s->enabled;
+    if (!(enabled & (1u << cat)) || !s->cb.logger) return;
     if (s->keeps && strcmp(s->kept_category, CAT[cat])) return;
-    const Slave *of = IS("the logger of the last instance") ? latest : s;
+    const Slave *last = latest ? latest : s, *of = IS("the logger of the last instance") ? last : s;
     const fmi2CallbackLogger logger = of->cb.logger;
-    fmi2ComponentEnvironment e = (IS("messages go to the latest instance") ? latest : of)->cb.componentEnvironment;
-    const char *name = IS("messages carry the latest name") ? latest->name : s->name;
+    fmi2ComponentEnvironment e = (IS("messages go to the latest instance") ? last : of)->cb.componentEnvironment;
+    if (IS("messages go to an instance that was freed") && freed) e = freed;
+    const char *name = IS("messages carry the latest name") ? last->name : s->name;
     const char *category = IS("an empty category") ? "" : CAT[cat], *format = "%s";
+    if (IS("a misspelt category in initialization mode") && s->d.state == INIT) category = "logStatusErorr";
     char with_name[900];
     if (IS("the instance name is part of the format")) {
         snprintf(with_name, sizeof with_name, "%s: %%s", s->name);
@@ -235,12 +240,12 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     }
     Slave *s = calloc(1, sizeof *s);
     if (!s) return NULL;
-    live++;
+    if (!live++) freed = NULL, first = s;
     latest = s;
     s->cb = *fn;
     snprintf(s->name, IS("long names are cut") ? 40 : sizeof s->name, "%s", name);
     if (IS("an alarm")) alarm(1000);
-    s->enabled = logging ? 63 : 0;
+    s->enabled = enabled_in_all = logging ? 63 : 0;
     if (IS("a blocked signal")) {
         sigset_t set;
         sigemptyset(&set);
@@ -264,7 +269,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
 void fmi2FreeInstance(fmi2Component c) {
     Slave *s = c;
     if (!s) return;
-    live--;
+    if (--live) freed = s->cb.componentEnvironment;
     if (latest == s) latest = NULL;
     if (IS("free crashes when terminated") && s->d.state == TERM) abort();
     if (IS("free of one ends the others")) failed_globally = live > 0;
@@ -284,6 +289,7 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const 
     }
     if (on) s->enabled = n ? chosen : 63;
     else s->enabled &= ~chosen;
+    enabled_in_all = s->enabled;
     return fmi2OK;
 }
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean td, fmi2Real tol, fmi2Real start, fmi2Boolean sd,
@@ -345,6 +351,7 @@ fmi2Status fmi2Reset(fmi2Component c) {
     reset(&s->d);
     s->resets++;
     if (IS("reset turns logging on")) s->enabled = 63;
+    if (IS("reset takes the environment of the first instance")) s->cb = first->cb;
     if (IS("reset keeps strings")) strcpy(s->d.label, old.label), strcpy(s->d.s_fixed, old.s_fixed);
     if (IS("reset keeps inputs")) s->d.f = s->d.f_end = old.f, s->d.f2 = old.f2, s->d.ref = old.ref;
     if (IS("reset frees states")) {
@@ -391,6 +398,7 @@ static double real_of(Slave *s, void *p) {
     if (IS("time of equal steps") && p == &s->d.time) x = s->d.time - s->d.h + 0.05;
     if (IS("time is behind with a stop time") && p == &s->d.time && s->d.stop_defined && s->d.steps) x -= 0.01;
     if (IS("a derivative is twice as large") && p == &s->d.acc && s->d.state != INIT) x *= 2;
+    if (IS("out of range for a moment") && p == &s->d.held && s->d.time > 2.42 && s->d.time < 2.53) x = 50;
     if (IS("not a number late in the experiment") && p == &s->d.power && s->d.time > 3.3) x = NAN;
     if (IS("not a number later") && p == &s->d.power && s->d.steps > 2) x = NAN;
     return x;

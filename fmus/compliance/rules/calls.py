@@ -5,7 +5,7 @@ from contextlib import suppress
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.actions import MOST_VARIABLES, Action
+from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.differential import Row, differential
 from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
@@ -20,8 +20,8 @@ from fmus.compliance.rules.call_table import (
     Ask,
     call_rule,
     discarded_step,
-    input_derivatives,
     of_each_type,
+    output_derivatives,
     tour,
     vectors,
 )
@@ -88,12 +88,11 @@ def vectors_are_given_in_every_state(probe: Probe) -> Iterator[Ask]:
 
 
 @call_rule(_STATES, SUCCESS, condition=unless_claimed(INTERPOLATES), needs="allowed-calls-succeed")
-def input_derivatives_when_instantiated(probe: Probe) -> Iterator[Ask]:
+def input_derivatives_when_instantiated(_: Probe) -> Iterator[Ask]:
     """Derivatives of inputs can be set when instantiated: 4.2.4 allows it, although 4.2.1 gives them the
     restrictions of fmi2SetReal, which cannot set inputs there.
     """
-    for action in input_derivatives(probe, "I"):
-        yield Ask("I", (action, do.begin, do.step()))
+    yield Ask("I", (do.set_derivatives(0.0), do.begin, do.step()))
 
 
 @differential("advice: an empty call has nothing to refuse", needs="allowed-calls-succeed")
@@ -124,18 +123,12 @@ def forbidden_calls_are_refused(probe: Probe) -> Iterator[Ask]:
         for state in sorted(states & set("IMCEKT") - set(row.allowed)) if states & set(row.allowed) else ():
             yield from (Ask(state, [action]) for action in row.calls(probe, state))
     yield from _forbidden_values(probe)
-    for derivatives in (input_derivatives(probe, "C", order=0), _output_derivatives_of_order_0(probe)):
-        yield from (Ask("C", [action], " of order 0") for action in derivatives)
+    for action in (do.set_derivatives(0.0, order=0), *output_derivatives(probe, "C", orders=[0])):
+        yield Ask("C", [action], " of order 0")
     for state, i, size in (("B", 5, 1), ("C", 6, 1), ("C", 1, 0), ("C", 1, -1)):
         t, h = probe.point(i), size * probe.step_size
         words = f" from {t:g} s with the communication step size {h:g} s"
         yield Ask(state, [do.call("do_step", t, h)], words)
-
-
-def _output_derivatives_of_order_0(probe: Probe) -> Iterator[Action]:
-    outputs = values.references_of(values.continuous_reals(probe, "output"))[:1]
-    if outputs and probe.fmu.output_derivative_order:
-        yield do.call("output_derivatives", outputs, 0)
 
 
 def _forbidden_values(probe: Probe) -> Iterator[Ask]:

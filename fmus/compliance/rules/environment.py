@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterator
+from contextlib import suppress
 from statistics import median
 
 from fmus.compliance import actions as do
@@ -33,39 +34,25 @@ def _with_a_state(probe: Probe) -> tuple[Action, ...]:
 # callbacks, and arguments that are valid during a call only
 
 
-def _overwritten(probe: Probe) -> tuple[Play, list[str]]:
-    """Returns a run after the arguments of fmi2Instantiate were overwritten, and the callbacks that the FMU
-    takes from the structure after it.
-    """
-
-    def held() -> tuple[Play, list[str]]:
-        actions = do.call("set_debug_logging", True, []), do.begin, do.run(2), do.reset, do.begin, do.step()
-        play = Play(probe, actions, name=_NAME, overwritten=True, logging=True)
-        number = probe.hold(play.script)
-        traps = probe.ask("traps", number)
-        probe.let_go(number)
-        return play, sorted(set(traps))
-
-    return probe.once("run with overwritten arguments", held)
+def _overwritten(probe: Probe) -> Play:
+    """Returns a run after the arguments of fmi2Instantiate were overwritten."""
+    actions = do.call("set_debug_logging", True, []), do.begin, do.run(2), do.reset, do.begin, do.step()
+    return do.played(probe, [*actions, do.call("used_traps")], name=_NAME, overwritten=True, logging=True)
 
 
-@behaviour_rule(
-    _CREATION,
-    needs="reset-in-every-state allowed-calls-succeed statuses-are-legal messages-have-the-instance-name",
-)
+@behaviour_rule(_CREATION, needs="reset-in-every-state allowed-calls-succeed statuses-are-legal")
 def arguments_of_instantiation_are_copied(probe: Probe) -> Iterator[str]:
     """Name, GUID and resource location are not used after fmi2Instantiate returned; a long name is kept
     whole.
     """
-    play, _ = _overwritten(probe)
-    usual = do.played(probe, [do.begin, do.run(2)])
-    yield from verdict(probe, Row(_OVERWRITTEN, ()), usual, [play])
-    if play.script.failure:
-        return
-    names = {m.instance for reply in play.script.replies for m in reply.messages} - {_NAME}
-    if any(name is not None and name.strip("#") == "" for name in names):
+    play, usual = _overwritten(probe), do.played(probe, [do.begin, do.run(2)])
+    yield from verdict(
+        probe, Row("after the arguments of fmi2Instantiate were overwritten", ()), usual, [play]
+    )
+    names = {m.instance or "" for reply in play.script.replies for m in reply.messages}
+    if any({*name} == {"#"} for name in names):
         yield "messages carry the overwritten instance name: expected a copy of it"
-    elif cut := sorted(name for name in names if name and _NAME.startswith(name)):
+    elif cut := sorted(name for name in names - {_NAME, ""} if _NAME.startswith(name)):
         yield f"messages carry the instance name {cut[0]!r}: expected {_NAME!r}"
 
 
@@ -74,7 +61,7 @@ def arguments_of_instantiation_are_copied(probe: Probe) -> Iterator[str]:
 )
 def callbacks_are_copied(probe: Probe) -> Iterator[str]:
     """The structure of callbacks is not used after fmi2Instantiate returned."""
-    for callback in _overwritten(probe)[1]:
+    for callback in _overwritten(probe).script.replies[-1].value or ():
         yield f"{callback} was taken from the structure after fmi2Instantiate: expected a copy of it"
 
 
@@ -92,11 +79,9 @@ def memory_functions_may_be_null(probe: Probe) -> Iterator[str]:
     """With canNotUseMemoryManagementFunctions, allocateMemory and freeMemory may be NULL, and are not
     called.
     """
-    held = probe.ask("held_blocks")
-    number = probe.hold(Play(probe, _with_a_state(probe)[:3]).script)
-    if probe.ask("held_blocks") != held:
+    play = do.played(probe, [*_with_a_state(probe)[:3], do.call("held_blocks")])
+    if play.replies_of("asking for memory")[0].value:
         yield f"allocateMemory was called: expected no call, as {_OWN_MEMORY} is claimed"
-    probe.let_go(number)
     varied, options = (*_with_a_state(probe), do.terminate), {"callbacks": "no memory"}
     yield from differences(probe, [Row("without memory functions", varied, options=options)])
 
@@ -105,10 +90,8 @@ def memory_functions_may_be_null(probe: Probe) -> Iterator[str]:
 def failed_allocation_is_handled(probe: Probe) -> Iterator[str]:
     """fmi2Instantiate returns NULL where allocateMemory does, or an instance that needs no such memory."""
     script = probe.script(callbacks="refused memory").begin().step()
-    try:
+    with suppress(CallError):  # no instance
         script.play(keep_going=True)
-    except CallError:
-        return  # no instance
     if script.failure:
         yield f"where allocateMemory returns NULL: {script.failure.problem}"
 
@@ -208,10 +191,8 @@ def _link(probe: Probe, name: str) -> str:
 def _with_location(location: str) -> Row:
     slashes = "/" * location[5:].count("/", 0, 3)
     failing = f"with the resource location {location.split('/', maxsplit=1)[0]}{slashes}..."
-    options = {"location": location}
-    return Row(
-        f"with the resource location {location}", (do.begin, do.run(2)), failing=failing, options=options
-    )
+    when, options = f"with the resource location {location}", {"location": location}
+    return Row(when, (do.begin, do.run(2)), failing=failing, options=options)
 
 
 def _without_data(fmu: FmuFile) -> str:

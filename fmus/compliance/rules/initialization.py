@@ -1,10 +1,11 @@
 """Setting up, initialising and resetting an FMU: start values, and what fmi2Reset gives back."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
+from itertools import chain
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.actions import MOST_VARIABLES, Action, Pair
+from fmus.compliance.actions import MOST_VARIABLES, Action
 from fmus.compliance.differential import OF_EXPERIMENT, Row, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError
@@ -39,23 +40,15 @@ def start_values_are_as_declared(probe: Probe) -> Iterable[Row]:
 
 @differential(_INITIALIZATION, needs="start-values-are-as-declared reset-in-every-state")
 def reset_gives_the_start_values(probe: Probe) -> Iterator[Row]:
-    """After other values, steps and fmi2Reset, start values are back and the same steps give the same
-    outputs.
+    """After other values, a stop time, changed inputs, steps and fmi2Reset, start values are back, and every
+    variable is in the same steps as in a new instance.
     """
     varied = do.begin, do.step(5), do.reset, do.begin, do.run(5)
     yield Row("after fmi2Reset", varied, tolerance=OF_EXPERIMENT)
     others = do.set_others(values.settable_before(probe.fmu))
     yield from _rows_of_starts(probe, "after other values and fmi2Reset", others, do.reset)
-
-
-@differential(_INITIALIZATION, needs="reset-gives-the-start-values")
-def reset_ends_all_that_was_set(probe: Probe) -> Iterator[Row]:
-    """After other values, a stop time, changed inputs and fmi2Reset, every variable is in the same steps as
-    in a new instance.
-    """
-    before, stepping = values.settable_before(probe.fmu), values.settable_while_stepping(probe.fmu)
-    first = do.set_others(before), *do.begin_until(2), do.set_others(stepping)
-    varied = do.ignore(*first, do.step(), do.set_derivatives(), do.reset), do.begin, do.run_all(5)
+    stepping = do.set_others(values.settable_while_stepping(probe.fmu)), do.step(), do.set_derivatives()
+    varied = do.ignore(others, *do.begin_until(2), *stepping, do.reset), do.begin, do.run_all(5)
     when, failing = "after other values and fmi2Reset", "after other values, a stop time and fmi2Reset"
     yield Row(when, varied, (do.begin, do.run_all(5)), failing, OF_EXPERIMENT)
 
@@ -67,14 +60,6 @@ def set_up_can_be_repeated(probe: Probe) -> Iterator[Row]:
     """
     another = do.call("set_up_experiment", probe.point(7), probe.point(8))
     yield Row("after a second fmi2SetupExperiment", (another, do.begin, do.run(2)))
-
-
-@differential(_INITIALIZATION)
-def undefined_tolerance_is_ignored(probe: Probe) -> Iterator[Row]:
-    """If toleranceDefined is false, tolerance is not looked at, and no stop time is needed."""
-    set_up = do.call("set_up_experiment_with", [], probe.start_time, [], -1.0)
-    varied = set_up, do.enter_initialization_mode, do.exit_initialization_mode, do.run(1)
-    yield Row("with an undefined tolerance of -1", varied)
 
 
 @differential("advice: a user may want to see windows")
@@ -106,19 +91,17 @@ def values_are_set_together(probe: Probe) -> Iterator[Row]:
     its own.
     """
     pairs = values.other_values(values.settable_in_initialization(probe.fmu))
-    some = [pair for kind in KINDS for pair in _of_kind(pairs, kind)[:MOST_VARIABLES]]
-    taken = values.accepted_together(probe, some, lambda: probe.script().initialise())
-    by_kind = {kind: _of_kind(taken, kind) for kind in KINDS}
-    if all(len(chosen) < 2 for chosen in by_kind.values()):
+    of_kinds = [[pair for pair in pairs if pair[0].base_kind == kind][:MOST_VARIABLES] for kind in KINDS]
+    taken = values.accepted_together(probe, list(chain(*of_kinds)), lambda: probe.script().initialise())
+    several = [
+        chosen for of_kind in of_kinds if len(chosen := [pair for pair in of_kind if pair in taken]) > 1
+    ]
+    if not several:
         raise NotApplicableError("no two variables of one type take other values in initialization mode")
-    for kind, chosen in by_kind.items():
-        end = do.exit_initialization_mode, do.read([v for v, _ in chosen])
-        for ordered in (chosen, chosen[::-1]) if len(chosen) > 1 else ():
-            usual = do.initialise, do.set_values(ordered), *end
-            together = do.initialise, do.set_at_once(kind, ordered), *end
-            when = f"where one fmi2Set{kind} sets {len(ordered)} variables"
-            yield Row(when, together, usual, may_fail=True, again="{}, as it is set alone")
-
-
-def _of_kind(pairs: Sequence[Pair], kind: str) -> list[Pair]:
-    return [(v, x) for v, x in pairs if v.base_kind == kind]
+    for ordered in [*several, *(chosen[::-1] for chosen in several)]:
+        kind = ordered[0][0].base_kind
+        end = do.exit_initialization_mode, do.read([v for v, _ in ordered])
+        usual = do.initialise, do.set_values(ordered), *end
+        together = do.initialise, do.set_at_once(kind, ordered), *end
+        when = f"where one fmi2Set{kind} sets {len(ordered)} variables"
+        yield Row(when, together, usual, may_fail=True, again="{}, as it is set alone")

@@ -1,22 +1,29 @@
 """Messages, which an FMU sends to the logger, and settings of its process, which it leaves as they are."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence, Set
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any, NamedTuple
 
 from fmus.compliance import actions as do
 from fmus.compliance.differential import Row, differential
 from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
+from fmus.compliance.rows import told
+from fmus.compliance.rule import Check, NotJudgedError, Rule, Stage, add_rule, always, behaviour_rule
 from fmus.compliance.rules.call_table import NAME, tour
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, CallError, Message, Script
 from fmus.compliance.values import refused_reference
-from fmus.fmi.binding import OK, WARNING
+from fmus.fmi.binding import ERROR, OK, PENDING, WARNING
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
+_GENERAL = "2.1 FMI Application Programming Interface"
+_VALUES = "2.1.7 Getting and Setting Variable Values"
 _REFERENCE = re.compile(r"#([ribs])(\d+)#")
-_ALL = "logAll"  # of 2.2.4: all messages, whatever their category
 _KINDS = {"r": "Real", "i": "Integer", "b": "Boolean", "s": "String"}
+_ALL = "logAll"  # of 2.2.4: all messages, whatever their category
 _NUMBER = r"(?:\*(?:\d+\$)?|\d+)"  # a width or a precision, also as an argument
 _CONVERSION = re.compile(  # of C, POSIX, glibc and Microsoft, without %n, which writes
     rf"%(?:\d+\$)?[-+ #0'I]*{_NUMBER}?(?:\.{_NUMBER}?)?(?:hh|h|ll|l|j|z|t|L|q|w|I32|I64)?"
@@ -25,205 +32,276 @@ _CONVERSION = re.compile(  # of C, POSIX, glibc and Microsoft, without %n, which
 _NAME_WITH_A_PERCENT_SIGN = "tank at 5%d"
 _BLANK_OF_TEXT = re.compile(r"%[-+#0]* [-+#0 ]*[scp](?=[a-zA-Z])")  # as in "100 % sure"; C gives it no effect
 _BLANK_FLAG = re.compile(r"%[-+#0]* [-+#0]*[a-zA-Z](?=[a-zA-Z])")  # as in "100 % done"
-_GENERAL = "2.1 FMI Application Programming Interface"
-_FLOATING_POINT = "floating-point control"
+_PRINTED = "printed"
+_MOST_FINDINGS = 3  # of a rule
+_FORMATS_ARE_LEGAL = "formats-of-messages-are-legal"
+Case = tuple[Callable[[Any, Any], object], str]
+"""Whether a message or a change is wrong, and the words if it is: see `rows.told`."""
 
 
-def _messages(probe: Probe) -> list[Message]:
-    """Returns the messages of the tour of the states, and of a call that fails."""
+def _log(probe: Probe) -> list[Message]:
+    """Returns the messages of all runs with logging that other rules have played."""
+    return probe.log
+
+
+def _refusal(probe: Probe) -> list[Message]:
+    """Returns the messages with a text of an instantiation that fails, or one without."""
+
+    def refused() -> list[Message]:
+        created, messages = probe.creates(name=NAME, guid="wrong", logging=True)
+        if created:
+            raise NotJudgedError("fmi2Instantiate returns an instance for a wrong GUID")
+        return [m for m in messages if m.text.strip()] or [Message(ERROR, "", NAME, None)]
+
+    return probe.once("refused instantiation", refused)
+
+
+def _formats(probe: Probe) -> list[Message]:
+    """Returns messages with the formats that they are before printf."""
 
     def collected() -> list[Message]:
-        script = probe.script(name=NAME, logging=True).begin().step()
-        script.call("get", "Real", [refused_reference(probe)])
-        script.play(keep_going=True)
-        return [m for reply in (*tour(probe).everything, *script.everything) for m in reply.messages]
-
-    return probe.once("log", collected)
-
-
-def _declared_categories(probe: Probe) -> list[str]:
-    return [c.get("name", "") for c in probe.fmu.root.iterfind("LogCategories/Category")]
-
-
-@behaviour_rule(_CREATION)
-def messages_have_the_instance_name(probe: Probe) -> Iterator[str]:
-    """Messages carry the name of the instance that sends them, and the environment of its callbacks."""
-    messages = _messages(probe)
-    for name in {m.instance for m in messages if m.instance != NAME}:
-        shown = "NULL" if name is None else repr(name)
-        yield f"a message carries the instance name {shown}: expected {NAME!r}, its instance"
-    if any(not m.right_environment for m in messages):
-        yield "the logger was called without the componentEnvironment of its instance"
-    elif all(m.instance == NAME for m in messages) and not probe.fmu.claims(ONLY_ONCE):
-        yield from _of_another(probe)
-
-
-def _of_another(probe: Probe) -> Iterator[str]:
-    """Yields a message that carries the name of another instance, of two that live side by side."""
-    first, second = (probe.script(name=f"instance {i} of two", logging=True).forbidden() for i in (1, 2))
-    for script in (first, second):
-        script.begin().step().pause()
-        script.call("get", "Real", [refused_reference(probe)])
-    try:
-        probe.play(first, second, keep_going=True)
-    except CallError:  # no second instance: `several-instances` tells it
-        return
-    for script in (first, second):
-        name = script.options["name"]
-        for message in [m for reply in script.replies for m in reply.messages]:
-            if message.instance != name:
-                yield (
-                    f"a message to the environment of {name!r} carries the instance name "
-                    f"{message.instance!r} beside another instance: expected its own"
-                )
-                return
-
-
-@behaviour_rule(_CREATION)
-def log_categories_are_declared(probe: Probe) -> Iterator[str]:
-    """Messages have a category of LogCategories; without LogCategories it is NULL."""
-    yield from _undeclared(probe, _messages(probe))
-
-
-@behaviour_rule(_CREATION)
-def messages_have_a_category(probe: Probe) -> Iterator[str]:
-    """Messages have a category, if LogCategories declares any."""
-    declared = _declared_categories(probe)
-    if declared and any(m.category is None for m in _messages(probe)):
-        yield f"a message has no category: expected one of {', '.join(declared)}"
-
-
-@behaviour_rule(_CREATION)
-def log_category_of_a_refusal_is_declared(probe: Probe) -> Iterator[str]:
-    """The message of an instantiation that fails, too, has a category of LogCategories."""
-    created, messages = probe.creates(name=NAME, guid="wrong", logging=True)
-    yield from () if created else _undeclared(probe, messages)
-
-
-def _undeclared(probe: Probe, messages: Sequence[Message]) -> Iterator[str]:
-    declared = _declared_categories(probe)
-    for category in dict.fromkeys(m.category for m in messages):
-        if category is not None and category not in declared:
-            expected = (
-                f"one of {', '.join(declared)}" if declared else "NULL, as no LogCategories are declared"
-            )
-            yield f"a message has the category {category!r}: expected {expected}"
-
-
-@behaviour_rule(_CREATION)
-def messages_have_no_trailing_line_break(probe: Probe) -> Iterator[str]:
-    """Messages do not end with a line break."""
-    for text in dict.fromkeys(m.text for m in _messages(probe) if m.text.endswith(("\n", "\r"))):
-        yield f"a message ends with a line break: {text.strip()[:80]!r}"
-        return
-
-
-@behaviour_rule(_CREATION)
-def variables_in_messages_exist(probe: Probe) -> Iterator[str]:
-    """In messages `#r12#` is a variable with that type and value reference, and `##` stands for `#`."""
-    known = {(v.base_kind, v.reference) for v in probe.fmu.variables}
-    for text in dict.fromkeys(m.text for m in _messages(probe) if "#" in m.text):
-        rest = text.replace("##", "")
-        for letter, digits in _REFERENCE.findall(rest):
-            if (_KINDS[letter], int(digits)) not in known:
-                yield f"a message refers to #{letter}{digits}#, which is no variable: {text[:80]!r}"
-        if "#" in _REFERENCE.sub("", rest):
-            yield f"a message has a single #: expected ## or the reference of a variable: {text[:80]!r}"
-
-
-@behaviour_rule(_CREATION)
-def status_of_messages_is_legal(probe: Probe) -> Iterator[str]:
-    """Messages carry an fmi2Status."""
-    for status in {m.status for m in _messages(probe)}:
-        if not 0 <= status <= 5:
-            yield f"a message has the status {status}: expected an fmi2Status"
-
-
-@behaviour_rule(_CREATION, needs="formats-of-messages-are-legal")
-def messages_are_utf_8(probe: Probe) -> Iterator[str]:
-    """Messages are UTF-8, as every string of FMI."""
-    for text in dict.fromkeys(m.text for m in _messages(probe) if "\ufffd" in m.text):
-        yield f"a message is not UTF-8: {text[:80]!r}"
-        return
-
-
-@behaviour_rule("advice: a message is read for its text")
-def messages_have_a_text(probe: Probe) -> Iterator[str]:
-    """Messages have a text."""
-    if any(not m.text.strip() for m in _messages(probe)):
-        yield "a message has no text"
-
-
-@behaviour_rule(_CREATION)
-def formats_of_messages_are_legal(probe: Probe) -> Iterator[str]:
-    """A message is a format of printf: each % begins a conversion or is doubled, also one of the instance's
-    name, and none writes (%n).
-    """
-    for text in _formats(probe):
-        if _NAME_WITH_A_PERCENT_SIGN in text:
-            shown = repr(_NAME_WITH_A_PERCENT_SIGN)
-            yield f"the format {text[:80]!r} holds the instance name {shown}: expected its % doubled"
-            return
-        plain = text.replace("%%", "")
-        if "%" in _CONVERSION.sub("", plain) or _BLANK_OF_TEXT.search(plain):
-            yield f"the format {text[:80]!r} of a message has a single %: expected %% or a conversion"
-            return
-
-
-@behaviour_rule("advice: a % before a word is seldom a conversion")
-def percent_signs_before_words_are_doubled(probe: Probe) -> Iterator[str]:
-    """No format of a message has a conversion with a blank inside a word, as "100 % done" has."""
-    for text in _formats(probe):
-        plain = text.replace("%%", "").replace(_NAME_WITH_A_PERCENT_SIGN, "")
-        if _BLANK_FLAG.search(_BLANK_OF_TEXT.sub("", plain)):
-            yield f"the format {text[:80]!r} of a message has a single % before a word: expected %%"
-            return
-
-
-def _formats(probe: Probe) -> list[str]:
-    """Returns the formats of messages, as they are before printf."""
-
-    def collected() -> list[str]:
         script = probe.script(name=_NAME_WITH_A_PERCENT_SIGN, logging=True, callbacks="formats")
         _calls_that_log(probe, script)
         script.call("get", "Real", [refused_reference(probe)])
         script.play(keep_going=True)
-        return list(dict.fromkeys(m.text for reply in script.everything for m in reply.messages))
+        return [m for reply in script.everything for m in reply.messages]
 
     return probe.once("log of formats", collected)
 
 
-@behaviour_rule(_CREATION)
-def messages_of_a_refusal_are_complete(probe: Probe) -> Iterator[str]:
-    """The message of a failed instantiation has the instance's name, its environment, and no status ok."""
-    created, messages = probe.creates(name=NAME, guid="wrong", logging=True)
-    if created or not messages:
-        return
-    if any(m.instance != NAME for m in messages):
-        yield f"the message of a refused instantiation does not carry the instance name {NAME!r}"
-    if any(not m.right_environment for m in messages):
-        yield "the message of a refused instantiation comes without the componentEnvironment"
-    if all(m.status == 0 for m in messages):
-        yield "the messages of a refused instantiation have the status ok: expected error"
+def _calls_that_log(probe: Probe, script: Script) -> None:
+    script.begin().step(2)
+    script.read(probe.fmu.variables)
+    script.terminate()
+
+
+def _declared(probe: Probe) -> list[str]:
+    return [c.get("name", "") for c in probe.fmu.root.iterfind("LogCategories/Category")]
+
+
+def _undeclared(message: Message, probe: Probe) -> str:
+    declared = _declared(probe)
+    if message.category in (None, *declared):
+        return ""
+    return f"one of {', '.join(declared)}" if declared else "NULL, as no LogCategories are declared"
+
+
+def _unknown_variable(message: Message, probe: Probe) -> str:
+    found = _REFERENCE.findall(message.text.replace("##", ""))
+    known = {(v.base_kind, v.reference) for v in probe.fmu.variables} if found else ()
+    return next((f"#{kind}{x}#" for kind, x in found if (_KINDS[kind], int(x)) not in known), "")
+
+
+def _has_a_single_percent_sign(message: Message, _: Probe) -> bool:
+    text = message.text.replace("%%", "")
+    return "%" in _CONVERSION.sub("", text) or _BLANK_OF_TEXT.search(text) is not None
+
+
+def _has_a_percent_sign_before_a_word(message: Message, _: Probe) -> bool:
+    text = message.text.replace("%%", "").replace(_NAME_WITH_A_PERCENT_SIGN, "")
+    return _BLANK_FLAG.search(_BLANK_OF_TEXT.sub("", text)) is not None
+
+
+class _Change(NamedTuple):
+    """Change of a setting that a function makes."""
+
+    function: str
+    setting: str
+    before: str
+    after: str
+
+
+def _is_of_floating_point(change: _Change, _: Probe) -> str:
+    if not change.setting.startswith("floating-point control"):
+        return ""
+    values = f" ({change.before} before, {change.after} after)" if change.before else ""
+    return f"{change.setting}{values}"
+
+
+def _changes(probe: Probe) -> Iterator[_Change]:
+    """Yields what functions change in the tour of the states; the number of bytes is printed after them."""
+    for reply in tour(probe).everything:
+        for setting, before, after in reply.changed:
+            yield _Change(reply.function, setting, before, after)
+        if reply.printed:
+            yield _Change(reply.function, _PRINTED, "", str(reply.printed))
+
+
+_WRONG_CATEGORY = (_undeclared, "a message has the category {category!r}: expected {value}")
+# name, clause, what it looks at, claim, and cases: what is wrong, and the words for it
+_TABLE: tuple[tuple[str, str, Callable[[Probe], Iterable[Any]], str, *tuple[Case, ...]], ...] = (
+    ("messages-have-the-instance-name", _CREATION, _log,
+     "Messages carry the name of the instance that sends them, and the environment of its callbacks, also "
+     "beside other instances, after these were freed, and after fmi2Reset.",
+     (lambda m, _: not m.right_environment,
+      "the logger was called without the componentEnvironment of its instance"),
+     (lambda m, _: m.instance != m.given_name and ("NULL" if m.instance is None else repr(m.instance)),
+      "a message carries the instance name {value}: expected {given_name!r}, its instance")),
+    ("log-categories-are-declared", _CREATION, _log,
+     "Messages have a category of LogCategories; without LogCategories it is NULL.", _WRONG_CATEGORY),
+    ("messages-have-a-category", _CREATION, _log,
+     "Messages have a category, if LogCategories declares any.",
+     (lambda m, probe: m.category is None and ", ".join(_declared(probe)),
+      "a message has no category: expected one of {value}")),
+    ("log-category-of-a-refusal-is-declared", _CREATION, _refusal,
+     "The message of an instantiation that fails, too, has a category of LogCategories.", _WRONG_CATEGORY),
+    ("messages-have-no-trailing-line-break", _CREATION, _log, "Messages do not end with a line break.",
+     (lambda m, _: m.text.endswith(("\n", "\r")), "a message ends with a line break: {text!r:.80}")),
+    ("variables-in-messages-exist", _CREATION, _log,
+     "In messages `#r12#` is a variable with that type and value reference, and `##` stands for `#`.",
+     (_unknown_variable, "a message refers to {value}, which is no variable: {text!r:.80}"),
+     (lambda m, _: "#" in _REFERENCE.sub("", m.text.replace("##", "")),
+      "a message has a single #: expected ## or the reference of a variable: {text!r:.80}")),
+    ("status-of-messages-is-legal", _CREATION, _log, "Messages carry an fmi2Status.",
+     (lambda m, _: not OK <= m.status <= PENDING,
+      "a message has the status {status}: expected an fmi2Status")),
+    ("messages-are-utf-8", _CREATION, _log, "Messages are UTF-8, as every string of FMI.",
+     (lambda m, _: "\ufffd" in m.text, "a message is not UTF-8: {text!r:.80}")),
+    ("messages-have-a-text", "advice: a message is read for its text", _log, "Messages have a text.",
+     (lambda m, _: not m.text.strip(), "a message has no text")),
+    (_FORMATS_ARE_LEGAL, _CREATION, _formats,
+     "A message is a format of printf: each % begins a conversion or is doubled, also one of the instance's "
+     "name, and none writes (%n).",
+     (lambda m, _: _NAME_WITH_A_PERCENT_SIGN in m.text,
+      f"the format {{text!r:.80}} holds the name {_NAME_WITH_A_PERCENT_SIGN!r}: expected its % doubled"),
+     (_has_a_single_percent_sign,
+      "the format {text!r:.80} of a message has a single %: expected %% or a conversion")),
+    ("percent-signs-before-words-are-doubled", "advice: a % before a word is seldom a conversion", _formats,
+     'No format of a message has a conversion with a blank inside a word, as "100 % done" has.',
+     (_has_a_percent_sign_before_a_word,
+      "the format {text!r:.80} of a message has a single % before a word: expected %%")),
+    ("messages-of-a-refusal-are-complete", _CREATION, _refusal,
+     "If fmi2Instantiate returns NULL, the logger was called with the reason, with the instance's name and "
+     "environment, and not with the status ok alone.",
+     (lambda m, _: not m.text, "fmi2Instantiate returned NULL and logged nothing: expected the reason"),
+     (lambda m, _: m.instance != NAME,
+      f"the message of a refused instantiation carries the name {{instance!r}}: expected {NAME!r}"),
+     (lambda m, _: not m.right_environment,
+      "the message of a refused instantiation comes without the componentEnvironment"),
+     (lambda _, probe: all(m.status == OK for m in _refusal(probe)),
+      "the messages of a refused instantiation have the status ok: expected error")),
+    ("floating-point-control-is-restored", _GENERAL, _changes,
+     "Rounding mode, traps and flushing to zero are as before when a function returns or calls back.",
+     (_is_of_floating_point, "{function} changes the {value}: expected it restored")),
+    ("process-settings-are-restored", _GENERAL, _changes,
+     "Working directory, locale, file mode mask, signal handlers and mask, environment, standard streams, "
+     "timers, limits and priority are not changed.",
+     (lambda c, probe: not _is_of_floating_point(c, probe)
+      and c.setting not in (ARGUMENTS, UNWRITTEN, _PRINTED)
+      and (c.after or "as at first", c.before or "no change"),
+      "{function} changes the {setting}: {value[0]}, expected {value[1]}")),
+    ("arguments-are-not-written", _VALUES, _changes,
+     "Arrays that are constant by their declaration, value references and values to set, stay as they are, "
+     "and so does what lies behind an array of values that are read.",
+     (lambda c, _: c.setting == ARGUMENTS,
+      "{function} writes into an array that is constant, or behind one: expected that unchanged")),
+    ("values-are-written", _VALUES, _changes, "fmi2GetXXX that returns ok has written each value.",
+     (lambda c, _: c.setting == UNWRITTEN,
+      "{function} returned ok and left a value unwritten: expected each written")),
+    ("nothing-is-printed", "advice: messages belong to the logger", _changes,
+     "Nothing is printed to standard output or standard error.",
+     (lambda c, _: c.setting == _PRINTED,
+      "{function} prints {after} bytes to standard output or standard error: expected none")),
+)  # fmt: skip
+
+
+def _check(subjects: Callable[[Probe], Iterable[Any]], cases: Sequence[Case]) -> Check:
+    return lambda probe: islice(dict.fromkeys(told(probe, subjects(probe), *cases)), _MOST_FINDINGS)
+
+
+for _name, _clause, _subjects, _claim, *_cases in _TABLE:
+    _needs = (_FORMATS_ARE_LEGAL,) if _name == "messages-are-utf-8" else ()  # or there is garbage in them
+    _of_behaviour = Stage.BEHAVIOUR, _check(_subjects, _cases), always, _needs
+    add_rule(Rule(_name, _clause, _claim, *_of_behaviour, last=_subjects is _log, module=__name__))
+
+
+# logging that is turned on and off
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Run with logging.
+
+    when: words; enabled: categories whose messages may arrive; sent: category -> text of a message that did
+    """
+
+    when: str
+    enabled: Set[str | None]
+    sent: dict[str | None, str]
+
+
+def _runs_with_logging(probe: Probe) -> list[_Run]:
+    """Returns runs with settings of logging in which no call fails, the first with all categories."""
+    return probe.once("runs with logging", lambda: list(_played_with_logging(probe)))
+
+
+def _played_with_logging(probe: Probe) -> Iterator[_Run]:
+    declared, on, off = _declared(probe), (True, []), (False, [])
+    names, everything = [name for name in declared if name != _ALL], {None, *declared}
+    another = "where fmi2SetDebugLogging of another instance turned logging"
+    # words; enabled categories; loggingOn at first; calls of fmi2SetDebugLogging, and on another instance
+    rows = [
+        ("where logging is on", everything, False, [on], []),
+        ("where all categories are enabled by name", everything, False, [(True, names[::-1])], []),
+        ("where logging is off at fmi2Instantiate", set(), False, [], []),
+        ("where fmi2SetDebugLogging turned logging off", set(), True, [off], []),
+        (f"{another} off", everything, True, [], [off]),
+        (f"{another} on", set(), False, [], [on]),
+    ]
+    for name in names:
+        rows.append((f"where {name!r} alone is enabled", {name}, False, [(True, [name])], []))
+        rows.append(
+            (f"where {name!r} alone was disabled", everything - {name}, False, [on, (False, [name])], [])
+        )
+    for when, enabled, logging, settings, settings_of_another in rows:
+        script, other = probe.script(logging=logging).pause(), probe.script(logging=logging)
+        for setting in settings_of_another:
+            other.call("set_debug_logging", *setting)
+        for setting in settings:
+            script.call("set_debug_logging", *setting)
+        _calls_that_log(probe, script)
+        if not settings:
+            script.reset()
+            script.begin().step()
+        if not settings_of_another:
+            script.play(keep_going=True)
+        elif not probe.fmu.claims(ONLY_ONCE):
+            with suppress(CallError):  # no second instance
+                probe.play(other, script, keep_going=True)
+        if script.succeeded:
+            yield _Run(when, enabled, _sent(script, declared))
+
+
+def _sent(script: Script, declared: Sequence[str]) -> dict[str | None, str]:
+    """Returns category -> text of its first message that can be turned off: of a call that returns ok."""
+    messages = [m for reply in script.replies if reply.status == OK for m in reply.messages]
+    chosen = [m for m in messages if m.status == OK or (m.status == WARNING and m.category in declared)]
+    return {m.category: m.text for m in reversed(chosen)}
 
 
 @behaviour_rule(_CREATION)
 def no_messages_with_logging_off(probe: Probe) -> Iterator[str]:
-    """With loggingOn = fmi2False, and after fmi2SetDebugLogging with it, no messages with the status ok
-    arrive from calls that return ok, also after fmi2Reset.
+    """Messages of a category that is not enabled do not arrive from calls that return ok: with loggingOn =
+    fmi2False, also after fmi2Reset, and after fmi2SetDebugLogging with other categories, but logAll (2.2.4),
+    or of another instance.
     """
-    created_off = probe.script().begin().step(2)
-    created_off.reset()
-    created_off.begin().step()
-    turned_off = probe.script(logging=True)
-    off = turned_off.call("set_debug_logging", False, [])
-    turned_off.begin().step(2)
-    probe.play_each([created_off, turned_off])
-    for script, when in ((created_off, "at fmi2Instantiate"), (turned_off, "by fmi2SetDebugLogging")):
-        replies = script.replies[script.replies.index(off) + 1 :] if script is turned_off else script.replies
-        texts = [m.text for reply in replies for m in reply.messages if reply.status == m.status == OK]
-        if texts:
-            yield f"a message arrives although logging is off {when}: {texts[0][:80]!r}"
+    declared = _declared(probe)
+    for run in _runs_with_logging(probe):
+        for category, text in run.sent.items():
+            if category not in run.enabled and (category in declared or not run.enabled):
+                yield f"a message of the category {category!r} arrives {run.when}: {text[:80]!r}"
+                break
+
+
+@behaviour_rule(_CREATION, needs="debug-logging-can-be-set")
+def chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
+    """Messages that arrive with all categories enabled arrive where their own is among those enabled."""
+    usual, *others = _runs_with_logging(probe)
+    for run in others:
+        for category in _declared(probe) or [None]:
+            if category in run.enabled and category in usual.sent and category not in run.sent:
+                text = usual.sent[category][:80]
+                yield f"no message of the category {category!r} arrives {run.when}: expected {text!r}"
 
 
 @differential(_CREATION, needs="allowed-calls-succeed statuses-are-legal")
@@ -231,153 +309,22 @@ def debug_logging_can_be_set(probe: Probe) -> Iterator[Row]:
     """fmi2SetDebugLogging accepts each declared category, and none at all, on and off; outputs stay the
     same.
     """
-    choices = [*([category] for category in _declared_categories(probe)), []]
+    choices = [*([category] for category in _declared(probe)), []]
     calls = [do.call("set_debug_logging", on, choice) for on in (True, False) for choice in choices]
     yield Row("after fmi2SetDebugLogging", (*calls, do.begin, do.run(2)), failing="")
 
 
-def _calls_that_log(probe: Probe, script: Script) -> None:
-    """Calls at which FMUs send messages."""
-    script.begin().step(2)
-    script.read(probe.fmu.variables)
-    script.terminate()
-
-
-def _sent(probe: Probe, *settings: tuple[bool, list[str]]) -> set[str]:
-    """Returns declared categories of the messages in a run after these calls of fmi2SetDebugLogging."""
-    script = probe.script()
-    for on, categories in settings:
-        script.call("set_debug_logging", on, categories)
-    first = len(script.replies)
-    _calls_that_log(probe, script)
-    script.play(keep_going=True)
-    if not script.succeeded:
-        raise NotJudgedError("a run fails")
-    messages = [m for reply in script.replies[first:] for m in reply.messages if m.status <= WARNING]
-    return {m.category for m in messages if m.category} & set(_declared_categories(probe))
-
-
-@behaviour_rule(_CREATION, needs="debug-logging-can-be-set")
-def only_chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
-    """After fmi2SetDebugLogging with one category, but logAll (2.2.4), messages of others do not arrive."""
-    declared = _declared_categories(probe)
-    if len(declared) < 2:
-        raise NotApplicableError("fewer than two log categories are declared")
-    for chosen in [name for name in declared if name != _ALL]:
-        for other in sorted(_sent(probe, (True, [chosen])) - {chosen}):
-            yield f"a message of the category {other!r} arrives although {chosen!r} alone is enabled"
-            return
-
-
-@behaviour_rule(_CREATION, needs="debug-logging-can-be-set")
-def chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
-    """Messages that arrive with all categories enabled arrive with their own alone, and if all are named."""
-    for category in sorted(_sent(probe, (True, []))):
-        if category not in _sent(probe, (True, [category])):
-            yield (
-                f"no message of the category {category!r} arrives although it is enabled: expected "
-                "those of before"
-            )
-
-
-@behaviour_rule(_CREATION, needs="debug-logging-can-be-set")
-def disabled_categories_alone_are_disabled(probe: Probe) -> Iterator[str]:
-    """Messages of a category that is disabled do not arrive, and those of others do."""
-    sent = sorted(_sent(probe, (True, [])))
-    for disabled in sent:
-        if disabled in _sent(probe, (True, []), (False, [disabled])):
-            yield f"a message of the category {disabled!r} arrives although it was disabled"
-    for category in sent:
-        others = [name for name in _declared_categories(probe) if name not in (category, _ALL)]
-        if others and category not in _sent(probe, (True, []), (False, others[:1])):
-            yield f"no message of {category!r} arrives after {others[0]!r} alone was disabled"
-        if others and category not in _sent(probe, (True, [*others, category])):
-            yield f"no message of {category!r} arrives although it is enabled, after others in one call"
-
-
-@behaviour_rule("advice: an unknown log category is no reason to fail", needs="reset-in-every-state")
-def reset_works_after_unknown_categories(probe: Probe) -> Iterator[str]:
+@differential("advice: an unknown log category is no reason to fail", needs="reset-in-every-state")
+def reset_works_after_unknown_categories(_: Probe) -> Iterator[Row]:
     """After fmi2SetDebugLogging with a category that is not declared, which may be refused, fmi2Reset
     works.
     """
-    script = probe.script(logging=True).forbidden()
-    script.call("set_debug_logging", True, ["no category of this FMU"])
-    script.reset()
-    script.begin().step().play(keep_going=True)
-    failure = next((reply for reply in script.replies[1:] if not reply.ok), None)
-    if failure:
-        yield failure.problem
+    unknown = do.call("set_debug_logging", True, ["no category of this FMU"])
+    yield Row("", (do.forbidden, do.ignore(unknown), do.reset, do.begin, do.step()), ())
 
 
-@behaviour_rule(
-    "4.2.4 State Machine of Calling Sequence from Master to Slave",
-    needs="allowed-calls-succeed",
-)
-def debug_logging_is_allowed_after_an_error(probe: Probe) -> Iterator[str]:
+@differential("4.2.4 State Machine of Calling Sequence from Master to Slave", needs="allowed-calls-succeed")
+def debug_logging_is_allowed_after_an_error(_: Probe) -> Iterator[Row]:
     """fmi2SetDebugLogging succeeds after another function returned error."""
-    script = probe.script(logging=True).begin().step()
-    script.call("get", "Real", [refused_reference(probe)])
-    reply = script.call("set_debug_logging", True, [])
-    script.play(keep_going=True)
-    if reply.status is not None and not reply.ok:
-        yield f"after an error: {reply.problem}"
-
-
-# settings of the process
-
-
-@behaviour_rule(_GENERAL)
-def floating_point_control_is_restored(probe: Probe) -> Iterator[str]:
-    """Rounding mode, traps and flushing to zero are as before when a function returns or calls back."""
-    named = set()
-    for reply in tour(probe).everything:
-        for setting, before, after in reply.changed:
-            if setting.startswith(_FLOATING_POINT) and reply.function not in named:
-                named.add(reply.function)
-                where = setting.removeprefix(_FLOATING_POINT)
-                values = f" ({before} before, {after} after)" if before else ""
-                yield (
-                    f"{reply.function} changes the floating-point control{where}{values}: expected "
-                    "it restored"
-                )
-
-
-@behaviour_rule(_GENERAL)
-def process_settings_are_restored(probe: Probe) -> Iterator[str]:
-    """Working directory, locale, file mode mask, signal handlers and mask, environment, standard streams,
-    timers, limits and priority are not changed.
-    """
-    named = set()
-    for reply in tour(probe).everything:
-        for setting, before, after in reply.changed:
-            if not setting.startswith((_FLOATING_POINT, ARGUMENTS, UNWRITTEN)) and setting not in named:
-                named.add(setting)
-                got, expected = after or "as at first", before or "no change"
-                yield f"{reply.function} changes the {setting}: {got}, expected {expected}"
-
-
-@behaviour_rule("2.1.7 Getting and Setting Variable Values")
-def arguments_are_not_written(probe: Probe) -> Iterator[str]:
-    """Arrays that are constant by their declaration, value references and values to set, stay as they are,
-    and so does what lies behind an array of values that are read.
-    """
-    everything = tour(probe).everything
-    for name in dict.fromkeys(r.function for r in everything for row in r.changed if row[0] == ARGUMENTS):
-        yield f"{name} writes into an array that is constant, or behind one: expected that unchanged"
-
-
-@behaviour_rule("2.1.7 Getting and Setting Variable Values")
-def values_are_written(probe: Probe) -> Iterator[str]:
-    """fmi2GetXXX that returns ok has written each value."""
-    everything = tour(probe).everything
-    for name in dict.fromkeys(r.function for r in everything for row in r.changed if row[0] == UNWRITTEN):
-        yield f"{name} returned ok and left a value unwritten: expected each written"
-
-
-@behaviour_rule("advice: messages belong to the logger")
-def nothing_is_printed(probe: Probe) -> Iterator[str]:
-    """Nothing is printed to standard output or standard error."""
-    printing = {reply.function: reply.printed for reply in tour(probe).everything if reply.printed}
-    for function, count in printing.items():
-        yield f"{function} prints {count} bytes to standard output or standard error: expected none"
-        return
+    varied = do.begin, do.step(), do.fail, do.call("set_debug_logging", True, [])
+    yield Row("", varied, (), failing="after an error")

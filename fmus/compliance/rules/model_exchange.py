@@ -395,9 +395,11 @@ def event_indicators_are_finite(probe: Probe) -> Iterator[str]:
 
 @_rule(_EVALUATION, condition=_no_indicators, needs=_CALLS)
 def event_indicators_are_not_zero_at_restart(probe: Probe) -> Iterator[str]:
-    """After an event, no event indicator is 0 when continuous-time mode is entered."""
+    """After a state, time or step event, no event indicator is 0 when continuous-time mode is entered."""
     for event in _run(probe)[0]:
-        if event["cause"] == "state event" and 0.0 in event.get("indicators", []):
+        # whether the start, or a communication point without an event, is a restart is a matter of reading
+        is_restart = event["cause"] in ("state event", "time event", "step event")
+        if is_restart and 0.0 in event.get("indicators", []):
             i = event["indicators"].index(0.0) + 1
             yield f"after {_event(probe, event)} event indicator {i} is 0: expected another value"
             return

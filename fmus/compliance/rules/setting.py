@@ -1,17 +1,14 @@
 """Setting variables: which, when, and what is read then."""
 
 from collections.abc import Iterator
-from typing import Any
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
 from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.differential import Row, differential
-from fmus.compliance.fmu_file import MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError
 from fmus.compliance.values import RESTARTED
-from fmus.compliance.variable import Variable
 
 _PLATFORM = "2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)"
 _INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"
@@ -44,24 +41,15 @@ def _set_and_read(when: str, *actions: do.Action) -> Row:
 
 @differential("4.1.2 Mathematical Model", needs="fixed-values-stay strings-are-copied")
 def inputs_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
-    """An input or tunable parameter that is set at a communication point has that value after the step."""
-    for pair in values.other_values(values.settable_while_stepping(probe.fmu)[:MOST_VARIABLES]):
-        yield _set_after_a_step(*pair)
-
-
-def _set_after_a_step(v: Variable, x: Any) -> Row:
-    actions = do.begin, do.step(), do.set_values([(v, x)]), do.step(), do.read_as([(v, x)])
-    return _set_and_read("at a communication point", *actions)
-
-
-@differential(_VALUES, needs="inputs-that-are-set-are-read")
-def far_values_are_read(probe: Probe) -> Iterator[Row]:
-    """An input or tunable parameter that is set far from its start value, within its range, or a String that
-    is long or empty, is read as it was set, unless the FMU refuses it.
+    """An input or tunable parameter that is set at a communication point has that value after the step: near
+    its start value, or far from it within its range; a String also if it is long or empty. The FMU may refuse
+    a value.
     """
-    for v in values.settable_while_stepping(probe.fmu)[:MOST_VARIABLES]:
-        for x in values.far_values(v):
-            yield _set_after_a_step(v, x)
+    chosen = values.settable_while_stepping(probe.fmu)[:MOST_VARIABLES]
+    far = [(v, x) for v in chosen for x in values.far_values(v)]
+    for pair in [*values.other_values(chosen), *far]:
+        actions = do.begin, do.step(), do.set_values([pair]), do.step(), do.read_as([pair])
+        yield _set_and_read("at a communication point", *actions)
 
 
 @differential(_PLATFORM, needs="allowed-calls-succeed")
@@ -76,34 +64,22 @@ def strings_are_copied(probe: Probe) -> Iterator[Row]:
 
 
 @differential(_VALUES, needs="questions-change-nothing")
-def initial_values_follow_what_is_set(probe: Probe) -> Iterator[Row]:
-    """In initialization mode, values follow what is set, also if they had been read before that."""
-    readable = values.readable_in_initialization(probe.fmu)
-    for v, x in values.other_values(values.settable_in_initialization(probe.fmu)[:MOST_VARIABLES]):
-        end = do.set_values([(v, x)]), do.read(readable)
-        varied = do.initialise, do.glance(readable), *end
-        when = f"where it had been read before {v.name} was set"
-        yield Row(when, varied, (do.initialise, *end), tolerance=_ROUNDED, may_fail=True)
-
-
-@differential(
-    "3.2.3 State Machine of Calling Sequence",
-    interface=MODEL_EXCHANGE,
-    needs="initial-values-follow-what-is-set allowed-calls-succeed",
-)
 def values_follow_what_is_set(probe: Probe) -> Iterator[Row]:
-    """In event mode, and in continuous-time mode for continuous inputs, values follow what is set, also if
-    they had been read before that.
+    """Values follow what is set, also if they had been read before that: in initialization mode, and for
+    model exchange in event mode, and in continuous-time mode after continuous inputs.
     """
-    inputs = values.continuous_reals(probe, "input")
-    for mode, begin, settable in (
-        ("event mode", (do.begin,), values.settable_while_stepping(probe.fmu)),
-        ("continuous-time mode", (do.begin, do.enter_continuous_time_mode), inputs),
-    ):
+    fmu, enter = probe.fmu, do.enter_continuous_time_mode
+    modes = [
+        ("initialization mode", (do.initialise,), values.settable_in_initialization(fmu),
+         values.readable_in_initialization(fmu)),
+        ("event mode", (do.begin,), values.settable_while_stepping(fmu), fmu.variables),
+        ("continuous-time mode", (do.begin, enter), values.continuous_reals(probe, "input"), fmu.variables),
+    ]  # fmt: skip
+    for mode, begin, settable, readable in modes if fmu.is_model_exchange else modes[:1]:
         for v, x in values.other_values(settable[:MOST_VARIABLES]):
-            end = do.set_values([(v, x)]), do.read(probe.fmu.variables)
-            varied = *begin, do.glance(probe.fmu.variables), *end
+            end = do.set_values([(v, x)]), do.read(readable)
             when = f"where it had been read in {mode} before {v.name} was set"
+            varied = *begin, do.glance(readable), *end
             yield Row(when, varied, (*begin, *end), tolerance=_ROUNDED, may_fail=True)
 
 

@@ -1,20 +1,20 @@
 """Saved states, as far as the FMU claims them, and what asking for values may not change."""
 
 from collections.abc import Iterator
+from functools import partial
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
 from fmus.compliance.actions import Action
 from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differential
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import NotJudgedError, behaviour_rule
+from fmus.compliance.rule import behaviour_rule
 
 _CLAUSE = "2.1.8 Getting and Setting the Complete FMU State"
 _SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
 _SET_BACK = "in the state that was set back"
-_SIZE = do.call("serialized_fmu_state_size", 0)
-_SAVED = (do.begin, do.step(2), do.save(), _SIZE, _SIZE, do.call("serialize_fmu_state", 0), do.run(5))
 _saves, _serialises = values.unless_claimed(_SAVES), values.unless_claimed(_SERIALISES)
+_of_states = partial(differential, _CLAUSE, condition=_saves)
 
 
 def _restored(probe: Probe, tolerance: float | None) -> Row:
@@ -24,7 +24,7 @@ def _restored(probe: Probe, tolerance: float | None) -> Row:
     return Row("from the state that was set back", varied, (), "", tolerance)
 
 
-@differential(_CLAUSE, condition=_saves, needs="communication-points-may-be-rounded allowed-calls-succeed")
+@_of_states(needs="communication-points-may-be-rounded allowed-calls-succeed")
 def state_restores(probe: Probe) -> Iterator[Row]:
     """A state that is set back gives the same outputs at once and in the steps that follow, up to
     the tolerance of the default experiment: a solver may begin anew.
@@ -32,33 +32,16 @@ def state_restores(probe: Probe) -> Iterator[Row]:
     yield _restored(probe, OF_EXPERIMENT)
 
 
-@differential(_CLAUSE, condition=_saves, needs="state-restores")
+@_of_states(needs="state-restores")
 def state_restores_exactly(probe: Probe) -> Iterator[Row]:
     """A state that is set back gives exactly the same outputs."""
     yield _restored(probe, 0.0)
 
 
-@differential(_CLAUSE, condition=_saves, needs="state-restores")
-def state_holds_inputs_and_parameters(probe: Probe) -> Iterator[Row]:
-    """A state holds inputs and tunable parameters too: changed after it was saved, they are back when
-    it is set.
-    """
-    chosen = values.settable_while_stepping(probe.fmu)
-    pairs = do.others_accepted(probe, chosen, do.begin, do.step())
-    if not pairs:
-        raise NotJudgedError("no input or tunable parameter takes another value")
-    when = "from a state that was set back after inputs changed"
-    end = do.read(chosen, _SET_BACK), do.run(5)
-    varied = do.begin, do.step(2), do.save(), do.attempt(do.set_values(pairs), do.step()), do.restore(), *end
-    yield Row(when, varied, (do.begin, do.step(2), *end), tolerance=OF_EXPERIMENT)
-
-
-@differential(
-    _CLAUSE, condition=_saves, needs="state-can-be-saved-often allowed-calls-succeed questions-change-nothing"
-)
-def state_in_initialization_mode(probe: Probe) -> Iterator[Row]:
-    """A state can be saved and set back when instantiated and in initialization mode, with what was set
-    there.
+@_of_states(needs="state-restores state-can-be-saved-often allowed-calls-succeed questions-change-nothing")
+def state_holds_the_mode(probe: Probe) -> Iterator[Row]:
+    """A state holds internal status information: saved and set back when instantiated or in initialization
+    mode, with what was set there; set back while stepping, one of initialization mode is in that mode.
     """
     state = "the state of initialization mode that was set back"
     read = do.read(values.readable_in_initialization(probe.fmu), f"in {state}")
@@ -66,23 +49,14 @@ def state_in_initialization_mode(probe: Probe) -> Iterator[Row]:
     other = do.set_others(values.settable_in_initialization(probe.fmu)[:1])
     varied = do.save(), do.restore(), do.initialise, do.save(1), other, do.restore(1), *end
     yield Row(f"from {state}", varied, (do.initialise, *end), "in the state {state!r}", OF_EXPERIMENT)
-
-
-@differential(_CLAUSE, condition=_saves, needs="state-restores allowed-calls-succeed")
-def state_holds_the_mode(_: Probe) -> Iterator[Row]:
-    """A state holds internal status information: set back while stepping, one of initialization mode is
-    in that mode.
-    """
     first = do.initialise, do.save(), do.exit_initialization_mode, do.expect(do.run(3))
     again = do.restore(), do.exit_initialization_mode, do.run(3)
     failing = "after a state of initialization mode was set back"
     yield Row("from a state of initialization mode", (*first, *again), (), failing, OF_EXPERIMENT)
 
 
-@differential(
-    _CLAUSE,
-    condition=_saves,
-    needs="state-restores allowed-calls-succeed state-holds-the-mode step-beyond-the-stop-time-is-an-error",
+@_of_states(
+    needs="state-restores allowed-calls-succeed state-holds-the-mode step-beyond-the-stop-time-is-an-error"
 )
 def state_restores_after_the_end(probe: Probe) -> Iterator[Row]:
     """A state can be set back after fmi2Terminate and after an error, and steps go on from it, up to the stop
@@ -99,7 +73,7 @@ def state_restores_after_the_end(probe: Probe) -> Iterator[Row]:
         yield Row(f"from a state set back after {end}", varied, (), f"after {end}", OF_EXPERIMENT)
 
 
-@differential(_CLAUSE, condition=_saves, needs="state-restores")
+@_of_states(needs="state-restores")
 def state_can_be_saved_often(_: Probe) -> Iterator[Row]:
     """Several states are kept at a time, each its own; one that is given again is written over."""
     varied = (
@@ -122,30 +96,13 @@ def freed_state_is_null(probe: Probe) -> Iterator[str]:
         yield "fmi2FreeFMUstate left the state's address: expected NULL"
 
 
-@differential(_CLAUSE, condition=_saves, needs="state-restores")
+@_of_states(needs="state-restores")
 def free_of_null_state_is_ignored(_: Probe) -> Iterator[Row]:
     """fmi2FreeFMUstate of a NULL state does nothing."""
     yield Row("with a state that is NULL", (do.begin, do.run(1), do.free_state(7), do.run(2)))
 
 
-@behaviour_rule(_CLAUSE, condition=_serialises, needs="state-restores allowed-calls-succeed")
-def serialised_state_restores(probe: Probe) -> Iterator[str]:
-    """A state as bytes gives the same outputs in an instance of its own."""
-    source = do.played(probe, _SAVED)
-    size, again = (reply.value for reply in source.replies_of("fmi2SerializedFMUstateSize"))
-    if size != again:
-        yield f"fmi2SerializedFMUstateSize is {size} and then {again}: expected the same size"
-    if not source.replies_of("fmi2SerializeFMUstate")[0].value[1]:
-        yield f"fmi2SerializeFMUstate writes more than the {size} bytes of its size"
-    varied = do.begin, do.step(), do.read_bytes(source), do.restore(), do.run(5), do.free_state()
-    yield from differences(probe, [Row("from a state read from bytes", varied, _SAVED, "", OF_EXPERIMENT)])
-
-
-@differential(
-    _CLAUSE,
-    condition=_saves,
-    needs="state-restores input-derivatives questions-change-nothing state-holds-inputs-and-parameters",
-)
+@_of_states(needs="state-restores questions-change-nothing")
 def state_holds_every_value(probe: Probe) -> Iterator[Row]:
     """Set back after inputs, tunable parameters and derivatives of inputs went back to their start values, a
     state gives all variables again, at once and in the steps that follow, as if it had not been saved.
@@ -163,30 +120,35 @@ def state_holds_every_value(probe: Probe) -> Iterator[Row]:
 @behaviour_rule(
     _CLAUSE,
     condition=_serialises,
-    needs="state-holds-every-value serialised-state-restores strings-are-copied inputs-that-are-set-are-read",
+    needs="state-holds-every-value strings-are-copied inputs-that-are-set-are-read allowed-calls-succeed",
 )
-def bytes_hold_every_value(probe: Probe) -> Iterator[str]:
+def serialised_state_restores(probe: Probe) -> Iterator[str]:
     """Bytes of a state with other values, that was freed, give all variables again in an instance with start
-    values; reading them changes nothing until the state is set.
+    values; they are as many as fmi2SerializedFMUstateSize gives, and reading them changes nothing until the
+    state is set.
     """
     pairs = do.others_accepted(probe, values.settable_before(probe.fmu))
-    bytes_of_a_freed_state = do.call("serialize_fmu_state", 0), do.free_state(), do.save(1), do.step()
+    size, to_bytes = do.call("serialized_fmu_state_size", 0), do.call("serialize_fmu_state", 0)
     saved = do.set_values(pairs), do.begin, do.step(2), do.save()
-    usual = *saved, do.read_all(), do.run_all(3), *bytes_of_a_freed_state
+    freed = size, size, to_bytes, do.free_state(), do.save(1), do.step()
+    usual = *saved, do.read_all(), do.run_all(3), *freed
     source = do.played(probe, usual)
+    count, again = (reply.value for reply in source.replies_of("fmi2SerializedFMUstateSize"))
+    if count != again:
+        yield f"fmi2SerializedFMUstateSize is {count} and then {again}: expected the same size"
+    if not source.replies_of("fmi2SerializeFMUstate")[0].value[1]:
+        yield f"fmi2SerializeFMUstate writes more than the {count} bytes of its size"
     if not source.content:
         yield "a serialised state has no bytes"
         return
     still = "after fmi2DeSerializeFMUstate, before fmi2SetFMUstate"
     first = do.attempt(do.begin, do.step(), do.expect(do.read_all()))
-    bytes_read = first, do.read_bytes(source), do.read_all(still)
-    varied = *bytes_read, do.restore(), do.read_all(), do.run_all(3), do.free_state()
-    yield from differences(
-        probe, [Row("from bytes in another instance", varied, usual, tolerance=OF_EXPERIMENT)]
-    )
+    varied = first, do.read_bytes(source), do.read_all(still), do.restore(), do.read_all(), do.run_all(3)
+    when = "from bytes in another instance"
+    yield from differences(probe, [Row(when, (*varied, do.free_state()), usual, tolerance=OF_EXPERIMENT)])
 
 
-@differential(_CLAUSE, condition=_saves, needs="state-restores state-holds-the-mode reset-in-every-state")
+@_of_states(needs="state-restores state-holds-the-mode reset-in-every-state")
 def state_can_be_set_after_reset(_: Probe) -> Iterator[Row]:
     """A state that was saved before fmi2Reset can be set after it, and the steps that follow are the same."""
     varied = do.begin, do.step(2), do.save(), do.expect(do.run(3)), do.reset, do.restore(), do.run(3)
@@ -194,11 +156,7 @@ def state_can_be_set_after_reset(_: Probe) -> Iterator[Row]:
     yield Row("from a state from before fmi2Reset", varied, (), failing, OF_EXPERIMENT)
 
 
-@differential(
-    _CLAUSE,
-    condition=_saves,
-    needs="state-restores-exactly state-can-be-saved-often state-holds-every-value bytes-hold-every-value",
-)
+@_of_states(needs="state-restores-exactly state-can-be-saved-often serialised-state-restores")
 def state_restores_over_the_experiment(probe: Probe) -> Iterator[Row]:
     """A state of the middle of the default experiment, and its copy by bytes, give all variables again up to
     the stop time, as far as steps take a second.

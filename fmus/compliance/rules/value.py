@@ -2,24 +2,17 @@
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import wraps
 from typing import Any
 
 from fmus.compliance import actions as do
 from fmus.compliance.actions import MOST_VARIABLES
-from fmus.compliance.differential import ROUNDING, Row, differences, differential
+from fmus.compliance.differential import ROUNDING, Row, differential
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
-from fmus.compliance.script import Reading
-from fmus.compliance.values import (
-    is_utf_8,
-    other_values,
-    same,
-    settable_while_stepping,
-    start_values,
-    texts,
-)
+from fmus.compliance.rule import Check, NotApplicableError, NotJudgedError, behaviour_rule
+from fmus.compliance.values import is_utf_8, other_values, settable_while_stepping, start_values, texts
 from fmus.compliance.variable import Variable
 
 _PLATFORM = "2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)"
@@ -33,99 +26,103 @@ _STEPS = (1, 1, 4, 10)  # between the readings of a run
 
 @behaviour_rule(_VALUES)
 def variables_can_be_read(probe: Probe) -> Iterator[str]:
-    """After initialisation and after a step every variable can be read by its value reference and type."""
+    """After initialisation and after a step every variable can be read by its value reference and type: a
+    Boolean is 0 or 1, and a String not NULL.
+    """
     script = probe.script(logging=True).begin()
     first = script.read(probe.fmu.variables)
     reading = script.step().read(probe.fmu.variables)
     script.play()
+    kinds = {v.name: v.base_kind for v in probe.fmu.variables}
     for values, when in ((first.values, "initialisation"), (reading.values, "the first step")):
-        for name in [name for name, value in values.items() if value is None]:
-            yield f"{name} is NULL after {when}: expected a string"
-            return
+        for name, value in values.items():
+            if value is None:
+                yield f"{name} is NULL after {when}: expected a string"
+                return
+            if kinds[name] == "Boolean" and value not in (0, 1):
+                yield f"{name} is {value} after {when}: expected 0 or 1, a Boolean"
+                return
 
 
-def _read_in_runs(probe: Probe) -> list[tuple[str, Reading]]:
-    """Returns readings, each with when: of the outputs in initialization mode, and of all variables after
-    some steps, and in a run over the default experiment.
+def _values_in_runs(probe: Probe) -> Iterator[tuple[str, str, Any]]:
+    """Yields when, name and value: of the outputs in initialization mode, of all variables after some steps
+    and in a run over the default experiment, and what is least and largest of each output in that.
     """
     ends = zip(_STEPS, itertools.accumulate(_STEPS), strict=True)
     few = [(do.step(count), do.read_all(f"after {end} steps")) for count, end in ends]
     start = do.initialise, do.read(probe.outputs, "in initialization mode"), do.exit_initialization_mode
-    runs = [do.played(probe, [*start, *itertools.chain(*few)], logging=True)]
+    plays = [do.played(probe, [*start, *itertools.chain(*few)], logging=True)]
     with suppress(NotApplicableError, NotJudgedError):
-        runs.append(do.over_the_experiment(probe))
-    return [(when + where, reading) for play in runs for when, where, reading in play.observed if reading.ok]
+        plays.append(do.over_the_experiment(probe))
+    for play in plays:
+        for when, where, reading in play.observed:
+            for name, value in reading.values.items() if reading.ok else ():
+                yield when + where, name, value
+        for reply in play.script.replies:
+            observed: list[Any] = reply.value if reply.is_step and isinstance(reply.value, list) else []
+            for v, (least, t, largest, other_t) in zip(do.number_outputs(probe), observed, strict=False):
+                yield f"in the default experiment, at {t:g} s", v.name, least
+                yield f"in the default experiment, at {other_t:g} s", v.name, largest
 
 
-def _first_wrong(probe: Probe, expected: Callable[[Variable, Any], str]) -> Iterator[str]:
-    """Yields the first wrong value of each variable.
+def _of_each_value(clause: str, **options: Any) -> Callable[[Callable[[Variable, Any], str]], Check]:
+    """Makes a function a rule: it returns what is expected, if the value of a variable is wrong.
 
-    expected: of a variable and its value, what is expected if it is wrong
+    options: of `behaviour_rule`
     """
-    wrong: dict[str, str] = {}
-    variables = {v.name: v for v in probe.fmu.variables}
-    for when, reading in _read_in_runs(probe):
-        for name, value in reading.values.items():
-            text = "" if name in wrong else expected(variables[name], value)
-            if text:
-                wrong[name] = f"{name} is {texts(value)[0]} {when}: expected {text}"
-    yield from wrong.values()
+
+    def register(expected: Callable[[Variable, Any], str]) -> Check:
+        @wraps(expected)
+        def check(probe: Probe) -> Iterator[str]:
+            wrong: dict[str, str] = {}  # the first of each variable
+            variables = {v.name: v for v in probe.fmu.variables}
+            for when, name, value in _values_in_runs(probe):
+                text = "" if name in wrong else expected(variables[name], value)
+                if text:
+                    wrong[name] = f"{name} is {texts(value)[0]} {when}: expected {text}"
+            yield from wrong.values()
+
+        return behaviour_rule(clause, **options)(check)
+
+    return register
 
 
-@behaviour_rule("advice: other models expect numbers", needs="variables-can-be-read")
-def outputs_are_finite(probe: Probe) -> Iterator[str]:
+@_of_each_value("advice: other models expect numbers", needs="variables-can-be-read")
+def outputs_are_finite(v: Variable, value: Any) -> str:
     """The Real outputs are finite, in initialization mode and after steps."""
-
-    def expected(v: Variable, value: Any) -> str:
-        is_finite = v.causality != "output" or not isinstance(value, float) or math.isfinite(value)
-        return "" if is_finite else "a finite number"
-
-    return _first_wrong(probe, expected)
+    is_wrong = v.causality == "output" and isinstance(value, float) and not math.isfinite(value)
+    return "a finite number" if is_wrong else ""
 
 
-@behaviour_rule(_TYPES)
-def enumerations_are_items(probe: Probe) -> Iterator[str]:
+@_of_each_value(_TYPES)
+def enumerations_are_items(v: Variable, value: Any) -> str:
     """An Enumeration that is read is the value of one of its items."""
-    items = {v.name: v.items for v in probe.fmu.variables if v.items}
-
-    def expected(v: Variable, value: Any) -> str:
-        known = items.get(v.name, (value,))
-        return "" if value in known else f"one of {', '.join(map(str, sorted(known)))}"
-
-    return _first_wrong(probe, expected)
+    is_wrong = v.items and value not in v.items
+    return f"one of {', '.join(map(str, sorted(v.items)))}" if is_wrong else ""
 
 
-@behaviour_rule(_TYPES)
-def values_are_in_range(probe: Probe) -> Iterator[str]:
-    """Integers and Enumerations that are read lie between min and max, and Reals up to rounding."""
-    limits = {v.name: (v.number("min"), v.number("max")) for v in probe.fmu.variables}
-
-    def expected(v: Variable, value: Any) -> str:
-        low, high = limits[v.name]
-        if v.base_kind in ("Boolean", "String") or math.isnan(value) or low is high is None:
-            return ""
-        margin = _ROUNDED * max(abs(low or 0.0), abs(high or 0.0), 1.0) if v.base_kind == "Real" else 0.0
-        low, high = -math.inf if low is None else low, math.inf if high is None else high
-        return "" if low - margin <= value <= high + margin else f"{low}..{high}"
-
-    return _first_wrong(probe, expected)
-
-
-@behaviour_rule(_PLATFORM)
-def strings_are_utf_8(probe: Probe) -> Iterator[str]:
-    """Strings that are read are UTF-8."""
-
-    def expected(_: Variable, value: Any) -> str:
-        return "" if not isinstance(value, bytes) or is_utf_8(value) else "UTF-8"
-
-    return _first_wrong(probe, expected)
-
-
-@behaviour_rule(_PLATFORM, needs="variables-can-be-read questions-change-nothing")
-def values_belong_to_references(probe: Probe) -> Iterator[str]:
-    """A value does not depend on the order in which variables are read; aliases are equal; Booleans are
-    0 or 1.
+@_of_each_value(_TYPES)
+def values_are_in_range(v: Variable, value: Any) -> str:
+    """Integers and Enumerations that are read lie between min and max, and Reals up to rounding, outputs
+    after each step of the default experiment.
     """
+    if v.base_kind in ("Boolean", "String"):
+        return ""
+    limits = [x for x in (v.low, v.high) if math.isfinite(x)]
+    margin = _ROUNDED * max(map(abs, [*limits, 1.0])) if v.base_kind == "Real" else 0.0
+    is_wrong = value < v.low - margin or value > v.high + margin
+    return f"{v.low}..{v.high}" if is_wrong else ""
+
+
+@_of_each_value(_PLATFORM)
+def strings_are_utf_8(_: Variable, value: Any) -> str:
+    """Strings that are read are UTF-8."""
+    return "UTF-8" if isinstance(value, bytes) and not is_utf_8(value) else ""
+
+
+@differential(_PLATFORM, needs="variables-can-be-read questions-change-nothing")
+def values_belong_to_references(probe: Probe) -> Iterator[Row]:
+    """A value does not depend on the order in which variables are read, so that aliases are equal."""
     variables = probe.fmu.variables
     some = variables[:MOST_VARIABLES]
     otherwise = [
@@ -133,22 +130,7 @@ def values_belong_to_references(probe: Probe) -> Iterator[str]:
         *(do.read([b, a], "read with the variable before it") for a, b in itertools.pairwise(some)),
         *(do.read([v, v], "read twice in one call") for v in some),
     ]
-    varied = do.begin, do.step(2), do.expect(do.read_all()), *otherwise
-    yield from differences(probe, [Row("read otherwise", varied, (), "", again="{}")])
-    play = do.played(probe, varied, logging=True)  # the same
-    yield from _impossible(play.expected[0].values, variables)
-
-
-def _impossible(values: dict[str, Any], variables: Sequence[Variable]) -> Iterator[str]:
-    """Yields messages of aliases that differ, and of Booleans that are neither 0 nor 1."""
-    first: dict[tuple[str, int | None], str] = {}
-    for v in variables:
-        other = first.setdefault((v.base_kind, v.reference), v.name)
-        value, alias = texts(values[v.name], values[other])
-        if not same(values[v.name], values[other]):
-            yield f"{v.name} is {value} and its alias {other} {alias}: expected the same value"
-        if v.base_kind == "Boolean" and values[v.name] not in (0, 1):
-            yield f"{v.name} is {value}: expected 0 or 1, a Boolean"
+    yield Row("", (do.begin, do.step(2), do.expect(do.read_all()), *otherwise), (), "", again="{}")
 
 
 @differential(_INITIALIZATION, needs="allowed-calls-succeed statuses-are-legal questions-change-nothing")
@@ -161,23 +143,20 @@ def final_values_after_terminate(_: Probe) -> Iterator[Row]:
 # values that change only when they may
 
 
-@differential(_VARIABLES, needs="communication-points-may-be-rounded")
-def constants_have_their_value(probe: Probe) -> Iterator[Row]:
-    """Constants have their start value after steps."""
-    read = do.read_as(start_values(v for v in probe.fmu.variables if v.variability == "constant"))
-    varied = do.begin, *itertools.chain(*((do.step(count), read) for count in _STEPS))
-    yield Row("after steps", varied, (), tolerance=_ROUNDED, again="{}, as it is a constant")
-
-
 @differential(_VARIABLES, needs="communication-points-may-be-rounded variables-can-be-read")
 def fixed_values_stay(probe: Probe) -> Iterator[Row]:
-    """Fixed and tunable variables, and inputs, change by steps only if the importer sets them."""
-    chosen = [
-        v for v in probe.fmu.variables if v.variability in ("fixed", "tunable") or v.causality == "input"
-    ]
-    read = do.read(chosen)
-    varied = do.begin, do.expect(read), *itertools.chain(*((do.step(count), read) for count in _STEPS))
-    yield Row("after steps", varied, (), "", ROUNDING, again="{} as before")
+    """Constants have their start value after steps; fixed and tunable variables, and inputs, change only if
+    the importer sets them.
+    """
+    variables = probe.fmu.variables
+    chosen = [v for v in variables if v.variability in ("fixed", "tunable") or v.causality == "input"]
+    constants = start_values(v for v in variables if v.variability == "constant")
+    for first, read, tolerance, again in (
+        ((), do.read_as(constants), _ROUNDED, "{}, as it is a constant"),
+        ((do.expect(do.read(chosen)),), do.read(chosen), ROUNDING, "{} as before"),
+    ):
+        varied = do.begin, *first, *itertools.chain(*((do.step(count), read) for count in _STEPS))
+        yield Row("after steps", varied, (), "", tolerance, again=again)
 
 
 @differential(_VARIABLES, needs="fixed-values-stay allowed-calls-succeed")
