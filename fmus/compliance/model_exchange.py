@@ -42,7 +42,7 @@ class ModelExchangeInstance(CalledInstance):
 
     options besides: states and indicators, the numbers of both
       needs_completed: whether fmi2CompletedIntegratorStep must be called
-      observed: whether `observed_events` has the events
+      observed: type -> value references of variables that `observed_events` has with the events
     """
 
     interface = MODEL_EXCHANGE
@@ -143,6 +143,7 @@ class ModelExchangeInstance(CalledInstance):
             until = min(end, max(t, self._next_event))
             t, cause = self._integrate(t, until, (end - t) * _LEAST, no_going_back)
             self._time = t
+            self._note("left")
             self._checked(self.call_plain, "fmi2EnterEventMode")
             self._handle_event(cause)
             if t >= end:
@@ -151,7 +152,7 @@ class ModelExchangeInstance(CalledInstance):
 
     def _handle_event(self, cause: str) -> None:
         """Calls fmi2NewDiscreteStates until no new discrete states are needed."""
-        observed = self._options.get("observed")
+        observed = "observed" in self._options
         vectors = [self._state_vectors()] if observed else []
         infos: list[dict[str, Any]] = []
         if observed:
@@ -162,8 +163,15 @@ class ModelExchangeInstance(CalledInstance):
             infos.append(self._checked(self.new_discrete_states))
             self._terminate_if(infos[-1]["terminateSimulation"])
             vectors += [self._state_vectors()] if observed else []
+        self._note("values")
         last = infos[-1]
         self._next_event = last["nextEventTime"] if last["nextEventTimeDefined"] else math.inf
+
+    def _note(self, when: str) -> None:
+        """Notes the observed variables in the latest event: their values after it, or where it is left."""
+        if self._events:
+            references = self._options["observed"].items()
+            self._events[-1][when] = {kind: self._checked(self.get, kind, some) for kind, some in references}
 
     def _state_vectors(self) -> list[list[float]]:
         return [self._read(_STATES), self._read("fmi2GetNominalsOfContinuousStates")]

@@ -20,7 +20,7 @@ enum { FIXED, TUNABLE, INPUT, DISCRETE_INPUT, STATE, OTHER };
 #define ORDER "the order of states is another"
 
 typedef struct {
-    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept;
+    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept, before;
     int is_kept, is_read, up, stairs, turns, above, rising, state, set_up, iteration, evaluations, derivatives;
 } Data;
 typedef struct {
@@ -157,6 +157,7 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     Model *m = c;
     NEED(INIT);
     m->d.rising = m->d.v > 0;
+    m->d.before = m->d.v;
     m->d.state = IS("initialization ends in continuous-time mode") ? CONT : EVENT;
     m->d.last_event = m->d.last_step = m->d.time;
     evaluate(&m->d);
@@ -230,6 +231,7 @@ fmi2Status fmi2EnterEventMode(fmi2Component c) {
     NEED(EVENT | CONT);
     m->d.state = EVENT;
     m->d.last_event = m->d.time;
+    m->d.before = m->d.v;
     m->d.iteration = m->d.is_read = 0;
     evaluate(&m->d);
     return fmi2OK;
@@ -246,6 +248,7 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
         info->newDiscreteStatesNeeded = fmi2True;
     }
     if (IS("events never end") && d->stairs > 1) info->newDiscreteStatesNeeded = fmi2True;
+    d->before = d->v;
     if (d->x < -0.3 && d->v < 0) {
         d->v *= -d->e;
         info->valuesOfContinuousStatesChanged = !IS("a change of states is not announced");
@@ -281,6 +284,8 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set_state
     if (IS("enterEventMode is 7")) *enter = 7;
     *terminate = fmi2False;
     if (IS("a completed step that is not needed acts")) m->d.x += 1e-3;
+    if (IS("a completed step that is not needed acts at a later event") && m->d.x < 0) m->d.e = 0.5;
+    if (IS("a completed step counts where no event comes") && m->d.x < 0) m->d.stairs++;
     if (FLAG("completed steps are not needed")) *enter = fmi2False;
     return fmi2OK;
 }
@@ -329,7 +334,10 @@ static double acceleration(Data *d) {
     return IS("derivatives stay until the time is set") ? d->kept : d->a;
 }
 VECTOR(Derivatives, READ, 2, (d->derivatives++, d->v), acceleration(d))
-VECTOR(ContinuousStates, READ, 2, d->x, d->v)
+static double velocity(Data *d) {
+    return IS("a state is given as it was before an event") && d->state == EVENT ? d->before : d->v;
+}
+VECTOR(ContinuousStates, READ, 2, d->x, velocity(d))
 VECTOR(NominalsOfContinuousStates, READ | INST, 2, d->nominal, 1)
 static double level(Data *d) {
     const double z = d->x - 0.1 + (d->above ? 1e-9 : -1e-9);

@@ -1,18 +1,21 @@
 """Model exchange (chapter 3): states and their derivatives, event indicators, events."""
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import Any
 
+from fmus.compliance import actions as do
+from fmus.compliance.differential import OF_EXPERIMENT, Row, differences
 from fmus.compliance.fmu_file import MODEL_EXCHANGE, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.rules.call_table import vector_length
-from fmus.compliance.script import CallError, Reply, Script
-from fmus.compliance.values import if_not_claimed, same, texts, unless_claimed
-from fmus.compliance.variable import is_true
+from fmus.compliance.script import KINDS, CallError, Reply, Script
+from fmus.compliance.values import if_not_claimed, references_of, same, texts, unless_claimed
+from fmus.compliance.variable import Variable, is_true
 from fmus.fmi.binding import DISCARD
 
 _MATH = "3.1 Mathematical description"
@@ -36,6 +39,14 @@ def _no_states(fmu: FmuFile) -> str:
 
 def _no_indicators(fmu: FmuFile) -> str:
     return "" if vector_length(fmu, _INDICATORS) else "it has no event indicators"
+
+
+def _discrete(fmu: FmuFile) -> list[Variable]:
+    return [v for v in fmu.variables if v.variability == "discrete" and v.causality != "input"]
+
+
+def _states(fmu: FmuFile) -> list[Variable]:
+    return [fmu.variables[index - 1] for index in fmu.state_derivatives.values()]
 
 
 def _vectors(probe: Probe, script: Script, functions: Sequence[str]) -> list[Reply]:
@@ -194,6 +205,11 @@ def completed_step_without_need_has_no_effect(probe: Probe) -> Iterator[str]:
     if any(enter.value):
         yield f"{enter.function} asks for event mode or an end of the simulation: expected neither"
     yield from _differences(before, after, f"after {enter.function}")
+    over = do.begin, do.go_on_reading(probe.steps_of_experiment, 8)
+    where = f"where {enter.function} is called"
+    yield from differences(
+        probe, [Row(where, over, over, tolerance=OF_EXPERIMENT, options={"needs_completed": True})]
+    )
 
 
 @_rule("2.2.8 Definition of the Model Structure (ModelStructure)", condition=_no_states, needs=_CALLS)
@@ -212,13 +228,20 @@ def vectors_have_the_order_of_the_description(probe: Probe) -> Iterator[str]:
             if not same(vector.value[i], reading.values[v.name], _SOLVED):
                 got, read = texts(vector.value[i], reading.values[v.name])
                 yield f"{vector.function} gives {got} for element {i + 1}, {v.name}: expected {read}, as read"
-                break
+                return
+    for event in _run(probe)[0]:
+        for v, x in zip(_states(probe.fmu), event["vectors"][-1][0], strict=True):
+            if event["values"] and not same(x, event["values"][v.name], _SOLVED):
+                got, read = texts(x, event["values"][v.name])
+                when = f"after {_event(probe, event)}"
+                yield f"{_STATES} gives {got} for {v.name} {when}: expected {read}, as read"
+                return
 
 
 @_rule(_MATH, needs=_CALLS)
 def discrete_variables_are_frozen(probe: Probe) -> Iterator[str]:
     """Discrete variables do not change in continuous-time mode, whatever time and states are."""
-    chosen = [v for v in probe.fmu.variables if v.variability == "discrete" and v.causality != "input"]
+    chosen = _discrete(probe.fmu)
     run = _ContinuousTime(probe)
     before = run.script.read(chosen)
     run.script.call("set_time", run.start.begin + 0.5 * run.start.size)
@@ -229,6 +252,13 @@ def discrete_variables_are_frozen(probe: Probe) -> Iterator[str]:
     for v in chosen:
         if (a := before.values[v.name]) != (b := after.values[v.name]):
             yield f"{v.name} changes from {a!r} to {b!r} in continuous-time mode: expected {a!r}"
+            return
+    for event in _run(probe)[0]:
+        for v in chosen if event["left"] else ():
+            if not same(a := event["values"][v.name], b := event["left"][v.name]):
+                mode = f"in continuous-time mode after {_event(probe, event)}"
+                yield f"{v.name} changes from {a!r} to {b!r} {mode}: expected {a!r}"
+                return
 
 
 # events
@@ -240,12 +270,18 @@ def _run(probe: Probe) -> tuple[list[_Observed], str]:
     def played() -> tuple[list[_Observed], str]:
         end = probe.stop_time if math.isfinite(probe.stop_time) else probe.start_time + 1.0
         size = (end - probe.start_time) / _STEPS
-        script = probe.script(observed=True, logging=True).begin()
+        discrete, states = _discrete(probe.fmu), _states(probe.fmu)
+        groups = {kind: [v for v in (*discrete, *states) if v.base_kind == kind] for kind in KINDS}
+        observing = {kind: references_of(group) for kind, group in groups.items() if group}
+        script = probe.script(observed=observing, logging=True).begin()
         for i in range(_STEPS):
             script.call("do_step", probe.start_time + i * size, size)
         observed = script.call("observed_events")
         with suppress(NotJudgedError):  # a step that is discarded ends the run
             script.play(keep_going=True)
+        for event, when in itertools.product(observed.value or [], ("values", "left")):
+            pairs = ((groups[kind], some) for kind, some in event.get(when, {}).items())
+            event[when] = {v.name: x for group, some in pairs for v, x in zip(group, some, strict=True)}
         return observed.value or [], next((r.reason for r in script.replies if r.reason), "")
 
     return probe.once("run of model exchange", played)
@@ -305,7 +341,7 @@ def states_that_stay_are_not_announced(probe: Probe) -> Iterator[str]:
 @_rule("2.2.7 Definition of Model Variables (ModelVariables), reinit", condition=_no_states, needs=_CALLS)
 def states_that_change_at_events_have_reinit(probe: Probe) -> Iterator[str]:
     """A state that changes at an event after the start has reinit."""
-    states = [probe.fmu.variables[i - 1] for i in probe.fmu.state_derivatives.values()]
+    states = _states(probe.fmu)
     changed = {
         i: event
         for event in reversed(_run(probe)[0])
