@@ -274,7 +274,7 @@ def over_the_experiment(probe: Probe) -> Play:
     set_up = call("set_up_experiment", probe.start_time, stop)
     steps = go_on_reading(probe.steps_of_experiment, 8, "in the default experiment", number_outputs(probe))
     start = set_up, enter_initialization_mode, exit_initialization_mode
-    return played(probe, [*start, steps], logging=True)
+    return played(probe, [*start, steps], logging=True, watched=True)
 
 
 def number_outputs(probe: Probe) -> list[Variable]:

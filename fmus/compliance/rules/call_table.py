@@ -103,8 +103,9 @@ def output_derivatives(probe: Probe, _: str, orders: Sequence[int] = ()) -> Iter
 
 
 def _directional_derivatives(probe: Probe, state: str) -> Iterator[Action]:
-    indices = probe.fmu.unknowns("InitialUnknowns" if state == "M" else "Outputs")
-    unknowns = [probe.fmu.variables[(index or 1) - 1] for index, _ in indices]
+    sections = ("InitialUnknowns",) if state == "M" else ("Outputs", "Derivatives")
+    indices = dict.fromkeys(index or 1 for name in sections for index, _ in probe.fmu.unknowns(name))
+    unknowns = [probe.fmu.variables[index - 1] for index in indices]
     references = values.references_of(v for v in unknowns if v.kind == "Real")
     inputs = values.references_of(values.continuous_reals(probe, "input"))
     if references and inputs and probe.fmu.claims("providesDirectionalDerivative"):
@@ -163,7 +164,7 @@ TABLE = (
     Row("IMBCEK", "", _set),
     Row("IMBC", "I", _one(do.set_derivatives(0.0))),
     Row("MBCFXEKT", "", _get),
-    Row("BCFXT", "B", output_derivatives),
+    Row("BCFXT", "", output_derivatives),
     Row("MBCFXEKT", "", _directional_derivatives),
     Row("IMEKT", "IMT", vectors),
     Row("EK", "EK", _set_time),

@@ -12,7 +12,13 @@ from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.script import CallError
-from fmus.compliance.values import if_not_claimed, settable_before, start_values, unless_claimed
+from fmus.compliance.values import (
+    if_not_claimed,
+    settable_before,
+    settable_in_initialization,
+    start_values,
+    unless_claimed,
+)
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
 _FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
@@ -26,9 +32,10 @@ _CYCLES, _MORE_CYCLES, _LEAST_LEAK = 8, 30, 64  # instances; bytes that each of 
 
 
 def _with_a_state(probe: Probe) -> tuple[Action, ...]:
-    """Returns actions of a step and a state that is saved and freed, if the FMU claims that."""
+    """Returns actions that set values, take a step, and save a state and free it, if the FMU claims that."""
+    set_values = do.set_values(start_values(settable_in_initialization(probe.fmu)))
     saved = (do.save(), do.free_state()) if probe.fmu.claims(_SAVES) else ()
-    return do.begin, do.step(), *saved
+    return do.initialise, set_values, do.exit_initialization_mode, do.step(), *saved
 
 
 # callbacks, and arguments that are valid during a call only
@@ -79,7 +86,7 @@ def memory_functions_may_be_null(probe: Probe) -> Iterator[str]:
     """With canNotUseMemoryManagementFunctions, allocateMemory and freeMemory may be NULL, and are not
     called.
     """
-    play = do.played(probe, [*_with_a_state(probe)[:3], do.call("held_blocks")])
+    play = do.played(probe, [*_with_a_state(probe)[:5], do.call("held_blocks")])
     if play.replies_of("asking for memory")[0].value:
         yield f"allocateMemory was called: expected no call, as {_OWN_MEMORY} is claimed"
     varied, options = (*_with_a_state(probe), do.terminate), {"callbacks": "no memory"}

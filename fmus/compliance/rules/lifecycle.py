@@ -13,7 +13,7 @@ from fmus.compliance.fmu_file import ONLY_ONCE, FmuFile
 from fmus.compliance.probe import Probe, refusal
 from fmus.compliance.rule import CANNOT_LOAD, RANDOM, NotJudgedError, behaviour_rule
 from fmus.compliance.script import CallError
-from fmus.compliance.values import differing, if_not_claimed, settable_before
+from fmus.compliance.values import differing, if_not_claimed, settable_before, settable_while_stepping
 
 _NAMING = "2.1.1 Header Files and Naming of Functions"
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
@@ -146,7 +146,8 @@ def wrong_guid_is_refused(probe: Probe) -> Iterator[str]:
 def several_instances(probe: Probe) -> Iterator[Row]:
     """Instances live side by side: values and steps of one, and its end, change nothing in another."""
     changed = do.set_others(settable_before(probe.fmu)), do.initialise
-    beside = changed, (do.begin, do.run(5))
+    moved = do.begin, do.set_others(settable_while_stepping(probe.fmu)), do.step()
+    beside = changed, moved, (do.begin, do.run(5))
     yield Row("beside another instance", (do.begin, do.run(2), do.pause, do.run(3)), beside=beside)
     varied = do.begin, do.run(1), do.pause, do.pause, do.run(2)
     freed = do.begin, do.step(), do.pause, do.call("free")

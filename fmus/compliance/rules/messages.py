@@ -12,7 +12,16 @@ from fmus.compliance.differential import Row, differential
 from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rows import told
-from fmus.compliance.rule import Check, NotJudgedError, Rule, Stage, add_rule, always, behaviour_rule
+from fmus.compliance.rule import (
+    Check,
+    NotApplicableError,
+    NotJudgedError,
+    Rule,
+    Stage,
+    add_rule,
+    always,
+    behaviour_rule,
+)
 from fmus.compliance.rules.call_table import NAME, tour
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, CallError, Message, Script
 from fmus.compliance.values import refused_reference
@@ -119,8 +128,13 @@ def _is_of_floating_point(change: _Change, _: Probe) -> str:
 
 
 def _changes(probe: Probe) -> Iterator[_Change]:
-    """Yields what functions change in the tour of the states; the number of bytes is printed after them."""
-    for reply in tour(probe).everything:
+    """Yields what functions change in the tour of the states, and in the default experiment; the number of
+    bytes is printed after them.
+    """
+    scripts = [tour(probe)]
+    with suppress(NotApplicableError, NotJudgedError):
+        scripts.append(do.over_the_experiment(probe).script)
+    for reply in (reply for script in scripts for reply in script.everything):
         for setting, before, after in reply.changed:
             yield _Change(reply.function, setting, before, after)
         if reply.printed:

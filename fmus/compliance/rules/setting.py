@@ -76,11 +76,14 @@ def values_follow_what_is_set(probe: Probe) -> Iterator[Row]:
         ("continuous-time mode", (do.begin, enter), values.continuous_reals(probe, "input"), fmu.variables),
     ]  # fmt: skip
     for mode, begin, settable, readable in modes if fmu.is_model_exchange else modes[:1]:
+        # without an effect of others, one variable may have none
+        others = do.others_accepted(probe, settable, *begin) if enter not in begin else []
         for v, x in values.other_values(settable[:MOST_VARIABLES]):
+            first = *begin, do.set_values([pair for pair in others if pair[0] is not v])
             end = do.set_values([(v, x)]), do.read(readable)
             when = f"where it had been read in {mode} before {v.name} was set"
-            varied = *begin, do.glance(readable), *end
-            yield Row(when, varied, (*begin, *end), tolerance=_ROUNDED, may_fail=True)
+            varied = *first, do.glance(readable), *end
+            yield Row(when, varied, (*first, *end), tolerance=_ROUNDED, may_fail=True)
 
 
 @differential(

@@ -71,7 +71,7 @@ def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
     also of its multiples: after a fraction, an FMU of fixed internal steps may be behind. So it is after
     fmi2Reset, with a tolerance, a stop time and another start time.
     """
-    independent = [v for v in probe.fmu.variables if v.causality == "independent"]
+    independent = [v for v in probe.fmu.variables if v.causality == "independent"][:1]
     if not probe.states_step_size:
         raise NotJudgedError("no step size is stated, and an internal step may be longer than others")
     factors = (1.0, 2.0, 3.0) if probe.fmu.claims(_ANY_STEP) else (1.0, 1.0, 1.0)
