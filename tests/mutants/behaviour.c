@@ -73,11 +73,12 @@ static void send(Slave *s, fmi2Status status, unsigned category, const char *tex
     if (IS("a variable that is none")) text = "look at #r99#";
     if (IS("a single hash")) text = "channel #4";
     if (IS("a status that is none")) status = 17;
-    if (IS("rounds in a callback")) fesetround(FE_UPWARD);
+    const int rounds = IS("rounds in a callback") || (IS("rounds in a late callback") && s->data.real[TIME] > 5);
+    if (rounds) fesetround(FE_UPWARD);
     const fmi2CallbackLogger logger =
         IS("keeps the pointer to the callbacks") ? s->structure->logger : s->callbacks.logger;
     logger(environment, name, status, label, "%s", text);
-    if (IS("rounds in a callback")) fesetround(FE_TONEAREST);
+    if (rounds) fesetround(FE_TONEAREST);
 }
 
 static fmi2Status discard(Slave *s, const char *text) {
@@ -633,6 +634,8 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
     Slave *s = c;
     NEEDS(STEPPING | TERMINATED);
     if (IS("derivatives of outputs are refused")) return error(s, "no derivatives");
+    if (IS("derivatives of outputs are discarded before a step") && s->data.real[TIME] == 0)
+        return discard(s, "no step yet");
     for (size_t i = 0; i < n; i++) {
         if (IS("unknown references of derivatives are discarded") && vr[i] >= N_REALS) return discard(s, "unknown");
         if ((vr[i] != X && vr[i] != Y) || order[i] < 1) return error(s, "no output, or order 0");

@@ -46,6 +46,7 @@ typedef struct {
 } Model;
 
 static char mutation[100], flags[200];
+static double shared; /* input of all instances */
 #define IS(n) (!strcmp(mutation, n))
 #define FLAG(n) (strstr(flags, n) != NULL)
 static const char *CATEGORIES[] = {"logEvents", "logStatusDiscard", "logStatusError"};
@@ -73,6 +74,7 @@ static fmi2Status need(Model *m, int states, const char *function) {
 static void evaluate(Data *d) {
     if (IS("values stay in event mode once they are read") && d->is_read && d->state == EVENT) return;
     if (IS("values stay in continuous-time mode once they are read") && d->is_read && d->state == CONT) return;
+    if (IS("instances share an input")) d->u = shared;
     d->a = d->u - d->k * d->x + 0.1 * d->stairs * (d->up ? 1 : -1);
     if (IS("derivatives have a history")) d->a += 1e-3 * d->derivatives;
     if (IS("relations are not frozen") && d->state == CONT) d->above = d->x > 0.1;
@@ -82,6 +84,7 @@ static void start(Data *d) {
     memset(d, 0, sizeof *d);
     d->k = 4, d->e = 0.8, d->u = 0.2, d->x = 0.5, d->v = -0.5, d->up = 1, d->nominal = 1;
     d->stop = d->next = INFINITY;
+    shared = d->u;
     d->last_event = d->last_step = -INFINITY;
     d->state = INST;
     evaluate(d);
@@ -210,6 +213,7 @@ static int settable(const Model *m, const Variable *v) {
             if (!v) return error(m, "no such variable");                                                     \
             if (!settable(m, v)) return error(m, "not settable");                                            \
             *(type *)((char *)&m->d + v->offset) = values[i];                                                \
+            if (v->offset == O(u)) shared = m->d.u;                                                          \
         }                                                                                                    \
         evaluate(&m->d);                                                                                     \
         return fmi2OK;                                                                                       \
