@@ -13,7 +13,18 @@ from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.system.open_inputs import OpenInputs
 
-CONTROLLER = "controller"  # the component that --controller replaces
+CONTROLLER, PLANT = "controller", "plant"  # the components that have an option of their own
+
+
+def _fmu_option(component: str) -> Any:
+    """Returns the option --component, which replaces the component of that name."""
+    return typer.Option(
+        metavar="FMU",
+        help=f"Put this {component}, an .fmu, a block or its .py file, in the place of the scenario's.",
+    )
+
+
+PlantOption = Annotated[str, _fmu_option(PLANT)]
 
 ControllerSetOption = Annotated[
     list[str], typer.Option("--set", metavar="NAME=VALUE", help="Set controller.variable=value.")
@@ -43,13 +54,7 @@ class Changes:
     @classmethod
     def of_options(
         cls,
-        controller: Annotated[
-            str,
-            typer.Option(
-                metavar="FMU",
-                help="Put this controller, an .fmu, a block or its .py file, in the place of the scenario's.",
-            ),
-        ] = "",
+        controller: Annotated[str, _fmu_option(CONTROLLER)] = "",
         settings: Annotated[
             list[str],
             typer.Option(
@@ -69,11 +74,13 @@ class Changes:
             ),
         ] = [],  # noqa: B006
         open_inputs: OpenInputsOption = None,
+        plant: PlantOption = "",
     ) -> "Changes":
         """Returns the changes that these options make; ScenarioError for an option that is wrong."""
         from orchestration.scenarios.changes import AssignedText
 
-        changed: dict[str, str] = {CONTROLLER: controller} if controller else {}
+        chosen = {CONTROLLER: controller, PLANT: plant}
+        changed: dict[str, str] = {name: fmu for name, fmu in chosen.items() if fmu}
         for assignment in settings:
             name, value = _parts("--set", assignment, "component.variable=value or component=FMU")
             if "." not in name and name in changed:
