@@ -26,12 +26,21 @@ def _fmu_option(component: str) -> Any:
 
 PlantOption = Annotated[str, _fmu_option(PLANT)]
 
-ControllerSetOption = Annotated[
-    list[str], typer.Option("--set", metavar="NAME=VALUE", help="Set controller.variable=value.")
-]
-ControllerMapOption = Annotated[
+LoopSetOption = Annotated[
     list[str],
-    typer.Option("--map", metavar="NAME=VARIABLE", help="Take this variable of the controller for NAME."),
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="Set controller.variable=value; with --plant plant.variable=value.",
+    ),
+]
+LoopMapOption = Annotated[
+    list[str],
+    typer.Option(
+        "--map",
+        metavar="NAME=VARIABLE",
+        help="Take this variable of the controller for NAME; with --plant that of the plant for plant.NAME.",
+    ),
 ]
 OpenInputsOption = Annotated[
     OpenInputs | None,
@@ -92,6 +101,12 @@ class Changes:
     def components(self) -> dict[str, str]:
         """The FMUs of components that are replaced."""
         return {name: str(fmu) for name, fmu in self.settings.items() if "." not in name}
+
+    def of_component(self, component: str) -> tuple[dict[str, FmiValue], Mapping[str, str]]:
+        """Returns variable -> value, and name -> variable, of a component."""
+        own = {n: v for n, v in self.settings.items() if n.startswith(f"{component}.")}
+        values = {name.partition(".")[2]: value for name, value in own.items()}
+        return values, self.mapping.get(component, {})
 
     def overrides(self, scenario: str) -> dict[str, Any]:
         """Returns what is laid over the scenario of that name, besides components and settings."""

@@ -110,7 +110,7 @@ def _mapping(layers: Sequence[Layer], index: int, replaced: Mapping[str, Replace
     A mapping is of the last FMU of a component that stands in its layer or below.
     """
     layer, names = layers[index], dict[str, str]()
-    below = {name for lower in layers[:index] for name in _names_in(lower.data)}
+    below = {name for lower in layers[:index] for name in names_in(lower.data)}
     for component, table in layer.data.get("mapping", {}).items():
         replacement = replaced.get(component)
         if replacement and replacement.layer > index:
@@ -130,7 +130,7 @@ def _mapping(layers: Sequence[Layer], index: int, replaced: Mapping[str, Replace
     return names
 
 
-def _names_in(value: Any) -> Iterator[str]:
+def names_in(value: Any) -> Iterator[str]:
     """Yields the keys and the texts of a layer."""
     if isinstance(value, str):
         yield value
@@ -138,7 +138,7 @@ def _names_in(value: Any) -> Iterator[str]:
         yield from value
         value = list(value.values())
     for item in value if isinstance(value, list) else ():
-        yield from _names_in(item)
+        yield from names_in(item)
 
 
 def _renamed(layer: Layer, names: Mapping[str, str]) -> Layer:

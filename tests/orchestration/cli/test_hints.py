@@ -90,13 +90,27 @@ def test_the_nearest_name_for_a_mapping_can_be_given_as_it_is_shown(
 def test_the_options_that_the_help_shows_are_taken_and_others_are_not(
     command: Command, error: Callable[..., str], name: str
 ) -> None:
-    """Both commands know one component, the controller: whatever is of another is refused, not ignored."""
+    """Without --plant both commands know one component, the controller: others are refused, not ignored."""
     described_in_help = " ".join(command(name, "--help").stdout.replace("│", " ").split())
     assert "component" not in described_in_help
-    assert "Set controller.variable=value." in described_in_help
-    for option in ("--set plant=x.fmu", "--set plant.mass=3.0", "--map plant.voltage[1]=left"):
+    assert "Set controller.variable=value; with --plant plant.variable=value." in described_in_help
+    for option in ("--set plant.mass=3.0", "--map plant.voltage[1]=left"):
         message = error(name, "PidDepthController", *option.split())
         assert message.startswith(f"l1-depth: {option.partition('=')[0]}: expected controller.")
+    assert "--set controller: expected" in error(name, "PidDepthController", "--set", "controller=x.fmu")
+
+
+def test_the_mappings_that_messages_ask_for_give_a_vehicle_to_tune(
+    error: Callable[..., str], tmp_path: Path
+) -> None:
+    """One after the other, until nothing is refused but an FMU without a library."""
+    described(tmp_path / "boat.fmu", ("thrust",), ("z",))
+    options = ("tune", "PidDepthController", "--free", "kp=1:2", "--plant", "boat.fmu")
+    own, hints = {"depth": "z", "control_force": "thrust"}, list[str]()
+    for _ in own:
+        (hint,) = re.findall(r"(--map \S+)=NAME", error(*options, *hints))
+        hints += f"{hint}={own[hint.partition('plant.')[2]]}".split()
+    assert "boat.fmu has no binary" in error(*options, *hints, "--evaluations", "1", "--seeds", "1")
 
 
 @pytest.mark.parametrize(
