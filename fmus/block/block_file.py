@@ -23,7 +23,8 @@ from fmus.files import write_text_atomically
 _RELATIVE = "; import it without dots, or name the block in an entry point of its package"
 # files with these names, whatever their ending, are devices in Windows
 DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{i}" for port in ("com", "lpt") for i in range(10))}
-_TEMPLATES = {"{}.py": "block.py.in", "test_{}.py": "test.py.in"}
+_CONTROLLER = {"{}.py": "block.py.in", "test_{}.py": "test.py.in"}
+_VEHICLE = {"{}.py": "vehicle.py.in", "test_{}.py": "test_vehicle.py.in"}
 _OWN = {"fmus", "controller_fmu", "plant_fmu", "orchestration"}
 
 
@@ -149,10 +150,11 @@ def _defined(module: ModuleType, path: Path) -> tuple[Block, ...]:
     return blocks
 
 
-def write_new_block(name: str, folder: Path) -> list[Path]:
+def write_new_block(name: str, folder: Path, vehicle: bool = False) -> list[Path]:
     """Writes `folder/NAME.py` and `folder/test_NAME.py`; raises ExportError if one of them is there already.
 
     name: of the module, such as depth_pid; its block is called DepthPid
+    vehicle: write a vehicle in place of a controller
     """
     values = {"module": name, "name": "".join(map(str.capitalize, name.split("_")))}
     is_taken = not is_free_module_name(name) or keyword.iskeyword(values["name"])
@@ -164,7 +166,7 @@ def write_new_block(name: str, folder: Path) -> list[Path]:
     templates = Path(__file__).with_name("templates")
     texts = {
         folder / file.format(name): Template((templates / template).read_text("utf-8")).substitute(values)
-        for file, template in _TEMPLATES.items()
+        for file, template in (_VEHICLE if vehicle else _CONTROLLER).items()
     }
     if present := next((path for path in texts if path.exists()), None):
         raise ExportError(f"{present}: is there already; expected another name than {name!r}")

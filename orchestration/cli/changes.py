@@ -13,14 +13,34 @@ from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.system.open_inputs import OpenInputs
 
-CONTROLLER = "controller"  # the component that --controller replaces
+CONTROLLER, PLANT = "controller", "plant"  # the components that have an option of their own
 
-ControllerSetOption = Annotated[
-    list[str], typer.Option("--set", metavar="NAME=VALUE", help="Set controller.variable=value.")
-]
-ControllerMapOption = Annotated[
+
+def _fmu_option(component: str) -> Any:
+    """Returns the option --component, which replaces the component of that name."""
+    return typer.Option(
+        metavar="FMU",
+        help=f"Put this {component}, an .fmu, a block or its .py file, in the place of the scenario's.",
+    )
+
+
+PlantOption = Annotated[str, _fmu_option(PLANT)]
+
+LoopSetOption = Annotated[
     list[str],
-    typer.Option("--map", metavar="NAME=VARIABLE", help="Take this variable of the controller for NAME."),
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="Set controller.variable=value; with --plant plant.variable=value.",
+    ),
+]
+LoopMapOption = Annotated[
+    list[str],
+    typer.Option(
+        "--map",
+        metavar="NAME=VARIABLE",
+        help="Take this variable of the controller for NAME; with --plant that of the plant for plant.NAME.",
+    ),
 ]
 OpenInputsOption = Annotated[
     OpenInputs | None,
@@ -43,13 +63,7 @@ class Changes:
     @classmethod
     def of_options(
         cls,
-        controller: Annotated[
-            str,
-            typer.Option(
-                metavar="FMU",
-                help="Put this controller, an .fmu, a block or its .py file, in the place of the scenario's.",
-            ),
-        ] = "",
+        controller: Annotated[str, _fmu_option(CONTROLLER)] = "",
         settings: Annotated[
             list[str],
             typer.Option(
@@ -69,11 +83,13 @@ class Changes:
             ),
         ] = [],  # noqa: B006
         open_inputs: OpenInputsOption = None,
+        plant: PlantOption = "",
     ) -> "Changes":
         """Returns the changes that these options make; ScenarioError for an option that is wrong."""
         from orchestration.scenarios.changes import AssignedText
 
-        changed: dict[str, str] = {CONTROLLER: controller} if controller else {}
+        chosen = {CONTROLLER: controller, PLANT: plant}
+        changed: dict[str, str] = {name: fmu for name, fmu in chosen.items() if fmu}
         for assignment in settings:
             name, value = _parts("--set", assignment, "component.variable=value or component=FMU")
             if "." not in name and name in changed:
@@ -85,6 +101,12 @@ class Changes:
     def components(self) -> dict[str, str]:
         """The FMUs of components that are replaced."""
         return {name: str(fmu) for name, fmu in self.settings.items() if "." not in name}
+
+    def of_component(self, component: str) -> tuple[dict[str, FmiValue], Mapping[str, str]]:
+        """Returns variable -> value, and name -> variable, of a component."""
+        own = {n: v for n, v in self.settings.items() if n.startswith(f"{component}.")}
+        values = {name.partition(".")[2]: value for name, value in own.items()}
+        return values, self.mapping.get(component, {})
 
     def overrides(self, scenario: str) -> dict[str, Any]:
         """Returns what is laid over the scenario of that name, besides components and settings."""

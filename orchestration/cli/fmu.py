@@ -27,11 +27,12 @@ check = compliance.check
 
 def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Of the file, such as pid or depth_pid.")],
+    vehicle: Annotated[bool, typer.Option("--vehicle", help="Write an underwater vehicle.")] = False,
 ) -> None:
-    """Write a block to start from, NAME.py, and its test: a PID controller of depth."""
+    """Write a block to start from, NAME.py, and its test: a PID controller of depth, or a vehicle."""
     from fmus.block.block_file import write_new_block
 
-    for path in write_new_block(name, Path()):
+    for path in write_new_block(name, Path(), vehicle):
         print(path)
 
 

@@ -1,7 +1,7 @@
 """Commands score and compare: controllers in every case of the protocol, beside the built-in ones or all."""
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,10 +11,12 @@ import typer
 from fmus.platforms import usable_processors
 from orchestration.cli.changes import (
     CONTROLLER,
+    PLANT,
     Changes,
-    ControllerMapOption,
-    ControllerSetOption,
+    LoopMapOption,
+    LoopSetOption,
     OpenInputsOption,
+    PlantOption,
 )
 from orchestration.cli.shared import OutFolder, check_writable, console, print_table, progress
 from orchestration.errors import ScenarioError
@@ -22,6 +24,7 @@ from orchestration.system.open_inputs import OpenInputs
 
 if TYPE_CHECKING:
     from orchestration.score.closed_loop import Controller
+    from orchestration.score.protocol import Protocol
     from orchestration.score.score import ScoreResult
     from orchestration.score.score_document import Score
     from orchestration.score.score_view import ScoreTable
@@ -46,8 +49,9 @@ def score(
     ] = "position",
     full: FullOption = False,
     out: OutFolder = Path("results"),
-    settings: ControllerSetOption = [],  # noqa: B006  (Typer copies it)
-    mapped: ControllerMapOption = [],  # noqa: B006
+    plant: PlantOption = "",
+    settings: LoopSetOption = [],  # noqa: B006  (Typer copies it)
+    mapped: LoopMapOption = [],  # noqa: B006
     open_inputs: OpenInputsOption = None,
     protocol_file: ProtocolOption = None,
     timeout: Annotated[
@@ -58,10 +62,10 @@ def score(
 ) -> None:
     """Score a controller on the simulated vehicle: terminal tables, score.json and an interactive page."""
     from orchestration.score import score as scoring
-    from orchestration.score.protocol import read_protocol
 
-    protocol = read_protocol(protocol_file) if protocol_file else read_protocol()
-    chosen = scored_controllers(controllers, league, settings, mapped, open_inputs)
+    changes = Changes.of_options("", settings, mapped, open_inputs, plant)
+    protocol = chosen_protocol(changes, protocol_file)
+    chosen = scored_controllers(controllers, league, changes)
     check_writable(out)
     total = scoring.run_count(len(chosen), protocol, full)
     with progress("score", total) as bar:
@@ -76,6 +80,9 @@ def compare(
     full: FullOption = False,
     workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
     out: OutFolder = Path("results"),
+    plant: PlantOption = "",
+    settings: LoopSetOption = [],  # noqa: B006
+    mapped: LoopMapOption = [],  # noqa: B006
     protocol_file: ProtocolOption = None,
 ) -> None:
     """Score all controllers of the protocol, each with the gains that it comes with, and tuned.
@@ -84,9 +91,10 @@ def compare(
     """
     from fmus.files import write_text_atomically
     from orchestration.score import compare as comparison
-    from orchestration.score.protocol import read_protocol
 
-    protocol = read_protocol(protocol_file) if protocol_file else read_protocol()
+    changes = Changes.of_options("", settings, mapped, None, plant)
+    protocol = chosen_protocol(changes, protocol_file)
+    scored_controllers([], "position", changes)
     check_writable(out)
     with progress("compare", comparison.run_count(protocol, full)) as bar:
         result = comparison.compare(protocol, full, workers, bar.advance)
@@ -138,6 +146,8 @@ def print_tables(tables: "Sequence[ScoreTable]", document: "Score") -> None:
         if table:
             print_table(table)
     print(f"{BEST} the best of its league, {FAILED} a run that failed")
+    for title, reason in document.protocol.left_out.items():
+        print(f"left out: {title}: {reason}")
 
 
 def print_score(document: "Score") -> None:
@@ -154,37 +164,51 @@ def print_score(document: "Score") -> None:
     sys.stdout.flush()
 
 
-def scored_controllers(
-    names: Sequence[str],
-    league: str,
-    settings: list[str],
-    mapped: list[str],
-    open_inputs: OpenInputs | None,
-) -> list["Controller"]:
-    """Returns the FMUs, blocks and Python files of blocks; settings and mapping are those of the only one."""
+def chosen_protocol(changes: Changes, file: Path | None = None) -> "Protocol":
+    """Returns the protocol of a file, by default the one that ships, on the vehicle that --plant names."""
+    from orchestration.score import protocol as protocols
+    from orchestration.score.vehicle import Vehicle
+
+    vehicle, plant = None, changes.components.get(PLANT, "")
+    if plant:
+        values, mapping = changes.of_component(PLANT)
+        settings = {f"{PLANT}.{name}": value for name, value in values.items()}
+        vehicle = Vehicle.of(plant, _built(plant), mapping, settings)
+    return protocols.read_protocol(file or protocols.FILE, vehicle)
+
+
+def _built(fmu: str) -> str:
+    """Returns the FMU of a Python file, or what is none as it is."""
     from fmus.build import builder
+
+    return str(builder.fmu_of_file(Path(fmu)) if fmu.endswith(".py") else fmu)
+
+
+def scored_controllers(names: Sequence[str], league: str, changes: Changes) -> list["Controller"]:
+    """Returns the FMUs, blocks and Python files of blocks; settings and mapping are those of the only one."""
     from orchestration.score.closed_loop import Controller
 
-    changes = Changes.of_options("", settings, mapped, open_inputs)
-    if len(names) > 1 and (settings or mapped):
-        raise ScenarioError(f"--set and --map with {len(names)} controllers: expected one")
-    if changes.components:
-        raise ScenarioError(f"--set {next(iter(changes.components))}: expected controller.variable=value")
-    named = [f"--set {name}" for name in changes.settings]
+    replaced = changes.components.keys() - {PLANT}
+    if replaced:
+        raise ScenarioError(f"--set {min(replaced)}: expected controller.variable=value")
+    named = [f"--set {name}" for name in changes.settings if "." in name]
     named += [f"--map {component}.{name}" for component, names in changes.mapping.items() for name in names]
+    known = {CONTROLLER} if len(names) else set()
+    known |= {PLANT} & changes.components.keys()
     for option in named:
-        if not option.partition(" ")[2].startswith(f"{CONTROLLER}."):
-            raise ScenarioError(f"{option}: expected controller.NAME, the vehicle is the protocol's")
-    own = {name.partition(".")[2]: value for name, value in changes.settings.items()}
-    mapping: Mapping[str, str] = changes.mapping.get(CONTROLLER, {})
+        if option.partition(" ")[2].partition(".")[0] not in known:
+            raise ScenarioError(f"{option}: expected controller.NAME, or --plant beside plant.NAME")
+    own, mapping = changes.of_component(CONTROLLER)
+    if len(names) > 1 and (own or mapping):
+        raise ScenarioError(f"--set and --map with {len(names)} controllers: expected one")
     return [
         Controller(
             name=Path(name).stem,
-            fmu=str(builder.fmu_of_file(Path(name)) if name.endswith(".py") else name),
+            fmu=_built(name),
             league=league,
             parameters=own,
             mapping=mapping,
-            open_inputs=str(open_inputs or OpenInputs.ERROR),
+            open_inputs=str(changes.open_inputs or OpenInputs.ERROR),
         )
         for name in names
     ]

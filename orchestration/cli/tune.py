@@ -9,9 +9,16 @@ import typer
 
 from fmus.errors import nearest
 from fmus.platforms import usable_processors
-from orchestration.cli.changes import ControllerMapOption, ControllerSetOption, OpenInputsOption
+from orchestration.cli.changes import (
+    CONTROLLER,
+    Changes,
+    LoopMapOption,
+    LoopSetOption,
+    OpenInputsOption,
+    PlantOption,
+)
 from orchestration.cli.interrupts import INTERRUPTED
-from orchestration.cli.score import scored_controllers
+from orchestration.cli.score import chosen_protocol, scored_controllers
 from orchestration.cli.shared import (
     OutFolder,
     ProgressBar,
@@ -22,7 +29,6 @@ from orchestration.cli.shared import (
     refuse_without_effect,
 )
 from orchestration.errors import ScenarioError
-from orchestration.system.open_inputs import OpenInputs
 
 if TYPE_CHECKING:
     from orchestration.score.closed_loop import Controller
@@ -58,19 +64,20 @@ def tune(
             metavar="NAME", help="Of a controller that is not of the protocol; by default position."
         ),
     ] = None,
-    settings: ControllerSetOption = [],  # noqa: B006
-    mapped: ControllerMapOption = [],  # noqa: B006
+    plant: PlantOption = "",
+    settings: LoopSetOption = [],  # noqa: B006
+    mapped: LoopMapOption = [],  # noqa: B006
     open_inputs: OpenInputsOption = None,
 ) -> None:
     """Search the gains of least cost on practice cases of the protocol; an interrupted tuning continues."""
     from orchestration.score import tune_problem
     from orchestration.score.closed_loop import ClosedLoop
-    from orchestration.score.protocol import read_protocol
     from orchestration.score.tune_problem import evaluations as started
     from orchestration.score.tune_search import parse
 
-    protocol = read_protocol()
-    controller = _controller(name, league, settings, mapped, open_inputs, protocol)
+    changes = Changes.of_options("", settings, mapped, open_inputs, plant)
+    protocol = chosen_protocol(changes)
+    controller = _controller(name, league, changes, protocol)
     problem = tune_problem.problem_of(controller, protocol, [parse(text) for text in free])
     check_writable(out)
     journal = out / f"{controller.name}.tune.jsonl"
@@ -120,9 +127,7 @@ def _search(
 def _controller(
     name: str,
     league: str | None,
-    settings: list[str],
-    mapped: list[str],
-    open_inputs: OpenInputs | None,
+    changes: Changes,
     protocol: "Protocol",
 ) -> "Controller":
     """Returns the controller of the protocol, or of an FMU, with what the options change."""
@@ -133,9 +138,10 @@ def _controller(
     if name not in known and not name.endswith((".py", ".fmu")):
         raise ScenarioError(f"no controller {name!r}; {nearest(name, known)}")
     if name in protocol.controllers:
-        options = {"--league": league, "--map": mapped, "--open-inputs": open_inputs}
+        mapped = changes.mapping.get(CONTROLLER)
+        options = {"--league": league, "--map": mapped, "--open-inputs": changes.open_inputs}
         refuse_without_effect(f"{name}, a controller of the protocol", options)
-    (chosen,) = scored_controllers([name], league or "position", settings, mapped, open_inputs)
+    (chosen,) = scored_controllers([name], league or "position", changes)
     if name not in protocol.controllers:
         return chosen
     of_protocol = built_in(protocol, name)

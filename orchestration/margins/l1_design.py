@@ -1,15 +1,18 @@
-"""The design of our L1 controllers and plants, read from their model descriptions and a scenario's values.
+"""The design of our L1 controllers and of plants, read from their model descriptions and a scenario's values.
 
-A controller or plant of another name is not judged: its law is not known.
+A controller of another name is not judged: its law is not known. Nor is a vehicle whose description names no
+inertia.
 """
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from controller_fmu.design import Extension, FilterOrder, Regressor, lipschitz_constant
 from orchestration.margins.l1_loop import Law, Observer, Pair, Plant
+from orchestration.scenarios.vehicle import VariablesTable, description_file, description_of
 from orchestration.system.prepared_run import PreparedRun, values_of
 
 Values = Mapping[str, Any]
@@ -57,17 +60,19 @@ def design_of(prepared: PreparedRun, largest_reference: float, rest: float) -> D
     """
     described = {name: d.modelName or "" for name, d in prepared.system.descriptions.items()}
     controllers = [name for name, model in described.items() if model in _LAWS]
-    plants = [name for name, model in described.items() if model in _PLANTS]
+    linear = {name: _linear_plant(prepared, name, model) for name, model in described.items()}
+    plants = {name: plant for name, plant in linear.items() if plant}
     if len(controllers) != 1 or len(plants) != 1:
         return None
-    values, plant = values_of(prepared, controllers[0]), values_of(prepared, plants[0])
+    values, ((name, plant_of),) = values_of(prepared, controllers[0]), plants.items()
+    plant = values_of(prepared, name)
     law = _LAWS[described[controllers[0]]](values, rest, largest_reference if math.isnan(rest) else abs(rest))
     bound = _pair(values, "theta_bound")
     centre, half_width = values["input_gain"], values["input_gain_uncertainty"]
     is_gradient = values.get("adaptation_law", "projection") == "projection"
     return Design(
         law=law,
-        plant=_PLANTS[described[plants[0]]](plant, values),
+        plant=plant_of(plant, values),
         lipschitz=lipschitz_constant(Regressor[str(values["regressor"]).upper()], bound),
         omegas=(centre - half_width, centre + half_width),
         frozen_gains=_frozen_gains(values, largest_reference),
@@ -143,22 +148,35 @@ def _general_law(values: Values, rest: float, reference: float) -> Law:
     )
 
 
-def _vehicle(values: Values, controller: Values) -> Plant:
-    """Returns RovDepthPlant at rest: linear damping alone, but for a vertical current.
+def _linear_plant(prepared: PreparedRun, name: str, model: str) -> "Callable[[Values, Values], Plant] | None":
+    """Returns what gives the linear plant of a component; None for one that is no plant, or not known."""
+    if model == "ExamplePlant":
+        return _example
+    described = (description_file(vehicle) for vehicle in (str(prepared.system.components[name]), model))
+    names = next((description_of(file).variables for file in described if file.data), VariablesTable())
+    return partial(_vehicle, names) if names.inertia else None
 
-    Each thruster takes half of the control, divided by the gain that the controller assumes.
+
+def _vehicle(names: VariablesTable, values: Values, controller: Values) -> Plant:
+    """Returns a vehicle at rest: linear damping alone, but for a vertical current.
+
+    Each thruster takes half of the control, divided by the gain that the controller assumes. A vehicle
+    without gains takes a force.
     """
-    inertia = values["inertia"]
-    damping = values["linear_damping"] + 2.0 * values["quadratic_damping"] * abs(
-        values.get("current_velocity", 0.0)
-    )
-    factors = (_pair(values, "thruster_gain"), _pair(values, "thruster_efficiency"))
-    gains = zip(*factors, _pair(controller, "thruster_gain"), strict=True)
+    inertia, damping = values[names.inertia], values[names.damping] if names.damping else 0.0
+    if names.drag:
+        damping += 2.0 * values[names.drag] * abs(values.get("current_velocity", 0.0))
+    gains = (1.0,)
+    if names.gain:
+        efficiency, assumed = _pair(values, "thruster_efficiency"), _pair(controller, "thruster_gain")
+        factors = zip((values[name] for name in names.gain), efficiency, assumed, strict=True)
+        gains = tuple(0.5 * gain * share / divisor for gain, share, divisor in factors)
+    has_lag = names.lag and not (names.no_lag and values[names.no_lag])
     return Plant(
         a=((0.0, 1.0), (0.0, -damping / inertia)),
         b=(0.0, 1.0 / inertia),
-        gains=tuple(0.5 * gain * efficiency / assumed for gain, efficiency, assumed in gains),
-        lags=(0.0, 0.0) if values["thruster_ideal"] else _pair(values, "thruster_lag"),
+        gains=gains,
+        lags=tuple(values[name] for name in names.lag) if has_lag else (0.0,) * len(gains),
     )
 
 
@@ -175,10 +193,6 @@ def _example(values: Values, controller: Values) -> Plant:
 _LAWS: dict[str, Callable[[Values, float, float], Law]] = {
     "L1DepthController": _depth_law,
     "L1Controller": _general_law,
-}
-_PLANTS: dict[str, Callable[[Values, Values], Plant]] = {
-    "RovDepthPlant": _vehicle,
-    "ExamplePlant": _example,
 }
 
 

@@ -4,9 +4,9 @@
 depth_reference = "setpoint"    mean controller.setpoint
 
 [[when_replaced]]               further entries of a base, if another FMU in the place of its controller
-component = "controller"        has one variable and lacks another
+component = "controller"        has one variable and lacks another, its own or a component.variable
 has = ["control_force"]
-lacks = ["voltage[1]"]
+lacks = ["voltage[1]", "plant.control_force"]
 
 [[when_set]]                    further entries of a base, if a parameter has one of these values
 parameter = "controller.reference_feedforward"
@@ -20,30 +20,38 @@ from typing import Any
 from fmus.errors import nearest
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.layers import Data, Layer, components_of
-from orchestration.scenarios.replaced import Replacement
+from orchestration.scenarios.replaced import Describe, Replacement
 from orchestration.scenarios.toml_file import KeyPath
 
 _CONDITIONS = ("component", "has", "lacks", "parameter", "values")
 
 
-def adapted(layers: Sequence[Layer], replaced: Mapping[str, Replacement]) -> list[Layer]:
+def adapted(layers: Sequence[Layer], replaced: Mapping[str, Replacement], describe: Describe) -> list[Layer]:
     """Returns the layers with names that stand for others, each below its entries for replaced components."""
     _check_optional(layers)
     names = [_mapping(layers, index, replaced) for index in range(len(layers))]
     above = [dict(item for x in names[index + 1 :] for item in x.items()) for index in range(len(layers))]
+    fmus = components_of(layers)
 
     def applies(index: int, entry: Layer) -> bool:
         component = entry.data["component"]
         new = replaced.get(component)
-        if new is None or new.layer <= index or new.fmu == components_of(layers[: index + 1]).get(component):
+        if (
+            new is None
+            or not new.fmu
+            or new.layer <= index
+            or new.fmu == components_of(layers[: index + 1]).get(component)
+        ):
             return False
-        names = {
-            v: above[index].get(f"{component}.{v}", f"{component}.{v}")
-            for key in ("has", "lacks")
-            for v in entry.data.get(key, [])
-        }
-        there = {v for v, name in names.items() if name.removeprefix(f"{component}.") in new.ports}
-        return there.issuperset(entry.data.get("has", [])) and there.isdisjoint(entry.data.get("lacks", []))
+        return all(has(v, component, index) for v in entry.data.get("has", [])) and not any(
+            has(v, component, index) for v in entry.data.get("lacks", [])
+        )
+
+    def has(variable: str, component: str, index: int) -> bool:
+        """Whether the FMU of a component has a variable, by the name that a layer has for it."""
+        name = variable if variable.partition(".")[0] in fmus else f"{component}.{variable}"
+        owner, _, own = above[index].get(name, name).partition(".")
+        return any(v.name == own for v in describe(fmus[owner]).modelVariables)
 
     renamed = [_renamed(layer, above[index]) for index, layer in enumerate(layers)]
     return _with_entries(renamed, "when_replaced", applies)
@@ -102,7 +110,7 @@ def _mapping(layers: Sequence[Layer], index: int, replaced: Mapping[str, Replace
     A mapping is of the last FMU of a component that stands in its layer or below.
     """
     layer, names = layers[index], dict[str, str]()
-    below = {name for lower in layers[:index] for name in _names_in(lower.data)}
+    below = {name for lower in layers[:index] for name in names_in(lower.data)}
     for component, table in layer.data.get("mapping", {}).items():
         replacement = replaced.get(component)
         if replacement and replacement.layer > index:
@@ -122,7 +130,7 @@ def _mapping(layers: Sequence[Layer], index: int, replaced: Mapping[str, Replace
     return names
 
 
-def _names_in(value: Any) -> Iterator[str]:
+def names_in(value: Any) -> Iterator[str]:
     """Yields the keys and the texts of a layer."""
     if isinstance(value, str):
         yield value
@@ -130,7 +138,7 @@ def _names_in(value: Any) -> Iterator[str]:
         yield from value
         value = list(value.values())
     for item in value if isinstance(value, list) else ():
-        yield from _names_in(item)
+        yield from names_in(item)
 
 
 def _renamed(layer: Layer, names: Mapping[str, str]) -> Layer:

@@ -129,9 +129,9 @@ class WhenReplacedTable(FurtherEntries):
     component: str
     """The component whose FMU another scenario replaces."""
     has: list[str] = []
-    """Variables that the new FMU must have."""
+    """Variables that the new FMU must have; component.variable of another component."""
     lacks: list[str] = []
-    """Variables that the new FMU must not have."""
+    """Variables that the new FMU must not have; component.variable of another component."""
     components: dict[str, str] = {}
 
 

@@ -4,8 +4,8 @@ Entries of the layers below that name a variable of the replaced component stay 
 of that name which can take their part; the others are left out. Entries of the layer that replaces the
 component, and of those above it, are its own: they stay as they are, and a wrong one is an error.
 
-[optional]                                      variables that another FMU may lack without a warning
-controller = ["measured_depth_rate", "u_m"]
+[optional]                                      variables that another FMU may lack without a warning,
+controller = ["measured_depth_rate", "u_m"]     unless they change during the run
 """
 
 import json
@@ -43,6 +43,7 @@ _PARTS = {
     "metrics": "signal",
 }
 _WITH_VALUES = ("parameters", "inputs", "events")
+_CHANGING = ("signals", "events")
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,7 @@ class Replacement:
     fmu: "" if it is removed; layer: its index; ports: variable -> port of the new FMU
     optional: variables that it may lack; identified: parameters that a file has, chosen for another FMU
     left_out: (variable that an entry lacks, input that the entry drives or ""); taken: of those identified
+    unchanged: variables left out that would change during the run
     """
 
     component: str
@@ -62,13 +64,16 @@ class Replacement:
     identified: Collection[str]
     left_out: list[tuple[str, str]] = field(default_factory=list)
     taken: dict[str, Any] = field(default_factory=dict)
+    unchanged: set[str] = field(default_factory=set)
 
-    def fits(self, part: str, name: str, value: Any, driven: str) -> bool:
+    def fits(self, part: str, name: str, value: Any, driven: str, changes: bool) -> bool:
         """Whether the new FMU can have a part in an entry; notes it as left out or taken."""
         variable = name.partition(".")[2]
         port = self.ports.get(variable)
         if port is None or not _has_part(port, part, value):
             self.left_out.append((variable, driven))
+            if changes:
+                self.unchanged.add(variable)
             return False
         if part == "start" and name in self.identified:
             self.taken[variable] = value
@@ -89,7 +94,8 @@ class Replacement:
         inputs = {name for name, target in self.left_out if target == prefix + name}
         outputs = {name for name, target in self.left_out if target and target not in driven} - inputs
         unjoined = sorted(outputs | inputs if undriven else outputs)
-        missing = dict.fromkeys(n for n, t in self.left_out if n not in self.optional and t not in driven)
+        optional = set(self.optional) - self.unchanged
+        missing = dict.fromkeys(n for n, t in self.left_out if n not in optional and t not in driven)
         names = unjoined or list(missing)
         lacks = f"{state}, which lacks {_listed(names)}"
         mapped = f"--map {prefix}{''.join(names[:1])}=NAME or in [mapping.{self.component}]"
@@ -154,19 +160,20 @@ def without_misfits(layers: Sequence[Layer], replaced: Mapping[str, Replacement]
 def _fitting(data: Data, replaced: Mapping[str, Replacement]) -> Data:
     """Returns the entries of a layer that fit the FMUs which replace components of it."""
 
-    def fits(part: str, name: str, value: Any = None, driven: str = "") -> bool:
+    def fits(part: str, name: str, value: Any = None, driven: str = "", changes: bool = False) -> bool:
         new = replaced.get(name.partition(".")[0])
-        return new is None or new.fits(part, name, value, driven)
+        return new is None or new.fits(part, name, value, driven, changes)
 
     def is_kept(kind: str, name: str, value: Any) -> bool:
         if kind == "step_sizes":
             return name not in replaced or bool(replaced[name].fmu)
         names = [value[key] for key in SIGNALS if value and key in value] if kind == "metrics" else [name]
         driven = name if kind in ("connections", "signals") else ""
-        if kind == "connections" and value and not fits("output", source_of(value), driven=driven):
+        given, changes = value if kind in _WITH_VALUES else None, kind in _CHANGING
+        if kind in _PARTS and not all(fits(_PARTS[kind], n, given, driven, changes) for n in names):
             return False
-        given = value if kind in _WITH_VALUES else None
-        return kind not in _PARTS or all(fits(_PARTS[kind], n, given, driven) for n in names)
+        # an output is lacking only if there is an input that it drives
+        return kind != "connections" or not value or fits("output", source_of(value), driven=driven)
 
     result: Data = {}
     for kind, entries in data.items():

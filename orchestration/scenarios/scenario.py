@@ -100,7 +100,7 @@ def load(
         variables = description(fmu).modelVariables if fmu else []
         return any((v.name, v.type) == (variable, "Boolean") for v in variables)
 
-    layers = adapted(layers, replacements(layers, description))
+    layers = adapted(layers, replacements(layers, description), description)
     layers.append(Layer(values_of_settings(settings or {}, layers, description)))
     layers = with_chosen_entries(layers)
     replaced = replacements(layers, description)

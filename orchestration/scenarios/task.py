@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
 import numpy as np
@@ -63,6 +64,8 @@ def task_of(
     scenario: str | Scenario,
     reward: Mapping[str, float] | Reward,
     replaced: str = "controller",
+    plant: str | Path = "",
+    mapping: Mapping[str, str] | None = None,
     **settings: Unpack[TaskSettings],
 ) -> Task:
     """Returns the task of a component of a scenario, whose place the agent takes.
@@ -70,9 +73,15 @@ def task_of(
     reward: metric of the scenario -> weight (`reward_of`), or a function as of `Task`
     replaced: the component. The inputs that it drives are the actions; the outputs that it is connected to,
     and the signals that drive it, are the observations
+    plant: FMU or block in the place of the plant of a scenario that is named
+    mapping: name of the vehicle's interface -> variable of that plant
     settings: those of `Task`, in place of what follows from the scenario
     """
-    scenario = load(find(scenario)) if isinstance(scenario, str) else scenario
+    if isinstance(scenario, str):
+        overrides = {"mapping": {"plant": dict(mapping)}} if mapping else {}
+        scenario = load(find(scenario), overrides, settings={"plant": str(plant)} if plant else {})
+    elif plant or mapping:
+        raise ScenarioError(f"plant {plant}: expected the name of a scenario, got one that is loaded")
     if replaced not in scenario.system.components:
         known = scenario.system.components
         raise ScenarioError(f"{scenario.name}: no component {replaced!r}; {nearest(replaced, known)}")

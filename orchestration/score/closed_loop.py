@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fmus.errors import nearest
-from fmus.fmi.description import describe, of_causality, start_value
+from fmus.fmi.description import describe, of_causality
 from fmus.fmi.variable_types import FmiValue
 from fmus.registry import Flavour
 from orchestration.errors import ScenarioError, ScenarioWarning, SimulationError
@@ -23,12 +23,14 @@ from orchestration.many.job import Failure, Job, Run
 from orchestration.many.run_many import LocalRuns, Make, in_order
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
+from orchestration.scenarios.adapters import names_in
 from orchestration.scenarios.changes import with_values
 from orchestration.scenarios.layers import Layer
 from orchestration.scenarios.read_layers import file_layers, parameter_values, shipped_bases
 from orchestration.scenarios.scenario import Scenario
 from orchestration.score.protocol import REFERENCE, Case, Protocol, check_vehicle
 from orchestration.score.run_metrics import Judged, all_signals, declared, metrics_of
+from orchestration.score.vehicle import DEPTH, PLANT, build_missing
 from orchestration.system.experiment import Experiment
 from orchestration.system.signal_derivatives import derivative
 from orchestration.system.signals import Ramps, Signal
@@ -39,7 +41,6 @@ GAINS = Path(__file__).with_name("gains")
 KNOWS_RATES = "reference-rates"
 _RATES = {"depth_reference_rate": 1, "depth_reference_acceleration": 2}  # input -> order of the derivative
 _LOADING = threading.Lock()  # filters of warnings are those of all threads
-_RECORD = (REFERENCE, "plant.depth", "plant.voltage[1]", "plant.voltage[2]")
 
 
 @dataclass(frozen=True)
@@ -85,14 +86,6 @@ def tuned(protocol: Protocol, name: str) -> Controller:
     """Returns the controller that the protocol has under that name, with its tuned gains."""
     controller = built_in(protocol, name)
     return replace(controller, parameters={**controller.parameters, **tuned_gains(name)})
-
-
-@cache
-def build_missing(fmu: Path) -> None:
-    """Builds the FMU of one of our blocks, if it is missing or stale, once in a process."""
-    from fmus.build import builder  # which loads CasADi
-
-    builder.build_missing([fmu])
 
 
 class ClosedLoopRun(NamedTuple):
@@ -161,20 +154,17 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
         for _, group in groupby(runs, key=lambda run: (id(run.case), id(run.compute))):
             first, *others = group
             experiment = self.experiment(first.case)
-            judged = Judged(*self._judged_by(first.case, experiment), first.compute)
+            vehicle = self.protocol.vehicle
+            judged = Judged(
+                columns=tuple(experiment.record),
+                limits=vehicle.limits(experiment.parameters),
+                gains=vehicle.gains(),
+                compute=first.compute,
+                in_volts=not vehicle.takes_force,
+            )
             for run in (first, *others):
                 gains = {f"{OWN}{name}": value for name, value in run.gains.items()}
                 yield Run(None, with_values(experiment, gains), judged)
-
-    def _judged_by(
-        self, case: Case, experiment: Experiment
-    ) -> tuple[tuple[str, ...], tuple[float, ...], tuple[float, ...]]:
-        """Returns what `judged_signals` takes besides a recording."""
-        nominal = _start_values(self.scenario(case).system.components["plant"])
-        given = {**nominal, **{n.removeprefix("plant."): v for n, v in experiment.parameters.items()}}
-        limits = tuple(float(given[f"thruster_voltage_limit[{i}]"]) for i in (1, 2))
-        thrust = tuple(float(nominal[f"thruster_gain[{i}]"]) for i in (1, 2))
-        return tuple(experiment.record), limits, thrust
 
     def scenario(self, case: Case) -> Scenario:
         """Returns the case as a scenario with this controller, without the values and gains of a run."""
@@ -184,25 +174,38 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
         return self._scenarios[key]
 
     def _loaded(self, case: Case) -> Scenario:
-        controller = self.controller
-        path = shipped_bases()[self.protocol.tables.base]
+        controller, vehicle = self.controller, self.protocol.vehicle
+        layers = [
+            *_base(shipped_bases()[self.protocol.tables.base], vehicle.actuators),
+            Layer(dict(case.layer)),
+        ]
+        named = set(names_in([layer.data for layer in layers]))
+        mapping = {"controller": dict(controller.mapping)} if controller.mapping else {}
+        if of_plant := {name: own for name, own in vehicle.mapping.items() if PLANT + name in named}:
+            mapping["plant"] = of_plant
         overrides: dict[str, Any] = {"experiment": {"open_inputs": controller.open_inputs}}
-        if controller.mapping:
-            overrides["mapping"] = {"controller": dict(controller.mapping)}
+        if mapping:
+            overrides["mapping"] = mapping
         settings = {f"{OWN}{name}": value for name, value in controller.parameters.items()}
         with _LOADING, warnings.catch_warnings():
             warnings.simplefilter("ignore", ScenarioWarning)  # of inherited parameters, left out below
             loaded = scenario.load(
-                path,
+                shipped_bases()[self.protocol.tables.base],
                 overrides,
                 controller.flavour,
-                layers=[*_base(path), Layer(dict(case.layer))],
-                settings={"controller": controller.fmu, **settings, **controller.settings},
+                layers=layers,
+                settings={
+                    "controller": controller.fmu,
+                    "plant": vehicle.fmu,
+                    **settings,
+                    **vehicle.settings,
+                    **controller.settings,
+                },
                 build=build_missing,
             )
         for fmu in loaded.system.components.values():
             build_missing(Path(fmu))
-        check_vehicle(self.protocol, _start_values(loaded.system.components["plant"]))
+        check_vehicle(self.protocol)
         inherited = {
             name: value
             for name, value in loaded.experiment.parameters.items()
@@ -214,7 +217,8 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
     def experiment(self, case: Case) -> Experiment:
         """Returns the experiment of a case with its own values."""
         loaded = self.scenario(case)
-        experiment = with_values(loaded.experiment, case.values)
+        values = {self.protocol.vehicle.variable(name): value for name, value in case.values.items()}
+        experiment = with_values(loaded.experiment, values)
         inputs: dict[str, Any] = dict(experiment.inputs)
         signals = dict(experiment.signals)
         if case.trajectory:
@@ -248,18 +252,13 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
 
 
 @cache
-def _start_values(fmu: Path) -> dict[str, Any]:
-    return {v.name: start_value(v) for v in describe(fmu).modelVariables}
-
-
-@cache
 def _inputs(fmu: Path) -> set[str]:
     return {v.name for v in of_causality(describe(fmu), "input")}
 
 
 @cache
-def _base(path: Path) -> tuple[Layer, ...]:
+def _base(path: Path, actuators: tuple[str, ...]) -> tuple[Layer, ...]:
     """Returns the layers of a base, and one with what is recorded for metrics in place of its metrics."""
     layers = file_layers(path)
     metrics = {name: False for layer in layers for name in layer.data.get("metrics", {})}
-    return (*layers, Layer({"record": list(_RECORD), "metrics": metrics}))
+    return (*layers, Layer({"record": [REFERENCE, DEPTH, *actuators], "metrics": metrics}))

@@ -23,25 +23,28 @@ from orchestration.errors import ScenarioError
 from orchestration.results import metrics
 from orchestration.scenarios.file_format import METRIC
 from orchestration.scenarios.file_tables import Table, checked
+from orchestration.scenarios.layers import Data, merge
 from orchestration.scenarios.read_layers import shipped_bases
 from orchestration.scenarios.toml_file import KeyPath, TomlFile, read_toml
+from orchestration.scenarios.vehicle import ChangesTable
 from orchestration.score.protocol_format import (
     COMPARED,
     DELAY_MARGIN,
+    DRAWN,
     SIGNALS,
     ControllerTable,
     MetricTable,
     ProtocolFile,
 )
+from orchestration.score.vehicle import PLANT, Vehicle
 from orchestration.sweep.distributions import FUNCTIONS
 
 FILE = Path(__file__).with_name("protocol.toml")
 REFERENCE = "controller.depth_reference"
-SENSOR_SEED = "plant.sensor_seed"
-_VEHICLE = "plant."
 _BAND = 0.05  # of the target: the paper's settling band
 _FILE = TypeAdapter(ProtocolFile)
 _METRIC: TypeAdapter[Any] = TypeAdapter(Annotated[Table, METRIC])
+_VARY: TypeAdapter[dict[str, Any]] = TypeAdapter(dict[str, Annotated[Table, DRAWN]])
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,7 @@ class Case:
 
     layer: as a scenario file gives it; values: parameters and constant inputs laid over it
     trajectory: [time, depth] of the reference in place of that of the layer; judged: [start, end] in s
+    seed_variable: "plant.variable" of the seed of the sensor's noise, "" if the vehicle has none
     """
 
     name: str
@@ -77,18 +81,21 @@ class Case:
     tuned_on: bool = False
     values: Mapping[str, FmiValue] = field(default_factory=dict)
     trajectory: Sequence[Sequence[float]] = ()
+    seed_variable: str = ""
 
     def with_seed(self, seed: int) -> "Case":
         """Returns the case with another seed of the sensor's noise."""
-        return replace(self, values={**self.values, SENSOR_SEED: seed})
+        seeds = {self.seed_variable: seed} if self.seed_variable else {}
+        return replace(self, values={**self.values, **seeds})
 
 
 @dataclass(frozen=True)
 class Protocol:
-    """A protocol file, read and checked."""
+    """A protocol file, read and checked, and the vehicle that its cases are run on."""
 
     file: TomlFile
     tables: ProtocolFile
+    vehicle: Vehicle
 
     @property
     def version(self) -> str:
@@ -96,7 +103,10 @@ class Protocol:
 
     @property
     def statement(self) -> str:
-        return self.tables.statement.strip()
+        vehicle, ours = self.vehicle, Vehicle.of_base(self.tables.base).name
+        if vehicle.is_of_base:
+            return self.tables.statement.strip()
+        return f"The vehicle is {vehicle.name}, simulated; the tuned gains beside are for {ours}."
 
     @property
     def metrics(self) -> Mapping[str, MetricTable]:
@@ -108,32 +118,65 @@ class Protocol:
 
     @cached_property
     def cases(self) -> dict[str, Case]:
-        """The cases of the table by name, at the first practice seed."""
-        return {name: self._case(name) for name in self.tables.cases}
+        """The cases of the table that the vehicle can play, by name, at the first practice seed."""
+        return {name: self._case(name) for name in self.tables.cases if name not in self.left_out}
+
+    @cached_property
+    def left_out(self) -> dict[str, str]:
+        """The cases that the vehicle cannot play, by name -> why."""
+        return {name: reason for name in self.tables.cases if (reason := self._lacking(name))}
+
+    def _lacking(self, name: str) -> str:
+        """Returns what a case asks for that the vehicle lacks, "" if it lacks nothing."""
+        table, vehicle = self.tables.cases[name], self.vehicle
+        if table.disturbance and table.disturbance not in vehicle.described.disturbances:
+            return f"{vehicle.name} has no disturbance {table.disturbance}"
+        if vehicle.is_of_base:  # a name that it lacks is a mistake: `check_vehicle`
+            return ""
+        layer = self._layer(name)
+        named = [n for part in ("parameters", "inputs", "signals") for n in layer.get(part, {})]
+        lacking = [n for n in named if n.startswith(PLANT) and not vehicle.has(n)]
+        return f"{vehicle.name} lacks {', '.join(lacking)}" if lacking else ""
 
     @property
     def nominal(self) -> Case:
         """The case of the paper: the first."""
         return next(iter(self.cases.values()))
 
+    def _layer(self, name: str) -> Data:
+        """Returns what a case changes, its disturbance below it."""
+        table, disturbances = self.tables.cases[name], self.vehicle.file.data.get("disturbances", {})
+        changes = merge(disturbances.get(table.disturbance, {}), self.file.data["cases"][name])
+        layer = {key: value for key, value in changes.items() if key in ChangesTable.model_fields}
+        if table.hold:
+            layer["parameters"] = {self.vehicle.start_depth: table.hold, **layer.get("parameters", {})}
+        return layer
+
     def _case(self, name: str) -> Case:
-        table = self.tables.cases[name]
+        table, described = self.tables.cases[name], self.vehicle.described
         points = self.tables.trajectory
         stop = table.stop_time or points[-1][0]
-        layer = {key: value for key, value in self.file.data["cases"][name].items() if key in _LAYER_KEYS}
+        layer = self._layer(name)
         reference = {"kind": "ramps", "smooth": False, "points": points}
         if table.hold:
             reference = {"kind": "constant", "value": table.hold}
-            layer["parameters"] = {"plant.initial_depth": table.hold, **layer.get("parameters", {})}
         layer["signals"] = {REFERENCE: reference, **layer.get("signals", {})}
         layer["experiment"] = {"stop_time": stop}
         start, end = table.judged or (0.0, stop)
         target = Target(table.hold, (start, end), moves=False) if table.hold else first_target(points)
-        seed = {SENSOR_SEED: self.tables.practice_seeds[0]}
-        return Case(name, table.title, layer, target, (start, end), table.tuned_on, seed)
+        disturbance = described.disturbances.get(table.disturbance)
+        title = (disturbance.title if disturbance else "") or table.title
+        seed = PLANT + described.variables.noise_seed
+        seed = seed if self.vehicle.is_of_base or self.vehicle.has(seed) else ""
+        case = Case(name, title, layer, target, (start, end), table.tuned_on, seed_variable=seed)
+        return case.with_seed(self.tables.practice_seeds[0])
 
-
-_LAYER_KEYS = ("parameters", "inputs", "signals", "faults")
+    @cached_property
+    def vary(self) -> Mapping[str, Any]:
+        """The draws of a plant, name -> variables and distribution: the protocol's, or the vehicle's."""
+        file = self.vehicle.file
+        own = checked(_VARY, file.data.get("vary", {}), lambda keys: file.at(("vary", *keys)))
+        return self.tables.plants.vary or own
 
 
 def metric_of(table: MetricTable, case: Case) -> dict[str, Any]:
@@ -157,21 +200,31 @@ def first_target(points: Iterable[Sequence[float]]) -> Target:
     raise ScenarioError(f"trajectory {listed}: expected two points in a row of one depth")
 
 
-def read_protocol(path: Path = FILE) -> Protocol:
-    """Returns the protocol of a file, by default the one that ships; ScenarioError names file and line."""
+def read_protocol(path: Path = FILE, vehicle: Vehicle | None = None) -> Protocol:
+    """Returns the protocol of a file, by default the one that ships; ScenarioError names file and line.
+
+    vehicle: in place of that of its base
+    """
     file = read_toml(path)
     _check_keys(file)
-    protocol = Protocol(file, checked(_FILE, file.data, file.at))
-    for keys, name, known in _names(protocol.tables):
-        if name not in known:
-            shown = ".".join(map(str, keys))
-            raise ScenarioError(f"{file.at(keys)}: {shown} = {name!r}; {nearest(name, known)}")
+    tables = checked(_FILE, file.data, file.at)
+    _check_name(file, ("base",), tables.base, shipped_bases())
+    ours = Vehicle.of_base(tables.base)
+    protocol = Protocol(file, tables, vehicle or ours)
+    for keys, name, known in _names(protocol.tables, ours):
+        _check_name(file, keys, name, known)
     for name in (name for name in COMPARED if name not in protocol.metrics):
         raise ScenarioError(f"{file.at(('metrics',))}: metrics.{name} is missing: tables show it")
     for name, table in protocol.metrics.items():
         keys = ("metrics", name, "arguments")
         checked(_METRIC, metric_of(table, protocol.nominal), lambda key, keys=keys: file.at((*keys, *key)))
     return protocol
+
+
+def _check_name(file: TomlFile, keys: KeyPath, name: str, known: Collection[str]) -> None:
+    if name not in known:
+        shown = ".".join(map(str, keys))
+        raise ScenarioError(f"{file.at(keys)}: {shown} = {name!r}; {nearest(name, known)}")
 
 
 def _check_keys(file: TomlFile) -> None:
@@ -185,24 +238,38 @@ def _check_keys(file: TomlFile) -> None:
             )
 
 
-def check_vehicle(protocol: Protocol, variables: Collection[str]) -> None:
-    """Refuses a case or a plant that names a variable which the vehicle does not have."""
-    tables, known = protocol.tables, [f"{_VEHICLE}{variable}" for variable in variables]
-    names: list[tuple[KeyPath, str]] = []
-    for case, table in tables.cases.items():
-        for part in ("parameters", "inputs", "signals"):
-            names += [(("cases", case, part, name), name) for name in getattr(table, part)]
-    for drawn, entry in tables.plants.vary.items():
-        keys = ("plants", "vary", drawn, "variables")
-        names += [(keys, name) for name in entry.variables]  # type: ignore[attr-defined]
-    for keys, name in names:
-        if name.startswith(_VEHICLE) and name not in known:
-            raise ScenarioError(f"{protocol.file.at(keys)}: no variable {name}; {nearest(name, known)}")
+def check_vehicle(protocol: Protocol) -> None:
+    """Refuses a case, a disturbance or a plant that names a variable which the vehicle does not have.
+
+    A case of another vehicle than that of the base is left out instead.
+    """
+    vehicle, tables = protocol.vehicle, protocol.tables
+    changes: list[tuple[TomlFile, KeyPath, ChangesTable]] = [
+        (vehicle.file, ("disturbances", name), table)
+        for name, table in vehicle.described.disturbances.items()
+    ]
+    if vehicle.is_of_base:
+        changes += [(protocol.file, ("cases", case), table) for case, table in tables.cases.items()]
+    names = [
+        (file, (*keys, part, name), name)
+        for file, keys, table in changes
+        for part in ("parameters", "inputs", "signals")
+        for name in getattr(table, part)
+    ]
+    file, within = (protocol.file, ("plants",)) if tables.plants.vary else (vehicle.file, ())
+    for drawn, entry in protocol.vary.items():
+        names += [(file, (*within, "vary", drawn, "variables"), name) for name in entry.variables]
+    known = [f"{PLANT}{variable}" for variable in (*vehicle.variables, *vehicle.mapping)]
+    for file, keys, name in names:
+        if name.startswith(PLANT) and not vehicle.has(name):
+            raise ScenarioError(f"{file.at(keys)}: no variable {name}; {nearest(name, known)}")
 
 
-def _names(tables: ProtocolFile) -> Iterator[tuple[KeyPath, str, Collection[str]]]:
+def _names(tables: ProtocolFile, ours: Vehicle) -> Iterator[tuple[KeyPath, str, Collection[str]]]:
     """Yields keys, the name that stands there, and the names that may."""
-    yield ("base",), tables.base, shipped_bases()
+    for name, case in tables.cases.items():
+        if case.disturbance:
+            yield ("cases", name, "disturbance"), case.disturbance, ours.described.disturbances
     for name, table in tables.metrics.items():
         yield ("metrics", name, "function"), table.function, metrics.FUNCTIONS
         for argument in sorted(table.arguments.keys() & metrics.SIGNALS):
@@ -237,7 +304,7 @@ def plants(protocol: Protocol, seed: int, count: int | None = None) -> list[Case
     """Returns the first `count` plants of a seed as cases, by default as many as the protocol has."""
     table = protocol.tables.plants
     draws = _Draws(
-        [(entry.variables, _quantile(entry)) for entry in table.vary.values()],  # type: ignore[attr-defined]
+        [(entry.variables, _quantile(entry)) for entry in protocol.vary.values()],
         _quantile(table.trajectory.ways),
         _quantile(table.trajectory.holds),
         [_quantile(depth) for depth in table.trajectory.depths],

@@ -5,8 +5,9 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from orchestration.scenarios.file_format import FAULT, SIGNAL, Pair
+from orchestration.scenarios.file_format import Pair
 from orchestration.scenarios.file_tables import OneOf, Table, Value, table_of
+from orchestration.scenarios.vehicle import ChangesTable
 from orchestration.sweep.distributions import FUNCTIONS
 
 CONTINUOUS = {name: function for name, function in FUNCTIONS.items() if name not in ("seed", "choice")}
@@ -38,7 +39,7 @@ class MetricTable(Table):
     """Of the whole run, not of the part of the case that is judged."""
 
 
-class CaseTable(Table):
+class CaseTable(ChangesTable):
     """A case: its differences from the nominal case, as a scenario gives them."""
 
     title: str
@@ -50,10 +51,8 @@ class CaseTable(Table):
     """[start, end] in s of what metrics tell about; by default the run."""
     stop_time: float = 0.0
     """End of the run [s]; by default that of the trajectory."""
-    parameters: dict[str, Value] = {}
-    inputs: dict[str, Value] = {}
-    signals: dict[str, Annotated[Table, SIGNAL]] = {}
-    faults: list[Annotated[Table, FAULT]] = []
+    disturbance: str = ""
+    """Name of a disturbance in the description of the vehicle, below these entries."""
 
 
 class GainTable(Table):
@@ -89,7 +88,7 @@ _DISTRIBUTION = OneOf(
     "distribution",
     {name: table_of("distribution", name, function) for name, function in CONTINUOUS.items()},
 )
-_DRAWN = OneOf(
+DRAWN = OneOf(
     "distribution",
     {
         name: table_of("distribution", name, function, also={"variables": (list[str], ...)})
@@ -114,8 +113,9 @@ class PlantsTable(Table):
 
     count: Annotated[int, Field(ge=2)]
     practice_seed: Annotated[int, Field(ge=0)]
-    vary: dict[str, Annotated[Table, _DRAWN]]
-    """What is drawn -> the variables that it is the value of, and its distribution."""
+    vary: dict[str, Annotated[Table, DRAWN]] = {}
+    """What is drawn -> the variables that it is the value of, and its distribution; by default what the
+    description of the vehicle varies."""
     trajectory: TrajectoryTable
 
 

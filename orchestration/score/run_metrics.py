@@ -21,35 +21,47 @@ Trace = dict[str, list[float]]
 
 @dataclass(frozen=True)
 class Judged:
-    """The reduction of recordings to what a function computes of the judged signals of each run."""
+    """The reduction of recordings to what a function computes of the judged signals of each run.
+
+    columns, limits, gains, in_volts: as `judged_signals` takes them
+    """
 
     columns: tuple[str, ...]
     limits: tuple[float, ...]
     gains: tuple[float, ...]
     compute: Callable[[Recording], Any]
+    in_volts: bool = True
 
     def __call__(self, runs: Recording) -> list[Any]:
         each = (runs.run(i) for i in range(len(runs.values)))
-        return [self.compute(judged_signals(run, self.columns, self.limits, self.gains)) for run in each]
+        how = self.columns, self.limits, self.gains, self.in_volts
+        return [self.compute(judged_signals(run, *how)) for run in each]
 
 
 def judged_signals(
-    recording: Recording, columns: Sequence[str], limits: Sequence[float], gains: Sequence[float]
+    recording: Recording,
+    columns: Sequence[str],
+    limits: Sequence[float],
+    gains: Sequence[float],
+    in_volts: bool = True,
 ) -> Recording:
     """Returns the recording with the signals that metrics are computed of (`SIGNALS`) in place of its own.
 
-    columns: names of reference, depth and both voltages; limits [V], gains [N/V]: of both thrusters
+    columns: names of reference, depth and actuators; limits: of each actuator; gains: its force for a unit
+    in_volts: whether the actuators take volts, not newtons: else voltage and power are not a number
     """
-    reference, depth, *voltages = (recording[name] for name in columns)
-    first, second = np.abs(voltages)
-    delivered = np.clip(np.column_stack(voltages), -np.asarray(limits), limits)
+    reference, depth, *actuators = (recording[name] for name in columns)
+    given = np.column_stack(actuators)
+    sizes, delivered = np.abs(given), np.clip(given, -np.asarray(limits), limits)
+    unknown = np.full_like(depth, math.nan)
+    is_saturated = (sizes >= np.asarray(limits)).any(axis=1)
     values = {
         "depth": depth,
         "reference": reference,
         "u": delivered @ np.asarray(gains),
-        "voltage": np.maximum(first, second),
-        "power": delivered[:, 0] ** 2 + delivered[:, 1] ** 2,
-        "saturated": 100.0 * ((first >= limits[0]) | (second >= limits[1])),
+        "voltage": sizes.max(axis=1) if in_volts else unknown,
+        "power": (delivered**2).sum(axis=1) if in_volts else unknown,
+        "saturated": 100.0 * is_saturated if np.isfinite(limits).all() else unknown,
     }
     table = np.column_stack([values[name] for name in SIGNALS])
     return Recording(tuple(SIGNALS), tuple(SIGNALS.values()), recording.time, table, recording.provenance)

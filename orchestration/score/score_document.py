@@ -57,6 +57,8 @@ class ProtocolInfo(Part):
     leagues: dict[str, str]
     metrics: dict[str, MetricInfo]
     cases: dict[str, CaseInfo]
+    left_out: dict[str, str] = {}
+    """Title of a case that the vehicle cannot play -> what it lacks."""
     failure: dict[str, float]
     """Metric -> a run with more of it failed, as does one that does not settle or ends early."""
 
@@ -173,6 +175,7 @@ def protocol_info(protocol: Protocol) -> ProtocolInfo:
         leagues=dict(protocol.tables.leagues),
         metrics={**metrics, **OF_A_ROW},
         cases={name: CaseInfo(title=c.title, tuned_on=c.tuned_on) for name, c in protocol.cases.items()},
+        left_out={protocol.tables.cases[name].title: why for name, why in protocol.left_out.items()},
         failure=dict(protocol.tables.failure),
     )
 

@@ -37,6 +37,7 @@ from orchestration.score.run_metrics import Trace, declared, failures, traced_me
 from orchestration.score.score_document import CaseResult, MetricOverPlants, PlantsResult, Row
 from orchestration.score.statistics import distribution
 from orchestration.score.table_seeds import table_seeds
+from orchestration.score.vehicle import DEPTH
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 
@@ -195,7 +196,7 @@ def delay_margin_of(loop: ClosedLoop, case: Case) -> float:
     Of the first loss on a scan, as far as that goes. Not a number if it is not quiet as it is.
     """
     scenario = replace(loop.scenario(case), experiment=loop.experiment(case))
-    hold = last_part("plant.depth", case.target.window[1])
+    hold = last_part(loop.protocol.vehicle.variable(DEPTH), case.target.window[1])
     with HoldRuns(scenario, hold, loop.make, loop.timeout) as runs:
         return scan(runs, LoopSignal.MEASUREMENT, only_first_loss=True).margin
 
@@ -261,7 +262,8 @@ def row_key(controller: Controller, loop: ClosedLoop, full: bool) -> str:
     loaded = loop.scenario(loop.protocol.nominal)
     fmus = [store.digest(fmu.read_bytes()) for fmu in loaded.system.components.values()]
     runs = {name: table for name, table in loop.protocol.file.data.items() if name not in _OF_OTHERS}
-    content = [asdict(controller), full, runs, _sources(), _environment(), fmus]
+    vehicle = loop.protocol.vehicle.key
+    content = [asdict(controller), full, runs, vehicle, _sources(), _environment(), fmus]
     return store.digest(json.dumps(content, sort_keys=True, default=str).encode())
 
 

@@ -80,6 +80,7 @@ def _what_costs(protocol: Protocol) -> dict[str, Any]:
         "version": protocol.version,
         "cost": data["cost"],
         "cases": {name: data["cases"][name] for name in data["cost"]["cases"]},
+        "vehicle": protocol.vehicle.key,
         **{key: data[key] for key in ("base", "trajectory", "practice_seeds")},
     }
 
@@ -146,7 +147,10 @@ def _metric_bounds(protocol: Protocol) -> dict[str, float]:
 
 def practice_cases(protocol: Protocol, every_seed: bool = False) -> list[Case]:
     """Returns the cases of the cost, each with another practice seed in turn, or with every one."""
-    cases = [protocol.cases[name] for name in protocol.tables.cost.cases]
+    cases = [protocol.cases[name] for name in protocol.tables.cost.cases if name not in protocol.left_out]
+    if not cases:
+        reasons = "; ".join(protocol.left_out[name] for name in protocol.tables.cost.cases)
+        raise OrchestrationError(f"no case of the cost can be run: {reasons}")
     seeds = protocol.tables.practice_seeds
     if every_seed:
         return [case.with_seed(seed) for case in cases for seed in seeds]
@@ -205,13 +209,14 @@ def provenance(tuning: Tuning, controller: Controller, protocol: Protocol) -> di
         )
     with ClosedLoop(controller, protocol) as loop:
         (every_seed,) = costs(loop, [best.gains], every_seed=True)
-    table = protocol.tables.cost
+    table, cases = protocol.tables.cost, dict.fromkeys(case.name for case in practice_cases(protocol))
     return {
         "controller": controller.name,
         "fmu": Path(controller.fmu).name,
         "league": controller.league,
         "protocol": protocol.version,
-        "objective": f"mean {table.metric} over {', '.join(table.cases)}, practice seeds",
+        "vehicle": protocol.vehicle.name,
+        "objective": f"mean {table.metric} over {', '.join(cases)}, practice seeds",
         "bounds": dict(table.bounds),
         "cost_of_every_practice_seed": every_seed["cost"],
     }

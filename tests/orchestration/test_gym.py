@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -14,10 +15,11 @@ from gymnasium.utils.env_checker import check_env
 from orchestration.errors import ScenarioError, SimulationError, SystemDefinitionError
 from orchestration.gym import FmuEnv, FmuVectorEnv, Task, task_of
 from orchestration.results import increments, metrics
-from orchestration.scenarios.scenario import Scenario
+from orchestration.scenarios.scenario import Scenario, load_scenario
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.signals import Ramps
 from orchestration.system.system import System
+from tests.described_fmus import described
 from tests.foreign_fmus import Misdeed
 from tests.shared_builds import Build
 
@@ -339,3 +341,15 @@ def test_an_action_of_another_type_than_real_is_refused(linear: Build, task: Tas
     )
     with pytest.raises(SystemDefinitionError, match="integer_in is of type Integer: expected inputs of"):
         FmuEnv(discrete)
+
+
+def test_an_agent_steers_another_vehicle(scenario_fmus: None, tmp_path: Path) -> None:
+    """Its force is the action, within its range; what it has under another name is mapped."""
+    fmu = described(tmp_path / "boat.fmu", ("thrust",), ("depth", "depth_rate"))
+    mapping = {"control_force": "thrust"}
+    task = task_of("nominal-extended", {"rmse": -1.0}, plant=fmu, mapping=mapping)
+    assert task.actions == ("plant.thrust",)
+    assert set(task.observations) == {"plant.depth", "plant.depth_rate", "controller.depth_reference"}
+    loaded = load_scenario("nominal-extended")
+    with pytest.raises(ScenarioError, match="expected the name of a scenario, got one that is loaded"):
+        task_of(loaded, {"rmse": -1.0}, plant=fmu)

@@ -2,9 +2,8 @@
 
 import json
 import shlex
-import shutil
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,22 +20,6 @@ from orchestration.system.open_inputs import OpenInputs
 from tests.described_fmus import described
 
 Command = Callable[..., Any]
-
-
-def test_another_controller_runs_beside_ours(
-    command: Command, built: Mapping[str, Path], short_scenario: Callable[..., Path], tmp_path: Path
-) -> None:
-    shutil.copy(built["L1DepthController"], tmp_path / "my.fmu")
-    short_scenario()
-    command("run", "short.toml")
-    done = command("run", "short.toml", "--controller", "my.fmu")
-    assert not done.stderr
-    assert "results/short-my.csv" in done.stdout
-    ours, other = ((tmp_path / "results" / f"{name}.csv").read_text() for name in ("short", "short-my"))
-    assert ours.splitlines()[1:] == other.splitlines()[1:]
-    document = json.loads((tmp_path / "results" / "short-my.json").read_text())
-    assert document["scenario"]["title"] == "short, controller my"
-    assert document["scenario"]["components"]["controller"] == str(tmp_path / "my.fmu")
 
 
 def test_a_controller_of_the_interface_runs_without_a_warning(
@@ -118,16 +101,6 @@ def test_a_report_has_the_command_that_runs_a_sample_again_with_its_options(
     assert document["scenario"]["inputs"]["plant.buoyancy_change"] == 0.2
 
 
-def test_a_scenario_without_a_controller_has_none_to_replace(
-    refused: Callable[..., str], short_scenario: Callable[..., Path], tmp_path: Path
-) -> None:
-    (tmp_path / "plant.toml").write_text(
-        '[components]\nplant = "ExamplePlant"\n[experiment]\nstop_time = 1\nstep_size = 0.1\n'
-    )
-    message = refused("run", "plant.toml", "--controller", "L1Controller")
-    assert "no component 'controller' to replace; known: 'plant'" in message
-
-
 @pytest.mark.parametrize(
     ("assignment", "fmi_type", "value"),
     [
@@ -177,11 +150,6 @@ def test_every_replaced_component_is_in_the_name_of_the_results() -> None:
     changes = Changes.of_options("lib/pid.fmu", ["plant=Other", "plant.inertia=3"])
     assert changes.name("nominal") == "nominal-pid-Other"
     assert changes.title("nominal") == "nominal, controller pid, plant Other"
-
-
-def test_a_component_is_replaced_once() -> None:
-    with pytest.raises(ScenarioError, match=r"^controller = b.fmu: expected one FMU, got a.fmu too$"):
-        Changes.of_options("a.fmu", ["controller=b.fmu"])
 
 
 def test_a_mapped_name_begins_with_its_component() -> None:

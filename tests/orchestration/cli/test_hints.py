@@ -53,14 +53,14 @@ def test_the_mappings_that_messages_ask_for_let_another_plant_run(
 ) -> None:
     """One name after the other, until nothing is refused but an FMU without a library."""
     short_scenario()
-    described(tmp_path / "boat.fmu", ("left", "right"), ("gauge", "speed"))
-    own = {"measured_depth": "gauge", "depth_rate": "speed", "voltage[1]": "left", "voltage[2]": "right"}
+    described(tmp_path / "boat.fmu", ("left", "right"), ("gauge",))
+    own = {"measured_depth": "gauge", "voltage[1]": "left", "voltage[2]": "right"}
     hints = []
     for _ in own:
-        message = error("run", "short.toml", "--set", "plant=boat.fmu", *hints)
+        message = error("run", "short.toml", "--plant", "boat.fmu", *hints)
         (hint,) = re.findall(r"(--map \S+)=NAME", message)
         hints += f"{hint}={own[hint.partition('plant.')[2]]}".split()
-    assert "boat.fmu has no binary" in error("run", "short.toml", "--set", "plant=boat.fmu", *hints)
+    assert "boat.fmu has no binary" in error("run", "short.toml", "--plant", "boat.fmu", *hints)
 
 
 def test_open_inputs_at_their_start_values_are_the_rest_of_what_a_message_asks_for(
@@ -68,9 +68,9 @@ def test_open_inputs_at_their_start_values_are_the_rest_of_what_a_message_asks_f
 ) -> None:
     short_scenario()
     described(tmp_path / "boat.fmu", ("left", "right"), ("measured_depth", "depth_rate"))
-    message = error("run", "short.toml", "--set", "plant=boat.fmu")
+    message = error("run", "short.toml", "--plant", "boat.fmu")
     (hint,) = re.findall(r"; (--open-inputs start) leaves its inputs at their start values", message)
-    followed = error("run", "short.toml", "--set", "plant=boat.fmu", *hint.split())
+    followed = error("run", "short.toml", "--plant", "boat.fmu", *hint.split())
     assert "boat.fmu has no binary" in followed
 
 
@@ -79,10 +79,10 @@ def test_the_nearest_name_for_a_mapping_can_be_given_as_it_is_shown(
 ) -> None:
     short_scenario()
     described(tmp_path / "boat.fmu", ("left", "right"), ("gauge", "speed"))
-    options = ("run", "short.toml", "--set", "plant=boat.fmu")
+    options = ("run", "short.toml", "--plant", "boat.fmu")
     message = error(*options, "--map", "plant.measured_dept=gauge")
     (nearest,) = re.findall(r"nearest is '(\S+)'$", message)
-    still_lacking = "plant is boat.fmu, which lacks depth_rate, voltage[1], voltage[2];"
+    still_lacking = "plant is boat.fmu, which lacks voltage[1], voltage[2];"
     assert still_lacking in error(*options, "--map", f"{nearest}=gauge")
 
 
@@ -90,13 +90,27 @@ def test_the_nearest_name_for_a_mapping_can_be_given_as_it_is_shown(
 def test_the_options_that_the_help_shows_are_taken_and_others_are_not(
     command: Command, error: Callable[..., str], name: str
 ) -> None:
-    """Both commands know one component, the controller: whatever is of another is refused, not ignored."""
+    """Without --plant both commands know one component, the controller: others are refused, not ignored."""
     described_in_help = " ".join(command(name, "--help").stdout.replace("│", " ").split())
     assert "component" not in described_in_help
-    assert "Set controller.variable=value." in described_in_help
-    for option in ("--set plant=x.fmu", "--set plant.mass=3.0", "--map plant.voltage[1]=left"):
+    assert "Set controller.variable=value; with --plant plant.variable=value." in described_in_help
+    for option in ("--set plant.mass=3.0", "--map plant.voltage[1]=left"):
         message = error(name, "PidDepthController", *option.split())
         assert message.startswith(f"l1-depth: {option.partition('=')[0]}: expected controller.")
+    assert "--set controller: expected" in error(name, "PidDepthController", "--set", "controller=x.fmu")
+
+
+def test_the_mappings_that_messages_ask_for_give_a_vehicle_to_tune(
+    error: Callable[..., str], tmp_path: Path
+) -> None:
+    """One after the other, until nothing is refused but an FMU without a library."""
+    described(tmp_path / "boat.fmu", ("thrust",), ("z",))
+    options = ("tune", "PidDepthController", "--free", "kp=1:2", "--plant", "boat.fmu")
+    own, hints = {"depth": "z", "control_force": "thrust"}, list[str]()
+    for _ in own:
+        (hint,) = re.findall(r"(--map \S+)=NAME", error(*options, *hints))
+        hints += f"{hint}={own[hint.partition('plant.')[2]]}".split()
+    assert "boat.fmu has no binary" in error(*options, *hints, "--evaluations", "1", "--seeds", "1")
 
 
 @pytest.mark.parametrize(

@@ -35,6 +35,14 @@ def test_the_statement_stands_above_the_metrics_and_names_are_no_markup(html: st
     assert "<mine>" not in html
 
 
+def test_a_case_that_the_vehicle_cannot_play_is_named(html: str) -> None:
+    assert "Left out" not in html
+    made_up = made_up_score()
+    made_up.document.protocol.left_out = {"Current <0.05 m/s>": "boat lacks plant.current_velocity"}
+    page = score_page(made_up, "Score")
+    assert "<dt>Current &lt;0.05 m/s&gt;</dt><dd>boat lacks plant.current_velocity</dd>" in page
+
+
 def lines(page: OpenedPage, plot: str) -> dict[str, list[float]]:
     """Name -> y of the lines of a plot."""
     return dict(page.run(f"return document.getElementById('{plot}').data.map((t) => [t.name, [...t.y]])"))

@@ -1,6 +1,7 @@
 """A controller in the loop of the protocol gives the metrics of the scenarios that it is made of."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,8 +10,10 @@ from orchestration.errors import ScenarioError
 from orchestration.results import metrics
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
+from orchestration.scenarios.toml_file import read_toml
+from orchestration.scenarios.vehicle import description_of
 from orchestration.score.closed_loop import ClosedLoop, Controller, built_in
-from orchestration.score.protocol import FILE, Protocol, read_protocol
+from orchestration.score.protocol import Protocol, read_protocol
 
 
 @pytest.mark.parametrize(
@@ -52,22 +55,33 @@ def test_unknown_names_offer_the_nearest(protocol: Protocol) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "nearest"),
+    ("of_vehicle", "old", "new", "nearest"),
     [
-        ('"plant.inertia" = 7.0', '"plant.intertia" = 7.0', "plant.inertia"),
-        ('"plant.buoyancy_change" = 0.2', '"plant.bouyancy_change" = 0.2', "plant.buoyancy_change"),
-        ('variables = ["plant.sensor_delay"]', 'variables = ["plant.sensor_dely"]', "plant.sensor_delay"),
+        (True, '"plant.inertia" = 7.0', '"plant.intertia" = 7.0', "plant.inertia"),
+        (False, '"plant.buoyancy_change" = 0.2', '"plant.bouyancy_change" = 0.2', "plant.buoyancy_change"),
+        (
+            True,
+            'variables = ["plant.sensor_delay"]',
+            'variables = ["plant.sensor_dely"]',
+            "plant.sensor_delay",
+        ),
     ],
 )
 def test_a_variable_that_the_vehicle_lacks_is_refused_before_any_run(
-    tmp_path: Path, old: str, new: str, nearest: str
+    tmp_path: Path, of_vehicle: bool, old: str, new: str, nearest: str
 ) -> None:
-    """Also of a case that is not run yet."""
-    text = FILE.read_text(encoding="utf-8")
-    assert old in text
+    """Also of a case that is not run yet, and of the vehicle's own disturbances and draws."""
+    read = read_protocol()
+    file = read.vehicle.file if of_vehicle else read.file
+    assert old in file.text
     path = tmp_path / "wrong.toml"
-    path.write_text(text.replace(old, new), encoding="utf-8")
-    protocol = read_protocol(path)
+    path.write_text(file.text.replace(old, new), encoding="utf-8")
+    if of_vehicle:
+        wrong = read_toml(path)
+        vehicle = replace(read.vehicle, file=wrong, described=description_of(wrong))
+        protocol = replace(read, vehicle=vehicle)
+    else:
+        protocol = read_protocol(path)
     complaint = rf"wrong.toml:\d+: no variable plant\.\w+; nearest is '{nearest}'"
     with (
         ClosedLoop(built_in(protocol, "pid"), protocol) as loop,

@@ -104,7 +104,11 @@ def test_a_target_is_the_first_depth_that_is_held() -> None:
             r"wrong.toml: figures is a key of protocol 1.x: .* rename figures",
         ),
         ('metric = "rmse"', 'figure = "rmse"', r":\d+: cost.figure is a key of protocol 1.x"),
-        ("low = 0.2", "lowest = 0.2", r":\d+: plants.vary.thrust: unknown key 'lowest'"),
+        (
+            'disturbance = "noise"',
+            'disturbance = "nose"',
+            r":\d+: cases.noise.disturbance = 'nose'; nearest is 'noise'",
+        ),
     ],
 )
 def test_a_mistake_is_told_with_its_line(tmp_path: Path, old: str, new: str, complaint: str) -> None:

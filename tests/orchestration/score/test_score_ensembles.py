@@ -37,7 +37,7 @@ def path(small_protocol: Callable[..., Path], protocol: Protocol) -> Path:
     """Plants of which some weigh less than their net weight, and some are too deep to go on."""
     data = protocol.file.data
     return small_protocol(
-        plants={**data["plants"], "count": COUNT, "vary": {**data["plants"]["vary"], **VARY}},
+        plants={**data["plants"], "count": COUNT, "vary": {**protocol.vehicle.file.data["vary"], **VARY}},
         cases={"nominal": {**data["cases"]["nominal"], "parameters": {"plant.net_weight": 0.01}}},
         controllers={},
     )

@@ -1,0 +1,92 @@
+"""The description of a vehicle: what is asked of it by names that its FMU does not have.
+
+It stands beside an FMU or a Python file as NAME.vehicle.toml. Those of blocks that ship are in `vehicles/`.
+
+[variables]                      # name of the vehicle's interface -> variable of this vehicle
+start_depth = "z0"
+
+[disturbances.heavy]             # named by cases of the score: entries as in a scenario
+parameters = { "plant.mass" = 14.0 }
+
+[vary.mass]                      # drawn by score --full: variables and their distribution, as in a protocol
+variables = ["plant.mass"]
+distribution = "uniform"
+low = 12.0
+high = 15.0
+"""
+# ruff: noqa: RUF012  (Pydantic copies defaults)
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import TypeAdapter
+
+from orchestration.scenarios.file_format import FAULT, SIGNAL
+from orchestration.scenarios.file_tables import Table, Value, checked
+from orchestration.scenarios.toml_file import TomlFile, read_toml
+
+SHIPPED = Path(__file__).with_name("vehicles")
+
+
+class VariablesTable(Table):
+    """Variables of a vehicle, by what they are; "" or none: the vehicle has no such variable."""
+
+    start_depth: str = "initial_depth"
+    """Parameter: depth at the start [m]."""
+    noise_seed: str = "sensor_seed"
+    """Parameter: seed of the sensor's noise."""
+    gain: list[str] = []
+    """Parameters: force [N] for a volt of each thruster."""
+    limit: list[str] = []
+    """Parameters: largest voltage [V] of each thruster; by default the range of the input."""
+    inertia: str = ""
+    """Parameter: mass with added mass [kg]."""
+    damping: str = ""
+    """Parameter: linear damping [N.s/m]."""
+    drag: str = ""
+    """Parameter: quadratic damping [N.s2/m2]."""
+    lag: list[str] = []
+    """Parameters: time constant [s] of each thruster."""
+    no_lag: str = ""
+    """Parameter: whether the thrusters have no lag."""
+
+
+class ChangesTable(Table):
+    """Changes of a scenario: entries as a file has them."""
+
+    parameters: dict[str, Value] = {}
+    inputs: dict[str, Value] = {}
+    signals: dict[str, Annotated[Table, SIGNAL]] = {}
+    faults: list[Annotated[Table, FAULT]] = []
+
+
+class DisturbanceTable(ChangesTable):
+    """A disturbance of a vehicle."""
+
+    title: str = ""
+    """For readers; by default that of the case which names the disturbance."""
+
+
+class VehicleFile(Table):
+    """The description of a vehicle."""
+
+    variables: VariablesTable = VariablesTable()
+    disturbances: dict[str, DisturbanceTable] = {}
+    """Name that a case of the score has -> what it changes."""
+    vary: dict[str, dict[str, Any]] = {}
+    """What score --full draws -> variables and distribution."""
+
+
+_FILE = TypeAdapter(VehicleFile)
+
+
+def description_file(vehicle: str) -> TomlFile:
+    """Returns the description of a block, an FMU or a Python file; without entries if it has none."""
+    beside, ships = Path(vehicle).with_suffix(".vehicle.toml"), SHIPPED / f"{Path(vehicle).stem}.toml"
+    found = next((path for path in (beside, ships) if path.is_file()), None)
+    return read_toml(found) if found else TomlFile(beside, "", {})
+
+
+def description_of(file: TomlFile) -> VehicleFile:
+    """Returns the description as types; ScenarioError names file and line of a mistake."""
+    return checked(_FILE, file.data, file.at)

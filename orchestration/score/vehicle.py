@@ -1,0 +1,145 @@
+"""The vehicle of a score: that of the protocol's base, or another in its place."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from fmus.errors import nearest
+from fmus.fmi.description import describe, start_value
+from fmus.fmi.model_description import ScalarVariable
+from fmus.fmi.variable_types import FmiValue
+from fmus.registry import fmu_path
+from orchestration.errors import ScenarioError
+from orchestration.scenarios.layers import components_of
+from orchestration.scenarios.read_layers import file_layers, named_fmu, shipped_bases
+from orchestration.scenarios.toml_file import TomlFile
+from orchestration.scenarios.vehicle import VehicleFile, description_file, description_of
+from orchestration.system.system import Port
+from orchestration.system.values import value_range
+
+PLANT = "plant."
+DEPTH, FORCE = f"{PLANT}depth", f"{PLANT}control_force"
+VOLTAGES = (f"{PLANT}voltage[1]", f"{PLANT}voltage[2]")
+
+
+@cache
+def build_missing(fmu: Path) -> None:
+    """Builds the FMU of one of our blocks, if it is missing or stale, once in a process."""
+    from fmus.build import builder  # which loads CasADi
+
+    builder.build_missing([fmu])
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """A vehicle.
+
+    fmu: an .fmu or the name of a block; is_of_base: whether it is the one of the protocol's base
+    mapping: name of the vehicle's interface -> variable that stands for it
+    settings: "plant.variable" -> value
+    """
+
+    name: str
+    fmu: str
+    file: TomlFile
+    described: VehicleFile
+    is_of_base: bool = False
+    mapping: Mapping[str, str] = field(default_factory=dict)
+    settings: Mapping[str, FmiValue] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        given: str,
+        fmu: str = "",
+        mapping: Mapping[str, str] | None = None,
+        settings: Mapping[str, FmiValue] | None = None,
+    ) -> "Vehicle":
+        """Returns the vehicle that a block, an FMU or a Python file is; ScenarioError for one that is none.
+
+        fmu: that of the Python file
+        """
+        file = description_file(given)
+        named = named_fmu(fmu or given, Path(), lambda keys: f"plant = {given}", ("plant",))
+        vehicle = cls(
+            Path(given).stem, named, file, description_of(file), False, mapping or {}, settings or {}
+        )
+        vehicle.check()
+        return vehicle
+
+    @classmethod
+    def of_base(cls, base: str) -> "Vehicle":
+        """Returns the vehicle of a shipped base."""
+        fmu = components_of(file_layers(shipped_bases()[base]))["plant"]
+        file = description_file(fmu)
+        return cls(fmu, fmu, file, description_of(file), is_of_base=True)
+
+    @property
+    def key(self) -> list[Any]:
+        """The content that a score follows from besides the FMU."""
+        return [dict(self.mapping), dict(self.settings), self.file.data]
+
+    @property
+    def start_depth(self) -> str:
+        """The parameter of the depth at the start, by the name of the interface."""
+        return PLANT + self.described.variables.start_depth
+
+    def has(self, name: str) -> bool:
+        """Checks whether the vehicle has a variable, "plant.NAME" by the name of the interface."""
+        return self.variable(name).removeprefix(PLANT) in self.variables
+
+    def variable(self, name: str) -> str:
+        """Returns the variable that stands for "plant.NAME"; of other components the name itself."""
+        own = name.removeprefix(PLANT)
+        return PLANT + self.mapping.get(own, own) if name.startswith(PLANT) else name
+
+    @property
+    def variables(self) -> Mapping[str, ScalarVariable]:
+        """The variables of the FMU, which is built if it has to be."""
+        path = Path(self.fmu) if self.fmu.endswith(".fmu") else fmu_path(self.fmu)
+        build_missing(path)
+        return {v.name: v for v in describe(path).modelVariables}
+
+    @property
+    def actuators(self) -> tuple[str, ...]:
+        """The inputs by which the vehicle is moved, "plant.NAME" by the name of the interface."""
+        voltages = tuple(name for name in VOLTAGES if self.has(name))
+        return voltages or (FORCE,)
+
+    @property
+    def takes_force(self) -> bool:
+        return self.actuators == (FORCE,)
+
+    def check(self) -> None:
+        """Refuses a vehicle without a depth or without an actuator."""
+        for names in ((DEPTH,), (FORCE, VOLTAGES[0])):
+            if not any(self.has(name) for name in names):
+                raise ScenarioError(
+                    f"plant is {self.name}, which lacks {' and '.join(names)}: name the variable that stands "
+                    f"for it by --map {names[0]}=NAME; its variables are {', '.join(self.variables)}"
+                )
+        for name, own in self.mapping.items():
+            if own not in self.variables:
+                raise ScenarioError(f"--map {PLANT}{name}={own}: {nearest(own, self.variables)}")
+
+    def gains(self) -> tuple[float, ...]:
+        """Returns the force for a unit of each actuator at the start values; not a number if unknown."""
+        if self.takes_force:
+            return (1.0,)
+        names = self.described.variables.gain or [""] * len(self.actuators)
+        return tuple(float(self._start(name)) for name in names)
+
+    def limits(self, given: Mapping[str, Any]) -> tuple[float, ...]:
+        """Returns the largest size of each actuator; infinite if the vehicle states none.
+
+        given: "plant.variable" -> value of a run
+        """
+        if names := self.described.variables.limit:
+            return tuple(float(given.get(PLANT + name, self._start(name))) for name in names)
+        inputs = (self.variables[self.variable(name).removeprefix(PLANT)] for name in self.actuators)
+        return tuple(max(map(abs, value_range(Port("plant", variable)))) for variable in inputs)
+
+    def _start(self, name: str) -> Any:
+        return start_value(self.variables[name]) if name else float("nan")

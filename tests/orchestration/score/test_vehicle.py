@@ -1,0 +1,123 @@
+"""Another vehicle in a score, by the vehicle's interface: which cases it plays, and what metrics it has."""
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmus.fmi.description import describe, of_causality
+from fmus.registry import fmu_path
+from orchestration.errors import ScenarioError
+from orchestration.results.recording import Recording
+from orchestration.score.closed_loop import ClosedLoop, built_in
+from orchestration.score.protocol import Protocol, plants, read_protocol
+from orchestration.score.run_metrics import judged_signals
+from orchestration.score.tune_problem import practice_cases
+from orchestration.score.vehicle import Vehicle
+from tests.described_fmus import described
+
+ROOT = Path(__file__).parents[3]
+DESCRIPTION = """
+[variables]
+start_depth = "z0"
+
+[disturbances.inertia-low]
+title = "Mass 4 kg"
+parameters = { "plant.mass" = 4.0 }
+
+[vary.mass]
+variables = ["plant.mass"]
+distribution = "uniform"
+low = 4.0
+high = 8.0
+"""
+
+
+def boat(folder: Path, inputs: tuple[str, ...] = (), parameters: tuple[str, ...] = ()) -> Path:
+    return described(folder / "boat.fmu", ("control_force", *inputs), ("depth",), parameters)
+
+
+def test_no_parameter_of_our_vehicle_stands_in_score_tune_or_margins() -> None:
+    """Names that controllers have too count where they are the plant's."""
+    names = {v.name for v in of_causality(describe(fmu_path("RovDepthPlant")), "parameter")}
+    shared = {v.name for v in of_causality(describe(fmu_path("L1DepthController")), "parameter")}
+    folders = [ROOT / "orchestration" / name for name in ("score", "margins")]
+    files = [path for folder in folders for kind in ("*.py", "*.toml") for path in folder.glob(kind)]
+    assert len(files) > 20
+    for path in files:
+        text = path.read_text(encoding="utf-8")
+        for name in {name.partition("[")[0] for name in names}:
+            own = "" if any(other.partition("[")[0] == name for other in shared) else "|[\"']"
+            assert not re.search(rf"(plant\.{own}){name}(\[\d\])?[\"']", text), (path, name)
+
+
+def test_a_case_that_a_vehicle_cannot_play_is_left_out_and_named(tmp_path: Path) -> None:
+    vehicle = Vehicle.of(str(boat(tmp_path, ("external_force",))))
+    protocol = read_protocol(vehicle=vehicle)
+    assert list(protocol.cases) == ["nominal", "frozen", "drop-outs"]
+    assert protocol.left_out["current"] == "boat lacks plant.current_velocity"
+    assert protocol.left_out["inertia-low"] == "boat has no disturbance inertia-low"
+    assert protocol.left_out["hold-step"] == "boat lacks plant.initial_depth"
+    assert protocol.cases.keys() | protocol.left_out.keys() == protocol.tables.cases.keys()
+
+
+def test_a_vehicle_has_disturbances_and_draws_of_its_own(tmp_path: Path) -> None:
+    (tmp_path / "boat.vehicle.toml").write_text(DESCRIPTION)
+    vehicle = Vehicle.of(str(boat(tmp_path, ("external_force",), ("z0", "mass"))))
+    protocol = read_protocol(vehicle=vehicle)
+    case = protocol.cases["inertia-low"]
+    assert (case.title, case.layer["parameters"]) == ("Mass 4 kg", {"plant.mass": 4.0})
+    assert protocol.cases["hold-step"].layer["parameters"] == {"plant.z0": 1.0}
+    drawn = plants(protocol, 1, 20)
+    assert {name for plant in drawn for name in plant.values} == {"plant.mass"}
+    assert all(4.0 <= float(plant.values["plant.mass"]) <= 8.0 for plant in drawn)
+
+
+def test_a_mapped_vehicle_plays_what_its_own_names_stand_for(tmp_path: Path) -> None:
+    mapping = {"initial_depth": "z0", "external_force": "push"}
+    protocol = read_protocol(vehicle=Vehicle.of(str(boat(tmp_path, ("push",), ("z0",))), "", mapping))
+    with ClosedLoop(built_in(protocol, "pid"), protocol) as loop:
+        held = loop.experiment(protocol.cases["hold-step"])
+        loop.experiment(protocol.nominal)
+    assert held.parameters["plant.z0"] == 1.0
+    assert "plant.push" in held.signals
+    assert list(held.record) == ["controller.depth_reference", "plant.depth", "plant.control_force"]
+
+
+def test_tuning_goes_on_without_the_cases_that_a_vehicle_lacks(tmp_path: Path) -> None:
+    protocol = read_protocol(vehicle=Vehicle.of(str(boat(tmp_path))))
+    assert [case.name for case in practice_cases(protocol)] == ["nominal"]
+
+
+def test_our_vehicle_under_another_name_has_the_metrics_of_ours(protocol: Protocol, tmp_path: Path) -> None:
+    """Its description ships: every case is played."""
+    same = read_protocol(vehicle=Vehicle.of("RovDepthPlant"))
+    assert not same.left_out
+    case = "voltage-limit"
+    ours, others = (
+        ClosedLoop(built_in(read, "pid"), read).metrics(read.cases[case]) for read in (protocol, same)
+    )
+    np.testing.assert_equal(others, ours)
+
+
+@pytest.mark.parametrize("lacks", ["depth", "control_force"])
+def test_a_vehicle_without_depth_or_actuator_is_refused(tmp_path: Path, lacks: str) -> None:
+    inputs, outputs = ((name,) if name != lacks else () for name in ("control_force", "depth"))
+    fmu = described(tmp_path / "boat.fmu", inputs, outputs)
+    with pytest.raises(ScenarioError, match=rf"which lacks plant.{lacks}.*--map plant.{lacks}=NAME"):
+        Vehicle.of(str(fmu))
+
+
+def test_metrics_of_a_force_have_newtons_and_no_volts() -> None:
+    values = np.column_stack([[0.0, 0.0], [0.1, 0.1], [-8.0, 3.0]])
+    recording = Recording(("r", "z", "f"), ("m", "m", "N"), np.array([0.0, 0.02]), values)
+    signals = judged_signals(recording, ("r", "z", "f"), (6.0,), (1.0,), in_volts=False)
+    assert signals["u"].tolist() == [-6.0, 3.0]
+    assert signals["saturated"].tolist() == [100.0, 0.0]
+    assert np.isnan(signals["voltage"]).all()
+    assert np.isnan(signals["power"]).all()
+    unlimited = judged_signals(recording, ("r", "z", "f"), (math.inf,), (1.0,), in_volts=False)
+    assert unlimited["u"].tolist() == [-8.0, 3.0]
+    assert np.isnan(unlimited["saturated"]).all()
