@@ -6,15 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fmus.registry import Flavour
+from orchestration.cli import shared
 from orchestration.cli.changes import NO_CHANGES, Changes, takes_changes
-from orchestration.cli.shared import (
-    FlavourOption,
-    ScenarioArgument,
-    check_writable,
-    print_table,
-    progress,
-    refuse_without_effect,
-)
 from orchestration.errors import OrchestrationError
 
 if TYPE_CHECKING:
@@ -25,11 +18,11 @@ if TYPE_CHECKING:
 
 @takes_changes
 def margins(
-    name: ScenarioArgument,
+    name: shared.ScenarioArgument,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write margins.json to this folder.")
     ] = None,
-    flavour: FlavourOption = Flavour.NATIVE,
+    flavour: shared.FlavourOption = Flavour.NATIVE,
     changes: Changes = NO_CHANGES,
     signal: Annotated[
         str, typer.Option(metavar="NAME", help="Judge this signal; by default that of a metric.")
@@ -62,12 +55,12 @@ def margins(
         raise OrchestrationError("--signal and --window: expected both, or none of them")
     repeated = _values(over)
     if theory:
-        refuse_without_effect("--theory", {"--over": over})
+        shared.refuse_without_effect("--theory", {"--over": over})
     if out:
-        check_writable(out)
+        shared.check_writable(out)
     chosen = chosen_scenario.load(name, flavour, changes)
     hold = Hold(signal, *window, quiet) if window else None
-    with progress("margins", runs_needed(repeated)) as bar:
+    with shared.progress("margins", runs_needed(repeated)) as bar:
         judged = judge(chosen, hold, quiet=quiet, over=repeated, measured=not theory, progress=bar.advance)
     _print(chosen.title, judged)
     if out:
@@ -90,7 +83,7 @@ def _values(over: str) -> dict[str, list[float]]:
 def _print(title: str, judged: "Margins") -> None:
     """Prints the metrics, and below them what each assumes, once."""
     notes = list(dict.fromkeys((metric.assumption, metric.source) for metric in judged.metrics))
-    print_table(_table(title, judged, notes))
+    shared.print_table(_table(title, judged, notes))
     for number, (assumption, source) in enumerate(notes, 1):
         print(f"[{number}] {assumption} ({source})")
     for sentence in judged.not_judged:

@@ -7,36 +7,28 @@ import typer
 
 from fmus.platforms import usable_processors
 from fmus.registry import Flavour
-from orchestration.cli.shared import (
-    FigureFormatsOption,
-    FlavourOption,
-    OutFolder,
-    check_writable,
-    figure_formats,
-    print_table,
-    progress,
-)
+from orchestration.cli import shared
 
 
 def reproduce(
-    out: OutFolder = Path("results"),
+    out: shared.OutFolder = Path("results"),
     workers: Annotated[int, typer.Option(help="Run so many scenarios at once.", min=1)] = usable_processors(),
-    flavour: FlavourOption = Flavour.NATIVE,
-    formats: FigureFormatsOption = "png",
+    flavour: shared.FlavourOption = Flavour.NATIVE,
+    formats: shared.FigureFormatsOption = "png",
 ) -> None:
     """Run the shipped scenarios, but not their sweeps, and give the tables and figures of the paper."""
     from orchestration.cli.chosen_scenario import build_missing_fmus
     from orchestration.scenarios import run_files
     from orchestration.scenarios.published import comparison_table
 
-    written_formats = figure_formats(formats)
-    check_writable(out)
+    written_formats = shared.figure_formats(formats)
+    shared.check_writable(out)
     scenarios = run_files.reproduced(flavour)
     build_missing_fmus(scenarios.values())
-    with progress("reproduce", len(scenarios)) as bar:
+    with shared.progress("reproduce", len(scenarios)) as bar:
         results = run_files.run_all(out, workers, lambda name: bar.advance(), flavour)
     written = run_files.write_report(results, out, written_formats)
-    print_table(comparison_table({name: result.metrics for name, result in results.items()}))
+    shared.print_table(comparison_table({name: result.metrics for name, result in results.items()}))
     print(*written, sep="\n")
 
 
@@ -53,9 +45,9 @@ def identify(
     from orchestration.results.metric_units import metrics_table, values_table
     from orchestration.scenarios import identify as identification
 
-    check_writable(out.parent)
+    shared.check_writable(out.parent)
     scenarios = {name: chosen_scenario.load(name) for name in identification.SCENARIOS}
-    with progress("identify", evaluations) as bar:
+    with shared.progress("identify", evaluations) as bar:
         fit = identification.identify(
             seed, evaluations, starts, lambda cost: bar.advance(note=f"cost {cost:.3g}")
         )

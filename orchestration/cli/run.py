@@ -9,15 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fmus.registry import Flavour
+from orchestration.cli import shared
 from orchestration.cli.changes import NO_CHANGES, Changes, takes_changes
-from orchestration.cli.shared import (
-    FigureFormatsOption,
-    FlavourOption,
-    OutFolder,
-    figure_formats,
-    progress,
-    shipped_scenarios,
-)
 from orchestration.errors import OrchestrationError
 from orchestration.results.formats import FigureFormat, RecordingFormat
 
@@ -35,11 +28,11 @@ def run(
         typer.Argument(
             metavar="SCENARIO",
             help="Name of a shipped scenario, a .toml file, or an .ssp package.",
-            autocompletion=shipped_scenarios,
+            autocompletion=shared.shipped_scenarios,
         ),
     ],
-    out: OutFolder = Path("results"),
-    flavour: FlavourOption = Flavour.NATIVE,
+    out: shared.OutFolder = Path("results"),
+    flavour: shared.FlavourOption = Flavour.NATIVE,
     parameters: Annotated[
         str, typer.Option(metavar="NAME", help="Use this parameter set of the package.")
     ] = "",
@@ -47,7 +40,7 @@ def run(
     file_format: Annotated[
         RecordingFormat, typer.Option("--format", help="Write the recording in this format.")
     ] = RecordingFormat.CSV,
-    formats: FigureFormatsOption = "png",
+    formats: shared.FigureFormatsOption = "png",
     real_time: Annotated[
         float | None,
         typer.Option(metavar="FACTOR", help="Keep pace with the clock; 2 is twice as fast as it."),
@@ -77,12 +70,12 @@ def run(
     from orchestration.run.checkpoint import Checkpoints, read_checkpoint
     from orchestration.scenarios import run_files
 
-    written_formats = figure_formats(formats)
+    written_formats = shared.figure_formats(formats)
     if every < math.inf and checkpoint is None:
         raise OrchestrationError(f"--every {every:g}: expected --checkpoint FILE beside it")
     with (
         chosen_scenario.opened(name, parameters, flavour, changes) as chosen,
-        progress(chosen.name, 1, _SHORT_S) as bar,
+        shared.progress(chosen.name, 1, _SHORT_S) as bar,
     ):
         result = run_files.run(
             _with_error_estimate(chosen) if error_estimate else chosen,

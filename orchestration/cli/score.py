@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fmus.platforms import usable_processors
+from orchestration.cli import shared
 from orchestration.cli.changes import (
     CONTROLLER,
     PLANT,
@@ -18,7 +19,6 @@ from orchestration.cli.changes import (
     OpenInputsOption,
     PlantOption,
 )
-from orchestration.cli.shared import OutFolder, check_writable, console, print_table, progress
 from orchestration.errors import ScenarioError
 from orchestration.system.open_inputs import OpenInputs
 
@@ -48,7 +48,7 @@ def score(
         typer.Option(metavar="NAME", help="What the controller knows: position, or reference-rates too."),
     ] = "position",
     full: FullOption = False,
-    out: OutFolder = Path("results"),
+    out: shared.OutFolder = Path("results"),
     plant: PlantOption = "",
     settings: LoopSetOption = [],  # noqa: B006  (Typer copies it)
     mapped: LoopMapOption = [],  # noqa: B006
@@ -66,9 +66,9 @@ def score(
     changes = Changes.of_options("", settings, mapped, open_inputs, plant)
     protocol = chosen_protocol(changes, protocol_file)
     chosen = scored_controllers(controllers, league, changes)
-    check_writable(out)
+    shared.check_writable(out)
     total = scoring.run_count(len(chosen), protocol, full)
-    with progress("score", total) as bar:
+    with shared.progress("score", total) as bar:
         result = scoring.score_controllers(
             chosen, protocol, full=full, timeout=timeout, workers=workers, progress=bar.advance
         )
@@ -79,7 +79,7 @@ def score(
 def compare(
     full: FullOption = False,
     workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
-    out: OutFolder = Path("results"),
+    out: shared.OutFolder = Path("results"),
     plant: PlantOption = "",
     settings: LoopSetOption = [],  # noqa: B006
     mapped: LoopMapOption = [],  # noqa: B006
@@ -95,8 +95,8 @@ def compare(
     changes = Changes.of_options("", settings, mapped, None, plant)
     protocol = chosen_protocol(changes, protocol_file)
     scored_controllers([], "position", changes)
-    check_writable(out)
-    with progress("compare", comparison.run_count(protocol, full)) as bar:
+    shared.check_writable(out)
+    with shared.progress("compare", comparison.run_count(protocol, full)) as bar:
         result = comparison.compare(protocol, full, workers, bar.advance)
     document = result.document
     shown = comparison.shown_tables(document).items()
@@ -142,9 +142,9 @@ def print_tables(tables: "Sequence[ScoreTable]", document: "Score") -> None:
     from orchestration.cli.score_tables import BEST, FAILED, differences_table, in_parts
 
     print(f"Protocol {document.protocol.version}. {document.protocol.statement}")
-    for table in (*in_parts(tables, console().width), differences_table(document)):
+    for table in (*in_parts(tables, shared.console().width), differences_table(document)):
         if table:
-            print_table(table)
+            shared.print_table(table)
     print(f"{BEST} the best of its league, {FAILED} a run that failed")
     for title, reason in document.protocol.left_out.items():
         print(f"left out: {title}: {reason}")

@@ -7,17 +7,9 @@ import typer
 
 from fmus.platforms import usable_processors
 from fmus.registry import Flavour
+from orchestration.cli import shared
 from orchestration.cli.changes import NO_CHANGES, Changes, takes_changes
 from orchestration.cli.interrupts import INTERRUPTED
-from orchestration.cli.shared import (
-    FlavourOption,
-    OutFolder,
-    ScenarioArgument,
-    fail,
-    print_table,
-    progress,
-    refuse_without_effect,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,8 +21,8 @@ if TYPE_CHECKING:
 
 @takes_changes
 def sweep(
-    name: ScenarioArgument,
-    out: OutFolder = Path("results"),
+    name: shared.ScenarioArgument,
+    out: shared.OutFolder = Path("results"),
     workers: Annotated[
         int | None,
         typer.Option(
@@ -71,7 +63,7 @@ def sweep(
     restart: Annotated[
         bool, typer.Option("--restart", help="Discard the samples of an earlier sweep of that name.")
     ] = False,
-    flavour: FlavourOption = Flavour.NATIVE,
+    flavour: shared.FlavourOption = Flavour.NATIVE,
     changes: Changes = NO_CHANGES,
 ) -> None:
     """Run the samples of a scenario that has a table [sweep]; an interrupted sweep continues."""
@@ -82,10 +74,10 @@ def sweep(
     alone = {"--workers": workers, "--isolated": isolated, "--scheduler": scheduler}
     alone |= {"--recordings": recordings, "--restart": restart, "--ensemble": ensemble}
     if sample is not None:
-        refuse_without_effect("--sample", alone)
+        shared.refuse_without_effect("--sample", alone)
     if scheduler:
         local_options = {"--workers": workers, "--isolated": isolated, "--ensemble": ensemble}
-        refuse_without_effect("--scheduler", local_options)
+        shared.refuse_without_effect("--scheduler", local_options)
     planned = plan(chosen_scenario.load(name, flavour, changes))
     if sample is not None:
         _run_one(planned, sample, out)
@@ -98,23 +90,25 @@ def sweep(
 
     notes: list[str] = []
     started = _workers(workers, isolated, ensemble, scheduler, notes.append)
-    with progress("sweep", planned.count) as bar:
+    with shared.progress("sweep", planned.count) as bar:
         try:
             path = run_samples(planned, out, started, recorded, restart, bar.advance)
         except KeyboardInterrupt:
-            fail(
+            shared.fail(
                 f"interrupted: {bar.done} of {planned.count} samples are done and kept; "
                 "the same command continues",
                 INTERRUPTED,
             )
     results, provenance = table.read(path)
-    print_table(summary_table(results, provenance))
+    shared.print_table(summary_table(results, provenance))
     print(*notes, sep="\n", end="\n" * bool(notes))
     print(path)
     if recordings:
         print(path.with_suffix(".recordings"))
     if not results[table.ERROR].null_count:
-        fail(f"every sample failed, 0 with: {results[table.ERROR][0]}; --sample 0 runs it, --restart all")
+        shared.fail(
+            f"every sample failed, 0 with: {results[table.ERROR][0]}; --sample 0 runs it, --restart all"
+        )
 
 
 def _workers(

@@ -9,6 +9,7 @@ import typer
 
 from fmus.errors import nearest
 from fmus.platforms import usable_processors
+from orchestration.cli import shared
 from orchestration.cli.changes import (
     CONTROLLER,
     Changes,
@@ -19,15 +20,6 @@ from orchestration.cli.changes import (
 )
 from orchestration.cli.interrupts import INTERRUPTED
 from orchestration.cli.score import chosen_protocol, scored_controllers
-from orchestration.cli.shared import (
-    OutFolder,
-    ProgressBar,
-    check_writable,
-    fail,
-    print_table,
-    progress,
-    refuse_without_effect,
-)
 from orchestration.errors import ScenarioError
 
 if TYPE_CHECKING:
@@ -54,7 +46,7 @@ def tune(
     ] = 100,
     seeds: Annotated[int, typer.Option(metavar="NUMBER", help="Search from so many seeds.", min=1)] = 5,
     workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
-    out: OutFolder = Path("results"),
+    out: shared.OutFolder = Path("results"),
     restart: Annotated[
         bool, typer.Option("--restart", help="Discard the evaluations of an earlier tuning of that name.")
     ] = False,
@@ -79,11 +71,11 @@ def tune(
     protocol = chosen_protocol(changes)
     controller = _controller(name, league, changes, protocol)
     problem = tune_problem.problem_of(controller, protocol, [parse(text) for text in free])
-    check_writable(out)
+    shared.check_writable(out)
     journal = out / f"{controller.name}.tune.jsonl"
     total = evaluations * len(problem.gains) * (seeds + 1)
     with (
-        progress(f"tune {controller.name}", total) as bar,
+        shared.progress(f"tune {controller.name}", total) as bar,
         started(controller, protocol, workers, total) as evaluate,
     ):
         tuning = _search(problem, range(1, seeds + 1), evaluations, journal, evaluate, bar, restart)
@@ -102,7 +94,7 @@ def _search(
     evaluations: int,
     journal: Path,
     evaluate: "Evaluate",
-    bar: ProgressBar,
+    bar: shared.ProgressBar,
     restart: bool,
 ) -> "Tuning":
     """Returns the tuning; an interruption ends the command with a message about what is done."""
@@ -118,7 +110,7 @@ def _search(
     try:
         return search(problem, seeds, evaluations, journal, evaluate, advance, restart)
     except KeyboardInterrupt:
-        fail(
+        shared.fail(
             f"interrupted: {done} of {total} evaluations are done and kept; the same command continues",
             INTERRUPTED,
         )
@@ -140,7 +132,7 @@ def _controller(
     if name in protocol.controllers:
         mapped = changes.mapping.get(CONTROLLER)
         options = {"--league": league, "--map": mapped, "--open-inputs": changes.open_inputs}
-        refuse_without_effect(f"{name}, a controller of the protocol", options)
+        shared.refuse_without_effect(f"{name}, a controller of the protocol", options)
     (chosen,) = scored_controllers([name], league or "position", changes)
     if name not in protocol.controllers:
         return chosen
@@ -159,7 +151,7 @@ def print_gains(tuning: "Tuning", name: str) -> None:
         value = tuning.best.gains[gain.name]
         limits = f"{gain.low:g} to {gain.high:g} {gain.unit}".rstrip()
         table.add_row(gain.name, f"{value:g}", limits, "at a limit" if gain.is_at_a_limit(value) else "")
-    print_table(table)
+    shared.print_table(table)
     stopped = [gain.name for gain in tuning.problem.gains if gain.is_at_a_limit(tuning.best.gains[gain.name])]
     verdict = "flat" if tuning.is_flat else "not flat: more evaluations may lower it"
     if stopped:

@@ -6,19 +6,13 @@ from contextlib import suppress
 from statistics import median
 
 from fmus.compliance import actions as do
+from fmus.compliance import values
 from fmus.compliance.actions import MOST_VARIABLES, Action, Play
 from fmus.compliance.differential import Row, differences, differential, verdict
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.script import CallError
-from fmus.compliance.values import (
-    if_not_claimed,
-    settable_before,
-    settable_in_initialization,
-    start_values,
-    unless_claimed,
-)
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
 _FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
@@ -33,7 +27,7 @@ _CYCLES, _MORE_CYCLES, _LEAST_LEAK = 8, 30, 64  # instances; bytes that each of 
 
 def _with_a_state(probe: Probe) -> tuple[Action, ...]:
     """Returns actions that set values, take a step, and save a state and free it, if the FMU claims that."""
-    set_values = do.set_values(start_values(settable_in_initialization(probe.fmu)))
+    set_values = do.set_values(values.start_values(values.settable_in_initialization(probe.fmu)))
     saved = (do.save(), do.free_state()) if probe.fmu.claims(_SAVES) else ()
     return do.initialise, set_values, do.exit_initialization_mode, do.step(), *saved
 
@@ -80,7 +74,7 @@ def optional_callbacks_may_be_null(_: Probe) -> Iterator[Row]:
 
 
 @behaviour_rule(
-    f"{_FLAGS}: {_OWN_MEMORY}", condition=unless_claimed(_OWN_MEMORY), needs="state-can-be-saved-often"
+    f"{_FLAGS}: {_OWN_MEMORY}", condition=values.unless_claimed(_OWN_MEMORY), needs="state-can-be-saved-often"
 )
 def memory_functions_may_be_null(probe: Probe) -> Iterator[str]:
     """With canNotUseMemoryManagementFunctions, allocateMemory and freeMemory may be NULL, and are not
@@ -106,7 +100,7 @@ def failed_allocation_is_handled(probe: Probe) -> Iterator[str]:
 # resources that fmi2FreeInstance frees
 
 
-@behaviour_rule(f"{_FLAGS}: {_OWN_MEMORY}", condition=if_not_claimed(_OWN_MEMORY))
+@behaviour_rule(f"{_FLAGS}: {_OWN_MEMORY}", condition=values.if_not_claimed(_OWN_MEMORY))
 def memory_is_freed(probe: Probe) -> Iterator[str]:
     """An instance gives back by freeMemory what it took by allocateMemory, and nothing else, also if it is
     initialised again after fmi2Reset.
@@ -134,7 +128,8 @@ def _used_instances(probe: Probe, cycles: int) -> list[dict[str, int]]:
     copied = by_bytes if probe.fmu.claims("canSerializeFMUstate") else ()
     states = do.save(), do.save(), *copied, do.restore(), do.free_state()
     actions = (
-        do.set_values(start_values(settable_before(probe.fmu)[:MOST_VARIABLES])), do.begin, do.step(3),
+        do.set_values(values.start_values(values.settable_before(probe.fmu)[:MOST_VARIABLES])),
+        do.begin, do.step(3),
         *(states if probe.fmu.claims(_SAVES) else ()), do.terminate, do.reset, do.begin, do.step(2),
     )  # fmt: skip
     counts = []
@@ -224,7 +219,7 @@ def resources_are_read_in_initialization(probe: Probe) -> Iterator[Row]:
     yield Row(when, varied, options={"location": location})
 
 
-@behaviour_rule(f"{_FLAGS}: needsExecutionTool", condition=if_not_claimed("needsExecutionTool"))
+@behaviour_rule(f"{_FLAGS}: needsExecutionTool", condition=values.if_not_claimed("needsExecutionTool"))
 def needs_no_tool(probe: Probe) -> Iterator[str]:
     """Without needsExecutionTool, the FMU runs here although no program can be found by the search path."""
     before = probe.ask("set_search_path", "")

@@ -8,20 +8,11 @@ from itertools import islice
 from typing import Any, NamedTuple
 
 from fmus.compliance import actions as do
+from fmus.compliance import rule
 from fmus.compliance.differential import Row, differential
 from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rows import told
-from fmus.compliance.rule import (
-    Check,
-    NotApplicableError,
-    NotJudgedError,
-    Rule,
-    Stage,
-    add_rule,
-    always,
-    behaviour_rule,
-)
 from fmus.compliance.rules.call_table import NAME, tour
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, CallError, Message, Script
 from fmus.compliance.values import refused_reference
@@ -59,7 +50,7 @@ def _refusal(probe: Probe) -> list[Message]:
     def refused() -> list[Message]:
         created, messages = probe.creates(name=NAME, guid="wrong", logging=True)
         if created:
-            raise NotJudgedError("fmi2Instantiate returns an instance for a wrong GUID")
+            raise rule.NotJudgedError("fmi2Instantiate returns an instance for a wrong GUID")
         return [m for m in messages if m.text.strip()] or [Message(ERROR, "", NAME, None)]
 
     return probe.once("refused instantiation", refused)
@@ -132,7 +123,7 @@ def _changes(probe: Probe) -> Iterator[_Change]:
     bytes is printed after them.
     """
     scripts = [tour(probe)]
-    with suppress(NotApplicableError, NotJudgedError):
+    with suppress(rule.NotApplicableError, rule.NotJudgedError):
         scripts.append(do.over_the_experiment(probe).script)
     for reply in (reply for script in scripts for reply in script.everything):
         for setting, before, after in reply.changed:
@@ -219,14 +210,14 @@ _TABLE: tuple[tuple[str, str, Callable[[Probe], Iterable[Any]], str, *tuple[Case
 )  # fmt: skip
 
 
-def _check(subjects: Callable[[Probe], Iterable[Any]], cases: Sequence[Case]) -> Check:
+def _check(subjects: Callable[[Probe], Iterable[Any]], cases: Sequence[Case]) -> rule.Check:
     return lambda probe: islice(dict.fromkeys(told(probe, subjects(probe), *cases)), _MOST_FINDINGS)
 
 
 for _name, _clause, _subjects, _claim, *_cases in _TABLE:
     _needs = (_FORMATS_ARE_LEGAL,) if _name == "messages-are-utf-8" else ()  # or there is garbage in them
-    _of_behaviour = Stage.BEHAVIOUR, _check(_subjects, _cases), always, _needs
-    add_rule(Rule(_name, _clause, _claim, *_of_behaviour, last=_subjects is _log, module=__name__))
+    _of_behaviour = rule.Stage.BEHAVIOUR, _check(_subjects, _cases), rule.always, _needs
+    rule.add_rule(rule.Rule(_name, _clause, _claim, *_of_behaviour, last=_subjects is _log, module=__name__))
 
 
 # logging that is turned on and off
@@ -293,7 +284,7 @@ def _sent(script: Script, declared: Sequence[str]) -> dict[str | None, str]:
     return {m.category: m.text for m in reversed(chosen)}
 
 
-@behaviour_rule(_CREATION)
+@rule.behaviour_rule(_CREATION)
 def no_messages_with_logging_off(probe: Probe) -> Iterator[str]:
     """Messages of a category that is not enabled do not arrive from calls that return ok: with loggingOn =
     fmi2False, also after fmi2Reset, and after fmi2SetDebugLogging with other categories, but logAll (2.2.4),
@@ -307,7 +298,7 @@ def no_messages_with_logging_off(probe: Probe) -> Iterator[str]:
                 break
 
 
-@behaviour_rule(_CREATION, needs="debug-logging-can-be-set")
+@rule.behaviour_rule(_CREATION, needs="debug-logging-can-be-set")
 def chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
     """Messages that arrive with all categories enabled arrive where their own is among those enabled."""
     usual, *others = _runs_with_logging(probe)
