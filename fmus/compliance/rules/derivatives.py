@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 
 from fmus.compliance import actions as do
-from fmus.compliance.actions import Action, Play
 from fmus.compliance.differential import Row, differences, differential
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
@@ -20,7 +19,7 @@ from fmus.compliance.rules.finite_differences import (
     series,
     values_of,
 )
-from fmus.compliance.script import Reading
+from fmus.compliance.script import Action, Reading, Script
 from fmus.compliance.values import (
     INTERPOLATES,
     RESTARTED,
@@ -193,12 +192,12 @@ def _read_together(probe: Probe) -> Iterator[Row]:
 def _read_alone(outputs: Sequence[Variable], orders: Sequence[int]) -> Action:
     """Reads derivatives of outputs, each in a call of its own."""
 
-    def action(play: Play) -> None:
+    def action(script: Script) -> None:
         replies = {
-            v.name: play.script.call("output_derivatives", references_of([v]), order)
+            v.name: script.call("output_derivatives", references_of([v]), order)
             for v, order in zip(outputs, orders, strict=True)
         }
-        play.observed.append(("", "", Reading({v.name: [v] for v in outputs}, replies)))
+        script.observed.append(("", "", Reading({v.name: [v] for v in outputs}, replies)))
 
     return action
 

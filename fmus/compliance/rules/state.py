@@ -5,7 +5,6 @@ from functools import partial
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.actions import Action
 from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import behaviour_rule
@@ -187,7 +186,7 @@ def questions_change_nothing(probe: Probe) -> Iterator[Row]:
     """Reading values and derivatives, or saving a state, changes nothing in the steps that follow."""
     outputs, inputs = (values.references_of(values.continuous_reals(probe, c)) for c in ("output", "input"))
     saved = (do.save(), do.free_state()) if probe.fmu.claims(_SAVES) else ()
-    asked: list[Action] = [do.glance(probe.fmu.variables)]
+    asked: list[do.Action] = [do.glance(probe.fmu.variables)]
     if outputs and probe.fmu.output_derivative_order:
         asked.append(do.call("output_derivatives", outputs, 1))
     if outputs and inputs and probe.fmu.claims("providesDirectionalDerivative"):

@@ -58,7 +58,7 @@ def _values_in_runs(probe: Probe) -> Iterator[tuple[str, str, Any]]:
         for when, where, reading in play.observed:
             for name, value in reading.values.items() if reading.ok else ():
                 yield when + where, name, value
-        for reply in play.script.replies:
+        for reply in play.replies:
             observed: list[Any] = reply.value if reply.is_step and isinstance(reply.value, list) else []
             for v, (least, t, largest, other_t) in zip(do.number_outputs(probe), observed, strict=False):
                 yield f"in the default experiment, at {t:g} s", v.name, least
