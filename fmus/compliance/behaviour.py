@@ -3,13 +3,19 @@
 import errno
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE, ONLY_ONCE, BrokenMemberError, FmuFile
+from fmus.compliance.fmu_file import (
+    CO_SIMULATION,
+    MODEL_EXCHANGE,
+    ONLY_ONCE,
+    BrokenMemberError,
+    FmuFile,
+    UnreadableMemberError,
+)
 from fmus.compliance.fmu_process import START_S
 from fmus.compliance.probe import NO_INSTANCE, Probe
 from fmus.compliance.rule import (
@@ -27,9 +33,9 @@ from fmus.compliance.rule import (
     registered,
 )
 from fmus.compliance.script import KINDS, CallError, DefectError
-from fmus.errors import HostError
+from fmus.errors import HostError, MissingExtraError
 from fmus.fmi.binding import platform_name
-from fmus.fmi.process import ProcessEndedError, WorkerProcess
+from fmus.fmi.process import ProcessEndedError
 
 FUNDAMENTAL = (
     "library-loads", "instantiates-and-frees", "steps-and-terminates", "frees-in-every-state",
@@ -37,60 +43,30 @@ FUNDAMENTAL = (
 )  # fmt: skip
 """Without these no behaviour is judged: what else would be found has the same cause."""
 ENDED = "the FMU ended the process with"
-_RANDOM_RUNS = "runs-are-not-random"
 HUNG, SLOW = "the FMU took more than", "the FMU is slow: its calls took more than"
+DEFAULT_TIMEOUT_S = 30.0
+_RANDOM_RUNS = "runs-are-not-random"
+_STEPS = "steps-and-terminates"
+_FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs
+_AFTER_OTHERS = "instances-follow-each-other"
+_MOST_HANGS, _MOST_SLOW = 3, 20  # then the rest is not judged: it would take minutes
+_NAMES = {CO_SIMULATION: "co-simulation", MODEL_EXCHANGE: "model exchange"}
+_OF_THE_HOST = ("ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EMFILE", "ENFILE", "EIO", "ENOMEM", "EAGAIN")
 
 
-def judged_by_one_process(
-    probe: Probe, rules: Sequence[Rule], results: Mapping[str, Result], timeout: float
-) -> Iterator[Result]:
-    """Results, up to the first rule that the process does not survive, but one at least.
+def judged(rule: Rule, subject: FmuFile | Probe, is_random: bool = False) -> Result:
+    """Returns the result of a rule on an FMU as a file, or in a process that calls it.
 
-    results: of the rules before; it grows with what this yields
+    is_random: whether the outputs of the FMU are random, and only calls that fail or crash are told
     """
-    rule, limit = rules[0], START_S
     try:
-        probe.process.calls([])  # it has started
-        limit = timeout
-        for rule in rules:
-            probe.process.deadline = time.monotonic() + limit
-            yield _judge(rule, probe, results)
-    except TimeoutError:
-        if probe.process.hangs(limit):
-            yield Result(rule, (f"{HUNG} {limit:g} s in one call{_call(probe)}",))
-        else:
-            yield Result(rule, not_judged=f"{SLOW} {limit:g} s")
-    except ProcessEndedError as ended:
-        yield Result(rule, (f"{ENDED} {ended}{_call(probe)}",))
-    finally:
-        probe.process.close()
-
-
-def _call(probe: Probe) -> str:
-    call = probe.process.call_under_way
-    return f", in {call}" if call else ""
-
-
-def _breach(result: Result) -> str:
-    """Returns the reason why what needs a rule is not judged: it is broken, or is not judged itself."""
-    if result.messages:
-        return f"{result.rule.name}{IS_BROKEN}"
-    is_of_all = result.not_judged.startswith(CANNOT_LOAD) or result.not_judged.endswith((IS_BROKEN, RANDOM))
-    return result.not_judged if is_of_all else ""
-
-
-def _judge(rule: Rule, probe: Probe, results: Mapping[str, Result]) -> Result:
-    needed = [results[name] for name in (*FUNDAMENTAL, *rule.needs) if name in results]
-    reasons = set(filter(None, map(_breach, needed)))
-    if others := reasons - {RANDOM}:
-        return Result(rule, not_judged=min(others))
-    try:
-        messages = messages_of(rule.check(probe))
-        is_random = RANDOM in reasons and rule.name != _RANDOM_RUNS  # calls that fail or crash are told still
+        if isinstance(subject, FmuFile) and (reason := rule.condition(subject)):
+            return Result(rule, not_applicable=reason)
+        messages = messages_of(rule.check(subject))
         return Result(rule, not_judged=RANDOM) if is_random else Result(rule, messages)
-    except (TimeoutError, ProcessEndedError):
+    except (TimeoutError, ProcessEndedError, MissingExtraError):
         raise
-    except (NotJudgedError, DefectError) as reason:
+    except (NotJudgedError, UnreadableMemberError, DefectError) as reason:
         return Result(rule, not_judged=str(reason))
     except NotApplicableError as reason:
         return Result(rule, not_applicable=str(reason))
@@ -100,52 +76,39 @@ def _judge(rule: Rule, probe: Probe, results: Mapping[str, Result]) -> Result:
         return Result(rule, not_judged=defect(error))
 
 
-DEFAULT_TIMEOUT_S = 30.0
-_STEPS = "steps-and-terminates"
-_FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs
-_AFTER_OTHERS, _MOST_CRASHES = "instances-follow-each-other", 2
-_MOST_HANGS, _MOST_SLOW = 3, 20  # then the rest is not judged: it would take minutes
-_NAMES = {CO_SIMULATION: "co-simulation", MODEL_EXCHANGE: "model exchange"}
-_OF_THE_HOST = ("ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EMFILE", "ENFILE", "EIO", "ENOMEM", "EAGAIN")
-
-
 def behaviour(
     fmu: FmuFile,
-    timeout: float,
+    timeout: float = DEFAULT_TIMEOUT_S,
     of_libraries: Callable[[], Sequence[Result]] = tuple,
-    started: WorkerProcess | None = None,
+    names: Collection[str] | None = None,
 ) -> Iterator[Result]:
     """Yields one result for each behaviour rule, of all interfaces that the FMU has.
 
-    timeout: seconds for one rule; started: a process that does not know an FMU yet
+    timeout: seconds for one rule
     of_libraries: the results of the rules of libraries, which LIEF reads meanwhile; asked for when a
     process of the FMU has ended
+    names: of the rules that are judged, with those that they need; all by default
     """
-    halves = {}
-    for interface in fmu.interfaces or [CO_SIMULATION]:
-        halves[interface] = _of_interface(fmu.judged_as(interface), timeout, of_libraries, started)
-        started = None
-    for rule in registered(Stage.BEHAVIOUR):
+    rules = [rule for rule in registered(Stage.BEHAVIOUR) if names is None or rule.name in names]
+    halves = {
+        interface: _of_interface(fmu.judged_as(interface), rules, timeout, of_libraries)
+        for interface in fmu.interfaces or [CO_SIMULATION]
+    }
+    for rule in rules:
         yield _joined(rule, {interface: results[rule.name] for interface, results in halves.items()})
 
 
 def _of_interface(
-    fmu: FmuFile,
-    timeout: float,
-    of_libraries: Callable[[], Sequence[Result]],
-    started: WorkerProcess | None,
+    fmu: FmuFile, chosen: Sequence[Rule], timeout: float, of_libraries: Callable[[], Sequence[Result]]
 ) -> dict[str, Result]:
     """Returns rule name -> result for the interface of the FMU that is judged."""
-    rules = registered(Stage.BEHAVIOUR)
-    results: dict[str, Result] = {}
     reason = obstacle(fmu) or _unreadable_variable(fmu)
-    if not reason:
-        conditions = {rule: _other_interface(rule, fmu) or rule.condition(fmu) for rule in rules}
-        results = {rule.name: Result(rule, not_applicable=text) for rule, text in conditions.items()}
-        names = [name for name, result in results.items() if not result.not_applicable]
-        results |= _judged(fmu, _needs_first(names), timeout, of_libraries, started)
-        reason = _broken_library(fmu, of_libraries())
-    return {rule.name: Result(rule, not_judged=reason) for rule in rules} if reason else results
+    results: dict[str, Result] = {}
+    if chosen and not reason:
+        judge = _Judge(fmu, timeout, of_libraries)
+        judge.judge(chosen)
+        results, reason = judge.results, judge.broken_library()
+    return {rule.name: Result(rule, not_judged=reason) for rule in chosen} if reason else results
 
 
 def _other_interface(rule: Rule, fmu: FmuFile) -> str:
@@ -168,21 +131,25 @@ def _joined(rule: Rule, halves: Mapping[str, Result]) -> Result:
     return min(halves.values(), key=lambda result: bool(result.not_applicable))
 
 
-def _needs_first(names: Sequence[str]) -> list[str]:
-    """Returns the names in order, but each after those that its rule needs, and the last ones at the end."""
-    rules = {rule.name: rule for rule in registered(Stage.BEHAVIOUR)}
-    ordered: dict[str, None] = {}
+def _in_order(chosen: Sequence[Rule], applicable: Mapping[str, Rule]) -> list[Rule]:
+    """Returns rules and those that they need, each after those, and the last ones at the end.
+
+    A rule that is judged last looks at the calls of all others.
+    """
+    names = [rule.name for rule in chosen if rule.name in applicable]
+    if any(rule.last for rule in chosen):
+        names = list(applicable)
+    ordered: dict[str, Rule] = {}
 
     def add(name: str) -> None:
-        for need in rules[name].needs:
-            if need in names:
+        if name in applicable and name not in ordered:
+            for need in applicable[name].needs:
                 add(need)
-        ordered.setdefault(name)
+            ordered[name] = applicable[name]
 
-    first = [name for name in (*FUNDAMENTAL, _AFTER_OTHERS) if name in names]
-    for name in (*first, *sorted(names, key=lambda name: rules[name].last)):
+    for name in (*FUNDAMENTAL, _AFTER_OTHERS, *sorted(names, key=lambda name: applicable[name].last)):
         add(name)
-    return list(ordered)
+    return list(ordered.values())
 
 
 def obstacle(fmu: FmuFile) -> str:
@@ -200,134 +167,164 @@ def _unreadable_variable(fmu: FmuFile) -> str:
     return next((f"{v.name or 'a variable'} has no legal value reference or type" for v in broken), "")
 
 
-def _broken_library(fmu: FmuFile, results: Sequence[Result]) -> str:
-    """Returns the rule of libraries that the library of this platform breaks, if any."""
-    broken = (r.rule.name for r in results if any(m.startswith(f"{fmu.host_library} ") for m in r.messages))
-    return next(
-        (f"{name}{IS_BROKEN}" for name in broken if name in ("library-format", "library-exports")), ""
-    )
+class _Judge:
+    """Judge of the behaviour of one interface of an FMU.
 
+    results: rule name -> result
+    """
 
-def _judged(
-    fmu: FmuFile,
-    names: Sequence[str],
-    timeout: float,
-    of_libraries: Callable[[], Sequence[Result]],
-    started: WorkerProcess | None,
-) -> dict[str, Result]:
-    """Returns rule name -> result, of the unpacked FMU."""
-    rules = {rule.name: rule for rule in registered(Stage.BEHAVIOUR)}
-    with host_errors(), _temporary_folder() as temporary:
-        folder = Path(temporary, "unpacked")
+    def __init__(self, fmu: FmuFile, timeout: float, of_libraries: Callable[[], Sequence[Result]]) -> None:
+        self._fmu, self._timeout, self._of_libraries = fmu, timeout, of_libraries
+        self._folder = Path()
+        self._is_alone = False  # whether each instance has a process of its own from now on
+        self._shared: dict[bool, dict[str, Any]] = {False: {}, True: {}}  # by whether instances are alone
+        self.results: dict[str, Result] = {}
+
+    def judge(self, chosen: Sequence[Rule]) -> None:
+        """Judges rules, and those that they need, on the unpacked FMU.
+
+        After a crash or a hang a new process goes on with the next rule.
+        """
+        fmu, applicable = self._fmu, dict[str, Rule]()
+        for rule in registered(Stage.BEHAVIOUR):
+            if reason := _other_interface(rule, fmu) or rule.condition(fmu):
+                self.results[rule.name] = Result(rule, not_applicable=reason)
+            else:
+                applicable[rule.name] = rule
+        rules = _in_order(chosen, applicable)
+        with host_errors(), _temporary_folder() as temporary:
+            self._folder = Path(temporary, "unpacked")
+            reason = self._unpack()
+            while remaining := [rule for rule in rules if rule.name not in self.results]:
+                if reason := reason or self._lack_of_time():
+                    self.results |= {rule.name: Result(rule, not_judged=reason) for rule in remaining}
+                    return
+                self._judge_in_one_process(remaining)
+                if self.broken_library():
+                    return
+                self._judge_formats_after_a_crash(remaining)
+
+    def _unpack(self) -> str:
+        """Unpacks the FMU; returns the reason why it cannot be: `archive-is-zip` tells more."""
         try:
             with host_errors():
-                fmu.extract(folder)
+                self._fmu.extract(self._folder)
         except HostError:
             raise
-        except Exception as error:  # an archive that is damaged anywhere: `archive-is-zip` tells more
-            return {name: Result(rules[name], not_judged=f"it cannot be unpacked: {error}") for name in names}
-        return _judged_unpacked(fmu, folder, [rules[name] for name in names], timeout, of_libraries, started)
+        except Exception as error:  # an archive that is damaged anywhere
+            return f"it cannot be unpacked: {error}"
+        return ""
+
+    def _judge_in_one_process(self, rules: Sequence[Rule]) -> None:
+        """Judges rules up to the first that the process does not survive, or after which none will do."""
+        is_alone = self._is_alone
+        for result in self._results(rules, is_alone):
+            self.results[result.rule.name] = result
+            if not is_alone:
+                self._judge_without_instances_before(result)
+            if self._is_alone != is_alone:
+                return
+
+    def _results(self, rules: Sequence[Rule], is_alone: bool = False) -> Iterator[Result]:
+        """Yields results, up to the first rule that a new process does not survive, but one at least."""
+        probe = Probe(self._fmu, self._folder, self._shared[is_alone], is_alone)
+        rule, limit = rules[0], START_S
+        try:
+            probe.process.calls([])  # it has started
+            limit = self._timeout
+            for rule in rules:
+                probe.process.deadline = time.monotonic() + limit
+                yield self._result(rule, probe)
+        except TimeoutError:
+            if probe.process.hangs(limit):
+                yield Result(rule, (f"{HUNG} {limit:g} s in one call{_call(probe)}",))
+            else:
+                yield Result(rule, not_judged=f"{SLOW} {limit:g} s")
+        except ProcessEndedError as ended:
+            yield Result(rule, (f"{ENDED} {ended}{_call(probe)}",))
+        finally:
+            probe.process.close()
+
+    def _result(self, rule: Rule, probe: Probe) -> Result:
+        needed = [self.results[name] for name in (*FUNDAMENTAL, *rule.needs) if name in self.results]
+        reasons = {_breach(result) for result in needed if result.rule is not rule} - {""}
+        if others := reasons - {RANDOM}:
+            return Result(rule, not_judged=min(others))
+        return judged(rule, probe, is_random=RANDOM in reasons and rule.name != _RANDOM_RUNS)
+
+    def _judge_without_instances_before(self, result: Result) -> None:
+        """Judges a rule again where no instance was before, as 4.3.1 lets an FMU ask for, if it may matter.
+
+        A crash, or no instance, that instances before it cause is a finding of one rule.
+        """
+        rule, follow = result.rule, self.results.get(_AFTER_OTHERS)
+        crashes = [m for m in result.messages if m.startswith((ENDED, NO_INSTANCE))]
+        only_once = self._fmu.claims(ONLY_ONCE)
+        if not (result.messages if only_once else crashes and follow and follow.rule is not rule):
+            return
+        if follow and follow.messages and _has_ended(result):
+            self.results[rule.name] = Result(rule, not_judged=f"{_AFTER_OTHERS}{IS_BROKEN}")
+            return
+        alone = next(self._results([rule], is_alone=True))
+        self.results[rule.name] = alone
+        if set(crashes) & set(alone.messages):
+            return
+        self._is_alone = any(message.startswith(NO_INSTANCE) for message in crashes)
+        is_error = rule.level is Level.ERROR  # others may have made calls that FMI forbids
+        if is_error and crashes and follow and not (only_once or follow.messages):
+            message = f"{rule.name}, after other instances: {crashes[0]}"
+            self.results[_AFTER_OTHERS] = Result(follow.rule, (message,))
+
+    def _judge_formats_after_a_crash(self, rules: Sequence[Rule]) -> None:
+        """Judges the rule of formats if the last rule ended the process: it may be the cause."""
+        last = list(self.results.values())[-1]
+        formats = next((rule for rule in rules if rule.name == _FORMATS), None)
+        if not formats or _FORMATS in self.results or not _has_ended(last):
+            return
+        del self.results[last.rule.name]
+        result = next(self._results([formats]))
+        if result.messages and not _has_ended(result):
+            self.results[_FORMATS] = result
+            last = Result(last.rule, not_judged=f"{_FORMATS}{IS_BROKEN}")
+        self.results[last.rule.name] = last
+
+    def _lack_of_time(self) -> str:
+        """Returns the reason why the rest is not judged: it would take too long."""
+        results = self.results.values()
+        slow = {r.rule.name: r.not_judged for r in results if r.not_judged.startswith(SLOW)}
+        if sum(m.startswith(HUNG) for r in results for m in r.messages) >= _MOST_HANGS:
+            return f"{_MOST_HANGS} rules before took more than {self._timeout:g} s in one call"
+        if len(slow) >= _MOST_SLOW:
+            return f"{_MOST_SLOW} rules before took more than {self._timeout:g} s"
+        return slow.get(_STEPS, "")
+
+    def broken_library(self) -> str:
+        """Returns the rule of libraries that the library of this platform breaks, if no behaviour is judged.
+
+        It may lack functions that no importer calls.
+        """
+        library = f"{self._fmu.host_library} "
+        broken = [r.rule.name for r in self._of_libraries() if any(m.startswith(library) for m in r.messages)]
+        loads = self.results.get("library-loads")
+        gates = ["library-format", *(["library-exports"] if loads and loads.messages else [])]
+        return next((f"{name}{IS_BROKEN}" for name in gates if name in broken), "")
 
 
-def _judged_unpacked(
-    fmu: FmuFile,
-    folder: Path,
-    rules: Sequence[Rule],
-    timeout: float,
-    of_libraries: Callable[[], Sequence[Result]],
-    started: WorkerProcess | None,
-) -> dict[str, Result]:
-    """Returns rule name -> result. After a crash or a hang a new process goes on with the next rule."""
-    results: dict[str, Result] = {}
-    shared: dict[str, Any] = {}
-    shared_alone: dict[str, Any] = {}  # of instances that are alone in their processes
-    is_alone = False  # whether each instance has a process of its own from now on
-    while remaining := [rule for rule in rules if rule.name not in results]:
-        if reason := _lack_of_time(results, timeout):
-            return results | {rule.name: Result(rule, not_judged=reason) for rule in remaining}
-        known = shared_alone if is_alone else shared
-        probe = Probe(fmu, folder, time.monotonic() + START_S, known, started, is_alone)
-        for result in judged_by_one_process(probe, remaining, results, timeout):
-            if is_alone:
-                results[result.rule.name] = result
-                continue
-            judge_alone = partial(_judged_alone, result.rule, fmu, folder, shared_alone, results, timeout)
-            results |= _without_instances_before(result, results, fmu.claims(ONLY_ONCE), judge_alone)
-            if _is_no_instance(result) and results[result.rule.name] != result:
-                is_alone = True
-                break
-        started = None
-        if _broken_library(fmu, of_libraries()):  # then no behaviour is judged
-            break
-        last = list(results.values())[-1]  # `library-loads` at least
-        formats = next((rule for rule in remaining if rule.name == _FORMATS), None)
-        if any(m.startswith(ENDED) for m in last.messages) and formats and _FORMATS not in results:
-            probe = Probe(fmu, folder, time.monotonic() + START_S, {})
-            results |= _crash_of_a_format(last.rule, probe, formats, timeout)
-    return results
+def _call(probe: Probe) -> str:
+    call = probe.process.call_under_way
+    return f", in {call}" if call else ""
 
 
-def _crash_of_a_format(rule: Rule, probe: Probe, formats: Rule, timeout: float) -> dict[str, Result]:
-    """Returns results of a rule that ended with the process and of that of formats, if it is the cause."""
-    (result,) = judged_by_one_process(probe, [formats], {}, timeout)
-    if not result.messages or result.messages[0].startswith(ENDED):
-        return {}
-    return {rule.name: Result(rule, not_judged=f"{_FORMATS}{IS_BROKEN}"), _FORMATS: result}
+def _has_ended(result: Result) -> bool:
+    return any(message.startswith(ENDED) for message in result.messages)
 
 
-def _lack_of_time(results: Mapping[str, Result], timeout: float) -> str:
-    """Returns the reason why the rest is not judged: it would take too long."""
-    slow = {name: r.not_judged for name, r in results.items() if r.not_judged.startswith(SLOW)}
-    if sum(m.startswith(HUNG) for r in results.values() for m in r.messages) >= _MOST_HANGS:
-        return f"{_MOST_HANGS} rules before took more than {timeout:g} s in one call"
-    if len(slow) >= _MOST_SLOW:
-        return f"{_MOST_SLOW} rules before took more than {timeout:g} s"
-    return slow.get(_STEPS, "")
-
-
-def _is_no_instance(result: Result) -> bool:
-    """Whether a plain fmi2Instantiate gave nothing; a rule that passes other arguments says so before."""
-    return any(message.startswith(NO_INSTANCE) for message in result.messages)
-
-
-def _without_instances_before(
-    result: Result, results: Mapping[str, Result], only_once: bool, judge_alone: Callable[[], Result]
-) -> dict[str, Result]:
-    """Returns results that follow from a rule's: a crash, or no instance, that instances before it cause is a
-    finding of one rule.
-
-    only_once: whether the FMU asks for a process for each instance
-    judge_alone: judges the rule where no instance was before
-    """
-    rule, follow = result.rule, results.get(_AFTER_OTHERS)
-    crashes = [m for m in result.messages if m.startswith((ENDED, NO_INSTANCE))]
-    is_minor = rule.level is not Level.ERROR  # it may have made calls that FMI forbids
-    if (only_once and result.messages) or (is_minor and _is_no_instance(result)):
-        return {rule.name: judge_alone()}
-    if only_once or not crashes or follow is None:
-        return {rule.name: result}
-    if len(follow.messages) >= (1 if is_minor else _MOST_CRASHES):
-        return {rule.name: Result(rule, not_judged=f"{_AFTER_OTHERS}{IS_BROKEN}")}
-    if is_minor:
-        return {rule.name: result}
-    alone = judge_alone()
-    if any(message in alone.messages for message in crashes):
-        return {rule.name: result}
-    messages = (*follow.messages, f"{rule.name}, after other instances: {crashes[0]}")
-    return {rule.name: alone, _AFTER_OTHERS: Result(follow.rule, messages)}
-
-
-def _judged_alone(
-    rule: Rule,
-    fmu: FmuFile,
-    folder: Path,
-    shared: dict[str, Any],
-    results: Mapping[str, Result],
-    timeout: float,
-) -> Result:
-    """Returns the verdict where no instance was in the process before, as 4.3.1 lets an FMU ask for."""
-    probe = Probe(fmu, folder, time.monotonic() + START_S, shared, one_instance=True)
-    return next(judged_by_one_process(probe, [rule], results, timeout))
+def _breach(result: Result) -> str:
+    """Returns the reason why what needs a rule is not judged: it is broken, or is not judged itself."""
+    if result.messages:
+        return f"{result.rule.name}{IS_BROKEN}"
+    is_of_all = result.not_judged.startswith(CANNOT_LOAD) or result.not_judged.endswith((IS_BROKEN, RANDOM))
+    return result.not_judged if is_of_all else ""
 
 
 def _temporary_folder() -> tempfile.TemporaryDirectory[str]:

@@ -14,6 +14,7 @@ from fmus.compliance.instance_parts import (
     SavedStates,
     logger_of_formats,
     set_traps,
+    shown,
 )
 from fmus.compliance.process_settings import ProcessSettings
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, USUAL_NAME
@@ -34,10 +35,19 @@ from fmus.fmi.callbacks import AllocateMemory, Callbacks, CountingAllocator, Fre
 
 _UNWRITTEN = 77  # no fmi2Status
 _GUARD = 0xA5  # each byte behind an array
+_CHANGES_OF_STATE = (
+    "fmi2Enter", "fmi2Exit", "fmi2DoStep", "fmi2Terminate", "fmi2Reset", "fmi2SetFMUstate",
+)  # fmt: skip
 _RETURN_ARRAYS = ("fmi2Get", "fmi2Serialize")  # by the last array among their arguments
 _STATUS_TYPES = {
     "": ctypes.c_int, **{name: element_type(name) for name in ("Real", "Integer", "Boolean", "String")},
 }  # fmt: skip
+
+
+def _overwrite(buffers: Sequence[Any]) -> None:
+    """Overwrites strings that were arguments of a call: the FMU may not look at them any more."""
+    for buffer in buffers:
+        ctypes.memset(buffer, ord("#"), len(buffer) - 1)
 
 
 def _not_numbers(count: int) -> Any:
@@ -53,7 +63,8 @@ class CalledInstance(BoundInstance):
         "refused memory" with an allocator that returns NULL; "formats" with messages before they are printed
       overwritten: whether all arguments of fmi2Instantiate are overwritten after the call
       watched: whether settings of the process are compared before and after each call
-    announce: is told each call before it is made
+    announce: gets each call before it is made, as a text
+    function: the latest that was called
     """
 
     interface = CO_SIMULATION
@@ -65,23 +76,23 @@ class CalledInstance(BoundInstance):
         memory: CountingAllocator,
         settings: ProcessSettings,
         options: dict[str, Any],
-        announce: Callable[..., None],
+        announce: Callable[[str], None],
     ) -> None:
         self._options, self._settings, self._announce = options, settings, announce
-        self.function = ""  # of the latest call
+        self.function = self._mode = ""  # the latest function, and the latest that changes the state
+        self._memory, self._noted = memory, set[str]()
         self._kept: list[Any] = []
         self.states = SavedStates(self)
-        self._memory, self._traps = memory, list[str]()
-        self.finished_steps: list[list[Any]] = []
-        self.last_status = self.pending_steps = 0
+        self._traps: list[str] = []
+        self._finished_steps: list[list[Any]] = []
+        self.last_status = self._pending_steps = 0
         self.watched = bool(options.get("watched"))
-        self._overwritten = self._unwritten = False
         kind = options.get("callbacks", "usual")
         allocator = RefusingAllocator() if kind == "refused memory" else memory
-        log = MessageLog(settings)
+        log = MessageLog(settings, self._noted)
         super().__init__(library, Callbacks(allocator, log=log, environment=0 if kind == "fewest" else None))
         self.messages = log
-        CalledInstance._unknown = MessageLog(settings, False)
+        CalledInstance._unknown = MessageLog(settings, self._noted, False)
         if kind != "fewest":
             Callbacks(environment=0, log=CalledInstance._unknown)
         self._kept += [allocator]
@@ -92,7 +103,7 @@ class CalledInstance(BoundInstance):
             structure.componentEnvironment = None
         else:
             structure.stepFinished = StepFinished(
-                lambda environment, status: self.finished_steps.append(
+                lambda environment, status: self._finished_steps.append(
                     [status, environment == structure.componentEnvironment]
                 )
             )
@@ -111,7 +122,7 @@ class CalledInstance(BoundInstance):
         ]
         structure = type(self.callbacks.structure).from_buffer_copy(self.callbacks.structure)
         name, guid, location = strings
-        self._announce("fmi2Instantiate", options.get("name"), options.get("guid"))
+        self._tell("fmi2Instantiate", options.get("name"), options.get("guid"))
         address = self.library.fmi2Instantiate(
             name, self.interface, guid, location, ctypes.byref(structure),
             int(options.get("visible", False)), int(options.get("logging", False)),
@@ -119,13 +130,21 @@ class CalledInstance(BoundInstance):
         self.handle = ctypes.c_void_p(address) if address else None
         self._kept += [*strings, structure]
         if options.get("overwritten"):
-            for buffer in strings:
-                ctypes.memset(buffer, ord("#"), len(buffer) - 1)
+            _overwrite(strings)
             self._kept += set_traps(structure, self.callbacks.structure, self._traps)
         return self.handle is not None
 
     def check_status(self, function: str, status: int) -> None:
         self.last_status = status
+
+    def _tell(self, function: str, *arguments: Any) -> None:
+        """Announces a call, with the function that brought the instance where it is."""
+        after = f" after {self._mode}" if self._mode else ""
+        self._announce(f"{function}({', '.join(filter(None, map(shown, arguments)))}){after}")
+
+    def note(self, what: str, is_so: bool) -> None:
+        """Notes what the FMU did wrong, if so, for `changed_settings`."""
+        self._noted |= {what} if is_so else set()
 
     def call(self, function: str, *arguments: Any) -> None:
         """Calls a function, and notes if one that is watched writes into an array that is constant to it."""
@@ -135,9 +154,10 @@ class CalledInstance(BoundInstance):
             arrays = arrays[:-1]
         before = [bytes(array) for array in arrays]
         self.function = function
-        self._announce(function, *(arguments[:-1] if is_result else arguments))
+        self._tell(function, *(arguments[:-1] if is_result else arguments))
         super().call(function, *arguments)
-        self._overwritten |= before != [bytes(array) for array in arrays]
+        self._mode = function if function.startswith(_CHANGES_OF_STATE) else self._mode
+        self.note(ARGUMENTS, before != [bytes(array) for array in arrays])
 
     def new_messages(self) -> list[list[Any]]:
         """Returns [status, message, instance, category, right environment or not] of each new message."""
@@ -148,18 +168,22 @@ class CalledInstance(BoundInstance):
 
     def changed_settings(self) -> list[list[str]]:
         """Returns [setting, before, after] of those changed since the FMU was loaded, and sets them back."""
-        changed = self._settings.changed()
-        if self.messages.changed_in_callback:
-            self.messages.changed_in_callback = False
-            changed.append(["floating-point control in a callback", "", ""])
+        changed = [*self._settings.changed(), *([what, "", ""] for what in sorted(self._noted))]
+        self._noted.clear()
         self._settings.restore()
-        if self._overwritten:
-            self._overwritten = False
-            changed.append([ARGUMENTS, "", ""])
-        if self._unwritten:
-            self._unwritten = False
-            changed.append([UNWRITTEN, "", ""])
         return changed
+
+    def used_traps(self) -> list[str]:
+        """Returns what the FMU used that was valid during fmi2Instantiate only."""
+        return sorted(set(self._traps))
+
+    def finished_steps(self) -> list[Any]:
+        """Returns the number of pending steps, and [status, right environment] of each `stepFinished`."""
+        return [self._pending_steps, self._finished_steps]
+
+    def held_blocks(self) -> int:
+        """Returns the number of blocks of memory of `allocateMemory` that are in use, of all instances."""
+        return len(self._memory.held)
 
     # calls
 
@@ -185,9 +209,9 @@ class CalledInstance(BoundInstance):
         ctypes.memmove(buffer, mark * count, len(mark) * count)
         ctypes.memset(ctypes.addressof(buffer) + count * size, _GUARD, size)
         self.call(f"fmi2Get{kind}", reference_array(references), count, buffer)
-        self._overwritten |= bytes(buffer)[-size:] != bytes([_GUARD]) * size
+        self.note(ARGUMENTS, bytes(buffer)[-size:] != bytes([_GUARD]) * size)
         values = [bytes(buffer)[i * size : (i + 1) * size] for i in range(count)] if mark else []
-        self._unwritten |= self.last_status == OK and mark in values
+        self.note(UNWRITTEN, self.last_status == OK and mark in values)
         return buffer[:count]
 
     def set(self, kind: str, references: Sequence[int], values: Sequence[Any]) -> None:
@@ -198,8 +222,7 @@ class CalledInstance(BoundInstance):
         buffers = [ctypes.create_string_buffer(bytes.fromhex(value)) for value in values]
         self._kept += buffers
         self.set_values(kind, references, [ctypes.cast(b, ctypes.c_char_p) for b in buffers])
-        for buffer in buffers:
-            ctypes.memset(buffer, ord("#"), len(buffer) - 1)
+        _overwrite(buffers)
 
     def remove_link(self, location: str) -> None:
         """Removes the link through which the resources were found: their path is no more."""
@@ -218,14 +241,13 @@ class CalledInstance(BoundInstance):
         array = (ctypes.c_char_p * len(names))(*names) if names else None
         self._kept += [array, *buffers]
         self.call("fmi2SetDebugLogging", int(on), len(names), array)
-        for buffer in buffers:
-            ctypes.memset(buffer, ord("#"), len(buffer) - 1)
+        _overwrite(buffers)
 
     def do_step(self, t: float, h: float, no_going_back: bool = False) -> str:
         """Advances from t to t + h seconds; a pending step is waited for. Returns no reason."""
         self.call("fmi2DoStep", t, h, int(no_going_back))
         if self.last_status == PENDING:
-            self.pending_steps += 1
+            self._pending_steps += 1
             self.wait()
         return ""
 
@@ -281,25 +303,9 @@ class CalledInstance(BoundInstance):
             answers = [*answers[-1:], [self.last_status, step.value]]
         return answers
 
-    def derive_nothing(self) -> None:
-        """Reads directional derivatives of no unknowns with respect to no knowns."""
-        self.call("fmi2GetDirectionalDerivative", None, 0, None, 0, None, None)
-
-    def used_traps(self) -> list[str]:
-        """Returns what the FMU used that was valid during fmi2Instantiate only."""
-        return sorted(set(self._traps))
-
-    def held_blocks(self) -> int:
-        """Returns the number of blocks of memory of `allocateMemory` that are in use."""
-        return len(self._memory.held)
-
     def call_plain(self, function: str) -> None:
         """Calls a function of FMI that has no argument but the instance."""
         self.call(function)
-
-    def end(self) -> None:
-        """Calls fmi2Terminate after a step that was discarded."""
-        self.call("fmi2Terminate")
 
     def status_of(self, kind: str, status_kind: int) -> Any:
         """Returns the value of fmi2GetXXXStatus; XXX is the type `kind`."""
@@ -335,7 +341,7 @@ class CalledInstance(BoundInstance):
 
     def free(self) -> None:
         if self.handle is not None and self.last_status != FATAL:
-            self._announce("fmi2FreeInstance")
+            self._tell("fmi2FreeInstance")
             self.status("fmi2FreeInstance")
         self.handle = None
         self.callbacks.close()

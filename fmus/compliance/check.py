@@ -40,7 +40,7 @@ def check(
         bool, typer.Option("--all", help="Show each rule that is judged, and each finding, also accepted.")
     ] = False,
     only: Annotated[
-        str, typer.Option(metavar="RULE,RULE", help="Show these rules alone, also such as are left out.")
+        str, typer.Option(metavar="RULE,RULE", help="Judge these rules alone, also such as are left out.")
     ] = "",
     waivers: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Accept the findings of this file (TOML).")
@@ -83,7 +83,8 @@ def check(
         permitted = findings.read_waivers(waivers, names) if waivers else []
         known = findings.read_baseline(baseline) if baseline and not write_baseline else {}
         off = [] if chosen else rule_table()["off"]
-        results = _judged(fmus or [], chosen, off, timeout, quiet)
+        shown = chosen or [name for name in names if name not in off]
+        results = _judged(fmus or [], shown, timeout, quiet)
         found, today = findings.findings_of(results), date.today()
         left = findings.without_known(findings.waived(found, permitted, today), known)
         checked = report.Checked(results, left, fail_on, off, every)
@@ -131,9 +132,9 @@ def _refuse_wrong_use(fmus: Sequence[Path], baseline: Path | None, write_baselin
 
 
 def _judged(
-    fmus: Sequence[Path], only: Collection[str], off: Collection[str], timeout: float, quiet: bool
+    fmus: Sequence[Path], names: Collection[str], timeout: float, quiet: bool
 ) -> dict[Path, list[Result]]:
-    """Returns the results of each FMU: of the rules in `only`, or, without one, of all but those in `off`."""
+    """Returns the results of each FMU, of the rules of these names."""
     from fmus.compliance.examine import examine
     from fmus.compliance.library_reader import close_reader
 
@@ -142,9 +143,7 @@ def _judged(
         with _progress(quiet) as show:
             for number, path in enumerate(fmus, 1):
                 show(f"check {number} of {len(fmus)}: {path.name}")
-                of_all = examine(path, timeout)
-                is_shown = [r.rule.name in only if only else r.rule.name not in off for r in of_all]
-                results[path] = [result for result, shown in zip(of_all, is_shown, strict=True) if shown]
+                results[path] = examine(path, timeout, names)
     finally:
         close_reader()
     return results

@@ -7,10 +7,9 @@ from functools import wraps
 from typing import Any
 
 from fmus.compliance import actions as do
-from fmus.compliance.actions import Action, Play
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Check, NotJudgedError, behaviour_rule
-from fmus.compliance.script import CallError
+from fmus.compliance.script import Action, CallError, Script
 from fmus.compliance.values import differing, steadily
 from fmus.fmi.binding import ERROR
 
@@ -64,9 +63,9 @@ def differences(probe: Probe, rows: Iterable[Row]) -> Iterator[str]:
     Raises NotJudgedError if no row can be judged.
     """
     written = [_write(probe, row) for row in rows]
-    probe.play_once([usual.script for _, usual, _ in written if usual.script.calls])
+    probe.play_once([usual for _, usual, _ in written if usual.calls])
     try:
-        probe.play_once([plays[0].script for row, _, plays in written if not row.beside])
+        probe.play_once([plays[0] for row, _, plays in written if not row.beside])
     except CallError as error:
         if not written[0][0].options:  # then it is the finding of another rule, or of all
             raise
@@ -76,7 +75,7 @@ def differences(probe: Probe, rows: Iterable[Row]) -> Iterator[str]:
     messages: dict[str, str] = {}  # the first of each variable
     for row, usual, plays in written:
         if row.beside:
-            probe.play(*(play.script for play in plays), keep_going=True)
+            probe.play(*plays, keep_going=True)
         try:
             for message in verdict(probe, row, usual, plays):
                 messages.setdefault(message.split(" is ", 1)[0], message)
@@ -91,29 +90,29 @@ def _failing(row: Row) -> str:
     return row.when if row.failing is None else row.failing
 
 
-def _write(probe: Probe, row: Row) -> tuple[Row, Play, list[Play]]:
+def _write(probe: Probe, row: Row) -> tuple[Row, Script, list[Script]]:
     """Returns a row with its usual run, and its varied one with those beside it."""
-    plays = [Play(probe, row.varied, logging=not row.may_fail, **row.options)]
+    plays = [probe.script(*row.varied, logging=not row.may_fail, **row.options)]
     if row.beside:
         all_actions = enumerate([row.varied, *row.beside])
-        plays = [Play(probe, actions, name=f"instance {i}", logging=True) for i, actions in all_actions]
+        plays = [probe.script(*actions, name=f"instance {i}", logging=True) for i, actions in all_actions]
     steps = max(len(play.observed) for play in plays)
     usual = row.usual if row.usual is not None else (do.begin, do.run(steps)) if steps else ()
-    return row, Play(probe, usual), plays
+    return row, probe.script(*usual), plays
 
 
-def verdict(probe: Probe, row: Row, usual: Play, plays: Sequence[Play]) -> Iterator[str]:
+def verdict(probe: Probe, row: Row, usual: Script, plays: Sequence[Script]) -> Iterator[str]:
     """Yields what differs, in plays of a row that were played: its varied one, and those beside it.
 
     Raises NotJudgedError where the usual run fails, or the varied one in what may fail.
     """
-    if failure := usual.script.failure:
+    if failure := usual.failure:
         raise NotJudgedError(f"the usual run fails: {failure.problem}")
     errors = [error for play in plays for error in play.errors]
     if any(reply.status != ERROR and not finding for reply, finding in errors):
         raise NotJudgedError("no call that returns error is known")
     for play in (play for play in plays if play is plays[0] or play.observed):
-        failure = play.failure()
+        failure = play.failure
         if failure and (row.may_fail or any(failure is reply for reply in play.attempts)):
             raise NotJudgedError(f"a call fails that may: {failure.problem}")
         if failure:
@@ -128,7 +127,7 @@ def verdict(probe: Probe, row: Row, usual: Play, plays: Sequence[Play]) -> Itera
             yield f"{row.when}: {text}" if row.when else text
 
 
-def _unlike(probe: Probe, row: Row, usual: Play, play: Play) -> Iterator[str]:
+def _unlike(probe: Probe, row: Row, usual: Script, play: Script) -> Iterator[str]:
     if not all(reading.ok for *_, reading in play.observed):
         raise NotJudgedError("a call fails that may")
     tolerance = probe.tolerance if row.tolerance is None else row.tolerance

@@ -15,40 +15,26 @@ START_S = 60.0  # for the interpreter, whatever the rules take
 _POLL_S = 0.01
 
 
-def start_process() -> WorkerProcess:
-    """Returns a process for calls of an FMU, which it does not know yet."""
-    from fmus.compliance.instance import call_fmu
-
-    return WorkerProcess(call_fmu, trusted=False)
-
-
 class FmuProcess:
     """The process that calls the FMU.
 
-    process: by `start_process`; files: library and folder of resources; interface: fmi2Type
+    library: the paths of library and resources, fmi2Type, and the functions that may be missing
     deadline: of its answers, in `time.monotonic`; TimeoutError after that, ProcessEndedError after its end
     one_instance: whether an instance is created in a new process, but beside others that it is called with
     """
 
-    def __init__(
-        self,
-        process: WorkerProcess,
-        files: tuple[Path, Path],
-        interface: int,
-        deadline: float,
-        one_instance: bool,
-    ) -> None:
-        self.deadline = deadline
-        self._fmu, self.one_instance = (*files, interface), one_instance
-        self._start(process)
+    def __init__(self, library: tuple[Path, Path, int, list[str]], one_instance: bool) -> None:
+        self.deadline = time.monotonic() + START_S
+        self._library, self.one_instance = library, one_instance
+        self._start()
 
-    def _start(self, process: WorkerProcess) -> None:
-        from fmus.compliance.instance import CALLED
+    def _start(self) -> None:
+        from fmus.compliance.instance import CALLED, call_fmu
 
-        self._process = process
+        self._process = WorkerProcess(call_fmu, trusted=False)
         self._has_created, self._alive = False, set[int]()
-        self._called = process.folder / CALLED
-        process.send((process.folder, *self._fmu))
+        self._called = self._process.folder / CALLED
+        self._process.send((self._process.folder, *self._library))
 
     def calls(self, calls: Sequence[Call]) -> list[Any]:
         """Returns the results of calls of `LoadedFmu`. Raises CallError for the first that fails."""
@@ -72,7 +58,7 @@ class FmuProcess:
         left = self.deadline - time.monotonic()
         self.close()
         self.deadline = time.monotonic() + START_S
-        self._start(start_process())
+        self._start()
         self._calls([])  # it has started
         self.deadline = time.monotonic() + left
 

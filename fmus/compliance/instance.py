@@ -25,25 +25,11 @@ MOST_OF_A_FILE = 1 << 30  # bytes
 CALLED = "called"  # a file of the working folder: the call that is under way, and the time at which it began
 _ANNOUNCED = 400  # bytes of that file
 _DEFECTS = (TypeError, LookupError, NameError, AssertionError, ctypes.ArgumentError)
-_AFTER_A_FAILURE = {  # status -> methods of `CalledInstance` that FMI allows then
-    DISCARD: ("status_of", "free_fmu_state", "set_debug_logging", "get", "end", "observed_events"),
-    ERROR: ("free_fmu_state", "set_debug_logging"),
+_OBSERVATIONS = ("observed_events", "used_traps", "finished_steps", "held_blocks")  # which call nothing
+_AFTER_A_FAILURE = {  # status -> methods of `CalledInstance`, and plain functions, that FMI allows then
+    DISCARD: (*_OBSERVATIONS, "free_fmu_state", "set_debug_logging", "get", "status_of", "fmi2Terminate"),
+    ERROR: (*_OBSERVATIONS, "free_fmu_state", "set_debug_logging"),
 }
-
-
-def _shown(argument: Any) -> str:
-    """Returns an argument of a call in a few characters; empty for an array of results or an address."""
-    match argument:
-        case None:
-            return "NULL"
-        case float():
-            return f"{argument:.9g}"
-        case int() | str():
-            return str(argument)
-        case ctypes.Array():
-            texts = argument._type_ in (ctypes.c_char, ctypes.c_char_p)  # the FMU may leave wrong addresses
-            return "[...]" if texts else str(list(argument[:8]))
-    return ""
 
 
 def _failed(method: str, status: int) -> int:
@@ -55,11 +41,15 @@ def _failed(method: str, status: int) -> int:
 class LoadedFmu:
     """A loaded library with its instances by number.
 
-    interface: fmi2Type; printed: the file that holds what the process prints
+    printed: the file that holds what the process prints
+    interface: fmi2Type; optional: functions that may be missing
     """
 
-    def __init__(self, library: Path, resources: Path, interface: int, printed: Path) -> None:
-        self._library, self._resources, self._printed = Library(library, interface), resources, printed
+    def __init__(
+        self, printed: Path, library: Path, resources: Path, interface: int, optional: Sequence[str]
+    ) -> None:
+        self._library = Library(library, interface, optional)
+        self._resources, self._printed = resources, printed
         self._class = CalledInstance if interface == CO_SIMULATION else ModelExchangeInstance
         self._called = str(printed.with_name(CALLED))
         with Path(self._called).open("r+b") as file:
@@ -110,13 +100,12 @@ class LoadedFmu:
         return self._resources.as_uri()
 
     def free_of_null(self) -> None:
-        self._announce("fmi2FreeInstance", None)
+        self._announce("fmi2FreeInstance(NULL)")
         self._library.fmi2FreeInstance(None)
 
-    def _announce(self, function: str, *arguments: Any) -> None:
+    def _announce(self, call: str) -> None:
         """Writes the call that is about to be made into the file `CALLED`, for the case of a crash."""
-        text = f"{function}({', '.join(filter(None, map(_shown, arguments)))})".encode()[:_ANNOUNCED]
-        self._announced[:] = text.ljust(_ANNOUNCED)
+        self._announced[:] = call.encode()[:_ANNOUNCED].ljust(_ANNOUNCED)
 
     def create(self, number: int, options: dict[str, Any]) -> list[Any]:
         """Creates an instance; returns whether the FMU did, messages, changed settings, bytes printed.
@@ -141,8 +130,9 @@ class LoadedFmu:
         for method, *arguments in calls:
             instance = self._instances[number]
             is_saved = method != "set_fmu_state" or instance.states.holds(*arguments)
-            recovers = arguments == ["fmi2Reset"] or (method == "set_fmu_state" and is_saved)
-            forbidden = failed and not recovers and method not in _AFTER_A_FAILURE.get(failed, ())
+            called = arguments[0] if method == "call_plain" else method
+            recovers = called == "fmi2Reset" or (called == "set_fmu_state" and is_saved)
+            forbidden = failed and not recovers and called not in _AFTER_A_FAILURE.get(failed, ())
             if forbidden or not is_saved:
                 answers.append([])
                 continue
@@ -181,11 +171,6 @@ class LoadedFmu:
             printed = self._printed.stat().st_size - printed
         return [value, instance.new_messages(), changed, printed]
 
-    def finished_steps(self, number: int) -> list[Any]:
-        """Returns the number of pending steps, and [status, right environment] of each `stepFinished`."""
-        instance = self._instances[number]
-        return [instance.pending_steps, instance.finished_steps]
-
     def free(self, number: int) -> list[Any]:
         """Frees an instance, unless there is none or it is fatal: as `create`, without a value."""
         instance = self._instances.pop(number)
@@ -195,11 +180,11 @@ class LoadedFmu:
 
 
 def call_fmu(parent: Parent) -> None:
-    """Receives a working folder, the paths of library and resources, and fmi2Type; then calls of `LoadedFmu`.
+    """Receives a working folder and the arguments of `LoadedFmu`; then calls of its methods.
 
     Sends [results, error]: results of the calls up to the first error, and that error, or null.
     """
-    folder, library, resources, interface = parent.receive()
+    folder, *arguments = parent.receive()
     os.chdir(folder)  # where the FMU writes files
     _limit_resources()
     printed = _print_to(Path(folder, "printed"))
@@ -212,8 +197,8 @@ def call_fmu(parent: Parent) -> None:
         os.utime(called)
         try:
             if calls and fmu is None:
-                fmu = LoadedFmu(library, resources, interface, printed)
-            results.extend(getattr(fmu, method)(*arguments) for method, *arguments in calls)
+                fmu = LoadedFmu(printed, *arguments)
+            results.extend(getattr(fmu, method)(*values) for method, *values in calls)
         except _DEFECTS as exception:
             error = defect(exception)
         except Exception as exception:  # whatever a foreign library makes of a call is a finding

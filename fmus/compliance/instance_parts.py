@@ -10,20 +10,21 @@ _MOST_MESSAGES = 1000
 
 
 class MessageLog(Log):
-    """Messages with the instance and the category that the FMU gave, and the floating-point settings."""
+    """Messages with the instance and the category that the FMU gave.
 
-    def __init__(self, settings: ProcessSettings, known_environment: bool = True) -> None:
+    noted: gets a line if the FMU calls the logger with another control of floating point
+    """
+
+    def __init__(self, settings: ProcessSettings, noted: set[str], known_environment: bool = True) -> None:
         super().__init__()
-        self._known_environment = known_environment
+        self._settings, self._noted, self._known_environment = settings, noted, known_environment
         self.messages: list[list[Any]] = []
-        self.changed_in_callback = False
-        self._settings = settings
 
     def add(
         self, status: int, message: str, instance: str | None = None, category: str | None = None
     ) -> None:
         if self._settings.floating_point_differs():
-            self.changed_in_callback = True
+            self._noted.add("floating-point control in a callback")
         if len(self.messages) < _MOST_MESSAGES:
             self.messages.append([status, message, instance, category, self._known_environment])
 
@@ -51,25 +52,37 @@ def set_traps(structure: Any, usual: Any, traps: list[str]) -> list[Any]:
     usual: a structure with the callbacks that they call; traps: gets the name of each that the FMU calls
     """
 
-    def log(*_: Any) -> None:
-        traps.append("logger")
+    def trap(name: str, kind: Any) -> Any:
+        def called(*arguments: Any) -> Any:
+            traps.append(name)
+            return None if name == "logger" else getattr(usual, name)(*arguments)
 
-    def allocate(count: int, size: int) -> Any:
-        traps.append("allocateMemory")
-        return usual.allocateMemory(count, size)
+        return kind(called)
 
-    def free(address: Any) -> None:
-        traps.append("freeMemory")
-        usual.freeMemory(address)
-
-    structure.logger = Logger(log)
-    structure.allocateMemory = AllocateMemory(allocate)
-    structure.freeMemory = FreeMemory(free)
-    return [structure.logger, structure.allocateMemory, structure.freeMemory]
+    kinds = {"logger": Logger, "allocateMemory": AllocateMemory, "freeMemory": FreeMemory}
+    callbacks = {name: trap(name, kind) for name, kind in kinds.items()}
+    for name, callback in callbacks.items():
+        setattr(structure, name, callback)
+    return list(callbacks.values())
 
 
 _GUARD = 64  # bytes behind a serialised state
 _GUARD_BYTE = b"\xa5"
+
+
+def shown(argument: Any) -> str:
+    """Returns an argument of a call in a few characters; empty for an array of results or an address."""
+    match argument:
+        case None:
+            return "NULL"
+        case float():
+            return f"{argument:.9g}"
+        case int() | str():
+            return str(argument)
+        case ctypes.Array():
+            texts = argument._type_ in (ctypes.c_char, ctypes.c_char_p)  # the FMU may leave wrong addresses
+            return "[...]" if texts else str(list(argument[:8]))
+    return ""
 
 
 class Instance(Protocol):

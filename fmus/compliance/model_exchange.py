@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from fmus.compliance.called_instance import CalledInstance
+from fmus.compliance.script import ARGUMENTS, UNWRITTEN
 from fmus.fmi.binding import DISCARD, MODEL_EXCHANGE, OK, WARNING
 
 _MOST_SUBSTEPS, _MOST_EVENTS, _MOST_ITERATIONS = 500, 100, 100
@@ -66,8 +67,8 @@ class ModelExchangeInstance(CalledInstance):
         Notes whether elements are not written, or one behind them is.
         """
         *values, behind = self._with_guard(function)
-        self._overwritten |= behind != _GUARD
-        self._unwritten |= self.last_status == OK and _GUARD in values
+        self.note(ARGUMENTS, behind != _GUARD)
+        self.note(UNWRITTEN, self.last_status == OK and _GUARD in values)
         return values
 
     def _with_guard(self, function: str) -> list[float]:

@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.fmu_process import Call, FmuProcess, start_process
+from fmus.compliance.fmu_process import Call, FmuProcess
 from fmus.compliance.rule import NotApplicableError, NotJudgedError
-from fmus.compliance.script import USUAL_NAME, CallError, Message, Reply, Script
+from fmus.compliance.script import USUAL_NAME, Action, CallError, Message, Reply, Script
 from fmus.compliance.variable import Variable, integer, number
 from fmus.fmi import binding
 from fmus.fmi.binding import DISCARD, ERROR, OK, TERMINATED, WARNING
-from fmus.fmi.process import WorkerProcess
 
 T = TypeVar("T")
 _LICENCE = re.compile("licen[cs]e", re.IGNORECASE)
@@ -28,6 +27,12 @@ _MOST_MESSAGES = 10_000
 _FEWEST_STEPS, _MEASURED_STEPS, _MOST_STEPS = 10, 40, 5_000  # of a run over the default experiment
 _LONGEST_RUN_S = 1.0
 _TOLERANCE, _MOST_TOLERANCE = 1e-4, 1e-3
+_OF_CAPABILITIES = {  # capability -> functions that no importer calls without it
+    "canGetAndSetFMUstate": "GetFMUstate SetFMUstate FreeFMUstate",
+    "canSerializeFMUstate": "SerializedFMUstateSize SerializeFMUstate DeSerializeFMUstate",
+    "providesDirectionalDerivative": "GetDirectionalDerivative",
+    "canInterpolateInputs": "SetRealInputDerivatives",
+}
 NO_INSTANCE = "fmi2Instantiate returned NULL"
 
 
@@ -44,19 +49,13 @@ class Probe:
     """
 
     def __init__(
-        self,
-        fmu: FmuFile,
-        folder: Path,
-        deadline: float,
-        shared: dict[str, Any],
-        started: WorkerProcess | None = None,
-        one_instance: bool = False,
+        self, fmu: FmuFile, folder: Path, shared: dict[str, Any], one_instance: bool = False
     ) -> None:
         self.fmu = fmu
         library, resources = folder / fmu.host_library, folder / "resources"
         interface = binding.MODEL_EXCHANGE if fmu.is_model_exchange else binding.CO_SIMULATION
-        process = started or start_process()
-        self.process = FmuProcess(process, (library, resources), interface, deadline, one_instance)
+        optional = " ".join(names for flag, names in _OF_CAPABILITIES.items() if not fmu.claims(flag)).split()
+        self.process = FmuProcess((library, resources, interface, optional), one_instance)
         self._instances = itertools.count(1)
         self._shared = shared
         self._options = _sizes(fmu) if fmu.is_model_exchange else {}
@@ -74,11 +73,14 @@ class Probe:
         """Returns the result of a method of `LoadedFmu`."""
         return self.process.calls([(method, *arguments)])[0]
 
-    def script(self, **options: Any) -> Script:
-        """Calls to be made on a new instance. options: of `CalledInstance`, but for the GUID of the
-        description.
+    def script(self, *actions: Action, **options: Any) -> Script:
+        """Returns calls to be made on a new instance, those of some actions at first.
+
+        options: of `CalledInstance`, but for the GUID of the description
         """
-        return Script(self, {"guid": self.fmu.guid, **self._options, **options})
+        script = Script(self, {"guid": self.fmu.guid, **self._options, **options})
+        script.write(actions)
+        return script
 
     def play(self, *scripts: Script, keep_going: bool = False) -> None:
         """Creates an instance for each script, plays the scripts in turn by parts, then frees the instances.
@@ -155,7 +157,7 @@ class Probe:
         """Replies that were not ok to calls with logging, of scripts without calls that FMI forbids: one of
         each function and status, with and without messages.
 
-        Those of `hold`, of a script that a failed call ends, and after fmi2SetDebugLogging are left out.
+        Those of a script that a failed call ends, and after fmi2SetDebugLogging are left out.
         """
         return list(self._shared.get(_REFUSALS, {}).values())
 
@@ -254,22 +256,6 @@ class Probe:
         self._note_refusals(scripts)
         self._judge_steps(scripts)
         return results[1::3]
-
-    def hold(self, script: Script) -> int:
-        """Plays a script to its end, whatever fails, and leaves its instance alive: returns its number, for
-        `let_go`.
-        """
-        number = next(self._instances)
-        ((created, messages, *_),) = self.process.calls([("create", number, script.options)])
-        if not created:
-            self.let_go(number)
-            raise _refused([Message(*message) for message in messages])
-        (answers,) = self.process.calls([("play", number, script.calls, True)])
-        script.fill(0, answers)
-        return number
-
-    def let_go(self, number: int) -> None:
-        self.process.calls([("free", number)])
 
     def _fail(self, script: Script, freed: list[Call]) -> None:
         failure = script.failure

@@ -2,6 +2,7 @@
 
 import ctypes
 import gc
+import itertools
 import os
 import platform
 import signal
@@ -16,19 +17,18 @@ except ImportError:  # of Windows
 
 _LC_ALL = 6  # of glibc, musl; other C libraries have another number, and then no locale is compared
 _SIGNAL_LINES = ("SigIgn", "SigCgt")
-_NOTED = (
-    "signal handlers",
-    "signal mask",
-    "environment",
-    "standard streams",
-    "timers",
-    "limits",
-    "priority",
-    "processors",
-)
+_RESTORED = ("working directory", "file mode mask", "locale")
 _STREAMS = (0, 1, 2)  # file descriptors
 _SELF = Path("/proc/self")
 _LIMITS = sorted({getattr(resource, name) for name in dir(resource) if name.startswith("RLIMIT_")})
+# processor -> register -> its bytes in `fenv_t` of Linux, and the bits of rounding, precision, traps and
+# numbers near zero
+_CONTROL = {
+    "x86_64": {"x87": (slice(0, 2), 0xFFFF), "SSE": (slice(28, 32), 0xFFFFFFC0)},
+    "aarch64": {"FPCR": (slice(0, 4), 0xFFFFFFFF)},
+}
+_MOST_OF_FENV = 64  # bytes
+_IN_USE, _IN_LARGE_BLOCKS = 7, 4  # uordblks, hblkhd
 _processors = getattr(os, "sched_getaffinity", lambda _: ())  # those that a process may run on: of Linux
 
 
@@ -44,21 +44,7 @@ def _stream(number: int) -> str:
 class MallocInformation(ctypes.Structure):
     """`struct mallinfo2` of glibc."""
 
-    _fields_ = tuple(
-        (name, ctypes.c_size_t)
-        for name in [
-            "arena",
-            "ordblks",
-            "smblks",
-            "hblks",
-            "hblkhd",
-            "usmblks",
-            "fsmblks",
-            "uordblks",
-            "fordblks",
-            "keepcost",
-        ]
-    )
+    _fields_ = (("numbers", ctypes.c_size_t * 10),)
 
 
 def _function(library: Any, name: str, result: Any = ctypes.c_int, *arguments: Any) -> Any:
@@ -72,29 +58,24 @@ class ProcessSettings:
     """Settings of this process in the C library and the operating system, against what they were at first."""
 
     def __init__(self) -> None:
-        linux = _SELF.is_dir()
         library: Any = ctypes.CDLL(None) if os.name == "posix" else None
-        mathematics: Any = None
-        with suppress(OSError):
-            mathematics = ctypes.CDLL("libm.so.6") if linux else library
         self._flush = _function(library, "fflush", ctypes.c_int, ctypes.c_void_p)
-        self._locale = _function(library, "setlocale", ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p)
-        self._locale = self._locale if linux else None
-        self._rounding = _function(mathematics, "fegetround")
-        self._set_rounding = _function(mathematics, "fesetround", ctypes.c_int, ctypes.c_int)
-        self._traps = _function(mathematics, "fegetexcept") if linux else None
-        self._set_traps = _function(mathematics, "fedisableexcept", ctypes.c_int, ctypes.c_int)
-        x87 = mathematics if linux and platform.machine() == "x86_64" else None
-        self._get_environment = _function(x87, "fegetenv", ctypes.c_int, ctypes.c_char_p)
-        self._set_environment = _function(x87, "fesetenv", ctypes.c_int, ctypes.c_char_p)
-        self._x87, self._first_x87 = (ctypes.create_string_buffer(64) for _ in range(2))
-        if self._get_environment is not None:
-            self._get_environment(self._first_x87)
+        linux = library if _SELF.is_dir() else None
+        self._locale = _function(linux, "setlocale", ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p)
+        self._heap = _function(linux, "mallinfo2", MallocInformation)
+        self._registers = _CONTROL.get(platform.machine(), {}) if linux else {}
+        mathematics = linux
+        with suppress(OSError):
+            mathematics = linux and ctypes.CDLL("libm.so.6")
+        self._get_floating_point = _function(mathematics, "fegetenv", ctypes.c_int, ctypes.c_char_p)
+        self._set_floating_point = _function(mathematics, "fesetenv", ctypes.c_int, ctypes.c_char_p)
+        self._first_fenv, self._fenv = (ctypes.create_string_buffer(_MOST_OF_FENV) for _ in range(2))
+        if self._registers:
+            self._get_floating_point(self._first_fenv)
         self._environment: Any = None
-        self._first_environment: frozenset[bytes] | None = None
         with suppress(ValueError):
-            self._environment = ctypes.POINTER(ctypes.c_char_p).in_dll(library, "environ") if linux else None
-        self._heap = _function(library, "mallinfo2", MallocInformation) if linux else None
+            self._environment = ctypes.POINTER(ctypes.c_char_p).in_dll(linux, "environ") if linux else None
+        self._first_environment = self._variables()
         self._process, self._floating_point = self._process_now(), self._floating_point_now()
 
     def flush(self) -> None:
@@ -102,18 +83,16 @@ class ProcessSettings:
         if self._flush is not None:
             self._flush(None)
 
-    def _floating_point_now(self) -> tuple[int, int, bool, str]:
-        """Returns rounding mode, trapped exceptions, whether numbers near zero are kept, x87 control word."""
-        rounding = self._rounding() if self._rounding is not None else 0
-        traps = self._traps() if self._traps is not None else 0
-        return rounding, traps, float.fromhex("0x1p-1022") / _TWO != 0.0, self._control_word()
-
-    def _control_word(self) -> str:
-        """Returns the control word of the x87, where there is one: its precision."""
-        if self._get_environment is None:
-            return ""
-        self._get_environment(self._x87)
-        return self._x87.raw[:2].hex()
+    def _floating_point_now(self) -> str:
+        """Returns the registers that control floating point; empty where they are not known."""
+        if self._registers:
+            self._get_floating_point(self._fenv)
+        content = self._fenv.raw
+        numbers = {
+            name: int.from_bytes(content[part], "little") & bits
+            for name, (part, bits) in self._registers.items()
+        }
+        return ", ".join(f"{name} {number:#x}" for name, number in numbers.items())
 
     def floating_point_differs(self) -> bool:
         """Whether the control of floating point is another than when this was made."""
@@ -124,26 +103,24 @@ class ProcessSettings:
         now, rows = self._floating_point_now(), []
         self.restore_floating_point()
         if now != self._floating_point:
-            rows.append(["floating-point control", str(self._floating_point), str(now)])
+            rows.append(["floating-point control", self._floating_point, now])
         after = self._process_now()
         rows += [[name, value, after[name]] for name, value in self._process.items() if after[name] != value]
-        self._process |= {name: after[name] for name in _NOTED if name in after}  # they stay as they are
+        self._process |= {name: x for name, x in after.items() if name not in _RESTORED}
         return rows
 
     def restore(self) -> None:
         """Sets back what can be."""
         self.restore_floating_point()
-        self._restore_process()
+        os.chdir(self._process["working directory"])
+        os.umask(int(self._process["file mode mask"], 8))
+        if self._locale is not None:
+            self._locale(_LC_ALL, self._process["locale"].encode())
 
     def restore_floating_point(self) -> None:
-        """Sets back rounding mode and traps."""
-        rounding, traps, *_ = self._floating_point
-        if self._set_rounding is not None:
-            self._set_rounding(rounding)
-        if self._set_traps is not None:
-            self._set_traps(~traps & 0x3D)
-        if self._set_environment is not None and self._control_word() != self._floating_point[3]:
-            self._set_environment(self._first_x87)
+        """Sets back rounding mode, precision and traps."""
+        if self._registers:
+            self._set_floating_point(self._first_fenv)
 
     def _process_now(self) -> dict[str, str]:
         """Settings by name."""
@@ -163,56 +140,40 @@ class ProcessSettings:
         """Settings that all of the process shares, where the operating system has them."""
         if os.name != "posix":
             return {}
+        timers = (signal.getitimer(kind)[0] > 0.0 for kind in (signal.ITIMER_REAL, signal.ITIMER_VIRTUAL))
         return {
             "environment": self._environment_now(),
             "standard streams": " ".join(map(_stream, _STREAMS)),
-            "timers": " ".join(
-                str(signal.getitimer(kind)[0] > 0.0) for kind in (signal.ITIMER_REAL, signal.ITIMER_VIRTUAL)
-            ),
+            "timers": " ".join(map(str, timers)),
             "limits": " ".join(str(resource.getrlimit(kind)) for kind in _LIMITS),
             "priority": str(os.getpriority(os.PRIO_PROCESS, 0)),
             "processors": " ".join(map(str, sorted(_processors(0)))),
         }
 
+    def _variables(self) -> dict[bytes, bytes]:
+        """Returns the environment variables of the C library: name -> NAME=VALUE."""
+        if self._environment is None:
+            return {}
+        rows = itertools.takewhile(bool, (self._environment[i] for i in itertools.count()))
+        return {row.split(b"=", 1)[0]: row for row in rows}
+
     def _environment_now(self) -> str:
         """Returns the environment variables that differ from those at the start, with their values."""
-        if self._environment is None:
-            return ""
-        rows, index = [], 0
-        while row := self._environment[index]:
-            rows.append(row)
-            index += 1
-        now = frozenset(rows)
-        if self._first_environment is None:
-            self._first_environment = now
-        removed = {row.split(b"=", 1)[0] for row in self._first_environment - now}
-        removed -= {row.split(b"=", 1)[0] for row in now}
-        rows = [*sorted(now - self._first_environment), *(name + b" removed" for name in sorted(removed))]
+        now, first = self._variables(), self._first_environment
+        names = sorted(name for name in now | first if now.get(name) != first.get(name))
+        rows = (now.get(name, name + b" removed") for name in names)
         return ", ".join(row.decode("utf-8", "replace")[:60] for row in rows)
 
-    def _restore_process(self) -> None:
-        before = self._process
-        os.chdir(before["working directory"])
-        os.umask(int(before["file mode mask"], 8))
-        if self._locale is not None:
-            self._locale(_LC_ALL, before["locale"].encode())
-
-    def _heap_now(self) -> int:
-        """Returns the bytes of the heap in use, and of large blocks beside it."""
-        if self._heap is None:
-            return 0
-        information = self._heap()
-        return int(information.uordblks) + int(information.hblkhd)
-
     def resources_in_use(self) -> dict[str, int]:
+        """Returns open files and threads of the process, and bytes of its heap; what the system does not tell
+        is 0.
+        """
         gc.collect()
         if not gc.get_freeze_count():
             gc.freeze()  # what is left stays: the next collections are short
-        counts = {"heap": self._heap_now()}
+        heap = self._heap().numbers if self._heap is not None else [0] * 10
+        counts = {"heap": heap[_IN_USE] + heap[_IN_LARGE_BLOCKS]}
         for name, folder in (("open files", "fd"), ("threads", "task")):
             with suppress(OSError):
                 counts[name] = len(list((_SELF / folder).iterdir()))
         return counts
-
-
-_TWO = 2.0

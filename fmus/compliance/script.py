@@ -1,10 +1,10 @@
 """Calls on one instance of an FMU, written down first and played in one message."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
-from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.rule import NotJudgedError
 from fmus.compliance.variable import Variable
 from fmus.fmi.binding import WARNING, status_name
 
@@ -13,24 +13,27 @@ KINDS = ("Real", "Integer", "Boolean", "String")
 STEPS = ("do_step", "do_steps", "begin_step")
 UNWRITTEN = "values"  # among what a call changed: those that were asked for were not
 ARGUMENTS = "arguments"  # among what a call changed
-_FUNCTIONS = {  # method of `CalledInstance` -> function of FMI, where the arguments do not name it
+_FUNCTIONS = {  # method of `CalledInstance` -> function of FMI, where their names are not alike
     "set_up_experiment": "fmi2SetupExperiment", "set_up_experiment_with": "fmi2SetupExperiment",
-    "enter_initialization_mode": "fmi2EnterInitializationMode",
-    "exit_initialization_mode": "fmi2ExitInitializationMode", "set_debug_logging": "fmi2SetDebugLogging",
-    "do_step": "fmi2DoStep", "do_steps": "fmi2DoStep", "begin_step": "fmi2DoStep", "wait": "fmi2DoStep",
+    "do_steps": "fmi2DoStep", "begin_step": "fmi2DoStep", "poll_step": "fmi2GetStatus",
     "directional_derivatives": "fmi2GetDirectionalDerivative",
     "set_input_derivatives": "fmi2SetRealInputDerivatives",
-    "output_derivatives": "fmi2GetRealOutputDerivatives", "get_fmu_state": "fmi2GetFMUstate",
-    "set_fmu_state": "fmi2SetFMUstate", "free_fmu_state": "fmi2FreeFMUstate",
-    "serialize_fmu_state": "fmi2SerializeFMUstate", "deserialize_fmu_state": "fmi2DeSerializeFMUstate",
-    "serialized_fmu_state_size": "fmi2SerializedFMUstateSize",
-    "copy_fmu_state": "fmi2DeSerializeFMUstate", "poll_step": "fmi2GetStatus",
-    "used_traps": "asking for callbacks", "held_blocks": "asking for memory",
-    "free": "fmi2FreeInstance", "end": "fmi2Terminate", "derive_nothing": "fmi2GetDirectionalDerivative",
-    "remove_link": "removing a link", "set_time": "fmi2SetTime",
-    "new_discrete_states": "fmi2NewDiscreteStates", "set_continuous_states": "fmi2SetContinuousStates",
-    "completed_integrator_step": "fmi2CompletedIntegratorStep", "observed_events": "observing events",
+    "output_derivatives": "fmi2GetRealOutputDerivatives",
+    "deserialize_fmu_state": "fmi2DeSerializeFMUstate", "copy_fmu_state": "fmi2DeSerializeFMUstate",
+    "free": "fmi2FreeInstance", "used_traps": "asking for callbacks", "held_blocks": "asking for memory",
 }  # fmt: skip
+
+
+def _function(method: str, arguments: Sequence[Any]) -> str:
+    """Returns the function of FMI that a method of `CalledInstance` calls."""
+    if method in ("call_plain", "transfer_nothing", "vector"):
+        return str(arguments[0])
+    if method in ("get", "set"):
+        return f"fmi2{method.title()}{arguments[0]}"
+    if method == "status_of":
+        return f"fmi2Get{arguments[0]}Status"
+    words = "".join(word.title() for word in method.split("_"))
+    return _FUNCTIONS.get(method, f"fmi2{words.replace('FmuState', 'FMUstate')}")
 
 
 class CallError(Exception):
@@ -118,19 +121,14 @@ class Reading:
         return result
 
 
-class Examined(Protocol):
-    """Examined FMU, as a script knows it. start_time, step_size: of the default experiment [s]."""
+@dataclass(frozen=True)
+class Given:
+    """Values that variables should have, in place of a reading of them."""
 
-    fmu: FmuFile
-    start_time: float
-    step_size: float
+    values: dict[str, Any]
 
-    @property
-    def outputs(self) -> list[Variable]: ...
 
-    def point(self, i: int) -> float: ...
-
-    def play(self, *scripts: "Script", keep_going: bool = False) -> None: ...
+Action = Callable[["Script"], object]
 
 
 class Script:
@@ -138,10 +136,14 @@ class Script:
 
     number: of the instance, after it was played; creation, end: of the instance
     is_forbidden: whether it makes calls that FMI forbids, or with arguments that it forbids
+    expected, observed: readings to be compared; the latter with words for when and where
+    attempts: calls that the FMU may refuse, and then nothing can be compared
+    ignored: calls whose failure tells nothing
+    errors: calls that return error, each with words for a finding if it does not
     """
 
-    def __init__(self, probe: Examined, options: dict[str, Any]) -> None:
-        self._probe, self.options = probe, options
+    def __init__(self, probe: Any, options: dict[str, Any]) -> None:
+        self.probe, self.options = probe, options  # a `Probe`, whose module imports this one
         self.calls: list[tuple[Any, ...]] = []
         self.replies: list[Reply] = []
         self.creation, self.end = Reply("fmi2Instantiate", ""), Reply("fmi2FreeInstance", "")
@@ -151,8 +153,19 @@ class Script:
         self.parts = [0]
         self._step = 0
         self._saved: dict[int, tuple[int, str]] = {}  # slot -> number of the next step, state
+        self.expected: list[Reading | Given] = []
+        self.observed: list[tuple[str, str, Reading]] = []
+        self.attempts, self.ignored = list[Reply](), list[Reply]()
+        self.errors: list[tuple[Reply, str]] = []
 
     # writing
+
+    def write(self, actions: Iterable[Action]) -> list[Reply]:
+        """Adds the calls of some actions; returns their replies to be."""
+        first = len(self.replies)
+        for action in actions:
+            action(self)
+        return self.replies[first:]
 
     def forbidden(self) -> "Script":
         self.is_forbidden = True
@@ -171,13 +184,9 @@ class Script:
     def call(self, method: str, *arguments: Any) -> Reply:
         """Adds a call of a method of `CalledInstance`."""
         is_step = method in STEPS
-        is_integrated = is_step and self._probe.fmu.is_model_exchange
-        function = "fmi2SetTime" if is_integrated else _FUNCTIONS.get(method)
-        if function is None and method in ("get", "set"):
-            function = f"fmi2{method.title()}{arguments[0]}"
-        elif method == "status_of":
-            function = f"fmi2Get{arguments[0]}Status"
-        reply = Reply(function or str(arguments[0]), self.state, is_step=is_step)
+        is_integrated = is_step and self.probe.fmu.is_model_exchange
+        function = "fmi2SetTime" if is_integrated else _function(method, arguments)
+        reply = Reply(function, self.state, is_step=is_step)
         self.calls.append((method, *arguments))
         self.replies.append(reply)
         return reply
@@ -189,7 +198,7 @@ class Script:
     def set_up(
         self, start: float | None = None, stop: float | None = None, tolerance: float | None = None
     ) -> "Script":
-        begin = self._probe.start_time if start is None else start
+        begin = self.probe.start_time if start is None else start
         if tolerance is None:
             self.call("set_up_experiment", begin, stop)
         else:
@@ -203,7 +212,7 @@ class Script:
 
     def exit_initialization_mode(self) -> "Script":
         self.call("exit_initialization_mode")
-        self.state = "event mode" if self._probe.fmu.is_model_exchange else "step complete"
+        self.state = "event mode" if self.probe.fmu.is_model_exchange else "step complete"
         return self
 
     def initialise(self, start: float | None = None) -> "Script":
@@ -218,8 +227,8 @@ class Script:
     def step(self, count: int = 1, no_going_back: bool = False) -> "Script":
         """Adds steps of the default experiment's size, from where the script is."""
         for _ in range(count):
-            t = self._probe.point(self._step)
-            self.call("do_step", t, self._probe.step_size, no_going_back)
+            t = self.probe.point(self._step)
+            self.call("do_step", t, self.probe.step_size, no_going_back)
             self._step += 1
         return self
 
@@ -228,7 +237,7 @@ class Script:
 
         observed: see `CalledInstance.do_steps`
         """
-        self.call("do_steps", self._probe.start_time, self._probe.step_size, self._step, count, observed)
+        self.call("do_steps", self.probe.start_time, self.probe.step_size, self._step, count, observed)
         self._step += count
         return self
 
@@ -249,9 +258,9 @@ class Script:
         self._saved[other] = self._saved[slot]
         return self
 
-    def read_bytes(self, slot: int, content: str, source: "Script") -> "Script":
-        """Makes a saved state of bytes of the state in the same slot of another script."""
-        self.call("deserialize_fmu_state", slot, content)
+    def read_bytes(self, source: "Script", slot: int = 0) -> "Script":
+        """Makes a saved state of the bytes of the same slot of another script that was played."""
+        self.call("deserialize_fmu_state", slot, source.content)
         self._saved[slot] = source._saved[slot]
         return self
 
@@ -291,7 +300,7 @@ class Script:
 
     def point(self, i: int) -> float:
         """Returns the time of communication point number i [s]."""
-        return self._probe.point(i)
+        return self.probe.point(i)
 
     @property
     def time(self) -> float:
@@ -301,17 +310,17 @@ class Script:
     @property
     def variables(self) -> Sequence[Variable]:
         """All variables of the FMU."""
-        return self._probe.fmu.variables
+        return self.probe.fmu.variables
 
     def run(self, steps: int) -> list[Reading]:
         """Returns readings of the outputs after each of some steps."""
-        return [self.step().read(self._probe.outputs) for _ in range(steps)]
+        return [self.step().read(self.probe.outputs) for _ in range(steps)]
 
     # playing
 
     def play(self, keep_going: bool = False) -> "Script":
         """Plays it alone; raises as `Probe.play` does."""
-        self._probe.play(self, keep_going=keep_going)
+        self.probe.play(self, keep_going=keep_going)
         return self
 
     def fill_ends(self, creation: Sequence[Any], end: Sequence[Any]) -> None:
@@ -328,7 +337,7 @@ class Script:
                 continue
             try:
                 status, reply.value, messages, changed, printed, function = answer
-                if status and self._probe.fmu.is_model_exchange:  # a step is many calls
+                if status and self.probe.fmu.is_model_exchange:  # a step is many calls
                     reply.function = str(function)
                     reply.reason = reply.value if isinstance(reply.value, str) else ""
                 reply.status, reply.changed, reply.printed = int(status), changed, int(printed)
@@ -353,4 +362,18 @@ class Script:
 
     @property
     def failure(self) -> Reply | None:
-        return next((reply for reply in self.replies if reply.status is not None and not reply.ok), None)
+        """The first call that fails, but those that are ignored, or that return error."""
+        excused = {id(reply) for reply in (*self.ignored, *(reply for reply, _ in self.errors))}
+        failed = (reply for reply in self.replies if reply.status is not None and not reply.ok)
+        return next((reply for reply in failed if id(reply) not in excused), None)
+
+    def replies_of(self, function: str) -> list[Reply]:
+        """Returns the replies of a function. Raises NotJudgedError if any call has failed."""
+        if not self.succeeded:
+            raise NotJudgedError(f"a run with {function} fails")
+        return [reply for reply in self.replies if reply.function == function]
+
+    @property
+    def content(self) -> str:
+        """The bytes of the state that was serialised, as hexadecimal digits."""
+        return self.replies_of("fmi2SerializeFMUstate")[0].value[0]

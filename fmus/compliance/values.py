@@ -2,22 +2,19 @@
 
 import itertools
 import math
-import random
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Condition, NotJudgedError
-from fmus.compliance.script import Reading, Script
+from fmus.compliance.script import Given, Reading, Script
 from fmus.compliance.variable import Variable
 
 _TRUE = {"true": 1, "1": 1, "false": 0, "0": 0}
 INTERPOLATES = "canInterpolateInputs"
 _LARGEST_REFERENCE = 2**32 - 1
 _LEAST_INTEGER, _LARGEST_INTEGER = -(2**31), 2**31 - 1
-_STAYS = 0.3  # how often a random value is the start value
 _LONG_TEXT = "Tiefe ä, \N{GREEK SMALL LETTER PI}, \N{GRINNING FACE}; " * 20
 _PART = 0.01  # of a value or its nominal value: a change that is felt, and seldom refused
 
@@ -62,7 +59,7 @@ def other_value(v: Variable) -> Any:
     if v.base_kind == "Integer":
         near = sorted(v.items or (), key=lambda x: abs(x - start)) or (start + 1, start - 1)
         return next((x for x in near if x != start and _within(v, x)), None)
-    change = _PART * max(abs(start), v.number("nominal") or 1.0)
+    change = _PART * max(abs(start), v.nominal or 1.0)
     span = [x for x in (v.number("max"), v.number("min")) if x is not None]
     change = min([change, *(abs(x - start) / 2 for x in span if x != start)])
     return next((x for x in (start + change, start - change) if _within(v, x) and x != start), None)
@@ -83,13 +80,10 @@ def far_values(v: Variable) -> list[Any]:
         return sorted(x for x in (v.items or limits) - {start} if _is_integer_of_fmi(x))
     if v.base_kind == "Boolean":
         return [1 - start]
-    low, high, width = v.number("min"), v.number("max"), 3 * (abs(start) or v.number("nominal") or 1.0)
-    values = [
-        min(start + width, math.inf if high is None else high),
-        max(start - width, -math.inf if low is None else low),
-    ]
-    is_meant = [v.causality == "input" or x * start >= 0.0 or x in (low, high) for x in values]
-    return [x for x, meant in zip(values, is_meant, strict=True) if meant and _within(v, x) and x != start]
+    width = 3 * (abs(start) or v.nominal or 1.0)
+    values = min(start + width, v.high), max(start - width, v.low)
+    meant = [x for x in values if v.causality == "input" or x * start >= 0.0 or x in (v.low, v.high)]
+    return [x for x in meant if _within(v, x) and x != start]
 
 
 def read_value(value: Any) -> Any:
@@ -97,30 +91,10 @@ def read_value(value: Any) -> Any:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
 
 
-def random_value(v: Variable, chance: random.Random) -> Any:
-    """Returns a legal value anywhere in the range, or the start value; None for a String, or without a start
-    value.
-    """
-    start = start_value(v)
-    if start is None or v.base_kind == "String" or chance.random() < _STAYS:
-        return None if v.base_kind == "String" else start
-    if v.base_kind == "Boolean":
-        return chance.randrange(2)
-    low, high = v.number("min"), v.number("max")
-    if v.base_kind == "Integer":
-        return chance.choice([x for x in v.items or range(start - 3, start + 4) if _within(v, x)] or [start])
-    width = abs(start) + (v.number("nominal") or 1.0)
-    low = max(start - width, -math.inf if low is None else low)
-    high = min(start + width, math.inf if high is None else high)
-    return chance.uniform(low, high)
-
-
 def _within(v: Variable, value: float) -> bool:
-    low, high = v.number("min"), v.number("max")
-    items = v.items
     if v.base_kind == "Integer" and not _is_integer_of_fmi(value):
         return False
-    return (low is None or value >= low) and (high is None or value <= high) and (not items or value in items)
+    return v.low <= value <= v.high and (not v.items or value in v.items)
 
 
 def _is_integer_of_fmi(value: float) -> bool:
@@ -274,13 +248,6 @@ def same(a: Any, b: Any, tolerance: float = 0.0, scale: float = 0.0) -> bool:
     if math.isnan(a) and math.isnan(b):
         return True
     return abs(a - b) <= tolerance * max(abs(a), abs(b), scale)
-
-
-@dataclass(frozen=True)
-class Given:
-    """Values that variables should have, in place of a reading of them."""
-
-    values: dict[str, Any]
 
 
 def differing(

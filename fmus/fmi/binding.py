@@ -109,16 +109,16 @@ class Library:
     which all threads share, stays as it is. Raises OSError if the system refuses, AttributeError if a
     function is missing.
 
-    interface: fmi2Type, whose functions it must have
+    interface: fmi2Type, whose functions it must have; optional: those of them that may be missing
     """
 
-    def __init__(self, path: Path, interface: int = CO_SIMULATION) -> None:
+    def __init__(self, path: Path, interface: int = CO_SIMULATION, optional: Collection[str] = ()) -> None:
         self._functions = ctypes.CDLL(str(path.resolve()))
         missing = []
         for name, types in signatures(interface).items():
             function = getattr(self._functions, name, None)
             if function is None:
-                missing.append(name)
+                missing += [name] if name.removeprefix("fmi2") not in optional else []
                 continue
             function.argtypes = [_TYPES[letter] for letter in types]
             function.restype = _RESULTS.get(name, ctypes.c_int)

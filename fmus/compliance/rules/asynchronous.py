@@ -32,10 +32,10 @@ def step_finished_is_called(probe: Probe) -> Iterator[str]:
     """
     count = 3
     script = probe.script(logging=True).begin().step(count)
-    number = probe.hold(script)
-    pending, calls = probe.ask("finished_steps", number)
+    steps = script.call("finished_steps")
+    script.play(keep_going=True)
+    pending, calls = steps.value or (0, [])
     finished = len(calls)
-    probe.let_go(number)
     if script.failure:
         yield script.failure.problem
     elif not pending <= finished <= count:  # a step that is not pending is completed too

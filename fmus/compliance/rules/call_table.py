@@ -9,11 +9,11 @@ from typing import Any
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.actions import Action, Pair, Play
+from fmus.compliance.actions import Pair
 from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Check, NotApplicableError, NotJudgedError, behaviour_rule
-from fmus.compliance.script import Script
+from fmus.compliance.script import Action, Script
 from fmus.fmi.binding import DISCARD, ERROR, FATAL, OK, WARNING
 
 NAME = "instance of the tour"
@@ -64,10 +64,10 @@ def _log(probe: Probe, _: str) -> Iterator[Action]:
 
 
 def _save(probe: Probe, _: str) -> Iterator[Action]:
-    def action(play: Play) -> None:
-        slot = len(play.script.calls)  # no other state is in it
+    def action(script: Script) -> None:
+        slot = len(script.calls)  # no other state is in it
         for method in methods:
-            play.script.call(method, slot)
+            script.call(method, slot)
 
     serialised = "serialized_fmu_state_size serialize_fmu_state " * probe.fmu.claims(_SERIALISES)
     methods = f"get_fmu_state {serialised}set_fmu_state free_fmu_state".split()
@@ -127,7 +127,7 @@ def vectors(probe: Probe, state: str) -> Iterator[Action]:
 
 
 def _set_time(probe: Probe, _: str) -> Iterator[Action]:
-    yield lambda play: play.script.call("set_time", play.script.time)
+    yield lambda script: script.call("set_time", script.time)
 
 
 def _set_states(probe: Probe, _: str) -> Iterator[Action]:
@@ -198,16 +198,16 @@ def _played_tour(probe: Probe) -> Script:
         leads[3:3] = (do.enter_continuous_time_mode,), (do.enter_event_mode,)
         leads[-1:-1] = [(do.enter_continuous_time_mode,)]
         states = "IMEKEEEKT"
-    play = Play(probe, (), name=NAME, logging=True, watched=True)
+    script = probe.script(name=NAME, logging=True, watched=True)
     for lead, state in zip(leads, states, strict=True):
         rows = [row for row in TABLE if state in row.allowed and state not in row.apart]
-        play.write((*lead, *(action for row in rows for action in row.calls(probe, state))))
-    return play.script.play(keep_going=True)
+        script.write((*lead, *(action for row in rows for action in row.calls(probe, state))))
+    return script.play(keep_going=True)
 
 
 def run_with_tolerance(probe: Probe) -> Script:
     """Returns a run in which tolerance and stop time are defined."""
-    return do.played(probe, (*do.begin_until(1000, TOLERANCE), do.step(2)), logging=True).script
+    return do.played(probe, (*do.begin_until(1000, TOLERANCE), do.step(2)), logging=True)
 
 
 # calls that rules ask for
@@ -258,15 +258,15 @@ def call_rule(
 def _unexpected(probe: Probe, expected: Expected, asks: Iterable[Ask]) -> Iterator[str]:
     """Yields the first call of each script that does not return what is expected."""
     chosen = [ask for ask in asks if ask.state in STATES[probe.fmu.interface]]
-    plays = [Play(probe, _way(probe, ask.state), logging=True) for ask in chosen]
-    all_replies = [play.write(ask.actions) for play, ask in zip(plays, chosen, strict=True)]
-    for play, ask in zip(plays, chosen, strict=True):
-        play.script.is_forbidden = expected is REFUSAL or ask.state in "PX"
+    scripts = [probe.script(*_way(probe, ask.state), logging=True) for ask in chosen]
+    all_replies = [script.write(ask.actions) for script, ask in zip(scripts, chosen, strict=True)]
+    for script, ask in zip(scripts, chosen, strict=True):
+        script.is_forbidden = expected is REFUSAL or ask.state in "PX"
     # that a step is discarded, in the state F, is no reason
     with suppress(*([NotJudgedError] if any(ask.state == "F" for ask in chosen) else [])):
-        probe.play_once([play.script for play in plays])
-    for play, ask, replies in zip(plays, chosen, all_replies, strict=True):
-        if any(call[0] == "begin_step" and not r.value for call, r in play.script.pairs):
+        probe.play_once(scripts)
+    for script, ask, replies in zip(scripts, chosen, all_replies, strict=True):
+        if any(call[0] == "begin_step" and not r.value for call, r in script.pairs):
             raise NotJudgedError("the step was not pending")
         wrong = (reply for reply in replies if reply.status not in (None, *expected.statuses))
         for reply in islice(wrong, 1):

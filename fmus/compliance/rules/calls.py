@@ -70,7 +70,7 @@ def frees_in_every_state(probe: Probe) -> Iterator[str]:
     fmi2Terminate.
     """
     for actions in ((), (do.initialise,), (do.begin, do.step())):
-        do.Play(probe, actions).script.play()
+        probe.script(*actions).play()
     do.played(probe, (do.begin, do.terminate))
     yield from ()
 
@@ -209,7 +209,7 @@ def discarded_steps_can_be_left(probe: Probe) -> Iterator[Ask]:
     """After a step was discarded variables can be read, and fmi2Terminate, fmi2Reset and, if it is
     supported, fmi2SetFMUstate succeed.
     """
-    yield Ask("F", (do.glance(probe.fmu.variables), do.call("end")))
+    yield Ask("F", (do.glance(probe.fmu.variables), do.terminate))
     yield Ask("F", (do.reset, do.begin))
     if probe.fmu.claims("canGetAndSetFMUstate"):
         yield Ask("F", [do.restore()])

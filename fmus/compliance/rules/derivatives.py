@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 
 from fmus.compliance import actions as do
-from fmus.compliance.actions import Action, Play
 from fmus.compliance.differential import Row, differences, differential
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
@@ -20,7 +19,7 @@ from fmus.compliance.rules.finite_differences import (
     series,
     values_of,
 )
-from fmus.compliance.script import Reading
+from fmus.compliance.script import Action, Reading, Script
 from fmus.compliance.values import (
     INTERPOLATES,
     RESTARTED,
@@ -109,7 +108,7 @@ def _orders(fmu: FmuFile) -> str:
     return "" if fmu.output_derivative_order > 0 else "maxOutputDerivativeOrder is 0"
 
 
-_of_outputs = partial(behaviour_rule, condition=_orders)
+_rule_of_outputs = partial(behaviour_rule, condition=_orders)
 
 
 def _outputs(probe: Probe, part: float = 1.0) -> dict[str, list[list[float]]]:
@@ -126,14 +125,14 @@ def _output_slopes(probe: Probe, part: float = 1.0) -> dict[str, Slopes]:
     }
 
 
-@_of_outputs(_TRANSFER, needs="allowed-calls-succeed communication-points-may-be-rounded")
+@_rule_of_outputs(_TRANSFER, needs="allowed-calls-succeed communication-points-may-be-rounded")
 def output_derivatives(probe: Probe) -> Iterator[str]:
     """After a step the derivatives of continuous Real outputs can be read, of each order that is claimed."""
     _outputs(probe)
     yield from ()
 
 
-@_of_outputs("advice: importers extrapolate with finite numbers", needs="output-derivatives")
+@_rule_of_outputs("advice: importers extrapolate with finite numbers", needs="output-derivatives")
 def output_derivatives_are_finite(probe: Probe) -> Iterator[str]:
     """After a step the derivatives of outputs are finite."""
     for name, (_, *orders) in _outputs(probe).items():
@@ -143,7 +142,7 @@ def output_derivatives_are_finite(probe: Probe) -> Iterator[str]:
                 yield f"{name}: derivative of order {order} is {wrong}: expected a finite number"
 
 
-@_of_outputs(_TRANSFER, needs=_COMPARED)
+@_rule_of_outputs(_TRANSFER, needs=_COMPARED)
 def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
     """The first derivative of an output is 0, where its order is lower, or its slope: near the difference
     quotients before and after it.
@@ -157,7 +156,7 @@ def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
             yield f"{name}: its derivative is that of the step's begin: expected that of its end"
 
 
-@_of_outputs("advice: 4.2.1 allows 0 where the order is lower", needs=_COMPARED)
+@_rule_of_outputs("advice: 4.2.1 allows 0 where the order is lower", needs=_COMPARED)
 def output_derivatives_are_not_zero(probe: Probe) -> Iterator[str]:
     """The first derivative of an output that moves is not 0, as maxOutputDerivativeOrder claims one."""
     for name, slopes in _output_slopes(probe).items():
@@ -165,7 +164,7 @@ def output_derivatives_are_not_zero(probe: Probe) -> Iterator[str]:
             yield f"{name}: {wrong}"
 
 
-@_of_outputs(_TRANSFER, needs=_COMPARED)
+@_rule_of_outputs(_TRANSFER, needs=_COMPARED)
 def higher_output_derivatives_are_right(probe: Probe) -> Iterator[str]:
     """A derivative of an output of a higher order is 0, where its order is lower, or the slope of the one
     before; each of several that are read in one call is its own.
@@ -193,12 +192,12 @@ def _read_together(probe: Probe) -> Iterator[Row]:
 def _read_alone(outputs: Sequence[Variable], orders: Sequence[int]) -> Action:
     """Reads derivatives of outputs, each in a call of its own."""
 
-    def action(play: Play) -> None:
+    def action(script: Script) -> None:
         replies = {
-            v.name: play.script.call("output_derivatives", references_of([v]), order)
+            v.name: script.call("output_derivatives", references_of([v]), order)
             for v, order in zip(outputs, orders, strict=True)
         }
-        play.observed.append(("", "", Reading({v.name: [v] for v in outputs}, replies)))
+        script.observed.append(("", "", Reading({v.name: [v] for v in outputs}, replies)))
 
     return action
 
@@ -206,7 +205,7 @@ def _read_alone(outputs: Sequence[Variable], orders: Sequence[int]) -> Action:
 # derivatives of inputs
 
 
-_of_inputs = partial(behaviour_rule, _TRANSFER, _INTERPOLATES)
+_rule_of_inputs = partial(behaviour_rule, _TRANSFER, _INTERPOLATES)
 
 
 @differential(_TRANSFER, condition=_INTERPOLATES, needs="allowed-calls-succeed")
@@ -217,7 +216,7 @@ def input_derivatives(_: Probe) -> Iterator[Row]:
     yield Row("where derivatives of inputs were set to 0", varied, failing="", tolerance=RESTARTED)
 
 
-@_of_inputs(needs="input-derivatives")
+@_rule_of_inputs(needs="input-derivatives")
 def input_derivatives_have_an_effect(probe: Probe) -> Iterator[str]:
     """The derivative of an input that outputs follow moves them, in the direction of the input itself."""
     inputs = _inputs_by_effect(probe)
@@ -228,7 +227,7 @@ def input_derivatives_have_an_effect(probe: Probe) -> Iterator[str]:
         yield f"{without}, as canInterpolateInputs says it has"
 
 
-@_of_inputs(needs="input-derivatives-have-an-effect")
+@_rule_of_inputs(needs="input-derivatives-have-an-effect")
 def each_input_derivative_has_an_effect(probe: Probe) -> Iterator[str]:
     """If the derivative of one continuous input has an effect, that of each that outputs follow has one."""
     for v in _inputs_by_effect(probe)["none"]:
@@ -262,7 +261,7 @@ def _runs_to(probe: Probe, v: Variable, value: float, parts: int) -> list[list[V
     return values_of(probe, [in_steps(probe, v, xs, size, slope) for xs, slope in runs])
 
 
-@_of_inputs(needs="input-derivatives-have-an-effect setting-the-same-changes-nothing variable-step-size")
+@_rule_of_inputs(needs="input-derivatives-have-an-effect setting-the-same-changes-nothing variable-step-size")
 def input_derivatives_are_slopes(probe: Probe) -> Iterator[str]:
     """With its first derivative an input moves an output, which follows it through a state, in a step about
     as far as in short steps in which the input is set to its values on that line.

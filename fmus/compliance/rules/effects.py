@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.actions import Action, Pair, Play
+from fmus.compliance.actions import Pair
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.rules.finite_differences import ANY_STEP, NOISE, Column, followers, in_steps, values_of
-from fmus.compliance.script import CallError, Reply
+from fmus.compliance.script import Action, CallError, Reply, Script
 from fmus.compliance.values import continuous_reals, other_values, references_of, same, start_value, texts
 from fmus.compliance.variable import Variable
 
@@ -193,9 +193,9 @@ def _derive(
 
 def _derivatives(probe: Probe, mode: Iterable[Action], groups: Iterable[_Group]) -> list[Reply]:
     """Returns replies with the derivatives of unknowns by each known, after some actions."""
-    play = Play(probe, mode, logging=True)
-    replies = play.write(_derive(unknowns, [known]) for known, unknowns in groups)
-    probe.play_once([play.script])
+    script = probe.script(*mode, logging=True)
+    replies = script.write(_derive(unknowns, [known]) for known, unknowns in groups)
+    probe.play_once([script])
     return replies
 
 
@@ -276,14 +276,14 @@ def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
         raise NotApplicableError("there is no Real known, or neither an output nor an initial unknown")
     for mode, unknowns, knowns in judged:
         chosen = list({v.index: v for v in knowns}.values())[:_MOST_DERIVED]
-        yield from _other_sums(Play(probe, mode, logging=True), unknowns, chosen)
+        yield from _other_sums(probe.script(*mode, logging=True), unknowns, chosen)
 
 
-def _other_sums(play: Play, unknowns: list[Variable], knowns: list[Variable]) -> Iterator[str]:
+def _other_sums(script: Script, unknowns: list[Variable], knowns: list[Variable]) -> Iterator[str]:
     seed = [2.5 + 0.5 * i for i in range(len(knowns))]
     partials = [_derive(unknowns, [known]) for known in knowns]
-    *alone, together = play.write([*partials, _derive(unknowns, knowns, seed)])
-    play.script.play()
+    *alone, together = script.write([*partials, _derive(unknowns, knowns, seed)])
+    script.play()
     for i, (v, got) in enumerate(zip(unknowns, together.value, strict=True)):
         parts = [s * reply.value[i] for s, reply in zip(seed, alone, strict=True)]
         if not abs(got - sum(parts)) <= _SUMMED * max([1e-300, abs(got), *map(abs, parts)]):

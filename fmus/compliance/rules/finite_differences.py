@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from fmus.compliance import actions as do
-from fmus.compliance.actions import Action, Pair, Play
+from fmus.compliance.actions import Pair
 from fmus.compliance.probe import Probe
-from fmus.compliance.script import CallError
+from fmus.compliance.script import Action, CallError
 from fmus.compliance.values import references_of, same, start_value, texts
 from fmus.compliance.variable import Variable
 
@@ -25,9 +25,9 @@ _INTEGRATED = 0.02  # relative: of an integral, beside the error of a coarse sol
 
 def values_of(probe: Probe, runs: Iterable[Iterable[Action]]) -> list[list[Values]]:
     """Returns the values of each reading of each run, played once for all rules; none of a run that fails."""
-    plays = [Play(probe, actions) for actions in runs]
-    probe.play_once([play.script for play in plays])
-    return [[r.values for *_, r in play.observed] if play.script.succeeded else [] for play in plays]
+    scripts = [probe.script(*actions) for actions in runs]
+    probe.play_once(scripts)
+    return [[r.values for *_, r in script.observed] if script.succeeded else [] for script in scripts]
 
 
 class Column:
@@ -110,11 +110,11 @@ def series(
     read = do.read(variables), *(do.read_slopes(variables, orders=order + 1) for order in range(orders))
     for i in range(steps if variables else 0):
         actions += do.call("do_step", probe.point(0) + i * size, size), *read
-    play = do.played(probe, actions, logging=True)
-    failure = play.script.failure
+    script = do.played(probe, actions, logging=True)
+    failure = script.failure
     if failure and part == 1.0:
         raise CallError(failure.problem)
-    rows = [] if failure else [reading.values for *_, reading in play.observed]
+    rows = [] if failure else [reading.values for *_, reading in script.observed]
     return {
         v.name: [[row[v.name] for row in rows[k :: len(read)]] for k in range(len(read))]
         for v in variables

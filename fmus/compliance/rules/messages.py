@@ -124,7 +124,7 @@ def _changes(probe: Probe) -> Iterator[_Change]:
     """
     scripts = [tour(probe)]
     with suppress(rule.NotApplicableError, rule.NotJudgedError):
-        scripts.append(do.over_the_experiment(probe).script)
+        scripts.append(do.over_the_experiment(probe))
     for reply in (reply for script in scripts for reply in script.everything):
         for setting, before, after in reply.changed:
             yield _Change(reply.function, setting, before, after)

@@ -5,7 +5,6 @@ from functools import partial
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.actions import Action
 from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import behaviour_rule
@@ -14,7 +13,7 @@ _CLAUSE = "2.1.8 Getting and Setting the Complete FMU State"
 _SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
 _SET_BACK = "in the state that was set back"
 _saves, _serialises = values.unless_claimed(_SAVES), values.unless_claimed(_SERIALISES)
-_of_states = partial(differential, _CLAUSE, condition=_saves)
+_rule_of_states = partial(differential, _CLAUSE, condition=_saves)
 
 
 def _restored(probe: Probe, tolerance: float | None) -> Row:
@@ -24,7 +23,7 @@ def _restored(probe: Probe, tolerance: float | None) -> Row:
     return Row("from the state that was set back", varied, (), "", tolerance)
 
 
-@_of_states(needs="communication-points-may-be-rounded allowed-calls-succeed")
+@_rule_of_states(needs="communication-points-may-be-rounded allowed-calls-succeed")
 def state_restores(probe: Probe) -> Iterator[Row]:
     """A state that is set back gives the same outputs at once and in the steps that follow, up to
     the tolerance of the default experiment: a solver may begin anew.
@@ -32,13 +31,15 @@ def state_restores(probe: Probe) -> Iterator[Row]:
     yield _restored(probe, OF_EXPERIMENT)
 
 
-@_of_states(needs="state-restores")
+@_rule_of_states(needs="state-restores")
 def state_restores_exactly(probe: Probe) -> Iterator[Row]:
     """A state that is set back gives exactly the same outputs."""
     yield _restored(probe, 0.0)
 
 
-@_of_states(needs="state-restores state-can-be-saved-often allowed-calls-succeed questions-change-nothing")
+@_rule_of_states(
+    needs="state-restores state-can-be-saved-often allowed-calls-succeed questions-change-nothing"
+)
 def state_holds_the_mode(probe: Probe) -> Iterator[Row]:
     """A state holds internal status information: saved and set back when instantiated or in initialization
     mode, with what was set there; set back while stepping, one of initialization mode is in that mode.
@@ -55,7 +56,7 @@ def state_holds_the_mode(probe: Probe) -> Iterator[Row]:
     yield Row("from a state of initialization mode", (*first, *again), (), failing, OF_EXPERIMENT)
 
 
-@_of_states(
+@_rule_of_states(
     needs="state-restores allowed-calls-succeed state-holds-the-mode step-beyond-the-stop-time-is-an-error"
 )
 def state_restores_after_the_end(probe: Probe) -> Iterator[Row]:
@@ -73,7 +74,7 @@ def state_restores_after_the_end(probe: Probe) -> Iterator[Row]:
         yield Row(f"from a state set back after {end}", varied, (), f"after {end}", OF_EXPERIMENT)
 
 
-@_of_states(needs="state-restores")
+@_rule_of_states(needs="state-restores")
 def state_can_be_saved_often(_: Probe) -> Iterator[Row]:
     """Several states are kept at a time, each its own; one that is given again is written over."""
     varied = (
@@ -96,13 +97,13 @@ def freed_state_is_null(probe: Probe) -> Iterator[str]:
         yield "fmi2FreeFMUstate left the state's address: expected NULL"
 
 
-@_of_states(needs="state-restores")
+@_rule_of_states(needs="state-restores")
 def free_of_null_state_is_ignored(_: Probe) -> Iterator[Row]:
     """fmi2FreeFMUstate of a NULL state does nothing."""
     yield Row("with a state that is NULL", (do.begin, do.run(1), do.free_state(7), do.run(2)))
 
 
-@_of_states(needs="state-restores questions-change-nothing")
+@_rule_of_states(needs="state-restores questions-change-nothing")
 def state_holds_every_value(probe: Probe) -> Iterator[Row]:
     """Set back after inputs, tunable parameters and derivatives of inputs went back to their start values, a
     state gives all variables again, at once and in the steps that follow, as if it had not been saved.
@@ -148,7 +149,7 @@ def serialised_state_restores(probe: Probe) -> Iterator[str]:
     yield from differences(probe, [Row(when, (*varied, do.free_state()), usual, tolerance=OF_EXPERIMENT)])
 
 
-@_of_states(needs="state-restores state-holds-the-mode reset-in-every-state")
+@_rule_of_states(needs="state-restores state-holds-the-mode reset-in-every-state")
 def state_can_be_set_after_reset(_: Probe) -> Iterator[Row]:
     """A state that was saved before fmi2Reset can be set after it, and the steps that follow are the same."""
     varied = do.begin, do.step(2), do.save(), do.expect(do.run(3)), do.reset, do.restore(), do.run(3)
@@ -156,7 +157,7 @@ def state_can_be_set_after_reset(_: Probe) -> Iterator[Row]:
     yield Row("from a state from before fmi2Reset", varied, (), failing, OF_EXPERIMENT)
 
 
-@_of_states(needs="state-restores-exactly state-can-be-saved-often serialised-state-restores")
+@_rule_of_states(needs="state-restores-exactly state-can-be-saved-often serialised-state-restores")
 def state_restores_over_the_experiment(probe: Probe) -> Iterator[Row]:
     """A state of the middle of the default experiment, and its copy by bytes, give all variables again up to
     the stop time, as far as steps take a second.
@@ -187,7 +188,7 @@ def questions_change_nothing(probe: Probe) -> Iterator[Row]:
     """Reading values and derivatives, or saving a state, changes nothing in the steps that follow."""
     outputs, inputs = (values.references_of(values.continuous_reals(probe, c)) for c in ("output", "input"))
     saved = (do.save(), do.free_state()) if probe.fmu.claims(_SAVES) else ()
-    asked: list[Action] = [do.glance(probe.fmu.variables)]
+    asked: list[do.Action] = [do.glance(probe.fmu.variables)]
     if outputs and probe.fmu.output_derivative_order:
         asked.append(do.call("output_derivatives", outputs, 1))
     if outputs and inputs and probe.fmu.claims("providesDirectionalDerivative"):

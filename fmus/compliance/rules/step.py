@@ -195,6 +195,6 @@ def default_experiment_runs(probe: Probe) -> Iterator[str]:
     """The steps of DefaultExperiment succeed up to its stop time, as far as they take about a second."""
     if not probe.states_step_size or not math.isfinite(probe.stop_time):
         raise NotApplicableError("no stop time and step size are stated")
-    failure = do.over_the_experiment(probe).script.failure
+    failure = do.over_the_experiment(probe).failure
     if failure and failure.status != DISCARD:
         yield failure.problem

@@ -58,14 +58,14 @@ def _values_in_runs(probe: Probe) -> Iterator[tuple[str, str, Any]]:
         for when, where, reading in play.observed:
             for name, value in reading.values.items() if reading.ok else ():
                 yield when + where, name, value
-        for reply in play.script.replies:
+        for reply in play.replies:
             observed: list[Any] = reply.value if reply.is_step and isinstance(reply.value, list) else []
             for v, (least, t, largest, other_t) in zip(do.number_outputs(probe), observed, strict=False):
                 yield f"in the default experiment, at {t:g} s", v.name, least
                 yield f"in the default experiment, at {other_t:g} s", v.name, largest
 
 
-def _of_each_value(clause: str, **options: Any) -> Callable[[Callable[[Variable, Any], str]], Check]:
+def _rule_of_each_value(clause: str, **options: Any) -> Callable[[Callable[[Variable, Any], str]], Check]:
     """Makes a function a rule: it returns what is expected, if the value of a variable is wrong.
 
     options: of `behaviour_rule`
@@ -87,21 +87,21 @@ def _of_each_value(clause: str, **options: Any) -> Callable[[Callable[[Variable,
     return register
 
 
-@_of_each_value("advice: other models expect numbers", needs="variables-can-be-read")
+@_rule_of_each_value("advice: other models expect numbers", needs="variables-can-be-read")
 def outputs_are_finite(v: Variable, value: Any) -> str:
     """The Real outputs are finite, in initialization mode and after steps."""
     is_wrong = v.causality == "output" and isinstance(value, float) and not math.isfinite(value)
     return "a finite number" if is_wrong else ""
 
 
-@_of_each_value(_TYPES)
+@_rule_of_each_value(_TYPES)
 def enumerations_are_items(v: Variable, value: Any) -> str:
     """An Enumeration that is read is the value of one of its items."""
     is_wrong = v.items and value not in v.items
     return f"one of {', '.join(map(str, sorted(v.items)))}" if is_wrong else ""
 
 
-@_of_each_value(_TYPES)
+@_rule_of_each_value(_TYPES)
 def values_are_in_range(v: Variable, value: Any) -> str:
     """Integers and Enumerations that are read lie between min and max, and Reals up to rounding, outputs
     after each step of the default experiment.
@@ -114,7 +114,7 @@ def values_are_in_range(v: Variable, value: Any) -> str:
     return f"{v.low}..{v.high}" if is_wrong else ""
 
 
-@_of_each_value(_PLATFORM)
+@_rule_of_each_value(_PLATFORM)
 def strings_are_utf_8(_: Variable, value: Any) -> str:
     """Strings that are read are UTF-8."""
     return "UTF-8" if isinstance(value, bytes) and not is_utf_8(value) else ""

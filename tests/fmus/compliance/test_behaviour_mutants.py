@@ -85,6 +85,23 @@ def test_a_library_that_does_not_load_is_one_finding_and_no_behaviour_is_judged(
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="patches a library of Linux")
+@pytest.mark.parametrize("is_claimed", [False, True])
+def test_a_library_that_lacks_a_function_is_judged_unless_importers_call_it(
+    is_claimed: bool, tmp_path: Path
+) -> None:
+    """2.1.1 demands every function; an importer binds those of the capabilities that are claimed."""
+    content = members(write_slave(tmp_path, "a trailing line break"))
+    path, name = library_name("Behaviour", host_platform()), b"\0fmi2GetDirectionalDerivative\0"
+    assert name in content[path]
+    content[path] = content[path].replace(name, name.replace(b"ve\0", b"es\0"))
+    claim = b' providesDirectionalDerivative="true"'
+    content[XML] = content[XML] if is_claimed else content[XML].replace(claim, b"")
+    broken = broken_rules(write(content, tmp_path / "lacks.fmu"), is_static=False)
+    assert "library-exports" in broken
+    assert ("messages-have-no-trailing-line-break" in broken) is not is_claimed
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="patches a library of Linux")
 def test_a_library_that_this_machine_cannot_load_is_not_judged(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,4 +1,4 @@
-"""The JSON schemas of scenario and parameter files, which editors use to check and complete them.
+"""The JSON schemas of files of scenarios, parameters and vehicles, by which editors check and complete them.
 
 `python -m tests.orchestration.sweep.schemas` writes them beside the shipped scenarios.
 """
@@ -19,6 +19,7 @@ from fmus.files import write_text_atomically
 from orchestration.scenarios.file_format import ParameterFile, ScenarioFile
 from orchestration.scenarios.file_tables import Table
 from orchestration.scenarios.scenario import SHIPPED
+from orchestration.scenarios.vehicle import VehicleFile
 from orchestration.sweep.varied import SweepTable
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -58,6 +59,7 @@ def schemas() -> dict[str, str]:
     return {
         "scenario.schema.json": _written(partial),
         "parameters.schema.json": _written(ParameterFile.model_json_schema(schema_generator=_WithTexts)),
+        "vehicle.schema.json": _written(VehicleFile.model_json_schema(schema_generator=_WithTexts)),
     }
 
 
