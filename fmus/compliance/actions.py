@@ -5,16 +5,9 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Concatenate, ParamSpec
 
+from fmus.compliance import values
 from fmus.compliance.probe import Probe
 from fmus.compliance.script import Action, Given, Reading, Script
-from fmus.compliance.values import (
-    INTERPOLATES,
-    accepted_together,
-    continuous_reals,
-    other_values,
-    references_of,
-    refused_reference,
-)
 from fmus.compliance.variable import Variable
 
 MOST_VARIABLES = 50  # that are changed in a rule
@@ -74,7 +67,7 @@ def go_on_reading(steps: int, readings: int, when: str = "", observed: Sequence[
     """Makes many steps, in which all variables are read a few times, and those observed after each."""
     ends = [steps * i // readings for i in range(readings + 1)]
     groups = itertools.groupby(observed, lambda v: v.base_kind)
-    of_kinds = [(kind, references_of(variables)) for kind, variables in groups]
+    of_kinds = [(kind, values.references_of(variables)) for kind, variables in groups]
 
     def action(script: Script) -> None:
         for before, end in itertools.pairwise(ends):
@@ -101,7 +94,7 @@ def read_slopes(outputs: Sequence[Variable], when: str = "", orders: int | Seque
 
     def action(script: Script) -> None:
         if outputs:
-            reply = script.call("output_derivatives", references_of(outputs), orders)
+            reply = script.call("output_derivatives", values.references_of(outputs), orders)
             script.observed.append((when, "", Reading({"Real": list(outputs)}, {"Real": reply})))
 
     return action
@@ -146,21 +139,21 @@ def set_values(pairs: Iterable[Pair]) -> Action:
 
 def set_others(variables: Sequence[Variable]) -> Action:
     """Sets some variables to other values, which the FMU may refuse."""
-    return ignore(set_values(other_values(variables[:MOST_VARIABLES])))
+    return ignore(set_values(values.other_values(variables[:MOST_VARIABLES])))
 
 
 def set_at_once(kind: str, pairs: Sequence[Pair]) -> Action:
     """Sets variables of one type in one call."""
     contents = [x.encode().hex() if isinstance(x, str) else x for _, x in pairs]
-    return call("set", kind, references_of(v for v, _ in pairs), contents)
+    return call("set", kind, values.references_of(v for v, _ in pairs), contents)
 
 
 def set_derivatives(value: float = 1.0, order: int = 1) -> Action:
     """Sets derivatives of one order, of all continuous Real inputs, if the FMU interpolates."""
 
     def action(script: Script) -> None:
-        references = references_of(continuous_reals(script.probe, "input"))
-        if references and script.probe.fmu.claims(INTERPOLATES):
+        references = values.references_of(values.continuous_reals(script.probe, "input"))
+        if references and script.probe.fmu.claims(values.INTERPOLATES):
             count = len(references)
             script.call("set_input_derivatives", references, [order] * count, [value] * count)
 
@@ -176,7 +169,7 @@ def error(action: Action, finding: str = "") -> Action:
 
 def fail(script: Script) -> None:
     """Makes a call that returns error."""
-    script.write([error(call("get", "Real", [refused_reference(script.probe)]))])
+    script.write([error(call("get", "Real", [values.refused_reference(script.probe)]))])
 
 
 def played(probe: Probe, actions: Iterable[Action], **options: Any) -> Script:
@@ -205,5 +198,5 @@ def number_outputs(probe: Probe) -> list[Variable]:
 
 def others_accepted(probe: Probe, variables: Sequence[Variable], *before: Action) -> list[Pair]:
     """Returns variables with other values that the FMU accepts at once after some actions."""
-    pairs = other_values(variables[:MOST_VARIABLES])
-    return accepted_together(probe, pairs, lambda: probe.script(*before))
+    pairs = values.other_values(variables[:MOST_VARIABLES])
+    return values.accepted_together(probe, pairs, lambda: probe.script(*before))

@@ -18,19 +18,7 @@ from fmus.compliance.instance_parts import (
 )
 from fmus.compliance.process_settings import ProcessSettings
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, USUAL_NAME
-from fmus.fmi.binding import (
-    CO_SIMULATION,
-    DO_STEP_STATUS,
-    ERROR,
-    FATAL,
-    OK,
-    PENDING,
-    WARNING,
-    BoundInstance,
-    Library,
-    element_type,
-    reference_array,
-)  # fmt: skip
+from fmus.fmi import binding
 from fmus.fmi.callbacks import AllocateMemory, Callbacks, CountingAllocator, FreeMemory, StepFinished
 
 _UNWRITTEN = 77  # no fmi2Status
@@ -40,7 +28,8 @@ _CHANGES_OF_STATE = (
 )  # fmt: skip
 _RETURN_ARRAYS = ("fmi2Get", "fmi2Serialize")  # by the last array among their arguments
 _STATUS_TYPES = {
-    "": ctypes.c_int, **{name: element_type(name) for name in ("Real", "Integer", "Boolean", "String")},
+    "": ctypes.c_int,
+    **{name: binding.element_type(name) for name in ("Real", "Integer", "Boolean", "String")},
 }  # fmt: skip
 
 
@@ -55,7 +44,7 @@ def _not_numbers(count: int) -> Any:
     return (ctypes.c_double * count)(*[math.nan] * count)
 
 
-class CalledInstance(BoundInstance):
+class CalledInstance(binding.BoundInstance):
     """An instance of which each call may fail: `last_status` is its status.
 
     options: name, guid, location of the resources, logging (bool), visible (bool), and
@@ -67,12 +56,12 @@ class CalledInstance(BoundInstance):
     function: the latest that was called
     """
 
-    interface = CO_SIMULATION
+    interface = binding.CO_SIMULATION
     _unknown: MessageLog  # of environments of no instance, perhaps of one that was freed
 
     def __init__(
         self,
-        library: Library,
+        library: binding.Library,
         memory: CountingAllocator,
         settings: ProcessSettings,
         options: dict[str, Any],
@@ -203,15 +192,15 @@ class CalledInstance(BoundInstance):
 
     def _guarded_values(self, kind: str, references: Sequence[int]) -> list[Any]:
         """Returns the values, with an element behind them that the FMU may not write."""
-        count, size = len(references), ctypes.sizeof(element_type(kind))
-        buffer = (element_type(kind) * (count + 1))()
+        count, size = len(references), ctypes.sizeof(binding.element_type(kind))
+        buffer = (binding.element_type(kind) * (count + 1))()
         mark = bytes([_GUARD]) * size if self.watched and kind != "String" else b""
         ctypes.memmove(buffer, mark * count, len(mark) * count)
         ctypes.memset(ctypes.addressof(buffer) + count * size, _GUARD, size)
-        self.call(f"fmi2Get{kind}", reference_array(references), count, buffer)
+        self.call(f"fmi2Get{kind}", binding.reference_array(references), count, buffer)
         self.note(ARGUMENTS, bytes(buffer)[-size:] != bytes([_GUARD]) * size)
         values = [bytes(buffer)[i * size : (i + 1) * size] for i in range(count)] if mark else []
-        self.note(UNWRITTEN, self.last_status == OK and mark in values)
+        self.note(UNWRITTEN, self.last_status == binding.OK and mark in values)
         return buffer[:count]
 
     def set(self, kind: str, references: Sequence[int], values: Sequence[Any]) -> None:
@@ -246,7 +235,7 @@ class CalledInstance(BoundInstance):
     def do_step(self, t: float, h: float, no_going_back: bool = False) -> str:
         """Advances from t to t + h seconds; a pending step is waited for. Returns no reason."""
         self.call("fmi2DoStep", t, h, int(no_going_back))
-        if self.last_status == PENDING:
+        if self.last_status == binding.PENDING:
             self._pending_steps += 1
             self.wait()
         return ""
@@ -263,7 +252,7 @@ class CalledInstance(BoundInstance):
         extremes: list[list[Any]] = []
         for i in range(first, first + count):
             reason = self.do_step(start + i * h, h)
-            if not 0 <= self.last_status <= WARNING:
+            if not 0 <= self.last_status <= binding.WARNING:
                 return reason
             t, values = start + (i + 1) * h, [x for kind, of in observed for x in self.get(kind, of)]
             extremes = extremes or [[x, t, x, t] for x in values]
@@ -276,30 +265,30 @@ class CalledInstance(BoundInstance):
 
     def wait(self) -> None:
         """Waits until a pending step has ended; the time limit of the rule ends a wait without end."""
-        status = ctypes.c_int(PENDING)
-        while status.value == PENDING:
+        status = ctypes.c_int(binding.PENDING)
+        while status.value == binding.PENDING:
             time.sleep(0.001)
-            self.call("fmi2GetStatus", DO_STEP_STATUS, ctypes.byref(status))
+            self.call("fmi2GetStatus", binding.DO_STEP_STATUS, ctypes.byref(status))
             if self.last_status:
-                self.last_status = ERROR  # there is no status, which is no discarded step
+                self.last_status = binding.ERROR  # there is no status, which is no discarded step
                 return
         self.last_status = status.value
 
     def begin_step(self, t: float, h: float) -> bool:
         """Calls fmi2DoStep; returns whether the step is pending, which is no failure."""
         self.call("fmi2DoStep", t, h, 0)
-        pending = self.last_status == PENDING
+        pending = self.last_status == binding.PENDING
         self.last_status = 0 if pending else self.last_status
         return pending
 
     def poll_step(self) -> list[list[int]]:
         """Returns [status of fmi2GetStatus, of the step] of each question, until a pending step has ended."""
         answers: list[list[int]] = []
-        step = ctypes.c_int(PENDING)
-        while step.value == PENDING and not self.last_status:
+        step = ctypes.c_int(binding.PENDING)
+        while step.value == binding.PENDING and not self.last_status:
             time.sleep(0.001)
             step.value = _UNWRITTEN
-            self.call("fmi2GetStatus", DO_STEP_STATUS, ctypes.byref(step))
+            self.call("fmi2GetStatus", binding.DO_STEP_STATUS, ctypes.byref(step))
             answers = [*answers[-1:], [self.last_status, step.value]]
         return answers
 
@@ -318,7 +307,7 @@ class CalledInstance(BoundInstance):
     ) -> list[float]:
         result = _not_numbers(len(unknowns))
         arguments = (
-            reference_array(unknowns), len(unknowns), reference_array(knowns), len(knowns),
+            binding.reference_array(unknowns), len(unknowns), binding.reference_array(knowns), len(knowns),
             (ctypes.c_double * len(seed))(*seed), result,
         )  # fmt: skip
         self.call("fmi2GetDirectionalDerivative", *arguments)
@@ -329,18 +318,18 @@ class CalledInstance(BoundInstance):
     ) -> None:
         count = len(references)
         arrays = (ctypes.c_int * count)(*orders), (ctypes.c_double * count)(*values)
-        self.call("fmi2SetRealInputDerivatives", reference_array(references), count, *arrays)
+        self.call("fmi2SetRealInputDerivatives", binding.reference_array(references), count, *arrays)
 
     def output_derivatives(self, references: Sequence[int], order: int | Sequence[int]) -> list[float]:
         """Returns derivatives of outputs, all of one order or each of its own."""
         count = len(references)
         result = _not_numbers(count)
         orders = (ctypes.c_int * count)(*([order] * count if isinstance(order, int) else order))
-        self.call("fmi2GetRealOutputDerivatives", reference_array(references), count, orders, result)
+        self.call("fmi2GetRealOutputDerivatives", binding.reference_array(references), count, orders, result)
         return list(result)
 
     def free(self) -> None:
-        if self.handle is not None and self.last_status != FATAL:
+        if self.handle is not None and self.last_status != binding.FATAL:
             self._tell("fmi2FreeInstance")
             self.status("fmi2FreeInstance")
         self.handle = None
