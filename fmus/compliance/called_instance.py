@@ -111,7 +111,7 @@ class CalledInstance(binding.BoundInstance):
         ]
         structure = type(self.callbacks.structure).from_buffer_copy(self.callbacks.structure)
         name, guid, location = strings
-        self._tell("fmi2Instantiate", options.get("name"), options.get("guid"))
+        self._tell("fmi2Instantiate", options.get("name", "instance"), options.get("guid"))
         address = self.library.fmi2Instantiate(
             name, self.interface, guid, location, ctypes.byref(structure),
             int(options.get("visible", False)), int(options.get("logging", False)),
