@@ -213,6 +213,8 @@ class ModelExchangeInstance(CalledInstance):
             if self._options["needs_completed"]:
                 enter, terminates = self._checked(self.completed_integrator_step, no_going_back)
                 self._terminate_if(terminates)
+                if self._events:
+                    self._events[-1].setdefault("completed", []).append([x, self._read(_STATES)])
             if is_crossing and self._events:
                 self._events[-1]["crossing"] = [before, z]
             if enter or is_crossing:

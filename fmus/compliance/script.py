@@ -96,8 +96,8 @@ class Reply:
 
     @property
     def problem(self) -> str:
-        """Problem of the call, in words."""
-        return f"{self.function} {self.status_name}: expected ok; {self.logged}"
+        """Problem of the call, or of a step of many calls none of which failed, in words."""
+        return self.reason or f"{self.function} {self.status_name}: expected ok; {self.logged}"
 
 
 class Reading:

@@ -20,7 +20,7 @@ enum { FIXED, TUNABLE, INPUT, DISCRETE_INPUT, STATE, OTHER };
 #define ORDER "the order of states is another"
 
 typedef struct {
-    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept, before;
+    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept, kept_v, derived_x, before;
     int is_kept, is_read, up, stairs, turns, above, rising, state, set_up, iteration, evaluations, derivatives;
 } Data;
 typedef struct {
@@ -276,6 +276,7 @@ fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
     Model *m = c;
     NEED(EVENT);
     m->d.state = CONT;
+    m->d.derived_x = m->d.x;
     m->d.is_kept = m->d.is_read = 0;
     return fmi2OK;
 }
@@ -289,6 +290,7 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set_state
     *terminate = fmi2False;
     if (IS("a completed step that is not needed acts")) m->d.x += 1e-3;
     if (IS("a completed step that is not needed acts at a later event") && m->d.x < 0) m->d.e = 0.5;
+    if (IS("a completed step changes a state") && m->d.x < 0) m->d.v *= 0.99;
     if (IS("a completed step counts where no event comes") && m->d.x < 0) m->d.stairs++;
     if (FLAG("completed steps are not needed")) *enter = fmi2False;
     return fmi2OK;
@@ -335,6 +337,12 @@ static double acceleration(Data *d) {
     evaluate(d);
     if (!d->is_kept || d->state != CONT) d->kept = d->a;
     d->is_kept = 1;
+    if (IS("derivatives stay until the second state is set") && d->state == CONT) {
+        if (d->kept_v != d->v) d->kept = d->a;
+        d->kept_v = d->v;
+        return d->kept;
+    }
+    d->derived_x = d->x;
     return IS("derivatives stay until the time is set") ? d->kept : d->a;
 }
 VECTOR(Derivatives, READ, 2, (d->derivatives++, d->v), acceleration(d))
@@ -344,7 +352,8 @@ static double velocity(Data *d) {
 VECTOR(ContinuousStates, READ, 2, d->x, velocity(d))
 VECTOR(NominalsOfContinuousStates, READ | INST, 2, d->nominal, 1)
 static double level(Data *d) {
-    const double z = d->x - 0.1 + (d->above ? 1e-9 : -1e-9);
+    const double x = IS("indicators are those of the last derivatives") && d->state == CONT ? d->derived_x : d->x;
+    const double z = x - 0.1 + (d->above ? 1e-9 : -1e-9);
     if (IS("an indicator is no number") && d->stairs > 1) return NAN;
     if (IS("an indicator of two values")) return z > 0 ? 1 : -1;
     return z;

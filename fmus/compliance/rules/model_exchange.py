@@ -26,6 +26,7 @@ _INDICATORS, _NOMINALS = "fmi2GetEventIndicators", "fmi2GetNominalsOfContinuousS
 _STEPS = 50  # of the run whose events are observed
 _SOLVED = 1e-6  # relative: what an iterative solver in the FMU may change
 _JUMP = 0.01  # of an indicator of the order of one, in a millionth of a step
+_MOST_STATES = 20  # that are moved alone
 _NO_BOOLEAN = -1234567  # of a flag that the FMU has not written
 _NOT_NEEDED = "completedIntegratorStepNotNeeded"
 _CALLS = "allowed-calls-succeed"
@@ -91,10 +92,21 @@ class _ContinuousTime:
         self.script.call("set_time", self.start.begin + part * self.start.size)
         return self.move(part, functions)
 
-    def move(self, part: float, functions: Sequence[str] = (_DERIVATIVES, _INDICATORS)) -> list[Reply]:
-        """Sets states of a part of the step, and no time; returns vectors there."""
-        if self.start.states:
-            self.script.call("set_continuous_states", self.start.near(part))
+    def move(
+        self,
+        part: float,
+        functions: Sequence[str] = (_DERIVATIVES, _INDICATORS),
+        alone: int | None = None,
+    ) -> list[Reply]:
+        """Sets states of a part of the step, and no time; returns vectors there.
+
+        alone: index of a state, if the others are those of the part 0.3
+        """
+        states = self.start.near(part)
+        if alone is not None:
+            states = [*self.start.near(0.3)[:alone], states[alone], *self.start.near(0.3)[alone + 1 :]]
+        if states:
+            self.script.call("set_continuous_states", states)
         return _vectors(self._probe, self.script, functions)
 
     def play(self) -> None:
@@ -139,14 +151,20 @@ def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
     back gives them again, and other states at the same time give those of these states.
     """
     run, new = _ContinuousTime(probe), _ContinuousTime(probe)
+    functions = [f for f in (_DERIVATIVES, _INDICATORS) if vector_length(probe.fmu, f)]
     before, _, after = (run.go(part) for part in (0.3, 0.6, 0.3))
-    moved = run.move(0.9)
+    again = _vectors(probe, run.script, functions)
+    ways = [None, *range(min(len(run.start.states), _MOST_STATES))]
+    moved = [(run.move(0.3), run.move(0.9, alone=i))[1] for i in ways]
     new.script.call("set_time", new.start.begin + 0.3 * new.start.size)
-    expected = new.move(0.9)
+    expected = [new.move(0.9, functions[::-1], alone=i)[::-1] for i in ways]
     run.play()
     new.play()
     yield from _differences(before, after, "after time and states were set back")
-    yield from _differences(expected, moved, "after states were set at the same time, as in a new instance")
+    yield from _differences(after, again, "read once more")
+    when = "after states were set at the same time, as in a new instance"
+    for wanted, got in zip(expected, moved, strict=True):
+        yield from _differences(wanted, got, when)
 
 
 @_rule(_EVALUATION, needs="derivatives-have-no-history")
@@ -315,8 +333,18 @@ def _changes(probe: Probe, which: int, element: str) -> Iterator[str]:
 
 @_rule(_EVALUATION, condition=_no_states, needs=_CALLS)
 def changes_of_states_are_announced(probe: Probe) -> Iterator[str]:
-    """If fmi2NewDiscreteStates changes a state, valuesOfContinuousStatesChanged is true."""
+    """If fmi2NewDiscreteStates changes a state, valuesOfContinuousStatesChanged is true;
+    fmi2CompletedIntegratorStep changes none.
+    """
     yield from _changes(probe, 0, "valuesOfContinuousStatesChanged")
+    for event in _run(probe)[0]:
+        for before, after in event.get("completed", ()):
+            for v, a, b in zip(_states(probe.fmu), before, after, strict=True):
+                if not same(a, b, _SOLVED):
+                    old, new = texts(a, b)
+                    what = f"fmi2CompletedIntegratorStep changes {v.name} from {old} to {new}"
+                    yield f"{what} after {_event(probe, event)}: expected that in event mode alone"
+                    return
 
 
 @_rule(_EVALUATION, condition=_no_states, needs=_CALLS)

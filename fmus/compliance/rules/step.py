@@ -12,6 +12,7 @@ from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_r
 from fmus.compliance.rules.call_table import LARGE_TOLERANCE, TOLERANCE, run_with_tolerance
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import continuous_reals, texts, unless_claimed
+from fmus.compliance.variable import Variable
 from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME
 
 _SETUP = "2.1.6 Initialization, Termination, and Resetting an FMU (fmi2SetupExperiment)"
@@ -69,11 +70,21 @@ def _without_independent(fmu: FmuFile) -> str:
 def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
     """The independent variable is the start time after initialisation, and then the end of the last step,
     also of its multiples: after a fraction, an FMU of fixed internal steps may be behind. So it is after
-    fmi2Reset, with a tolerance, a stop time and another start time.
+    fmi2Reset, with a tolerance, a stop time and another start time, and in the default experiment.
     """
-    independent = [v for v in probe.fmu.variables if v.causality == "independent"][:1]
+    (v,) = [v for v in probe.fmu.variables if v.causality == "independent"][:1]
     if not probe.states_step_size:
         raise NotJudgedError("no step size is stated, and an internal step may be longer than others")
+    for t, reading in _times(probe, v):
+        got = reading.values[v.name]
+        if not abs(got - t) <= 1e-3 * probe.step_size + 1e-9 * abs(t):
+            shown = texts(got, t)
+            yield f"{v.name} is {shown[0]} at the communication point {shown[1]} s"
+            return
+
+
+def _times(probe: Probe, v: Variable) -> Iterator[tuple[float, Reading]]:
+    """Yields communication points with readings of a variable, up to a call that fails."""
     factors = (1.0, 2.0, 3.0) if probe.fmu.claims(_ANY_STEP) else (1.0, 1.0, 1.0)
     tolerance = LARGE_TOLERANCE if run_with_tolerance(probe).succeeded else None
     for start in (probe.start_time, probe.start_time + 3 * probe.step_size):
@@ -84,20 +95,18 @@ def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
             script.begin().step().reset()
             script.set_up(start, probe.point(1000), tolerance).enter_initialization_mode()
             script.exit_initialization_mode()
-        rows = [(script.replies[-1], script.read(independent), start)]
+        rows = [(script.replies[-1], script.read([v]), start)]
         for factor in factors:
             step = script.call("do_step", t, factor * probe.step_size)
             t += factor * probe.step_size
-            rows.append((step, script.read(independent), t))
+            rows.append((step, script.read([v]), t))
         script.play(keep_going=True)
         for _, reading, t in itertools.takewhile(lambda row: row[0].ok and row[1].ok, rows):
-            (got,) = reading.values.values()
-            if not abs(got - t) <= 1e-3 * probe.step_size + 1e-9 * abs(t):
-                yield (
-                    f"{independent[0].name} is {texts(got, t)[0]} at the communication point "
-                    f"{texts(got, t)[1]} s"
-                )
-                return
+            yield t, reading
+    whole = do.over_the_experiment(probe)
+    count = len(whole.observed)
+    for i, (*_, reading) in enumerate(whole.observed if whole.succeeded else (), 1):
+        yield probe.point(probe.steps_of_experiment * i // count), reading
 
 
 @behaviour_rule(_COMPUTATION, interface=CO_SIMULATION)
