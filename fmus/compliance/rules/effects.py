@@ -199,7 +199,7 @@ def _derivatives(probe: Probe, mode: Iterable[Action], groups: Iterable[_Group])
     return replies
 
 
-@_partial_rule(needs="allowed-calls-succeed variables-can-be-read")
+@_partial_rule(needs="allowed-calls-succeed variables-can-be-read start-values-are-as-declared")
 def directional_derivatives(probe: Probe) -> Iterator[str]:
     """In initialization mode, derivatives of outputs, calculated parameters and state derivatives lie between
     difference quotients of both sides.
