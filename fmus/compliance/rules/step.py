@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 
 from fmus.compliance import actions as do
 from fmus.compliance.differential import Row, differential
@@ -103,10 +104,11 @@ def _times(probe: Probe, v: Variable) -> Iterator[tuple[float, Reading]]:
         script.play(keep_going=True)
         for _, reading, t in itertools.takewhile(lambda row: row[0].ok and row[1].ok, rows):
             yield t, reading
-    whole = do.over_the_experiment(probe)
-    count = len(whole.observed)
-    for i, (*_, reading) in enumerate(whole.observed if whole.succeeded else (), 1):
-        yield probe.point(probe.steps_of_experiment * i // count), reading
+    with suppress(NotApplicableError, NotJudgedError):  # then the times before are judged alone
+        whole = do.over_the_experiment(probe)
+        count = len(whole.observed)
+        for i, (*_, reading) in enumerate(whole.observed if whole.succeeded else (), 1):
+            yield probe.point(probe.steps_of_experiment * i // count), reading
 
 
 @behaviour_rule(_COMPUTATION, interface=CO_SIMULATION)
