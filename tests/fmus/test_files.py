@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from fmus import files
 from fmus.files import open_atomically, write_archive, write_json_atomically, write_text_atomically
 
 
@@ -33,7 +34,10 @@ def test_a_written_file_replaces_the_old_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("mask", "mode"), [(0o022, 0o644), (0o027, 0o640), (0o002, 0o664)])
-def test_a_file_has_the_permissions_that_the_umask_gives(tmp_path: Path, mask: int, mode: int) -> None:
+def test_a_file_has_the_permissions_that_the_umask_gives(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mask: int, mode: int
+) -> None:
+    monkeypatch.setattr(files, "command_umask", None)  # which a command in this process would have kept
     before = os.umask(mask)
     try:
         write_text_atomically(tmp_path / "text", "depth")
