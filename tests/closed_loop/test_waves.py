@@ -1,6 +1,8 @@
-"""The vehicle in waves: what a particle of the water does, and what the sensor makes of it."""
+"""The vehicle in waves: limits of linear theory, and the ranking of controllers."""
 
 import math
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,10 +11,14 @@ import pytest
 from fmus.registry import Flavour, fmu_path
 from orchestration.results.recording import Recording
 from orchestration.run import simulate
+from orchestration.scenarios import scenario
+from orchestration.score.closed_loop import tuned
+from orchestration.score.protocol import read_protocol
 from orchestration.system.experiment import Experiment
 from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.system import System
 from plant_fmu import waves
+from tests.shared_builds import Fmus
 
 W = 2.0 * math.pi / 5.0  # rad/s
 K = W * W / 9.81
@@ -83,3 +89,84 @@ def test_in_deep_water_nothing_moves(scenario_fmus: None) -> None:
     """At k z = 4 a wave of 0.1 m moves it by 0.1 m exp(-4) at most, to either side."""
     run = in_waves(0.1, INPUTS, initial_depth=4.0 / K, initial_heave_velocity=0.0)
     assert 0.0 < np.ptp(run["plant.depth"]) < 3.0 * 0.1 * math.exp(-4.0)
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "disturbances.md"
+PROTOCOL = read_protocol()
+POSITION = [name for name in PROTOCOL.controllers if PROTOCOL.controllers[name].league == "position"]
+NO_PRESSURE = {"inputs": {"plant.wave_pressure_head": 0.0}}
+
+
+def rank_correlation(first: Sequence[float], second: Sequence[float]) -> float:
+    """Spearman's: 1 for the same order, -1 for the reversed one."""
+    ranks = np.array([np.argsort(np.argsort(figures)) for figures in (first, second)])
+    return float(np.ravel(np.corrcoef(ranks))[1])
+
+
+def deviations(built: Fmus, name: str, hold: str, layer: dict[str, Any], **waves: Any) -> tuple[float, float]:
+    """Standard deviations [cm] of depth and measured depth in a shipped hold, by the tuned gains."""
+    controller = tuned(PROTOCOL, name)
+    given: dict[str, Any] = {"controller": str(built[controller.fmu])}
+    given |= {f"controller.{gain}": value for gain, value in controller.parameters.items()}
+    loaded = scenario.load(scenario.find(hold), layer, settings=given | waves)
+    run = simulate(loaded.system, loaded.experiment)
+    depth, measured = (run[name][run.time >= 60.0] for name in ("plant.depth", "plant.measured_depth"))
+    return 100.0 * float(np.std(depth)), 100.0 * float(np.std(measured))
+
+
+@pytest.mark.slow
+def test_with_pressure_in_the_sensor_the_ranking_of_a_sine_does_not_hold(
+    scenario_fmus: None, built: Fmus
+) -> None:
+    """The page shows these figures."""
+    rows = []
+    for name in POSITION:
+        sine = deviations(built, name, "hold-force-sine", {})[0]
+        unpressed = deviations(built, name, "hold-regular-waves", NO_PRESSURE)[0]
+        figures = sine, unpressed, *deviations(built, name, "hold-regular-waves", {})
+        cells = " | ".join(f"{figure:.3f}" for figure in figures)
+        assert f"| `{name}` | {cells} |" in PAGE.read_text(encoding="utf-8")
+        rows.append(figures)
+    sine, unpressed, pressed, _ = zip(*rows, strict=True)
+    assert rank_correlation(sine, unpressed) == pytest.approx(0.98, abs=0.005)
+    assert rank_correlation(sine, pressed) == pytest.approx(-0.42, abs=0.005)
+    assert max(pressed) / min(pressed) < 1.012
+
+
+@pytest.mark.slow
+def test_in_irregular_seas_no_controller_differs_from_another_by_more_than_a_seed(
+    scenario_fmus: None, built: Fmus
+) -> None:
+    """Twelve seas: the best and the worst of all controllers are 1.5 % apart at most, the seas by half."""
+    spreads, seas = [], []
+    for seed in range(1, 13):
+        seeds = {"waves.seed": seed, "plant.sensor_seed": seed}
+        figures = [deviations(built, name, "hold-jonswap-sea", {}, **seeds)[0] for name in POSITION]
+        spreads.append(max(figures) / min(figures) - 1.0)
+        seas.append(min(figures))
+    assert max(spreads) < 0.015
+    assert min(seas) == pytest.approx(5.69, abs=0.005)
+    assert max(seas) == pytest.approx(8.72, abs=0.005)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("hold", "lowered"), [("hold-regular-waves", 0.0043), ("hold-jonswap-sea", 0.0073)])
+def test_the_exchange_of_20_ms_lowers_the_motion_by_what_the_page_states(
+    scenario_fmus: None, hold: str, lowered: float
+) -> None:
+    """Held waves are late by half a step, an error that halves with it; a late depth changes little."""
+
+    def deviation(step: float, **layer: Any) -> float:
+        steps = {"plant.internal_step": step, "controller.internal_step": step, "plant.sensor_ideal": True}
+        chosen = scenario.load(
+            scenario.find(hold), {"experiment": {"step_size": step}} | layer, settings=steps
+        )
+        run = simulate(chosen.system, chosen.experiment)
+        return float(np.std(run["plant.depth"][run.time >= 60.0]))
+
+    shipped, half, fine = (deviation(step) for step in (0.02, 0.01, 0.00125))
+    assert 1.0 - shipped / fine == pytest.approx(lowered, abs=1e-4)
+    # of an error in proportion to the step, 15 and 7 parts are left beside a sixteenth of the step
+    assert (fine - shipped) / (fine - half) == pytest.approx(15.0 / 7.0, rel=0.03)
+    late = deviation(0.02, faults=[{"input": "waves.depth", "kind": "delay", "delay": 0.02}])
+    assert abs(late / shipped - 1.0) < 6e-5
