@@ -12,7 +12,7 @@ from scipy.integrate import quad
 
 from fmus.block.instance import BlockError
 from fmus.build import builder
-from plant_fmu import waves
+from plant_fmu import depth_sensor, waves
 from plant_fmu.heave import GRAVITY
 from plant_fmu.wave_source import WaveKind
 
@@ -138,6 +138,13 @@ def test_a_seed_is_one_sea_and_another_seed_another() -> None:
     assert abs(np.exp(1j * phases).mean()) < 0.05
     assert phases.min() >= 0.0
     assert phases.max() <= 2.0 * math.pi
+
+
+def test_a_sea_has_other_numbers_than_the_sensor_of_the_same_seed() -> None:
+    """Else its first phases would be made of the numbers of the sensor's first noise."""
+    _, *seeds = depth_sensor.uniform(*depth_sensor.scrambled(1))
+    v, *_ = depth_sensor.uniform(*seeds)
+    assert abs(waves.jonswap_sea(0.4, 5.0, 3.3, 1).phase[0] - 2.0 * math.pi * v) > 1e-6
 
 
 def test_force_and_pressure_belong_together(driver: Any) -> None:

@@ -36,6 +36,7 @@ def test_the_shipped_blocks_are_found() -> None:
         "SlidingModeDepthController",
         "SuperTwistingDepthController",
         "ThrustAllocation",
+        "WaveSource",
     ]
 
 
