@@ -3,9 +3,8 @@
 Callers say what they key on and what they store. A key follows from all that the content follows from. So no
 entry is ever out of date: it is there or not. The entries that were used longest ago are removed.
 
-Libraries are executed, and rows of a score are published as results of this user. So an entry is used only if
-no other user can have written it, and if it is as it was written. On Windows the system keeps the folders of
-a user from others.
+Libraries are executed. So an entry is used only if no other user can have written it, and if it is as it was
+written. On Windows the system keeps the folders of a user from others.
 """
 
 import hashlib
@@ -26,8 +25,8 @@ else:
     import fcntl
 
 FMUS, BUILDS = "fmus", "builds"
-MOST = {BUILDS: 10_000, "libraries": 300, "score": 150}
-"""Kind -> how many entries are kept. A row of a score has 400 kB: 150 are three scores and a comparison.
+MOST = {BUILDS: 10_000, "libraries": 300}
+"""Kind -> how many entries are kept.
 
 The files of `FMUS` are no entries: scenarios name them.
 """

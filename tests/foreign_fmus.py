@@ -65,6 +65,7 @@ class Misdeed(IntEnum):
     HIDE_FILES = 28
     LEAVE_SESSION = 29
     LIMIT_FILES = 30
+    RANDOM_OUTPUT = 31
 
 
 @dataclass(frozen=True)

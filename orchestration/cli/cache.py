@@ -14,7 +14,6 @@ _CONTENT = {
     store.BUILDS: "records of what you built: unchanged FMUs are not built again, and run in ensembles",
     store.FMUS: "FMUs that scenarios run",
     "libraries": "compiled code of runs and ensembles",
-    "score": "rows of scores and comparisons",
 }
 
 
@@ -34,8 +33,8 @@ def cache(
     """Show or clear what is kept between commands: where it is, and how large.
 
     What is cleared is made again when it is needed, so it can be cleared at any time, also while other
-    commands run. With the kind score, the next score runs every controller. The records of
-    builds are cleared only where they are named: without its record, an FMU runs like one of another tool.
+    commands run. The records of builds are cleared only where they are named: without its record,
+    an FMU runs like one of another tool.
 
     What was used longest ago is removed by itself. Your results are not in the cache: an interrupted sweep or
     tuning continues from the files beside its results.

@@ -32,6 +32,17 @@ if TYPE_CHECKING:
 FullOption = Annotated[
     bool, typer.Option("--full", help="Run the 300 plants of the protocol too, and compare on each.")
 ]
+SeedOption = Annotated[
+    int | None,
+    typer.Option(
+        metavar="NUMBER",
+        help="Repeat a score by its seed, from which noise, times and plants follow; by default it is drawn.",
+        min=0,
+    ),
+]
+RatesOption = Annotated[
+    bool, typer.Option("--no-rates", help="Connect the reference alone, not its derivatives.")
+]
 ProtocolOption = Annotated[
     Path | None,
     typer.Option("--protocol", metavar="FILE", help="Follow this protocol, not the one that ships."),
@@ -43,11 +54,9 @@ def score(
         list[str],
         typer.Argument(metavar="CONTROLLER...", help="An .fmu, a block or its .py file; or several."),
     ],
-    league: Annotated[
-        str,
-        typer.Option(metavar="NAME", help="What the controller knows: position, or reference-rates too."),
-    ] = "position",
+    no_rates: RatesOption = False,
     full: FullOption = False,
+    seed: SeedOption = None,
     out: shared.OutFolder = Path("results"),
     plant: PlantOption = "",
     settings: LoopSetOption = [],  # noqa: B006  (Typer copies it)
@@ -65,12 +74,12 @@ def score(
 
     changes = Changes.of_options("", settings, mapped, open_inputs, plant)
     protocol = chosen_protocol(changes, protocol_file)
-    chosen = scored_controllers(controllers, league, changes)
+    chosen = scored_controllers(controllers, no_rates, changes)
     shared.check_writable(out)
     total = scoring.run_count(len(chosen), protocol, full)
     with shared.progress("score", total) as bar:
         result = scoring.score_controllers(
-            chosen, protocol, full=full, timeout=timeout, workers=workers, progress=bar.advance
+            chosen, protocol, full=full, seed=seed, timeout=timeout, workers=workers, progress=bar.advance
         )
     print_score(result.document)
     write_score(result, out)
@@ -78,6 +87,7 @@ def score(
 
 def compare(
     full: FullOption = False,
+    seed: SeedOption = None,
     workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
     out: shared.OutFolder = Path("results"),
     plant: PlantOption = "",
@@ -94,10 +104,10 @@ def compare(
 
     changes = Changes.of_options("", settings, mapped, None, plant)
     protocol = chosen_protocol(changes, protocol_file)
-    scored_controllers([], "position", changes)
+    scored_controllers([], False, changes)
     shared.check_writable(out)
     with shared.progress("compare", comparison.run_count(protocol, full)) as bar:
-        result = comparison.compare(protocol, full, workers, bar.advance)
+        result = comparison.compare(protocol, full, seed, workers, bar.advance)
     document = result.document
     shown = comparison.shown_tables(document).items()
     print_tables(
@@ -141,23 +151,23 @@ def print_tables(tables: "Sequence[ScoreTable]", document: "Score") -> None:
     """Prints the protocol, tables of a score, and the differences between its controllers, if it has any."""
     from orchestration.cli.score_tables import BEST, FAILED, differences_table, in_parts
 
-    print(f"Protocol {document.protocol.version}. {document.protocol.statement}")
+    print(f"Protocol {document.protocol.version}, seed {document.seed}. {document.protocol.statement}")
     for table in (*in_parts(tables, shared.console().width), differences_table(document)):
         if table:
             shared.print_table(table)
-    print(f"{BEST} the best of its league, {FAILED} a run that failed")
+    print(f"{BEST} the best of a column, {FAILED} a run that failed")
     for title, reason in document.protocol.left_out.items():
         print(f"left out: {title}: {reason}")
 
 
 def print_score(document: "Score") -> None:
-    """Prints the tables of a score, which controllers use the true depth rate, and why runs failed."""
+    """Prints the tables of a score, why controllers are not ranked, and why runs failed."""
     from orchestration.cli.score_tables import score_tables
 
     print_tables(score_tables(document), document)
     for row in document.scored:
-        if row.uses_true_rate:
-            print(f"{row.title} uses the true depth rate, which no sensor of the vehicle measures")
+        for reason in row.unranked:
+            print(f"{row.title} is not ranked: {reason}")
         for name, case in row.cases.items():
             if case.failed:
                 print(f"{row.title}, {document.protocol.cases[name].title}: {', '.join(case.failed)}")
@@ -184,7 +194,7 @@ def _built(fmu: str) -> str:
     return str(builder.fmu_of_file(Path(fmu)) if fmu.endswith(".py") else fmu)
 
 
-def scored_controllers(names: Sequence[str], league: str, changes: Changes) -> list["Controller"]:
+def scored_controllers(names: Sequence[str], no_rates: bool, changes: Changes) -> list["Controller"]:
     """Returns the FMUs, blocks and Python files of blocks; settings and mapping are those of the only one."""
     from orchestration.score.closed_loop import Controller
 
@@ -205,7 +215,7 @@ def scored_controllers(names: Sequence[str], league: str, changes: Changes) -> l
         Controller(
             name=Path(name).stem,
             fmu=_built(name),
-            league=league,
+            reference_rates=not no_rates,
             parameters=own,
             mapping=mapping,
             open_inputs=str(changes.open_inputs or OpenInputs.ERROR),

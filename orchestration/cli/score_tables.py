@@ -59,7 +59,14 @@ def differences_table(score: Score) -> Table | None:
 
 def _parts(shown: ScoreTable, width: int) -> list[Table]:
     """Returns the table in as many parts as its columns need."""
-    first = 1 + _PADDING + max(len(row.title) for row in shown.rows)
+    first = (
+        1
+        + 2 * _PADDING
+        + sum(
+            max(len(text) for text in texts)
+            for texts in ([row.title for row in shown.rows], ["Told", *(row.told for row in shown.rows)])
+        )
+    )
     count = max(1, (width - first) // _COLUMN_WIDTH)
     return [
         _table(shown, range(begin, min(begin + count, len(shown.columns))))
@@ -71,12 +78,13 @@ def _table(shown: ScoreTable, columns: range) -> Table:
     title = Text(shown.title if columns[0] == 0 else f"{shown.title}, continued")
     table = Table(title=title, box=SIMPLE_HEAD)
     table.add_column("", no_wrap=True)
+    table.add_column("Told")
     for column in (shown.columns[index] for index in columns):
         heading = f"{column.title} [{column.unit}]" if column.unit else column.title
         table.add_column(Text(heading), justify="right", width=_COLUMN_WIDTH - _PADDING)
     for row, cells in zip(shown.rows, shown.cells, strict=True):
         label = Text(row.title, "bold" if row.scored else "")
-        table.add_row(label, *(_cell(cells[index]) for index in columns))
+        table.add_row(label, row.told, *(_cell(cells[index]) for index in columns))
     return table
 
 

@@ -19,7 +19,7 @@ from orchestration.cli.changes import (
     PlantOption,
 )
 from orchestration.cli.interrupts import INTERRUPTED
-from orchestration.cli.score import chosen_protocol, scored_controllers
+from orchestration.cli.score import RatesOption, chosen_protocol, scored_controllers
 from orchestration.errors import ScenarioError
 
 if TYPE_CHECKING:
@@ -50,12 +50,7 @@ def tune(
     restart: Annotated[
         bool, typer.Option("--restart", help="Discard the evaluations of an earlier tuning of that name.")
     ] = False,
-    league: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME", help="Of a controller that is not of the protocol; by default position."
-        ),
-    ] = None,
+    no_rates: RatesOption = False,
     plant: PlantOption = "",
     settings: LoopSetOption = [],  # noqa: B006
     mapped: LoopMapOption = [],  # noqa: B006
@@ -69,7 +64,7 @@ def tune(
 
     changes = Changes.of_options("", settings, mapped, open_inputs, plant)
     protocol = chosen_protocol(changes)
-    controller = _controller(name, league, changes, protocol)
+    controller = _controller(name, no_rates, changes, protocol)
     problem = tune_problem.problem_of(controller, protocol, [parse(text) for text in free])
     shared.check_writable(out)
     journal = out / f"{controller.name}.tune.jsonl"
@@ -118,7 +113,7 @@ def _search(
 
 def _controller(
     name: str,
-    league: str | None,
+    no_rates: bool,
     changes: Changes,
     protocol: "Protocol",
 ) -> "Controller":
@@ -131,9 +126,13 @@ def _controller(
         raise ScenarioError(f"no controller {name!r}; {nearest(name, known)}")
     if name in protocol.controllers:
         mapped = changes.mapping.get(CONTROLLER)
-        options = {"--league": league, "--map": mapped, "--open-inputs": changes.open_inputs}
+        options = {
+            "--no-rates": no_rates,
+            "--map": mapped,
+            "--open-inputs": changes.open_inputs,
+        }
         shared.refuse_without_effect(f"{name}, a controller of the protocol", options)
-    (chosen,) = scored_controllers([name], league or "position", changes)
+    (chosen,) = scored_controllers([name], no_rates, changes)
     if name not in protocol.controllers:
         return chosen
     of_protocol = built_in(protocol, name)

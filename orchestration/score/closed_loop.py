@@ -33,13 +33,15 @@ from orchestration.score.run_metrics import Judged, all_signals, declared, metri
 from orchestration.score.vehicle import DEPTH, PLANT, build_missing
 from orchestration.system.experiment import Experiment
 from orchestration.system.signal_derivatives import derivative
-from orchestration.system.signals import Ramps, Signal
+from orchestration.system.signals import Later, Ramps, Signal
 
 OWN = "controller."
 GAINS = Path(__file__).with_name("gains")
 """Folder of the gains that `l1-depth tune` gave the controllers of the protocol: NAME.toml."""
-KNOWS_RATES = "reference-rates"
+RATE, MEASURED_RATE = f"{OWN}measured_depth_rate", f"{PLANT}measured_depth_rate"
 _RATES = {"depth_reference_rate": 1, "depth_reference_acceleration": 2}  # input -> order of the derivative
+TOLD = ("depth_reference", *_RATES, "measured_depth_rate")
+"""Inputs of the depth control interface that tell of the reference and of the depth rate."""
 _LOADING = threading.Lock()  # filters of warnings are those of all threads
 
 
@@ -50,11 +52,12 @@ class Controller:
     fmu: an .fmu or the name of a block; parameters: variable -> value, of what is not at its start value
     mapping: name of the depth control interface -> variable that stands for it
     settings: "component.variable" -> value, of the other components
+    reference_rates: whether the derivatives of the reference are connected, where it has inputs for them
     """
 
     name: str
     fmu: str
-    league: str = "position"
+    reference_rates: bool = True
     title: str = ""
     parameters: Mapping[str, FmiValue] = field(default_factory=dict)
     mapping: Mapping[str, str] = field(default_factory=dict)
@@ -72,7 +75,7 @@ def built_in(protocol: Protocol, name: str) -> Controller:
     if name not in protocol.controllers:
         raise ScenarioError(f"no controller {name!r}; {nearest(name, protocol.controllers)}")
     table = protocol.controllers[name]
-    return Controller(name, table.fmu, table.league, table.title, table.parameters)
+    return Controller(name, table.fmu, table.reference_rates, table.title, table.parameters)
 
 
 def tuned_gains(name: str) -> dict[str, FmiValue]:
@@ -113,9 +116,6 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
         make: Make | None = None,
         timeout: float | None = None,
     ) -> None:
-        if controller.league not in protocol.tables.leagues:
-            known = protocol.tables.leagues
-            raise ScenarioError(f"no league {controller.league!r}; {nearest(controller.league, known)}")
         self.controller, self.protocol = controller, protocol
         self._place = LocalRuns(1)
         self.make, self.timeout = make or partial(in_order, self._place), timeout
@@ -176,7 +176,7 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
     def _loaded(self, case: Case) -> Scenario:
         controller, vehicle = self.controller, self.protocol.vehicle
         layers = [
-            *_base(shipped_bases()[self.protocol.tables.base], vehicle.actuators),
+            *_base(shipped_bases()[self.protocol.tables.base], vehicle.actuators, vehicle.has(MEASURED_RATE)),
             Layer(dict(case.layer)),
         ]
         named = set(names_in([layer.data for layer in layers]))
@@ -223,11 +223,14 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
         signals = dict(experiment.signals)
         if case.trajectory:
             signals[self.controller.variable("depth_reference")] = Ramps(case.trajectory)
+        moved = {n: Later(signals[n], case.later) for n in case.layer["signals"] if n in signals}
+        moved.pop(self.controller.variable("depth_reference"), None)
         self._drive_rates(loaded, inputs, signals)
-        return replace(experiment, inputs=inputs, signals=signals)
+        faults = [replace(f, start=f.start + case.later, end=f.end + case.later) for f in experiment.faults]
+        return replace(experiment, inputs=inputs, signals=signals | moved, faults=faults)
 
     def _drive_rates(self, loaded: Scenario, inputs: dict[str, FmiValue], signals: dict[str, Signal]) -> None:
-        """Drives the rates of the reference by its derivatives, or holds them at 0, by the league."""
+        """Drives the rates of the reference by its derivatives, or holds them at 0."""
         reference = signals[self.controller.variable("depth_reference")]
         known = _inputs(loaded.system.components["controller"])
         for name, order in _RATES.items():
@@ -236,10 +239,17 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
                 continue
             inputs.pop(variable, None)
             signals.pop(variable, None)
-            if self.controller.league == KNOWS_RATES:
+            if self.controller.reference_rates:
                 signals[variable] = derivative(reference, order, variable)
             else:
                 inputs[variable] = 0.0
+
+    def connected(self) -> list[str]:
+        """Returns what the controller is told of reference and rate, by names of the interface."""
+        experiment = self.experiment(self.protocol.nominal)
+        connections = self.scenario(self.protocol.nominal).system.connections
+        driven = {*experiment.signals, *(target for _, target, *_ in connections)}
+        return [name for name in TOLD if self.controller.variable(name) in driven]
 
     def parameters(self) -> dict[str, FmiValue]:
         """Returns the controller's own values, each of the type that its variable has."""
@@ -257,8 +267,14 @@ def _inputs(fmu: Path) -> set[str]:
 
 
 @cache
-def _base(path: Path, actuators: tuple[str, ...]) -> tuple[Layer, ...]:
-    """Returns the layers of a base, and one with what is recorded for metrics in place of its metrics."""
+def _base(path: Path, actuators: tuple[str, ...], measures_rate: bool) -> tuple[Layer, ...]:
+    """Returns the layers of a base, and one with what is recorded for metrics in place of its metrics.
+
+    measures_rate: whether the vehicle does, else no controller is told its depth rate
+    """
     layers = file_layers(path)
     metrics = {name: False for layer in layers for name in layer.data.get("metrics", {})}
-    return (*layers, Layer({"record": [REFERENCE, DEPTH, *actuators], "metrics": metrics}))
+    rate: dict[str, Any] = {"inputs": {RATE: 0.0}}
+    if measures_rate:
+        rate = {"connections": {RATE: MEASURED_RATE}}
+    return (*layers, Layer({"record": [REFERENCE, DEPTH, *actuators], "metrics": metrics, **rate}))

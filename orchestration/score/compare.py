@@ -31,12 +31,15 @@ def controllers(protocol: Protocol) -> list[Controller]:
 def compare(
     protocol: Protocol,
     full: bool = False,
+    seed: int | None = None,
     workers: int = usable_processors(),
     progress: Callable[[int], object] = lambda done: None,
 ) -> ScoreResult:
     """Returns the score of all, with `full` on every plant, beside the paper's controller, tuned."""
     papers, *others = sorted(controllers(protocol), key=lambda controller: controller.name != PAPERS)
-    return score_controllers([papers], protocol, beside=others, full=full, workers=workers, progress=progress)
+    return score_controllers(
+        [papers], protocol, beside=others, full=full, seed=seed, workers=workers, progress=progress
+    )
 
 
 def run_count(protocol: Protocol, full: bool) -> int:
@@ -54,23 +57,20 @@ def for_page(result: ScoreResult) -> ScoreResult:
     return replace(result, document=result.document.model_copy(update={"rows": rows}))
 
 
-def part(document: Score, which: str, league: str) -> Score:
-    """Returns the rows of one kind and league; each table of them marks the best of its columns."""
-    rows = [row for row in document.rows if row.name.startswith(f"{which}/") and row.league == league]
+def part(document: Score, which: str) -> Score:
+    """Returns the rows of one kind; each table of them marks the best of its columns."""
+    rows = [row for row in document.rows if row.name.startswith(f"{which}/")]
     return document.model_copy(update={"rows": rows})
 
 
 def shown_tables(document: Score) -> dict[str, ScoreTable]:
-    """Returns the tables of the rows of each kind and league, by their names."""
-    made: dict[str, ScoreTable] = {}
-    for league in document.protocol.leagues:
-        for which in (TUNED, START):
-            made[f"{which} {league} overview"] = score_view.overview(part(document, which, league))
-        rows = part(document, TUNED, league)
-        made[f"{TUNED} {league} rmse"] = score_view.of_metric(rows, "rmse")
-        plants = score_view.over_plants(rows)
-        if plants:
-            made[f"{TUNED} {league} plants"] = plants
+    """Returns the tables of the rows of each kind, by their names."""
+    made = {f"{which} overview": score_view.overview(part(document, which)) for which in (TUNED, START)}
+    rows = part(document, TUNED)
+    made[f"{TUNED} rmse"] = score_view.of_metric(rows, "rmse")
+    plants = score_view.over_plants(rows)
+    if plants:
+        made[f"{TUNED} plants"] = plants
     return made
 
 
@@ -89,10 +89,13 @@ def with_tuned_differences(document: Score) -> Score:
 
 
 def _markdown(table: ScoreTable) -> str:
-    headings = [f"{c.title} [{c.unit}]" if c.unit else c.title for c in table.columns]
+    headings = ["Told", *(f"{c.title} [{c.unit}]" if c.unit else c.title for c in table.columns)]
     return _lines(
         headings,
-        ([row.title, *map(_text, cells)] for row, cells in zip(table.rows, table.cells, strict=True)),
+        (
+            [row.title, row.told, *map(_text, cells)]
+            for row, cells in zip(table.rows, table.cells, strict=True)
+        ),
     )
 
 

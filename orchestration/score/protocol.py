@@ -1,9 +1,10 @@
 """The protocol of the score: its cases, plants, metrics and controllers, from protocol.toml.
 
-What is kept for the table of a score alone stands in table.toml, which `table_seeds` reads.
-The plants of `score --full` are drawn once, the same for every controller. The numbers of plant i come from
-SeedSequence(seed, spawn_key=(i,)) alone, in the order of the protocol: what is varied, then way, depth and
-hold of each depth.
+A score draws what a controller could learn by heart: seeds and times of the cases, and the plants of
+`score --full`, the same for every controller. The numbers of case k come from SeedSequence(seed,
+spawn_key=(0, k)) alone, those of plant i from SeedSequence(seed, spawn_key=(1, i)), in the order of the
+protocol: what is varied, then way, depth and hold of each depth. Who tunes has the cases as the file gives
+them.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -41,6 +42,7 @@ from orchestration.sweep.distributions import FUNCTIONS
 
 FILE = Path(__file__).with_name("protocol.toml")
 REFERENCE = "controller.depth_reference"
+LARGEST_SEED = 2147483397  # that a sensor takes
 _BAND = 0.05  # of the target: the paper's settling band
 _FILE = TypeAdapter(ProtocolFile)
 _METRIC: TypeAdapter[Any] = TypeAdapter(Annotated[Table, METRIC])
@@ -71,6 +73,7 @@ class Case:
     layer: as a scenario file gives it; values: parameters and constant inputs laid over it
     trajectory: [time, depth] of the reference in place of that of the layer; judged: [start, end] in s
     seed_variable: "plant.variable" of the seed of the sensor's noise, "" if the vehicle has none
+    later: how much later [s] its signals and faults come than the layer gives them, of at most latest
     """
 
     name: str
@@ -82,11 +85,19 @@ class Case:
     values: Mapping[str, FmiValue] = field(default_factory=dict)
     trajectory: Sequence[Sequence[float]] = ()
     seed_variable: str = ""
+    latest: float = 0.0
+    later: float = 0.0
 
     def with_seed(self, seed: int) -> "Case":
         """Returns the case with another seed of the sensor's noise."""
         seeds = {self.seed_variable: seed} if self.seed_variable else {}
         return replace(self, values={**self.values, **seeds})
+
+    def drawn(self, random: np.random.Generator) -> "Case":
+        """Returns the case with seeds and times that are drawn."""
+        layer = _with_seeds(self.layer, random)
+        later = float(random.uniform(0.0, self.latest))
+        return replace(self, layer=layer, later=later).with_seed(_seed(random))
 
 
 @dataclass(frozen=True)
@@ -168,7 +179,9 @@ class Protocol:
         title = (disturbance.title if disturbance else "") or table.title
         seed = PLANT + described.variables.noise_seed
         seed = seed if self.vehicle.is_of_base or self.vehicle.has(seed) else ""
-        case = Case(name, title, layer, target, (start, end), table.tuned_on, seed_variable=seed)
+        case = Case(
+            name, title, layer, target, (start, end), table.tuned_on, seed_variable=seed, latest=table.latest
+        )
         return case.with_seed(self.tables.practice_seeds[0])
 
     @cached_property
@@ -283,8 +296,28 @@ def _names(tables: ProtocolFile, ours: Vehicle) -> Iterator[tuple[KeyPath, str, 
         yield ("cost", "bounds", name), name, [*tables.metrics, DELAY_MARGIN]
     blocks = block_names()
     for name, controller in tables.controllers.items():
-        yield ("controllers", name, "league"), controller.league, tables.leagues
         yield ("controllers", name, "fmu"), controller.fmu, blocks
+
+
+def drawn_cases(protocol: Protocol, seed: int) -> list[Case]:
+    """Returns the cases of a score, with seeds and times that follow from its seed."""
+    return [
+        case.drawn(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, number))))
+        for number, case in enumerate(protocol.cases.values())
+    ]
+
+
+def _with_seeds(value: Any, random: np.random.Generator) -> Any:
+    """Returns the entries of a layer with a drawn number for each seed."""
+    if isinstance(value, list):
+        return [_with_seeds(item, random) for item in value]
+    if not isinstance(value, Mapping):
+        return value
+    return {key: _seed(random) if key == "seed" else _with_seeds(item, random) for key, item in value.items()}
+
+
+def _seed(random: np.random.Generator) -> int:
+    return int(random.integers(1, LARGEST_SEED, endpoint=True))
 
 
 Quantile = Callable[[float], FmiValue]
@@ -321,7 +354,7 @@ def _quantile(table: Table) -> Quantile:
 
 
 def _plant(nominal: Case, draws: _Draws, seed: int, number: int) -> Case:
-    random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
+    random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, number)))
     values = dict(nominal.values)
     for variables, quantile in draws.varied:
         values |= dict.fromkeys(variables, quantile(random.random()))

@@ -51,6 +51,8 @@ class CaseTable(ChangesTable):
     """[start, end] in s of what metrics tell about; by default the run."""
     stop_time: float = 0.0
     """End of the run [s]; by default that of the trajectory."""
+    latest: Annotated[float, Field(ge=0.0)] = 0.0
+    """Signals and faults of the case come later than they stand here, by up to this [s]: a score draws it."""
     disturbance: str = ""
     """Name of a disturbance in the description of the vehicle, below these entries."""
 
@@ -68,7 +70,8 @@ class ControllerTable(Table):
     title: str
     fmu: str
     """Name of a block."""
-    league: str
+    reference_rates: bool = False
+    """Whether the derivatives of the reference are connected."""
     parameters: dict[str, Value] = {}
     """Variable -> value, of what is not at its start value."""
     gains: dict[str, GainTable] = {}
@@ -133,7 +136,6 @@ class ProtocolFile(Table):
     """Seeds of the sensor's noise for whoever tunes."""
     trajectory: Annotated[list[Pair], Field(min_length=3)]
     """[time, depth] of the reference, in s and m; straight lines between them."""
-    leagues: dict[str, str]
     metrics: dict[str, MetricTable]
     failure: dict[str, float]
     """Metric -> a run with more of it failed."""
@@ -141,12 +143,3 @@ class ProtocolFile(Table):
     plants: PlantsTable
     cost: CostTable
     controllers: dict[str, ControllerTable]
-
-
-class TableFile(Table):
-    """The seeds of the table of a score, which tuning never reads."""
-
-    sensor_seed: Annotated[int, Field(ge=1)]
-    """Seed of the sensor's noise in the cases."""
-    plants_seed: Annotated[int, Field(ge=0)]
-    """Seed of the plants and their trajectories."""

@@ -4,6 +4,7 @@ result = score([Controller("mine", "my.fmu")])
 result.document.scored[0].cases["nominal"].metrics["rmse"]
 """
 
+import secrets
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -14,7 +15,7 @@ from fmus.platforms import usable_processors
 from orchestration.errors import ScenarioError
 from orchestration.many.run_many import LocalRuns
 from orchestration.score.closed_loop import ClosedLoop, Controller, tuned
-from orchestration.score.protocol import Protocol, read_protocol
+from orchestration.score.protocol import LARGEST_SEED, Protocol, read_protocol
 from orchestration.score.protocol_format import COMPARED
 from orchestration.score.run_metrics import Trace
 from orchestration.score.score_document import PairedDifference, Row, Score, protocol_info
@@ -37,13 +38,15 @@ def score_controllers(
     *,
     beside: Sequence[Controller] | None = None,
     full: bool = False,
+    seed: int | None = None,
     timeout: float | None = None,
     workers: int = usable_processors(),
     progress: Progress = lambda done: None,
 ) -> ScoreResult:
     """Runs every case, with `full` every plant too, and compares with the controllers of the protocol.
 
-    beside: the other controllers, by default those of the protocol, tuned; their rows are kept in a cache
+    beside: the other controllers, by default those of the protocol, tuned
+    seed: what the seeds and times of the cases and the plants follow from, by default one that is drawn
     timeout: longest time [s] of a run, by default that of the protocol
     progress: called with how many more runs are done, of `run_count`
     Each controller runs in a process of its own. One that fails, hangs or crashes has its row with the
@@ -55,10 +58,12 @@ def score_controllers(
     if beside is None:
         beside = [tuned(protocol, name) for name in protocol.controllers]
     chosen = _with_other_names(controllers, beside)
-    scoring = Scoring(protocol, full, progress)
+    seed = secrets.randbelow(LARGEST_SEED) if seed is None else seed
+    scoring = Scoring(protocol, full, seed, progress)
     rows = _rows(scoring, chosen, beside, timeout or protocol.tables.time_limit, workers)
     document = Score(
         made_by=f"l1-depth {version('l1-depth')}",
+        seed=seed,
         protocol=protocol_info(protocol),
         rows=[row for row, _ in rows],
     )

@@ -54,7 +54,6 @@ class ProtocolInfo(Part):
     version: str
     statement: str
     """What the metrics tell about, and what they do not."""
-    leagues: dict[str, str]
     metrics: dict[str, MetricInfo]
     cases: dict[str, CaseInfo]
     left_out: dict[str, str] = {}
@@ -93,26 +92,40 @@ class PlantsResult(Part):
     metrics: dict[str, MetricOverPlants]
 
 
+_SYMBOLS = {
+    "depth_reference": "r",
+    "depth_reference_rate": "r'",
+    "depth_reference_acceleration": "r''",
+    "measured_depth_rate": "z'",
+}
+
+
 class Row(Part):
     """One controller."""
 
     name: str
     title: str
-    league: str
+    connected: list[str] = []
+    """What it is told of the reference and of the depth rate, by names of the depth control interface."""
     scored: bool
     """Whether it is what the command was given, not one of the protocol."""
     fmu: dict[str, Any]
     """Model, GUID, generation tool and SHA-256 of its FMU."""
     parameters: dict[str, Any] = {}
     """Variable -> value of what is not at its start value."""
-    uses_true_rate: bool | None = None
-    """Whether its metrics depend on the true depth rate, which no sensor of the vehicle measures."""
+    unranked: list[str] = []
+    """Why its numbers are not marked as the best of a column; empty if they may be."""
     delay_margin: Number = math.nan
-    """Longest additional delay [s] of the nominal case; null if it is not judged."""
+    """Longest additional delay [s] of the nominal case; null if that fails or is not judged."""
     microseconds: Number = math.nan
-    """Of a communication step of the controller's FMU alone, on the machine of the score."""
+    """Of a communication step of the controller's FMU with the inputs of the nominal run, on this machine."""
     cases: dict[str, CaseResult] = {}
     plants: PlantsResult | None = None
+
+    @property
+    def told(self) -> str:
+        """Symbols of what the controller is told."""
+        return ", ".join(_SYMBOLS.get(name, name) for name in self.connected) or "-"
 
 
 class PairedDifference(Part):
@@ -136,6 +149,8 @@ class Score(Part):
     """The score that `l1-depth score` writes."""
 
     made_by: str
+    seed: int = 0
+    """What its seeds, times and plants follow from: `--seed` repeats them."""
     protocol: ProtocolInfo
     rows: list[Row]
     differences: list[PairedDifference] = []
@@ -151,13 +166,15 @@ OF_A_ROW: Mapping[str, MetricInfo] = {
         title="Delay margin",
         unit="s",
         meaning="longest additional delay of the measured depth with which the nominal loop holds quietly: "
-        "standard deviation below 3 mm from 100 s to 140 s; the first loss on a scan",
+        "standard deviation below 3 mm from 100 s to 140 s; the first loss on a scan; not a number if the "
+        "nominal run fails",
         greatest_is_best=True,
     ),
     MICROSECONDS: MetricInfo(
         title="Step",
         unit="us",
-        meaning="processor time of a communication step of the controller's FMU alone",
+        meaning="processor time of a communication step of the controller's FMU, with its inputs of the "
+        "nominal run",
     ),
 }
 """Metrics that a row has once, not for each case."""
@@ -172,7 +189,6 @@ def protocol_info(protocol: Protocol) -> ProtocolInfo:
     return ProtocolInfo(
         version=protocol.version,
         statement=protocol.statement,
-        leagues=dict(protocol.tables.leagues),
         metrics={**metrics, **OF_A_ROW},
         cases={name: CaseInfo(title=c.title, tuned_on=c.tuned_on) for name, c in protocol.cases.items()},
         left_out={protocol.tables.cases[name].title: why for name, why in protocol.left_out.items()},

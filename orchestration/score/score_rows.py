@@ -1,66 +1,44 @@
-"""The row of one controller: every case, what is measured of it once, and every plant.
-
-Rows of built-in controllers from earlier scores are in the store. A row is found there by the content of all
-that it follows from: FMUs, parameters, protocol, seeds, this program and the libraries, Python and machine
-that run it.
-"""
+"""The row of one controller: every case, what is measured of it once, and every plant."""
 
 import hashlib
-import json
 import math
-import platform
-import sys
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import asdict, dataclass, replace
-from functools import cache, partial
-from importlib.metadata import distributions
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 
-from fmus import store
 from fmus.fmi.description import describe, of_causality
 from orchestration.errors import OrchestrationError, ScenarioError, SimulationError, SweepError
-from orchestration.many.job import ENDED, TOO_LONG, Done, Failure, Job, Run
+from orchestration.many.job import ENDED, TOO_LONG, Done, Failure, Job, Reduce, Run
 from orchestration.many.run_many import LocalRuns, in_order
 from orchestration.many.runners import ClosedError
 from orchestration.margins.fmu_margins import scan
 from orchestration.margins.hold import HoldRuns, LoopSignal, last_part
 from orchestration.results.recording import Recording
-from orchestration.score.closed_loop import GAINS, OWN, ClosedLoop, ClosedLoopRun, Controller
-from orchestration.score.protocol import FILE, Case, Protocol, plants
+from orchestration.score.closed_loop import OWN, ClosedLoop, ClosedLoopRun
+from orchestration.score.protocol import Case, Protocol, drawn_cases, plants
 from orchestration.score.protocol_format import COMPARED
 from orchestration.score.run_metrics import Trace, declared, failures, traced_metrics
 from orchestration.score.score_document import CaseResult, MetricOverPlants, PlantsResult, Row
 from orchestration.score.statistics import distribution
-from orchestration.score.table_seeds import table_seeds
 from orchestration.score.vehicle import DEPTH
 from orchestration.system.experiment import Experiment
+from orchestration.system.signals import Table
 from orchestration.system.system import System
 
 OVER_PLANTS = (*COMPARED, "settling_time", "overshoot", "breach")
 """Metrics of the runs over plants."""
 
 _MOST_ENDINGS = 3  # of a controller's process
-_FEW_STEPS, _MANY_STEPS = 5_000, 200_000  # that are timed: many where few take a short time
-_SHORT_S = 0.5
 _REPETITIONS = 3
 _TIMED_RUN = 10.0  # timeouts for a run that is timed, which has more steps than a case
-_TRUE_RATE = "measured_depth_rate"
-
-STORED = "score"
-"""Kind of the rows in the store."""
-_PROJECT = Path(__file__).parents[2]
-_PACKAGES = ("fmus", "controller_fmu", "plant_fmu", "orchestration")
-_OF_OTHERS = ("controllers", "cost")  # tables of a protocol that a row does not follow from
-
 Progress = Callable[[int], object]
 RowTraces = tuple[Row, dict[str, Trace]]
 """A row, and what is drawn of its runs by case."""
-_ROW_TRACES = TypeAdapter(RowTraces)
 
 
 class Patience:
@@ -73,11 +51,6 @@ class Patience:
         self.place = place
         self._refusal = ""
         self._endings = 0
-
-    @property
-    def is_intact(self) -> bool:
-        """Whether no run took too long, and no process ended: at another load of the machine, one might."""
-        return not self._endings and not self._refusal
 
     def __call__(self, job: Job, runs: Sequence[Run]) -> Iterator[Done]:
         """Yields the runs of a job in their order."""
@@ -106,38 +79,31 @@ class Scoring:
 
     protocol: Protocol
     full: bool
+    seed: int
     progress: Progress
 
     def __post_init__(self) -> None:
-        seeds = table_seeds()
-        self.cases = [case.with_seed(seeds.sensor_seed) for case in self.protocol.cases.values()]
-        self.plants = plants(self.protocol, seeds.plants_seed) if self.full else []
+        self.cases = drawn_cases(self.protocol, self.seed)
+        self.plants = plants(self.protocol, self.seed) if self.full else []
 
     def row(self, loop: ClosedLoop, patience: Patience, scored: bool) -> RowTraces:
-        """Returns the row of a controller and its traces; of a built-in one from the cache, if there."""
-        key = "" if scored else row_key(loop.controller, loop, self.full)
-        if key and (stored := stored_row(key)):
-            self.progress(len(self.cases) + len(self.plants))
-            return stored
+        """Returns the row of a controller and its traces."""
         with patience.place:
             try:
-                row, traces = self._run(loop, scored)
+                return self._run(loop, scored)
             except ValidationError as error:
                 mistake = error.errors()[0]
                 raise ScenarioError(
                     f"score of {loop.controller.name}: {mistake['loc'][0]} = {mistake['input']!r}: "
                     f"{mistake['msg'].lower()}, so nothing is written; check the FMU with l1-depth check"
                 ) from error
-        if key and patience.is_intact:
-            store_row(key, row, traces)
-        return row, traces
 
     def _run(self, loop: ClosedLoop, scored: bool) -> RowTraces:
         controller, nominal = loop.controller, self.cases[0]
         row = Row(
             name=controller.name,
             title=controller.title or controller.name,
-            league=controller.league,
+            connected=loop.connected(),
             scored=scored,
             fmu=_fmu(loop),
             parameters=loop.parameters(),
@@ -145,8 +111,12 @@ class Scoring:
         traces: dict[str, Trace] = {}
         for case, (run, trace) in zip(self.cases, self._judged(loop, self.cases, traced=True), strict=True):
             row.cases[case.name], traces[case.name] = run, trace
-        row.uses_true_rate = _value_or(None, uses_true_rate, loop, nominal)
-        row.delay_margin = _value_or(math.nan, delay_margin_of, loop, nominal)
+        row.unranked = beyond_bounds(loop)
+        if row.cases[nominal.name].failed:
+            row.unranked += [f"{nominal.title}: {reason}" for reason in row.cases[nominal.name].failed]
+        else:
+            row.unranked += _value_or([], not_repeated, loop, nominal)
+            row.delay_margin = _value_or(math.nan, delay_margin_of, loop, nominal)
         row.microseconds = _value_or(math.nan, microseconds, loop, nominal)
         if self.plants:
             names = [name for name in OVER_PLANTS if name in self.protocol.metrics]
@@ -178,16 +148,26 @@ def _value_or(default: Any, function: Callable[[ClosedLoop, Case], Any], loop: C
         return default
 
 
-def uses_true_rate(loop: ClosedLoop, case: Case) -> bool:
-    """Checks whether a run depends on the true depth rate, which no sensor of the vehicle measures."""
-    controller = loop.controller
-    variable = controller.variable(_TRUE_RATE)
-    inputs = of_causality(describe(loop.scenario(case).system.components["controller"]), "input")
-    if variable.removeprefix(OWN) not in {v.name for v in inputs}:
-        return False
-    without = replace(controller, settings={**controller.settings, variable: 0.0})
-    blind = ClosedLoop(without, loop.protocol, loop.make, loop.timeout)
-    return not np.array_equal(loop.run(case).values, blind.run(case).values)
+def beyond_bounds(loop: ClosedLoop) -> list[str]:
+    """Returns the gains beyond the widest range that the protocol has for them in this FMU."""
+    ranges: dict[str, tuple[float, float]] = {}
+    for table in loop.protocol.controllers.values():
+        if table.fmu == loop.controller.fmu:
+            for name, gain in table.gains.items():
+                low, high = ranges.get(name, (math.inf, 0.0))
+                ranges[name] = min(low, gain.low), max(high, gain.high)
+    given = {name: float(value) for name, value in loop.parameters().items() if name in ranges}
+    return [
+        f"{name} = {value:g}: beyond {ranges[name][0]:g} to {ranges[name][1]:g}, in which gains are tuned"
+        for name, value in given.items()
+        if not ranges[name][0] <= value <= ranges[name][1]
+    ]
+
+
+def not_repeated(loop: ClosedLoop, case: Case) -> list[str]:
+    """Returns the reason why a controller is not ranked whose run gives other values when it is repeated."""
+    first, second = (loop.run(case).values for _ in range(2))
+    return [] if np.array_equal(first, second) else ["its run, repeated, gives other values"]
 
 
 def delay_margin_of(loop: ClosedLoop, case: Case) -> float:
@@ -202,30 +182,51 @@ def delay_margin_of(loop: ClosedLoop, case: Case) -> float:
 
 
 def microseconds(loop: ClosedLoop, case: Case) -> float:
-    """Returns the processor time [us] of a communication step of the controller's FMU alone.
+    """Returns the processor time [us] of a communication step of the controller's FMU in the run of a case.
 
-    Of the fastest of three runs. Its inputs keep their start values. The time of a short run is subtracted,
-    which is that of the start.
+    The FMU runs alone, with the inputs that it had in the case. Of the fastest of three runs; the time of a
+    tenth of the run is subtracted, which holds that of the start.
     """
-    loaded = loop.scenario(case)
-    fmu = loaded.system.components["controller"]
-    parameters = {n: v for n, v in loop.experiment(case).parameters.items() if n.startswith(OWN)}
+    loaded, experiment = loop.scenario(case), loop.experiment(case)
+    fmu, driven = loaded.system.components["controller"], dict[str, str]()
+    for source, target, *_ in loaded.system.connections:
+        if target.startswith(OWN):
+            driven[target] = source
+    nominal = Job(loaded.system, experiment, loop.timeout)
+    given = _done(loop, nominal, replace(experiment, record=tuple(driven.values())), _recordings).result
+    own = {name: value for name, value in experiment.signals.items() if name.startswith(OWN)}
+    own |= {name: Table(given.time, given[source], hold=True) for name, source in driven.items()}
     output = next(v.name for v in of_causality(describe(fmu), "output") if v.type != "String")
-    step = loaded.experiment.step_size
-    base = Experiment(step, step, parameters=parameters, record=(OWN + output,), open_inputs="start")
+    base = replace(
+        experiment,
+        parameters={n: v for n, v in experiment.parameters.items() if n.startswith(OWN)},
+        inputs={n: v for n, v in experiment.inputs.items() if n.startswith(OWN)},
+        signals=own,
+        faults=(),
+        record=(OWN + output,),
+    )
     timeout = None if loop.timeout is None else _TIMED_RUN * loop.timeout
     job = Job(System({"controller": fmu}), base, timeout)
+    steps = round(base.stop_time / base.step_size)
+    few = steps // 10
 
     def duration(steps: int) -> float:
-        (done,) = loop.make(job, [Run(None, replace(base, stop_time=steps * step), _last)])
-        if isinstance(done.result, Failure):
-            raise SimulationError(done.result.reason, None)
-        return done.seconds
+        return _done(loop, job, replace(base, stop_time=steps * base.step_size), _last).seconds
 
-    many = _MANY_STEPS if duration(_FEW_STEPS) < _SHORT_S else _FEW_STEPS
-    few = many // 10
-    longer, shorter = (min(duration(steps) for _ in range(_REPETITIONS)) for steps in (many, few))
-    return 1e6 * (longer - shorter) / (many - few)
+    longer, shorter = (min(duration(steps) for _ in range(_REPETITIONS)) for steps in (steps, few))
+    return 1e6 * (longer - shorter) / (steps - few)
+
+
+def _done(loop: ClosedLoop, job: Job, experiment: Experiment, reduce: Reduce) -> Done:
+    """Returns the only run of an experiment; SimulationError if it failed."""
+    (done,) = loop.make(job, [Run(None, experiment, reduce)])
+    if isinstance(done.result, Failure):
+        raise SimulationError(done.result.reason, None)
+    return done
+
+
+def _recordings(runs: Recording) -> list[Recording]:
+    return [runs.run(i) for i in range(len(runs.values))]
 
 
 def _last(runs: Recording) -> list[float]:
@@ -255,51 +256,3 @@ def _over_plants(runs: Sequence[CaseResult], names: Sequence[str]) -> PlantsResu
             for name, column in values.items()
         },
     )
-
-
-def row_key(controller: Controller, loop: ClosedLoop, full: bool) -> str:
-    """Returns the key of a row in the store."""
-    loaded = loop.scenario(loop.protocol.nominal)
-    fmus = [store.digest(fmu.read_bytes()) for fmu in loaded.system.components.values()]
-    runs = {name: table for name, table in loop.protocol.file.data.items() if name not in _OF_OTHERS}
-    vehicle = loop.protocol.vehicle.key
-    content = [asdict(controller), full, runs, vehicle, _sources(), _environment(), fmus]
-    return store.digest(json.dumps(content, sort_keys=True, default=str).encode())
-
-
-@cache
-def _sources() -> list[tuple[str, str]]:
-    """Returns path and digest of what metrics follow from in this program.
-
-    Of the shipped protocol the tables count one by one, and of tuned gains those that the controller has.
-    """
-    return [
-        (path, digest)
-        for name in _PACKAGES
-        for path, digest, _ in store.digests(_PROJECT / name)
-        if (source := _PROJECT / name / path) != FILE and source.parent != GAINS
-    ]
-
-
-@cache
-def _environment() -> list[object]:
-    """Returns what metrics depend on besides the sources: Python, the C library and what is installed."""
-    installed = sorted({(found.name, found.version) for found in distributions()})
-    return [sys.version, platform.machine(), platform.libc_ver(), installed]
-
-
-def stored_row(key: str) -> RowTraces | None:
-    """Returns the row of a key and its traces, if they are stored.
-
-    Raises OrchestrationError, with what to do, if another user can have written it.
-    """
-    if reason := store.reason_for_distrust(store.folder(STORED) / key):
-        raise OrchestrationError(reason)
-    with suppress(ValueError):  # of another version of Pydantic
-        return _ROW_TRACES.validate_json(store.get(STORED, key) or b"")
-    return None
-
-
-def store_row(key: str, row: Row, traces: dict[str, Trace]) -> None:
-    """Stores a row and its traces."""
-    store.put(STORED, key, _ROW_TRACES.dump_json((row, traces)))

@@ -1,6 +1,6 @@
 """Tables of a score, for the terminal and for the page: one controller a row, the best of each column marked.
 
-The best of a column is the best of its league among the runs that did not fail.
+The best of a column is the best of the runs that did not fail, of controllers that are ranked.
 """
 
 import math
@@ -164,20 +164,21 @@ def _table(score: Score, title: str, columns: Sequence[Column]) -> ScoreTable:
     marked = []
     for column in columns:
         cells = [column.cell(row) for row in score.rows]
-        best = {league: _best(score, cells, league, column) for league in score.protocol.leagues}
+        ranked = [not row.unranked and not cell.failed for row, cell in zip(score.rows, cells, strict=True)]
+        values = [cell.value for cell, is_ranked in zip(cells, ranked, strict=True) if is_ranked]
+        best = _best(values, len(cells), column)
         marked.append(
             [
-                replace(cell, is_best=cell.value == best[row.league] and not cell.failed)
-                for row, cell in zip(score.rows, cells, strict=True)
+                replace(cell, is_best=is_ranked and cell.value == best)
+                for cell, is_ranked in zip(cells, ranked, strict=True)
             ]
         )
     return ScoreTable(title, tuple(columns), tuple(score.rows), tuple(zip(*marked, strict=True)))
 
 
-def _best(score: Score, cells: Sequence[Cell], league: str, column: Column) -> float:
-    """Returns the best number of a league, of runs that did not fail; not a number where all are equal."""
-    of_league = [cell for row, cell in zip(score.rows, cells, strict=True) if row.league == league]
-    values = [cell.value for cell in of_league if not cell.failed and math.isfinite(cell.value)]
-    if not values or len(of_league) < 2 or (len(values) == len(of_league) and len(set(values)) == 1):
+def _best(values: Sequence[float], rows: int, column: Column) -> float:
+    """Returns the best number of those that are ranked; not a number where all of the rows are equal."""
+    known = [value for value in values if math.isfinite(value)]
+    if not known or rows < 2 or (len(known) == rows and len(set(known)) == 1):
         return math.nan
-    return max(values) if column.greatest_is_best else min(values)
+    return max(known) if column.greatest_is_best else min(known)

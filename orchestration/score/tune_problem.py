@@ -213,7 +213,7 @@ def provenance(tuning: Tuning, controller: Controller, protocol: Protocol) -> di
     return {
         "controller": controller.name,
         "fmu": Path(controller.fmu).name,
-        "league": controller.league,
+        "reference_rates": controller.reference_rates,
         "protocol": protocol.version,
         "vehicle": protocol.vehicle.name,
         "objective": f"mean {table.metric} over {', '.join(cases)}, practice seeds",

@@ -83,6 +83,17 @@ class Cosine(ArraySignal):
 
 
 @dataclass(frozen=True)
+class Later(ArraySignal):
+    """A signal that comes some seconds later: `signal` at t - delay."""
+
+    signal: Signal
+    delay: float
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        return values_at(self.signal, times - self.delay)
+
+
+@dataclass(frozen=True)
 class Constant(ArraySignal):
     """A constant: one value at every time."""
 

@@ -12,7 +12,7 @@ import pytest
 
 from orchestration.run import simulate
 from orchestration.scenarios.scenario import Scenario
-from orchestration.score.closed_loop import KNOWS_RATES, ClosedLoop, Controller, tuned
+from orchestration.score.closed_loop import ClosedLoop, Controller, tuned
 from orchestration.score.protocol import read_protocol
 from tests.closed_loop.same_experiment import SMOOTH, slope
 from tests.closed_loop.second_laws import Adrc, Mrac, Pid, SlidingMode, SuperTwisting
@@ -50,7 +50,7 @@ def second(loaded: Scenario, controller: Controller) -> dict[str, np.ndarray]:
         return sampled(base, STEP, LawStep.BETWEEN_MEASUREMENTS)
     law = {**NO_OBSERVER, **base.law}
     case = Case(base.plant, law, base.ideal, base.reference, base.force, base.duration)
-    rate = slope if controller.league == KNOWS_RATES else lambda t: 0.0
+    rate = slope if controller.reference_rates else lambda t: 0.0
     return run(case, STEP, LAWS[controller.fmu](case, STEP, rate))
 
 

@@ -93,7 +93,7 @@ def test_in_deep_water_nothing_moves(scenario_fmus: None) -> None:
 
 PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "disturbances.md"
 PROTOCOL = read_protocol()
-POSITION = [name for name in PROTOCOL.controllers if PROTOCOL.controllers[name].league == "position"]
+POSITION = [name for name in PROTOCOL.controllers if not PROTOCOL.controllers[name].reference_rates]
 NO_PRESSURE = {"inputs": {"plant.wave_pressure_head": 0.0}}
 
 

@@ -15,9 +15,7 @@ from fmus.build.stamp import BuildCache, BuildRequest
 from fmus.fmi.description import describe
 from fmus.registry import FOLDER_VARIABLE, fmu_folder, fmu_path
 from fmus.store import reason_for_distrust
-from orchestration.errors import FmuLoadError, OrchestrationError
-from orchestration.score.score_document import Row
-from orchestration.score.score_rows import store_row, stored_row
+from orchestration.errors import FmuLoadError
 from tests.described_fmus import described
 from tests.other_user import give_to_another_user
 
@@ -28,7 +26,7 @@ OWN_GROUP_WRITES = 0o002
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     path = tmp_path / "l1-depth" / "rows" / "row.json"
-    store.write(path, b"a row")
+    store.write(path, b"an entry")
     return path
 
 
@@ -42,7 +40,7 @@ def shared_umask() -> Iterator[None]:
 @pytest.mark.usefixtures("shared_umask")
 def test_what_a_umask_of_002_writes_is_trusted(tmp_path: Path) -> None:
     path = tmp_path / "l1-depth" / "rows" / "row.json"
-    store.write(path, b"a row")
+    store.write(path, b"an entry")
     assert reason_for_distrust(path) == ""
     assert {folder.stat().st_mode & 0o777 for folder in (path.parent, path.parent.parent)} == {0o700}
 
@@ -111,18 +109,6 @@ def test_an_fmu_that_is_built_under_a_umask_of_002_runs(
     describe(builder.build_block("ExamplePlant", fmu_folder()))
 
 
-def test_a_row_of_a_score_that_others_can_write_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    row = Row(name="pid", title="PID", league="position", scored=False, fmu={})
-    store_row("key", row, {})
-    assert stored_row("key")
-    (tmp_path / "l1-depth" / "score").chmod(0o770)
-    with pytest.raises(OrchestrationError, match=r"score can be written by other users.*: remove it"):
-        stored_row("key")
-
-
 def test_a_stamp_that_others_can_write_stamps_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -147,41 +133,44 @@ KEY = "an entry"
 def entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The file of an entry."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    store.put("score", KEY, b"a row")
-    return store.folder("score") / KEY
+    store.put("libraries", KEY, b"an entry")
+    return store.folder("libraries") / KEY
 
 
 @pytest.mark.parametrize(
     "change", [lambda data: data[:-1], lambda data: data + b" ", lambda data: b"b" + data[1:]]
 )
 def test_an_entry_is_as_it_was_written_or_not_there(entry: Path, change: Callable[[bytes], bytes]) -> None:
-    assert store.get("score", KEY) == b"a row"
+    assert store.get("libraries", KEY) == b"an entry"
     entry.write_bytes(change(entry.read_bytes()))
-    assert store.get("score", KEY) is None
+    assert store.get("libraries", KEY) is None
 
 
 def test_entries_used_longest_ago_are_removed(entry: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(store.MOST, "score", 2)
-    store.put("score", "older", b"")
+    monkeypatch.setitem(store.MOST, "libraries", 2)
+    store.put("libraries", "older", b"")
     for age, path in ((100.0, entry), (50.0, entry.with_name("older"))):
         os.utime(path, (1e9 - age, 1e9 - age))
-    assert store.get("score", KEY)  # which uses it
-    store.put("score", "new", b"")
+    assert store.get("libraries", KEY)  # which uses it
+    store.put("libraries", "new", b"")
     assert {path.name for path in entry.parent.iterdir()} == {KEY, "new"}
 
 
-WRITER = (
-    "import sys; from fmus import store\nfor i in range(300): store.put('score', 'key', sys.argv[1].encode())"
-)
+WRITER = """
+import sys
+from fmus import store
+for i in range(300):
+    store.put("libraries", "key", sys.argv[1].encode())
+"""
 
 
 @pytest.mark.usefixtures("entry")
 def test_processes_that_write_one_entry_leave_a_whole_one() -> None:
     contents = ["first" * 10_000, "other" * 20_000]
-    store.put("score", "key", contents[0].encode())
+    store.put("libraries", "key", contents[0].encode())
     writers = [subprocess.Popen([sys.executable, "-c", WRITER, content]) for content in contents]
     while any(writer.poll() is None for writer in writers):
-        found = store.get("score", "key")
+        found = store.get("libraries", "key")
         assert found is not None
         assert found.decode() in contents
     assert [writer.returncode for writer in writers] == [0, 0]

@@ -9,6 +9,7 @@
 #include <signal.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
+#include <time.h>
 #include <unistd.h>
 
 enum { MISDEED, MISDEED_TIME, LONGEST_STEP, U, Y, N_VARIABLES };
@@ -43,7 +44,8 @@ enum { /* the items of the enumeration Misdeed */
     BIG_STATUS_OF_STEP, /* 6 */
     HIDE_FILES, /* new files get no permissions */
     LEAVE_SESSION,
-    LIMIT_FILES /* to 100 bytes */
+    LIMIT_FILES, /* to 100 bytes */
+    RANDOM_OUTPUT /* that differs from run to run */
 };
 
 #define MODEL_REFUSES
@@ -105,6 +107,11 @@ static fmi2Status model_step(Slave *s, double h) {
     d->value[Y] += h * d->value[U];
     if (is_due(s, NAN_OUTPUT)) d->value[Y] = NAN;
     if (is_due(s, INFINITE_OUTPUT)) d->value[Y] = INFINITY;
+    if (is_due(s, RANDOM_OUTPUT)) {
+        struct timespec now;
+        clock_gettime(CLOCK_MONOTONIC, &now);
+        d->value[Y] = 1e-9 * (double)now.tv_nsec;
+    }
     if (is_due(s, NO_STATUS_OF_STEP)) return (fmi2Status)-5;
     if (is_due(s, BIG_STATUS_OF_STEP)) return (fmi2Status)6;
     return is_due(s, WARNING) ? refuse(s, fmi2Warning, "the battery is low") : fmi2OK;

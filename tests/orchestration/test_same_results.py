@@ -135,7 +135,17 @@ def test_a_score_has_the_same_numbers(
     is_same: Callable[..., None],
     tmp_path: Path,
 ) -> None:
-    command("score", "PidDepthController", "--full", "--protocol", small_protocol, "--out", tmp_path)
+    command(
+        "score",
+        "PidDepthController",
+        "--full",
+        "--seed",
+        "1",
+        "--protocol",
+        small_protocol,
+        "--out",
+        tmp_path,
+    )
     rows = json.loads((tmp_path / "score.json").read_text(encoding="utf-8"))["rows"]
     is_same("score", {name: np.array([value]) for name, value in numbers_of(rows)})
 

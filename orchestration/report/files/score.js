@@ -62,9 +62,9 @@ async function drawPareto() {
   const points = {
     type: "scatter", mode: "markers+text", textposition: "top center",
     x: rows.map((row) => value(row, "rmse")), y: rows.map((row) => value(row, "total_variation")),
-    text: rows.map((row) => (row.scored || best.includes(row) ? plain(row.title) : "")), hovertext: rows.map((row) => plain(`${row.title}, ${row.league}`)),
+    text: rows.map((row) => (row.scored || best.includes(row) ? plain(row.title) : "")), hovertext: rows.map((row) => plain(`${row.title}, told ${row.connected.join(", ")}`)),
     marker: {
-      size: rows.map((row) => (row.scored ? 14 : 9)), symbol: rows.map((row) => (failed(row) ? "x" : row.league === "position" ? "circle" : "diamond")),
+      size: rows.map((row) => (row.scored ? 14 : 9)), symbol: rows.map((row) => (failed(row) ? "x" : row.connected.length > 1 ? "diamond" : "circle")),
       color: rows.map((row) => row.delay_margin ?? NaN), colorscale: "Viridis", colorbar: { title: { text: "Delay margin [s]" } },
       line: { width: rows.map((row) => (row.scored ? 3 : 1)), color: "#888888" },
     },

@@ -54,26 +54,28 @@ def test_all_is_cleared_but_the_records_of_builds(command: Command, kept: dict[s
 
 def test_a_link_is_not_followed(command: Command, kept: dict[str, int], tmp_path: Path) -> None:
     mine = tmp_path / "mine"
-    store.folder("score").rename(mine)
-    store.folder("score").symlink_to(mine)
-    assert "score is a link: remove it" in command("cache", "clear").stdout
+    store.folder("libraries").rename(mine)
+    store.folder("libraries").symlink_to(mine)
+    assert "libraries is a link: remove it" in command("cache", "clear").stdout
     assert [*mine.iterdir()] == [mine / "key"]
 
 
 def test_one_kind_is_cleared_alone(command: Command, kept: dict[str, int]) -> None:
-    assert shown(command("cache", "clear", "score").stdout).keys() == {"score"}
-    assert files() == {**kept, "score": 0}
+    assert shown(command("cache", "clear", "libraries").stdout).keys() == {"libraries"}
+    assert files() == {**kept, "libraries": 0}
 
 
 def test_a_folder_that_others_can_write_is_named(command: Command, kept: dict[str, int]) -> None:
-    store.folder("score").chmod(0o770)
+    store.folder("libraries").chmod(0o770)
     shown_kinds = shown(command("cache").stdout)
-    assert "score can be written by other users: remove it, or set" in shown_kinds["score"][2]
-    assert "other users" not in shown_kinds["libraries"][2]
+    assert "libraries can be written by other users: remove it, or set" in shown_kinds["libraries"][2]
+    assert "other users" not in shown_kinds["fmus"][2]
 
 
 def test_a_kind_that_is_not_there_is_named(command: Command, kept: dict[str, int]) -> None:
-    assert "no kind 'scores'; nearest is 'score'" in command("cache", "clear", "scores", expect=2).stderr
+    assert (
+        "no kind 'library'; nearest is 'libraries'" in command("cache", "clear", "library", expect=2).stderr
+    )
     assert files() == kept
 
 

@@ -40,7 +40,7 @@ def test_score_prints_tables_and_writes_a_document_and_a_page(
         "score", "L1DepthController", "--set", "controller.augmentation=pi", "--protocol", protocol_file
     )
     text = done.stdout  # type: ignore[attr-defined]
-    assert text.startswith("Protocol of a test. The vehicle is simulated;")
+    assert re.match(r"Protocol of a test, seed \d+\. The vehicle is simulated;", text)
     assert "Nominal" in text
     document = json.loads((tmp_path / "results" / "score.json").read_text(encoding="utf-8"))
     assert document["protocol"]["version"] == "of a test"
@@ -54,9 +54,9 @@ def test_score_prints_tables_and_writes_a_document_and_a_page(
 def test_a_score_that_its_schema_refuses_is_not_written(
     refused: Callable[..., str], protocol_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(score_rows, "uses_true_rate", score_rows.microseconds)  # a number, not a truth value
+    monkeypatch.setattr(score_rows, "beyond_bounds", lambda loop: 1.0)
     message = refused("score", "L1DepthController", "--protocol", protocol_file)
-    assert re.search(r"score of L1DepthController: uses_true_rate = \d\S*: .* valid boolean", message)
+    assert re.search(r"score of L1DepthController: unranked = 1.0: .* valid list", message)
     assert not (tmp_path / "results").exists()
 
 
@@ -71,7 +71,6 @@ def test_the_table_of_differences_says_on_how_many_plants_both_have_a_value() ->
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["L1DepthController", "--league", "speed"], "no league 'speed'"),
         (["L1DepthControler"], "no block 'L1DepthControler'"),
         (
             ["L1DepthController", "--set", "plant.inertia=9"],
@@ -103,18 +102,15 @@ def test_what_cannot_be_written_is_refused_before_it_runs(
 def test_compare_prints_tables_and_writes_markdown(
     command: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The comparison that ships, without its runs, and without one of its leagues."""
+    """The comparison that ships, without its runs."""
     document = Score.model_validate_json(COMPARISON.read_text(encoding="utf-8"))
-    document.rows = [row for row in document.rows if row.league == "position"]
-    names = [row.name for row in document.rows]
-    document.differences = [entry for entry in document.differences if entry.other in names]
     monkeypatch.setattr(compare, "compare", lambda *arguments: ScoreResult(document, {}))
     lines = command("compare").stdout.splitlines()
     assert not [line for line in lines if line.startswith("|")]
-    titles = {f"Means over the cases: {kind} position overview" for kind in ("tuned", "start")}
+    titles = {f"Means over the cases: {kind} overview" for kind in ("tuned", "start")}
     assert titles <= {line.strip() for line in lines}
     written = Path("results", "comparison.md").read_text(encoding="utf-8")
-    assert written.startswith("tuned position overview\n\n| Controller |")
+    assert written.startswith("tuned overview\n\n| Controller | Told |")
 
 
 @pytest.mark.parametrize("width", [60, 80, 81, 82, 130])
@@ -132,7 +128,7 @@ def test_compare_writes_a_document_tables_and_a_page_of_all_rows(
     command: Callable[..., object], protocol_file: Path, tmp_path: Path
 ) -> None:
     text = protocol_file.read_text(encoding="utf-8").replace("[controllers]", "")
-    l1 = {"title": "L1", "fmu": "L1DepthController", "league": "position"}
+    l1 = {"title": "L1", "fmu": "L1DepthController"}
     protocol_file.write_text(text + tomli_w.dumps({"controllers": {"l1-pi": l1}}), encoding="utf-8")
     done = command("compare", "--protocol", protocol_file)
     written = [f"results/comparison.{ending}" for ending in ("json", "md", "html")]

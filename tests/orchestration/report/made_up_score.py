@@ -51,7 +51,7 @@ def _row(name: str, rmse: float, variation: float) -> Row:
     return Row(
         name=name,
         title=f"<{name}>",
-        league="position",
+        connected=["depth_reference"],
         scored=name == "mine",
         fmu={"model": name, "guid": "1", "tool": "", "sha256": ""},
         parameters={f"{gain}_feedback_gain": 16.3 for gain in ("depth", "rate", "integral", "proportional")},

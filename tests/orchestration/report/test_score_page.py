@@ -30,7 +30,7 @@ def opened_score(browser: "webdriver.Chrome", tmp_path: Path, html: str) -> Iter
 
 def test_the_statement_stands_above_the_metrics_and_names_are_no_markup(html: str) -> None:
     assert html.index("not on a real vehicle") < html.index('<section id="tables">')
-    assert "of protocol 2.0" in html
+    assert "of protocol 3.0" in html
     assert "&lt;mine&gt;" in html
     assert "<mine>" not in html
 

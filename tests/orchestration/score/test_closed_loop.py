@@ -12,7 +12,7 @@ from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.scenarios.toml_file import read_toml
 from orchestration.scenarios.vehicle import description_of
-from orchestration.score.closed_loop import ClosedLoop, Controller, built_in
+from orchestration.score.closed_loop import ClosedLoop, built_in
 from orchestration.score.protocol import Protocol, read_protocol
 
 
@@ -50,8 +50,6 @@ def test_a_hold_has_neither_lag_nor_overshoot_and_begins_at_its_depth(protocol: 
 def test_unknown_names_offer_the_nearest(protocol: Protocol) -> None:
     with pytest.raises(ScenarioError, match=r"no controller 'l2'; .*'l1'"):
         built_in(protocol, "l2")
-    with pytest.raises(ScenarioError, match=r"no league 'positon'; .*'position'"):
-        ClosedLoop(Controller("mine", "L1DepthController", league="positon"), protocol)
 
 
 @pytest.mark.parametrize(

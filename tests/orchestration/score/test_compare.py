@@ -44,12 +44,12 @@ def test_the_comparison_is_a_score_of_both(small: Protocol) -> None:
 
 
 def made_up(protocol: Protocol, **errors: float) -> Score:
-    """Rows in the position league with that error in the nominal case."""
+    """Rows with that error in the nominal case."""
     rows = [
         Row(
             name=f"tuned/{name}",
             title=name,
-            league="position",
+            connected=["depth_reference"],
             scored=False,
             fmu={},
             delay_margin=0.1,
@@ -62,11 +62,11 @@ def made_up(protocol: Protocol, **errors: float) -> Score:
 
 def test_a_table_marks_the_best_and_what_failed(protocol: Protocol) -> None:
     document = made_up(protocol, a=1.25, b=2.5, c=7.0)
-    lines = tables(document)["tuned position rmse"].splitlines()
-    assert [line.split(" | ")[:2] for line in lines[2:]] == [
-        ["| a", "**1.25**"], ["| b", "2.5"], ["| c", "7 !"],
+    lines = tables(document)["tuned rmse"].splitlines()
+    assert [line.split(" | ")[:3] for line in lines[2:]] == [
+        ["| a", "r", "**1.25**"], ["| b", "r", "2.5"], ["| c", "r", "7 !"],
     ]  # fmt: skip
-    assert not part(document, "start", "position").rows
+    assert not part(document, "start").rows
     assert len({line.count("|") for line in lines}) == 1
 
 

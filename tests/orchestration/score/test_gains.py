@@ -41,7 +41,8 @@ def test_every_cost_has_flattened() -> None:
 def test_a_file_is_of_the_protocol(name: str, protocol: Protocol) -> None:
     document, table = written(name), protocol.controllers[name]
     tuning, parameters = document["tuning"], document["parameters"]
-    assert (tuning["controller"], tuning["fmu"], tuning["league"]) == (name, table.fmu, table.league)
+    assert (tuning["controller"], tuning["fmu"]) == (name, table.fmu)
+    assert tuning["reference_rates"] == table.reference_rates
     assert (tuning["protocol"], tuning["bounds"]) == (protocol.version, protocol.tables.cost.bounds)
     limits = {key: entry["limits"] for key, entry in parameters.items() if "limits" in entry}
     assert limits == {f"{OWN}{gain}": [range.low, range.high] for gain, range in table.gains.items()}

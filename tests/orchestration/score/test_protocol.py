@@ -1,9 +1,6 @@
-"""The protocol: what a file may say, its cases and plants, and who reads the seeds of the table."""
+"""The protocol: what a file may say, its cases and plants, and what a score draws."""
 
-import json
 import math
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,44 +11,37 @@ import pytest
 from fmus.registry import block_names
 from orchestration.errors import ScenarioError
 from orchestration.scenarios import scenario
-from orchestration.score.protocol import FILE, Protocol, first_target, plants, read_protocol
-from orchestration.score.table_seeds import table_seeds
-
-TUNE = """
-import json, sys
-opened = []
-sys.addaudithook(lambda event, arguments: opened.append(str(arguments[0])) if event == "open" else None)
-from orchestration.cli import tune as command
-from orchestration.score import tune, tune_problem, tune_search
-from orchestration.score.closed_loop import ClosedLoop, built_in
-from orchestration.score.protocol import read_protocol
-from orchestration.score.tune_problem import costs
-protocol = read_protocol()
-with ClosedLoop(built_in(protocol, "l1-pi"), protocol) as loop:
-    cost = next(costs(loop, [{}], every_seed=True))["cost"]
-tables = [path for path in opened if path.endswith("table.toml")]
-print(json.dumps([cost, tables, "orchestration.score.table_seeds" in sys.modules]))
-"""
+from orchestration.score.protocol import FILE, Protocol, drawn_cases, first_target, plants, read_protocol
 
 
-def test_tune_never_reads_the_seeds_of_the_table() -> None:
-    """Neither its modules nor an evaluation of the cost opens the file or loads the module that reads it."""
-    done = subprocess.run([sys.executable, "-c", TUNE], capture_output=True, text=True, check=True)
-    cost, opened, is_loaded = json.loads(done.stdout)
-    assert cost > 0.0
-    assert opened == []
-    assert is_loaded is False
+def seeds_in(value: Any) -> list[int]:
+    if isinstance(value, dict):
+        return [seed for key, item in value.items() for seed in ([item] if key == "seed" else seeds_in(item))]
+    return [seed for item in value for seed in seeds_in(item)] if isinstance(value, list) else []
 
 
-def test_the_seeds_of_the_table_are_no_practice_seeds(protocol: Protocol) -> None:
-    seeds = table_seeds()
-    assert seeds.sensor_seed not in protocol.tables.practice_seeds
-    assert seeds.plants_seed != protocol.tables.plants.practice_seed
+def test_a_score_draws_every_seed_of_its_cases_and_repeats_them(protocol: Protocol) -> None:
+    """No two are alike: of 60 of 2^31 numbers that would be a chance of one in a million."""
+    drawn = [case for seed in (1, 2) for case in drawn_cases(protocol, seed)]
+    seeds = [case.values["plant.sensor_seed"] for case in drawn]
+    seeds += [seed for case in drawn for seed in seeds_in(case.layer)]
+    assert len(seeds) > 2 * len(protocol.cases)
+    assert len({*seeds, *protocol.tables.practice_seeds}) == len(seeds) + len(protocol.tables.practice_seeds)
+    assert drawn_cases(protocol, 1) == drawn[: len(protocol.cases)]
 
 
-def test_every_controller_is_an_installed_block_of_a_league(protocol: Protocol) -> None:
+def test_a_score_draws_when_the_changes_of_a_case_come(protocol: Protocol) -> None:
+    times = {
+        case.later for seed in range(20) for case in drawn_cases(protocol, seed) if case.name == "hold-step"
+    }
+    assert len(times) == 20
+    assert 0.0 <= min(times) < 2.0  # of 20 uniform numbers below 10, all but one of 87 times
+    assert 8.0 < max(times) <= 10.0
+    assert protocol.cases["hold-step"].later == 0.0  # for whoever tunes
+
+
+def test_every_controller_is_an_installed_block(protocol: Protocol) -> None:
     assert {table.fmu for table in protocol.controllers.values()} <= set(block_names())
-    assert {table.league for table in protocol.controllers.values()} == set(protocol.tables.leagues)
 
 
 def test_the_first_case_is_the_papers(protocol: Protocol) -> None:
@@ -77,7 +67,6 @@ def test_a_target_is_the_first_depth_that_is_held() -> None:
     ("old", "new", "complaint"),
     [
         ('function = "iae"', 'function = "iaee"', r":\d+: metrics.iae.function = 'iaee'; nearest is 'iae'"),
-        ('league = "position"', 'league = "fixed"', r":\d+: controllers.l1.league = 'fixed'"),
         ('cases = ["nominal", ', 'cases = ["nominl", ', r":\d+: cost.cases = 'nominl'; nearest is 'nominal'"),
         ("count = 300", "count = 1", r":\d+: plants.count = 1: expected 2 or more"),
         ("overshoot = 5.0\nbreach", "oversoot = 5.0\nbreach", r":\d+: failure.oversoot = 'oversoot'"),

@@ -13,12 +13,10 @@ import pytest
 from orchestration.errors import OrchestrationError, ScenarioError
 from orchestration.score import score_document
 from orchestration.score.closed_loop import ClosedLoop, Controller, tuned
-from orchestration.score.protocol import plants, read_protocol
+from orchestration.score.protocol import drawn_cases, plants, read_protocol
 from orchestration.score.score import run_count, score_controllers
 from orchestration.score.score_document import Row, Score
-from orchestration.score.score_rows import uses_true_rate
 from orchestration.score.score_view import of_metric
-from orchestration.score.table_seeds import table_seeds
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.report.made_up_score import made_up_score
 from tests.orchestration.score.controllers import rogue_doing
@@ -26,7 +24,7 @@ from tests.shared_builds import Build
 
 Written = Callable[..., Path]
 MINE = Controller("mine", "L1DepthController", parameters={"augmentation": "pi", "proportional_gain": 8.0})
-EXACT = replace(MINE, name="exact", parameters={**MINE.parameters, "velocity_source": "measured"})
+SEED = 11
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +37,9 @@ def document(path: Path, rogue: Build) -> Score:
     """A full score of two controllers beside the one of the protocol."""
     controllers = [MINE, rogue_doing(rogue(), Misdeed.SEGFAULT)]
     done: list[int] = []
-    result = score_controllers(controllers, read_protocol(path), full=True, workers=2, progress=done.append)
+    result = score_controllers(
+        controllers, read_protocol(path), full=True, seed=SEED, workers=2, progress=done.append
+    )
     assert sum(done) == run_count(2, read_protocol(path), full=True) == 3 * (2 + 3)
     return result.document
 
@@ -48,24 +48,17 @@ def row(document: Score, name: str) -> Row:
     return next(row for row in document.rows if row.name == name)
 
 
-def test_a_row_has_the_metrics_of_the_loop_at_the_seed_of_the_table(document: Score, path: Path) -> None:
+def test_a_row_has_the_metrics_of_the_loop_in_the_drawn_cases(document: Score, path: Path) -> None:
     mine, other = row(document, "mine"), row(document, "l1-pi")
     assert [mine.scored, other.scored] == [True, False]
     protocol = read_protocol(path)
     with ClosedLoop(MINE, protocol) as loop:
-        for name, case in protocol.cases.items():
-            metrics = loop.metrics(case.with_seed(table_seeds().sensor_seed))
-            assert mine.cases[name].metrics == pytest.approx(metrics, nan_ok=True, rel=0.0)
+        for case in drawn_cases(protocol, SEED):
+            metrics = loop.metrics(case)
+            assert mine.cases[case.name].metrics == pytest.approx(metrics, nan_ok=True, rel=0.0)
     tuned = other.cases["nominal"].metrics["rmse"]
     assert tuned < mine.cases["nominal"].metrics["rmse"]
     assert mine.microseconds > 0.0
-
-
-def test_who_uses_the_true_rate_is_known(document: Score, path: Path) -> None:
-    assert row(document, "mine").uses_true_rate is False
-    protocol = read_protocol(path)
-    with ClosedLoop(EXACT, protocol) as loop:
-        assert uses_true_rate(loop, protocol.nominal) is True
 
 
 def test_what_crashes_has_its_row_and_the_others_are_scored(document: Score) -> None:
@@ -115,24 +108,13 @@ def test_what_does_not_fit_the_vehicle_is_refused_before_anything_runs(path: Pat
         score_controllers([MINE, MINE], read_protocol(path))
 
 
-@pytest.mark.slow
-def test_built_in_rows_are_run_once_for_a_protocol(small_protocol: Written) -> None:
-    """No two runs take the same time: a row with an equal one comes from the cache."""
-    path = small_protocol(version="cached")
-    first, second = (score_controllers([MINE], read_protocol(path)).document.rows for _ in range(2))
-    assert second[1].microseconds == first[1].microseconds
-    assert second[0].microseconds != first[0].microseconds
-    another = score_controllers([MINE], read_protocol(small_protocol(version="another"))).document.rows
-    assert another[1].microseconds != first[1].microseconds
-
-
 def test_all_controllers_get_the_same_plants(document: Score, path: Path) -> None:
     protocol = read_protocol(path)
     mine, other = row(document, "mine").plants, row(document, "l1-pi").plants
     assert mine is not None
     assert other is not None
     with ClosedLoop(tuned(protocol, "l1-pi"), protocol) as loop:
-        cases = plants(protocol, table_seeds().plants_seed)
+        cases = plants(protocol, SEED)
         assert other.metrics["rmse"].values == [loop.metrics(case, names=["rmse"])["rmse"] for case in cases]
     (difference,) = [
         entry
@@ -160,7 +142,6 @@ def test_the_shipped_schema_is_that_of_the_types() -> None:
 
 
 def test_a_run_that_failed_is_not_the_best_also_with_the_best_number() -> None:
-    """In its league, of which two are: one run that did not fail has the same number."""
     document = made_up_score().document
     best, failed = row(document, "pid").cases["nominal"], row(document, "l1").cases["nominal"]
     failed.metrics["rmse"] = best.metrics["rmse"]

@@ -18,7 +18,7 @@ from orchestration.score.score_document import PlantsResult
 from tests.foreign_fmus import Misdeed
 from tests.shared_builds import Build, built_once, session_folder
 
-MINE = Controller("mine", "L1DepthController", league="reference-rates")  # three signals of each plant
+MINE = Controller("mine", "L1DepthController")  # three signals of each plant
 Scored = Callable[..., tuple[PlantsResult, list[int]]]
 COUNT = 19  # two groups and a part of one
 VARY: Mapping[str, Any] = {
@@ -75,7 +75,9 @@ def plants_of(path: Path, monkeypatch: pytest.MonkeyPatch) -> Scored:
             patch.setattr(ensemble, "is_compiled", lambda *_: is_compiled)
             patch.setattr(Isolated, "_made", count)
             patch.setattr(score_rows, "_value_or", lambda default, *_: default)  # without other runs
-            result = score_controllers([controller], read_protocol(path), full=True, progress=done.append)
+            result = score_controllers(
+                [controller], read_protocol(path), full=True, seed=5, progress=done.append
+            )
         assert sum(done) == 1 + COUNT
         assert result.document.rows[0].plants is not None
         return result.document.rows[0].plants, groups
@@ -102,6 +104,8 @@ def test_plants_in_ensembles_have_the_metrics_and_failures_of_single_runs(plants
 def test_plants_of_a_controller_of_another_tool_run_alone(plants_of: Scored, rogue: Build) -> None:
     mapping = {"depth_reference": "u", "control_force": "y"}
     parameters = {"misdeed": Misdeed.ERROR.name.lower(), "misdeed_time": 1.0}
-    result, groups = plants_of(Controller("rogue", str(rogue()), "position", "", parameters, mapping), True)
+    result, groups = plants_of(
+        Controller("rogue", str(rogue()), parameters=parameters, mapping=mapping), True
+    )
     assert result.failure_rate == 1.0
     assert groups == [1] * (1 + COUNT)

@@ -35,7 +35,7 @@ OPTIONS = ("--evaluations", "3", "--seeds", "2", "--workers", "2")
         (["l1", "--set", "controller.augmentation=pie"], "augmentation"),
         (["l1", "--map", "measured_depth=z"], "--map: no effect with l1, a controller of the protocol"),
         (["l1", "--open-inputs", "start"], "--open-inputs: no effect with l1"),
-        (["l1", "--league", "reference-rates"], "--league: no effect with l1"),
+        (["l1", "--no-rates"], "--no-rates: no effect with l1"),
         (["l1", "--out", f"{__file__}/results"], "Not a directory: expected a folder that can be written"),
     ],
 )

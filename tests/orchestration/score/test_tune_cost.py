@@ -88,4 +88,4 @@ def test_the_gains_of_a_controller_of_the_protocol_are_those_that_it_has_for_it(
     other = problem_of(controller, protocol, [FreeGain("observer_alpha", 0.1, 0.9)])
     assert [gain.name for gain in other.gains] == ["observer_alpha"]
     assert other.tuned == problem_of(controller, protocol).tuned
-    assert other.tuned != problem_of(replace(controller, league="reference-rates"), protocol).tuned
+    assert other.tuned != problem_of(replace(controller, reference_rates=True), protocol).tuned
