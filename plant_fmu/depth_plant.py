@@ -11,9 +11,10 @@ from fmus.numerics import rk4_step, where
 from plant_fmu import depth_sensor, heave, thruster
 from plant_fmu.depth_plant_guide import GUIDE
 from plant_fmu.depth_sensor import Sensor, SensorState
-from plant_fmu.thruster import Thruster
+from plant_fmu.thruster import T200_FORCE, T200_VOLTAGE, Thruster
 
 Pair = tuple[float, float]
+Table = tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -89,6 +90,22 @@ class Parameters:
     thruster_curve_voltage: Pair = variable(
         (12.0, 12.0), "Voltage at which line and parabola give the same force", unit="V", min=1e-6, max=1e6,
         source="guess: the largest voltage; without effect on a line",
+    )  # fmt: skip
+    thruster_tabulated: bool = variable(
+        False, "Takes the force from the table, in place of gain, dead zone, reverse ratio and curvature",
+        variability="fixed", source="assumed: the paper has a line, (11)",
+    )  # fmt: skip
+    thruster_scale: Pair = variable(
+        (1.0, 1.0), "Factor of the table's force: thrusters that a voltage drives, and their wear", min=0.0,
+        max=1e3, source="assumed: one thruster each",
+    )  # fmt: skip
+    thruster_table_voltage: Table = variable(
+        T200_VOLTAGE, "Voltages of the table, ascending", unit="V", min=-1e6, max=1e6,
+        source="chosen: 12 V to -12 V for pulses of 1100 us to 1900 us",
+    )  # fmt: skip
+    thruster_table_force: Table = variable(
+        T200_FORCE, "Force at each voltage of the table, positive down", unit="N", min=-1e6, max=1e6,
+        source="published: Blue Robotics T200 at 16 V, September 2019, forward thrust up",
     )  # fmt: skip
     thruster_depth: float = variable(
         0.073, "Depth of the propellers below the vehicle's top", unit="m", min=-1e3, max=1e3,
@@ -168,6 +185,7 @@ def requirements(p: Parameters, calculated: NoValues) -> tuple:
         ),
         (p.net_weight < p.weight, "net_weight below weight, so that there is buoyancy"),
         depth_sensor.delay_fits(_sensor(p)),
+        thruster.table_ascends(p.thruster_tabulated, p.thruster_table_voltage),
     )
 
 
@@ -231,6 +249,10 @@ def _thruster(p: Parameters, i: int) -> Thruster:
         curvature=p.thruster_curvature[i],
         curve_voltage=p.thruster_curve_voltage[i],
         rate_limit=p.thruster_rate_limit[i],
+        tabulated=p.thruster_tabulated,
+        scale=p.thruster_scale[i],
+        table_voltage=p.thruster_table_voltage,
+        table_force=p.thruster_table_force,
     )
 
 
