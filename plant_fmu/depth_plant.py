@@ -154,6 +154,15 @@ class Inputs:
     current_velocity: float = variable(0.0, "Vertical current in the earth frame, positive down", unit="m/s")
     roll: float = variable(0.0, "Roll angle phi", unit="rad")
     pitch: float = variable(0.0, "Pitch angle theta", unit="rad")
+    wave_velocity: float = variable(
+        0.0, "Vertical orbital velocity of waves in the earth frame, positive down", unit="m/s"
+    )
+    wave_acceleration: float = variable(
+        0.0, "Vertical orbital acceleration of waves in the earth frame, positive down", unit="m/s2"
+    )
+    wave_pressure_head: float = variable(
+        0.0, "Pressure of waves over rho g, which the sensor reads as depth", unit="m"
+    )
 
 
 @dataclass(frozen=True)
@@ -162,6 +171,7 @@ class State:
     heave_velocity: float = 0.0
     thruster_force: Pair = (0.0, 0.0)
     j: float = 1.0
+    pressure_head: float = 0.0
     sensor: SensorState = SensorState()
 
 
@@ -191,9 +201,10 @@ def requirements(p: Parameters, calculated: NoValues) -> tuple:
 
 def initial_state(t: float, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
     """Returns the state at the start, the thrusters at rest."""
-    first = depth_sensor.first_sample(_sensor(p), t, p.initial_depth, p.sensor_seed)
+    head = inputs.wave_pressure_head
+    first = depth_sensor.first_sample(_sensor(p), t, p.initial_depth + head, p.sensor_seed)
     j = heave.body_to_earth(inputs.roll, inputs.pitch)
-    return State(p.initial_depth, p.initial_heave_velocity, (0.0, 0.0), j, first)
+    return State(p.initial_depth, p.initial_heave_velocity, (0.0, 0.0), j, head, first)
 
 
 def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
@@ -209,6 +220,8 @@ def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calcul
         )
         return first, second
 
+    head = inputs.wave_pressure_head
+    water_velocity = inputs.current_velocity + inputs.wave_velocity
     submerged_buoyancy = p.weight - p.net_weight + inputs.buoyancy_change
 
     def derivative(elapsed: float, x: tuple) -> tuple:
@@ -216,13 +229,15 @@ def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calcul
         thrust = _submerged_share(z, p) * sum(forces(elapsed))
         floating = heave.buoyancy(z, submerged_buoyancy, p.water_density, p.waterplane_area)
         b = where(p.free_surface, floating, submerged_buoyancy)
-        drag = heave.damping(w - j * inputs.current_velocity, p.linear_damping, p.quadratic_damping)
+        drag = heave.damping(w - j * water_velocity, p.linear_damping, p.quadratic_damping)
         restoring = j * (p.weight - b)
-        return j * w, heave.acceleration(thrust, inputs.external_force, restoring, drag, p.inertia)
+        wave_force = heave.wave_force(j * inputs.wave_acceleration, p.inertia, p.weight - b)
+        external = inputs.external_force + wave_force
+        return j * w, heave.acceleration(thrust, external, restoring, drag, p.inertia)
 
     depth, velocity = rk4_step(derivative, 0.0, (state.depth, state.heave_velocity), h)
-    sensor = depth_sensor.sample_when_due(_sensor(p), state.sensor, t + h, depth)
-    return State(depth, velocity, forces(h), j, sensor)
+    sensor = depth_sensor.sample_when_due(_sensor(p), state.sensor, t + h, depth + head)
+    return State(depth, velocity, forces(h), j, head, sensor)
 
 
 def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:
@@ -232,7 +247,7 @@ def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outpu
         depth=state.depth,
         depth_rate=state.j * state.heave_velocity,
         heave_velocity=state.heave_velocity,
-        measured_depth=depth_sensor.reading(_sensor(p), state.sensor, t, state.depth),
+        measured_depth=depth_sensor.reading(_sensor(p), state.sensor, t, state.depth + state.pressure_head),
         thruster_force=(first, second),
         total_force=first + second,
     )
