@@ -16,7 +16,8 @@ from fmus.extras import require
 # Coherent units, by their exponents over the base units. "1" is dimensionless.
 BASE_UNITS: dict[str, dict[str, int]] = {
     "1": {}, "s": {"s": 1}, "1/s": {"s": -1}, "1/s2": {"s": -2}, "s2": {"s": 2}, "Hz": {"s": -1},
-    "m": {"m": 1}, "m2": {"m": 2}, "m3": {"m": 3}, "m/s": {"m": 1, "s": -1}, "m/s2": {"m": 1, "s": -2},
+    "m": {"m": 1}, "1/m": {"m": -1}, "m2": {"m": 2}, "m3": {"m": 3},
+    "m/s": {"m": 1, "s": -1}, "m/s2": {"m": 1, "s": -2},
     "rad": {"rad": 1}, "rad/s": {"rad": 1, "s": -1}, "rad/s2": {"rad": 1, "s": -2},
     "kg": {"kg": 1}, "s/kg": {"s": 1, "kg": -1}, "1/kg": {"kg": -1}, "kg/m3": {"kg": 1, "m": -3},
     "kg.m2": {"kg": 1, "m": 2},
