@@ -226,6 +226,38 @@ def deliver(force: float, j: float, p: ActuatorParameters) -> Delivery:
     )
 
 
+def force_ranges(p: ActuatorParameters) -> tuple[Vector, Vector]:
+    """Returns the lowest and the highest force [N] of each thruster along the body's z axis."""
+    voltages, forces = p.thruster_table_voltage, p.thruster_table_force
+
+    def of_table() -> tuple[Vector, Vector]:
+        low, high = (interp(limit, voltages, forces) for limit in (-p.voltage_limit, p.voltage_limit))
+        first, second = ((scale * low, scale * high) for scale in p.thruster_scale)
+        return first, second
+
+    first, second = ((-gain * p.voltage_limit, gain * p.voltage_limit) for gain in p.thruster_gain)
+    return where(p.thruster_tabulated, of_table, lambda: (first, second))
+
+
+def voltages_of(forces: Vector, p: ActuatorParameters) -> tuple[Vector, Vector]:
+    """Returns the voltages [V] at which the thrusters give forces [N] in their range, and these forces."""
+    table = p.thruster_table_voltage, p.thruster_table_force
+
+    def of_table() -> tuple[Vector, Vector]:
+        voltages = [
+            allocation.table_voltage(force / scale, *table)
+            for force, scale in zip(forces, p.thruster_scale, strict=True)
+        ]
+        return allocation.saturate((voltages[0], voltages[1]), p.voltage_limit), forces
+
+    def of_gain() -> tuple[Vector, Vector]:
+        gains = p.thruster_gain
+        saturated = allocation.saturate((forces[0] / gains[0], forces[1] / gains[1]), p.voltage_limit)
+        return saturated, (gains[0] * saturated[0], gains[1] * saturated[1])
+
+    return where(p.thruster_tabulated, of_table, of_gain)
+
+
 def _deliver_by_table(force: float, j: float, p: ActuatorParameters) -> Delivery:
     """Limits the force of each thruster to what the table gives up to the largest voltage."""
     voltages, forces = p.thruster_table_voltage, p.thruster_table_force

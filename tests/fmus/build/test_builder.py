@@ -30,6 +30,7 @@ def test_the_shipped_blocks_are_found() -> None:
         "ExamplePlant",
         "L1Controller",
         "L1DepthController",
+        "L1HeavePitchController",
         "MracDepthController",
         "PidDepthController",
         "RovDepthPlant",

@@ -82,6 +82,7 @@ def test_build_without_names_builds_all_that_ship(command: Command, tmp_path: Pa
     command("build", "--out", "out")
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
         "AdrcDepthController.fmu", "DepthReference.fmu", "ExamplePlant.fmu", "L1Controller.fmu",
-        "L1DepthController.fmu", "MracDepthController.fmu", "PidDepthController.fmu", "RovDepthPlant.fmu",
+        "L1DepthController.fmu", "L1HeavePitchController.fmu",
+        "MracDepthController.fmu", "PidDepthController.fmu", "RovDepthPlant.fmu",
         "SlidingModeDepthController.fmu", "SuperTwistingDepthController.fmu", "ThrustAllocation.fmu",
     ]  # fmt: skip
