@@ -142,7 +142,9 @@ class Parameters:
 
 
 @dataclass(frozen=True)
-class Inputs:
+class Surroundings:
+    """Inputs of vehicles whose attitude is their own."""
+
     voltage: Pair = variable((0.0, 0.0), "Voltage of each thruster", unit="V")
     thruster_efficiency: Pair = variable(
         (1.0, 1.0), "1 healthy, 0 dead: a fault of each thruster", min=0.0, max=1.0
@@ -152,8 +154,6 @@ class Inputs:
         0.0, "Added to the buoyancy B, positive lifts", unit="N", min=-1e6, max=1e6
     )
     current_velocity: float = variable(0.0, "Vertical current in the earth frame, positive down", unit="m/s")
-    roll: float = variable(0.0, "Roll angle phi", unit="rad")
-    pitch: float = variable(0.0, "Pitch angle theta", unit="rad")
     wave_velocity: float = variable(
         0.0, "Vertical orbital velocity of waves in the earth frame, positive down", unit="m/s"
     )
@@ -163,6 +163,12 @@ class Inputs:
     wave_pressure_head: float = variable(
         0.0, "Pressure of waves over rho g, which the sensor reads as depth", unit="m"
     )
+
+
+@dataclass(frozen=True)
+class Inputs(Surroundings):
+    roll: float = variable(0.0, "Roll angle phi", unit="rad")
+    pitch: float = variable(0.0, "Pitch angle theta", unit="rad")
 
 
 @dataclass(frozen=True)
@@ -194,7 +200,7 @@ def requirements(p: Parameters, calculated: NoValues) -> tuple:
             "internal_step at most sensor_period",
         ),
         (p.net_weight < p.weight, "net_weight below weight, so that there is buoyancy"),
-        depth_sensor.delay_fits(_sensor(p)),
+        depth_sensor.delay_fits(sensor_of(p)),
         thruster.table_ascends(p.thruster_tabulated, p.thruster_table_voltage),
     )
 
@@ -202,14 +208,14 @@ def requirements(p: Parameters, calculated: NoValues) -> tuple:
 def initial_state(t: float, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
     """Returns the state at the start, the thrusters at rest."""
     head = inputs.wave_pressure_head
-    first = depth_sensor.first_sample(_sensor(p), t, p.initial_depth + head, p.sensor_seed)
+    first = depth_sensor.first_sample(sensor_of(p), t, p.initial_depth + head, p.sensor_seed)
     j = heave.body_to_earth(inputs.roll, inputs.pitch)
     return State(p.initial_depth, p.initial_heave_velocity, (0.0, 0.0), j, head, first)
 
 
 def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
     j = heave.body_to_earth(inputs.roll, inputs.pitch)
-    thrusters = _thruster(p, 0), _thruster(p, 1)
+    thrusters = thruster_of(p, 0), thruster_of(p, 1)
     steady = [
         thruster.steady_force(thrusters[i], inputs.voltage[i], inputs.thruster_efficiency[i]) for i in (0, 1)
     ]
@@ -226,7 +232,7 @@ def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calcul
 
     def derivative(elapsed: float, x: tuple) -> tuple:
         z, w = x
-        thrust = _submerged_share(z, p) * sum(forces(elapsed))
+        thrust = submerged_share(z, p) * sum(forces(elapsed))
         floating = heave.buoyancy(z, submerged_buoyancy, p.water_density, p.waterplane_area)
         b = where(p.free_surface, floating, submerged_buoyancy)
         drag = heave.damping(w - j * water_velocity, p.linear_damping, p.quadratic_damping)
@@ -236,24 +242,24 @@ def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calcul
         return j * w, heave.acceleration(thrust, external, restoring, drag, p.inertia)
 
     depth, velocity = rk4_step(derivative, 0.0, (state.depth, state.heave_velocity), h)
-    sensor = depth_sensor.sample_when_due(_sensor(p), state.sensor, t + h, depth + head)
+    sensor = depth_sensor.sample_when_due(sensor_of(p), state.sensor, t + h, depth + head)
     return State(depth, velocity, forces(h), j, head, sensor)
 
 
 def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:
-    submerged = _submerged_share(state.depth, p)
+    submerged = submerged_share(state.depth, p)
     first, second = (submerged * force for force in state.thruster_force)
     return Outputs(
         depth=state.depth,
         depth_rate=state.j * state.heave_velocity,
         heave_velocity=state.heave_velocity,
-        measured_depth=depth_sensor.reading(_sensor(p), state.sensor, t, state.depth + state.pressure_head),
+        measured_depth=depth_sensor.reading(sensor_of(p), state.sensor, t, state.depth + state.pressure_head),
         thruster_force=(first, second),
         total_force=first + second,
     )
 
 
-def _thruster(p: Parameters, i: int) -> Thruster:
+def thruster_of(p: Parameters, i: int) -> Thruster:
     return Thruster(
         gain=p.thruster_gain[i],
         dead_zone=p.thruster_dead_zone[i],
@@ -271,11 +277,11 @@ def _thruster(p: Parameters, i: int) -> Thruster:
     )
 
 
-def _submerged_share(depth: float, p: Parameters) -> float:
+def submerged_share(depth: float, p: Parameters) -> float:
     return thruster.submerged_share(depth + p.thruster_depth, p.thruster_full_depth, p.thruster_ideal)
 
 
-def _sensor(p: Parameters) -> Sensor:
+def sensor_of(p: Parameters) -> Sensor:
     return Sensor(
         period=p.sensor_period,
         noise=p.sensor_noise,

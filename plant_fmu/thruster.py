@@ -7,6 +7,8 @@
 
     or by a table    F_s = efficiency n table(v_s)
     and behind it    force(s) / F(s) = (b_1 s + a_0) / (s^3 + a_2 s^2 + a_1 s + a_0)
+                     x_1' = x_2,   x_2' = x_3,   x_3' = a_0 (F - x_1) - a_1 x_2 - a_2 x_3,
+                     force = x_1 + b_1 / a_0 x_2
 
 K [N/V], dead zone v_0 [V], saturation v_max [V], lag T [s], efficiency 0..1 (1 healthy, 0 dead). The curve
 is a line for c = 0 and quadratic for c = 1; at v_c [V] both give K v_c, so that K stays in N/V. R [N/s]
@@ -33,7 +35,9 @@ from fmus.numerics import (
     logical_not,
     logical_or,
     maximum,
+    power,
     sign,
+    sqrt,
     where,
 )
 from fmus.numerics import all as all_hold
@@ -51,6 +55,8 @@ _T200_AT_16_V = (
 T200_VOLTAGE = tuple((1500.0 - pulse) * 12.0 / 400.0 for pulse, _ in _T200_AT_16_V)
 T200_FORCE = tuple(0.0 - kgf * 9.80665 for _, kgf in _T200_AT_16_V)
 """Points of a table: voltage [V], and force [N], positive down."""
+
+Triple = tuple[float, float, float]
 
 _SHORTEST_LAG = 1e-9  # s; what is shorter counts as no lag
 _LEAST_RATE = 1e-9  # N/s; what is less counts as no limit
@@ -128,6 +134,41 @@ def force_after(thruster: Thruster, force: float, steady: float, elapsed: float)
 def _left(lag: float, elapsed: float) -> float:
     """Returns the share that is left of a difference after some time [s], 1 at its start."""
     return where(lag > _SHORTEST_LAG, exp(-elapsed / maximum(lag, _SHORTEST_LAG)), 0.0)
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """Coefficients of a transfer function with a gain of 1: b_1 [1/s2], a_2 [1/s], a_1 [1/s2], a_0 [1/s3].
+
+    a_0 = 0 leaves it out.
+    """
+
+    b_1: float
+    a_2: float
+    a_1: float
+    a_0: float
+
+    def rates(self, x: Triple, steady: float) -> Triple:
+        """Returns x' [N/s, N/s2, N/s3] at a state x [N, N/s, N/s2], under a force F [N] that is asked for."""
+        third = self.a_0 * (steady - x[0]) - self.a_1 * x[1] - self.a_2 * x[2]
+        return where(self.a_0 > 0.0, (x[1], x[2], third), (0.0, 0.0, 0.0))
+
+    def force(self, x: Triple, steady: float) -> float:
+        """Returns the force [N] at a state x."""
+        return where(self.a_0 > 0.0, lambda: x[0] + self.b_1 / self.a_0 * x[1], steady)
+
+    def requirements(self, step: float) -> tuple:
+        """Returns the requirements: it is stable, and Runge-Kutta steps [s] resolve its poles."""
+        is_stable = logical_and(self.a_2 > 0.0, self.a_2 * self.a_1 > self.a_0)  # Routh and Hurwitz
+        fastest = maximum(maximum(self.a_2, sqrt(self.a_1)), power(self.a_0, 1.0 / 3.0))
+        is_left_out = self.a_0 <= 0.0
+        return (
+            (logical_or(is_left_out, is_stable), "thruster_transfer stable: a_2 a_1 > a_0 and a_2 above 0"),
+            (
+                logical_or(is_left_out, step * fastest <= 1.0),
+                "internal_step at most 1 / a_2, 1 / sqrt(a_1) and 1 / cbrt(a_0) of thruster_transfer",
+            ),
+        )
 
 
 def submerged_share(depth: float, full_depth: float, ideal: bool) -> float:
