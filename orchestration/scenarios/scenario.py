@@ -159,7 +159,8 @@ def _with_actuators(
     given = {name.partition(".")[2]: value for name, value in above.items() if name.startswith(f"{PLANT}.")}
     actuators = actuators_of(new.fmu, {n: port.variable for n, port in new.ports.items()}, mapping, given)
     entries: dict[str, float] = {}
-    for component, fmu in components_of(layers).items():
+    others = {name: fmu for name, fmu in components_of(layers).items() if name != PLANT}
+    for component, fmu in others.items():
         parameters = (v for v in describe(fmu).modelVariables if v.causality == "parameter")
         own = {v.name: start_value(v) for v in parameters if v.type == "Real"}
         limit = above.get(f"{component}.voltage_limit", own.get("voltage_limit"))
