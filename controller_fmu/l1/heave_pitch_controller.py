@@ -8,7 +8,7 @@ What one axis does to the other is left to the adaptation of each: no published 
 Depth is positive down, pitch theta and moment M are positive bow up.
 """
 
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
 
 from controller_fmu import allocation, depth_interface, shared_guide
@@ -20,7 +20,7 @@ from controller_fmu.l1.law import Control
 from controller_fmu.l1.matrices import Matrix, is_hurwitz, sampled_prediction
 from controller_fmu.l1.parameters import Augmentation, ReferenceFeedforward
 from fmus.block import variable
-from fmus.block.guide import Guide
+from fmus.block.guide import Experiment, Guide
 
 _GUESS = "guess: a small vehicle as that of RovHeavePitchPlant"
 
@@ -136,7 +136,10 @@ class Outputs(axis.Outputs):
     pitch_sigma_hat: float = variable(0.0, "sigma_hat of the pitch", unit="N.m")
 
 
-_MATRICES = [field.name for field in fields(Matrices) if field.name.startswith("pitch_")]
+_MATRICES = (
+    "predictor_matrix", "predictor_input", "lyapunov_matrix", "adaptation_vector", "feedforward_gain",
+    "unmatched_input", "estimation_gain",
+)  # fmt: skip
 
 
 def calculate(p: Parameters) -> Matrices:
@@ -146,7 +149,7 @@ def calculate(p: Parameters) -> Matrices:
     pitch = depth_matrices(total, p.lyapunov_weight, of_pitch)
     sampled = sampled_prediction(pitch.predictor_input, p.prediction_error_matrix, p.adaptation_period)
     values = asdict(pitch) | asdict(sampled)
-    own = {name: values[name.removeprefix("pitch_")] for name in _MATRICES}
+    own = {f"pitch_{name}": values[name] for name in _MATRICES}
     return Matrices(**asdict(axis.calculate(p)), **own, thruster_share=allocation.shares(p.thruster_lever))
 
 
@@ -248,7 +251,16 @@ def _pitch_parameters(p: Parameters) -> Parameters:
 
 def _pitch_matrices(matrices: Matrices) -> axis.Matrices:
     """Returns the matrices of the pitch axis by the names of the depth axis."""
-    return replace(matrices, **{n.removeprefix("pitch_"): getattr(matrices, n) for n in _MATRICES})
+    return replace(
+        matrices,
+        predictor_matrix=matrices.pitch_predictor_matrix,
+        predictor_input=matrices.pitch_predictor_input,
+        lyapunov_matrix=matrices.pitch_lyapunov_matrix,
+        adaptation_vector=matrices.pitch_adaptation_vector,
+        feedforward_gain=matrices.pitch_feedforward_gain,
+        unmatched_input=matrices.pitch_unmatched_input,
+        estimation_gain=matrices.pitch_estimation_gain,
+    )
 
 
 GUIDE = Guide(
@@ -282,7 +294,14 @@ s_1          = -x_2 / (x_1 - x_2),   s_2 = x_1 / (x_1 - x_2),   voltage_i = F_i 
         "No gain of the pitch is published or identified: all are guesses for RovHeavePitchPlant.",
     ),
     sources=axis.GUIDE.sources,
-    experiment=shared_guide.EXPERIMENT,
+    experiment=Experiment(
+        stop_time=20.0,
+        stimuli=(
+            *shared_guide.EXPERIMENT.stimuli,
+            ("pitch_reference", ((4.0, 0.0), (8.0, 0.02))),
+            ("measured_pitch", ((2.0, 0.0), (6.0, 0.05), (10.0, -0.03), (16.0, 0.02))),
+        ),
+    ),
 )
 
 
