@@ -1,9 +1,11 @@
 """Prints docs/reference/controllers.md, the depth controllers with equations and gains, from the code."""
 
+import re
 from collections import Counter
 from collections.abc import Iterable
 
 from controller_fmu import adrc, mrac, pid, sliding_mode, super_twisting
+from controller_fmu.l1 import depth_controller, heave_pitch_controller
 from fmus.block import Block, BlockVariable
 
 _HEAD = """\
@@ -14,6 +16,7 @@ The blocks that take the place of `L1DepthController` on the
 `l1-depth run nominal-extended --controller PidDepthController`.
 They share its allocation, limit of the voltages and anti-windup, and all but ADRC its observer, so that a
 comparison is one of laws. The law of `L1DepthController` is in [theory](../explanation/theory.md).
+`L1HeavePitchController`, at the end of this page, has that law for the depth and again for the pitch.
 `python .ci/controllers_page.py` prints this page from the code, and a test compares both.
 
 z is the measured depth, positive down, v its rate, measured or observed, r the reference with its derivatives
@@ -23,26 +26,32 @@ would widen a saturation of the thrusters; an estimate is driven by the force th
 
 The gains are start values with their derivation in the last column. They are not tuned."""
 
+_TABLE = re.compile(r"_table_\w+\[")
+
 _BLOCKS = (pid.BLOCK, mrac.BLOCK, sliding_mode.BLOCK, super_twisting.BLOCK, adrc.BLOCK)
 
 
 def page() -> str:
     """The whole page."""
-    return "\n\n".join([_HEAD, *map(_section, _BLOCKS), _what_they_share()]) + "\n"
+    sections = [_section(block, _shared_names(), _shared_lines()) for block in _BLOCKS]
+    depth = depth_controller.BLOCK
+    names = {v.name for v in depth.of_causality("parameter")}
+    both = _section(heave_pitch_controller.BLOCK, names, {*_lines(depth), ""})
+    return "\n\n".join([_HEAD, *sections, _what_they_share(), both]) + "\n"
 
 
-def _section(block: Block) -> str:
+def _section(block: Block, shared_names: set[str], shared_lines: set[str]) -> str:
     """What the block has for itself."""
-    shared_names, shared_lines = _shared_names(), _shared_lines()
     own = [v for v in block.of_causality("parameter") if v.name not in shared_names]
     guide = block.guide
+    sources = [source.text for source in guide.sources if source.text not in shared_lines]
     parts = (
         f"## {block.name}",
         f"{block.description}.",
         _code(line for line in guide.equations.splitlines() if line not in shared_lines),
         _parameters(own),
         _list(line for line in (*guide.tuning, *guide.limits) if line not in shared_lines),
-        "Sources: " + " ".join(source.text for source in guide.sources if source.text not in shared_lines),
+        *([f"Sources: {' '.join(sources)}"] if sources else []),
     )
     return "\n\n".join(parts)
 
@@ -63,15 +72,14 @@ def _what_they_share() -> str:
 
 
 def _shared_lines() -> set[str]:
-    return _several(
-        [
-            *b.guide.equations.splitlines(),
-            *b.guide.tuning,
-            *b.guide.limits,
-            *(s.text for s in b.guide.sources),
-        ]
-        for b in _BLOCKS
-    )
+    return _several(map(_lines, _BLOCKS))
+
+
+def _lines(block: Block) -> list[str]:
+    """Lines of the guide of a block."""
+    guide = block.guide
+    sources = (source.text for source in guide.sources)
+    return [*guide.equations.splitlines(), *guide.tuning, *guide.limits, *sources]
 
 
 def _shared_names() -> set[str]:
@@ -92,6 +100,8 @@ def _code(lines: Iterable[str]) -> str:
 def _parameters(variables: Iterable[BlockVariable]) -> str:
     rows = [("parameter", "start", "unit", "meaning", "source"), ("---",) * 5]
     for v in variables:
+        if _TABLE.search(v.name) and not v.name.endswith("[1]"):
+            continue  # of a table the first point stands for all
         unit = "" if v.unit in (None, "1") else v.unit
         start = v.enumeration(v.start).name.lower() if v.enumeration else repr(v.start)
         rows.append((f"`{v.name}`", start, unit, v.description, v.source))

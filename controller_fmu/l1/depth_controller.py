@@ -6,7 +6,14 @@ z points down. Source: Maalouf et al. (2013), section 4.
 from dataclasses import asdict, dataclass
 
 from controller_fmu import depth_interface, shared_guide
-from controller_fmu.depth_interface import DepthInputs, DepthMeasurement, DepthOutputs, DepthState, Vector
+from controller_fmu.depth_interface import (
+    Delivery,
+    DepthInputs,
+    DepthMeasurement,
+    DepthOutputs,
+    DepthState,
+    Vector,
+)  # fmt: skip
 from controller_fmu.depth_model import DepthMatrices, depth_matrices
 from controller_fmu.l1 import law as l1
 from controller_fmu.l1.feedforward import reference_feedforward
@@ -133,8 +140,22 @@ def initial_state(t: float, inputs: DepthInputs, p: Parameters, matrices: Matric
 
 
 def step(t: float, h: float, state: State, inputs: DepthInputs, p: Parameters, matrices: Matrices) -> State:
-    u = _control(state.law, p)
+    u = control(state.law, p)
     given = depth_interface.deliver(u.total, state.interface.j, p)
+    return after_delivery(t, h, state, inputs, u, given, p, matrices)
+
+
+def after_delivery(
+    t: float,
+    h: float,
+    state: State,
+    inputs: DepthInputs,
+    u: Control,
+    given: Delivery,
+    p: Parameters,
+    matrices: Matrices,
+) -> State:
+    """Returns the state h seconds later; given: what the thrusters deliver of its control u meanwhile."""
     interface = depth_interface.next_state(t, state.interface, inputs, p)
     now, k_m = _measurement(interface.measured, matrices), _state_feedback(p)
     law = l1.law_step(h, state.law, now, u, given.force, given.saturation_error, k_m, p, matrices)
@@ -142,7 +163,7 @@ def step(t: float, h: float, state: State, inputs: DepthInputs, p: Parameters, m
 
 
 def output(t: float, state: State, p: Parameters, matrices: Matrices) -> Outputs:
-    law, interface, u = state.law, state.interface, _control(state.law, p)
+    law, interface, u = state.law, state.interface, control(state.law, p)
     predicted, x_tilde = l1.predicted_state(law), law.estimates.x_tilde
     return Outputs(
         **depth_interface.outputs(u.total, interface.measured, interface.j, p),
@@ -164,7 +185,8 @@ def _state_feedback(p: Parameters) -> Vector:
     return p.depth_feedback_gain, p.rate_feedback_gain
 
 
-def _control(law: LawState, p: Parameters) -> Control:
+def control(law: LawState, p: Parameters) -> Control:
+    """Returns the control until the next step."""
     return l1.control(law, _state_feedback(p), p)
 
 

@@ -7,12 +7,12 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from fmus.build import stamp
 from fmus.fmi.description import start_value
 from fmus.registry import Flavour
 from orchestration.cli.changes import NO_CHANGES, Changes
 from orchestration.errors import ScenarioError, ScenarioWarning, SystemDefinitionError
 from orchestration.scenarios import scenario
+from orchestration.scenarios.fmu_files import build_missing, fmu_file
 from orchestration.scenarios.scenario import Scenario
 
 
@@ -22,30 +22,33 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
     Its name and title contain the components that the changes replace.
     """
     arguments = (name, *changes.options(), *(() if flavour is Flavour.NATIVE else ("--flavour", flavour)))
-    changes = _with_built_files(changes, flavour)
+    built = _with_built_files(changes, flavour)
     path = scenario.find(name)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", ScenarioWarning)
         try:
             chosen = scenario.load(
                 path,
-                changes.overrides(path.stem),
+                built.overrides(path.stem),
                 flavour,
                 settings=changes.settings,
-                build=lambda fmu: _build_missing([fmu]),
+                build=lambda fmu: build_missing([fmu]),
             )
         finally:  # an error may follow from the cause of a warning
             for warning in (w for w in caught if issubclass(w.category, ScenarioWarning)):
                 print(f"l1-depth: warning: {warning.message}", file=sys.stderr)
     for warning in (w for w in caught if not issubclass(w.category, ScenarioWarning)):
         warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-    chosen = replace(chosen, name=changes.name(chosen.name), arguments=arguments)
+    chosen = replace(chosen, name=built.name(chosen.name), arguments=arguments)
     build_missing_fmus([chosen])
     try:
         prepared = chosen.prepared
     except SystemDefinitionError as error:
         raise ScenarioError(scenario.located(str(error), chosen.files)) from error
     open_inputs = [f"{port.name} = {start_value(port.variable)}" for port in prepared.system.open_inputs]
+    if chosen.from_actuators:
+        values = ", ".join(f"{name} = {value:g}" for name, value in chosen.from_actuators.items())
+        print(f"l1-depth: of the actuators of plant: {values}; --set gives others", file=sys.stderr)
     if open_inputs:
         print(f"l1-depth: open inputs at their start values: {', '.join(open_inputs)}", file=sys.stderr)
     return chosen
@@ -54,7 +57,7 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
 def _with_built_files(changes: Changes, flavour: Flavour) -> Changes:
     """Returns the changes with the FMU of each block that is a Python file."""
     fmus = {
-        component: str(_fmu_of_file(Path(fmu), flavour)) if fmu.endswith(".py") else fmu
+        component: str(fmu_file(fmu, flavour)) if fmu.endswith(".py") else fmu
         for component, fmu in changes.components.items()
     }
     return replace(changes, settings={**changes.settings, **fmus})
@@ -62,22 +65,7 @@ def _with_built_files(changes: Changes, flavour: Flavour) -> Changes:
 
 def build_missing_fmus(scenarios: Iterable[Scenario]) -> None:
     """Builds the FMUs of our blocks that these scenarios run and that are missing or stale."""
-    _build_missing({fmu for chosen in scenarios for fmu in chosen.system.components.values()})
-
-
-def _build_missing(fmus: Iterable[Path]) -> None:
-    if stale := stamp.stale(fmus):
-        from fmus.build import builder  # which loads what builds FMUs
-
-        builder.build_missing(stale)
-
-
-def _fmu_of_file(path: Path, flavour: Flavour) -> Path:
-    if current := stamp.BuildCache().current(stamp.order_of_file(path, flavour), to_run=True):
-        return current[0]
-    from fmus.build import builder
-
-    return builder.fmu_of_file(path, flavour)
+    build_missing({fmu for chosen in scenarios for fmu in chosen.system.components.values()})
 
 
 @contextmanager

@@ -183,15 +183,8 @@ def chosen_protocol(changes: Changes, file: Path | None = None) -> "Protocol":
     if plant:
         values, mapping = changes.of_component(PLANT)
         settings = {f"{PLANT}.{name}": value for name, value in values.items()}
-        vehicle = Vehicle.of(plant, _built(plant), mapping, settings)
+        vehicle = Vehicle.of(plant, mapping, settings)
     return protocols.read_protocol(file or protocols.FILE, vehicle)
-
-
-def _built(fmu: str) -> str:
-    """Returns the FMU of a Python file, or what is none as it is."""
-    from fmus.build import builder
-
-    return str(builder.fmu_of_file(Path(fmu)) if fmu.endswith(".py") else fmu)
 
 
 def scored_controllers(names: Sequence[str], no_rates: bool, changes: Changes) -> list["Controller"]:
@@ -214,7 +207,7 @@ def scored_controllers(names: Sequence[str], no_rates: bool, changes: Changes) -
     return [
         Controller(
             name=Path(name).stem,
-            fmu=_built(name),
+            fmu=name,
             reference_rates=not no_rates,
             parameters=own,
             mapping=mapping,

@@ -12,6 +12,7 @@ from typing import Any
 
 from controller_fmu.design import Extension, FilterOrder, Regressor, lipschitz_constant
 from orchestration.margins.l1_loop import Law, Observer, Pair, Plant
+from orchestration.scenarios.scenario import Scenario
 from orchestration.scenarios.vehicle import VariablesTable, description_file, description_of
 from orchestration.system.prepared_run import PreparedRun, values_of
 
@@ -53,14 +54,15 @@ class Design:
         return Extension(self.law.c, self.law.proportional_gain, self.law.integral_gain)
 
 
-def design_of(prepared: PreparedRun, largest_reference: float, rest: float) -> Design | None:
+def design_of(chosen: Scenario, largest_reference: float, rest: float) -> Design | None:
     """Returns the design of the scenario's L1 controller and plant; None if one of them is not ours.
 
     largest_reference: largest |r| of the run; rest: the value that is held, not a number if none is
     """
+    prepared, named = chosen.prepared, chosen.resolved.get("components", chosen.system.components)
     described = {name: d.modelName or "" for name, d in prepared.system.descriptions.items()}
     controllers = [name for name, model in described.items() if model in _LAWS]
-    linear = {name: _linear_plant(prepared, name, model) for name, model in described.items()}
+    linear = {name: _linear_plant(str(named[name]), model) for name, model in described.items()}
     plants = {name: plant for name, plant in linear.items() if plant}
     if len(controllers) != 1 or len(plants) != 1:
         return None
@@ -148,11 +150,14 @@ def _general_law(values: Values, rest: float, reference: float) -> Law:
     )
 
 
-def _linear_plant(prepared: PreparedRun, name: str, model: str) -> "Callable[[Values, Values], Plant] | None":
-    """Returns what gives the linear plant of a component; None for one that is no plant, or not known."""
+def _linear_plant(fmu: str, model: str) -> "Callable[[Values, Values], Plant] | None":
+    """Returns what gives the linear plant of a component; None for one that is no plant, or not known.
+
+    fmu: as the scenario names it, beside which the description of a vehicle stands
+    """
     if model == "ExamplePlant":
         return _example
-    described = (description_file(vehicle) for vehicle in (str(prepared.system.components[name]), model))
+    described = (description_file(vehicle) for vehicle in (fmu, model))
     names = next((description_of(file).variables for file in described if file.data), VariablesTable())
     return partial(_vehicle, names) if names.inertia else None
 
@@ -168,7 +173,8 @@ def _vehicle(names: VariablesTable, values: Values, controller: Values) -> Plant
         damping += 2.0 * values[names.drag] * abs(values.get("current_velocity", 0.0))
     gains = (1.0,)
     if names.gain:
-        efficiency, assumed = _pair(values, "thruster_efficiency"), _pair(controller, "thruster_gain")
+        efficiency = (values.get(f"thruster_efficiency[{i}]", 1.0) for i in (1, 2))
+        assumed = _pair(controller, "thruster_gain")
         factors = zip((values[name] for name in names.gain), efficiency, assumed, strict=True)
         gains = tuple(0.5 * gain * share / divisor for gain, share, divisor in factors)
     has_lag = names.lag and not (names.no_lag and values[names.no_lag])

@@ -15,7 +15,6 @@ from orchestration.margins.l1_design import Design, design_of
 from orchestration.margins.margin_metric import Metric
 from orchestration.margins.theory_metrics import design_metrics, step_metrics
 from orchestration.scenarios.scenario import Scenario
-from orchestration.system.prepared_run import prepare
 from orchestration.system.signals import values_at
 
 FOREIGN = (
@@ -82,8 +81,7 @@ def _adaptation_gains(design: Design | None) -> dict[str, Sequence[float]]:
 
 
 def _design(chosen: Scenario, runs: HoldRuns | None) -> Design | None:
-    prepared = prepare(chosen.system, chosen.experiment)
     times = chosen.experiment.time_grid()
     signals = [values_at(signal, times) for signal in chosen.experiment.signals.values()]
     largest = max((float(np.abs(values).max()) for values in signals), default=0.0)
-    return design_of(prepared, largest, runs.mean if runs else math.nan)
+    return design_of(chosen, largest, runs.mean if runs else math.nan)

@@ -29,7 +29,7 @@ _CONDITIONS = ("component", "has", "lacks", "parameter", "values")
 def adapted(layers: Sequence[Layer], replaced: Mapping[str, Replacement], describe: Describe) -> list[Layer]:
     """Returns the layers with names that stand for others, each below its entries for replaced components."""
     _check_optional(layers)
-    names = [_mapping(layers, index, replaced) for index in range(len(layers))]
+    names = [_mapping(layers, index, replaced, describe) for index in range(len(layers))]
     above = [dict(item for x in names[index + 1 :] for item in x.items()) for index in range(len(layers))]
     fmus = components_of(layers)
 
@@ -104,10 +104,13 @@ def _check_optional(layers: Sequence[Layer]) -> None:
             raise ScenarioError(f"{where}: optional.{name}: no component {name!r}; {nearest(name, known)}")
 
 
-def _mapping(layers: Sequence[Layer], index: int, replaced: Mapping[str, Replacement]) -> dict[str, str]:
+def _mapping(
+    layers: Sequence[Layer], index: int, replaced: Mapping[str, Replacement], describe: Describe
+) -> dict[str, str]:
     """Returns "component.variable" -> the name that stands for it, by one layer for those below.
 
-    A mapping is of the last FMU of a component that stands in its layer or below.
+    A mapping is of the last FMU of a component that stands in its layer or below. It may give names for
+    variables of the replaced FMU that the layers do not name, so that one mapping serves many scenarios.
     """
     layer, names = layers[index], dict[str, str]()
     below = {name for lower in layers[:index] for name in names_in(lower.data)}
@@ -121,13 +124,19 @@ def _mapping(layers: Sequence[Layer], index: int, replaced: Mapping[str, Replace
                 f"{layer.at(('mapping', component, old))}: mapping.{component}",
                 f"{component}.{old}",
             )
-            if name not in known:
+            if name not in known and not (replacement and old in _variables(layers, component, describe)):
                 raise ScenarioError(f"{where}: nothing names {name}; {nearest(name, known)}")
             if replacement and new not in replacement.ports:
                 hint = nearest(new, replacement.ports)
                 raise ScenarioError(f"{where}: {component} has no variable {new!r}; {hint}")
             names[name] = f"{component}.{new}"
     return names
+
+
+def _variables(layers: Sequence[Layer], component: str, describe: Describe) -> set[str]:
+    """Returns the variables of the FMU that the lowest layer has for a component."""
+    fmus = (layer.data.get("components", {}).get(component) for layer in layers)
+    return {v.name for v in describe(next(fmu for fmu in fmus if fmu)).modelVariables}
 
 
 def names_in(value: Any) -> Iterator[str]:

@@ -96,15 +96,15 @@ def _values_of(file: TomlFile) -> dict[str, Any]:
 
 
 def named_fmu(fmu: str, folder: Path, at: At, keys: KeyPath) -> str:
-    """Returns the name of a known block, or the absolute path of an FMU named relative to a folder.
+    """Returns the name of a known block, or the absolute path of an .fmu or a .py relative to a folder.
 
     at, keys: where it is named; begins the ScenarioError about a name that is neither
     """
-    if fmu.endswith(".fmu"):
+    if fmu.endswith((".fmu", ".py")):
         return str((folder / fmu).absolute())
     known = block_names()
     if fmu not in known:
         raise ScenarioError(
-            f"{at(keys)}: no block {fmu!r}, and a path must end in .fmu; {nearest(fmu, known)}"
+            f"{at(keys)}: no block {fmu!r}, and a path must end in .fmu or .py; {nearest(fmu, known)}"
         )
     return fmu

@@ -5,7 +5,7 @@ of that name which can take their part; the others are left out. Entries of the 
 component, and of those above it, are its own: they stay as they are, and a wrong one is an error.
 
 [optional]                                      variables that another FMU may lack without a warning,
-controller = ["measured_depth_rate", "u_m"]     unless they change during the run
+controller = ["measured_depth_rate", "u_m"]     unless they change during the run by this layer or one above
 """
 
 import json
@@ -51,29 +51,35 @@ class Replacement:
     """A component whose FMU a layer replaces.
 
     fmu: "" if it is removed; layer: its index; ports: variable -> port of the new FMU
-    optional: variables that it may lack; identified: parameters that a file has, chosen for another FMU
+    optional: variable that it may lack -> the uppermost layer that says so
+    alternatives: variable -> those that may stand in its place, by the entries for replaced components
+    identified: parameters that a file has, chosen for another FMU
     left_out: (variable that an entry lacks, input that the entry drives or ""); taken: of those identified
-    unchanged: variables left out that would change during the run
+    unchanged: variable left out -> the uppermost layer by which it would change during the run
     """
 
     component: str
     fmu: str
     layer: int
     ports: Mapping[str, Port]
-    optional: Sequence[str]
+    optional: Mapping[str, int]
+    alternatives: Mapping[str, Sequence[str]]
     identified: Collection[str]
     left_out: list[tuple[str, str]] = field(default_factory=list)
     taken: dict[str, Any] = field(default_factory=dict)
-    unchanged: set[str] = field(default_factory=set)
+    unchanged: dict[str, int] = field(default_factory=dict)
 
-    def fits(self, part: str, name: str, value: Any, driven: str, changes: bool) -> bool:
-        """Whether the new FMU can have a part in an entry; notes it as left out or taken."""
+    def fits(self, part: str, name: str, value: Any, driven: str, changes: int | None) -> bool:
+        """Whether the new FMU can have a part in an entry; notes it as left out or taken.
+
+        changes: the layer of an entry by which it would change during the run
+        """
         variable = name.partition(".")[2]
         port = self.ports.get(variable)
         if port is None or not _has_part(port, part, value):
             self.left_out.append((variable, driven))
-            if changes:
-                self.unchanged.add(variable)
+            if changes is not None:
+                self.unchanged[variable] = changes
             return False
         if part == "start" and name in self.identified:
             self.taken[variable] = value
@@ -94,12 +100,13 @@ class Replacement:
         inputs = {name for name, target in self.left_out if target == prefix + name}
         outputs = {name for name, target in self.left_out if target and target not in driven} - inputs
         unjoined = sorted(outputs | inputs if undriven else outputs)
-        optional = set(self.optional) - self.unchanged
+        optional = {n for n, layer in self.optional.items() if layer > self.unchanged.get(n, -1)}
         missing = dict.fromkeys(n for n, t in self.left_out if n not in optional and t not in driven)
         names = unjoined or list(missing)
         lacks = f"{state}, which lacks {_listed(names)}"
-        mapped = f"--map {prefix}{''.join(names[:1])}=NAME or in [mapping.{self.component}]"
-        hint = f"name those that stand for others by {mapped}"
+        stand_ins = [*names[:1], *(n for name in names[:1] for n in self.alternatives.get(name, ()))]
+        mapped = " or ".join(f"--map {prefix}{name}=NAME" for name in stand_ins)
+        hint = f"name those that stand for others by {mapped} or in [mapping.{self.component}]"
         if unjoined:
             may_stay = "; --open-inputs start leaves its inputs at their start values" if undriven else ""
             raise ScenarioError(
@@ -130,11 +137,25 @@ def _warn(message: str) -> None:
     warnings.warn(message, ScenarioWarning, stacklevel=4)
 
 
-def replacements(layers: Sequence[Layer], describe: Describe) -> dict[str, Replacement]:
+def alternatives(layers: Sequence[Layer]) -> dict[str, dict[str, list[str]]]:
+    """Returns component -> variable -> those in its place, by the entries for replaced components."""
+    result: dict[str, dict[str, list[str]]] = {}
+    for entry in (entry for layer in layers for entry in layer.data.get("when_replaced", [])):
+        for lacking in entry.get("lacks", []):
+            known = result.setdefault(entry["component"], {}).setdefault(lacking, [])
+            known += [name for name in entry.get("has", []) if "." not in name and name not in known]
+    return result
+
+
+def replacements(
+    layers: Sequence[Layer],
+    describe: Describe,
+    alternatives: Mapping[str, Mapping[str, Sequence[str]]] = {},
+) -> dict[str, Replacement]:
     """Returns the components whose FMU is not that of the layer which gave them first, by name."""
     fmus: dict[str, Any] = {}
     changed: dict[str, int] = {}
-    optional: dict[str, list[str]] = {}
+    optional: dict[str, dict[str, int]] = {}
     identified = {name for x in layers for file in x.files[1:] for name in file.data.get("parameters", {})}
     for index, layer in enumerate(layers):
         for component, fmu in layer.data.get("components", {}).items():
@@ -142,12 +163,13 @@ def replacements(layers: Sequence[Layer], describe: Describe) -> dict[str, Repla
                 changed[component] = index
             fmus[component] = fmu or ""
         for component, names in layer.data.get("optional", {}).items():
-            optional[component] = [*optional.get(component, []), *names]
+            optional.setdefault(component, {}).update(dict.fromkeys(names, index))
     result: dict[str, Replacement] = {}
     for name, index in changed.items():
         variables = describe(fmus[name]).modelVariables if fmus[name] else []
         ports = {v.name: Port(name, v) for v in variables}
-        result[name] = Replacement(name, fmus[name], index, ports, optional.get(name, []), identified)
+        others = alternatives.get(name, {})
+        result[name] = Replacement(name, fmus[name], index, ports, optional.get(name, {}), others, identified)
     return result
 
 
@@ -155,17 +177,19 @@ def without_misfits(layers: Sequence[Layer], replaced: Mapping[str, Replacement]
     """Returns the layers without inherited entries that do not fit."""
     above = [{n: r for n, r in replaced.items() if r.layer > index} for index in range(len(layers))]
     constants = {name for layer in layers for name in layer.data.get("inputs", {})}
-    pairs = zip(layers, above, strict=True)
-    return [replace(x, data=_fitting(x.data, a, constants)) if a else x for x, a in pairs]
+    return [
+        replace(layer, data=_fitting(layer.data, above[index], index, constants)) if above[index] else layer
+        for index, layer in enumerate(layers)
+    ]
 
 
-def _fitting(data: Data, replaced: Mapping[str, Replacement], constants: Collection[str]) -> Data:
-    """Returns the entries of a layer that fit the FMUs which replace components of it.
+def _fitting(data: Data, replaced: Mapping[str, Replacement], index: int, constants: Collection[str]) -> Data:
+    """Returns the entries of the layer of an index that fit the FMUs which replace components of it.
 
     constants: inputs that a layer holds constant: one that another layer connects would change
     """
 
-    def fits(part: str, name: str, value: Any = None, driven: str = "", changes: bool = False) -> bool:
+    def fits(part: str, name: str, value: Any = None, driven: str = "", changes: int | None = None) -> bool:
         new = replaced.get(name.partition(".")[0])
         return new is None or new.fits(part, name, value, driven, changes)
 
@@ -175,7 +199,8 @@ def _fitting(data: Data, replaced: Mapping[str, Replacement], constants: Collect
         names = [value[key] for key in SIGNALS if value and key in value] if kind == "metrics" else [name]
         driven = name if kind in ("connections", "signals") else ""
         given = value if kind in _WITH_VALUES else None
-        changes = kind in _CHANGING or (kind == "connections" and name in constants)
+        is_moved = kind in _CHANGING or (kind == "connections" and name in constants)
+        changes = index if is_moved else None
         if kind in _PARTS and not all(fits(_PARTS[kind], n, given, driven, changes) for n in names):
             return False
         # an output is lacking only if there is an input that it drives
@@ -184,7 +209,7 @@ def _fitting(data: Data, replaced: Mapping[str, Replacement], constants: Collect
     result: Data = {}
     for kind, entries in data.items():
         if kind == "sweep":
-            result[kind] = _fitting(entries, replaced, constants)
+            result[kind] = _fitting(entries, replaced, index, constants)
         elif kind == "events":
             result[kind] = with_events(entries, partial(is_kept, kind))
         elif isinstance(entries, dict):

@@ -3,6 +3,7 @@
 A file is laid over its base, and `overrides` over both (`layers`).
 """
 
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,10 +11,10 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
-from fmus.fmi.description import describe
+from fmus.fmi.description import describe, start_value
 from fmus.fmi.model_description import ModelDescription
 from fmus.fmi.variable_types import FmiValue
-from fmus.registry import Flavour, fmu_path
+from fmus.registry import Flavour
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.results import metrics
 from orchestration.scenarios.adapters import adapted, with_chosen_entries
@@ -21,6 +22,7 @@ from orchestration.scenarios.changes import command_entries, values_of_settings
 from orchestration.scenarios.declarations import fault, signal
 from orchestration.scenarios.file_format import ScenarioFile
 from orchestration.scenarios.file_tables import checked
+from orchestration.scenarios.fmu_files import fmu_file
 from orchestration.scenarios.layers import TABLES, Layer, components_of, merged, with_faulted_constants
 from orchestration.scenarios.read_layers import (
     FILE,
@@ -31,8 +33,9 @@ from orchestration.scenarios.read_layers import (
     shipped,
     with_parameter_files,
 )
-from orchestration.scenarios.replaced import replacements, without_misfits
+from orchestration.scenarios.replaced import Describe, alternatives, replacements, without_misfits
 from orchestration.scenarios.toml_file import KeyPath, TomlFile
+from orchestration.scenarios.vehicle import PLANT, actuators_of
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.prepared_run import PreparedRun, prepare
 from orchestration.system.signal_derivatives import with_derivatives
@@ -47,6 +50,7 @@ class Scenario:
 
     resolved: the same as one self-contained file; files: those that it was read from, the uppermost first
     arguments: of a command line that takes a scenario
+    from_actuators: "component.parameter" -> value that follows from the actuators of another vehicle
     """
 
     name: str
@@ -58,6 +62,7 @@ class Scenario:
     sweep: Mapping[str, Any] = field(default_factory=dict)
     files: tuple[TomlFile, ...] = ()
     arguments: tuple[str, ...] = ()
+    from_actuators: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def prepared(self) -> PreparedRun:
@@ -90,7 +95,7 @@ def load(
 
     @cache
     def description(fmu: str) -> ModelDescription:
-        file = _path(fmu, flavour)
+        file = fmu_file(fmu, flavour)
         build(file)
         return describe(file)
 
@@ -100,10 +105,13 @@ def load(
         variables = description(fmu).modelVariables if fmu else []
         return any((v.name, v.type) == (variable, "Boolean") for v in variables)
 
+    standing_in = alternatives(layers)
+    mapping = {k: v for x in layers for k, v in x.data.get("mapping", {}).get(PLANT, {}).items()}
     layers = adapted(layers, replacements(layers, description), description)
     layers.append(Layer(values_of_settings(settings or {}, layers, description)))
+    layers, from_actuators = _with_actuators(layers, mapping, description)
     layers = with_chosen_entries(layers)
-    replaced = replacements(layers, description)
+    replaced = replacements(layers, description, standing_in)
     fitting = merged(without_misfits(layers, replaced), is_boolean)
     data = with_faulted_constants({"title": path.stem, **{table: {} for table in TABLES}, **fitting})
     data.pop("optional", None)
@@ -122,7 +130,7 @@ def load(
         name=path.stem,
         title=file.title,
         system=System(
-            components={name: _path(fmu, flavour) for name, fmu in data["components"].items()},
+            components={name: fmu_file(fmu, flavour) for name, fmu in data["components"].items()},
             connections=data.get("connections", []),
         ),
         experiment=experiment,
@@ -130,8 +138,35 @@ def load(
         resolved=data,
         sweep=data["sweep"],
         files=tuple(files),
+        from_actuators={n: v for n, v in from_actuators.items() if data["parameters"].get(n) == v},
         arguments=(path.stem if shipped().get(path.stem) == path else str(path),),
     )
+
+
+def _with_actuators(
+    layers: Sequence[Layer], mapping: Mapping[str, str], describe: Describe
+) -> tuple[list[Layer], dict[str, float]]:
+    """Returns the layers with what the actuators of a vehicle that replaces another say to other components.
+
+    It lies over what the other vehicle was controlled with, and below the layer that replaces it. Returns the
+    entries, too.
+    mapping: name of the vehicle's interface -> variable
+    """
+    new = replacements(layers, describe).get(PLANT)
+    if not new or not new.fmu:
+        return [*layers], {}
+    above = {k: v for x in layers[new.layer :] for k, v in x.data.get("parameters", {}).items()}
+    given = {name.partition(".")[2]: value for name, value in above.items() if name.startswith(f"{PLANT}.")}
+    actuators = actuators_of(new.fmu, {n: port.variable for n, port in new.ports.items()}, mapping, given)
+    entries: dict[str, float] = {}
+    others = {name: fmu for name, fmu in components_of(layers).items() if name != PLANT}
+    for component, fmu in others.items():
+        parameters = (v for v in describe(fmu).modelVariables if v.causality == "parameter")
+        own = {v.name: start_value(v) for v in parameters if v.type == "Real"}
+        limit = above.get(f"{component}.voltage_limit", own.get("voltage_limit"))
+        values = actuators.parameters(float(limit or math.nan))
+        entries |= {f"{component}.{name}": value for name, value in values.items() if name in own}
+    return [*layers[: new.layer], Layer({"parameters": entries}), *layers[new.layer :]], entries
 
 
 def load_scenario(
@@ -147,11 +182,6 @@ def load_scenario(
     Raises ScenarioError. The FMUs of our blocks have to be built: `l1-depth build --cache`.
     """
     return load(find(str(scenario)), overrides, settings=settings)
-
-
-def _path(fmu: str, flavour: Flavour) -> Path:
-    """Returns the file of an FMU; a block's is where `l1-depth build --cache` writes it."""
-    return Path(fmu) if fmu.endswith(".fmu") else fmu_path(fmu, flavour)
 
 
 def _experiment(file: ScenarioFile, data: Mapping[str, Any]) -> Experiment:

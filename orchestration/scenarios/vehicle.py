@@ -16,15 +16,26 @@ high = 15.0
 """
 # ruff: noqa: RUF012  (Pydantic copies defaults)
 
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import TypeAdapter
 
+from fmus.errors import nearest
+from fmus.fmi.description import start_value
+from fmus.fmi.model_description import ScalarVariable
+from orchestration.errors import ScenarioError
 from orchestration.scenarios.file_format import FAULT, SIGNAL
 from orchestration.scenarios.file_tables import Table, Value, checked
 from orchestration.scenarios.toml_file import TomlFile, read_toml
+from orchestration.system.system import Port
+from orchestration.system.values import value_range
 
+PLANT = "plant"
+"""The component that a vehicle is."""
 SHIPPED = Path(__file__).with_name("vehicles")
 
 
@@ -90,3 +101,60 @@ def description_file(vehicle: str) -> TomlFile:
 def description_of(file: TomlFile) -> VehicleFile:
     """Returns the description as types; ScenarioError names file and line of a mistake."""
     return checked(_FILE, file.data, file.at)
+
+
+@dataclass(frozen=True)
+class Actuators:
+    """The actuators of a vehicle: force [N] for a unit of each, and the largest size that all of them take.
+
+    gains: not a number, limit: infinite where the vehicle states none
+    """
+
+    gains: tuple[float, ...]
+    limit: float
+    in_volts: bool
+
+    @property
+    def force(self) -> float:
+        """The largest force [N]."""
+        return sum(self.gains) * self.limit
+
+    def parameters(self, voltage_limit: float) -> dict[str, float]:
+        """Returns the parameters of a controller that follow, by the names of the depth control interface.
+
+        voltage_limit: its own [V]; there two thrusters give the largest force of a vehicle without voltages
+        """
+        gains = self.gains if self.in_volts else (0.5 * self.force / voltage_limit,) * 2
+        values = {f"thruster_gain[{i}]": gain for i, gain in enumerate(gains, 1)}
+        values |= {"voltage_limit": self.limit} if self.in_volts else {}
+        return {n: v for n, v in (values | {"force_limit": self.force}).items() if math.isfinite(v)}
+
+
+def actuators_of(
+    vehicle: str,
+    variables: Mapping[str, ScalarVariable],
+    mapping: Mapping[str, str],
+    given: Mapping[str, Any],
+) -> Actuators:
+    """Returns the actuators that a vehicle states by its description and by the range of its inputs.
+
+    variables: of its FMU; mapping: name of the vehicle's interface -> variable; given: parameter -> value
+    """
+    file = description_file(vehicle)
+    names = description_of(file).variables
+    voltages = [mapping.get(name, name) for name in ("voltage[1]", "voltage[2]")]
+    inputs = [name for name in voltages if name in variables]
+    in_volts = bool(inputs)
+    inputs = inputs or [mapping.get("control_force", "control_force")]
+
+    def values(key: str) -> list[float]:
+        parameters = getattr(names, key)
+        if unknown := next((name for name in parameters if name not in variables), ""):
+            where = f"{file.at(('variables', key))}: variables.{key}"
+            raise ScenarioError(f"{where}: no variable {unknown!r}; {nearest(unknown, variables)}")
+        return [float(given.get(name, start_value(variables[name]))) for name in parameters]
+
+    ends = [e for name in inputs if name in variables for e in value_range(Port(vehicle, variables[name]))]
+    limits = values("limit") or [abs(end) for end in ends if end]
+    gains = values("gain") or [math.nan] * len(inputs)
+    return Actuators(tuple(gains) if in_volts else (1.0,), min(limits, default=math.inf), in_volts)

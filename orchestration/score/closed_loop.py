@@ -30,7 +30,7 @@ from orchestration.scenarios.read_layers import file_layers, parameter_values, s
 from orchestration.scenarios.scenario import Scenario
 from orchestration.score.protocol import REFERENCE, Case, Protocol, check_vehicle
 from orchestration.score.run_metrics import Judged, all_signals, declared, metrics_of
-from orchestration.score.vehicle import DEPTH, PLANT, build_missing
+from orchestration.score.vehicle import DEPTH, PLANT, built
 from orchestration.system.experiment import Experiment
 from orchestration.system.signal_derivatives import derivative
 from orchestration.system.signals import Later, Ramps, Signal
@@ -49,7 +49,7 @@ _LOADING = threading.Lock()  # filters of warnings are those of all threads
 class Controller:
     """A controller to be run.
 
-    fmu: an .fmu or the name of a block; parameters: variable -> value, of what is not at its start value
+    fmu: an .fmu, a block or its .py file; parameters: variable -> value, of what is not at its start value
     mapping: name of the depth control interface -> variable that stands for it
     settings: "component.variable" -> value, of the other components
     reference_rates: whether the derivatives of the reference are connected, where it has inputs for them
@@ -187,6 +187,12 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
         if mapping:
             overrides["mapping"] = mapping
         settings = {f"{OWN}{name}": value for name, value in controller.parameters.items()}
+        # the case changes the vehicle that the settings give
+        changed = {
+            table: {vehicle.variable(name): value for name, value in case.layer.get(table, {}).items()}
+            for table in ("parameters", "inputs", "signals")
+        }
+        driven = changed["inputs"] | changed["signals"]
         with _LOADING, warnings.catch_warnings():
             warnings.simplefilter("ignore", ScenarioWarning)  # of inherited parameters, left out below
             loaded = scenario.load(
@@ -198,20 +204,20 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
                     "controller": controller.fmu,
                     "plant": vehicle.fmu,
                     **settings,
-                    **vehicle.settings,
+                    **{name: value for name, value in vehicle.settings.items() if name not in driven},
                     **controller.settings,
                 },
-                build=build_missing,
+                build=lambda fmu: built(str(fmu)),
             )
         for fmu in loaded.system.components.values():
-            build_missing(Path(fmu))
+            built(str(fmu))
         check_vehicle(self.protocol)
         inherited = {
             name: value
             for name, value in loaded.experiment.parameters.items()
-            if not name.startswith(OWN) or name in settings
+            if not name.startswith(OWN) or name in settings or name in loaded.from_actuators
         }
-        experiment = replace(loaded.experiment, parameters=inherited)
+        experiment = replace(loaded.experiment, parameters=inherited | changed["parameters"])
         return replace(loaded, experiment=experiment)
 
     def experiment(self, case: Case) -> Experiment:

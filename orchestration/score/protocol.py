@@ -7,6 +7,7 @@ protocol: what is varied, then way, depth and hold of each depth. Who tunes has 
 them.
 """
 
+import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -117,7 +118,9 @@ class Protocol:
         vehicle, ours = self.vehicle, Vehicle.of_base(self.tables.base).name
         if vehicle.is_of_base:
             return self.tables.statement.strip()
-        return f"The vehicle is {vehicle.name}, simulated; the tuned gains beside are for {ours}."
+        force = vehicle.largest_force
+        told = f" Controllers are told that its actuators give {force:g} N." if math.isfinite(force) else ""
+        return f"The vehicle is {vehicle.name}, simulated; the tuned gains beside are for {ours}.{told}"
 
     @property
     def metrics(self) -> Mapping[str, MetricTable]:

@@ -167,7 +167,7 @@ def beyond_bounds(loop: ClosedLoop) -> list[str]:
 def not_repeated(loop: ClosedLoop, case: Case) -> list[str]:
     """Returns the reason why a controller is not ranked whose run gives other values when it is repeated."""
     first, second = (loop.run(case).values for _ in range(2))
-    return [] if np.array_equal(first, second) else ["its run, repeated, gives other values"]
+    return [] if np.array_equal(first, second, equal_nan=True) else ["its run, repeated, gives other values"]
 
 
 def delay_margin_of(loop: ClosedLoop, case: Case) -> float:

@@ -10,12 +10,12 @@ from fmus.errors import nearest
 from fmus.fmi.description import describe, start_value
 from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import FmiValue
-from fmus.registry import fmu_path
 from orchestration.errors import ScenarioError
+from orchestration.scenarios.fmu_files import build_missing, fmu_file
 from orchestration.scenarios.layers import components_of
 from orchestration.scenarios.read_layers import file_layers, named_fmu, shipped_bases
 from orchestration.scenarios.toml_file import TomlFile
-from orchestration.scenarios.vehicle import VehicleFile, description_file, description_of
+from orchestration.scenarios.vehicle import VehicleFile, actuators_of, description_file, description_of
 from orchestration.system.system import Port
 from orchestration.system.values import value_range
 
@@ -25,18 +25,18 @@ VOLTAGES = (f"{PLANT}voltage[1]", f"{PLANT}voltage[2]")
 
 
 @cache
-def build_missing(fmu: Path) -> None:
-    """Builds the FMU of one of our blocks, if it is missing or stale, once in a process."""
-    from fmus.build import builder  # which loads CasADi
-
-    builder.build_missing([fmu])
+def built(fmu: str) -> Path:
+    """Returns the file of an FMU, built if it is missing or stale, once in a process."""
+    file = fmu_file(fmu)
+    build_missing([file])
+    return file
 
 
 @dataclass(frozen=True)
 class Vehicle:
     """A vehicle.
 
-    fmu: an .fmu or the name of a block; is_of_base: whether it is the one of the protocol's base
+    fmu: an .fmu, a block or its .py file; is_of_base: whether it is the one of the protocol's base
     mapping: name of the vehicle's interface -> variable that stands for it
     settings: "plant.variable" -> value
     """
@@ -53,16 +53,12 @@ class Vehicle:
     def of(
         cls,
         given: str,
-        fmu: str = "",
         mapping: Mapping[str, str] | None = None,
         settings: Mapping[str, FmiValue] | None = None,
     ) -> "Vehicle":
-        """Returns the vehicle that a block, an FMU or a Python file is; ScenarioError for one that is none.
-
-        fmu: that of the Python file
-        """
+        """Returns the vehicle of a block, an FMU or a Python file; ScenarioError for one that is none."""
         file = description_file(given)
-        named = named_fmu(fmu or given, Path(), lambda keys: f"plant = {given}", ("plant",))
+        named = named_fmu(given, Path(), lambda keys: f"plant = {given}", ("plant",))
         vehicle = cls(
             Path(given).stem, named, file, description_of(file), False, mapping or {}, settings or {}
         )
@@ -98,9 +94,7 @@ class Vehicle:
     @property
     def variables(self) -> Mapping[str, ScalarVariable]:
         """The variables of the FMU, which is built if it has to be."""
-        path = Path(self.fmu) if self.fmu.endswith(".fmu") else fmu_path(self.fmu)
-        build_missing(path)
-        return {v.name: v for v in describe(path).modelVariables}
+        return {v.name: v for v in describe(built(self.fmu)).modelVariables}
 
     @property
     def actuators(self) -> tuple[str, ...]:
@@ -111,6 +105,12 @@ class Vehicle:
     @property
     def takes_force(self) -> bool:
         return self.actuators == (FORCE,)
+
+    @property
+    def largest_force(self) -> float:
+        """The largest force [N] that controllers are told; not finite if the vehicle states none."""
+        given = {name.removeprefix(PLANT): value for name, value in self.settings.items()}
+        return actuators_of(self.fmu, self.variables, self.mapping, given).force
 
     def check(self) -> None:
         """Refuses a vehicle without a depth or without an actuator."""
@@ -125,11 +125,11 @@ class Vehicle:
                 raise ScenarioError(f"--map {PLANT}{name}={own}: {nearest(own, self.variables)}")
 
     def gains(self) -> tuple[float, ...]:
-        """Returns the force for a unit of each actuator at the start values; not a number if unknown."""
+        """Returns the force for a unit of each actuator of the unchanged vehicle; not a number if unknown."""
         if self.takes_force:
             return (1.0,)
         names = self.described.variables.gain or [""] * len(self.actuators)
-        return tuple(float(self._start(name)) for name in names)
+        return tuple(float(self.settings.get(PLANT + name, self._start(name))) for name in names)
 
     def limits(self, given: Mapping[str, Any]) -> tuple[float, ...]:
         """Returns the largest size of each actuator; infinite if the vehicle states none.

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+from fmus.block.block_file import write_new_block
 from orchestration.errors import ScenarioError, SimulationError, SystemDefinitionError
 from orchestration.gym import FmuEnv, FmuVectorEnv, Task, task_of
 from orchestration.results import increments, metrics
@@ -341,6 +342,15 @@ def test_an_action_of_another_type_than_real_is_refused(linear: Build, task: Tas
     )
     with pytest.raises(SystemDefinitionError, match="integer_in is of type Integer: expected inputs of"):
         FmuEnv(discrete)
+
+
+def test_a_vehicle_may_be_a_python_file(scenario_fmus: None, tmp_path: Path) -> None:
+    """Its FMU is built, and the range of its force bounds the actions."""
+    write_new_block("rover", tmp_path, vehicle=True)
+    task = task_of("nominal-extended", {"rmse": -1.0}, plant=tmp_path / "rover.py")
+    assert task.actions == ("plant.control_force",)
+    with closing(FmuEnv(task)) as env:
+        assert (env._middle, env._half) == (0.0, 6.0)
 
 
 def test_an_agent_steers_another_vehicle(scenario_fmus: None, tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ _DIFFERENCE = 1e-6  # relative change for a difference quotient: half the digits
 _AGREEMENT = 1e-4  # relative; a wrong derivative is wrong by much more
 _LINEAR = 1e-6  # relative: of difference quotients
 _SUMMED = 1e-3  # relative: derivatives may be difference quotients of one side (2.1.9)
+_CANCELLED = 1e-12  # times a seed: parts that are 0 alone leave roundings of terms that cancel
 _SELDOM = ("constant", "fixed", "tunable")  # kinds of a factor that does not change with every input
 _PARTS = (1.0, 0.1, 0.01)  # of a step: an effect through a state shrinks with them
 _STAYS, _ENDS = 0.5, 0.1  # of an effect: in a short step, and a step after its cause has gone
@@ -286,7 +287,7 @@ def _other_sums(script: Script, unknowns: list[Variable], knowns: list[Variable]
     script.play()
     for i, (v, got) in enumerate(zip(unknowns, together.value, strict=True)):
         parts = [s * reply.value[i] for s, reply in zip(seed, alone, strict=True)]
-        if not abs(got - sum(parts)) <= _SUMMED * max([1e-300, abs(got), *map(abs, parts)]):
+        if not abs(got - sum(parts)) <= _SUMMED * max([abs(got), *map(abs, parts)]) + _CANCELLED * seed[-1]:
             shown, what = texts(got, sum(parts)), f"the directional derivative of {v.name}"
             where = f"in the state {together.state!r}"
             yield f"{what} is {shown[0]} {where}: expected {shown[1]}, the sum of its parts"

@@ -165,8 +165,9 @@ def memory_does_not_grow(probe: Probe) -> Iterator[str]:
 
 
 def _growth_of_the_heap(counts: list[dict[str, int]]) -> float:
-    """Bytes from one count to the next: the median, as this process frees memory at times."""
-    return median(b["heap"] - a["heap"] for a, b in itertools.pairwise(counts))
+    """Returns bytes per count: the median slope of all pairs, as this process takes and frees by turns."""
+    pairs = itertools.combinations(enumerate(count["heap"] for count in counts), 2)
+    return median((later - earlier) / (j - i) for (i, earlier), (j, later) in pairs)
 
 
 # locations

@@ -26,13 +26,16 @@ def offer(monkeypatch: pytest.MonkeyPatch) -> object:
 def test_the_shipped_blocks_are_found() -> None:
     assert registry.block_names() == [
         "AdrcDepthController",
+        "BlueRov2Plant",
         "DepthReference",
         "ExamplePlant",
         "L1Controller",
         "L1DepthController",
+        "L1HeavePitchController",
         "MracDepthController",
         "PidDepthController",
         "RovDepthPlant",
+        "RovHeavePitchPlant",
         "SlidingModeDepthController",
         "SuperTwistingDepthController",
         "ThrustAllocation",

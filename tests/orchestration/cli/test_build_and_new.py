@@ -81,7 +81,9 @@ def test_two_blocks_that_would_be_written_to_one_file_are_refused(command: Comma
 def test_build_without_names_builds_all_that_ship(command: Command, tmp_path: Path) -> None:
     command("build", "--out", "out")
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
-        "AdrcDepthController.fmu", "DepthReference.fmu", "ExamplePlant.fmu", "L1Controller.fmu",
-        "L1DepthController.fmu", "MracDepthController.fmu", "PidDepthController.fmu", "RovDepthPlant.fmu",
+        "AdrcDepthController.fmu", "BlueRov2Plant.fmu", "DepthReference.fmu", "ExamplePlant.fmu",
+        "L1Controller.fmu", "L1DepthController.fmu", "L1HeavePitchController.fmu", "MracDepthController.fmu",
+        "PidDepthController.fmu", "RovDepthPlant.fmu", "RovHeavePitchPlant.fmu",
         "SlidingModeDepthController.fmu", "SuperTwistingDepthController.fmu", "ThrustAllocation.fmu",
+        "WaveSource.fmu",
     ]  # fmt: skip

@@ -48,18 +48,25 @@ def error(command: Command) -> Callable[..., str]:
     return lambda *arguments: command(*arguments, expect=1).stderr.splitlines()[-1]
 
 
+@pytest.mark.parametrize(
+    "own",
+    [
+        {"measured_depth": "gauge", "voltage[1]": "left", "voltage[2]": "right"},
+        {"depth": "gauge", "control_force": "thrust"},
+    ],
+)
 def test_the_mappings_that_messages_ask_for_let_another_plant_run(
-    error: Callable[..., str], short_scenario: Callable[..., Path], tmp_path: Path
+    error: Callable[..., str], short_scenario: Callable[..., Path], tmp_path: Path, own: dict[str, str]
 ) -> None:
     """One name after the other, until nothing is refused but an FMU without a library."""
     short_scenario()
-    described(tmp_path / "boat.fmu", ("left", "right"), ("gauge",))
-    own = {"measured_depth": "gauge", "voltage[1]": "left", "voltage[2]": "right"}
+    described(tmp_path / "boat.fmu", [name for name in own.values() if name != "gauge"], ("gauge",))
     hints = []
     for _ in own:
         message = error("run", "short.toml", "--plant", "boat.fmu", *hints)
-        (hint,) = re.findall(r"(--map \S+)=NAME", message)
-        hints += f"{hint}={own[hint.partition('plant.')[2]]}".split()
+        shown = re.findall(r"--map plant\.(\S+)=NAME", message)
+        (name,) = (name for name in shown if name in own)
+        hints += ["--map", f"plant.{name}={own[name]}"]
     assert "boat.fmu has no binary" in error("run", "short.toml", "--plant", "boat.fmu", *hints)
 
 

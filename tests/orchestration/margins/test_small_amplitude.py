@@ -15,7 +15,6 @@ from orchestration.run.simulator import Simulator
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.faults import Fault, InterpolatedDelay
-from orchestration.system.prepared_run import prepare
 from orchestration.system.signals import Constant, Table
 
 # at rest from the start, with the true state: nothing but the pulse moves the vehicle
@@ -65,7 +64,7 @@ def test_the_fmus_bear_the_delay_of_the_linear_loop_less_one_and_a_half_steps(
 ) -> None:
     """Exchange by Jacobi is one step late, and a held control half a step; the root is found to 0.1 %."""
     loaded = at_rest(augmentation, step)
-    design = design_of(prepare(loaded.system, loaded.experiment), largest_reference=0.0, rest=0.0)
+    design = design_of(loaded, largest_reference=0.0, rest=0.0)
     assert design
     expected = margins(loop(design.law, design.plant)).delay - 1.5 * step
     assert largest_delay(loaded, expected) == pytest.approx(expected, rel=2e-3)

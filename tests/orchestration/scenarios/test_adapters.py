@@ -93,6 +93,19 @@ def test_a_mapped_force_is_joined_through_the_allocation(tmp_path: Path) -> None
     prepare(loaded.system, loaded.experiment)
 
 
+def test_one_mapping_serves_scenarios_that_name_less(scenario_fmus: None, tmp_path: Path) -> None:
+    """Nothing names the initial depth in a dive from the surface; in a hold at 1 m something does."""
+    outputs = ("depth", "depth_rate", "measured_depth")
+    fmu = described(tmp_path / "boat.fmu", ("voltage[1]", "voltage[2]", "external_force"), outputs, ("z0",))
+    mapping = {"mapping": {"plant": {"initial_depth": "z0"}}}
+    dive, held = (
+        scenario.load(scenario.find(name), mapping, settings={"plant": str(fmu)})
+        for name in ("nominal-extended", "hold-force-step")
+    )
+    assert "plant.z0" not in dive.experiment.parameters
+    assert held.experiment.parameters["plant.z0"] == 1.0
+
+
 def test_a_mapping_in_a_file_is_of_its_base_and_of_its_own_fmu(tmp_path: Path) -> None:
     described(tmp_path / "my.fmu", ("r", "z"), ("v1", "v2"), ("kp",))
     (tmp_path / "mine.toml").write_text(

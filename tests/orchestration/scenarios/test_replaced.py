@@ -69,6 +69,21 @@ def test_a_line_names_what_the_scenario_does_not_mark_optional(tmp_path: Path) -
     scenario.load(path, {"mapping": {"controller": {"measured_depth": "z"}}}, settings=settings)
 
 
+def test_a_signal_on_an_input_that_is_lacking_ends_its_line_by_the_hint_in_a_file_above(
+    tmp_path: Path,
+) -> None:
+    """What the base marks optional does not cover a disturbance of a file above it."""
+    fmu = described(
+        tmp_path / "deaf.fmu", VOLTAGES, ("depth", "measured_depth", "depth_rate"), ("initial_depth",)
+    )
+    with pytest.warns(ScenarioWarning, match="lacks current_velocity: left out"):
+        scenario.load(scenario.find("hold-current"), settings={"plant": str(fmu)})
+    scenario.load(
+        child(tmp_path, '[optional]\nplant = ["current_velocity"]\n', "hold-current"),
+        settings={"plant": str(fmu)},
+    )
+
+
 def test_a_line_names_a_few_of_many(tmp_path: Path) -> None:
     names = "".join(f'"controller.k{i}" = 1.0\n' for i in range(9))
     fmu = described(tmp_path / "pid.fmu", INPUTS, VOLTAGES)

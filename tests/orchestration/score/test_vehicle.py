@@ -77,7 +77,7 @@ def test_a_vehicle_has_disturbances_and_draws_of_its_own(tmp_path: Path) -> None
 
 def test_a_mapped_vehicle_plays_what_its_own_names_stand_for(tmp_path: Path) -> None:
     mapping = {"initial_depth": "z0", "external_force": "push"}
-    protocol = read_protocol(vehicle=Vehicle.of(str(boat(tmp_path, ("push",), ("z0",))), "", mapping))
+    protocol = read_protocol(vehicle=Vehicle.of(str(boat(tmp_path, ("push",), ("z0",))), mapping))
     with ClosedLoop(built_in(protocol, "pid"), protocol) as loop:
         held = loop.experiment(protocol.cases["hold-step"])
         loop.experiment(protocol.nominal)

@@ -1,0 +1,32 @@
+"""The FMUs that scenarios name, and building those that need it: the only file of this room that builds."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from fmus.registry import Flavour, fmu_path
+
+
+def fmu_file(fmu: str, flavour: Flavour = Flavour.NATIVE) -> Path:
+    """Returns the file of an FMU: an .fmu as it is, or where that of a block is found.
+
+    The FMU of a Python file's only block is built if it is missing or stale; ExportError if it cannot be.
+    """
+    if not fmu.endswith(".py"):
+        return Path(fmu) if fmu.endswith(".fmu") else fmu_path(fmu, flavour)
+    from fmus.build import stamp
+
+    if current := stamp.BuildCache().current(stamp.order_of_file(Path(fmu), flavour), to_run=True):
+        return current[0]
+    from fmus.build import builder  # which loads CasADi
+
+    return builder.fmu_of_file(Path(fmu), flavour)
+
+
+def build_missing(fmus: Iterable[Path]) -> None:
+    """Builds the FMUs of our blocks that are missing or stale."""
+    from fmus.build import stamp
+
+    if stale := stamp.stale(fmus):
+        from fmus.build import builder
+
+        builder.build_missing(stale)

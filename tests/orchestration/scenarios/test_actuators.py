@@ -1,0 +1,114 @@
+"""What a vehicle states of its actuators becomes parameters of what commands them."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from orchestration.errors import ScenarioError
+from orchestration.scenarios import scenario
+from orchestration.score.closed_loop import ClosedLoop, built_in
+from orchestration.score.protocol import read_protocol
+from orchestration.score.vehicle import Vehicle
+from tests.described_fmus import described, redescribed
+
+VOLTAGES = ("voltage[1]", "voltage[2]")
+GAINS = ("controller.thruster_gain[1]", "controller.thruster_gain[2]")
+
+
+def boat(folder: Path, description: str = "", inputs: tuple[str, ...] = VOLTAGES, limit: float = 0.0) -> Path:
+    """A vehicle with these inputs within -limit..limit, if that is not 0."""
+    given = ("fore", "aft", "largest")
+    plain = described(folder / "plain.fmu", inputs, ("depth", "depth_rate", "measured_depth"), given)
+    ranged = f'<Real start="0.0" min="{-limit}" max="{1.5 * limit}"/>' if limit else '<Real start="0.0"/>'
+    fmu = redescribed(plain, folder / "boat.fmu", lambda text: text.replace('<Real start="0.0"/>', ranged))
+    (folder / "boat.vehicle.toml").write_text(description)
+    return fmu
+
+
+def parameters(plant: Path, scenario_file: Path | None = None, **settings: Any) -> dict[str, Any]:
+    """The parameters of the controller and the allocation that follow from the vehicle."""
+    given = {name.replace("__", "."): value for name, value in settings.items()}
+    path = scenario_file or scenario.find("nominal-extended")
+    return dict(scenario.load(path, settings={"plant": str(plant), **given}).from_actuators)
+
+
+def test_gains_and_the_smaller_end_of_the_range_of_the_voltages_are_handed_on(tmp_path: Path) -> None:
+    plant = boat(tmp_path, '[variables]\ngain = ["fore", "aft"]\n', limit=16.0)
+    expected = dict(zip(GAINS, (4.0, 2.0), strict=True)) | {"controller.voltage_limit": 16.0}
+    assert parameters(plant, plant__fore=4.0, plant__aft=2.0) == expected
+
+
+def test_a_parameter_that_limits_goes_before_the_range(tmp_path: Path) -> None:
+    plant = boat(tmp_path, '[variables]\nlimit = ["largest"]\n', limit=16.0)
+    assert parameters(plant, plant__largest=9.0) == {"controller.voltage_limit": 9.0}
+
+
+def test_the_range_of_a_force_is_what_two_thrusters_give_at_the_limit_of_the_controller(
+    tmp_path: Path,
+) -> None:
+    plant = boat(tmp_path, inputs=("control_force",), limit=160.0)
+    assert parameters(plant) == dict.fromkeys(GAINS, 160.0 / 24.0)
+    assert parameters(plant, controller__voltage_limit=16.0) == dict.fromkeys(GAINS, 160.0 / 32.0)
+
+
+def test_a_controller_with_a_force_and_the_allocation_behind_it_are_told_both(tmp_path: Path) -> None:
+    plant = boat(tmp_path, '[variables]\ngain = ["fore", "aft"]\n', limit=16.0)
+    inputs, outputs = ("depth_reference", "measured_depth"), ("control_force",)
+    controller = described(tmp_path / "p.fmu", inputs, outputs, ("force_limit",))
+    told = parameters(plant, controller=str(controller), plant__fore=4.0, plant__aft=2.0)
+    assert told == {
+        "controller.force_limit": 6.0 * 16.0,
+        "allocation.thruster_gain[1]": 4.0,
+        "allocation.thruster_gain[2]": 2.0,
+        "allocation.voltage_limit": 16.0,
+    }
+
+
+def test_settings_and_the_file_that_names_the_vehicle_give_others(tmp_path: Path) -> None:
+    plant = boat(tmp_path, limit=16.0)
+    assert parameters(plant, controller__voltage_limit=5.0) == {}
+    child = tmp_path / "child.toml"
+    child.write_text(
+        f'base = "nominal-extended"\ncomponents = {{ plant = "{plant}" }}\n'
+        '[parameters]\n"controller.voltage_limit" = 5.0\n'
+    )
+    loaded = scenario.load(child)
+    assert loaded.experiment.parameters["controller.voltage_limit"] == 5.0
+
+
+def test_nothing_is_handed_on_from_the_vehicle_of_the_scenario_or_one_that_states_nothing(
+    tmp_path: Path,
+) -> None:
+    assert not scenario.load(scenario.find("nominal-extended")).from_actuators
+    assert not parameters(boat(tmp_path))
+
+
+def test_a_vehicle_with_parameters_of_these_names_keeps_its_own(scenario_fmus: None) -> None:
+    settings = {"plant": "RovDepthPlant", "controller": "L1DepthController"}
+    told = scenario.load(scenario.find("nominal-heave-pitch"), settings=settings).from_actuators
+    assert told == dict.fromkeys(GAINS, 0.25) | {"controller.voltage_limit": 12.0}
+
+
+def test_a_parameter_that_a_description_misspells_is_named(tmp_path: Path) -> None:
+    plant = boat(tmp_path, '[variables]\ngain = ["for", "aft"]\n')
+    with pytest.raises(
+        ScenarioError, match=r"boat.vehicle.toml:2: variables.gain: no variable 'for'; .*'fore'"
+    ):
+        parameters(plant)
+
+
+def test_a_score_tells_its_controllers_the_same_and_a_case_does_not_change_it(tmp_path: Path) -> None:
+    """A disturbance of the thrusters is what the controllers do not know."""
+    description = (
+        '[variables]\ngain = ["fore", "aft"]\nlimit = ["largest"]\n'
+        '[disturbances.voltage-limit]\nparameters = { "plant.largest" = 3.0 }\n'
+    )
+    settings = {"plant.fore": 4.0, "plant.aft": 2.0, "plant.largest": 9.0}
+    vehicle = Vehicle.of(str(boat(tmp_path, description, (*VOLTAGES, "external_force"))), settings=settings)
+    protocol = read_protocol(vehicle=vehicle)
+    with ClosedLoop(built_in(protocol, "pid"), protocol) as loop:
+        for case in (protocol.nominal, protocol.cases["voltage-limit"]):
+            given = loop.experiment(case).parameters
+            assert given["plant.largest"] == (9.0 if case is protocol.nominal else 3.0)
+            assert [given[name] for name in (*GAINS, "controller.voltage_limit")] == [4.0, 2.0, 9.0]
