@@ -49,6 +49,16 @@ class VariablesTable(Table):
     """Parameters: time constant [s] of each thruster."""
     no_lag: str = ""
     """Parameter: whether the thrusters have no lag."""
+    net_weight: str = ""
+    """Parameter: weight minus buoyancy of the submerged vehicle [N]."""
+    sensor_period: str = ""
+    """Parameter: sampling period of the depth sensor [s]."""
+    sensor_noise: str = ""
+    """Parameter: standard deviation of the sensor's noise [m]."""
+    sensor_resolution: str = ""
+    """Parameter: resolution of the sensor [m]."""
+    sensor_delay: str = ""
+    """Parameter: time from a sample to its report [s]."""
 
 
 class ChangesTable(Table):
