@@ -1,5 +1,6 @@
 """Prints docs/reference/controllers.md, the depth controllers with equations and gains, from the code."""
 
+import re
 from collections import Counter
 from collections.abc import Iterable
 
@@ -22,6 +23,8 @@ inertia and the linear damping that a design assumes, sat the limit to -1 .. 1. 
 would widen a saturation of the thrusters; an estimate is driven by the force that they deliver.
 
 The gains are start values with their derivation in the last column. They are not tuned."""
+
+_TABLE = re.compile(r"_table_\w+\[")
 
 _BLOCKS = (pid.BLOCK, mrac.BLOCK, sliding_mode.BLOCK, super_twisting.BLOCK, adrc.BLOCK)
 
@@ -92,6 +95,8 @@ def _code(lines: Iterable[str]) -> str:
 def _parameters(variables: Iterable[BlockVariable]) -> str:
     rows = [("parameter", "start", "unit", "meaning", "source"), ("---",) * 5]
     for v in variables:
+        if _TABLE.search(v.name) and not v.name.endswith("[1]"):
+            continue  # of a table the first point stands for all
         unit = "" if v.unit in (None, "1") else v.unit
         start = v.enumeration(v.start).name.lower() if v.enumeration else repr(v.start)
         rows.append((f"`{v.name}`", start, unit, v.description, v.source))

@@ -146,4 +146,5 @@ BLOCK = depth_interface.depth_controller(
     __name__,
     "AdrcDepthController",
     "Active disturbance rejection depth controller with an extended state observer",
+    requirements=depth_interface.table_requirements,
 )

@@ -6,14 +6,24 @@ of the beginning of a step decides the control of its end.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 from controller_fmu import allocation
 from controller_fmu.observer import ObserverState, VelocitySource, sample_when_due
 from fmus.block import Block, variable
-from fmus.numerics import Clock, where
+from fmus.numerics import Clock, clip, interp, logical_and, logical_not, logical_or, where
+from fmus.numerics import all as all_hold
 
 Vector = tuple[float, float]
+Table = tuple[float, ...]
+# Pulse [us] and force [kgf] of a Blue Robotics T200 at 16 V, as `plant_fmu/thruster.py` has them
+_T200_AT_16_V = (
+    (1900, 5.25), (1860, 4.65), (1820, 3.82), (1780, 3.11), (1740, 2.43), (1700, 1.82), (1660, 1.28),
+    (1620, 0.82), (1580, 0.40), (1540, 0.08), (1532, 0.04), (1528, 0.0), (1472, 0.0), (1468, -0.04),
+    (1460, -0.07), (1420, -0.32), (1380, -0.65), (1340, -1.02), (1300, -1.44), (1260, -1.94), (1220, -2.45),
+    (1180, -2.99), (1140, -3.66), (1100, -4.07),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -31,6 +41,24 @@ class ActuatorParameters:
     voltage_limit: float = variable(
         12.0, "Largest voltage of a thruster", unit="V", min=1e-6, max=1e6,
         source="guess: the paper gives none",
+    )  # fmt: skip
+    thruster_tabulated: bool = variable(
+        False, "Takes the voltages from the table, in place of the gain", variability="fixed",
+        source="assumed: the paper has a line, (11)",
+    )  # fmt: skip
+    thruster_scale: Vector = variable(
+        (1.0, 1.0), "Factor of the table's force: thrusters that a voltage drives", min=1e-3, max=1e3,
+        source="assumed: one thruster each",
+    )  # fmt: skip
+    thruster_table_voltage: Table = variable(
+        tuple((1500.0 - pulse) * 12.0 / 400.0 for pulse, _ in _T200_AT_16_V),
+        "Voltages of the table, ascending", unit="V", min=-1e6, max=1e6,
+        source="chosen: 12 V to -12 V for pulses of 1100 us to 1900 us, as the vehicles have it",
+    )  # fmt: skip
+    thruster_table_force: Table = variable(
+        tuple(0.0 - kgf * 9.80665 for _, kgf in _T200_AT_16_V),
+        "Force at each voltage of the table, ascending", unit="N", min=-1e6, max=1e6,
+        source="published: Blue Robotics T200 at 16 V, September 2019, forward thrust up",
     )  # fmt: skip
 
 
@@ -140,9 +168,23 @@ class Delivery:
 
 
 def requirements(p: ObserverParameters, calculated: object) -> tuple[tuple[bool, str], ...]:
-    """Returns the requirement of the observer, which takes one sample a step."""
+    """Returns the requirements of the observer, which takes one sample a step, and of the table."""
     is_short = p.internal_step <= p.observer_period * (1.0 + 1e-9)
-    return ((is_short, "internal_step at most observer_period"),)
+    return ((is_short, "internal_step at most observer_period"), *table_requirements(p))
+
+
+def table_requirements(p: ActuatorParameters, calculated: object = None) -> tuple[tuple[bool, str], ...]:
+    """Returns the requirements of a table that is used: it ascends, and gives forces of both signs."""
+    voltages, forces = p.thruster_table_voltage, p.thruster_table_force
+    is_left_out = logical_not(p.thruster_tabulated)
+    rises = all_hold(a < b for a, b in pairwise(voltages))
+    never_falls = all_hold(a <= b for a, b in pairwise(forces))
+    has_both_signs = logical_and(forces[0] < 0.0, forces[-1] > 0.0)
+    return (
+        (logical_or(is_left_out, rises), "thruster_table_voltage: each above the one before"),
+        (logical_or(is_left_out, never_falls), "thruster_table_force: none below the one before"),
+        (logical_or(is_left_out, has_both_signs), "thruster_table_force from below 0 N to above 0 N"),
+    )
 
 
 def first_state(t: float, inputs: DepthInputs, p: ObserverParameters) -> DepthState:
@@ -179,6 +221,30 @@ def body_to_earth(inputs: DepthInputs) -> float:
 
 def deliver(force: float, j: float, p: ActuatorParameters) -> Delivery:
     """Allocates a demand [N] to the thrusters, and returns what they deliver of it."""
+    return where(
+        p.thruster_tabulated, lambda: _deliver_by_table(force, j, p), lambda: _deliver_by_gain(force, j, p)
+    )
+
+
+def _deliver_by_table(force: float, j: float, p: ActuatorParameters) -> Delivery:
+    """Limits the force of each thruster to what the table gives up to the largest voltage."""
+    voltages, forces = p.thruster_table_voltage, p.thruster_table_force
+    lowest, highest = (interp(limit, voltages, forces) for limit in (-p.voltage_limit, p.voltage_limit))
+    share = 0.5 * j * force
+    shares = [clip(share, scale * lowest, scale * highest) for scale in p.thruster_scale]
+    first, second = (
+        allocation.table_voltage(given / scale, voltages, forces)
+        for given, scale in zip(shares, p.thruster_scale, strict=True)
+    )
+    ones = (1.0, 1.0)  # the shares are forces, not voltages
+    return Delivery(
+        voltage=allocation.saturate((first, second), p.voltage_limit),  # an inverse rounds beyond the limit
+        force=allocation.force((shares[0], shares[1]), j, ones),
+        saturation_error=allocation.force((shares[0] - share, shares[1] - share), j, ones),
+    )
+
+
+def _deliver_by_gain(force: float, j: float, p: ActuatorParameters) -> Delivery:
     demanded = allocation.allocate(force, j, p.thruster_gain)
     saturated = allocation.saturate(demanded, p.voltage_limit)
     return Delivery(

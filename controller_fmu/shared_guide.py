@@ -13,9 +13,13 @@ CONVENTIONS = (
     " each thruster takes half of the demand.",
     "tracking_error is measured depth minus reference: positive when the vehicle is too deep.",
     "Angles are in rad; roll and pitch may stay at 0 where they are not measured.",
+    "With thruster_tabulated the voltages are those at which thruster_table_force is demanded, a line between"
+    " its points; thruster_scale is n, the thrusters that a voltage drives. Table and n are those of the"
+    " vehicle. A force of exactly 0 is 0 V.",
 )
 ALLOCATION = """\
 voltage_i    = J u / (2 K_i), saturated,   J = cos(roll) cos(pitch)   Maalouf et al. (2013), (11)
+             or table^-1(J u / (2 n_i)); 0 V for 0 N, over the dead band at a change of sign
 """
 OBSERVER = """\
 observer     z_p = z_hat + T v_hat,   z_hat = z_p + alpha (z - z_p),   v_hat = v_hat + beta / T (z - z_p)

@@ -6,7 +6,7 @@ those of the inputs of the last step, a communication step later than those of a
 
 from dataclasses import dataclass
 
-from controller_fmu import allocation, shared_guide
+from controller_fmu import allocation, depth_interface, shared_guide
 from controller_fmu.depth_interface import ActuatorParameters, Vector
 from fmus.block import Block, NoValues, variable
 from fmus.block.guide import Experiment, Guide
@@ -49,26 +49,32 @@ def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calcul
 
 
 def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:
-    voltages = allocation.allocate(state.force, state.j, p.thruster_gain)
-    return Outputs(voltage=allocation.saturate(voltages, p.voltage_limit))
+    return Outputs(voltage=depth_interface.deliver(state.force, state.j, p).voltage)
 
 
 GUIDE = Guide(
     equations="""\
 voltage_i = J u / (2 K_i), limited to -voltage_limit .. voltage_limit,   J = cos(roll) cos(pitch)   (11)
+            or table^-1(J u / (2 n_i)); 0 V for 0 N, over the dead band at a change of sign
 """,
     conventions=(
         "The force u is that of the earth frame, positive down; a positive voltage pushes the upright vehicle"
         " down. Each thruster takes half of the demand.",
         "Angles are in rad; roll and pitch may stay at 0 where they are not measured.",
     ),
-    tuning=("thruster_gain (N/V, measured) and voltage_limit are those of the thrusters.",),
+    tuning=(
+        "thruster_gain (N/V, measured) and voltage_limit are those of the thrusters; with thruster_tabulated,"
+        " thruster_table_voltage, thruster_table_force and thruster_scale n, the thrusters that a voltage"
+        " drives, take the place of the gain.",
+    ),
     limits=(
         "The voltages of a communication point are those of the inputs of the step before it: in a Jacobi"
         " exchange this block delays the force by one communication step. In a Gauss-Seidel exchange that"
         " steps it after the controller and before the vehicle it does not.",
         "The controller does not learn of the limit of the voltages: its own limit of the force should be"
         " voltage_limit (K_1 + K_2) at most, so that its anti-windup acts.",
+        "A demand that changes its sign at each sample, as noise makes it, moves the voltage from one end of"
+        " the dead band to the other.",
     ),
     sources=(shared_guide.PAPER,),
     experiment=Experiment(
@@ -86,6 +92,7 @@ BLOCK = Block.of_module(
     __name__,
     "ThrustAllocation",
     "Allocation of a vertical force to two thrusters",
+    requirements=depth_interface.table_requirements,
     stop_time=310.0,
     step_size=0.02,
     license="MIT",

@@ -11,9 +11,10 @@ from fmus.numerics import rk4_step, where
 from plant_fmu import depth_sensor, heave, thruster
 from plant_fmu.depth_plant_guide import GUIDE
 from plant_fmu.depth_sensor import Sensor, SensorState
-from plant_fmu.thruster import Thruster
+from plant_fmu.thruster import T200_FORCE, T200_VOLTAGE, Thruster
 
 Pair = tuple[float, float]
+Table = tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,22 @@ class Parameters:
         (12.0, 12.0), "Voltage at which line and parabola give the same force", unit="V", min=1e-6, max=1e6,
         source="guess: the largest voltage; without effect on a line",
     )  # fmt: skip
+    thruster_tabulated: bool = variable(
+        False, "Takes the force from the table, in place of gain, dead zone, reverse ratio and curvature",
+        variability="fixed", source="assumed: the paper has a line, (11)",
+    )  # fmt: skip
+    thruster_scale: Pair = variable(
+        (1.0, 1.0), "Factor of the table's force: thrusters that a voltage drives, and their wear", min=0.0,
+        max=1e3, source="assumed: one thruster each",
+    )  # fmt: skip
+    thruster_table_voltage: Table = variable(
+        T200_VOLTAGE, "Voltages of the table, ascending", unit="V", min=-1e6, max=1e6,
+        source="chosen: 12 V to -12 V for pulses of 1100 us to 1900 us",
+    )  # fmt: skip
+    thruster_table_force: Table = variable(
+        T200_FORCE, "Force at each voltage of the table, positive down", unit="N", min=-1e6, max=1e6,
+        source="published: Blue Robotics T200 at 16 V, September 2019, forward thrust up",
+    )  # fmt: skip
     thruster_depth: float = variable(
         0.073, "Depth of the propellers below the vehicle's top", unit="m", min=-1e3, max=1e3,
         source="guess: the middle of the published height; without effect but for ventilation",
@@ -125,7 +142,9 @@ class Parameters:
 
 
 @dataclass(frozen=True)
-class Inputs:
+class Surroundings:
+    """Inputs of vehicles whose attitude is their own."""
+
     voltage: Pair = variable((0.0, 0.0), "Voltage of each thruster", unit="V")
     thruster_efficiency: Pair = variable(
         (1.0, 1.0), "1 healthy, 0 dead: a fault of each thruster", min=0.0, max=1.0
@@ -135,6 +154,19 @@ class Inputs:
         0.0, "Added to the buoyancy B, positive lifts", unit="N", min=-1e6, max=1e6
     )
     current_velocity: float = variable(0.0, "Vertical current in the earth frame, positive down", unit="m/s")
+    wave_velocity: float = variable(
+        0.0, "Vertical orbital velocity of waves in the earth frame, positive down", unit="m/s"
+    )
+    wave_acceleration: float = variable(
+        0.0, "Vertical orbital acceleration of waves in the earth frame, positive down", unit="m/s2"
+    )
+    wave_pressure_head: float = variable(
+        0.0, "Pressure of waves over rho g, which the sensor reads as depth", unit="m"
+    )
+
+
+@dataclass(frozen=True)
+class Inputs(Surroundings):
     roll: float = variable(0.0, "Roll angle phi", unit="rad")
     pitch: float = variable(0.0, "Pitch angle theta", unit="rad")
 
@@ -145,6 +177,7 @@ class State:
     heave_velocity: float = 0.0
     thruster_force: Pair = (0.0, 0.0)
     j: float = 1.0
+    pressure_head: float = 0.0
     sensor: SensorState = SensorState()
 
 
@@ -167,20 +200,22 @@ def requirements(p: Parameters, calculated: NoValues) -> tuple:
             "internal_step at most sensor_period",
         ),
         (p.net_weight < p.weight, "net_weight below weight, so that there is buoyancy"),
-        depth_sensor.delay_fits(_sensor(p)),
+        depth_sensor.delay_fits(sensor_of(p)),
+        thruster.table_ascends(p.thruster_tabulated, p.thruster_table_voltage),
     )
 
 
 def initial_state(t: float, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
     """Returns the state at the start, the thrusters at rest."""
-    first = depth_sensor.first_sample(_sensor(p), t, p.initial_depth, p.sensor_seed)
+    head = inputs.wave_pressure_head
+    first = depth_sensor.first_sample(sensor_of(p), t, p.initial_depth + head, p.sensor_seed)
     j = heave.body_to_earth(inputs.roll, inputs.pitch)
-    return State(p.initial_depth, p.initial_heave_velocity, (0.0, 0.0), j, first)
+    return State(p.initial_depth, p.initial_heave_velocity, (0.0, 0.0), j, head, first)
 
 
 def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
     j = heave.body_to_earth(inputs.roll, inputs.pitch)
-    thrusters = _thruster(p, 0), _thruster(p, 1)
+    thrusters = thruster_of(p, 0), thruster_of(p, 1)
     steady = [
         thruster.steady_force(thrusters[i], inputs.voltage[i], inputs.thruster_efficiency[i]) for i in (0, 1)
     ]
@@ -191,36 +226,40 @@ def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calcul
         )
         return first, second
 
+    head = inputs.wave_pressure_head
+    water_velocity = inputs.current_velocity + inputs.wave_velocity
     submerged_buoyancy = p.weight - p.net_weight + inputs.buoyancy_change
 
     def derivative(elapsed: float, x: tuple) -> tuple:
         z, w = x
-        thrust = _submerged_share(z, p) * sum(forces(elapsed))
+        thrust = submerged_share(z, p) * sum(forces(elapsed))
         floating = heave.buoyancy(z, submerged_buoyancy, p.water_density, p.waterplane_area)
         b = where(p.free_surface, floating, submerged_buoyancy)
-        drag = heave.damping(w - j * inputs.current_velocity, p.linear_damping, p.quadratic_damping)
+        drag = heave.damping(w - j * water_velocity, p.linear_damping, p.quadratic_damping)
         restoring = j * (p.weight - b)
-        return j * w, heave.acceleration(thrust, inputs.external_force, restoring, drag, p.inertia)
+        wave_force = heave.wave_force(j * inputs.wave_acceleration, p.inertia, p.weight - b)
+        external = inputs.external_force + wave_force
+        return j * w, heave.acceleration(thrust, external, restoring, drag, p.inertia)
 
     depth, velocity = rk4_step(derivative, 0.0, (state.depth, state.heave_velocity), h)
-    sensor = depth_sensor.sample_when_due(_sensor(p), state.sensor, t + h, depth)
-    return State(depth, velocity, forces(h), j, sensor)
+    sensor = depth_sensor.sample_when_due(sensor_of(p), state.sensor, t + h, depth + head)
+    return State(depth, velocity, forces(h), j, head, sensor)
 
 
 def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:
-    submerged = _submerged_share(state.depth, p)
+    submerged = submerged_share(state.depth, p)
     first, second = (submerged * force for force in state.thruster_force)
     return Outputs(
         depth=state.depth,
         depth_rate=state.j * state.heave_velocity,
         heave_velocity=state.heave_velocity,
-        measured_depth=depth_sensor.reading(_sensor(p), state.sensor, t, state.depth),
+        measured_depth=depth_sensor.reading(sensor_of(p), state.sensor, t, state.depth + state.pressure_head),
         thruster_force=(first, second),
         total_force=first + second,
     )
 
 
-def _thruster(p: Parameters, i: int) -> Thruster:
+def thruster_of(p: Parameters, i: int) -> Thruster:
     return Thruster(
         gain=p.thruster_gain[i],
         dead_zone=p.thruster_dead_zone[i],
@@ -231,14 +270,18 @@ def _thruster(p: Parameters, i: int) -> Thruster:
         curvature=p.thruster_curvature[i],
         curve_voltage=p.thruster_curve_voltage[i],
         rate_limit=p.thruster_rate_limit[i],
+        tabulated=p.thruster_tabulated,
+        scale=p.thruster_scale[i],
+        table_voltage=p.thruster_table_voltage,
+        table_force=p.thruster_table_force,
     )
 
 
-def _submerged_share(depth: float, p: Parameters) -> float:
+def submerged_share(depth: float, p: Parameters) -> float:
     return thruster.submerged_share(depth + p.thruster_depth, p.thruster_full_depth, p.thruster_ideal)
 
 
-def _sensor(p: Parameters) -> Sensor:
+def sensor_of(p: Parameters) -> Sensor:
     return Sensor(
         period=p.sensor_period,
         noise=p.sensor_noise,

@@ -10,6 +10,7 @@ B(z)       = B_0                        submerged, B_0 = weight - net_weight + b
              B_0 - rho g A (-z)         emerged by -z, never negative; only with free_surface
 thruster   v_s = sat(v, v_max),   v_d = sgn(v_s) max(|v_s| - v_0, 0)
            F_s = efficiency K r v_d ((1 - c) + c |v_d| / v_c)            (11): F = K v; off: r = 1, c = 0
+           or F_s = efficiency n table(v_s)                              off
            F'  = sat((F_s - F) / T, R)                                   off: no limit R
            tau_z = s (F_1 + F_2),   s = clip((z + d_t) / d_f, 0, 1)      off: s = 1
 sensor     s_k = q(z(t_k) + bias + drift (t_k - t_0) + noise n_k) at t_k = t_0 + k T,   n_k standard normal
@@ -32,6 +33,9 @@ sensor     s_k = q(z(t_k) + bias + drift (t_k - t_0) + noise n_k) at t_k = t_0 +
         " thruster_curve_voltage v_c, where line and parabola meet; thruster_rate_limit R, of the force, as"
         " motors and their drivers have it; thruster_full_depth d_f, the depth from which a propeller draws"
         " no air, with thruster_depth d_t below the vehicle's top.",
+        "A measured thruster: thruster_tabulated, with thruster_table_voltage and thruster_table_force, a"
+        " line between their points, for thruster_scale n thrusters. Points that a shorter table lacks go"
+        " on its lines. The start values are those of a T200, far too strong for this vehicle.",
         "sensor_ideal reports the true depth at every instant; otherwise period, noise, bias, drift,"
         " resolution and delay act, and sensor_seed chooses the noise: one seed gives one sequence, on"
         " every platform.",
@@ -47,7 +51,8 @@ sensor     s_k = q(z(t_k) + bias + drift (t_k - t_0) + noise n_k) at t_k = t_0 +
         "At the surface it is a spring of 217 N/m under 5.5 kg, at 6.3 rad/s, and sensor noise in a loop"
         " keeps it bobbing there.",
         "The controllers of this project take the thrust for a line, with a gain and a limit of the voltage"
-        " of their own: they do not invert the curve, and know of no other limit of the vehicle's thrusters.",
+        " of their own, or invert a table that they have as parameters; they know of no other limit of the"
+        " vehicle's thrusters.",
         "Loss of thrust at the surface is a straight line in the propeller's depth: it depends neither on the"
         " load nor on how long the propeller has drawn air.",
         "internal_step may not exceed sensor_period, and sensor_delay not seven periods.",

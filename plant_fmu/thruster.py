@@ -1,23 +1,62 @@
-"""One thruster: voltage to force.
+"""One thruster: voltage to force, by a curve with few parameters or by a table, and its answer in time.
 
     v_s = sat(v, v_max),   v_d = sgn(v_s) max(|v_s| - v_0, 0)
     F_s = efficiency K r v_d ((1 - c) + c |v_d| / v_c),   r = 1 for v_d >= 0, the reverse ratio below
     F'  = sat((F_s - F) / T, R)
     force = s F,   s = clip(d / d_f, 0, 1)
 
+    or by a table    F_s = efficiency n table(v_s)
+    and behind it    force(s) / F(s) = (b_1 s + a_0) / (s^3 + a_2 s^2 + a_1 s + a_0)
+                     x_1' = x_2,   x_2' = x_3,   x_3' = a_0 (F - x_1) - a_1 x_2 - a_2 x_3,
+                     force = x_1 + b_1 / a_0 x_2
+
 K [N/V], dead zone v_0 [V], saturation v_max [V], lag T [s], efficiency 0..1 (1 healthy, 0 dead). The curve
 is a line for c = 0 and quadratic for c = 1; at v_c [V] both give K v_c, so that K stays in N/V. R [N/s]
 limits how fast the force changes, as the torque of a motor limits how fast its propeller speeds up. d [m]
 is the depth of the propeller, d_f that from which its thrust is full; above it draws air (ventilation) and
 loses thrust, here in proportion to its depth. An ideal thruster gives efficiency K v at once, in air too.
+The table is linear between its points and held outside; n is the number of
+thrusters that the voltage drives. The transfer function has a gain of 1.
 The paper's model is F = K u, (11); the rest is added here. The straight line of the ventilation stands for
 curves that depend on the load too: Kozlowska et al., Time domain modeling of propeller forces due to
 ventilation in static and dynamic conditions, Journal of Marine Science and Engineering 8, 2020.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
-from fmus.numerics import absolute, clip, exp, logical_and, logical_not, maximum, sign, where
+from fmus.numerics import (
+    absolute,
+    clip,
+    exp,
+    interp,
+    logical_and,
+    logical_not,
+    logical_or,
+    maximum,
+    power,
+    sign,
+    sqrt,
+    where,
+)
+from fmus.numerics import all as all_hold
+
+# Pulse [us] and force [kgf] of a Blue Robotics T200 at 16 V: every tenth row of the public performance data
+# of September 2019, and both ends of its dead band.
+_T200_AT_16_V = (
+    (1900, 5.25), (1860, 4.65), (1820, 3.82), (1780, 3.11), (1740, 2.43), (1700, 1.82), (1660, 1.28),
+    (1620, 0.82), (1580, 0.40), (1540, 0.08), (1532, 0.04), (1528, 0.0), (1472, 0.0), (1468, -0.04),
+    (1460, -0.07), (1420, -0.32), (1380, -0.65), (1340, -1.02), (1300, -1.44), (1260, -1.94), (1220, -2.45),
+    (1180, -2.99), (1140, -3.66), (1100, -4.07),
+)  # fmt: skip
+# The map from volts to pulses is a choice, a line that falls: a positive voltage is to push down, and forward
+# thrust of the vehicle for which the table is there pushes up.
+T200_VOLTAGE = tuple((1500.0 - pulse) * 12.0 / 400.0 for pulse, _ in _T200_AT_16_V)
+T200_FORCE = tuple(0.0 - kgf * 9.80665 for _, kgf in _T200_AT_16_V)
+"""Points of a table: voltage [V], and force [N], positive down."""
+
+Triple = tuple[float, float, float]
 
 _SHORTEST_LAG = 1e-9  # s; what is shorter counts as no lag
 _LEAST_RATE = 1e-9  # N/s; what is less counts as no limit
@@ -31,6 +70,8 @@ class Thruster:
     reverse_ratio: gain of negative voltages over that of positive ones
     curvature, curve_voltage: c and v_c [V]
     rate_limit: R [N/s]; 0 does not limit
+    tabulated: whether the force is that of a table, in place of gain, dead zone, reverse ratio and curvature
+    scale: n; table_voltage [V], table_force [N]: points of the table
     """
 
     gain: float
@@ -42,6 +83,10 @@ class Thruster:
     curvature: float = 0.0
     curve_voltage: float = 1.0
     rate_limit: float = 0.0
+    tabulated: bool = False
+    scale: float = 1.0
+    table_voltage: Sequence[float] = ()
+    table_force: Sequence[float] = ()
 
 
 def steady_force(thruster: Thruster, voltage: float, efficiency: float) -> float:
@@ -51,7 +96,22 @@ def steady_force(thruster: Thruster, voltage: float, efficiency: float) -> float
     curve = (1.0 - thruster.curvature) + thruster.curvature * size / thruster.curve_voltage
     ratio = where(saturated < 0.0, thruster.reverse_ratio, 1.0)
     real = sign(saturated) * size * (curve * ratio)
-    return efficiency * thruster.gain * where(thruster.ideal, voltage, real)
+    follows_table = logical_and(thruster.tabulated, logical_not(thruster.ideal))
+    factor = where(follows_table, thruster.scale, thruster.gain)
+    linear = where(thruster.ideal, voltage, real)
+    force_or_voltage = where(follows_table, lambda: table_force(thruster, saturated), linear)
+    return efficiency * factor * force_or_voltage
+
+
+def table_force(thruster: Thruster, voltage: float) -> float:
+    """Returns the force [N] of the table at a voltage [V]."""
+    return interp(voltage, thruster.table_voltage, thruster.table_force)
+
+
+def table_ascends(is_used: bool | float, voltages: Sequence[float]) -> tuple:
+    """Returns the requirement that each voltage of a table that is used is above the one before."""
+    ascend = all_hold(a < b for a, b in pairwise(voltages))
+    return logical_or(logical_not(is_used), ascend), "thruster_table_voltage: each above the one before"
 
 
 def force_after(thruster: Thruster, force: float, steady: float, elapsed: float) -> float:
@@ -74,6 +134,41 @@ def force_after(thruster: Thruster, force: float, steady: float, elapsed: float)
 def _left(lag: float, elapsed: float) -> float:
     """Returns the share that is left of a difference after some time [s], 1 at its start."""
     return where(lag > _SHORTEST_LAG, exp(-elapsed / maximum(lag, _SHORTEST_LAG)), 0.0)
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """Coefficients of a transfer function with a gain of 1: b_1 [1/s2], a_2 [1/s], a_1 [1/s2], a_0 [1/s3].
+
+    a_0 = 0 leaves it out.
+    """
+
+    b_1: float
+    a_2: float
+    a_1: float
+    a_0: float
+
+    def rates(self, x: Triple, steady: float) -> Triple:
+        """Returns x' [N/s, N/s2, N/s3] at a state x [N, N/s, N/s2], under a force F [N] that is asked for."""
+        third = self.a_0 * (steady - x[0]) - self.a_1 * x[1] - self.a_2 * x[2]
+        return where(self.a_0 > 0.0, (x[1], x[2], third), (0.0, 0.0, 0.0))
+
+    def force(self, x: Triple, steady: float) -> float:
+        """Returns the force [N] at a state x."""
+        return where(self.a_0 > 0.0, lambda: x[0] + self.b_1 / self.a_0 * x[1], steady)
+
+    def requirements(self, step: float) -> tuple:
+        """Returns the requirements: it is stable, and Runge-Kutta steps [s] resolve its poles."""
+        is_stable = logical_and(self.a_2 > 0.0, self.a_2 * self.a_1 > self.a_0)  # Routh and Hurwitz
+        fastest = maximum(maximum(self.a_2, sqrt(self.a_1)), power(self.a_0, 1.0 / 3.0))
+        is_left_out = self.a_0 <= 0.0
+        return (
+            (logical_or(is_left_out, is_stable), "thruster_transfer stable: a_2 a_1 > a_0 and a_2 above 0"),
+            (
+                logical_or(is_left_out, step * fastest <= 1.0),
+                "internal_step at most 1 / a_2, 1 / sqrt(a_1) and 1 / cbrt(a_0) of thruster_transfer",
+            ),
+        )
 
 
 def submerged_share(depth: float, full_depth: float, ideal: bool) -> float:

@@ -7,8 +7,8 @@ checks, the documentation table and the FMU are all derived from a `Block`.
 
 import math
 import sys
-from collections.abc import Callable, Collection, Iterator
-from dataclasses import KW_ONLY, Field, dataclass, field, fields, is_dataclass, make_dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import KW_ONLY, Field, dataclass, field, fields, is_dataclass, make_dataclass, replace
 from difflib import get_close_matches
 from enum import IntEnum
 from functools import cache, cached_property
@@ -16,6 +16,7 @@ from types import FunctionType
 from typing import Any, Literal, TypeVar
 
 from fmus.block.guide import NO_GUIDE, Guide
+from fmus.errors import nearest
 
 Value = float | int | bool
 Numbers = float | tuple["Numbers", ...]
@@ -219,6 +220,28 @@ class Block:
         parts = {part: members[own] for part, own in _NAMES.items() if own in members}
         return cls(name, description, **(parts | given))
 
+    def with_starts(
+        self, name: str, description: str, starts: Mapping[str, tuple[Any, str]], **given: Any
+    ) -> "Block":
+        """Returns a block with the functions of this one and other start values of its parameters.
+
+        starts: parameter -> start value and its source
+        given: other fields of the new block, guide=...
+        Raises TypeError for a parameter that this block lacks.
+        """
+        declared = {parameter.name: parameter for parameter in fields(self.parameters)}
+        if unknown := [own for own in starts if own not in declared]:
+            raise TypeError(f"block {name!r}: no parameter {unknown[0]!r}; {nearest(unknown[0], declared)}")
+        restarted = [
+            (own, declared[own].type, _restarted(declared[own], start, source))
+            for own, (start, source) in starts.items()
+        ]
+        parameters = make_dataclass(
+            self.parameters.__name__, restarted, bases=(self.parameters,), frozen=True
+        )
+        parameters.__module__ = self.parameters.__module__
+        return replace(self, name=name, description=description, parameters=parameters, **given)
+
     def _mistakes(self) -> Iterator[str]:
         """Yields the mistakes in the fields that are no classes and functions."""
         for name in ("name", "description", "version", "author", "license"):
@@ -265,6 +288,12 @@ def is_frozen(cls: Any) -> bool:
     """Whether it is a class with @dataclass(frozen=True)."""
     is_own = isinstance(cls, type) and "__dataclass_params__" in vars(cls)  # and not only of a base class
     return is_own and cls.__dataclass_params__.frozen
+
+
+def _restarted(declared: Field, start: Any, source: str) -> Any:
+    """Returns the declaration of a variable with another start value and its source."""
+    texts = {**declared.metadata["texts"], "source": source}
+    return field(default=_plain(start), metadata={**declared.metadata, "texts": texts})
 
 
 def _with_internal_step(parameters: type, start: float) -> type:

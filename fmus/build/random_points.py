@@ -2,6 +2,7 @@
 
 import math
 import random
+from collections import Counter
 from enum import IntEnum
 from typing import Any
 
@@ -9,19 +10,34 @@ from fmus.block import Block, BlockVariable, flatten, unflatten
 
 _SPECIAL = (0.0, 0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, 2.5, -2.5)  # signs, and halves, which are rounded
 _ULP = 2.0**-52
+_LONGEST_VECTOR = 9  # numbers; a longer one is a table
 
 
 def drawn(block: Block, causality: str, template: type, changed: float, rng: random.Random) -> Any:
     """Returns the parameters or inputs, of which a part is not at the start value; of choices, all are drawn.
 
-    Requirements refuse most draws that change many numbers, but few that change choices.
+    Requirements refuse most draws that change many numbers, but few that change choices. A table keeps its
+    order, which requirements ask for: all its numbers are multiplied by one factor.
     """
+    variables = block.of_causality(causality)
+    counts = Counter(_vector(v) for v in variables)
+    factors: dict[str, float] = {}
 
     def value(v: BlockVariable) -> Any:
+        if counts[_vector(v)] > _LONGEST_VECTOR and v.type == "Real":
+            if _vector(v) not in factors:
+                factors[_vector(v)] = rng.uniform(0.5, 1.5) if rng.random() < changed else 1.0
+            number = v.start * factors[_vector(v)]
+            return number if v.refuse(number) is None else v.start
         is_choice = changed > 0.0 and v.type in ("Boolean", "Enumeration")
         return _draw(v, rng) if is_choice or rng.random() < changed else v.start
 
-    return unflatten(template, list(map(value, block.of_causality(causality))))
+    return unflatten(template, list(map(value, variables)))
+
+
+def _vector(v: BlockVariable) -> str:
+    """Returns the name of the vector that a variable is an element of; its own if of none."""
+    return v.name.partition("[")[0]
 
 
 def _draw(v: BlockVariable, rng: random.Random) -> Any:

@@ -76,15 +76,17 @@ def solve(a: Matrix, b: Any) -> Any:
 def interp(x: float, xp: Sequence[float], fp: Sequence[float]) -> float:
     """Returns the line through the points (xp, fp) at x, held before the first and after the last one.
 
-    xp: ascending, each number larger than the one before; fp: as many. Both may be numbers or symbols.
+    xp: ascending; two equal numbers are a jump, at which the value is that of the later
+    fp: as many. Both may be numbers or symbols.
     Raises ValueError for other points, as far as they are numbers: say of parameters what is expected in the
     requirements of the block.
     """
-    _check_points(xp, len(fp))
+    _check_points(xp, len(fp), jumps=True)
 
     def piece(i: int) -> float:
         """Returns the value from point i - 1 to point i; at the first piece and the last, of one point."""
-        if i in (0, len(xp)):
+        # no x lies in a jump: its piece is there for symbols alone, which evaluate all
+        if i in (0, len(xp)) or (are_numbers(xp[i - 1], xp[i]) and xp[i - 1] == xp[i]):
             return fp[min(i, len(xp) - 1)]
         return (fp[i] - fp[i - 1]) / (xp[i] - xp[i - 1]) * (x - xp[i - 1]) + fp[i - 1]
 
@@ -114,11 +116,14 @@ def interp2d(
     return matmul(weights_x, matmul(fp, weights_y))
 
 
-def _check_points(points: Sequence[float], values: int) -> None:
-    """Raises ValueError for points that do not ascend, or are not as many as the values."""
+def _check_points(points: Sequence[float], values: int, jumps: bool = False) -> None:
+    """Raises ValueError for points that do not ascend, or are not as many as the values.
+
+    jumps: whether two points may be equal
+    """
     if len(points) != values:
         raise ValueError(f"{len(points)} points and {values} values: expected as many")
-    if are_numbers(*points) and not all(a < b for a, b in pairwise(points)):
+    if are_numbers(*points) and not all(a < b or (jumps and a == b) for a, b in pairwise(points)):
         raise ValueError(f"points {tuple(points)}: expected ascending numbers, of parameters by requirements")
 
 

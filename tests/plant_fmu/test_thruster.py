@@ -3,11 +3,19 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plant_fmu.thruster import Thruster, force_after, steady_force, submerged_share
+from plant_fmu.thruster import (
+    T200_FORCE,
+    T200_VOLTAGE,
+    Thruster,
+    force_after,
+    steady_force,
+    submerged_share,
+)
 
 REAL = Thruster(gain=0.25, dead_zone=0.5, limit=12.0, lag=0.1, ideal=False)
 VOLTAGES = st.floats(-1e3, 1e3)
@@ -129,3 +137,32 @@ def test_an_ideal_thruster_has_nothing_but_its_gain() -> None:
     ideal = replace(REAL, ideal=True, reverse_ratio=0.5, curvature=1.0, curve_voltage=3.0, rate_limit=1.0)
     assert steady_force(ideal, -20.0, 1.0) == -5.0
     assert force_after(ideal, 0.0, -5.0, 1e-3) == -5.0
+
+
+T200 = replace(REAL, tabulated=True, scale=2.0, table_voltage=T200_VOLTAGE, table_force=T200_FORCE)
+
+
+@given(VOLTAGES, EFFICIENCIES)
+def test_a_table_is_linear_between_its_points_and_held_outside(voltage: float, efficiency: float) -> None:
+    """NumPy's interpolation, which has a slope computed in another order: so 1e-14 of the largest force."""
+    expected = 2.0 * efficiency * float(np.interp(voltage, T200_VOLTAGE, T200_FORCE))
+    assert steady_force(T200, voltage, efficiency) == pytest.approx(expected, abs=1e-12)
+
+
+def test_the_table_of_the_t200_gives_the_published_forces() -> None:
+    """In kgf at some pulses; forward thrust is up, and a positive voltage pushes down."""
+    published = {1900: 5.25, 1660: 1.28, 1540: 0.08, 1500: 0.0, 1460: -0.07, 1300: -1.44, 1100: -4.07}
+    for pulse, kgf in published.items():
+        voltage = (1500 - pulse) * 12.0 / 400.0
+        assert steady_force(T200, voltage, 1.0) == pytest.approx(-2.0 * kgf * 9.80665, abs=1e-12)
+    dead = [steady_force(T200, (1500 - pulse) * 12.0 / 400.0, 1.0) for pulse in range(1472, 1529)]
+    assert dead == [0.0] * 57
+
+
+def test_a_table_takes_the_place_of_the_curve_alone() -> None:
+    """Without effect: gain, dead zone, ratio, curvature. Limit and lag stay, and an ideal one has a line."""
+    other = replace(T200, gain=9.0, dead_zone=5.0, reverse_ratio=0.1, curvature=1.0)
+    assert steady_force(other, -7.0, 1.0) == steady_force(T200, -7.0, 1.0)
+    assert steady_force(replace(T200, limit=3.0), 12.0, 1.0) == steady_force(T200, 3.0, 1.0)
+    assert force_after(T200, 0.0, 1.0, 0.1) == pytest.approx(1.0 - math.exp(-1.0))
+    assert steady_force(replace(T200, ideal=True), 8.0, 1.0) == 0.25 * 8.0

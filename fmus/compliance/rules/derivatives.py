@@ -288,7 +288,9 @@ def _effects_of_a_line(probe: Probe, v: Variable, value: float) -> Iterator[tupl
         held, raised, moving = (rows[-1][name] for rows in one)
         short_held, converged, line = (rows[-1][name] for rows in short)
         effect, at_once = converged - short_held, short[1][0][name] - short[0][0][name]
-        is_state = abs(at_once) < _THROUGH_A_STATE * abs(effect)
+        halfway = short[1][_PARTS // 2][name] - short[0][_PARTS // 2][name]
+        # an output that is sampled once, late in the step, has not moved halfway and follows no line
+        is_state = abs(at_once) < _THROUGH_A_STATE * abs(effect) and halfway != 0.0
         is_converged = abs(raised - held - effect) <= _CONVERGED * abs(effect)
         if is_state and is_converged and abs(effect) > NOISE * abs(held) and math.isfinite(moving):
             yield name, moving - held, line - short_held

@@ -121,6 +121,16 @@ def test_interp_is_numpys(x: float) -> None:
     assert n.interp(x, XP, FP) == np.interp(x, XP, FP)
 
 
+def test_interp_takes_the_later_value_at_a_jump() -> None:
+    """The inverse of a table with a flat part, also of constants at a symbol."""
+    xp, fp = (-1.0, 0.0, 0.0, 2.0), (-3.0, -1.0, 1.0, 5.0)
+    values = [n.interp(x, xp, fp) for x in (-9.0, -0.5, -1e-300, -0.0, 0.0, 1.0, 9.0)]
+    assert values == [-3.0, -2.0, -1.0, 1.0, 1.0, 3.0, 5.0]
+    x = casadi.SX.sym("x")
+    traced = casadi.Function("f", [x], [n.interp(x, xp, fp)])
+    assert [float(traced(x)) for x in (-0.5, 0.0, 1.0)] == [-2.0, 1.0, 3.0]
+
+
 @given(st.floats(-10.0, 2010.0))
 def test_interp_of_many_points_is_numpys_and_chooses_among_them_in_few_levels(x: float) -> None:
     xp = tuple(map(float, range(2000)))

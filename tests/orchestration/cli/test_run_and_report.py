@@ -73,7 +73,7 @@ def test_report_writes_one_page_of_what_run_wrote(
     assert [path.name for path in (tmp_path / "pages").iterdir()] == ["report.html"]
     text = (tmp_path / "pages" / "report.html").read_text()
     assert "<title>Mine</title>" in text
-    assert "&#34;plant.internal_step&#34; = 0.02" in text  # the resolved scenario
+    assert "&#34;controller.internal_step&#34; = 0.02" in text  # the resolved scenario
     assert "nearest is 'short.json'" in refused("report", "out/short.jsn")
 
 

@@ -323,6 +323,7 @@ def test_the_controller_follows_the_plant(built: Mapping[str, Path]) -> None:
     idle = [
         "plant.thruster_efficiency[1]", "plant.thruster_efficiency[2]", "plant.external_force",
         "plant.buoyancy_change", "plant.current_velocity", "plant.roll", "plant.pitch",
+        "plant.wave_velocity", "plant.wave_acceleration", "plant.wave_pressure_head",
         "controller.roll", "controller.pitch", "controller.depth_reference",
         "controller.depth_reference_rate", "controller.depth_reference_acceleration",
     ]  # fmt: skip

@@ -77,6 +77,7 @@ def test_a_unit_that_an_fmu_names_but_does_not_define_is_compared_by_its_name(
     components = {"named": named, "plant": built["RovDepthPlant"]}
     others = ["voltage[2]", "thruster_efficiency[1]", "thruster_efficiency[2]", "external_force"]
     others += ["buoyancy_change", "current_velocity", "roll", "pitch"]
+    others += ["wave_velocity", "wave_acceleration", "wave_pressure_head"]
     driven = [f"plant.{name}" for name in others]
     check(System(components, [("named.y", "plant.voltage[1]")]), driven)
     with pytest.raises(SystemDefinitionError, match="expected equal units, got mV and V"):

@@ -1,0 +1,234 @@
+"""Block RovHeavePitchPlant: fore and aft thruster voltage in, depth and pitch out.
+
+The vehicle of RovDepthPlant with an axis more. What it needs besides is not published, and a guess. Other
+vehicles are this block with other start values.
+"""
+
+from dataclasses import dataclass
+
+from fmus.block import Block, NoValues, variable
+from fmus.numerics import rk4_step, where
+from plant_fmu import depth_plant, depth_sensor, heave, heave_pitch, thruster
+from plant_fmu.depth_plant import Pair, Surroundings, sensor_of, thruster_of
+from plant_fmu.depth_sensor import Sensor, SensorState
+from plant_fmu.heave_pitch_guide import GUIDE
+from plant_fmu.thruster import Transfer, Triple
+
+_OTHER_SEEDS = 2**30  # one sensor's noise is not that of the other
+
+
+@dataclass(frozen=True)
+class Parameters(depth_plant.Parameters):
+    """Parameters of pitch, beside those of heave."""
+
+    initial_pitch: float = variable(
+        0.0, "Pitch angle at the start", unit="rad", variability="fixed", source="assumed: level"
+    )
+    pitch_inertia: float = variable(
+        0.026, "Moment of inertia I with added mass", unit="kg.m2", min=1e-6, max=1e9,
+        source="guess: box of the published size and mass, and as much again of added mass",
+    )  # fmt: skip
+    metacentric_height: float = variable(
+        0.005, "Height BG of the centre of buoyancy above that of gravity", unit="m", min=0.0, max=1e3,
+        source="guess: the paper gives none",
+    )  # fmt: skip
+    pitch_linear_damping: float = variable(
+        0.02, "Linear damping D_M of pitch", unit="N.m.s", min=0.0, max=1e9,
+        source="guess: damping ratio of 0.16",
+    )  # fmt: skip
+    pitch_quadratic_damping: float = variable(
+        0.005, "Quadratic damping D_Mq of pitch", unit="N.m.s2", min=0.0, max=1e9,
+        source="guess: the paper gives none",
+    )  # fmt: skip
+    thruster_lever: Pair = variable(
+        (0.06, -0.06), "Lever of each thruster, positive forward of the centre of gravity", unit="m",
+        min=-1e3, max=1e3, source="guess: the paper gives none",
+    )  # fmt: skip
+    thruster_transfer: tuple[float, float, float, float] = variable(
+        (0.0, 0.0, 0.0, 0.0), "Transfer function behind the lag: b_1, a_2, a_1, a_0; a_0 = 0 leaves it out",
+        unit=("1/s2", "1/s", "1/s2", "1/s3"), min=0.0, max=1e15, source="guess: left out, the lag alone",
+    )  # fmt: skip
+    sensor_forward: float = variable(
+        0.08, "Depth sensor forward of the centre of gravity", unit="m", min=-1e3, max=1e3,
+        source="guess: the paper gives none",
+    )  # fmt: skip
+    sensor_below: float = variable(
+        0.0, "Depth sensor below the centre of gravity", unit="m", min=-1e3, max=1e3,
+        source="guess: the paper gives none",
+    )  # fmt: skip
+    pitch_noise: float = variable(
+        0.002, "Standard deviation of the white noise of the measured pitch", unit="rad", min=0.0, max=10.0,
+        source="guess: 0.1 degrees; sampled as the depth is",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Inputs(Surroundings):
+    external_moment: float = variable(0.0, "Disturbance of pitch, positive bow up", unit="N.m")
+
+
+@dataclass(frozen=True)
+class State:
+    depth: float = 0.0
+    depth_rate: float = 0.0
+    pitch: float = 0.0
+    pitch_rate: float = 0.0
+    transfer: tuple[Triple, Triple] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    lagged_force: Pair = (0.0, 0.0)
+    pressure_head: float = 0.0
+    sensor: SensorState = SensorState()
+    pitch_sensor: SensorState = SensorState()
+
+
+@dataclass(frozen=True)
+class Outputs:
+    depth: float = variable(0.0, "True depth z, positive down", unit="m")
+    depth_rate: float = variable(0.0, "True depth rate z'", unit="m/s")
+    measured_depth: float = variable(0.0, "Depth as the sensor reports it, at its place", unit="m")
+    thruster_force: Pair = variable(
+        (0.0, 0.0), "Force of each thruster along the body's z axis, positive down", unit="N"
+    )
+    total_force: float = variable(0.0, "Sum of the thruster forces", unit="N")
+    pitch: float = variable(0.0, "True pitch angle theta, positive bow up", unit="rad")
+    pitch_rate: float = variable(0.0, "True pitch rate q", unit="rad/s")
+    measured_pitch: float = variable(0.0, "Pitch angle as its sensor reports it", unit="rad")
+
+
+def requirements(p: Parameters, calculated: NoValues) -> tuple:
+    return (
+        *depth_plant.requirements(p, calculated),
+        *_transfer_of(p).requirements(p.internal_step),
+    )
+
+
+def initial_state(t: float, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
+    """Returns the state at the start, the thrusters at rest."""
+    head = inputs.wave_pressure_head
+    sensed = _sensed_depth(p.initial_depth, p.initial_pitch, p) + head
+    return State(
+        depth=p.initial_depth,
+        depth_rate=p.initial_heave_velocity,
+        pitch=p.initial_pitch,
+        pressure_head=head,
+        sensor=depth_sensor.first_sample(sensor_of(p), t, sensed, p.sensor_seed),
+        pitch_sensor=depth_sensor.first_sample(
+            _pitch_sensor(p), t, p.initial_pitch, p.sensor_seed + _OTHER_SEEDS
+        ),
+    )
+
+
+def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
+    transfer = _transfer_of(p)
+    thrusters = thruster_of(p, 0), thruster_of(p, 1)
+    steady = [
+        thruster.steady_force(thrusters[i], inputs.voltage[i], inputs.thruster_efficiency[i]) for i in (0, 1)
+    ]
+
+    def lagged(elapsed: float) -> Pair:
+        first, second = (
+            thruster.force_after(thrusters[i], state.lagged_force[i], steady[i], elapsed) for i in (0, 1)
+        )
+        return first, second
+
+    head = inputs.wave_pressure_head
+    water_velocity = inputs.current_velocity + inputs.wave_velocity
+    submerged_buoyancy = p.weight - p.net_weight + inputs.buoyancy_change
+
+    def derivative(elapsed: float, x: tuple) -> tuple:
+        z, v, theta, q, *rest = x
+        asked, turning = lagged(elapsed), ((*rest[:3],), (*rest[3:],))
+        forces = _forces(z, theta, turning, asked, p)
+        floating = heave.buoyancy(z, submerged_buoyancy, p.water_density, p.waterplane_area)
+        b = where(p.free_surface, floating, submerged_buoyancy)
+        drag = heave.damping(v - water_velocity, p.linear_damping, p.quadratic_damping)
+        wave_force = heave.wave_force(inputs.wave_acceleration, p.inertia, p.weight - b)
+        external = inputs.external_force + wave_force
+        thrust = heave_pitch.vertical_thrust(forces, theta)
+        moment = heave_pitch.thrust_moment(forces, p.thruster_lever) + inputs.external_moment
+        return (
+            v,
+            heave.acceleration(thrust, external, p.weight - b, drag, p.inertia),
+            q,
+            heave_pitch.angular_acceleration(
+                moment,
+                heave_pitch.righting_moment(theta, p.weight, p.metacentric_height),
+                q,
+                p.pitch_linear_damping,
+                p.pitch_quadratic_damping,
+                p.pitch_inertia,
+            ),
+            *transfer.rates(turning[0], asked[0]),
+            *transfer.rates(turning[1], asked[1]),
+        )
+
+    first, second = state.transfer
+    moving = state.depth, state.depth_rate, state.pitch, state.pitch_rate
+    depth, rate, pitch, pitch_rate, *rest = rk4_step(derivative, 0.0, (*moving, *first, *second), h)
+    sensed = _sensed_depth(depth, pitch, p) + head
+    return State(
+        depth,
+        rate,
+        pitch,
+        pitch_rate,
+        (tuple(rest[:3]), tuple(rest[3:])),
+        lagged(h),
+        head,
+        depth_sensor.sample_when_due(sensor_of(p), state.sensor, t + h, sensed),
+        depth_sensor.sample_when_due(_pitch_sensor(p), state.pitch_sensor, t + h, pitch),
+    )
+
+
+def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:
+    first, second = _forces(state.depth, state.pitch, state.transfer, state.lagged_force, p)
+    sensed = _sensed_depth(state.depth, state.pitch, p) + state.pressure_head
+    return Outputs(
+        depth=state.depth,
+        depth_rate=state.depth_rate,
+        measured_depth=depth_sensor.reading(sensor_of(p), state.sensor, t, sensed),
+        thruster_force=(first, second),
+        total_force=first + second,
+        pitch=state.pitch,
+        pitch_rate=state.pitch_rate,
+        measured_pitch=depth_sensor.reading(_pitch_sensor(p), state.pitch_sensor, t, state.pitch),
+    )
+
+
+def _forces(depth: float, pitch: float, transfer: tuple[Triple, Triple], asked: Pair, p: Parameters) -> Pair:
+    """Returns the force of each thruster [N], each at its own depth below the surface."""
+    first, second = (
+        depth_plant.submerged_share(heave_pitch.depth_at(depth, pitch, lever), p)
+        * _transfer_of(p).force(x, steady)
+        for lever, x, steady in zip(p.thruster_lever, transfer, asked, strict=True)
+    )
+    return first, second
+
+
+def _sensed_depth(depth: float, pitch: float, p: Parameters) -> float:
+    return heave_pitch.depth_at(depth, pitch, p.sensor_forward, p.sensor_below)
+
+
+def _transfer_of(p: Parameters) -> Transfer:
+    return Transfer(*p.thruster_transfer)
+
+
+def _pitch_sensor(p: Parameters) -> Sensor:
+    return Sensor(
+        period=p.sensor_period,
+        noise=p.pitch_noise,
+        bias=0.0,
+        drift=0.0,
+        resolution=0.0,
+        delay=0.0,
+        ideal=p.sensor_ideal,
+    )
+
+
+BLOCK = Block.of_module(
+    __name__,
+    "RovHeavePitchPlant",
+    "Heave and pitch of a small underwater vehicle with a fore and an aft thruster and a depth sensor",
+    guide=GUIDE,
+    stop_time=310.0,
+    step_size=0.02,
+    license="MIT",
+)
