@@ -187,7 +187,8 @@ def uses_true_rate(loop: ClosedLoop, case: Case) -> bool:
         return False
     without = replace(controller, settings={**controller.settings, variable: 0.0})
     blind = ClosedLoop(without, loop.protocol, loop.make, loop.timeout)
-    return not np.array_equal(loop.run(case).values, blind.run(case).values)
+    # the force of a vehicle without a gain is not a number
+    return not np.array_equal(loop.run(case).values, blind.run(case).values, equal_nan=True)
 
 
 def delay_margin_of(loop: ClosedLoop, case: Case) -> float:

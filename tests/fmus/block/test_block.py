@@ -187,3 +187,19 @@ def test_start_values_of_numpy_become_numbers_of_python() -> None:
     ]
     assert starts == [2.0, 3, 0.0, 0.5, 1.0]
     assert [type(start) for start in starts] == [float, int, float, float, float]
+
+
+def test_a_block_with_other_start_values_is_a_block_of_its_own() -> None:
+    other = BLOCK.with_starts("Other", "Another", {"internal_step": (0.5, "measured")}, stop_time=9.0)
+    assert (other.name, other.description, other.stop_time, BLOCK.name) == ("Other", "Another", 9.0, "Tiny")
+    assert BLOCK.variables[0].start == 0.1
+    changed = {"start": 0.5, "source": "measured"}
+    assert other.variables == (replace(BLOCK.variables[0], **changed), *BLOCK.variables[1:])
+    assert other.parameters().internal_step == 0.5
+
+
+def test_a_start_value_of_an_unknown_parameter_is_refused_with_the_nearest() -> None:
+    with pytest.raises(
+        TypeError, match="block 'Other': no parameter 'internal_stop'; nearest is 'internal_step'"
+    ):
+        BLOCK.with_starts("Other", "", {"internal_stop": (0.5, "")})
