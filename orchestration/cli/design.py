@@ -115,10 +115,17 @@ def _print(l1: "Sequence[Gain]", pid: "Sequence[Gain]", checks: "Sequence[Checke
     """Prints the gains with their reasons, and what the runs gave."""
     from rich.table import Table
 
+    from orchestration.design.parameter_file import TABLE
+
     for name, gains in (("L1DepthController", l1), (PID, pid)):
         table = Table("Parameter", "Value", "Unit", "Reason", title=name, title_justify="left")
-        for gain in gains:
-            table.add_row(gain.name, f"{gain.value:g}", gain.unit, gain.source.removeprefix("designed: "))
+        for gain in (gain for gain in gains if not gain.name.startswith(TABLE)):
+            table.add_row(
+                gain.name,
+                str(gain.value) if gain.value is True else f"{gain.value:g}",
+                gain.unit,
+                gain.source.removeprefix("designed: "),
+            )
         shared.print_table(table)
     headings = "Controller", "RMSE [cm]", "Worst RMSE [cm]", "Worst settling [s]", "Settled", "Worst at"
     table = Table(*headings, title=title, title_justify="left")

@@ -12,6 +12,8 @@ from orchestration.design.check import Checked
 from orchestration.design.rules import Conditions, Gain, L1Design, PidDesign, beta_of
 from orchestration.design.vehicle_data import Range, VehicleData
 
+TABLE = "thruster_table_"
+"""Beginning of the names of a table's points."""
 _DIGITS = 4  # what is written is what was run
 
 
@@ -69,10 +71,25 @@ def _model(data: VehicleData, inertia: float, damping: float) -> list[Gain]:
             f"puts omega = thrust M / inertia about 1: {_text(data.inertia)} kg, thrust {_text(data.gain)}",
         ),
         _gain("model_damping", damping, "N.s/m", f"middle of {_text(data.damping)}, at most what A_m damps"),
-        _gain("thruster_gain[1]", data.thruster_gain[0], "N/V", thrust),
-        _gain("thruster_gain[2]", data.thruster_gain[1], "N/V", thrust),
+        *_thrusters(data, f"designed: {thrust}"),
         _gain("voltage_limit", data.voltage_limit, "V", thrust),
     ]  # fmt: skip
+
+
+def _thrusters(data: VehicleData, reason: str) -> list[Gain]:
+    """Returns the gain of each thruster, or the table in its place, point by point as the vehicle has it."""
+    if not data.table:
+        return [Gain(f"thruster_gain[{i}]", x, "N/V", reason) for i, x in enumerate(data.thruster_gain, 1)]
+    points = (("voltage", data.table.voltages, "V"), ("force", data.table.forces, "N"))
+    return [
+        Gain("thruster_tabulated", True, "1", "designed: the allocation inverts the table of the vehicle"),
+        *(Gain(f"thruster_scale[{i}]", x, "1", reason) for i, x in enumerate(data.table.scale, 1)),
+        *(
+            Gain(f"{TABLE}{name}[{i}]", x, unit, f"of {data.name}")
+            for name, values, unit in points
+            for i, x in enumerate(values, 1)
+        ),
+    ]
 
 
 def _observer(alpha: float, data: VehicleData, crossover: str, noise: float) -> list[Gain]:

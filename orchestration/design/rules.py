@@ -70,7 +70,7 @@ class Gain:
     """A parameter of a controller, its unit, and the reason of its value."""
 
     name: str
-    value: float
+    value: float | bool
     unit: str
     source: str
 

@@ -8,6 +8,7 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -36,12 +37,26 @@ class Draw:
 
 
 @dataclass(frozen=True)
+class ForceTable:
+    """A table of the force, which controllers invert: voltages [V], forces [N], factor of each thruster."""
+
+    voltages: tuple[float, ...]
+    forces: tuple[float, ...]
+    scale: Range
+
+    def least_gain(self, limit: float) -> float:
+        """Returns the force [N] at the largest voltage, in the weaker direction, over that voltage."""
+        ends = np.interp([-limit, limit], self.voltages, self.forces)
+        return float(np.abs(ends).min()) / limit
+
+
+@dataclass(frozen=True)
 class VehicleData:
     """The data of a vehicle.
 
     inertia [kg], damping [N.s/m], drag [N.s2/m2], net_weight [N]: ranges
     gain: range of the thrust over that of the start values; force_limit [N]: the least of the thrusters
-    thruster_gain [N/V], voltage_limit [V]: what a controller with voltages assumes
+    thruster_gain [N/V], voltage_limit [V], table: what a controller with voltages assumes
     lag, delay, period [s]: of thrusters, sensor, and its sampling: the longest; noise [m]: with rounding
     """
 
@@ -58,6 +73,7 @@ class VehicleData:
     delay: float
     period: float
     noise: float
+    table: ForceTable | None = None
 
     @property
     def largest_weight(self) -> float:
@@ -128,7 +144,6 @@ def data_of(vehicle: Vehicle, draws: Mapping[str, Draw]) -> VehicleData:
     names = vehicle.described.variables
     buoyancy = read.drawn("buoyancy_change", 0.0)
     weight = read.named(names.net_weight)
-    has_lag = not (names.no_lag and read.value(names.no_lag))
     resolution = read.named(names.sensor_resolution)[1]
     gains, limits = read.thrusters()
     data = VehicleData(
@@ -141,11 +156,12 @@ def data_of(vehicle: Vehicle, draws: Mapping[str, Draw]) -> VehicleData:
         force_limit=sum(gain * limit for gain, limit in zip(gains, limits, strict=True)),
         thruster_gain=(gains[0], gains[-1]),
         voltage_limit=min(limits),
-        lag=max((read.named(name)[1] for name in names.lag), default=0.0) if has_lag else 0.0,
+        lag=read.lag(),
         delay=read.named(names.sensor_delay)[1],
         period=read.named(names.sensor_period)[1],
         # rounding to a multiple of the resolution: uniform within half of it, Widrow
         noise=math.hypot(read.named(names.sensor_noise)[1], resolution / math.sqrt(12.0)),
+        table=read.table,
     )
     data.check()
     return data
@@ -186,7 +202,7 @@ class _Reader:
         """Refuses a vehicle whose description lacks a name without which nothing is designed."""
         vehicle = self._vehicle
         missing = [name for name in _REQUIRED if not getattr(vehicle.described.variables, name)]
-        if not vehicle.takes_force and not vehicle.described.variables.gain:
+        if not vehicle.takes_force and not self.table and not vehicle.described.variables.gain:
             missing.append("gain")
         if not missing:
             return
@@ -211,11 +227,37 @@ class _Reader:
         if vehicle.takes_force:
             share = 0.5 * limits[0] / _VOLTS
             return (share, share), (_VOLTS, _VOLTS)
+        if self.table:
+            pairs = zip(self.table.scale, limits, strict=True)
+            return [scale * self.table.least_gain(limit) for scale, limit in pairs], limits
         return [self.value(name) for name in vehicle.described.variables.gain], limits
+
+    @cached_property
+    def table(self) -> ForceTable | None:
+        """The table of the thrusters' force; None where the vehicle has a gain or takes a force."""
+        names = self._vehicle.described.variables
+        if not names.table or (names.tabulated and not self.value(names.tabulated)):
+            return None
+        voltages, forces = (self._array(name) for name in names.table)
+        first, *others = [self.value(name) for name in names.table_scale] or [1.0]
+        return ForceTable(voltages, forces, (first, others[-1] if others else first))
+
+    def _array(self, name: str) -> tuple[float, ...]:
+        indexed = [n for n in self._vehicle.variables if n.partition("[")[0] == name]
+        return tuple(self.value(n) for n in indexed) or (self.value(name),)
+
+    def lag(self) -> float:
+        """Returns the longest lag [s] of the thrusters; a transfer function counts by its first moment."""
+        names = self._vehicle.described.variables
+        if names.no_lag and self.value(names.no_lag):
+            return 0.0
+        lag = max((self.named(name)[1] for name in names.lag), default=0.0)
+        return lag + names.transfer_lag(self.value)
 
     def relative_gain(self) -> Range:
         """Returns the range of the sum of the thrusters' gains over its start value."""
-        names = self._vehicle.described.variables.gain
+        described = self._vehicle.described.variables
+        names = described.table_scale if self.table else described.gain
         if self._vehicle.takes_force or not names:
             return 1.0, 1.0
         nominal = sum(self.value(name) for name in names)

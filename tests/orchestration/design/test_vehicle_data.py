@@ -1,16 +1,30 @@
 """What a design asks of a vehicle, and how it says what is missing."""
 
+import cmath
+import math
 from pathlib import Path
 
 import pytest
 
-from orchestration.design.vehicle_data import VehicleData, corners, data_of, drawn, draws_of
+from orchestration.design.vehicle_data import ForceTable, VehicleData, corners, data_of, drawn, draws_of
 from orchestration.errors import ScenarioError
+from orchestration.scenarios.vehicle import VariablesTable
 from orchestration.score.vehicle import Vehicle
 from tests.described_fmus import described
 
 NAMES = '[variables]\ninertia = "mass"\nnet_weight = "trim"\nsensor_period = "pace"\n'
 PARAMETERS = ("mass", "trim", "pace", "volts")
+TABLE = """limit = ["volts", "volts"]
+tabulated = "tab"
+table = ["v", "f"]
+table_scale = ["n[1]", "n[2]"]
+
+[vary.n]
+variables = ["plant.n[1]", "plant.n[2]"]
+distribution = "uniform"
+low = 1.5
+high = 3.0
+"""
 DRAWN = '[vary.mass]\nvariables = ["plant.mass"]\ndistribution = "{}"\n'
 
 
@@ -69,6 +83,29 @@ def test_a_vehicle_that_its_thrusters_cannot_hold_is_refused(tmp_path: Path) -> 
     )
     with pytest.raises(ScenarioError, match=r"the net weight comes to 10 N, .* give 0\.8 N"):
         read(Vehicle.of(heavy.fmu, settings=heavy.settings))
+
+
+def test_a_table_of_forces_is_handed_on_and_its_weaker_direction_limits(tmp_path: Path) -> None:
+    points = ("v[1]", "v[2]", "v[3]", "f[1]", "f[2]", "f[3]", "n[1]", "n[2]", "tab:Boolean")
+    fmu = described(tmp_path / "boat.fmu", ("voltage[1]", "voltage[2]"), ("depth",), (*PARAMETERS, *points))
+    (tmp_path / "boat.vehicle.toml").write_text(NAMES + TABLE)
+    values = {"v[1]": -10.0, "v[3]": 10.0, "f[1]": -40.0, "f[3]": 30.0, "n[1]": 2.0, "n[2]": 2.0}
+    values |= {"mass": 10.0, "pace": 0.05, "volts": 5.0, "trim": 1.0, "tab": True}
+    read_data = read(Vehicle.of(str(fmu), settings={f"plant.{name}": x for name, x in values.items()}))
+    assert read_data.table == ForceTable((-10.0, 0.0, 10.0), (-40.0, 0.0, 30.0), (2.0, 2.0))
+    assert read_data.force_limit == 60.0  # two times two thrusters with 15 N at 5 V
+    assert read_data.gain == (0.75, 1.5)
+
+
+def test_a_transfer_function_has_the_phase_of_the_lag_that_stands_for_it() -> None:
+    """It lags by no more, and by less than 2 degrees less, up to the crossover of a fast design."""
+    b_1, a_2, a_1, a_0 = 6136.0, 89.0, 9258.0, 108700.0  # of BlueRov2Plant
+    names = VariablesTable(transfer=["b", "a_2", "a_1", "a_0"])
+    lag = names.transfer_lag({"b": b_1, "a_2": a_2, "a_1": a_1, "a_0": a_0}.__getitem__)
+    for w in (1.0, 4.0, 8.0):
+        s = 1j * w
+        response = (b_1 * s + a_0) / (s**3 + a_2 * s**2 + a_1 * s + a_0)
+        assert 0.0 <= math.degrees(cmath.phase(response * (1.0 + lag * s))) < 2.0
 
 
 def test_corners_are_every_combination_of_ends_and_draws_lie_between() -> None:
