@@ -14,7 +14,7 @@ Sources: Maalouf et al. (2013); Hovakimyan and Cao (2010); Astrom and Hagglund (
 import itertools
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -76,24 +76,30 @@ class Gain:
 
 
 @dataclass(frozen=True)
-class L1Design:
-    """Design of the L1 law and of its PI extension.
+class _Design:
+    """Numbers that designs of both laws have.
 
-    inertia, damping: M and D; bandwidth: w_m; filter: w; alpha: of the observer, beta follows
-    lipschitz: L; adaptation_gain: Gamma; phase: the margin that is left [deg], delay: and as a delay [s]
+    inertia, damping: M and D; bandwidth: w_m or w_0; alpha: of the observer, beta follows
+    noise: of the demand [N]; phase: the margin that is left [deg], delay: and as a delay [s]
     """
 
     inertia: float
     damping: float
     bandwidth: float
-    filter: float
-    alpha: float
-    lipschitz: float
-    norm: float
-    adaptation_gain: float
-    noise: float
-    phase: float = math.nan
+    alpha: float = 1.0
+    noise: float = math.nan
+    phase: float = -180.0
     delay: float = math.nan
+
+
+@dataclass(frozen=True)
+class L1Design(_Design):
+    """Design of the L1 law and of its PI extension; filter: w; lipschitz: L; adaptation_gain: Gamma."""
+
+    filter: float = math.nan
+    lipschitz: float = math.nan
+    norm: float = math.nan
+    adaptation_gain: float = math.nan
 
     @property
     def a_m(self) -> tuple[Range, Range]:
@@ -131,16 +137,8 @@ class L1Design:
 
 
 @dataclass(frozen=True)
-class PidDesign:
-    """Design of the PID controller; bandwidth: w_0."""
-
-    inertia: float
-    damping: float
-    bandwidth: float
-    alpha: float
-    noise: float
-    phase: float = math.nan
-    delay: float = math.nan
+class PidDesign(_Design):
+    """Design of the PID controller."""
 
     @property
     def gains(self) -> tuple[float, float, float]:
@@ -233,25 +231,17 @@ def design_l1(data: VehicleData, conditions: Conditions, bandwidth: float = 0.0)
 
     bandwidth: w_m [rad/s]; 0 for the largest
     """
-
-    def made(w_m: float) -> tuple[L1Design, str]:
-        return _l1_at(data, conditions, w_m)
-
-    return _largest("L1", made, data, conditions, bandwidth)
+    return _largest("L1", _l1_at, data, conditions, bandwidth)
 
 
 def design_pid(data: VehicleData, conditions: Conditions, bandwidth: float = 0.0) -> PidDesign:
     """Returns the design of PID; OrchestrationError if no bandwidth fits the conditions."""
-
-    def made(w_0: float) -> tuple[PidDesign, str]:
-        return _pid_at(data, conditions, w_0)
-
-    return _largest("PID", made, data, conditions, bandwidth)
+    return _largest("PID", _pid_at, data, conditions, bandwidth)
 
 
 def _largest(
     law: str,
-    made: Callable[[float], tuple[Design, str]],
+    made: Callable[[VehicleData, Conditions, float], tuple[Design, str]],
     data: VehicleData,
     conditions: Conditions,
     bandwidth: float,
@@ -261,7 +251,7 @@ def _largest(
     tried = [bandwidth] if bandwidth else [1.0 / (delay * _RATIO**i) for i in range(_STEPS)]
     nearest: tuple[Design, str] | None = None
     for w in tried:
-        design, reason = made(float(f"{w:.3g}"))
+        design, reason = made(data, conditions, float(f"{w:.3g}"))
         if not reason:
             return design
         if not nearest or _nearness(design) > _nearness(nearest[0]):
@@ -276,9 +266,8 @@ def _largest(
 
 
 def _nearness(design: L1Design | PidDesign) -> tuple[float, float]:
-    """Returns what is larger of a design that is nearer to one that fits: its margin, then its norm's."""
-    norm = getattr(design, "norm", 0.0)
-    return (design.phase, -norm) if math.isfinite(norm) else (design.phase, -math.inf)
+    """Returns a rank that grows towards a design that fits: the margin, then minus the norm."""
+    return design.phase, -getattr(design, "norm", 0.0)
 
 
 def _text(ends: Range) -> str:
@@ -287,13 +276,12 @@ def _text(ends: Range) -> str:
 
 def _l1_at(data: VehicleData, conditions: Conditions, w_m: float) -> tuple[L1Design, str]:
     """Returns the design at a bandwidth, and why it does not fit, "" if it does."""
-    inertia, middle = data.mid_gain
+    inertia, middle = data.assumed
     damping = min(middle, 2.0 * inertia * w_m)  # so that k_m2 is not negative
-    k_m = inertia * w_m**2, 2.0 * inertia * w_m - damping
-    lipschitz = lipschitz_constant(data, inertia, damping, k_m, 2.0 * conditions.speed)
-    a_m, b = np.array([[0.0, 1.0], [-(w_m**2), -2.0 * w_m]]), np.array([0.0, 1.0 / inertia])
-    ends = (data.gain[0] * inertia / data.inertia[1], data.gain[1] * inertia / data.inertia[0])
-    omegas = np.unique([ends[0], 1.0, ends[1]]).tolist()
+    made = L1Design(inertia, damping, w_m)
+    lipschitz = lipschitz_constant(data, inertia, damping, made.state_feedback, 2.0 * conditions.speed)
+    a_m, b = np.array(made.a_m), np.array([0.0, 1.0 / inertia])
+    omegas = [data.gain[0] * inertia / data.inertia[1], 1.0, data.gain[1] * inertia / data.inertia[0]]
 
     def excess(logarithm: float) -> float:
         w = math.exp(logarithm)
@@ -303,42 +291,37 @@ def _l1_at(data: VehicleData, conditions: Conditions, w_m: float) -> tuple[L1Des
     lowest, highest = math.log(w_m), math.log(max(1.0 / conditions.delay(data), 1.01 * w_m))
     at_lowest = excess(lowest)
     if at_lowest > 0.0 and (at_highest := excess(highest)) > 0.0:
-        norm, w = at_highest + NORM, math.exp(highest)
-        design = L1Design(inertia, damping, w_m, w, 1.0, lipschitz, norm, 0.0, math.nan, -180.0)
-        return design, (
-            f"|G|_L1 L of the L1-norm condition is {norm:.3g} with a filter of {w:.3g} rad/s, at most "
-            f"{NORM:g} is allowed,"
+        return replace(made, filter=math.exp(highest), norm=at_highest + NORM), (
+            f"|G|_L1 L of the L1-norm condition is {at_highest + NORM:.3g} with a filter of "
+            f"{math.exp(highest):.3g} rad/s, at most {NORM:g} is allowed,"
         )
     root: Any = brentq(excess, lowest, highest, xtol=1e-3) if at_lowest > 0.0 else lowest
     w = math.exp(root)
-    norm = excess(root) + NORM
-    crossover = 2.0 * w_m + w
-    alpha = observer_alpha(crossover, data.period)
-    noise = inertia * (crossover - damping / inertia) * rate_noise(alpha, data.period, data.noise)
-    bare = L1Design(inertia, damping, w_m, w, alpha, lipschitz, norm, 0.0, noise)
-    gamma = adaptation_gain(bare.law(data.period, math.inf, False), data.period, conditions.depth)
-    slow, fast = gamma, gamma * (1.0 + conditions.depth**2)
+    alpha = observer_alpha(2.0 * w_m + w, data.period)
+    # of the rate in the demand: k_m2, and M w by the filter
+    noise = (made.state_feedback[1] + inertia * w) * rate_noise(alpha, data.period, data.noise)
+    made = replace(made, filter=w, alpha=alpha, lipschitz=lipschitz, norm=excess(root) + NORM, noise=noise)
+    slow = adaptation_gain(made.law(data.period, math.inf, False), data.period, conditions.depth)
     loops = (
-        loop(bare.law(data.period, kappa, extended), plant)
+        loop(made.law(data.period, kappa, extended), plant)
         for extended in (True, False)
-        for kappa in (fast, slow)
+        for kappa in (slow * (1.0 + conditions.depth**2), slow)
         for plant in corner_plants(data)
     )
     phase, delay = margin_left(loops, conditions.delay(data), conditions.phase_margin)
-    design = L1Design(inertia, damping, w_m, w, alpha, lipschitz, norm, gamma, noise, phase, delay)
-    return design, _misfit(data, conditions, noise, phase)
+    made = replace(made, adaptation_gain=slow, phase=phase, delay=delay)
+    return made, _misfit(data, conditions, noise, phase)
 
 
 def _pid_at(data: VehicleData, conditions: Conditions, w_0: float) -> tuple[PidDesign, str]:
-    inertia, middle = data.mid_gain
+    inertia, middle = data.assumed
     damping = min(middle, 3.0 * inertia * w_0)  # so that k_d is not negative
     alpha = observer_alpha(3.0 * w_0, data.period)
-    noise = (3.0 * inertia * w_0 - damping) * rate_noise(alpha, data.period, data.noise)
-    design = PidDesign(inertia, damping, w_0, alpha, noise)
-    loops = (pid_loop(design, data.period, plant) for plant in corner_plants(data))
+    made = PidDesign(inertia, damping, w_0, alpha)
+    noise = made.gains[2] * rate_noise(alpha, data.period, data.noise)
+    loops = (pid_loop(made, data.period, plant) for plant in corner_plants(data))
     phase, delay = margin_left(loops, conditions.delay(data), conditions.phase_margin)
-    design = PidDesign(inertia, damping, w_0, alpha, noise, phase, delay)
-    return design, _misfit(data, conditions, noise, phase)
+    return replace(made, noise=noise, phase=phase, delay=delay), _misfit(data, conditions, noise, phase)
 
 
 def _misfit(data: VehicleData, conditions: Conditions, noise: float, phase: float) -> str:

@@ -6,7 +6,7 @@ is known: its start value, or that of `--set plant.NAME`.
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -23,17 +23,11 @@ from orchestration.sweep.distributions import Distribution
 
 Range = tuple[float, float]
 """Lowest and highest value."""
+Draws = Mapping[tuple[str, ...], Distribution]
+"""Variables, "plant.NAME" -> the distribution of their common value."""
 _REQUIRED = ("inertia", "net_weight", "sensor_period")  # of [variables]; what others lack is 0
 _VOLTS = 12.0  # for a vehicle that takes a force: the controller's volts are then a matter of its own
 _SHARE_FOR_TRIM = 0.9  # of the thrust, at most: what is left moves the vehicle
-
-
-@dataclass(frozen=True)
-class Draw:
-    """A draw of a vehicle: variables, "plant.NAME", and the distribution of their common value."""
-
-    variables: tuple[str, ...]
-    distribution: Distribution
 
 
 @dataclass(frozen=True)
@@ -81,7 +75,7 @@ class VehicleData:
         return max(map(abs, self.net_weight))
 
     @property
-    def mid_gain(self) -> Range:
+    def assumed(self) -> Range:
         """The inertia [kg] and the linear damping [N.s/m] that a design assumes.
 
         The inertia puts the box of the input gain, M gain / inertia, about 1.
@@ -103,41 +97,40 @@ class VehicleData:
             )
 
 
-def draws_of(vehicle: Vehicle) -> dict[str, Draw]:
-    """Returns name -> what the description of a vehicle varies; ScenarioError for a draw without an end."""
+def draws_of(vehicle: Vehicle) -> Draws:
+    """Returns what the description of a vehicle varies; ScenarioError for a draw without an end."""
     protocol = read_protocol(vehicle=vehicle)
     check_vehicle(protocol)
-    draws = {
-        name: Draw(tuple(entry.variables), distribution_of(entry)) for name, entry in protocol.vary.items()
-    }
-    for name, draw in draws.items():
-        if not all(map(math.isfinite, draw.distribution.reach)):
+    draws = dict[tuple[str, ...], Distribution]()
+    for name, entry in protocol.vary.items():
+        distribution = distribution_of(entry)
+        if not all(map(math.isfinite, distribution.reach)):
             raise ScenarioError(
                 f"{vehicle.file.at(('vary', name))}: vary.{name} has no end: expected low and high"
             )
+        draws[tuple(entry.variables)] = distribution
     return draws
 
 
-def corners(vehicle: Vehicle, draws: Mapping[str, Draw]) -> list[dict[str, FmiValue]]:
+def corners(vehicle: Vehicle, draws: Draws) -> list[dict[str, FmiValue]]:
     """Returns the values of every corner of the ranges; a seed of noise has none."""
     seed = PLANT + vehicle.described.variables.noise_seed
-    ranged = [draw for draw in draws.values() if seed not in draw.variables]
-    ends = itertools.product(*(draw.distribution.reach for draw in ranged))
-    return [
-        {name: value for draw, value in zip(ranged, values, strict=True) for name in draw.variables}
-        for values in ends
-    ]
+    ranged = {names: distribution.reach for names, distribution in draws.items() if seed not in names}
+    return [_values(ranged, ends) for ends in itertools.product(*ranged.values())]
 
 
-def drawn(draws: Mapping[str, Draw], seed: int, count: int) -> Iterator[dict[str, FmiValue]]:
+def drawn(draws: Draws, seed: int, count: int) -> Iterator[dict[str, FmiValue]]:
     """Yields the values of so many draws within the ranges; number i depends on seed and i alone."""
     for i in range(count):
         random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,)))
-        numbers = [(draw, draw.distribution.quantile([random.random()])[0]) for draw in draws.values()]
-        yield {name: value for draw, value in numbers for name in draw.variables}
+        yield _values(draws, [one.quantile([random.random()])[0] for one in draws.values()])
 
 
-def data_of(vehicle: Vehicle, draws: Mapping[str, Draw]) -> VehicleData:
+def _values(names: Iterable[tuple[str, ...]], values: Sequence[FmiValue]) -> dict[str, FmiValue]:
+    return {name: value for group, value in zip(names, values, strict=True) for name in group}
+
+
+def data_of(vehicle: Vehicle, draws: Draws) -> VehicleData:
     """Returns the data of a vehicle; ScenarioError names what is missing, and where to write it."""
     read = _Reader(vehicle, draws)
     read.check_described()
@@ -170,9 +163,9 @@ def data_of(vehicle: Vehicle, draws: Mapping[str, Draw]) -> VehicleData:
 class _Reader:
     """The values and ranges of a vehicle, by its own names or by those of its description."""
 
-    def __init__(self, vehicle: Vehicle, draws: Mapping[str, Draw]) -> None:
+    def __init__(self, vehicle: Vehicle, draws: Draws) -> None:
         self._vehicle = vehicle
-        self._ranges = {name: draw.distribution.reach for draw in draws.values() for name in draw.variables}
+        self._ranges = {name: one.reach for names, one in draws.items() for name in names}
 
     def value(self, name: str) -> float:
         """Returns the value [its unit] of a variable of the vehicle."""

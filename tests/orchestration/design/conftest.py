@@ -7,7 +7,7 @@ from functools import cache
 import pytest
 
 from orchestration.design.rules import Conditions, L1Design, PidDesign, design_l1, design_pid
-from orchestration.design.vehicle_data import Draw, VehicleData, data_of, draws_of
+from orchestration.design.vehicle_data import Draws, VehicleData, data_of, draws_of
 from orchestration.score.vehicle import Vehicle
 
 CONDITIONS = Conditions(step=0.02, speed=0.02, depth=0.8)  # of the paper's trajectory
@@ -18,7 +18,7 @@ class Designed:
     """A vehicle, what it varies, its data, and its designs."""
 
     vehicle: Vehicle
-    draws: dict[str, Draw]
+    draws: Draws
     data: VehicleData
     l1: L1Design
     pid: PidDesign
