@@ -115,7 +115,9 @@ class Parameters:
         0.0, "Depth of a propeller from which ventilation takes no thrust; 0 leaves ventilation out",
         unit="m", min=0.0, max=1e3, source="guess: left out, the paper gives none",
     )  # fmt: skip
-    sensor_ideal: bool = variable(False, "Reports the true depth at every instant", variability="fixed")
+    sensor_ideal: bool = variable(
+        False, "Reports depth and pressure head of waves at every instant", variability="fixed"
+    )
     sensor_period: float = variable(
         0.04, "Sampling period", unit="s", min=1e-4, max=10.0, variability="fixed",
         source="proxy: a Bar30 reads in up to 40 ms; not the paper's sensor",

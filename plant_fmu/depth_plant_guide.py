@@ -5,7 +5,8 @@ from fmus.block.guide import Experiment, Guide, Source
 GUIDE = Guide(
     equations="""\
 M_z w'     = tau_z + w_dz + J (W - B(z)) - D_z w_r - D_q |w_r| w_r       (10), D_q added
-z'         = J w,   J = cos(roll) cos(pitch),   w_r = w - J v_c
+             + (M_z - (W - B(z)) / g) J w_f'                             waves: (rho V + A) w_f'
+z'         = J w,   J = cos(roll) cos(pitch),   w_r = w - J (v_c + w_f)
 B(z)       = B_0                        submerged, B_0 = weight - net_weight + buoyancy_change
              B_0 - rho g A (-z)         emerged by -z, never negative; only with free_surface
 thruster   v_s = sat(v, v_max),   v_d = sgn(v_s) max(|v_s| - v_0, 0)
@@ -13,13 +14,15 @@ thruster   v_s = sat(v, v_max),   v_d = sgn(v_s) max(|v_s| - v_0, 0)
            or F_s = efficiency n table(v_s)                              off
            F'  = sat((F_s - F) / T, R)                                   off: no limit R
            tau_z = s (F_1 + F_2),   s = clip((z + d_t) / d_f, 0, 1)      off: s = 1
-sensor     s_k = q(z(t_k) + bias + drift (t_k - t_0) + noise n_k) at t_k = t_0 + k T,   n_k standard normal
-           measured = the newest s_k with t_k + delay <= t
+sensor     s_k = q(z(t_k) + h + bias + drift (t_k - t_0) + noise n_k) at t_k = t_0 + k T
+           measured = the newest s_k with t_k + delay <= t;   n_k standard normal, h pressure head of waves
 """,
     conventions=(
         "Depth z is that of the vehicle's top, positive down and 0 at the surface.",
-        "Forces and velocities along the body's z axis are positive down; a current is given in the earth"
-        " frame.",
+        "Forces and velocities along the body's z axis are positive down; a current and waves are given in"
+        " the earth frame.",
+        "wave_velocity w_f and wave_acceleration w_f' are vertical and positive down, wave_pressure_head h is"
+        " positive under a crest, as WaveSource gives them. The three belong together.",
         "A positive voltage pushes down. net_weight is W - B: negative floats, as the start value does.",
         "buoyancy_change is positive when it lifts.",
     ),
@@ -36,18 +39,19 @@ sensor     s_k = q(z(t_k) + bias + drift (t_k - t_0) + noise n_k) at t_k = t_0 +
         "A measured thruster: thruster_tabulated, with thruster_table_voltage and thruster_table_force, a"
         " line between their points, for thruster_scale n thrusters. Points that a shorter table lacks go"
         " on its lines. The start values are those of a T200, far too strong for this vehicle.",
-        "sensor_ideal reports the true depth at every instant; otherwise period, noise, bias, drift,"
-        " resolution and delay act, and sensor_seed chooses the noise: one seed gives one sequence, on"
-        " every platform.",
+        "sensor_ideal reports the depth, with the pressure head of waves, at every instant; otherwise period,"
+        " noise, bias, drift, resolution and delay act, and sensor_seed chooses the noise: one seed gives one"
+        " sequence, on every platform.",
         "Faults and surroundings are inputs: thruster_efficiency (1 healthy, 0 dead), external_force,"
-        " buoyancy_change, current_velocity.",
+        " buoyancy_change, current_velocity, and three of waves, which the block WaveSource gives.",
     ),
     limits=(
         "Heave alone: roll and pitch are inputs, and nothing else of the vehicle moves.",
         "The paper gives neither inertia, damping, thruster nor sensor data: see the column Source for"
         " what is published, estimated or guessed. The plant validates no vehicle.",
-        "Sides are taken as vertical where the vehicle breaks the surface; no waves, no bottom, no"
-        " tether.",
+        "Sides are taken as vertical where the vehicle breaks the surface; no bottom, no tether.",
+        "Waves act as on a small body below them, by linear theory: the surface at which the vehicle emerges"
+        " stays level, and forces of second order, such as the mean pull towards the surface, are left out.",
         "At the surface it is a spring of 217 N/m under 5.5 kg, at 6.3 rad/s, and sensor noise in a loop"
         " keeps it bobbing there.",
         "The controllers of this project take the thrust for a line, with a gain and a limit of the voltage"
@@ -64,6 +68,8 @@ sensor     s_k = q(z(t_k) + bias + drift (t_k - t_0) + noise n_k) at t_k = t_0 +
             "https://hal-lirmm.ccsd.cnrs.fr/lirmm-00841558",
         ),
         Source("T. I. Fossen: Marine Control Systems, Marine Cybernetics, 2002 (damping, current, surface)."),
+        Source("O. M. Faltinsen: Sea Loads on Ships and Offshore Structures, Cambridge University Press, 1990"
+               " (forces of waves on a small body)."),
         Source("DNV-RP-H103: Modelling and analysis of marine operations (added mass of a box)."),
         Source("A. Kozlowska et al.: Time domain modeling of propeller forces due to ventilation in"
                " static and dynamic conditions,"

@@ -154,11 +154,16 @@ def replacements(layers: Sequence[Layer], describe: Describe) -> dict[str, Repla
 def without_misfits(layers: Sequence[Layer], replaced: Mapping[str, Replacement]) -> list[Layer]:
     """Returns the layers without inherited entries that do not fit."""
     above = [{n: r for n, r in replaced.items() if r.layer > index} for index in range(len(layers))]
-    return [replace(x, data=_fitting(x.data, a)) if a else x for x, a in zip(layers, above, strict=True)]
+    constants = {name for layer in layers for name in layer.data.get("inputs", {})}
+    pairs = zip(layers, above, strict=True)
+    return [replace(x, data=_fitting(x.data, a, constants)) if a else x for x, a in pairs]
 
 
-def _fitting(data: Data, replaced: Mapping[str, Replacement]) -> Data:
-    """Returns the entries of a layer that fit the FMUs which replace components of it."""
+def _fitting(data: Data, replaced: Mapping[str, Replacement], constants: Collection[str]) -> Data:
+    """Returns the entries of a layer that fit the FMUs which replace components of it.
+
+    constants: inputs that a layer holds constant: one that another layer connects would change
+    """
 
     def fits(part: str, name: str, value: Any = None, driven: str = "", changes: bool = False) -> bool:
         new = replaced.get(name.partition(".")[0])
@@ -169,7 +174,8 @@ def _fitting(data: Data, replaced: Mapping[str, Replacement]) -> Data:
             return name not in replaced or bool(replaced[name].fmu)
         names = [value[key] for key in SIGNALS if value and key in value] if kind == "metrics" else [name]
         driven = name if kind in ("connections", "signals") else ""
-        given, changes = value if kind in _WITH_VALUES else None, kind in _CHANGING
+        given = value if kind in _WITH_VALUES else None
+        changes = kind in _CHANGING or (kind == "connections" and name in constants)
         if kind in _PARTS and not all(fits(_PARTS[kind], n, given, driven, changes) for n in names):
             return False
         # an output is lacking only if there is an input that it drives
@@ -178,7 +184,7 @@ def _fitting(data: Data, replaced: Mapping[str, Replacement]) -> Data:
     result: Data = {}
     for kind, entries in data.items():
         if kind == "sweep":
-            result[kind] = _fitting(entries, replaced)
+            result[kind] = _fitting(entries, replaced, constants)
         elif kind == "events":
             result[kind] = with_events(entries, partial(is_kept, kind))
         elif isinstance(entries, dict):

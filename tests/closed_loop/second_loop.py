@@ -2,9 +2,10 @@
 
 Nothing of `controller_fmu`, `plant_fmu` or `fmus.numerics` is used. Depth and force are positive down.
 
-    vehicle   M w' = F + w_d + W - B(z) - D w_r - D_q |w_r| w_r,   z' = w,   w_r = w - v_c
-              F' = (efficiency sat(u) - F) / T
-    sensor    z and noise every 40 ms, rounded to its resolution and held; ideal: z and w at every time
+    vehicle   M w' = F + w_d + (W - B(z)) (1 - w_f' / g) + M w_f' - D w_r - D_q |w_r| w_r
+              z' = w,   w_r = w - v_c - w_f,   F' = (efficiency sat(u) - F) / T
+    sensor    z, pressure head of the waves and noise every 40 ms, rounded to its resolution and held;
+              ideal: z with the pressure head, and w, at every time
     observer  z_p = z_hat + T_o v,   z_hat = z_p + alpha (y - z_p),   v = v + beta / T_o (y - z_p)
 
 Vehicle and law exchange at communication points, both at once (Jacobi), and hold in between what they
@@ -23,6 +24,8 @@ import numpy as np
 _GRAVITY = 9.81  # m/s2
 State = tuple[float, ...]
 Pair = tuple[float, float]
+Water = tuple[float, float, float]
+STILL: Water = (0.0, 0.0, 0.0)
 Values = Mapping[str, float]
 
 
@@ -43,6 +46,7 @@ class Case:
     """plant, law: values by the names of the parameters; ideal: sensor and velocity.
 
     reference [m], force [N], current v_c [m/s], efficiency of both thrusters together, 0..1: of time [s]
+    water: velocity w_f [m/s], acceleration w_f' [m/s2] and pressure head [m] of waves, of time and depth
     noise: of every sample of the sensor [m]; delays [s]
     """
 
@@ -54,6 +58,7 @@ class Case:
     duration: float
     current: Callable[[float], float] = lambda t: 0.0
     efficiency: Callable[[float], float] = lambda t: 1.0
+    water: Callable[[float, float], Water] = lambda t, depth: STILL
     noise: Sequence[float] = ()
     control_delay: float = 0.0
     measurement_delay: float = 0.0
@@ -66,7 +71,8 @@ class Case:
     @property
     def first_reading(self) -> float:
         depth = self.plant["initial_depth"]
-        return depth if self.ideal else self.reading(0, depth)
+        pressed = depth + self.water(0.0, depth)[2]
+        return pressed if self.ideal else self.reading(0, pressed)
 
 
 def largest_force(plant: Values) -> float:
@@ -81,6 +87,7 @@ def vehicle(
     disturbance: float,
     current: float = 0.0,
     efficiency: float = 1.0,
+    water: Water = STILL,
 ) -> State:
     """Rates of z, w and F."""
     z, w, force = state
@@ -88,9 +95,10 @@ def vehicle(
     submerged = p["weight"] - p["net_weight"] + p["buoyancy_change"]
     lost = p["water_density"] * _GRAVITY * p["waterplane_area"] * max(0.0, -z)
     net_weight = p["weight"] - max(0.0, submerged - lost)
-    through = w - current
+    through = w - current - water[0]
     drag = p["linear_damping"] * through + p["quadratic_damping"] * abs(through) * through
-    acceleration = (force + disturbance + net_weight - drag) / p["inertia"]
+    apparent = net_weight * (1.0 - water[1] / _GRAVITY)
+    acceleration = (force + disturbance + apparent - drag) / p["inertia"] + water[1]
     steady = efficiency * max(-limit, min(limit, demanded))
     return w, acceleration, (steady - force) / p["thruster_lag[1]"]
 
@@ -100,10 +108,12 @@ def run(case: Case, step: float, law: Law) -> dict[str, np.ndarray]:
     plant, period = case.plant, round(case.law["observer_period"] / step)
     state, observer = (plant["initial_depth"], 0.0, 0.0), (case.first_reading, 0.0)
     rows, depths, rates, controls = list[State](), list[float](), list[float](), list[float]()
+    known, water = state[0], case.water(0.0, state[0])  # the waves know the depth of the point before
     for i in range(round(case.duration / step) + 1):
         t = i * step
         is_sampled = not case.ideal and i % period == 0
-        sent = case.reading(i // period, state[0]) if is_sampled else state[0] if case.ideal else depths[-1]
+        pressed = state[0] + water[2]
+        sent = case.reading(i // period, pressed) if is_sampled else pressed if case.ideal else depths[-1]
         depths.append(sent)
         rates.append(state[1])
         late = case.measurement_delay / step
@@ -112,11 +122,13 @@ def run(case: Case, step: float, law: Law) -> dict[str, np.ndarray]:
             observer = observed(case.law, observer, depth)
         controls.append(u := law.control())
         rows.append((t, state[0], case.reference(t), u))
+        known, water = state[0], case.water(t, known)
         held = (
             arrived(controls, case.control_delay / step),
             case.force(t),
             case.current(t),
             case.efficiency(t),
+            water,
         )
         state = advanced(lambda x, held=held: vehicle(plant, x, *held), state, step)
         law.advance(t, (depth, rate if case.ideal else observer[1]), u)

@@ -1,11 +1,14 @@
 """A scenario of the vehicle and the L1 controller as the second program takes it."""
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
 from orchestration.run import simulate
 from orchestration.scenarios.scenario import Scenario
 from tests.closed_loop.same_experiment import component_values, slope
+from tests.closed_loop.second_loop import STILL, Water
 from tests.closed_loop.second_program import L1Case
 
 PIECEWISE = (-0.1, 0.04)  # A_s [1/s] and Ts [s] of the FMU
@@ -31,9 +34,31 @@ def shipped_case(loaded: Scenario) -> L1Case:
         reference=cache(signals["controller.depth_reference"]),  # asked for several times at each time
         force=signals.get("plant.external_force", lambda t: 0.0),
         current=signals.get("plant.current_velocity", lambda t: 0.0),
+        water=_water(loaded) if "waves" in loaded.system.components else lambda t, depth: STILL,
         efficiency=lambda t: 0.5 * (first(t) + second(t)),
         duration=experiment.stop_time,
     )
+
+
+def _water(loaded: Scenario) -> Callable[[float, float], Water]:
+    """The waves of the scenario: its numbers, and of a sea the components that its FMU has drawn."""
+    parts = ("amplitude", "angular_frequency", "phase")
+    names = [f"waves.{part}[{i + 1}]" for i in range(32) for part in parts]
+    drawn = simulate(loaded.system, replace(loaded.experiment, stop_time=0.02, record=tuple(names)))
+    numbers = [float(drawn[name][0]) for name in names]
+    components = list(zip(*(numbers[k::3] for k in range(3)), strict=True))
+    given = loaded.experiment.parameters
+    if given["waves.kind"] == "regular":
+        amplitude, period = (float(given[f"waves.{name}"]) for name in ("wave_amplitude", "period"))
+        components = [(amplitude, 2.0 * math.pi / period, 0.0)]
+
+    def water(t: float, depth: float) -> Water:
+        moved = [(a * math.exp(-w * w / 9.81 * depth), w, w * t + phase) for a, w, phase in components]
+        velocity = sum(a * w * math.sin(angle) for a, w, angle in moved)
+        acceleration = sum(a * w * w * math.cos(angle) for a, w, angle in moved)
+        return velocity, acceleration, sum(a * math.cos(angle) for a, _, angle in moved)
+
+    return water
 
 
 def noisy_case(loaded: Scenario) -> L1Case:

@@ -113,3 +113,40 @@ def test_damping_takes_energy_out(w: float) -> None:
 def test_without_a_free_surface_buoyancy_stays(driver: Any) -> None:
     plant = driver(PLANT, initial_depth=-1.0, free_surface=False, **IDEAL).begin().step(0.001)
     assert plant["heave_velocity"] < 0.0
+
+
+def test_waves_push_on_the_displaced_water_and_the_added_mass(driver: Any) -> None:
+    """rho V + A = M_z - (W - B) / g: 5.5 kg and 1.2 N / g; along the tilted axis J of it."""
+    assert heave.wave_force(2.0, 5.5, -1.2) == pytest.approx(2.0 * (5.5 + 1.2 / 9.81))
+    roll, pitch = 0.4, -0.3
+    plant = driver(PLANT, initial_depth=1.0, roll=roll, pitch=pitch, wave_acceleration=0.5, **IDEAL).begin()
+    plant.step(0.001)
+    j = math.cos(roll) * math.cos(pitch)
+    expected = (0.5 * (5.5 + 1.2 / 9.81) - 1.2) * j / 5.5 * 0.001
+    assert plant["heave_velocity"] == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_vehicle_that_has_emerged_displaces_no_water_for_waves_to_push(driver: Any) -> None:
+    """Out of the water rho V is 0: what is left is the added mass M_z - W / g."""
+    plant = driver(PLANT, initial_depth=-1.0, wave_acceleration=0.5, **IDEAL).begin().step(0.001)
+    expected = (0.5 * (5.5 - 29.43 / 9.81) + 29.43) / 5.5 * 0.001
+    assert plant["heave_velocity"] == pytest.approx(expected, rel=1e-3)
+
+
+def test_drag_is_that_of_the_motion_through_current_and_waves(driver: Any) -> None:
+    """A neutral vehicle is carried along by the sum of both."""
+    neutral: dict[str, Any] = {"free_surface": False, "net_weight": 0.0} | IDEAL | LONG
+    plant = driver(PLANT, current_velocity=-0.2, wave_velocity=0.5, **neutral).begin()
+    plant.step(1.0, count=100)
+    assert plant["depth_rate"] == pytest.approx(0.3, rel=1e-6)
+
+
+@pytest.mark.parametrize("ideal", [True, False])
+def test_the_sensor_reads_the_pressure_of_waves_as_depth(driver: Any, ideal: bool) -> None:
+    exact = {"sensor_ideal": ideal, "sensor_noise": 0.0, "sensor_resolution": 0.0, "inertia": 1e6}
+    plant = driver(PLANT, initial_depth=1.0, wave_pressure_head=0.1, **exact).begin()
+    assert plant["measured_depth"] == pytest.approx(1.1, abs=1e-12)
+    plant["wave_pressure_head"] = -0.2
+    plant.step(0.04)
+    assert plant["depth"] == pytest.approx(1.0, abs=1e-8)  # 1.2 N on 1e6 kg
+    assert plant["measured_depth"] == pytest.approx(0.8, abs=1e-8)

@@ -167,6 +167,9 @@ def test_a_disturbance_that_a_vehicle_lacks_is_named(command: Command, tmp_path:
     described(tmp_path / "boat.fmu", ("voltage[1]", "voltage[2]"), ("depth", "depth_rate", "measured_depth"))
     error = command("run", "hold-current", "--plant", "boat.fmu", expect=1).stderr.splitlines()
     assert "plant is boat.fmu, which lacks current_velocity, initial_depth: left out" in error[0]
+    error = command("run", "hold-regular-waves", "--plant", "boat.fmu", expect=1).stderr.splitlines()
+    lacks = "wave_velocity, wave_acceleration, wave_pressure_head, initial_depth"
+    assert f"plant is boat.fmu, which lacks {lacks}: left out" in error[0]
 
 
 def test_a_vehicle_of_ten_lines_follows_the_laws_of_motion(

@@ -11,6 +11,7 @@ from fmus.fmi.description import describe, of_causality
 from fmus.registry import fmu_path
 from orchestration.errors import ScenarioError
 from orchestration.results.recording import Recording
+from orchestration.scenarios.vehicle import SHIPPED
 from orchestration.score.closed_loop import ClosedLoop, built_in
 from orchestration.score.protocol import Protocol, plants, read_protocol
 from orchestration.score.run_metrics import judged_signals
@@ -89,6 +90,20 @@ def test_a_mapped_vehicle_plays_what_its_own_names_stand_for(tmp_path: Path) -> 
 def test_tuning_goes_on_without_the_cases_that_a_vehicle_lacks(tmp_path: Path) -> None:
     protocol = read_protocol(vehicle=Vehicle.of(str(boat(tmp_path))))
     assert [case.name for case in practice_cases(protocol)] == ["nominal"]
+
+
+@pytest.mark.parametrize("name", [path.stem for path in SHIPPED.glob("*.toml")])
+def test_a_shipped_description_names_variables_of_its_vehicle_that_take_its_values(name: str) -> None:
+    vehicle = Vehicle.of(name)
+    described = vehicle.described
+    own = [described.variables.start_depth, described.variables.noise_seed, described.variables.inertia]
+    drawn = [v.removeprefix("plant.") for table in described.vary.values() for v in table["variables"]]
+    assert {*own, *described.variables.limit, *drawn} <= vehicle.variables.keys()
+    protocol = read_protocol(vehicle=vehicle)
+    with ClosedLoop(built_in(protocol, "pid"), protocol) as loop:
+        for case in protocol.cases.values():
+            loop.experiment(case)
+    assert len(plants(protocol, 1, 3)) == 3
 
 
 def test_our_vehicle_under_another_name_has_the_metrics_of_ours(protocol: Protocol, tmp_path: Path) -> None:

@@ -1,0 +1,68 @@
+"""Depth controllers on vehicles in heave and pitch: what unequal thrusters do to them.
+
+The numbers stand in docs/explanation/disturbances.md.
+"""
+
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from orchestration.results import metrics
+from orchestration.run import simulate
+from orchestration.scenarios import scenario
+from orchestration.score.closed_loop import ClosedLoop, tuned
+from orchestration.score.protocol import read_protocol
+from orchestration.score.vehicle import Vehicle
+
+pytestmark = pytest.mark.usefixtures("scenario_fmus")
+WEAK_FORE = {"plant.thruster_gain[1]": 0.225}  # 10 % less than the aft one
+LITTLE_DAMPING = {"plant.pitch_linear_damping": 0.005}  # a damping ratio of 0.04 in place of 0.16
+INVERSE = {f"controller.thruster_scale[{i}]": 2.0 for i in (1, 2)} | {"controller.thruster_tabulated": True}
+
+
+def rmse(controller: str, settings: Mapping[str, float] = {}) -> float:
+    """Returns the RMSE [cm] of the nominal case with tuned gains on RovHeavePitchPlant."""
+    protocol = read_protocol(vehicle=Vehicle.of("RovHeavePitchPlant", settings=settings))
+    with ClosedLoop(tuned(protocol, controller), protocol) as loop:
+        return loop.metrics(protocol.nominal, names=["rmse"])["rmse"]
+
+
+@pytest.mark.parametrize("controller", ["pid", "l1-pi", "adrc"])
+def test_thrusters_that_differ_by_10_percent_cost_a_millimetre(controller: str) -> None:
+    equal, unequal = rmse(controller), rmse(controller, WEAK_FORE)
+    assert equal < unequal < equal + 0.15
+
+
+@pytest.mark.parametrize(("controller", "least"), [("pid", 2.0), ("l1-pi", 2.0)])
+def test_with_little_damping_of_pitch_fast_controllers_oscillate(controller: str, least: float) -> None:
+    """The sensor at the bow rises where both thrusters push down, as the fore one is weaker."""
+    assert rmse(controller, WEAK_FORE | LITTLE_DAMPING) > least
+
+
+@pytest.mark.parametrize("controller", ["adrc", "sliding-mode"])
+def test_with_little_damping_of_pitch_slower_ones_do_not(controller: str) -> None:
+    assert rmse(controller, WEAK_FORE | LITTLE_DAMPING) < 0.5
+
+
+def nominal(settings: Mapping[str, object]) -> dict[str, float]:
+    """Returns the metrics of the nominal scenario of BlueRov2Plant with a PID controller at 1 rad/s."""
+    gains = {"controller.kp": 96.5, "controller.ki": 32.2, "controller.kd": 63.5}
+    given = {"plant": "BlueRov2Plant", "controller": "PidDepthController", **gains, **settings}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        loaded = scenario.load(scenario.find("nominal-extended"), settings=given)
+    recording = simulate(loaded.system, loaded.experiment)
+    return metrics.evaluate(recording, loaded.metrics)
+
+
+def test_the_inverse_of_the_table_follows_the_trajectory_on_the_edge_of_the_dead_band(
+    built: Mapping[str, Path],
+) -> None:
+    """Without the inverse: a linear allocation with the same force at 12 V, 6.65 N/V a pair."""
+    assert built["PidDepthController"].is_file()
+    line = {f"controller.thruster_gain[{i}]": 6.65 for i in (1, 2)}
+    inverse, linear = nominal(INVERSE), nominal(line)
+    assert inverse["rmse"] < 0.15
+    assert linear["rmse"] > 2.0 * inverse["rmse"]
