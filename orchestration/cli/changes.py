@@ -1,6 +1,7 @@
 """Options that change a scenario: another FMU in a component's place, other values."""
 
 import inspect
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import wraps
@@ -42,6 +43,14 @@ LoopMapOption = Annotated[
         help="Take this variable of the controller for NAME; with --plant that of the plant for plant.NAME.",
     ),
 ]
+ParametersOption = Annotated[
+    str,
+    typer.Option(
+        metavar="FILE",
+        help="Take the values of this parameter file, .toml, below those of --set; "
+        "of an .ssp package the parameter set of this name.",
+    ),
+]
 OpenInputsOption = Annotated[
     OpenInputs | None,
     typer.Option(help="Let inputs that nothing drives keep the start values of their FMUs."),
@@ -54,11 +63,13 @@ class Changes:
 
     settings: component -> FMU, Python file or block in its place; "component.variable" -> value
     mapping: component -> name in the scenario -> variable; open_inputs: of the experiment, None as it is
+    parameter_set: of an .ssp package
     """
 
     settings: Mapping[str, FmiValue] = field(default_factory=dict)
     mapping: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     open_inputs: OpenInputs | None = None
+    parameter_set: str = ""
 
     @classmethod
     def of_options(
@@ -84,18 +95,25 @@ class Changes:
         ] = [],  # noqa: B006
         open_inputs: OpenInputsOption = None,
         plant: PlantOption = "",
+        parameters: ParametersOption = "",
     ) -> "Changes":
         """Returns the changes that these options make; ScenarioError for an option that is wrong."""
         from orchestration.scenarios.changes import AssignedText
 
         chosen = {CONTROLLER: controller, PLANT: plant}
         changed: dict[str, str] = {name: fmu for name, fmu in chosen.items() if fmu}
+        is_file = parameters.endswith(".toml")
+        if is_file:
+            from orchestration.scenarios.read_layers import parameter_values
+
+            values = parameter_values(Path(parameters))
+            changed |= {name: AssignedText(json.dumps(value)) for name, value in values.items()}
         for assignment in settings:
             name, value = _parts("--set", assignment, "component.variable=value or component=FMU")
             if "." not in name and name in changed:
                 raise ScenarioError(f"{name} = {value}: expected one FMU, got {changed[name]} too")
             changed[name] = AssignedText(value)
-        return cls(changed, _mapping(mapped), open_inputs)
+        return cls(changed, _mapping(mapped), open_inputs, "" if is_file else parameters)
 
     @property
     def components(self) -> dict[str, str]:

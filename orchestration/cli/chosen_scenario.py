@@ -22,6 +22,11 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
     Its name and title contain the components that the changes replace.
     """
     arguments = (name, *changes.options(), *(() if flavour is Flavour.NATIVE else ("--flavour", flavour)))
+    if changes.parameter_set:
+        raise ScenarioError(
+            f"--parameters {changes.parameter_set}: expected a file that ends in .toml, or an .ssp package "
+            f"to take a parameter set from, got {name}"
+        )
     built = _with_built_files(changes, flavour)
     path = scenario.find(name)
     with warnings.catch_warnings(record=True) as caught:
@@ -69,25 +74,16 @@ def build_missing_fmus(scenarios: Iterable[Scenario]) -> None:
 
 
 @contextmanager
-def opened(
-    name: str, parameter_set: str, flavour: Flavour, changes: Changes = NO_CHANGES
-) -> Iterator[Scenario]:
-    """Loads a scenario as `load`, or that of an SSP package, whose FMUs exist only inside the context.
-
-    parameter_set: of the package, "" for its own.
-    """
+def opened(name: str, flavour: Flavour, changes: Changes = NO_CHANGES) -> Iterator[Scenario]:
+    """Loads a scenario as `load`, or that of an SSP package, whose FMUs exist only inside the context."""
     if name.endswith(".ssp"):
-        if changes != NO_CHANGES:
+        if replace(changes, parameter_set="") != NO_CHANGES:
             raise ScenarioError(f"--set and --controller of a package: expected a scenario, got {name}")
         if flavour is not Flavour.NATIVE:
             raise ScenarioError(f"--flavour {flavour} of a package: expected none, it holds its own FMUs")
         from orchestration.exchange import ssp_read
 
-        with ssp_read.opened(Path(name), parameter_set) as chosen:
+        with ssp_read.opened(Path(name), changes.parameter_set) as chosen:
             yield chosen
         return
-    if parameter_set:
-        raise ScenarioError(
-            f"--parameters {parameter_set}: expected an .ssp package to take it from, got {name}"
-        )
     yield load(name, flavour, changes)

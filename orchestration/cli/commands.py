@@ -19,7 +19,7 @@ from orchestration.errors import OrchestrationError
 _PANELS = {
     "FMUs": ("fmu.new", "fmu.build", "fmu.check", "fmu.inspect", "cache.cache"),
     "Scenarios": ("run.scenarios", "run.run", "sweep.sweep", "run.report"),
-    "Controllers compared": ("score.score", "tune.tune", "score.compare", "margins.margins"),
+    "Controllers compared": ("score.score", "tune.tune", "score.compare", "margins.margins", "design.design"),
     "The paper": ("paper.reproduce", "paper.identify"),
     "Other tools": ("exchange.package", "exchange.export"),
 }

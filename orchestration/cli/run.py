@@ -33,9 +33,6 @@ def run(
     ],
     out: shared.OutFolder = Path("results"),
     flavour: shared.FlavourOption = Flavour.NATIVE,
-    parameters: Annotated[
-        str, typer.Option(metavar="NAME", help="Use this parameter set of the package.")
-    ] = "",
     changes: Changes = NO_CHANGES,
     file_format: Annotated[
         RecordingFormat, typer.Option("--format", help="Write the recording in this format.")
@@ -74,7 +71,7 @@ def run(
     if every < math.inf and checkpoint is None:
         raise OrchestrationError(f"--every {every:g}: expected --checkpoint FILE beside it")
     with (
-        chosen_scenario.opened(name, parameters, flavour, changes) as chosen,
+        chosen_scenario.opened(name, flavour, changes) as chosen,
         shared.progress(chosen.name, 1, _SHORT_S) as bar,
     ):
         result = run_files.run(

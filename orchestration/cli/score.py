@@ -17,6 +17,7 @@ from orchestration.cli.changes import (
     LoopMapOption,
     LoopSetOption,
     OpenInputsOption,
+    ParametersOption,
     PlantOption,
 )
 from orchestration.errors import ScenarioError
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from orchestration.score.score import ScoreResult
     from orchestration.score.score_document import Score
     from orchestration.score.score_view import ScoreTable
+    from orchestration.score.vehicle import Vehicle
 
 FullOption = Annotated[
     bool, typer.Option("--full", help="Run the 300 plants of the protocol too, and compare on each.")
@@ -62,6 +64,7 @@ def score(
     settings: LoopSetOption = [],  # noqa: B006  (Typer copies it)
     mapped: LoopMapOption = [],  # noqa: B006
     open_inputs: OpenInputsOption = None,
+    parameters: ParametersOption = "",
     protocol_file: ProtocolOption = None,
     timeout: Annotated[
         float | None,
@@ -72,7 +75,7 @@ def score(
     """Score a controller on the simulated vehicle: terminal tables, score.json and an interactive page."""
     from orchestration.score import score as scoring
 
-    changes = Changes.of_options("", settings, mapped, open_inputs, plant)
+    changes = Changes.of_options("", settings, mapped, open_inputs, plant, parameters)
     protocol = chosen_protocol(changes, protocol_file)
     chosen = scored_controllers(controllers, no_rates, changes)
     shared.check_writable(out)
@@ -177,14 +180,20 @@ def print_score(document: "Score") -> None:
 def chosen_protocol(changes: Changes, file: Path | None = None) -> "Protocol":
     """Returns the protocol of a file, by default the one that ships, on the vehicle that --plant names."""
     from orchestration.score import protocol as protocols
+
+    return protocols.read_protocol(file or protocols.FILE, vehicle_of(changes))
+
+
+def vehicle_of(changes: Changes) -> "Vehicle | None":
+    """Returns the vehicle that --plant names, None without one."""
     from orchestration.score.vehicle import Vehicle
 
-    vehicle, plant = None, changes.components.get(PLANT, "")
-    if plant:
-        values, mapping = changes.of_component(PLANT)
-        settings = {f"{PLANT}.{name}": value for name, value in values.items()}
-        vehicle = Vehicle.of(plant, mapping, settings)
-    return protocols.read_protocol(file or protocols.FILE, vehicle)
+    plant = changes.components.get(PLANT, "")
+    if not plant:
+        return None
+    values, mapping = changes.of_component(PLANT)
+    settings = {f"{PLANT}.{name}": value for name, value in values.items()}
+    return Vehicle.of(plant, mapping, settings)
 
 
 def scored_controllers(names: Sequence[str], no_rates: bool, changes: Changes) -> list["Controller"]:

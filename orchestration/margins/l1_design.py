@@ -177,12 +177,16 @@ def _vehicle(names: VariablesTable, values: Values, controller: Values) -> Plant
         assumed = _pair(controller, "thruster_gain")
         factors = zip((values[name] for name in names.gain), efficiency, assumed, strict=True)
         gains = tuple(0.5 * gain * share / divisor for gain, share, divisor in factors)
-    has_lag = names.lag and not (names.no_lag and values[names.no_lag])
+    has_lag = not (names.no_lag and values[names.no_lag])
+    lags = [values[name] for name in names.lag] if has_lag else []
+    if len(lags) != len(gains):  # of a vehicle without gains, whose force has one lag
+        lags = [max(lags, default=0.0)] * len(gains)
+    after = names.transfer_lag(values.__getitem__) if has_lag else 0.0
     return Plant(
         a=((0.0, 1.0), (0.0, -damping / inertia)),
         b=(0.0, 1.0 / inertia),
         gains=gains,
-        lags=tuple(values[name] for name in names.lag) if has_lag else (0.0,) * len(gains),
+        lags=tuple(lag + after for lag in lags),
     )
 
 

@@ -91,11 +91,17 @@ class Plant:
 
 def loop(law: Law, plant: Plant) -> LinearLoop:
     """Returns the loop, cut where the control enters the plant."""
-    equations = (*_plant(plant), *_measurement(law), *_prediction(law), *_control(law))
+    equations = (
+        *plant_equations(plant),
+        *measurement_equations(law.observer),
+        *_prediction(law),
+        *_control(law),
+    )
     return LinearLoop(equations, source=PLANT_INPUT, target=CONTROL)
 
 
-def _plant(plant: Plant) -> list[Equation]:
+def plant_equations(plant: Plant) -> list[Equation]:
+    """Returns the equations of x1 and x2, the state, and of the force of each actuator."""
     forces = [f"force {i}" for i in range(len(plant.gains))]
     rows = [
         Equation({f"x{i + 1}": 1.0}, {"x1": row[0], "x2": row[1], **dict.fromkeys(forces, plant.b[i])})
@@ -105,12 +111,12 @@ def _plant(plant: Plant) -> list[Equation]:
     return rows + [Equation({name: lag}, {name: -1.0, PLANT_INPUT: gain}) for name, lag, gain in actuators]
 
 
-def _measurement(law: Law) -> list[Equation]:
+def measurement_equations(observer: Observer | None) -> list[Equation]:
     """Returns the equations of m1 and m2, the state as the law measures it."""
     rows = [Equation({}, {"m1": -1.0, "x1": 1.0})]
-    if law.observer is None:
+    if observer is None:
         return [*rows, Equation({}, {"m2": -1.0, "x2": 1.0})]
-    return [*rows, *law.observer.equations()]
+    return [*rows, *observer.equations()]
 
 
 def _prediction(law: Law) -> list[Equation]:

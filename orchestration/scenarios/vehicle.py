@@ -17,7 +17,7 @@ high = 15.0
 # ruff: noqa: RUF012  (Pydantic copies defaults)
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -60,6 +60,34 @@ class VariablesTable(Table):
     """Parameters: time constant [s] of each thruster."""
     no_lag: str = ""
     """Parameter: whether the thrusters have no lag."""
+    tabulated: str = ""
+    """Parameter: whether a table gives the force of the thrusters, in place of the gain."""
+    table: list[str] = []
+    """Parameters without an index: voltages [V] of the table, ascending, and the forces [N] at them."""
+    table_scale: list[str] = []
+    """Parameters: factor of the table's force for each thruster."""
+    transfer: list[str] = []
+    """Parameters: b_1, a_2, a_1 and a_0 of (b_1 s + a_0) / (s^3 + a_2 s^2 + a_1 s + a_0) behind the force."""
+    net_weight: str = ""
+    """Parameter: weight minus buoyancy of the submerged vehicle [N]."""
+    sensor_period: str = ""
+    """Parameter: sampling period of the depth sensor [s]."""
+    sensor_noise: str = ""
+    """Parameter: standard deviation of the sensor's noise [m]."""
+    sensor_resolution: str = ""
+    """Parameter: resolution of the sensor [m]."""
+    sensor_delay: str = ""
+    """Parameter: time from a sample to its report [s]."""
+
+    def transfer_lag(self, value: Callable[[str], float]) -> float:
+        """Returns the lag [s] of the first moment of the transfer function, 0 without one.
+
+        value: gives the value of a parameter
+        """
+        if not self.transfer:
+            return 0.0
+        b_1, _, a_1, a_0 = map(value, self.transfer)
+        return (a_1 - b_1) / a_0 if a_0 > 0.0 else 0.0
 
 
 class ChangesTable(Table):

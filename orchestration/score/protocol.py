@@ -39,7 +39,7 @@ from orchestration.score.protocol_format import (
     ProtocolFile,
 )
 from orchestration.score.vehicle import PLANT, Vehicle
-from orchestration.sweep.distributions import FUNCTIONS
+from orchestration.sweep.distributions import FUNCTIONS, Distribution
 
 FILE = Path(__file__).with_name("protocol.toml")
 REFERENCE = "controller.depth_reference"
@@ -349,10 +349,15 @@ def plants(protocol: Protocol, seed: int, count: int | None = None) -> list[Case
     return [_plant(nominal, draws, seed, number) for number in range(count or table.count)]
 
 
-def _quantile(table: Table) -> Quantile:
+def distribution_of(table: Table) -> Distribution:
+    """Returns the distribution that a table of draws declares."""
     arguments = table.given()
     arguments.pop("variables", None)
-    law = FUNCTIONS[arguments.pop("distribution")](**arguments)
+    return FUNCTIONS[arguments.pop("distribution")](**arguments)
+
+
+def _quantile(table: Table) -> Quantile:
+    law = distribution_of(table)
     return lambda uniform: law.quantile([uniform])[0]
 
 

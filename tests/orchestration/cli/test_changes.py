@@ -140,6 +140,38 @@ def test_the_options_of_changes_make_them_again() -> None:
     assert changes.options() == (*given, "--open-inputs", "start")
 
 
+def test_a_parameter_file_gives_values_below_those_of_set(tmp_path: Path) -> None:
+    path = tmp_path / "gains.toml"
+    path.write_text(
+        '[parameters."controller.filter_bandwidth"]\nvalue = 1.5\nunit = "rad/s"\n'
+        '[parameters."controller.augmentation"]\nvalue = "none"\n'
+        '[parameters."plant.sensor_ideal"]\nvalue = true\n'
+    )
+    settings = ["controller.filter_bandwidth=2.5"]
+    changes = Changes.of_options(settings=settings, parameters=str(path))
+    loaded = chosen_scenario.load("nominal-extended", changes=changes)
+    given = loaded.experiment.parameters
+    names = "controller.filter_bandwidth", "controller.augmentation", "plant.sensor_ideal"
+    assert [given[name] for name in names] == [2.5, "none", True]
+    again = chosen_scenario.load(
+        "nominal-extended", changes=Changes.of_options(settings=_assignments(changes))
+    )
+    assert again.experiment == loaded.experiment
+
+
+def _assignments(changes: Changes) -> list[str]:
+    """Returns the arguments of --set among the options that make the changes."""
+    options = changes.options()
+    return [value for option, value in zip(options[::2], options[1::2], strict=True) if option == "--set"]
+
+
+def test_parameters_of_a_scenario_are_a_file(command: Command) -> None:
+    done = command("run", "nominal-l1", "--parameters", "gains", expect=1)
+    assert "--parameters gains: expected a file that ends in .toml, or an .ssp package" in done.stderr
+    done = command("run", "nominal-l1", "--parameters", "gains.toml", expect=1)
+    assert "no file gains.toml" in done.stderr
+
+
 @pytest.mark.parametrize("assignment", ["a.p", "=3", "a.p=", ""])
 def test_an_assignment_without_name_or_value_is_refused(assignment: str) -> None:
     with pytest.raises(ScenarioError, match=r"expected component\.variable=value or component=FMU"):

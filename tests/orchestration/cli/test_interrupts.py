@@ -36,6 +36,7 @@ AT_WORK = {
     "tune l1-pi --out .": "orchestration.score.tune_problem.problem_of",
     "compare --out .": "orchestration.score.compare.compare",
     "margins nominal-l1": "orchestration.margins.margins.judge",
+    "design --out .": "orchestration.design.rules.design_l1",
     "reproduce": "orchestration.scenarios.run_files.run_all",
     "identify": "orchestration.scenarios.identify.metric_units",
     "package nominal-l1": "orchestration.exchange.ssp_write.ramp_sources",

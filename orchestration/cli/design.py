@@ -1,0 +1,141 @@
+"""Command design: gains of L1, its extension and PID for a vehicle, by rules, checked over its ranges."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from orchestration.cli import shared
+from orchestration.cli.changes import CONTROLLER, PLANT, Changes, LoopMapOption, PlantOption
+from orchestration.errors import OrchestrationError, ScenarioError
+
+if TYPE_CHECKING:
+    from orchestration.design.check import Checked
+    from orchestration.design.rules import Conditions, Gain
+    from orchestration.scenarios.scenario import Scenario
+    from orchestration.score.vehicle import Vehicle
+
+PID = "PidDepthController"
+_RUNS = {"L1": ("nominal-l1", ""), "L1 with PI": ("nominal-extended", ""), "PID": ("nominal-extended", PID)}
+"""Title of a controller -> the scenario of its runs, and the controller in the place of the scenario's."""
+
+
+def design(
+    plant: PlantOption = "",
+    settings: Annotated[
+        list[str],
+        typer.Option("--set", metavar="NAME=VALUE", help="Set plant.variable=value: data of the vehicle."),
+    ] = [],  # noqa: B006  (Typer copies it)
+    mapped: LoopMapOption = [],  # noqa: B006
+    bandwidth: Annotated[
+        float,
+        typer.Option(metavar="RAD/S", help="Of A_m and of PID; by default the largest that fits.", min=0.0),
+    ] = 0.0,
+    phase_margin: Annotated[
+        float, typer.Option(metavar="DEG", help="Least phase margin in every corner.", min=1.0, max=80.0)
+    ] = 20.0,
+    draws: Annotated[
+        int, typer.Option(metavar="NUMBER", help="Run so many draws within the ranges, too.", min=0)
+    ] = 20,
+    seed: Annotated[int, typer.Option(metavar="NUMBER", help="Seed of the draws.", min=0)] = 1,
+    out: shared.OutFolder = Path("results"),
+) -> None:
+    """Design L1, its PI extension and PID for a vehicle, and check them in every corner of its ranges."""
+    from orchestration.design import check, parameter_file, rules, vehicle_data
+
+    changes = Changes.of_options("", settings, mapped, None, plant)
+    vehicle = _vehicle(changes)
+    drawn = vehicle_data.draws_of(vehicle)
+    data = vehicle_data.data_of(vehicle, drawn)
+    shared.check_writable(out)
+    scenarios = {title: _scenario(changes, *run) for title, run in _RUNS.items()}
+    conditions = replace(_conditions(scenarios["L1"]), phase_margin=phase_margin)
+    l1 = rules.design_l1(data, conditions, bandwidth)
+    pid = rules.design_pid(data, conditions, bandwidth)
+    l1_gains = parameter_file.l1_gains(l1, data, conditions)
+    pid_gains = parameter_file.pid_gains(pid, data)
+    gains = {"L1": l1_gains, "L1 with PI": l1_gains, "PID": pid_gains}
+    places = [*vehicle_data.corners(vehicle, drawn), *vehicle_data.drawn(drawn, seed, draws)]
+    with shared.progress("design", len(scenarios) * (len(places) + 1), 0.5) as bar:
+        checks = [
+            check.check(title, scenario, gains[title], places, bar.advance)
+            for title, scenario in scenarios.items()
+        ]
+    _print(l1_gains, pid_gains, checks, f"{data.name}: {len(places) - draws} corners, {draws} draws")
+    if failures := [line for one in checks for line in one.failures()]:
+        more = f"; {len(failures) - 1} more runs do not" if failures[1:] else ""
+        raise OrchestrationError(
+            f"{failures[0]}{more}: no file is written; expected a smaller --bandwidth, a larger "
+            "--phase-margin or narrower ranges in [vary.*]"
+        )
+    files = (("l1", l1_gains, l1, checks[:2]), ("pid", pid_gains, pid, checks[2:]))
+    for ending, own, made, of_it in files:
+        path = out / f"{data.name}-{ending}.toml"
+        parameter_file.write(path, own, made.phase, made.delay, of_it)
+        print(path)
+
+
+def _vehicle(changes: Changes) -> "Vehicle":
+    """Returns the vehicle that --plant names, by default that of the shipped base."""
+    from orchestration.cli.score import vehicle_of
+    from orchestration.score.vehicle import Vehicle
+
+    wrong = [name for name in changes.settings if "." in name and not name.startswith(f"{PLANT}.")]
+    wrong += [name for name in changes.mapping if name != PLANT]
+    if wrong or changes.components.keys() - {PLANT}:
+        raise ScenarioError(f"{(*wrong, 'component=FMU')[0]}: expected plant.NAME: controllers are designed")
+    vehicle = vehicle_of(changes) or Vehicle.of_base("vehicle")
+    values, _ = changes.of_component(PLANT)
+    return replace(vehicle, settings={f"{PLANT}.{name}": value for name, value in values.items()})
+
+
+def _scenario(changes: Changes, name: str, controller: str) -> "Scenario":
+    from orchestration.cli import chosen_scenario
+
+    others = {CONTROLLER: controller} if controller else {}
+    return chosen_scenario.load(name, changes=replace(changes, settings={**changes.settings, **others}))
+
+
+def _conditions(scenario: "Scenario") -> "Conditions":
+    """Returns the conditions that the trajectory and the step of a scenario set."""
+    import numpy as np
+
+    from orchestration.design.rules import Conditions
+    from orchestration.system.signals import values_at
+
+    times = scenario.experiment.time_grid()
+    reference = values_at(scenario.experiment.signals["controller.depth_reference"], times)
+    speed = np.abs(np.diff(reference) / np.diff(times)).max()
+    return Conditions(scenario.experiment.step_size, float(speed), float(np.abs(reference).max()))
+
+
+def _print(l1: "Sequence[Gain]", pid: "Sequence[Gain]", checks: "Sequence[Checked]", title: str) -> None:
+    """Prints the gains with their reasons, and what the runs gave."""
+    from rich.table import Table
+
+    from orchestration.design.parameter_file import TABLE
+
+    for name, gains in (("L1DepthController", l1), (PID, pid)):
+        table = Table("Parameter", "Value", "Unit", "Reason", title=name, title_justify="left")
+        for gain in (gain for gain in gains if not gain.name.startswith(TABLE)):
+            table.add_row(
+                gain.name,
+                str(gain.value) if gain.value is True else f"{gain.value:g}",
+                gain.unit,
+                gain.source.removeprefix("designed: "),
+            )
+        shared.print_table(table)
+    headings = "Controller", "RMSE [cm]", "Worst RMSE [cm]", "Worst settling [s]", "Settled", "Worst at"
+    table = Table(*headings, title=title, title_justify="left")
+    for row in _rows(checks):
+        table.add_row(*row)
+    shared.print_table(table)
+
+
+def _rows(checks: "Sequence[Checked]") -> Iterator[tuple[str, ...]]:
+    for one in checks:
+        settled = f"{len(one.rmse) - len(one.failed)} of {len(one.rmse)}"
+        numbers = one.rmse[0], one.rmse[one.worst], max(one.settling)
+        yield one.title, *(f"{number:.3g}" for number in numbers), settled, one.place(one.worst)

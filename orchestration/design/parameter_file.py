@@ -1,0 +1,145 @@
+"""The gains of a design with the reason of each, and the parameter file that holds them."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from fmus.files import write_text_atomically
+from orchestration.design import rules
+from orchestration.design.check import Checked
+from orchestration.design.rules import Conditions, Gain, L1Design, PidDesign, beta_of
+from orchestration.design.vehicle_data import Range, VehicleData
+
+TABLE = "thruster_table_"
+"""Beginning of the names of a table's points."""
+_DIGITS = 4  # what is written is what was run
+
+
+def l1_gains(design: L1Design, data: VehicleData, conditions: Conditions) -> list[Gain]:
+    """Returns the parameters of L1DepthController, for the paper's law and for its PI extension."""
+    w_m, (k_1, k_2), (k_p, k_i) = design.bandwidth, design.state_feedback, design.extension
+    q_1, q_2 = design.lyapunov_weight
+    ratio = design.inertia / data.inertia[0]
+    left = f"{design.phase:.3g} deg or {1e3 * design.delay:.0f} ms are left in the worst corner"
+    bound = rules.SIGMA * ratio * data.largest_weight
+    return [
+        *_model(data, design.inertia, design.damping),
+        *_observer(design.alpha, data, f"2 w_m + w = {2 * w_m + design.filter:.3g} rad/s", design.noise),
+        _gain("depth_feedback_gain", k_1, "N/m", f"M w_m^2, w_m = {w_m:.3g} rad/s; {left}"),
+        _gain("rate_feedback_gain", k_2, "N.s/m", f"2 M w_m - D, w_m = {w_m:.3g} rad/s"),
+        _gain(
+            "filter_bandwidth", design.filter, "rad/s",
+            f"smallest from w_m on with |G|_L1 L at most {rules.NORM:g}; here it is {design.norm:.3g}",
+        ),
+        _gain("lyapunov_weight[1]", q_1, "1", "w_m^2 / 9: the fast loop has damping 1.8 w_m"),
+        _gain("lyapunov_weight[2]", q_2, "1", "scale of P, which Gamma takes out"),
+        _gain(
+            "adaptation_gain", design.adaptation_gain, "1",
+            f"the fast loop makes {rules.TURN:g} of a turn in a sample of {data.period:g} s at "
+            f"{conditions.depth:.3g} m",
+        ),
+        _gain("theta_bound[1]", design.lipschitz, "N", f"L over the ranges: {_ranges(data)}"),
+        _gain(
+            "sigma_bound", bound, "N",
+            f"{rules.SIGMA:g} times the net weight, {_text(data.net_weight)} N, at the least inertia",
+        ),
+        _gain("proportional_gain", k_p, "N/m", f"M w_m^2 / 3: poles at 2 w_m / 3; {left}"),
+        _gain("integral_gain", k_i, "N/(m.s)", "8 M w_m^3 / 27: three poles at 2 w_m / 3"),
+    ]  # fmt: skip
+
+
+def pid_gains(design: PidDesign, data: VehicleData) -> list[Gain]:
+    """Returns the parameters of PidDepthController."""
+    w, (k_p, k_i, k_d) = design.bandwidth, design.gains
+    left = f"{design.phase:.3g} deg or {1e3 * design.delay:.0f} ms are left in the worst corner"
+    return [
+        *(gain for gain in _model(data, design.inertia, design.damping) if gain.name != "model_inertia"),
+        *_observer(design.alpha, data, f"3 w = {3 * w:.3g} rad/s", design.noise),
+        _gain("kp", k_p, "N/m", f"3 M w^2: three poles at w = {w:.3g} rad/s; {left}"),
+        _gain("ki", k_i, "N/(m.s)", f"M w^3, M = {design.inertia:.4g} kg"),
+        _gain("kd", k_d, "N.s/m", "3 M w - D"),
+    ]
+
+
+def _model(data: VehicleData, inertia: float, damping: float) -> list[Gain]:
+    thrust = f"of {data.name}, together {data.force_limit:.4g} N at {data.voltage_limit:.4g} V"
+    return [
+        _gain(
+            "model_inertia", inertia, "kg",
+            f"puts omega = thrust M / inertia about 1: {_text(data.inertia)} kg, thrust {_text(data.gain)}",
+        ),
+        _gain("model_damping", damping, "N.s/m", f"middle of {_text(data.damping)}, at most what A_m damps"),
+        *_thrusters(data, f"designed: {thrust}"),
+        _gain("voltage_limit", data.voltage_limit, "V", thrust),
+    ]  # fmt: skip
+
+
+def _thrusters(data: VehicleData, reason: str) -> list[Gain]:
+    """Returns the gain of each thruster, or the table in its place, point by point as the vehicle has it."""
+    if not data.table:
+        return [Gain(f"thruster_gain[{i}]", x, "N/V", reason) for i, x in enumerate(data.thruster_gain, 1)]
+    points = (("voltage", data.table.voltages, "V"), ("force", data.table.forces, "N"))
+    return [
+        Gain("thruster_tabulated", True, "1", "designed: the allocation inverts the table of the vehicle"),
+        *(Gain(f"thruster_scale[{i}]", x, "1", reason) for i, x in enumerate(data.table.scale, 1)),
+        *(
+            Gain(f"{TABLE}{name}[{i}]", x, unit, f"of {data.name}")
+            for name, values, unit in points
+            for i, x in enumerate(values, 1)
+        ),
+    ]
+
+
+def _observer(alpha: float, data: VehicleData, crossover: str, noise: float) -> list[Gain]:
+    return [
+        _gain(
+            "observer_alpha", alpha, "1",
+            f"takes {rules.OBSERVER_PHASE:g} deg at {crossover}; noise of the demand {noise:.2g} N",
+        ),
+        _gain("observer_beta", beta_of(alpha), "1", "alpha^2 / (2 - alpha), Benedict and Bordner (1962)"),
+        _gain("observer_period", data.period, "s", f"the sensor of {data.name}"),
+    ]  # fmt: skip
+
+
+def _gain(name: str, value: float, unit: str, reason: str) -> Gain:
+    return Gain(name, float(f"{value:.{_DIGITS}g}"), unit, f"designed: {reason}")
+
+
+def _text(ends: Range) -> str:
+    return f"{ends[0]:.4g}" if ends[0] == ends[1] else f"{ends[0]:.4g} to {ends[1]:.4g}"
+
+
+def _ranges(data: VehicleData) -> str:
+    return (
+        f"inertia {_text(data.inertia)} kg, damping {_text(data.damping)} N.s/m and "
+        f"{_text(data.drag)} N.s2/m2, thrust {_text(data.gain)}"
+    )
+
+
+def write(path: Path, gains: Sequence[Gain], phase: float, delay: float, checks: Sequence[Checked]) -> None:
+    """Writes a parameter file, with what the check gave."""
+    document: dict[str, Any] = {
+        "design": {
+            "phase_margin_deg": float(f"{phase:.{_DIGITS}g}"),
+            "delay_margin_s": float(f"{delay:.{_DIGITS}g}"),
+            "checked": [_checked(one) for one in checks],
+        },
+        "parameters": {
+            f"controller.{gain.name}": {"value": gain.value, "unit": gain.unit, "source": gain.source}
+            for gain in gains
+        },
+    }
+    write_text_atomically(path, tomli_w.dumps(document))
+
+
+def _checked(one: Checked) -> Mapping[str, Any]:
+    return {
+        "controller": one.title,
+        "runs": len(one.rmse),
+        "rmse_cm": round(one.rmse[0], 3),
+        "worst_rmse_cm": round(one.rmse[one.worst], 3),
+        "worst_settling_time_s": round(max(one.settling), 2),
+        "worst_place": one.place(one.worst),
+    }

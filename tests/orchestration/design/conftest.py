@@ -1,0 +1,63 @@
+"""Vehicles with the ranges that they ship with, and their designs."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import pytest
+
+from orchestration.design.rules import Conditions, L1Design, PidDesign, design_l1, design_pid
+from orchestration.design.vehicle_data import Draws, VehicleData, data_of, draws_of
+from orchestration.score.vehicle import Vehicle
+
+CONDITIONS = Conditions(step=0.02, speed=0.02, depth=0.8)  # of the paper's trajectory
+
+
+@dataclass(frozen=True)
+class Designed:
+    """A vehicle, what it varies, its data, and its designs."""
+
+    vehicle: Vehicle
+    draws: Draws
+    data: VehicleData
+    l1: L1Design
+    pid: PidDesign
+
+
+@cache
+def _designed(name: str) -> Designed:
+    vehicle = Vehicle.of(name)
+    draws = draws_of(vehicle)
+    data = data_of(vehicle, draws)
+    return Designed(vehicle, draws, data, design_l1(data, CONDITIONS), design_pid(data, CONDITIONS))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _built(scenario_fmus: None) -> None:
+    """The FMUs of the scenarios are built."""
+
+
+@pytest.fixture(scope="session")
+def designed(scenario_fmus: None) -> Callable[[str], Designed]:
+    """Returns the design for a block, made once."""
+    return _designed
+
+
+@pytest.fixture
+def conditions() -> Conditions:
+    return CONDITIONS
+
+
+@pytest.fixture
+def data(designed: Callable[[str], Designed]) -> VehicleData:
+    return designed("RovDepthPlant").data
+
+
+@pytest.fixture
+def l1(designed: Callable[[str], Designed]) -> L1Design:
+    return designed("RovDepthPlant").l1
+
+
+@pytest.fixture
+def pid(designed: Callable[[str], Designed]) -> PidDesign:
+    return designed("RovDepthPlant").pid
