@@ -26,6 +26,7 @@ def offer(monkeypatch: pytest.MonkeyPatch) -> object:
 def test_the_shipped_blocks_are_found() -> None:
     assert registry.block_names() == [
         "AdrcDepthController",
+        "BlueRov2Plant",
         "DepthReference",
         "ExamplePlant",
         "L1Controller",
@@ -33,9 +34,11 @@ def test_the_shipped_blocks_are_found() -> None:
         "MracDepthController",
         "PidDepthController",
         "RovDepthPlant",
+        "RovHeavePitchPlant",
         "SlidingModeDepthController",
         "SuperTwistingDepthController",
         "ThrustAllocation",
+        "WaveSource",
     ]
 
 
