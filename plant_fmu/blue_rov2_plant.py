@@ -51,6 +51,7 @@ _STARTS = {
 }
 
 BLOCK = heave_pitch_plant.BLOCK.with_starts(
+    __name__,
     "BlueRov2Plant",
     "Heave and pitch of a BlueROV2 Heavy, with T200 thrusters and a depth sensor",
     _STARTS,

@@ -39,6 +39,9 @@ pitch      sampled as the depth is, with white noise
         " period 2 pi sqrt(I / (W BG)) of a free oscillation, the damping from its decay.",
         "thruster_tabulated and thruster_transfer for a measured thruster; the lag acts before the transfer"
         " function, so set it to 0.",
+        "A step is one of the classical Runge-Kutta method of fourth order, exact in the lag. internal_step"
+        " is to resolve the poles of thruster_transfer: at 0.45 of the fastest, 5 ms for a T200, the force"
+        " after a jump of the voltage is within 0.03 % of the jump.",
     ),
     limits=(
         "Surge is neglected. Thrust F at a pitch of 0.1 rad pushes forward by 0.1 F: 0.12 N at the holding"

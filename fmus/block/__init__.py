@@ -221,10 +221,11 @@ class Block:
         return cls(name, description, **(parts | given))
 
     def with_starts(
-        self, name: str, description: str, starts: Mapping[str, tuple[Any, str]], **given: Any
+        self, module: str, name: str, description: str, starts: Mapping[str, tuple[Any, str]], **given: Any
     ) -> "Block":
         """Returns a block with the functions of this one and other start values of its parameters.
 
+        module: `__name__` of the module that defines it
         starts: parameter -> start value and its source
         given: other fields of the new block, guide=...
         Raises TypeError for a parameter that this block lacks.
@@ -239,7 +240,7 @@ class Block:
         parameters = make_dataclass(
             self.parameters.__name__, restarted, bases=(self.parameters,), frozen=True
         )
-        parameters.__module__ = self.parameters.__module__
+        parameters.__module__ = module
         return replace(self, name=name, description=description, parameters=parameters, **given)
 
     def _mistakes(self) -> Iterator[str]:

@@ -21,11 +21,11 @@ SHARED_BY_EVERY_FMU = ("fmus.build.slave",)
 
 
 def defined_as(block: Block) -> tuple[str, str]:
-    """Returns (module, name) under which a block can be imported, first in the module of its `output`.
+    """Returns (module, name) under which a block can be imported, first in the module that defines it.
 
     Raises ExportError for a block that no loaded module holds at its top level.
     """
-    for module in [block.output.__module__, *sys.modules]:
+    for module in [block.output.__module__, block.parameters.__module__, *sys.modules]:
         for name, value in getattr(sys.modules[module], "__dict__", {}).items():
             if value is block:
                 return module, name

@@ -190,7 +190,9 @@ def test_start_values_of_numpy_become_numbers_of_python() -> None:
 
 
 def test_a_block_with_other_start_values_is_a_block_of_its_own() -> None:
-    other = BLOCK.with_starts("Other", "Another", {"internal_step": (0.5, "measured")}, stop_time=9.0)
+    other = BLOCK.with_starts(
+        __name__, "Other", "Another", {"internal_step": (0.5, "measured")}, stop_time=9.0
+    )
     assert (other.name, other.description, other.stop_time, BLOCK.name) == ("Other", "Another", 9.0, "Tiny")
     assert BLOCK.variables[0].start == 0.1
     changed = {"start": 0.5, "source": "measured"}
@@ -202,4 +204,4 @@ def test_a_start_value_of_an_unknown_parameter_is_refused_with_the_nearest() -> 
     with pytest.raises(
         TypeError, match="block 'Other': no parameter 'internal_stop'; nearest is 'internal_step'"
     ):
-        BLOCK.with_starts("Other", "", {"internal_stop": (0.5, "")})
+        BLOCK.with_starts(__name__, "Other", "", {"internal_stop": (0.5, "")})
