@@ -48,6 +48,7 @@ DEFAULT_TIMEOUT_S = 30.0
 _RANDOM_RUNS = "runs-are-not-random"
 _STEPS = "steps-and-terminates"
 _FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs
+_OF_CALLS = "allowed-calls-succeed", "statuses-are-legal"  # by what they find, others are not judged
 _AFTER_OTHERS = "instances-follow-each-other"
 _MOST_HANGS, _MOST_SLOW = 3, 20  # then the rest is not judged: it would take minutes
 _NAMES = {CO_SIMULATION: "co-simulation", MODEL_EXCHANGE: "model exchange"}
@@ -147,7 +148,12 @@ def _in_order(chosen: Sequence[Rule], applicable: Mapping[str, Rule]) -> list[Ru
                 add(need)
             ordered[name] = applicable[name]
 
-    for name in (*FUNDAMENTAL, _AFTER_OTHERS, *sorted(names, key=lambda name: applicable[name].last)):
+    for name in (
+        *FUNDAMENTAL,
+        _AFTER_OTHERS,
+        *_OF_CALLS,
+        *sorted(names, key=lambda name: applicable[name].last),
+    ):
         add(name)
     return list(ordered.values())
 

@@ -166,6 +166,9 @@ class ModelExchangeInstance(CalledInstance):
             vectors += [self._state_vectors()] if observed else []
         self._note("values")
         last = infos[-1]
+        if observed:
+            last = self._checked(self.new_discrete_states)  # which has nothing to do
+            self._note("again")
         self._next_event = last["nextEventTime"] if last["nextEventTimeDefined"] else math.inf
 
     def _note(self, when: str) -> None:
@@ -216,7 +219,7 @@ class ModelExchangeInstance(CalledInstance):
                 if self._events:
                     self._events[-1].setdefault("completed", []).append([x, self._read(_STATES)])
             if is_crossing and self._events:
-                self._events[-1]["crossing"] = [before, z]
+                self._events[-1]["crossing"] = [before, z, self._read(_INDICATORS)]
             if enter or is_crossing:
                 return t, "step event" if enter else "state event"
             if t < end:

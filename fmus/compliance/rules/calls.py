@@ -27,7 +27,7 @@ from fmus.compliance.rules.call_table import (
 )
 from fmus.compliance.script import KINDS
 from fmus.compliance.values import INTERPOLATES, unless_claimed
-from fmus.fmi.binding import DISCARD, ERROR, FATAL, LAST_SUCCESSFUL_TIME, TERMINATED
+from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME, TERMINATED
 
 _STATES = "4.2.4 State Machine of Calling Sequence from Master to Slave"
 _MACHINE = "3.2.3 State Machine of Calling Sequence"
@@ -50,18 +50,17 @@ def allowed_calls_succeed(probe: Probe) -> Iterator[str]:
     """The functions that the FMU supports succeed in the states, instantiated to terminated, that allow
     them.
     """
-    for reply in tour(probe).replies:
-        if reply.status in (ERROR, FATAL):  # of other statuses `statuses-are-legal` tells
-            yield f"in the state {reply.state!r}: {reply.problem}"
-            return  # what follows in this instance has the same cause
+    for reply in tour(probe).failed:  # of other statuses `statuses-are-legal` tells
+        probe.note_failure(reply, "allowed-calls-succeed")
+        yield f"in the state {reply.state!r}: {reply.problem}"
 
 
 @call_rule(_STATES, SUCCESS)
 def reset_in_every_state(_: Probe) -> Iterator[Ask]:
-    """fmi2Reset is allowed when instantiated, in initialization mode, while stepping and after
-    fmi2Terminate.
+    """fmi2Reset is allowed when instantiated, in initialization mode, while stepping, after fmi2Terminate and
+    after an error.
     """
-    return (Ask(state, (do.reset, do.begin, do.step())) for state in "IMCEKT")
+    return (Ask(state, (do.reset, do.begin, do.step())) for state in "IMCEKTD")
 
 
 @behaviour_rule(_STATES)
@@ -75,19 +74,19 @@ def frees_in_every_state(probe: Probe) -> Iterator[str]:
     yield from ()
 
 
-@call_rule(_MACHINE, SUCCESS, needs="allowed-calls-succeed", interface=MODEL_EXCHANGE)
+@call_rule(_MACHINE, SUCCESS, interface=MODEL_EXCHANGE)
 def event_mode_is_entered_from_itself(_: Probe) -> Iterator[Ask]:
     """fmi2EnterEventMode succeeds in event mode too, as the table of 3.2.3 has it."""
     yield Ask("E", (do.plain("fmi2EnterEventMode"), do.call("new_discrete_states")))
 
 
-@call_rule(_MACHINE, SUCCESS, needs="allowed-calls-succeed", interface=MODEL_EXCHANGE)
+@call_rule(_MACHINE, SUCCESS, interface=MODEL_EXCHANGE)
 def vectors_are_given_in_every_state(probe: Probe) -> Iterator[Ask]:
     """Vectors can be read in initialization mode and when terminated, nominal values also before."""
     return (Ask(state, [*vectors(probe, state)]) for state in "IMT")
 
 
-@call_rule(_STATES, SUCCESS, condition=unless_claimed(INTERPOLATES), needs="allowed-calls-succeed")
+@call_rule(_STATES, SUCCESS, condition=unless_claimed(INTERPOLATES), needs="input-derivatives")
 def input_derivatives_when_instantiated(_: Probe) -> Iterator[Ask]:
     """Derivatives of inputs can be set when instantiated: 4.2.4 allows it, although 4.2.1 gives them the
     restrictions of fmi2SetReal, which cannot set inputs there.
@@ -95,7 +94,7 @@ def input_derivatives_when_instantiated(_: Probe) -> Iterator[Ask]:
     yield Ask("I", (do.set_derivatives(0.0), do.begin, do.step()))
 
 
-@differential("advice: an empty call has nothing to refuse", needs="allowed-calls-succeed")
+@differential("advice: an empty call has nothing to refuse")
 def empty_calls_succeed(probe: Probe) -> Iterator[Row]:
     """Getting or setting no variables, with NULL for both arrays, succeeds and changes nothing."""
     set_nothing, get_nothing = (
@@ -188,6 +187,7 @@ def discarded_steps_have_a_last_time(probe: Probe) -> Iterator[str]:
     script = probe.script(logging=True).begin().step(number + 1)
     time = script.call("status_of", "Real", LAST_SUCCESSFUL_TIME)
     terminated = script.call("status_of", "Boolean", TERMINATED)
+    present = script.read(v for v in probe.fmu.variables if v.causality == "independent")
     with suppress(NotJudgedError):  # that a step is discarded
         script.play(keep_going=True)
     start, end = probe.point(number), probe.point(number + 1)
@@ -198,6 +198,10 @@ def discarded_steps_have_a_last_time(probe: Probe) -> Iterator[str]:
             yield f"after a discarded step {reply.function} {reply.status_name}: expected ok or discard"
     if time.ok and not start - rounding <= time.value < end - rounding:
         yield f"{step} is discarded, and fmi2LastSuccessfulTime is {time.value:g} s"
+    for name, t in present.values.items() if time.ok and present.ok else ():
+        if abs(t - time.value) > rounding:
+            last = f"{time.value:g} s, fmi2LastSuccessfulTime"
+            yield f"{step} is discarded, and {name} is {t:g} s: expected {last}"
     if terminated.ok and terminated.value not in (0, 1):
         yield f"after a discarded step fmi2Terminated is {terminated.value}: expected 0 or 1, a Boolean"
     if script.failure and not script.failure.messages:

@@ -125,7 +125,7 @@ def _output_slopes(probe: Probe, part: float = 1.0) -> dict[str, Slopes]:
     }
 
 
-@_rule_of_outputs(_TRANSFER, needs="allowed-calls-succeed communication-points-may-be-rounded")
+@_rule_of_outputs(_TRANSFER, needs="communication-points-may-be-rounded")
 def output_derivatives(probe: Probe) -> Iterator[str]:
     """After a step the derivatives of continuous Real outputs can be read, of each order that is claimed."""
     _outputs(probe)
@@ -208,7 +208,7 @@ def _read_alone(outputs: Sequence[Variable], orders: Sequence[int]) -> Action:
 _rule_of_inputs = partial(behaviour_rule, _TRANSFER, _INTERPOLATES)
 
 
-@differential(_TRANSFER, condition=_INTERPOLATES, needs="allowed-calls-succeed")
+@differential(_TRANSFER, condition=_INTERPOLATES)
 def input_derivatives(_: Probe) -> Iterator[Row]:
     """The first derivative of every continuous Real input can be set before a step; zero, also after
     another value, changes nothing."""

@@ -42,7 +42,7 @@ def _overwritten(probe: Probe) -> Script:
     return do.played(probe, [*actions, do.call("used_traps")], name=_NAME, overwritten=True, logging=True)
 
 
-@behaviour_rule(_CREATION, needs="reset-in-every-state allowed-calls-succeed statuses-are-legal")
+@behaviour_rule(_CREATION, needs="reset-in-every-state")
 def arguments_of_instantiation_are_copied(probe: Probe) -> Iterator[str]:
     """Name, GUID and resource location are not used after fmi2Instantiate returned; a long name is kept
     whole.

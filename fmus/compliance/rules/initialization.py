@@ -43,8 +43,10 @@ def reset_gives_the_start_values(probe: Probe) -> Iterator[Row]:
     """After other values, a stop time, changed inputs, steps and fmi2Reset, start values are back, and every
     variable is in the same steps as in a new instance.
     """
-    varied = do.begin, do.step(5), do.reset, do.begin, do.run(5)
-    yield Row("after fmi2Reset", varied, tolerance=OF_EXPERIMENT)
+    usual = do.begin, do.read_all(), do.run_all(5)
+    for stop, words in (((do.step(5),), ""), ((do.step(), do.fail), "an error and ")):
+        when, varied = f"after {words}fmi2Reset", (do.start, *stop, do.reset, *usual)
+        yield Row(when, varied, usual, tolerance=OF_EXPERIMENT)
     others = do.set_others(values.settable_before(probe.fmu))
     yield from _rows_of_starts(probe, "after other values and fmi2Reset", others, do.reset)
     stepping = do.set_others(values.settable_while_stepping(probe.fmu)), do.step(), do.set_derivatives()

@@ -19,11 +19,11 @@ _rule_of_states = partial(differential, _CLAUSE, condition=_saves)
 def _restored(probe: Probe, tolerance: float | None) -> Row:
     """Returns the row of a state that is set back once."""
     end = do.read(probe.outputs, _SET_BACK), do.run(5)
-    varied = do.begin, do.step(2), do.save(), do.expect(*end), do.restore(), *end
+    varied = do.start, do.step(2), do.save(), do.expect(*end), do.restore(), *end
     return Row("from the state that was set back", varied, (), "", tolerance)
 
 
-@_rule_of_states(needs="communication-points-may-be-rounded allowed-calls-succeed")
+@_rule_of_states(needs="communication-points-may-be-rounded")
 def state_restores(probe: Probe) -> Iterator[Row]:
     """A state that is set back gives the same outputs at once and in the steps that follow, up to
     the tolerance of the default experiment: a solver may begin anew.
@@ -37,9 +37,7 @@ def state_restores_exactly(probe: Probe) -> Iterator[Row]:
     yield _restored(probe, 0.0)
 
 
-@_rule_of_states(
-    needs="state-restores state-can-be-saved-often allowed-calls-succeed questions-change-nothing"
-)
+@_rule_of_states(needs="state-restores state-can-be-saved-often questions-change-nothing")
 def state_holds_the_mode(probe: Probe) -> Iterator[Row]:
     """A state holds internal status information: saved and set back when instantiated or in initialization
     mode, with what was set there; set back while stepping, one of initialization mode is in that mode.
@@ -56,9 +54,7 @@ def state_holds_the_mode(probe: Probe) -> Iterator[Row]:
     yield Row("from a state of initialization mode", (*first, *again), (), failing, OF_EXPERIMENT)
 
 
-@_rule_of_states(
-    needs="state-restores allowed-calls-succeed state-holds-the-mode step-beyond-the-stop-time-is-an-error"
-)
+@_rule_of_states(needs="state-restores state-holds-the-mode step-beyond-the-stop-time-is-an-error")
 def state_restores_after_the_end(probe: Probe) -> Iterator[Row]:
     """A state can be set back after fmi2Terminate and after an error, and steps go on from it, up to the stop
     time.
@@ -78,7 +74,7 @@ def state_restores_after_the_end(probe: Probe) -> Iterator[Row]:
 def state_can_be_saved_often(_: Probe) -> Iterator[Row]:
     """Several states are kept at a time, each its own; one that is given again is written over."""
     varied = (
-        do.begin, do.save(), do.expect(do.run(3)), do.save(1),
+        do.start, do.save(), do.expect(do.run(3)), do.save(1),
         do.restore(), do.run(3, "from the older of two states"),
         do.restore(), do.save(1), do.run(3, "after a state was written over"),
         do.restore(1), do.run(3, "from the state that was written over"),
@@ -109,7 +105,7 @@ def state_holds_every_value(probe: Probe) -> Iterator[Row]:
     state gives all variables again, at once and in the steps that follow, as if it had not been saved.
     """
     pairs = do.others_accepted(probe, values.settable_while_stepping(probe.fmu), do.begin, do.step())
-    moving = do.begin, do.step(), do.set_values(pairs), do.set_derivatives(), do.step(), do.set_derivatives()
+    moving = do.start, do.step(), do.set_values(pairs), do.set_derivatives(), do.step(), do.set_derivatives()
     slopes = values.continuous_reals(probe, "output") if probe.fmu.output_derivative_order else []
     end = do.read_all(_SET_BACK), do.read_slopes(slopes, _SET_BACK), do.run_all(3)
     back = do.set_derivatives(0.0), do.set_values(values.start_values(v for v, _ in pairs)), do.step(2)
@@ -121,7 +117,7 @@ def state_holds_every_value(probe: Probe) -> Iterator[Row]:
 @behaviour_rule(
     _CLAUSE,
     condition=_serialises,
-    needs="state-holds-every-value strings-are-copied inputs-that-are-set-are-read allowed-calls-succeed",
+    needs="state-holds-every-value strings-are-copied inputs-that-are-set-are-read",
 )
 def serialised_state_restores(probe: Probe) -> Iterator[str]:
     """Bytes of a state with other values, that was freed, give all variables again in an instance with start
@@ -146,30 +142,18 @@ def serialised_state_restores(probe: Probe) -> Iterator[str]:
     first = do.attempt(do.begin, do.step(), do.expect(do.read_all()))
     varied = first, do.read_bytes(source), do.read_all(still), do.restore(), do.read_all(), do.run_all(3)
     when = "from bytes in another instance"
-    yield from differences(probe, [Row(when, (*varied, do.free_state()), usual, tolerance=OF_EXPERIMENT)])
+    rows = [Row(when, (*varied, do.free_state()), usual, tolerance=OF_EXPERIMENT)]
+    again = do.copy(0, 1), do.free_state(), do.step(), do.restore(1), do.read_all(), do.run_all(3)
+    varied = do.start, do.step(2), do.save(), do.expect(do.read_all(), do.run_all(3)), *again
+    yield from differences(probe, [*rows, Row("from bytes", varied, (), tolerance=OF_EXPERIMENT)])
 
 
 @_rule_of_states(needs="state-restores state-holds-the-mode reset-in-every-state")
 def state_can_be_set_after_reset(_: Probe) -> Iterator[Row]:
     """A state that was saved before fmi2Reset can be set after it, and the steps that follow are the same."""
-    varied = do.begin, do.step(2), do.save(), do.expect(do.run(3)), do.reset, do.restore(), do.run(3)
+    varied = do.start, do.step(2), do.save(), do.expect(do.run(3)), do.reset, do.restore(), do.run(3)
     failing = "with a state from before fmi2Reset"
     yield Row("from a state from before fmi2Reset", varied, (), failing, OF_EXPERIMENT)
-
-
-@_rule_of_states(needs="state-restores-exactly state-can-be-saved-often serialised-state-restores")
-def state_restores_over_the_experiment(probe: Probe) -> Iterator[Row]:
-    """A state of the middle of the default experiment, and its copy by bytes, give all variables again up to
-    the stop time, as far as steps take a second.
-    """
-    half, copied = probe.steps_of_experiment // 2, probe.fmu.claims(_SERIALISES)
-    t = f"{probe.point(half):g} s"
-    first = do.attempt(do.begin, do.go_on(half), do.save(), do.expect(do.go_on_reading(half, 5)))
-    again = do.restore(), do.go_on_reading(half, 5, f"from a state of {t} that was set back")
-    by_bytes = do.copy(0, 1), do.restore(1), do.go_on_reading(half, 5, f"from bytes of a state of {t}")
-    yield Row(
-        f"from a state of {t}", (first, *again, *(by_bytes if copied else ())), (), tolerance=OF_EXPERIMENT
-    )
 
 
 @differential(
@@ -179,11 +163,11 @@ def state_restores_over_the_experiment(probe: Probe) -> Iterator[Row]:
 )
 def flag_keeps_the_states_of_the_present(_: Probe) -> Iterator[Row]:
     """After a step with noSetFMUStatePriorToCurrentPoint, a state of its beginning can be set."""
-    varied = do.begin, do.step(2), do.save(), do.step(no_going_back=True), do.restore(), do.step()
+    varied = do.start, do.step(2), do.save(), do.step(no_going_back=True), do.restore(), do.step()
     yield Row("after noSetFMUStatePriorToCurrentPoint", varied)
 
 
-@differential("2.1.7 Getting and Setting Variable Values", needs="allowed-calls-succeed")
+@differential("2.1.7 Getting and Setting Variable Values", needs="derivatives-have-no-history")
 def questions_change_nothing(probe: Probe) -> Iterator[Row]:
     """Reading values and derivatives, or saving a state, changes nothing in the steps that follow."""
     outputs, inputs = (values.references_of(values.continuous_reals(probe, c)) for c in ("output", "input"))
@@ -193,7 +177,7 @@ def questions_change_nothing(probe: Probe) -> Iterator[Row]:
         asked.append(do.call("output_derivatives", outputs, 1))
     if outputs and inputs and probe.fmu.claims("providesDirectionalDerivative"):
         asked.append(do.call("directional_derivatives", outputs, inputs, [1.0] * len(inputs)))
-    varied = do.begin, *(do.set_derivatives(), *saved, do.step(), *asked, *saved, do.read_all()) * 4
+    varied = do.start, *(do.set_derivatives(), *saved, do.step(), *asked, *saved, do.read_all()) * 4
     when = "where values and derivatives are read more often"
-    usual = do.begin, *(do.set_derivatives(), do.run_all(1)) * 4
+    usual = do.start, *(do.set_derivatives(), do.run_all(1)) * 4
     yield Row(when, varied, usual, tolerance=OF_EXPERIMENT, may_fail=True)

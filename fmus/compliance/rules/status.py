@@ -36,7 +36,10 @@ def statuses_are_legal(probe: Probe) -> Iterator[str]:
     """Discard and pending come only from functions that may return them; every status is one of
     fmi2Status.
     """
-    yield from _illegal(probe, tour(probe).replies)
+    for reply in tour(probe).script.replies:
+        for message in _illegal(probe, [reply]):
+            probe.note_failure(reply, "statuses-are-legal")
+            yield message
 
 
 @behaviour_rule(
@@ -54,7 +57,7 @@ def refusals_have_legal_statuses(probe: Probe) -> Iterator[str]:
 
 def _refused(probe: Probe) -> list[Reply]:
     """Replies with logging that are warning, discard or error, without discarded steps: these have a rule."""
-    replies = [*probe.refusals, *tour(probe).replies]
+    replies = [*probe.refusals, *tour(probe).script.replies, *tour(probe).failed]
     refused = [reply for reply in replies if reply.status not in (None, OK, PENDING)]
     return [r for r in refused if not r.reason and (not r.is_step or r.status != DISCARD)]
 

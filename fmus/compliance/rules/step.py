@@ -20,6 +20,7 @@ _SETUP = "2.1.6 Initialization, Termination, and Resetting an FMU (fmi2SetupExpe
 _COMPUTATION = "4.2.2 Computation (fmi2DoStep)"
 _FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
 _ANY_STEP = "canHandleVariableCommunicationStepSize"
+_LAST_TIME = "status_of", "Real", LAST_SUCCESSFUL_TIME
 _MORE_STEPS = (13, 47, 211)  # instead of two: for each internal step from the usual size to a hundredth
 _APART = 0.4  # of the change over two steps: a rough solver, but not half a step
 
@@ -86,7 +87,9 @@ def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
 
 def _times(probe: Probe, v: Variable) -> Iterator[tuple[float, Reading]]:
     """Yields communication points with readings of a variable, up to a call that fails."""
-    factors = (1.0, 2.0, 3.0) if probe.fmu.claims(_ANY_STEP) else (1.0, 1.0, 1.0)
+    # a slave of fixed internal steps may be behind after a fraction
+    exchanged = (1.0, 2.0, 0.30901699) if probe.fmu.is_model_exchange else (1.0, 1.0, 1.0)
+    factors = (1.0, 2.0, 3.0) if probe.fmu.claims(_ANY_STEP) else exchanged
     tolerance = LARGE_TOLERANCE if run_with_tolerance(probe).succeeded else None
     for start in (probe.start_time, probe.start_time + 3 * probe.step_size):
         script, t = probe.script(), start
@@ -104,6 +107,13 @@ def _times(probe: Probe, v: Variable) -> Iterator[tuple[float, Reading]]:
         script.play(keep_going=True)
         for _, reading, t in itertools.takewhile(lambda row: row[0].ok and row[1].ok, rows):
             yield t, reading
+    script = probe.script(do.forbidden).initialise(
+        probe.point(3)
+    )  # 4.2.4 does not list it among what is read
+    reading = script.read([v])
+    script.play(keep_going=True)
+    if reading.ok:
+        yield probe.point(3), reading
     with suppress(NotApplicableError, NotJudgedError):  # then the times before are judged alone
         whole = do.over_the_experiment(probe)
         count = len(whole.observed)
@@ -128,9 +138,9 @@ def communication_points_may_be_rounded(probe: Probe) -> Iterator[str]:
 def no_set_state_flag_changes_nothing(probe: Probe) -> Iterator[Row]:
     """noSetFMUStatePriorToCurrentPoint = fmi2True is accepted, and the values are the same."""
     read = do.read([v for v in probe.fmu.variables if v.causality != "independent"])
-    varied = do.begin, *(do.step(no_going_back=True), read) * 3
+    varied = do.start, *(do.step(no_going_back=True), read) * 3
     when = "with noSetFMUStatePriorToCurrentPoint"
-    yield Row(when, varied, (do.begin, *(do.step(), read) * 3), failing="")
+    yield Row(when, varied, (do.start, *(do.step(), read) * 3), failing="")
 
 
 @behaviour_rule(f"{_FLAGS}: {_ANY_STEP}", condition=unless_claimed(_ANY_STEP))
@@ -141,7 +151,7 @@ def variable_step_size(probe: Probe) -> Iterator[str]:
     for factor in (1.0, 0.5, 2.0, 0.25, 1.5):
         script.call("do_step", ends[-1], factor * probe.step_size)
         ends.append(ends[-1] + factor * probe.step_size)
-    last = script.call("status_of", "Real", LAST_SUCCESSFUL_TIME)
+    last = script.call(*_LAST_TIME)
     script.play(keep_going=True)
     failure = script.failure if script.failure is not last else None
     if failure is None:
