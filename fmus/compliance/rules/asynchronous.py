@@ -8,12 +8,11 @@ from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.values import differing, if_not_claimed, is_utf_8, unless_claimed
 from fmus.fmi.binding import OK, WARNING, status_name
 
-_COMPUTATION = "4.2.2 Computation (fmi2DoStep)"
 _ASYNCHRONOUS = "canRunAsynchronuously"
 _PENDING_STATUS = 1  # fmi2StatusKind
 
 
-@behaviour_rule(_COMPUTATION, condition=if_not_claimed(_ASYNCHRONOUS), interface=CO_SIMULATION)
+@behaviour_rule("4.2.2", condition=if_not_claimed(_ASYNCHRONOUS), interface=CO_SIMULATION)
 def steps_are_not_pending(probe: Probe) -> Iterator[str]:
     """Without canRunAsynchronuously, fmi2DoStep does not return pending."""
     script = probe.script(logging=True).begin()
@@ -23,9 +22,7 @@ def steps_are_not_pending(probe: Probe) -> Iterator[str]:
         yield "fmi2DoStep returned pending: expected that only with canRunAsynchronuously"
 
 
-@behaviour_rule(
-    "2.1.5 Creation, Destruction and Logging of FMU Instances", condition=unless_claimed(_ASYNCHRONOUS)
-)
+@behaviour_rule("2.1.5", condition=unless_claimed(_ASYNCHRONOUS))
 def step_finished_is_called(probe: Probe) -> Iterator[str]:
     """After a pending step, perhaps also after others, the callback stepFinished is called once; without it
     fmi2GetStatus tells the step's end.
@@ -54,7 +51,7 @@ def step_finished_is_called(probe: Probe) -> Iterator[str]:
         yield f"without stepFinished: {fewest.failure.problem}"
 
 
-@behaviour_rule("4.2.3 Retrieving Status Information from the Slave", condition=unless_claimed(_ASYNCHRONOUS))
+@behaviour_rule("4.2.3", condition=unless_claimed(_ASYNCHRONOUS))
 def status_of_a_pending_step_is_given(probe: Probe) -> Iterator[str]:
     """While a step is pending, fmi2GetStatus returns ok and gives pending, or the status of the step that has
     ended; a text of fmi2PendingStatus is UTF-8.

@@ -29,11 +29,6 @@ from fmus.compliance.script import KINDS
 from fmus.compliance.values import INTERPOLATES, unless_claimed
 from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME, TERMINATED
 
-_STATES = "4.2.4 State Machine of Calling Sequence from Master to Slave"
-_MACHINE = "3.2.3 State Machine of Calling Sequence"
-_STATUS = "4.2.3 Retrieving Status Information from the Slave"
-_COMPUTATION = "4.2.2 Computation (fmi2DoStep)"
-_REFERENCES = "2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)"
 _NOTHING = {"Real": 0.0, "Integer": 0, "Boolean": 0, "String": ""}
 _STATUS_KINDS = {  # fmi2StatusKind -> its name, and the type of its function
     0: ("fmi2DoStepStatus", ""),
@@ -45,7 +40,7 @@ _STATUS_KINDS = {  # fmi2StatusKind -> its name, and the type of its function
 # what a state allows
 
 
-@behaviour_rule(_STATES, needs="variables-can-be-read")
+@behaviour_rule("4.2.4")
 def allowed_calls_succeed(probe: Probe) -> Iterator[str]:
     """The functions that the FMU supports succeed in the states, instantiated to terminated, that allow
     them.
@@ -55,7 +50,7 @@ def allowed_calls_succeed(probe: Probe) -> Iterator[str]:
         yield f"in the state {reply.state!r}: {reply.problem}"
 
 
-@call_rule(_STATES, SUCCESS)
+@call_rule("4.2.4", SUCCESS)
 def reset_in_every_state(_: Probe) -> Iterator[Ask]:
     """fmi2Reset is allowed when instantiated, in initialization mode, while stepping, after fmi2Terminate and
     after an error.
@@ -63,7 +58,7 @@ def reset_in_every_state(_: Probe) -> Iterator[Ask]:
     return (Ask(state, (do.reset, do.begin, do.step())) for state in "IMCEKTD")
 
 
-@behaviour_rule(_STATES)
+@behaviour_rule("4.2.4")
 def frees_in_every_state(probe: Probe) -> Iterator[str]:
     """fmi2FreeInstance is allowed when instantiated, in initialization mode, while stepping and after
     fmi2Terminate.
@@ -74,19 +69,19 @@ def frees_in_every_state(probe: Probe) -> Iterator[str]:
     yield from ()
 
 
-@call_rule(_MACHINE, SUCCESS, interface=MODEL_EXCHANGE)
+@call_rule("3.2.3", SUCCESS, interface=MODEL_EXCHANGE)
 def event_mode_is_entered_from_itself(_: Probe) -> Iterator[Ask]:
     """fmi2EnterEventMode succeeds in event mode too, as the table of 3.2.3 has it."""
     yield Ask("E", (do.plain("fmi2EnterEventMode"), do.call("new_discrete_states")))
 
 
-@call_rule(_MACHINE, SUCCESS, interface=MODEL_EXCHANGE)
+@call_rule("3.2.3", SUCCESS, interface=MODEL_EXCHANGE)
 def vectors_are_given_in_every_state(probe: Probe) -> Iterator[Ask]:
     """Vectors can be read in initialization mode and when terminated, nominal values also before."""
     return (Ask(state, [*vectors(probe, state)]) for state in "IMT")
 
 
-@call_rule(_STATES, SUCCESS, condition=unless_claimed(INTERPOLATES), needs="input-derivatives")
+@call_rule("4.2.4", SUCCESS, condition=unless_claimed(INTERPOLATES))
 def input_derivatives_when_instantiated(_: Probe) -> Iterator[Ask]:
     """Derivatives of inputs can be set when instantiated: 4.2.4 allows it, although 4.2.1 gives them the
     restrictions of fmi2SetReal, which cannot set inputs there.
@@ -151,7 +146,7 @@ def _forbidden_values(probe: Probe) -> Iterator[Ask]:
         yield from (Ask(state, [do.set_values([(v, x)])], words) for state in "CE")
 
 
-@call_rule(_REFERENCES, AN_ERROR)
+@call_rule("2.1.2", AN_ERROR)
 def wrong_references_are_refused(probe: Probe) -> Iterator[Ask]:
     """A value reference that no variable has is an error to read and to set, also for derivatives; the
     instance is freed then.
@@ -167,7 +162,7 @@ def wrong_references_are_refused(probe: Probe) -> Iterator[Ask]:
     return (Ask(state, [action], words) for states, action in calls for state in states)
 
 
-@call_rule(_REFERENCES, AN_ERROR)
+@call_rule("2.1.2", AN_ERROR)
 def constants_cannot_be_set(probe: Probe) -> Iterator[Ask]:
     """Setting a constant is an error."""
     constants = [v for v in probe.fmu.variables if v.variability == "constant"]
@@ -178,7 +173,7 @@ def constants_cannot_be_set(probe: Probe) -> Iterator[Ask]:
 # steps that are discarded or canceled
 
 
-@behaviour_rule(_COMPUTATION, interface=CO_SIMULATION)
+@behaviour_rule("4.2.2", interface=CO_SIMULATION)
 def discarded_steps_have_a_last_time(probe: Probe) -> Iterator[str]:
     """After a discarded step, fmi2LastSuccessfulTime, if given, lies in that step, before its end, and
     fmi2Terminated is a Boolean.
@@ -208,7 +203,7 @@ def discarded_steps_have_a_last_time(probe: Probe) -> Iterator[str]:
         yield f"{step} was discarded and nothing was logged: expected the reason"
 
 
-@call_rule(_STATES, SUCCESS, needs="reset-in-every-state variables-can-be-read", interface=CO_SIMULATION)
+@call_rule("4.2.4", SUCCESS, interface=CO_SIMULATION)
 def discarded_steps_can_be_left(probe: Probe) -> Iterator[Ask]:
     """After a step was discarded variables can be read, and fmi2Terminate, fmi2Reset and, if it is
     supported, fmi2SetFMUstate succeed.
@@ -219,7 +214,7 @@ def discarded_steps_can_be_left(probe: Probe) -> Iterator[Ask]:
         yield Ask("F", [do.restore()])
 
 
-@call_rule(_COMPUTATION, SUCCESS, condition=unless_claimed("canRunAsynchronuously"))
+@call_rule("4.2.2", SUCCESS, condition=unless_claimed("canRunAsynchronuously"))
 def cancelled_step_can_be_left(probe: Probe) -> Iterator[Ask]:
     """A pending step can be cancelled; fmi2Reset and fmi2SetFMUstate are allowed then."""
     cancel = do.plain("fmi2CancelStep")
@@ -228,7 +223,7 @@ def cancelled_step_can_be_left(probe: Probe) -> Iterator[Ask]:
         yield Ask("P", (cancel, do.restore(), do.step()))
 
 
-@call_rule(_COMPUTATION, REFUSAL, condition=unless_claimed("canRunAsynchronuously"))
+@call_rule("4.2.2", REFUSAL, condition=unless_claimed("canRunAsynchronuously"))
 def cancelled_step_ends_stepping(probe: Probe) -> Iterator[Ask]:
     """After fmi2CancelStep no step is accepted."""
     yield Ask("X", [do.call("do_step", probe.start_time, probe.step_size)])
@@ -237,7 +232,7 @@ def cancelled_step_ends_stepping(probe: Probe) -> Iterator[Ask]:
 # what fmi2GetXXXStatus returns
 
 
-@call_rule(_STATUS, KNOWN_OR_NOT, needs="discarded-steps-have-a-last-time", interface=CO_SIMULATION)
+@call_rule("4.2.3", KNOWN_OR_NOT, interface=CO_SIMULATION)
 def unknown_statuses_are_discarded(_: Probe) -> Iterator[Ask]:
     """fmi2GetXXXStatus returns ok, or discard for what it cannot retrieve; no other status."""
     kinds = [(kind, number) for number, (_, kind) in _STATUS_KINDS.items()]
@@ -245,7 +240,7 @@ def unknown_statuses_are_discarded(_: Probe) -> Iterator[Ask]:
         yield from (Ask(state, [do.call("status_of", kind, number)]) for state in "CT")
 
 
-@call_rule(_STATUS, REFUSAL, interface=CO_SIMULATION)
+@call_rule("4.2.3", REFUSAL, interface=CO_SIMULATION)
 def statuses_have_their_types(_: Probe) -> Iterator[Ask]:
     """A status is given by the function of its type alone: another function returns discard."""
     for number, (name, right) in _STATUS_KINDS.items():
@@ -254,7 +249,7 @@ def statuses_have_their_types(_: Probe) -> Iterator[Ask]:
             yield Ask("C", [do.call("status_of", kind, number)], words)
 
 
-@behaviour_rule(_STATUS, interface=CO_SIMULATION)
+@behaviour_rule("4.2.3", interface=CO_SIMULATION)
 def last_successful_time_is_right(probe: Probe) -> Iterator[str]:
     """fmi2LastSuccessfulTime, where it is given, is the end of the last step; fmi2Terminated is then
     false.

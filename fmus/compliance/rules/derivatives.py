@@ -32,10 +32,8 @@ from fmus.compliance.values import (
 )
 from fmus.compliance.variable import Variable, is_true
 
-_ATTRIBUTE = "2.2.7 Definition of Model Variables (ModelVariables): derivative"
-_TRANSFER = "4.2.1 Transfer of Input / Output Values and Parameters"
+_TRANSFER = "4.2.1"
 _INTERPOLATES = unless_claimed(INTERPOLATES)
-_COMPARED = "output-derivatives variables-can-be-read communication-points-may-be-rounded"
 _STEPS, _STEPS_OF_OUTPUTS = 30, 8
 _SHORT = 0.30901699  # of a step: no simple fraction, so that nothing that repeats with it stands still
 _BACKWARDS = 0.1  # of the effect of the input, at least
@@ -81,7 +79,7 @@ def _no_slopes(probe: Probe, part: float = 1.0) -> dict[str, str]:
     }
 
 
-@behaviour_rule(_ATTRIBUTE, needs="variables-can-be-read communication-points-may-be-rounded")
+@behaviour_rule("2.2.7")
 def derivatives_are_slopes(probe: Probe) -> Iterator[str]:
     """A variable with the attribute derivative is the slope of the variable that it names: in most steps it
     lies near the difference quotients.
@@ -92,7 +90,7 @@ def derivatives_are_slopes(probe: Probe) -> Iterator[str]:
     yield from (f"{name}: {message}" for name, message in wrong.items() if name in short)
 
 
-@behaviour_rule(_ATTRIBUTE, needs="derivatives-are-slopes")
+@behaviour_rule("2.2.7")
 def derivatives_integrate_to_their_variables(probe: Probe) -> Iterator[str]:
     """A variable changes by the integral of the variable that names it with the attribute derivative."""
     for derivative, v, slopes in _named_slopes(probe):
@@ -125,14 +123,14 @@ def _output_slopes(probe: Probe, part: float = 1.0) -> dict[str, Slopes]:
     }
 
 
-@_rule_of_outputs(_TRANSFER, needs="communication-points-may-be-rounded")
+@_rule_of_outputs("4.2.1")
 def output_derivatives(probe: Probe) -> Iterator[str]:
     """After a step the derivatives of continuous Real outputs can be read, of each order that is claimed."""
     _outputs(probe)
     yield from ()
 
 
-@_rule_of_outputs("advice: importers extrapolate with finite numbers", needs="output-derivatives")
+@_rule_of_outputs("advice: importers extrapolate with finite numbers")
 def output_derivatives_are_finite(probe: Probe) -> Iterator[str]:
     """After a step the derivatives of outputs are finite."""
     for name, (_, *orders) in _outputs(probe).items():
@@ -142,7 +140,7 @@ def output_derivatives_are_finite(probe: Probe) -> Iterator[str]:
                 yield f"{name}: derivative of order {order} is {wrong}: expected a finite number"
 
 
-@_rule_of_outputs(_TRANSFER, needs=_COMPARED)
+@_rule_of_outputs("4.2.1")
 def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
     """The first derivative of an output is 0, where its order is lower, or its slope: near the difference
     quotients before and after it.
@@ -156,7 +154,7 @@ def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
             yield f"{name}: its derivative is that of the step's begin: expected that of its end"
 
 
-@_rule_of_outputs("advice: 4.2.1 allows 0 where the order is lower", needs=_COMPARED)
+@_rule_of_outputs("advice: 4.2.1 allows 0 where the order is lower")
 def output_derivatives_are_not_zero(probe: Probe) -> Iterator[str]:
     """The first derivative of an output that moves is not 0, as maxOutputDerivativeOrder claims one."""
     for name, slopes in _output_slopes(probe).items():
@@ -164,7 +162,7 @@ def output_derivatives_are_not_zero(probe: Probe) -> Iterator[str]:
             yield f"{name}: {wrong}"
 
 
-@_rule_of_outputs(_TRANSFER, needs=_COMPARED)
+@_rule_of_outputs("4.2.1")
 def higher_output_derivatives_are_right(probe: Probe) -> Iterator[str]:
     """A derivative of an output of a higher order is 0, where its order is lower, or the slope of the one
     before; each of several that are read in one call is its own.
@@ -208,7 +206,7 @@ def _read_alone(outputs: Sequence[Variable], orders: Sequence[int]) -> Action:
 _rule_of_inputs = partial(behaviour_rule, _TRANSFER, _INTERPOLATES)
 
 
-@differential(_TRANSFER, condition=_INTERPOLATES)
+@differential("4.2.1", condition=_INTERPOLATES)
 def input_derivatives(_: Probe) -> Iterator[Row]:
     """The first derivative of every continuous Real input can be set before a step; zero, also after
     another value, changes nothing."""
@@ -216,7 +214,7 @@ def input_derivatives(_: Probe) -> Iterator[Row]:
     yield Row("where derivatives of inputs were set to 0", varied, failing="", tolerance=RESTARTED)
 
 
-@_rule_of_inputs(needs="input-derivatives")
+@_rule_of_inputs()
 def input_derivatives_have_an_effect(probe: Probe) -> Iterator[str]:
     """The derivative of an input that outputs follow moves them, in the direction of the input itself."""
     inputs = _inputs_by_effect(probe)
@@ -227,7 +225,7 @@ def input_derivatives_have_an_effect(probe: Probe) -> Iterator[str]:
         yield f"{without}, as canInterpolateInputs says it has"
 
 
-@_rule_of_inputs(needs="input-derivatives-have-an-effect")
+@_rule_of_inputs()
 def each_input_derivative_has_an_effect(probe: Probe) -> Iterator[str]:
     """If the derivative of one continuous input has an effect, that of each that outputs follow has one."""
     for v in _inputs_by_effect(probe)["none"]:
@@ -261,7 +259,7 @@ def _runs_to(probe: Probe, v: Variable, value: float, parts: int) -> list[list[V
     return values_of(probe, [in_steps(probe, v, xs, size, slope) for xs, slope in runs])
 
 
-@_rule_of_inputs(needs="input-derivatives-have-an-effect setting-the-same-changes-nothing variable-step-size")
+@_rule_of_inputs()
 def input_derivatives_are_slopes(probe: Probe) -> Iterator[str]:
     """With its first derivative an input moves an output, which follows it through a state, in a step about
     as far as in short steps in which the input is set to its values on that line.
@@ -294,11 +292,7 @@ def _effects_of_a_line(probe: Probe, v: Variable, value: float) -> Iterator[tupl
             yield name, moving - held, line - short_held
 
 
-@differential(
-    _TRANSFER,
-    condition=_INTERPOLATES,
-    needs="input-derivatives-have-an-effect variables-can-be-read",
-)
+@differential("4.2.1", condition=_INTERPOLATES)
 def input_derivatives_are_set_together(probe: Probe) -> Iterator[Row]:
     """Derivatives of several inputs that are set in one call act as if each is set in a call of its own, also
     of different orders.

@@ -19,9 +19,7 @@ from fmus.compliance.script import Action, CallError, Reply, Script
 from fmus.compliance.values import continuous_reals, other_values, references_of, same, start_value, texts
 from fmus.compliance.variable import Variable
 
-_STRUCTURE = "2.2.8 Definition of the Model Structure (ModelStructure)"
-_TRANSFER = "4.2.1 Transfer of Input / Output Values and Parameters"
-_PARTIAL = "2.1.9 Getting Partial Derivatives"
+_PARTIAL = "2.1.9"
 _PROVIDES = values.unless_claimed("providesDirectionalDerivative")
 _partial_rule = partial(behaviour_rule, _PARTIAL, _PROVIDES)
 _AT_FIRST, _STEPPING = ("InitialUnknowns",), ("Outputs", "Derivatives")
@@ -81,7 +79,7 @@ def _states(fmu: FmuFile) -> list[Variable]:
 # dependencies
 
 
-@behaviour_rule(_STRUCTURE)
+@behaviour_rule("2.2.8")
 def dependencies_are_declared(probe: Probe) -> Iterator[str]:
     """An initial unknown changes only with the knowns that its dependencies list; for model exchange, so do
     outputs and derivatives in event mode.
@@ -105,7 +103,7 @@ def dependencies_are_declared(probe: Probe) -> Iterator[str]:
                 yield f"{name} changes with {known.name} in {mode}: {_TO_BE_LISTED}"
 
 
-@behaviour_rule(_STRUCTURE, needs="variables-can-be-read")
+@behaviour_rule("2.2.8")
 def dependencies_on_time_are_declared(probe: Probe) -> Iterator[str]:
     """An initial unknown changes with the start time only if it lists the independent variable, where that is
     defined.
@@ -124,11 +122,7 @@ def dependencies_on_time_are_declared(probe: Probe) -> Iterator[str]:
         yield f"{name} changes with the start time: expected the independent variable in its dependencies"
 
 
-@behaviour_rule(
-    "advice: 2.2.8, a direct dependency is told from one step's delay by no call",
-    needs="variables-can-be-read dependencies-are-declared "
-    "directional-derivatives-are-zero-without-dependency",
-)
+@behaviour_rule("advice: 2.2.8, a direct dependency is told from one step's delay by no call")
 def outputs_follow_declared_inputs_alone(probe: Probe) -> Iterator[str]:
     """In step mode an input has no direct effect on an output that lists others: one that stays as steps
     become short and ends with the input.
@@ -150,7 +144,7 @@ def outputs_follow_declared_inputs_alone(probe: Probe) -> Iterator[str]:
                 yield f"{name} changes with {v.name} in a step, however short: {_TO_BE_LISTED}"
 
 
-@behaviour_rule(_TRANSFER, needs="dependencies-are-declared variables-can-be-read", interface=CO_SIMULATION)
+@behaviour_rule("4.2.1", interface=CO_SIMULATION)
 def inputs_act_in_the_next_step(probe: Probe) -> Iterator[str]:
     """An output that an input changes at once in initialization mode changes with it in the step after it was
     set, and not only one step later, when the input has its old value again.
@@ -186,7 +180,7 @@ def _distance(a: Any, b: Any) -> float:
     return abs(a - b) if isinstance(a, float) else float(a != b)
 
 
-@behaviour_rule(_STRUCTURE, needs="variables-can-be-read")
+@behaviour_rule("2.2.8")
 def constant_factors_are_constant(probe: Probe) -> Iterator[str]:
     """An initial unknown changes with a known of the kind constant by the same factor everywhere, whatever
     the inputs are.
@@ -226,7 +220,7 @@ def _derivatives(probe: Probe, mode: Iterable[Action], groups: Iterable[_Group])
     return replies
 
 
-@_partial_rule(needs="variables-can-be-read start-values-are-as-declared")
+@_partial_rule()
 def directional_derivatives(probe: Probe) -> Iterator[str]:
     """In initialization mode, derivatives of outputs, calculated parameters and state derivatives lie between
     difference quotients of both sides.
@@ -242,7 +236,7 @@ def _initial_factors(fmu: FmuFile) -> Iterator[_Factor]:
             yield factor
 
 
-@_partial_rule(needs="directional-derivatives directional-derivatives-are-linear")
+@_partial_rule()
 def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
     """After initialisation with other values, the derivatives of continuous outputs and state derivatives in
     step mode lie near difference quotients: those of runs with other inputs and states at first.
@@ -289,7 +283,7 @@ def _beside_quotients(
                 yield f"{got}: expected {low:.9g}..{high:.9g}"
 
 
-@_partial_rule(needs="directional-derivatives questions-change-nothing")
+@_partial_rule()
 def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
     """A directional derivative is the sum of the partial derivatives, each times its seed, in every mode."""
     initial = [v for v, *_ in probe.fmu.dependencies["InitialUnknowns"] if v.kind == "Real"]
@@ -319,7 +313,7 @@ def _other_sums(script: Script, unknowns: list[Variable], knowns: list[Variable]
             yield f"{what} is {shown[0]} {where}: expected {shown[1]}, the sum of its parts"
 
 
-@_partial_rule(needs="directional-derivatives dependencies-are-declared")
+@_partial_rule()
 def directional_derivatives_are_zero_without_dependency(probe: Probe) -> Iterator[str]:
     """The derivative with respect to an input, in step mode also to a continuous state, that is not among
     the dependencies of an output or a state derivative is zero.
@@ -347,7 +341,7 @@ def _unlisted(fmu: FmuFile, section: str, knowns: Sequence[Variable]) -> Iterato
             yield from ((known, [unknown]) for known in others[:_MOST_DERIVED])
 
 
-@behaviour_rule(_STRUCTURE, _PROVIDES, needs="directional-derivatives directional-derivatives-are-linear")
+@behaviour_rule("2.2.8", _PROVIDES)
 def factors_change_as_declared(probe: Probe) -> Iterator[str]:
     """In step mode a factor that is constant or fixed is the same when inputs, states and tunable parameters
     have changed, and a tunable one when inputs and states have.

@@ -17,9 +17,6 @@ from fmus.compliance.values import if_not_claimed, references_of, same, texts, u
 from fmus.compliance.variable import Variable, is_true
 from fmus.fmi.binding import DISCARD
 
-_MATH = "3.1 Mathematical description"
-_SETTING = "3.2.1 Providing Independent Variables and Re-initialization of Caching"
-_EVALUATION = "3.2.2 Evaluation of Model Equations"
 _STATES, _DERIVATIVES = "fmi2GetContinuousStates", "fmi2GetDerivatives"
 _INDICATORS, _NOMINALS = "fmi2GetEventIndicators", "fmi2GetNominalsOfContinuousStates"
 _STEPS = 50  # of the run whose events are observed
@@ -157,7 +154,7 @@ def _from_starts(check: Callable[[Probe, Start], Iterator[str]]) -> Check:
     return checked
 
 
-@_rule(_SETTING, condition=_no_states)
+@_rule("3.2.1", condition=_no_states)
 @_from_starts
 def states_that_are_set_are_read(probe: Probe, start: Start) -> Iterator[str]:
     """fmi2GetContinuousStates gives the states that fmi2SetContinuousStates has set."""
@@ -170,7 +167,7 @@ def states_that_are_set_are_read(probe: Probe, start: Start) -> Iterator[str]:
         yield from _differences([expected], [states], "after it was set", 0.0)
 
 
-@_rule(_SETTING)
+@_rule("3.2.1")
 @_from_starts
 def derivatives_have_no_history(probe: Probe, start: Start) -> Iterator[str]:
     """Derivatives and event indicators follow from time, states and inputs alone: setting time and states
@@ -198,7 +195,7 @@ def derivatives_have_no_history(probe: Probe, start: Start) -> Iterator[str]:
         )
 
 
-@_rule(_EVALUATION, needs="derivatives-have-no-history")
+@_rule("3.2.2")
 @_from_starts
 def time_goes_back_in_continuous_time(probe: Probe, start: Start) -> Iterator[str]:
     """After a completed step, time can be set back as far as to the completed step before, and gives the
@@ -224,7 +221,7 @@ def time_goes_back_in_continuous_time(probe: Probe, start: Start) -> Iterator[st
         yield from _differences(before, after, "after time was set back")
 
 
-@_rule(_EVALUATION, condition=if_not_claimed(_NOT_NEEDED))
+@_rule("3.2.2", condition=if_not_claimed(_NOT_NEEDED))
 @_from_starts
 def completed_steps_write_booleans(probe: Probe, start: Start) -> Iterator[str]:
     """fmi2CompletedIntegratorStep writes a Boolean value to enterEventMode and to terminateSimulation."""
@@ -238,11 +235,7 @@ def completed_steps_write_booleans(probe: Probe, start: Start) -> Iterator[str]:
             yield f"{reply.function} {what} {name}: expected fmi2False or fmi2True"
 
 
-@_rule(
-    "3.3.1 Model Exchange FMU (ModelExchange)",
-    condition=unless_claimed(_NOT_NEEDED),
-    needs="derivatives-have-no-history",
-)
+@_rule("3.3.1", condition=unless_claimed(_NOT_NEEDED))
 def completed_step_without_need_has_no_effect(probe: Probe) -> Iterator[str]:
     """With completedIntegratorStepNotNeeded, fmi2CompletedIntegratorStep asks for nothing and changes
     nothing.
@@ -263,7 +256,7 @@ def completed_step_without_need_has_no_effect(probe: Probe) -> Iterator[str]:
     )
 
 
-@_rule("2.2.8 Definition of the Model Structure (ModelStructure)", condition=_no_states)
+@_rule("2.2.8", condition=_no_states)
 def vectors_have_the_order_of_the_description(probe: Probe) -> Iterator[str]:
     """States and derivatives as vectors have the values and the order of the variables of Derivatives."""
     derivatives, states = probe.fmu.state_derivatives.keys(), probe.fmu.state_derivatives.values()
@@ -289,7 +282,7 @@ def vectors_have_the_order_of_the_description(probe: Probe) -> Iterator[str]:
                 return
 
 
-@_rule(_MATH)
+@_rule("3.1")
 @_from_starts
 def discrete_variables_are_frozen(probe: Probe, start: Start) -> Iterator[str]:
     """Discrete variables do not change in continuous-time mode, whatever time and states are."""
@@ -315,7 +308,7 @@ def discrete_variables_are_frozen(probe: Probe, start: Start) -> Iterator[str]:
                 return
 
 
-@_rule(_MATH, needs="discrete-variables-are-frozen completed-steps-write-booleans events-come-to-an-end")
+@_rule("3.1")
 def discrete_changes_have_an_event(probe: Probe) -> Iterator[str]:
     """Where event mode is entered although there is no event, discrete variables do not change."""
     for before, event in itertools.pairwise(_run(probe)[0]):
@@ -385,7 +378,7 @@ def _changes(probe: Probe, which: int, element: str) -> Iterator[str]:
                 return
 
 
-@_rule(_EVALUATION, condition=_no_states)
+@_rule("3.2.2", condition=_no_states)
 def changes_of_states_are_announced(probe: Probe) -> Iterator[str]:
     """If fmi2NewDiscreteStates changes a state, valuesOfContinuousStatesChanged is true;
     fmi2CompletedIntegratorStep changes none.
@@ -401,13 +394,13 @@ def changes_of_states_are_announced(probe: Probe) -> Iterator[str]:
                     return
 
 
-@_rule(_EVALUATION, condition=_no_states)
+@_rule("3.2.2", condition=_no_states)
 def changes_of_nominals_are_announced(probe: Probe) -> Iterator[str]:
     """If fmi2NewDiscreteStates changes a nominal value, nominalsOfContinuousStatesChanged is true."""
     yield from _changes(probe, 1, "nominalsOfContinuousStatesChanged")
 
 
-@_rule(_EVALUATION, condition=_no_states)
+@_rule("3.2.2", condition=_no_states)
 def states_that_stay_are_not_announced(probe: Probe) -> Iterator[str]:
     """If fmi2NewDiscreteStates changes no state, valuesOfContinuousStatesChanged is false."""
     for event in _run(probe)[0]:
@@ -420,7 +413,7 @@ def states_that_stay_are_not_announced(probe: Probe) -> Iterator[str]:
                 return
 
 
-@_rule("2.2.7 Definition of Model Variables (ModelVariables), reinit", condition=_no_states)
+@_rule("2.2.7", condition=_no_states)
 def states_that_change_at_events_have_reinit(probe: Probe) -> Iterator[str]:
     """A state that changes at an event after the start has reinit."""
     states = _states(probe.fmu)
@@ -437,7 +430,7 @@ def states_that_change_at_events_have_reinit(probe: Probe) -> Iterator[str]:
             yield f"{states[i].name} changes at {_event(probe, event)}: expected reinit=true"
 
 
-@_rule(_EVALUATION, condition=_no_states)
+@_rule("3.2.2", condition=_no_states)
 def nominals_are_positive(probe: Probe) -> Iterator[str]:
     """Nominal values of states are above 0, from initialisation on."""
     for event in _run(probe)[0]:
@@ -447,7 +440,7 @@ def nominals_are_positive(probe: Probe) -> Iterator[str]:
                 return
 
 
-@_rule(_EVALUATION)
+@_rule("3.2.2")
 def events_come_to_an_end(probe: Probe) -> Iterator[str]:
     """newDiscreteStatesNeeded becomes false after some calls of fmi2NewDiscreteStates; one call more changes
     nothing.
@@ -463,7 +456,7 @@ def events_come_to_an_end(probe: Probe) -> Iterator[str]:
         yield f"{ended}: expected newDiscreteStatesNeeded false"
 
 
-@_rule(_MATH, needs="events-come-to-an-end")
+@_rule("3.1")
 def next_events_are_ahead(probe: Probe) -> Iterator[str]:
     """nextEventTime, where it is defined, lies after the present."""
     for event in _run(probe)[0][1:]:
@@ -473,7 +466,7 @@ def next_events_are_ahead(probe: Probe) -> Iterator[str]:
             return
 
 
-@_rule(_EVALUATION, condition=_no_indicators)
+@_rule("3.2.2", condition=_no_indicators)
 def event_indicators_are_finite(probe: Probe) -> Iterator[str]:
     """Event indicators are numbers, neither infinite nor NaN."""
     for event in _run(probe)[0]:
@@ -483,7 +476,7 @@ def event_indicators_are_finite(probe: Probe) -> Iterator[str]:
                 return
 
 
-@_rule(_EVALUATION, condition=_no_indicators)
+@_rule("3.2.2", condition=_no_indicators)
 def event_indicators_are_not_zero_at_restart(probe: Probe) -> Iterator[str]:
     """After a state, time or step event, no event indicator is 0 when continuous-time mode is entered."""
     for event in _run(probe)[0]:
@@ -495,7 +488,7 @@ def event_indicators_are_not_zero_at_restart(probe: Probe) -> Iterator[str]:
             return
 
 
-@_rule(_MATH, condition=_no_indicators)
+@_rule("3.1", condition=_no_indicators)
 def event_indicators_are_continuous(probe: Probe) -> Iterator[str]:
     """Event indicators do not jump where they change their sign."""
     events, _ = _run(probe)

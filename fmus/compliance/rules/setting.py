@@ -11,14 +11,11 @@ from fmus.compliance.rule import NotApplicableError
 from fmus.compliance.values import RESTARTED
 from fmus.compliance.variable import is_true
 
-_PLATFORM = "2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)"
-_INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"
-_VALUES = "2.1.7 Getting and Setting Variable Values"
 _ROUNDED, _EXACT = 1e-6, 1e-12
 _MANY_SETS = "canHandleMultipleSetPerTimeInstant"
 
 
-@differential(_INITIALIZATION, needs="start-values-are-as-declared strings-are-copied")
+@differential("2.1.6")
 def values_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
     """Values that are set when instantiated or in initialization mode are read afterwards."""
     readable = values.readable_in_initialization(probe.fmu)
@@ -41,9 +38,7 @@ def _set_and_read(when: str, *actions: do.Action) -> Row:
     return Row(f"after it was set {when}", actions, (), tolerance=_EXACT, may_fail=True, again="{}")
 
 
-@differential(
-    "4.1.2 Mathematical Model", needs="fixed-values-stay strings-are-copied values-belong-to-references"
-)
+@differential("4.1.2")
 def inputs_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
     """An input or tunable parameter that is set at a communication point has that value after the step: near
     its start value, or far from it within its range; a String also if it is long or empty. The FMU may refuse
@@ -67,7 +62,7 @@ def inputs_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
         yield _set_and_read("twice in continuous-time mode", *first, do.read_as(near))
 
 
-@differential(_PLATFORM)
+@differential("2.1.2")
 def strings_are_copied(probe: Probe) -> Iterator[Row]:
     """A String that is set is copied: it is read as it was although its memory was overwritten."""
     chosen = [v for v in values.settable_in_initialization(probe.fmu) if v.base_kind == "String"]
@@ -78,7 +73,7 @@ def strings_are_copied(probe: Probe) -> Iterator[Row]:
         yield Row(when, (*set_start, do.read_as([pair])), (), "", again="{}, a copy")
 
 
-@differential(_VALUES, needs="questions-change-nothing")
+@differential("2.1.7")
 def values_follow_what_is_set(probe: Probe) -> Iterator[Row]:
     """Values follow what is set, also if they had been read before that: in initialization mode, and for
     model exchange in event mode, and in continuous-time mode after continuous inputs.
@@ -108,10 +103,7 @@ def values_follow_what_is_set(probe: Probe) -> Iterator[Row]:
             yield Row(when, (*set_all, do.read(follow)), usual, tolerance=_ROUNDED, may_fail=True)
 
 
-@differential(
-    "4.1.2 Mathematical Model",
-    needs="start-values-are-as-declared strings-are-copied",
-)
+@differential("4.1.2")
 def setting_the_same_changes_nothing(probe: Probe) -> Iterator[Row]:
     """Inputs and tunable parameters can be set at communication points; set to what they are, no state
     is lost.

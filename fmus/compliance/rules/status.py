@@ -8,7 +8,6 @@ from fmus.compliance.rules.call_table import tour
 from fmus.compliance.script import Reply
 from fmus.fmi.binding import DISCARD, OK, PENDING, status_name
 
-_STATUS = "2.1.3 Status Returned by Functions"
 _SETTERS = ("fmi2SetReal", "fmi2SetInteger", "fmi2SetBoolean", "fmi2SetString")
 _OF_STATES = ("fmi2SetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndicators", "fmi2GetReal")
 
@@ -31,7 +30,7 @@ def _illegal(probe: Probe, replies: Iterable[Reply]) -> Iterator[str]:
             yield f"{reply.function} returned {status_name(reply.status)}, which it may not: {reply.logged}"
 
 
-@behaviour_rule(_STATUS)
+@behaviour_rule("2.1.3")
 def statuses_are_legal(probe: Probe) -> Iterator[str]:
     """Discard and pending come only from functions that may return them; every status is one of
     fmi2Status.
@@ -42,12 +41,7 @@ def statuses_are_legal(probe: Probe) -> Iterator[str]:
             yield message
 
 
-@behaviour_rule(
-    _STATUS,
-    needs="statuses-are-legal wrong-references-are-refused discarded-steps-can-be-left "
-    "free-of-null-state-is-ignored",
-    last=True,
-)
+@behaviour_rule("2.1.3", last=True)
 def refusals_have_legal_statuses(probe: Probe) -> Iterator[str]:
     """A refused call of another rule, which FMI allows and which does not end that rule, returns no status
     that its function may not return.
@@ -62,7 +56,7 @@ def _refused(probe: Probe) -> list[Reply]:
     return [r for r in refused if not r.reason and (not r.is_step or r.status != DISCARD)]
 
 
-@behaviour_rule(_STATUS, last=True)
+@behaviour_rule("2.1.3", last=True)
 def refusals_are_logged(probe: Probe) -> Iterator[str]:
     """Whatever returns warning, discard or error has called the logger, if logging is on."""
     named = set()
@@ -73,7 +67,7 @@ def refusals_are_logged(probe: Probe) -> Iterator[str]:
             yield f"{reply.function} {reply.status_name} and logged nothing: expected the reason"
 
 
-@behaviour_rule(_STATUS, last=True)
+@behaviour_rule("2.1.3", last=True)
 def messages_of_refusals_are_no_information(probe: Probe) -> Iterator[str]:
     """The messages of what returns warning, discard or error do not have the status ok alone, which is that
     of pure information.

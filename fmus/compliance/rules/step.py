@@ -16,16 +16,13 @@ from fmus.compliance.values import continuous_reals, texts, unless_claimed
 from fmus.compliance.variable import Variable
 from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME
 
-_SETUP = "2.1.6 Initialization, Termination, and Resetting an FMU (fmi2SetupExperiment)"
-_COMPUTATION = "4.2.2 Computation (fmi2DoStep)"
-_FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
 _ANY_STEP = "canHandleVariableCommunicationStepSize"
 _LAST_TIME = "status_of", "Real", LAST_SUCCESSFUL_TIME
 _MORE_STEPS = (13, 47, 211)  # instead of two: for each internal step from the usual size to a hundredth
 _APART = 0.4  # of the change over two steps: a rough solver, but not half a step
 
 
-@differential(_SETUP, needs="reset-in-every-state error-leaves-other-instances-unchanged")
+@differential("2.1.6")
 def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[Row]:
     """If a stop time is defined, steps up to it succeed and a step past it returns error; fmi2Reset brings
     the instance back, where the same holds of another stop time with a tolerance.
@@ -44,7 +41,7 @@ def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[Row]:
     yield Row(after, varied, ())
 
 
-@differential(_SETUP)
+@differential("2.1.6")
 def undefined_arguments_are_ignored(probe: Probe) -> Iterator[Row]:
     """A tolerance or a stop time that is not defined is not looked at."""
     set_up = do.call("set_up_experiment_with", [], probe.start_time, [], probe.start_time - 1.0)
@@ -53,7 +50,7 @@ def undefined_arguments_are_ignored(probe: Probe) -> Iterator[Row]:
     yield Row("where an undefined stop time lies before the start time", varied, failing=failing)
 
 
-@behaviour_rule(_SETUP)
+@behaviour_rule("2.1.6")
 def tolerance_is_accepted(probe: Probe) -> Iterator[str]:
     """A tolerance that is defined is accepted."""
     if failure := run_with_tolerance(probe).failure:
@@ -64,11 +61,7 @@ def _without_independent(fmu: FmuFile) -> str:
     return "" if any(v.causality == "independent" for v in fmu.variables) else "no variable is independent"
 
 
-@behaviour_rule(
-    "2.2.7 Definition of Model Variables (ModelVariables), independent",
-    condition=_without_independent,
-    needs="reset-in-every-state",
-)
+@behaviour_rule("2.2.7", condition=_without_independent)
 def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
     """The independent variable is the start time after initialisation, and then the end of the last step,
     also of its multiples: after a fraction, an FMU of fixed internal steps may be behind. So it is after
@@ -121,7 +114,7 @@ def _times(probe: Probe, v: Variable) -> Iterator[tuple[float, Reading]]:
             yield probe.point(probe.steps_of_experiment * i // count), reading
 
 
-@behaviour_rule(_COMPUTATION, interface=CO_SIMULATION)
+@behaviour_rule("4.2.2", interface=CO_SIMULATION)
 def communication_points_may_be_rounded(probe: Probe) -> Iterator[str]:
     """Communication points may be sums of step sizes or multiples of one: their rounding is no error."""
     script = probe.script(logging=True).begin()
@@ -134,7 +127,7 @@ def communication_points_may_be_rounded(probe: Probe) -> Iterator[str]:
         yield script.failure.problem
 
 
-@differential(_COMPUTATION, needs="variables-can-be-read")
+@differential("4.2.2")
 def no_set_state_flag_changes_nothing(probe: Probe) -> Iterator[Row]:
     """noSetFMUStatePriorToCurrentPoint = fmi2True is accepted, and the values are the same."""
     read = do.read([v for v in probe.fmu.variables if v.causality != "independent"])
@@ -143,7 +136,7 @@ def no_set_state_flag_changes_nothing(probe: Probe) -> Iterator[Row]:
     yield Row(when, varied, (do.start, *(do.step(), read) * 3), failing="")
 
 
-@behaviour_rule(f"{_FLAGS}: {_ANY_STEP}", condition=unless_claimed(_ANY_STEP))
+@behaviour_rule("4.3.1", condition=unless_claimed(_ANY_STEP))
 def variable_step_size(probe: Probe) -> Iterator[str]:
     """Steps of different sizes succeed one after the other; one that is discarded says how far it came."""
     script = probe.script(logging=True).begin()
@@ -165,7 +158,7 @@ def variable_step_size(probe: Probe) -> Iterator[str]:
         yield f"a step from {t:g} to {end:g} s is discarded, and fmi2LastSuccessfulTime is {last.value:g} s"
 
 
-@behaviour_rule(f"{_FLAGS}: {_ANY_STEP}", condition=unless_claimed(_ANY_STEP), needs="variable-step-size")
+@behaviour_rule("4.3.1", condition=unless_claimed(_ANY_STEP))
 def two_steps_are_one_of_twice_the_size(probe: Probe) -> Iterator[str]:
     """A step reaches its end: after a step, two more bring continuous outputs about as far as one of twice
     the size, or many of no simple fraction of it.
@@ -208,10 +201,7 @@ def _change(before: Reading, after: Reading, name: str) -> float:
     return after.values[name] - before.values[name]
 
 
-@behaviour_rule(
-    "advice: 2.2.5, what a user runs first",
-    needs="communication-points-may-be-rounded variables-can-be-read",
-)
+@behaviour_rule("advice: 2.2.5, what a user runs first")
 def default_experiment_runs(probe: Probe) -> Iterator[str]:
     """The steps of DefaultExperiment succeed up to its stop time, as far as they take about a second."""
     if not probe.states_step_size or not math.isfinite(probe.stop_time):
