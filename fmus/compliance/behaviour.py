@@ -78,11 +78,9 @@ def judged(rule: Rule, subject: FmuFile | Probe, is_random: bool = False) -> Res
 
 
 def behaviour(
-    fmu: FmuFile,
-    timeout: float = DEFAULT_TIMEOUT_S,
-    of_libraries: Callable[[], Sequence[Result]] = tuple,
+    fmu: FmuFile, timeout: float = DEFAULT_TIMEOUT_S, of_libraries: Callable[[], Sequence[Result]] = tuple,
     names: Collection[str] | None = None,
-) -> Iterator[Result]:
+) -> Iterator[Result]:  # fmt: skip
     """Yields one result for each behaviour rule, of all interfaces that the FMU has.
 
     timeout: seconds for one rule

@@ -117,12 +117,8 @@ def always(_: Any) -> str:
 
 
 def rule(
-    clause: str,
-    stage: Stage,
-    condition: Condition = always,
-    last: bool = False,
-    interface: str = "",
-) -> Callable[[Check], Check]:
+    clause: str, stage: Stage, condition: Condition = always, last: bool = False, interface: str = "",
+) -> Callable[[Check], Check]:  # fmt: skip
     """Makes a function a rule: its name with dashes is the rule's, its docstring what the rule claims.
 
     clause: number of a section of FMI 2.0.5, or who else demands it.
@@ -184,7 +180,6 @@ MODULES = (
     "archive", "files", "description", "variables", "structure", "library",
     "lifecycle", "initialization", "calls", "value", "setting", "step", "asynchronous",
     "environment", "messages", "state", "derivatives", "effects", "reference", "model_exchange",
-    "status",  # of refusals in the calls of all others
 )  # fmt: skip
 """Modules of `fmus.compliance.rules`, in the order in which their rules are judged and told."""
 

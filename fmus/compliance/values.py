@@ -251,13 +251,9 @@ def same(a: Any, b: Any, tolerance: float = 0.0, scale: float = 0.0) -> bool:
 
 
 def differing(
-    expected: Iterable[Reading | Given],
-    got: Iterable[Reading],
-    when: str,
-    tolerance: float = 0.0,
-    again: str = "{} again",
-    where: Sequence[str] = (),
-) -> Iterator[str]:
+    expected: Iterable[Reading | Given], got: Iterable[Reading], when: str, tolerance: float = 0.0,
+    again: str = "{} again", where: Sequence[str] = (),
+) -> Iterator[str]:  # fmt: skip
     """Yields each variable's first value that is not the same; a tolerance is relative to the largest number,
     a large one to the variable's own, or a hundredth of the largest; to the value itself where it is given.
 

@@ -1,4 +1,4 @@
-"""Messages, which an FMU sends to the logger, and settings of its process, which it leaves as they are."""
+"""Messages, which an FMU sends to the logger, statuses of its functions, and settings of its process."""
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence, Set
@@ -14,9 +14,9 @@ from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rows import told
 from fmus.compliance.rules.call_table import NAME, tour
-from fmus.compliance.script import ARGUMENTS, UNWRITTEN, CallError, Message, Script
+from fmus.compliance.script import ARGUMENTS, UNWRITTEN, CallError, Message, Reply, Script
 from fmus.compliance.values import refused_reference
-from fmus.fmi.binding import ERROR, OK, PENDING, WARNING
+from fmus.fmi.binding import DISCARD, ERROR, OK, PENDING, WARNING, status_name
 
 _CREATION = "2.1.5"
 _GENERAL = "2.1"
@@ -34,6 +34,8 @@ _BLANK_OF_TEXT = re.compile(r"%[-+#0]* [-+#0 ]*[scp](?=[a-zA-Z])")  # as in "100
 _BLANK_FLAG = re.compile(r"%[-+#0]* [-+#0]*[a-zA-Z](?=[a-zA-Z])")  # as in "100 % done"
 _PRINTED = "printed"
 _MOST_FINDINGS = 3  # of a rule
+_SETTERS = "fmi2SetReal", "fmi2SetInteger", "fmi2SetBoolean", "fmi2SetString"
+_OF_STATES = "fmi2SetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndicators", "fmi2GetReal"
 _FORMATS_ARE_LEGAL = "formats-of-messages-are-legal"
 Case = tuple[Callable[[Any, Any], object], str]
 """Whether a message or a change is wrong, and the words if it is: see `rows.told`."""
@@ -136,6 +138,35 @@ def _changes(probe: Probe) -> Iterator[_Change]:
             yield _Change(reply.function, _PRINTED, "", str(reply.printed))
 
 
+def _of_the_tour(probe: Probe) -> list[Reply]:
+    return tour(probe).script.replies
+
+
+def _refusals(probe: Probe) -> list[Reply]:
+    return probe.refusals
+
+
+def _refused(probe: Probe) -> list[Reply]:
+    """Returns replies with logging that are warning, discard or error; discarded steps have a rule."""
+    replies = [*probe.refusals, *tour(probe).script.replies, *tour(probe).failed]
+    refused = [reply for reply in replies if reply.status not in (None, OK, PENDING)]
+    return [reply for reply in refused if not reply.reason and (not reply.is_step or reply.status != DISCARD)]
+
+
+def _illegal(reply: Reply, probe: Probe) -> str:
+    """Returns what is wrong with a status, which is noted for all rules."""
+    may_discard = (*_SETTERS, "fmi2DoStep", *(_OF_STATES if probe.fmu.is_model_exchange else ()))
+    is_discard = reply.status == DISCARD and not reply.function.endswith("Status")
+    is_wrong = is_discard and reply.function not in may_discard
+    is_wrong |= reply.status == PENDING and reply.function not in ("fmi2DoStep", "fmi2GetStatus")
+    if reply.status is None or reply.reason or (OK <= reply.status <= PENDING and not is_wrong):
+        return ""
+    probe.note_failure(reply, "statuses-are-legal")
+    legal = f": expected an fmi2Status, 0 to {PENDING}"
+    return f", which it may not: {reply.logged}" if is_wrong else legal
+
+
+_WRONG_STATUS = (_illegal, "{function} {status_name}{value}")
 _WRONG_CATEGORY = (_undeclared, "a message has the category {category!r}: expected {value}")
 # name, clause, what it looks at, and cases: what is wrong, and the words for it
 _TABLE: tuple[tuple[str, str, Callable[[Probe], Iterable[Any]], *tuple[Case, ...]], ...] = (
@@ -192,6 +223,15 @@ _TABLE: tuple[tuple[str, str, Callable[[Probe], Iterable[Any]], *tuple[Case, ...
       "{function} writes into an array that is constant, or behind one: expected that unchanged")),
     ("values-are-written", _VALUES, _changes, (lambda c, _: c.setting == UNWRITTEN,
       "{function} returned ok and left a value unwritten: expected each written")),
+    ("statuses-are-legal", "2.1.3", _of_the_tour, _WRONG_STATUS),
+    ("refusals-have-legal-statuses", "2.1.3", _refusals, _WRONG_STATUS),
+    ("refusals-are-logged", "2.1.3", _refused,
+     # fmi2SetDebugLogging may have turned logging off
+     (lambda reply, _: not reply.messages and reply.function != "fmi2SetDebugLogging",
+      "{function} {status_name} and logged nothing: expected the reason")),
+    ("messages-of-refusals-are-no-information", "2.1.3", _refused,
+     (lambda r, _: r.messages and all(m.status == OK for m in r.messages) and status_name(r.status),
+      "{function} {status_name} and logged {subject.logged!r:.60} with the status ok: expected {value}")),
     ("nothing-is-printed", "advice: messages belong to the logger", _changes,
      (lambda c, _: c.setting == _PRINTED,
       "{function} prints {after} bytes to standard output or standard error: expected none")),
@@ -204,7 +244,11 @@ def _check(subjects: Callable[[Probe], Iterable[Any]], cases: Sequence[Case]) ->
 
 for _name, _clause, _subjects, *_cases in _TABLE:
     _judged = rule.Stage.BEHAVIOUR, _check(_subjects, _cases), rule.always
-    rule.add_rule(rule.Rule(_name, _clause, "", *_judged, last=_subjects is _log, module=__name__))
+    rule.add_rule(
+        rule.Rule(
+            _name, _clause, "", *_judged, last=_subjects in (_log, _refusals, _refused), module=__name__
+        )
+    )
 
 
 # logging that is turned on and off

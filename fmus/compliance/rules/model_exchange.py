@@ -94,11 +94,8 @@ class _ContinuousTime:
         return self.move(part, functions)
 
     def move(
-        self,
-        part: float,
-        functions: Sequence[str] = (_DERIVATIVES, _INDICATORS),
-        alone: int | None = None,
-    ) -> list[Reply]:
+        self, part: float, functions: Sequence[str] = (_DERIVATIVES, _INDICATORS), alone: int | None = None,
+    ) -> list[Reply]:  # fmt: skip
         """Sets states of a part of the step, and no time; returns vectors there.
 
         alone: index of a state, if the others are those of the part 0.3
