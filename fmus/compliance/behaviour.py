@@ -48,7 +48,8 @@ DEFAULT_TIMEOUT_S = 30.0
 _RANDOM_RUNS = "runs-are-not-random"
 _STEPS = "steps-and-terminates"
 _FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs
-_OF_CALLS = "allowed-calls-succeed", "statuses-are-legal"  # by what they find, others are not judged
+# by what these find, others are not judged
+_OF_CALLS = "allowed-calls-succeed", "statuses-are-legal", "wrong-references-are-refused"
 _AFTER_OTHERS = "instances-follow-each-other"
 _MOST_HANGS, _MOST_SLOW = 3, 20  # then the rest is not judged: it would take minutes
 _NAMES = {CO_SIMULATION: "co-simulation", MODEL_EXCHANGE: "model exchange"}

@@ -12,7 +12,7 @@ from fmus.fmi.binding import WARNING, status_name
 USUAL_NAME = "instance"
 KINDS = ("Real", "Integer", "Boolean", "String")
 _MOST_LEAPT, _LEAPS = 100, 16  # steps
-STEPS = ("do_step", "do_steps", "begin_step")
+STEPS = ("do_step", "do_steps", "begin_step", "leap")
 VECTORS = (
     "fmi2GetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndicators",
     "fmi2GetNominalsOfContinuousStates",
@@ -247,7 +247,7 @@ class Script:
             return self.go_on(min(count, _MOST_LEAPT * thirds))
         ends = [self._step + count * i // _LEAPS for i in range(_LEAPS + 1)]
         for before, end in itertools.pairwise(map(self.point, ends)):
-            self.call("do_step", before, end - before)
+            self.call("leap", before, end - before)
         self._step += count
         return self
 

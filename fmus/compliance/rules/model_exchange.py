@@ -299,7 +299,7 @@ def discrete_variables_are_frozen(probe: Probe, start: Start) -> Iterator[str]:
             return
     for event in _run(probe)[0]:
         for v in chosen if event["left"] else ():
-            if not same(a := event["again"][v.name], b := event["left"][v.name]):
+            if not same(a := event["values"][v.name], b := event["left"][v.name]):
                 mode = f"in continuous-time mode after {_event(probe, event)}"
                 yield f"{v.name} changes from {a!r} to {b!r} {mode}: expected {a!r}"
                 return
@@ -311,8 +311,9 @@ def discrete_changes_have_an_event(probe: Probe) -> Iterator[str]:
     for before, event in itertools.pairwise(_run(probe)[0]):
         next_event = before["infos"][-1]["nextEventTime"] if before["infos"] else math.inf
         is_time_event = abs(next_event - event["time"]) <= 1e-9 * max(1.0, abs(next_event))
-        for v in _discrete(probe.fmu) if event["cause"] == _NO_EVENT and not is_time_event else ():
-            a, b = (e.get(when, {}).get(v.name) for e, when in ((before, "again"), (event, "values")))
+        is_later = event["time"] > before["time"] and not is_time_event
+        for v in _discrete(probe.fmu) if event["cause"] == _NO_EVENT and is_later else ():
+            a, b = (e.get(when, {}).get(v.name) for e, when in ((before, "values"), (event, "values")))
             if None not in (a, b) and not same(a, b):
                 where = f"at {_event(probe, event)}, where no event is indicated"
                 yield f"{v.name} changes from {a!r} to {b!r} {where}: expected a state, time or step event"
@@ -322,8 +323,11 @@ def discrete_changes_have_an_event(probe: Probe) -> Iterator[str]:
 # events
 
 
-def _run(probe: Probe) -> tuple[list[_Observed], str]:
-    """Returns the events of a run up to the stop time, played once, and the reason why it ended before."""
+def _run(probe: Probe, again: bool = False) -> tuple[list[_Observed], str]:
+    """Returns the events of a run up to the stop time, played once, and the reason why it ended before.
+
+    again: whether the end of each event is tried once more
+    """
 
     def played() -> tuple[list[_Observed], str]:
         end = probe.stop_time if math.isfinite(probe.stop_time) else probe.start_time + 1.0
@@ -331,7 +335,7 @@ def _run(probe: Probe) -> tuple[list[_Observed], str]:
         discrete, states = _discrete(probe.fmu), _states(probe.fmu)
         groups = {kind: [v for v in (*discrete, *states) if v.base_kind == kind] for kind in KINDS}
         observing = {kind: references_of(group) for kind, group in groups.items() if group}
-        script = probe.script(observed=observing, logging=True).begin()
+        script = probe.script(observed=observing, again=again, logging=True).begin()
         for i in range(_STEPS):
             script.call("do_step", probe.start_time + i * size, size)
         observed = script.call("observed_events")
@@ -342,7 +346,7 @@ def _run(probe: Probe) -> tuple[list[_Observed], str]:
             event[when] = {v.name: x for group, some in pairs for v, x in zip(group, some, strict=True)}
         return observed.value or [], next((r.reason for r in script.replies if r.reason), "")
 
-    return probe.once("run of model exchange", played)
+    return probe.once("run of model exchange", played, again)
 
 
 def _event(probe: Probe, event: _Observed) -> str:
@@ -439,18 +443,21 @@ def nominals_are_positive(probe: Probe) -> Iterator[str]:
 
 @_rule("3.2.2")
 def events_come_to_an_end(probe: Probe) -> Iterator[str]:
-    """newDiscreteStatesNeeded becomes false after some calls of fmi2NewDiscreteStates; one call more changes
-    nothing.
-    """
-    events, ended = _run(probe)
-    for event in events:
+    """newDiscreteStatesNeeded becomes false after some calls of fmi2NewDiscreteStates."""
+    _, ended = _run(probe)
+    if "iterations" in ended:
+        yield f"{ended}: expected newDiscreteStatesNeeded false"
+
+
+@_rule("3.2.2")
+def ended_events_stay_ended(probe: Probe) -> Iterator[str]:
+    """Where newDiscreteStatesNeeded is false, one more call of fmi2NewDiscreteStates changes nothing."""
+    for event in _run(probe, again=True)[0]:
         for name, b in event.get("again", {}).items():
             if not same(a := event["values"][name], b, _SOLVED):
                 where = f"by one more fmi2NewDiscreteStates at {_event(probe, event)}"
                 yield f"{name} changes from {a!r} to {b!r} {where}: expected newDiscreteStatesNeeded before"
                 return
-    if "iterations" in ended:
-        yield f"{ended}: expected newDiscreteStatesNeeded false"
 
 
 @_rule("3.1")
