@@ -178,7 +178,7 @@ def repeated(names: Iterable[Any]) -> dict[Any, int]:
 
 MODULES = (
     "archive", "files", "description", "variables", "structure", "library",
-    "lifecycle", "initialization", "calls", "value", "setting", "step", "asynchronous",
+    "lifecycle", "initialization", "calls", "value", "setting", "step",
     "environment", "messages", "state", "derivatives", "effects", "reference", "model_exchange",
 )  # fmt: skip
 """Modules of `fmus.compliance.rules`, in the order in which their rules are judged and told."""

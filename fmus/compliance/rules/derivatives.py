@@ -10,15 +10,7 @@ from fmus.compliance.differential import Row, differences, differential
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, behaviour_rule
-from fmus.compliance.rules.finite_differences import (
-    ANY_STEP,
-    NOISE,
-    Slopes,
-    Values,
-    in_steps,
-    series,
-    values_of,
-)
+from fmus.compliance.rules import finite_differences as finite
 from fmus.compliance.script import Action, Reading, Script
 from fmus.compliance.values import (
     INTERPOLATES,
@@ -47,7 +39,7 @@ _APART = 0.35  # relative: less than what a half or a double is away
 # the attribute derivative
 
 
-def _named_slopes(probe: Probe, part: float = 1.0) -> list[tuple[Variable, Variable, Slopes]]:
+def _named_slopes(probe: Probe, part: float = 1.0) -> list[tuple[Variable, Variable, finite.Slopes]]:
     """Returns each continuous variable that names another one as its integral, the other one, and the slopes
     of that; states that events change are left out.
     """
@@ -61,10 +53,10 @@ def _named_slopes(probe: Probe, part: float = 1.0) -> list[tuple[Variable, Varia
     ]
     if not pairs:
         raise NotApplicableError("no continuous variable without reinit has another as its derivative")
-    table = series(probe, list(itertools.chain(*pairs)), _STEPS, part)
+    table = finite.series(probe, list(itertools.chain(*pairs)), _STEPS, part)
     columns = [(d, v, table[v.name][0], table[d.name][0]) for d, v in pairs if table]
     return [
-        (d, v, Slopes(values, derivatives, part * probe.step_size))
+        (d, v, finite.Slopes(values, derivatives, part * probe.step_size))
         for d, v, values, derivatives in columns
         if all(map(math.isfinite, [*values, *derivatives]))
     ]
@@ -86,7 +78,7 @@ def derivatives_are_slopes(probe: Probe) -> Iterator[str]:
     """
     wrong = _no_slopes(probe)
     # what repeats with each step moves in steps of another size
-    short = _no_slopes(probe, _SHORT) if wrong and probe.fmu.claims(ANY_STEP) else {}
+    short = _no_slopes(probe, _SHORT) if wrong and probe.fmu.claims(finite.ANY_STEP) else {}
     yield from (f"{name}: {message}" for name, message in wrong.items() if name in short)
 
 
@@ -112,12 +104,12 @@ _rule_of_outputs = partial(behaviour_rule, condition=_orders)
 def _outputs(probe: Probe, part: float = 1.0) -> dict[str, list[list[float]]]:
     """Returns the values of continuous outputs, and their derivatives of each order that is claimed."""
     chosen = continuous_reals(probe, "output")
-    return series(probe, chosen, _STEPS_OF_OUTPUTS, part, probe.fmu.output_derivative_order)
+    return finite.series(probe, chosen, _STEPS_OF_OUTPUTS, part, probe.fmu.output_derivative_order)
 
 
-def _output_slopes(probe: Probe, part: float = 1.0) -> dict[str, Slopes]:
+def _output_slopes(probe: Probe, part: float = 1.0) -> dict[str, finite.Slopes]:
     return {
-        name: Slopes(values, first, part * probe.step_size)
+        name: finite.Slopes(values, first, part * probe.step_size)
         for name, (values, first, *_) in _outputs(probe, part).items()
         if all(map(math.isfinite, values))
     }
@@ -145,7 +137,7 @@ def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
     """The first derivative of an output is 0, where its order is lower, or its slope: near the difference
     quotients before and after it.
     """
-    short = _output_slopes(probe, _SHORT) if probe.fmu.claims(ANY_STEP) else {}
+    short = _output_slopes(probe, _SHORT) if probe.fmu.claims(finite.ANY_STEP) else {}
     for name, slopes in _output_slopes(probe).items():
         wrong = slopes.wrong()
         if wrong and (not short or (name in short and short[name].wrong())):
@@ -172,7 +164,7 @@ def higher_output_derivatives_are_right(probe: Probe) -> Iterator[str]:
     for name, (_, *orders) in _outputs(probe).items() if not messages else ():
         for order, (lower, higher) in enumerate(itertools.pairwise(orders), 2):
             is_finite = all(map(math.isfinite, [*lower, *higher]))
-            if is_finite and (wrong := Slopes(lower, higher, probe.step_size).wrong()):
+            if is_finite and (wrong := finite.Slopes(lower, higher, probe.step_size).wrong()):
                 yield f"{name}, order {order}: {wrong}"
 
 
@@ -248,7 +240,7 @@ def _inputs_by_effect(probe: Probe) -> dict[str, list[Variable]]:
     return inputs
 
 
-def _runs_to(probe: Probe, v: Variable, value: float, parts: int) -> list[list[Values]]:
+def _runs_to(probe: Probe, v: Variable, value: float, parts: int) -> list[list[finite.Values]]:
     """Returns the outputs after each part of a step, of an input that is held, one that has another value,
     and one that moves to it: by its derivative in one step, by its values in short steps.
     """
@@ -256,7 +248,7 @@ def _runs_to(probe: Probe, v: Variable, value: float, parts: int) -> list[list[V
     on_line = [start + (value - start) * (i + 0.5) / parts for i in range(parts)]
     moving = (on_line, None) if parts > 1 else ([start], (value - start) / size)
     runs = ([start] * parts, None), ([value] * parts, None), moving
-    return values_of(probe, [in_steps(probe, v, xs, size, slope) for xs, slope in runs])
+    return finite.values_of(probe, [finite.in_steps(probe, v, xs, size, slope) for xs, slope in runs])
 
 
 @_rule_of_inputs()
@@ -264,8 +256,8 @@ def input_derivatives_are_slopes(probe: Probe) -> Iterator[str]:
     """With its first derivative an input moves an output, which follows it through a state, in a step about
     as far as in short steps in which the input is set to its values on that line.
     """
-    if not probe.fmu.claims(ANY_STEP):
-        raise NotApplicableError(f"{ANY_STEP} is not claimed")
+    if not probe.fmu.claims(finite.ANY_STEP):
+        raise NotApplicableError(f"{finite.ANY_STEP} is not claimed")
     for v, value in other_values(_inputs_by_effect(probe)["right"][:_MOST_INPUTS]):
         judged = list(_effects_of_a_line(probe, v, value))
         if judged and all(abs(got - expected) > _APART * abs(expected) for _, got, expected in judged):
@@ -288,7 +280,7 @@ def _effects_of_a_line(probe: Probe, v: Variable, value: float) -> Iterator[tupl
         effect, at_once = converged - short_held, short[1][0][name] - short[0][0][name]
         is_state = abs(at_once) < _THROUGH_A_STATE * abs(effect)
         is_converged = abs(raised - held - effect) <= _CONVERGED * abs(effect)
-        if is_state and is_converged and abs(effect) > NOISE * abs(held) and math.isfinite(moving):
+        if is_state and is_converged and abs(effect) > finite.NOISE * abs(held) and math.isfinite(moving):
             yield name, moving - held, line - short_held
 
 

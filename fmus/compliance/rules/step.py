@@ -1,4 +1,4 @@
-"""Steps: their times, their sizes, the stop time, and what a step does."""
+"""Steps: their times, their sizes, the stop time, what a step does, and steps that are pending."""
 
 import itertools
 import math
@@ -12,10 +12,18 @@ from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.rules.call_table import LARGE_TOLERANCE, TOLERANCE, run_with_tolerance
 from fmus.compliance.script import Reading, Script
-from fmus.compliance.values import continuous_reals, texts, unless_claimed
+from fmus.compliance.values import (
+    continuous_reals,
+    differing,
+    if_not_claimed,
+    is_utf_8,
+    texts,
+    unless_claimed,
+)
 from fmus.compliance.variable import Variable
-from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME
+from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME, OK, WARNING, status_name
 
+_ASYNCHRONOUS, _PENDING_STATUS = "canRunAsynchronuously", 1  # fmi2StatusKind
 _ANY_STEP = "canHandleVariableCommunicationStepSize"
 _LAST_TIME = "status_of", "Real", LAST_SUCCESSFUL_TIME
 _MORE_STEPS = (13, 47, 211)  # instead of two: for each internal step from the usual size to a hundredth
@@ -209,3 +217,75 @@ def default_experiment_runs(probe: Probe) -> Iterator[str]:
     failure = do.over_the_experiment(probe).failure
     if failure and failure.status != DISCARD:
         yield failure.problem
+
+
+# steps that are pending
+
+
+@behaviour_rule("4.2.2", condition=if_not_claimed(_ASYNCHRONOUS), interface=CO_SIMULATION)
+def steps_are_not_pending(probe: Probe) -> Iterator[str]:
+    """Without canRunAsynchronuously, fmi2DoStep does not return pending."""
+    script = probe.script(logging=True).begin()
+    pending = script.call("begin_step", probe.start_time, probe.step_size)
+    script.play(keep_going=True)
+    if pending.value:
+        yield "fmi2DoStep returned pending: expected that only with canRunAsynchronuously"
+
+
+@behaviour_rule("2.1.5", condition=unless_claimed(_ASYNCHRONOUS))
+def step_finished_is_called(probe: Probe) -> Iterator[str]:
+    """After a pending step, perhaps also after others, the callback stepFinished is called once; without it
+    fmi2GetStatus tells the step's end.
+    """
+    count = 3
+    script = probe.script(logging=True).begin().step(count)
+    steps = script.call("finished_steps")
+    script.play(keep_going=True)
+    pending, calls = steps.value or (0, [])
+    finished = len(calls)
+    if script.failure:
+        yield script.failure.problem
+    elif not pending <= finished <= count:  # a step that is not pending is completed too
+        yield (
+            f"stepFinished was called {finished} times for {pending} pending steps of {count}: "
+            "expected once for each"
+        )
+    if not all(right_environment for _, right_environment in calls):
+        yield "stepFinished was called without the componentEnvironment of its instance"
+    if not script.failure and any(status not in (OK, WARNING) for status, _ in calls):
+        statuses = ", ".join(sorted({status_name(status) for status, _ in calls}))
+        yield f"stepFinished was called with the status {statuses} for steps that succeed: expected theirs"
+    fewest = probe.script(callbacks="fewest").begin().step(3)
+    fewest.play(keep_going=True)
+    if fewest.failure:
+        yield f"without stepFinished: {fewest.failure.problem}"
+
+
+@behaviour_rule("4.2.3", condition=unless_claimed(_ASYNCHRONOUS))
+def status_of_a_pending_step_is_given(probe: Probe) -> Iterator[str]:
+    """While a step is pending, fmi2GetStatus returns ok and gives pending, or the status of the step that has
+    ended; a text of fmi2PendingStatus is UTF-8.
+    """
+    script = probe.script(logging=True).begin()
+    pending = script.call("begin_step", probe.start_time, probe.step_size)
+    text = script.call("status_of", "String", _PENDING_STATUS)
+    polled = script.call("poll_step")
+    time = script.read([v for v in probe.fmu.variables if v.causality == "independent"])
+    outputs = script.read(probe.outputs)
+    usual = do.played(probe, (do.begin, do.run(1)))
+    script.play(keep_going=True)
+    if not pending.value:
+        raise NotJudgedError("the step was not pending")
+    if text.ok and (text.value is None or not is_utf_8(bytes.fromhex(text.value))):
+        shown = "NULL" if text.value is None else bytes.fromhex(text.value)
+        yield f"fmi2GetStringStatus of fmi2PendingStatus is {shown!r}: expected a text in UTF-8"
+    if polled.status is None:
+        return
+    answer, step = polled.value[-1]
+    if answer:
+        yield f"fmi2GetStatus of a pending step returned {status_name(answer)}: expected ok and its status"
+    elif step not in (OK, WARNING):
+        yield f"fmi2GetStatus gives {status_name(step)} for a step that succeeds: expected ok"
+    elif outputs.ok and time.ok:
+        expected = [reading for *_, reading in usual.observed]
+        yield from differing(expected, [outputs], "after a step that has ended by fmi2GetStatus")
