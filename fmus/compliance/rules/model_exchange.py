@@ -22,6 +22,7 @@ _INDICATORS, _NOMINALS = "fmi2GetEventIndicators", "fmi2GetNominalsOfContinuousS
 _STEPS = 50  # of the run whose events are observed
 _SOLVED = 1e-6  # relative: what an iterative solver in the FMU may change
 _JUMP = 0.01  # of an indicator of the order of one, in a millionth of a step
+_HYSTERESIS = 1e-6  # of an indicator of the order of one, at most
 _MOST_STATES = 20  # that are moved alone
 _NO_BOOLEAN = -1234567  # of a flag that the FMU has not written
 _NOT_NEEDED = "completedIntegratorStepNotNeeded"
@@ -308,10 +309,14 @@ def discrete_variables_are_frozen(probe: Probe, start: Start) -> Iterator[str]:
 @_rule("3.1")
 def discrete_changes_have_an_event(probe: Probe) -> Iterator[str]:
     """Where event mode is entered although there is no event, discrete variables do not change."""
-    for before, event in itertools.pairwise(_run(probe)[0]):
+    events, _ = _run(probe)
+    for i, (before, event) in enumerate(itertools.pairwise(events), 1):
         next_event = before["infos"][-1]["nextEventTime"] if before["infos"] else math.inf
         is_time_event = abs(next_event - event["time"]) <= 1e-9 * max(1.0, abs(next_event))
-        is_later = event["time"] > before["time"] and not is_time_event
+        # within a hysteresis a relation may change before its indicator does
+        indicators = next((e["indicators"] for e in events[i:] if "indicators" in e), ())
+        is_near = any(abs(z) < _HYSTERESIS for z in indicators)
+        is_later = event["time"] > before["time"] and not is_time_event and not is_near
         for v in _discrete(probe.fmu) if event["cause"] == _NO_EVENT and is_later else ():
             a, b = (e.get(when, {}).get(v.name) for e, when in ((before, "values"), (event, "values")))
             if None not in (a, b) and not same(a, b):
