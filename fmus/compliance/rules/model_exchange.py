@@ -308,7 +308,7 @@ def discrete_variables_are_frozen(probe: Probe, start: Start) -> Iterator[str]:
 
 @_rule("3.1")
 def discrete_changes_have_an_event(probe: Probe) -> Iterator[str]:
-    """Where event mode is entered although there is no event, discrete variables do not change."""
+    """Discrete variables do not change where event mode is entered although there is no event."""
     events, _ = _run(probe)
     for i, (before, event) in enumerate(itertools.pairwise(events), 1):
         next_event = before["infos"][-1]["nextEventTime"] if before["infos"] else math.inf
@@ -456,7 +456,7 @@ def events_come_to_an_end(probe: Probe) -> Iterator[str]:
 
 @_rule("3.2.2")
 def ended_events_stay_ended(probe: Probe) -> Iterator[str]:
-    """Where newDiscreteStatesNeeded is false, one more call of fmi2NewDiscreteStates changes nothing."""
+    """One more call of fmi2NewDiscreteStates changes nothing where newDiscreteStatesNeeded is false."""
     for event in _run(probe, again=True)[0]:
         for name, b in event.get("again", {}).items():
             if not same(a := event["values"][name], b, _SOLVED):
