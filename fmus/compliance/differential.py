@@ -78,7 +78,13 @@ def differences(probe: Probe, rows: Iterable[Row]) -> Iterator[str]:
 
     Raises NotJudgedError if no row can be judged.
     """
-    written = [each for row in rows for each in _crossed(probe, row)]
+    reasons, written = list[NotJudgedError](), list[tuple[Row, Script, list[Script]]]()
+    for row in rows:
+        try:
+            written += _crossed(probe, row)
+        except NotJudgedError as reason:  # a call that it needs is not known
+            reasons.append(reason)
+    count = len(written) + len(reasons)
     probe.play_once([usual for _, usual, _ in written if usual.calls])
     try:
         probe.play_once([plays[0] for row, _, plays in written if not row.beside])
@@ -87,7 +93,6 @@ def differences(probe: Probe, rows: Iterable[Row]) -> Iterator[str]:
             raise
         yield f"{_failing(written[0][0])}: {error}"
         return
-    reasons: list[NotJudgedError] = []
     messages: dict[str, str] = {}  # the first of each variable
     for row, usual, plays in written:
         if row.beside:
@@ -98,7 +103,7 @@ def differences(probe: Probe, rows: Iterable[Row]) -> Iterator[str]:
         except NotJudgedError as reason:
             reasons.append(reason)
     yield from messages.values()
-    if reasons and len(reasons) == len(written):
+    if reasons and len(reasons) == count:
         raise reasons[0]
 
 
