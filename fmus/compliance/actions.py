@@ -21,6 +21,7 @@ def _action(method: Callable[Concatenate[Script, P], object]) -> Callable[P, Act
 
 
 begin: Action = Script.begin
+start: Action = Script.start
 initialise: Action = Script.initialise
 enter_initialization_mode: Action = Script.enter_initialization_mode
 exit_initialization_mode: Action = Script.exit_initialization_mode
@@ -30,7 +31,8 @@ pause: Action = Script.pause
 forbidden: Action = Script.forbidden
 terminate: Action = Script.terminate
 reset: Action = Script.reset
-call, step, go_on = _action(Script.call), _action(Script.step), _action(Script.go_on)
+call, step, leap = _action(Script.call), _action(Script.step), _action(Script.leap)
+go_on = _action(Script.go_on)
 save, restore, copy = _action(Script.save), _action(Script.restore), _action(Script.copy)
 read_bytes, glance, plain = _action(Script.read_bytes), _action(Script.read), _action(Script.plain)
 
@@ -50,6 +52,11 @@ def in_state(name: str) -> Action:
     return lambda script: setattr(script, "state", name)
 
 
+def set_time(script: Script) -> None:
+    """Sets the time to what they are."""
+    script.call("set_time", script.time)
+
+
 def free_state(slot: int = 0) -> Action:
     return call("free_fmu_state", slot)
 
@@ -60,7 +67,7 @@ def read(variables: Iterable[Variable], when: str = "", where: str = "") -> Acti
 
 
 def read_all(when: str = "", where: str = "") -> Action:
-    return lambda script: script.write([read(script.variables, when, where)])
+    return lambda script: script.observed.append((when, where, script.read_everything()))
 
 
 def go_on_reading(steps: int, readings: int, when: str = "", observed: Sequence[Variable] = ()) -> Action:

@@ -48,6 +48,8 @@ DEFAULT_TIMEOUT_S = 30.0
 _RANDOM_RUNS = "runs-are-not-random"
 _STEPS = "steps-and-terminates"
 _FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs
+# by what these find, others are not judged
+_OF_CALLS = "allowed-calls-succeed", "statuses-are-legal", "wrong-references-are-refused"
 _AFTER_OTHERS = "instances-follow-each-other"
 _MOST_HANGS, _MOST_SLOW = 3, 20  # then the rest is not judged: it would take minutes
 _NAMES = {CO_SIMULATION: "co-simulation", MODEL_EXCHANGE: "model exchange"}
@@ -77,11 +79,9 @@ def judged(rule: Rule, subject: FmuFile | Probe, is_random: bool = False) -> Res
 
 
 def behaviour(
-    fmu: FmuFile,
-    timeout: float = DEFAULT_TIMEOUT_S,
-    of_libraries: Callable[[], Sequence[Result]] = tuple,
+    fmu: FmuFile, timeout: float = DEFAULT_TIMEOUT_S, of_libraries: Callable[[], Sequence[Result]] = tuple,
     names: Collection[str] | None = None,
-) -> Iterator[Result]:
+) -> Iterator[Result]:  # fmt: skip
     """Yields one result for each behaviour rule, of all interfaces that the FMU has.
 
     timeout: seconds for one rule
@@ -147,7 +147,12 @@ def _in_order(chosen: Sequence[Rule], applicable: Mapping[str, Rule]) -> list[Ru
                 add(need)
             ordered[name] = applicable[name]
 
-    for name in (*FUNDAMENTAL, _AFTER_OTHERS, *sorted(names, key=lambda name: applicable[name].last)):
+    for name in (
+        *FUNDAMENTAL,
+        _AFTER_OTHERS,
+        *_OF_CALLS,
+        *sorted(names, key=lambda name: applicable[name].last),
+    ):
         add(name)
     return list(ordered.values())
 

@@ -60,13 +60,9 @@ class CalledInstance(binding.BoundInstance):
     _unknown: MessageLog  # of environments of no instance, perhaps of one that was freed
 
     def __init__(
-        self,
-        library: binding.Library,
-        memory: CountingAllocator,
-        settings: ProcessSettings,
-        options: dict[str, Any],
-        announce: Callable[[str], None],
-    ) -> None:
+        self, library: binding.Library, memory: CountingAllocator, settings: ProcessSettings,
+        options: dict[str, Any], announce: Callable[[str], None],
+    ) -> None:  # fmt: skip
         self._options, self._settings, self._announce = options, settings, announce
         self.function = self._mode = ""  # the latest function, and the latest that changes the state
         self._memory, self._noted = memory, set[str]()

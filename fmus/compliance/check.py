@@ -24,42 +24,30 @@ _SHOWN_AFTER_S = 2.0
 
 def check(
     fmus: Annotated[
-        list[Path] | None, typer.Argument(metavar="FMU...", help="FMUs of any origin.", show_default=False)
-    ] = None,
-    json_file: Annotated[
-        str, typer.Option("--json", metavar="FILE", help="Write the results as JSON; - prints them.")
-    ] = "",
-    format_name: Annotated[
-        Literal["text", "json", "sarif", "junit", "github"],
-        typer.Option("--format", help="Format of what is printed, or of --out; github: annotations."),
-    ] = "text",
+    list[Path] | None, typer.Argument(metavar="FMU...", help="FMUs of any origin.", show_default=False)
+    ] = None, json_file: Annotated[
+    str, typer.Option("--json", metavar="FILE", help="Write the results as JSON; - prints them.") ] = "",
+    format_name: Annotated[ Literal["text", "json", "sarif", "junit", "github"],
+    typer.Option("--format", help="Format of what is printed, or of --out; github: annotations."), ] = "text",
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write that format to a file, and print text.")
-    ] = None,
+    Path | None, typer.Option(metavar="FILE", help="Write that format to a file, and print text.") ] = None,
     every: Annotated[
-        bool, typer.Option("--all", help="Show each rule that is judged, and each finding, also accepted.")
-    ] = False,
-    only: Annotated[
-        str, typer.Option(metavar="RULE,RULE", help="Judge these rules alone, also such as are left out.")
-    ] = "",
+    bool, typer.Option("--all", help="Show each rule that is judged, and each finding, also accepted.")
+    ] = False, only: Annotated[
+    str, typer.Option(metavar="RULE,RULE", help="Judge these rules alone, also such as are left out.") ] = "",
     waivers: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Accept the findings of this file (TOML).")
-    ] = None,
+    Path | None, typer.Option(metavar="FILE", help="Accept the findings of this file (TOML).") ] = None,
     baseline: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Accept the findings that were written to this file.")
-    ] = None,
-    write_baseline: Annotated[
-        bool, typer.Option("--write-baseline", help="Write the present findings to the --baseline.")
-    ] = False,
+    Path | None, typer.Option(metavar="FILE", help="Accept the findings that were written to this file.")
+    ] = None, write_baseline: Annotated[
+    bool, typer.Option("--write-baseline", help="Write the present findings to the --baseline.") ] = False,
     fail_on: Annotated[Level, typer.Option(help="Fail for findings of this level and above.")] = Level.ERROR,
     strict: Annotated[bool, typer.Option("--strict", help="Fail if a rule is not judged.")] = False,
     timeout: Annotated[float, typer.Option(min=0.1, help="Seconds that one rule may take.")] = 30.0,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
-    rule: Annotated[
-        str,
-        typer.Option("--explain", metavar="RULE", help="Show what a rule claims and its sentences of FMI."),
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False, rule: Annotated[ str,
+    typer.Option("--explain", metavar="RULE", help="Show what a rule claims and its sentences of FMI."),
     ] = "",
-) -> None:
+) -> None:  # fmt: skip
     """Check FMUs against the rules of FMI 2.0.5.
 
     Exit status: 0; 1 for errors; 2 for wrong use or a missing file; 3 if this machine allows no verdict;

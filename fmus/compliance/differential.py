@@ -2,24 +2,38 @@
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import wraps
-from typing import Any
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import partial, wraps
+from typing import Any, NamedTuple
 
 from fmus.compliance import actions as do
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Check, NotJudgedError, behaviour_rule
+from fmus.compliance.rule import Check, NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.script import Action, CallError, Script
 from fmus.compliance.values import differing, steadily
 from fmus.fmi.binding import ERROR
 
 ROUNDING = 1e-9  # relative: of values that are computed again
+_SLOT = 1000  # of a saved state, which no row uses
 OF_EXPERIMENT = None  # tolerance of a row: that of the default experiment
+
+
+class Start(NamedTuple):
+    """A state from which rows are played. words: in messages; lead: actions that lead there."""
+
+    words: str
+    lead: Sequence[Action]
+
+
+AT_FIRST = Start("", ())
 
 
 @dataclass(frozen=True)
 class Row:
     """A varied run, which gives what a usual one gives.
+
+    It is crossed with starts, if its actions begin with `start`: see `starts`.
 
     when: words for the variation, in messages; failing: for a call that fails, if others; {state} is replaced
     usual: actions; what they read is expected, after what the varied run itself expects, and over again;
@@ -28,6 +42,7 @@ class Row:
     options: of the instance; beside: actions on other instances, which take turns with it
     may_fail: whether the FMU may refuse a call, and then nothing can be compared
     again: what is expected, in words, of a value
+    start: where its runs begin
     """
 
     when: str
@@ -39,6 +54,7 @@ class Row:
     beside: Sequence[Sequence[Action]] = ()
     may_fail: bool = False
     again: str = "{} again"
+    start: Start = AT_FIRST
 
 
 def differential(clause: str, **options: Any) -> Callable[[Callable[[Probe], Iterable[Row]]], Check]:
@@ -62,7 +78,13 @@ def differences(probe: Probe, rows: Iterable[Row]) -> Iterator[str]:
 
     Raises NotJudgedError if no row can be judged.
     """
-    written = [_write(probe, row) for row in rows]
+    reasons, written = list[NotJudgedError](), list[tuple[Row, Script, list[Script]]]()
+    for row in rows:
+        try:
+            written += _crossed(probe, row)
+        except NotJudgedError as reason:  # a call that it needs is not known
+            reasons.append(reason)
+    count = len(written) + len(reasons)
     probe.play_once([usual for _, usual, _ in written if usual.calls])
     try:
         probe.play_once([plays[0] for row, _, plays in written if not row.beside])
@@ -71,7 +93,6 @@ def differences(probe: Probe, rows: Iterable[Row]) -> Iterator[str]:
             raise
         yield f"{_failing(written[0][0])}: {error}"
         return
-    reasons: list[NotJudgedError] = []
     messages: dict[str, str] = {}  # the first of each variable
     for row, usual, plays in written:
         if row.beside:
@@ -82,7 +103,7 @@ def differences(probe: Probe, rows: Iterable[Row]) -> Iterator[str]:
         except NotJudgedError as reason:
             reasons.append(reason)
     yield from messages.values()
-    if reasons and len(reasons) == len(written):
+    if reasons and len(reasons) == count:
         raise reasons[0]
 
 
@@ -90,15 +111,49 @@ def _failing(row: Row) -> str:
     return row.when if row.failing is None else row.failing
 
 
+def _crossed(probe: Probe, row: Row) -> Iterator[tuple[Row, Script, list[Script]]]:
+    """Yields a row as `_write` returns it, from each start if it is crossed with these."""
+    at_first = _write(probe, row)
+    yield at_first
+    for start in starts(probe)[1:] if at_first[2][0].has_started and not row.start.lead else ():
+        yield _write(probe, replace(row, start=start))
+
+
+def starts(probe: Probe) -> list[Start]:
+    """Returns the states from which rows are played: at first; with most of the default experiment, and its
+    events, behind it; after fmi2Reset there; and of a state that was set back there.
+
+    Those are left out where a call fails, or which another rule finds to be others than they should be.
+    """
+    return probe.once("starts of runs", lambda: [AT_FIRST, *_other_starts(probe)])
+
+
+def _other_starts(probe: Probe) -> Iterator[Start]:
+    read = do.read_all(), do.step(8), do.read_all()
+    back = do.save(_SLOT), do.step(), do.restore(_SLOT), do.free_state(_SLOT)
+    late, saves = (do.leap(2),), probe.fmu.claims("canGetAndSetFMUstate")
+    for words, lead, usual in (
+        (", in a run", (do.leap(1),), (do.leap(1),)),
+        (", late in a run", late, late),
+        (", after fmi2Reset late in a run", (*late, do.reset, do.begin), ()),
+        *([(", from a state set back late in a run", (*late, *back), late)] if saves else []),
+    ):
+        row = Row("", (do.begin, *lead, *read), (do.begin, *usual, *read), tolerance=OF_EXPERIMENT)
+        with suppress(CallError, NotJudgedError, NotApplicableError):
+            if not list(differences(probe, [row])):
+                yield Start(words, lead)
+
+
 def _write(probe: Probe, row: Row) -> tuple[Row, Script, list[Script]]:
     """Returns a row with its usual run, and its varied one with those beside it."""
-    plays = [probe.script(*row.varied, logging=not row.may_fail, **row.options)]
+    written = partial(probe.script, lead=row.start.lead)
+    plays = [written(*row.varied, logging=not row.may_fail, **row.options)]
     if row.beside:
         all_actions = enumerate([row.varied, *row.beside])
-        plays = [probe.script(*actions, name=f"instance {i}", logging=True) for i, actions in all_actions]
+        plays = [written(*actions, name=f"instance {i}", logging=True) for i, actions in all_actions]
     steps = max(len(play.observed) for play in plays)
     usual = row.usual if row.usual is not None else (do.begin, do.run(steps)) if steps else ()
-    return row, probe.script(*usual), plays
+    return row, written(*usual), plays
 
 
 def verdict(probe: Probe, row: Row, usual: Script, plays: Sequence[Script]) -> Iterator[str]:
@@ -116,7 +171,7 @@ def verdict(probe: Probe, row: Row, usual: Script, plays: Sequence[Script]) -> I
         if failure and (row.may_fail or any(failure is reply for reply in play.attempts)):
             raise NotJudgedError(f"a call fails that may: {failure.problem}")
         if failure:
-            prefix = _failing(row).format(state=failure.state)
+            prefix = f"{_failing(row).format(state=failure.state)}{row.start.words}".removeprefix(", ")
             yield f"{prefix}: {failure.problem}" if prefix else failure.problem
             return
         messages = list(_unlike(probe, row, usual, play))
@@ -135,4 +190,5 @@ def _unlike(probe: Probe, row: Row, usual: Script, play: Script) -> Iterator[str
     compared = [(*seen, one) for one, seen in zip(itertools.cycle(expected), play.observed, strict=False)]
     for when, group in itertools.groupby(compared, lambda parts: parts[0]):
         _, where, after, before = zip(*group, strict=True)
-        yield from differing(before, after, when or row.when, tolerance, row.again, where)
+        words = f"{when or row.when}{row.start.words}"
+        yield from differing(before, after, words, tolerance, row.again, where)

@@ -219,6 +219,12 @@ class FmuFile:
                     listed.append(Dependencies(self.variables[index - 1], knowns, kinds))
         return sections
 
+    def vector_length(self, function: str) -> int:
+        """Returns the number of elements that a function of model exchange gives."""
+        if function == "fmi2GetEventIndicators":
+            return integer(self.root.get("numberOfEventIndicators")) or 0
+        return sum(1 for _ in self.unknowns("Derivatives"))
+
     def platforms(self) -> list[str]:
         """Returns the names of the folders below binaries that hold a file."""
         return sorted({path.split("/")[1] for path in self.names if re.match("binaries/[^/]+/.*[^/]$", path)})

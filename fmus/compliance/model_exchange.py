@@ -15,7 +15,7 @@ from fmus.fmi.binding import DISCARD, MODEL_EXCHANGE, OK, WARNING
 
 _MOST_SUBSTEPS, _MOST_EVENTS, _MOST_ITERATIONS = 500, 100, 100
 _LEAST = 1e-6  # smallest part of a step that is tried
-_TOLERANCE = 1e-4
+_TOLERANCE, _ROUGHNESS = 1e-4, 300.0
 _TOO_MANY = "the explicit scheme of this checker needs more than"
 _STATES, _DERIVATIVES = "fmi2GetContinuousStates", "fmi2GetDerivatives"
 _INDICATORS = "fmi2GetEventIndicators"
@@ -43,6 +43,7 @@ class ModelExchangeInstance(CalledInstance):
 
     options besides: states and indicators, the numbers of both
       needs_completed: whether fmi2CompletedIntegratorStep must be called
+      again: whether fmi2NewDiscreteStates is called once more at the end of each event
       observed: type -> value references of variables that `observed_events` has with the events
     """
 
@@ -51,6 +52,7 @@ class ModelExchangeInstance(CalledInstance):
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self._time = self._next_event = math.nan
+        self._roughness = 1.0  # times the tolerances
         self._events: list[dict[str, Any]] = []
 
     # single functions
@@ -113,6 +115,14 @@ class ModelExchangeInstance(CalledInstance):
             t = self._time  # but for rounding
         return self._lead(lambda: self._advance(t, t + h, no_going_back))
 
+    def leap(self, t: float, h: float) -> str:
+        """Makes a step as `do_step` does, in a rough way."""
+        self._roughness = _ROUGHNESS
+        try:
+            return self.do_step(t, h)
+        finally:
+            self._roughness = 1.0
+
     def observed_events(self) -> list[dict[str, Any]]:
         """Returns the events since the last question."""
         events, self._events = self._events, []
@@ -142,7 +152,7 @@ class ModelExchangeInstance(CalledInstance):
         for _ in range(_MOST_EVENTS):
             self._checked(self.call_plain, "fmi2EnterContinuousTimeMode")
             until = min(end, max(t, self._next_event))
-            t, cause = self._integrate(t, until, (end - t) * _LEAST, no_going_back)
+            t, cause = self._integrate(t, until, (end - t) * _LEAST * self._roughness, no_going_back)
             self._time = t
             self._note("left")
             self._checked(self.call_plain, "fmi2EnterEventMode")
@@ -166,6 +176,9 @@ class ModelExchangeInstance(CalledInstance):
             vectors += [self._state_vectors()] if observed else []
         self._note("values")
         last = infos[-1]
+        if self._options.get("again"):
+            last = self._checked(self.new_discrete_states)  # which has nothing to do
+            self._note("again")
         self._next_event = last["nextEventTime"] if last["nextEventTimeDefined"] else math.inf
 
     def _note(self, when: str) -> None:
@@ -216,7 +229,7 @@ class ModelExchangeInstance(CalledInstance):
                 if self._events:
                     self._events[-1].setdefault("completed", []).append([x, self._read(_STATES)])
             if is_crossing and self._events:
-                self._events[-1]["crossing"] = [before, z]
+                self._events[-1]["crossing"] = [before, z, self._read(_INDICATORS)]
             if enter or is_crossing:
                 return t, "step event" if enter else "state event"
             if t < end:
@@ -248,7 +261,8 @@ class ModelExchangeInstance(CalledInstance):
             return None
         if not all(map(math.isfinite, [*new, *z])):
             return None
-        sizes = (abs(a - b) / (_TOLERANCE * max(abs(a), 1e-3)) for a, b in zip(euler, new, strict=True))
+        tolerance = _TOLERANCE * self._roughness
+        sizes = (abs(a - b) / (tolerance * max(abs(a), 1e-3)) for a, b in zip(euler, new, strict=True))
         return new, z, max(sizes, default=0.0)
 
     def _slopes_at(self, x: Sequence[float]) -> list[float]:

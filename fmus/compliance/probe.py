@@ -14,7 +14,7 @@ from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.fmu_process import Call, FmuProcess
 from fmus.compliance.rule import NotApplicableError, NotJudgedError
 from fmus.compliance.script import USUAL_NAME, Action, CallError, Message, Reply, Script
-from fmus.compliance.variable import Variable, integer, number
+from fmus.compliance.variable import Variable, number
 from fmus.fmi import binding
 from fmus.fmi.binding import DISCARD, ERROR, OK, TERMINATED, WARNING
 
@@ -23,6 +23,7 @@ _LICENCE = re.compile("licen[cs]e", re.IGNORECASE)
 _REFUSED_STEPS, _DISCARDED_STEP = "refused steps", "discarded step"  # among what the rules share
 _NUMBER_OF_IT = "number of the discarded step"
 _REFUSALS, _PLAYED, _LOG = "refusals", "answers of scripts that were played", "messages"
+_KNOWN = "calls that are known to fail"
 _MOST_MESSAGES = 10_000
 _FEWEST_STEPS, _MEASURED_STEPS, _MOST_STEPS = 10, 40, 5_000  # of a run over the default experiment
 _LONGEST_RUN_S = 1.0
@@ -73,12 +74,13 @@ class Probe:
         """Returns the result of a method of `LoadedFmu`."""
         return self.process.calls([(method, *arguments)])[0]
 
-    def script(self, *actions: Action, **options: Any) -> Script:
+    def script(self, *actions: Action, lead: Sequence[Action] = (), **options: Any) -> Script:
         """Returns calls to be made on a new instance, those of some actions at first.
 
-        options: of `CalledInstance`, but for the GUID of the description
+        lead: see `Script`; options: of `CalledInstance`, but for the GUID of the description
         """
         script = Script(self, {"guid": self.fmu.guid, **self._options, **options})
+        script.lead = lead
         script.write(actions)
         return script
 
@@ -113,6 +115,7 @@ class Probe:
         self._note_messages(scripts)
         self._note_refusals(scripts)
         self._judge_steps(scripts)
+        self._judge_calls(scripts)
 
     def play_usual_steps(self, script: Script) -> None:
         """Plays a script of equal steps of the default experiment's size.
@@ -151,6 +154,16 @@ class Probe:
             _, t, h, *_ = script.calls[script.replies.index(failure)]
             if t + h > self.stop_time + 1e-9 * max(abs(t), h):
                 raise NotJudgedError("the FMU refuses steps beyond the stop time of its DefaultExperiment")
+
+    def note_failure(self, reply: Reply, rule: str) -> None:
+        """Notes, for all rules, that a function fails in a state, which a rule tells."""
+        self._shared.setdefault(_KNOWN, {})[reply.function, reply.state] = rule
+
+    def _judge_calls(self, scripts: Sequence[Script]) -> None:
+        """Raises NotJudgedError for a call that is known to fail: the rule of it has told that."""
+        for failure in filter(None, (script.failure for script in scripts)):
+            if rule := self._shared.get(_KNOWN, {}).get((failure.function, failure.state)):
+                raise NotJudgedError(f"{failure.function} fails, which {rule} tells")
 
     @property
     def refusals(self) -> list[Reply]:
@@ -255,6 +268,7 @@ class Probe:
         self._note_messages(scripts)
         self._note_refusals(scripts)
         self._judge_steps(scripts)
+        self._judge_calls(scripts)
         return results[1::3]
 
     def _fail(self, script: Script, freed: list[Call]) -> None:
@@ -273,6 +287,7 @@ class Probe:
                 raise NotJudgedError("the FMU terminates the simulation by itself")
         self.process.calls(freed)
         self._judge_steps([script])
+        self._judge_calls([script])
         if is_discarded:
             raise DiscardedStepError("the FMU discards a step")
         raise CallError(failure.problem, failure.status)
@@ -318,8 +333,8 @@ class Probe:
 def _sizes(fmu: FmuFile) -> dict[str, Any]:
     """Returns the options of `ModelExchangeInstance`, from the description."""
     return {
-        "states": sum(1 for _ in fmu.unknowns("Derivatives")),
-        "indicators": integer(fmu.root.get("numberOfEventIndicators")) or 0,
+        "states": fmu.vector_length("fmi2GetContinuousStates"),
+        "indicators": fmu.vector_length("fmi2GetEventIndicators"),
         "needs_completed": not fmu.claims("completedIntegratorStepNotNeeded"),
     }
 

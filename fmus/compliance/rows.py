@@ -5,7 +5,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from fmus.compliance.fmu_file import FmuFile, etree
 from fmus.compliance.rule import Check, Condition, Rule, Stage, add_rule, always
-from fmus.compliance.sentences import sentences_of, titles
+from fmus.compliance.sentences import sentences_of
 
 T = TypeVar("T")
 Case = tuple[Callable[[T, FmuFile], object], str]
@@ -18,24 +18,20 @@ class Row(NamedTuple):
     """One rule. clause: who demands it, if no sentence of FMI does."""
 
     name: str
-    claim: str
     check: Check
     clause: str
 
 
-def row(
-    name: str, claim: str, subjects: Callable[[FmuFile], Iterable[T]], *cases: Case[T], clause: str = ""
-) -> Row:
+def row(name: str, subjects: Callable[[FmuFile], Iterable[T]], *cases: Case[T], clause: str = "") -> Row:
     """Returns a rule that looks at subjects in an FMU: of each the first case that holds is told, once."""
-    return Row(name, claim, lambda fmu: dict.fromkeys(told(fmu, subjects(fmu), *cases)), clause)
+    return Row(name, lambda fmu: dict.fromkeys(told(fmu, subjects(fmu), *cases)), clause)
 
 
 def add_rows(module: str, stage: Stage, rows: Iterable[Row], condition: Condition = always) -> None:
     """Makes rows the rules of a module, of one stage and condition; their clauses are those of sentences."""
     for r in rows:
-        clauses = dict.fromkeys(sentence.clause for sentence in sentences_of(r.name))
-        clause = r.clause or ", ".join(f"{number} {titles()[number]}" for number in clauses)
-        add_rule(Rule(r.name, clause, r.claim, stage, r.check, condition, module=module))
+        clause = r.clause or ", ".join(dict.fromkeys(sentence.clause for sentence in sentences_of(r.name)))
+        add_rule(Rule(r.name, clause, "", stage, r.check, condition, module=module))
 
 
 def told(fmu: FmuFile, subjects: Iterable[T], *cases: Case[T]) -> Iterator[str]:

@@ -3,13 +3,13 @@
 import inspect
 from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
 from importlib import import_module
 from typing import Any
 
-from fmus.compliance.sentences import levels
+from fmus.compliance.sentences import levels, rule_table, titles
 
 Check = Callable[[Any], Iterable[str]]
 Condition = Callable[[Any], str]  # why the rule does not apply to an FMU; nothing if it does
@@ -117,18 +117,11 @@ def always(_: Any) -> str:
 
 
 def rule(
-    clause: str,
-    stage: Stage,
-    condition: Condition = always,
-    needs: str = "",
-    last: bool = False,
-    interface: str = "",
-) -> Callable[[Check], Check]:
+    clause: str, stage: Stage, condition: Condition = always, last: bool = False, interface: str = "",
+) -> Callable[[Check], Check]:  # fmt: skip
     """Makes a function a rule: its name with dashes is the rule's, its docstring what the rule claims.
 
-    clause: section of FMI 2.0.5 with its title's words, or who else demands it.
-    needs: names of rules, with blanks between; if one of these is broken, this one is not judged: it would
-    find the same.
+    clause: number of a section of FMI 2.0.5, or who else demands it.
     last: it is judged after the rules of its stage that are not, as it judges what came of their calls, or as
     its own may leave the process of the FMU damaged.
     interface: see `Rule`.
@@ -137,29 +130,28 @@ def rule(
     def register(check: Check) -> Check:
         name = check.__name__.replace("_", "-")
         claim = " ".join((inspect.getdoc(check) or "").split())
-        needed, module = tuple(needs.split()), check.__module__
-        add_rule(Rule(name, clause, claim, stage, check, condition, needed, last, interface, module))
+        add_rule(Rule(name, clause, claim, stage, check, condition, (), last, interface, check.__module__))
         return check
 
     return register
 
 
 def add_rule(added: Rule) -> None:
-    """Registers a rule. Raises ValueError for a name that another one has."""
+    """Registers a rule, with the title of its clause, its needs and its claim, if that is in `rules.toml`.
+
+    Raises ValueError for a name that another one has.
+    """
     if added.name in RULES:
         raise ValueError(f"rule {added.name}: expected one of that name, got a second")
-    RULES[added.name] = added
+    clause = ", ".join(f"{n} {titles()[n]}" if n in titles() else n for n in added.clause.split(", "))
+    needs = tuple(rule_table()["needs"].get(added.name, "").split())
+    claim = added.claim or rule_table()["claims"][added.name]
+    RULES[added.name] = replace(added, clause=clause, claim=claim, needs=needs)
 
 
-def behaviour_rule(
-    clause: str,
-    condition: Condition = always,
-    needs: str = "",
-    last: bool = False,
-    interface: str = "",
-) -> Callable[[Check], Check]:
+def behaviour_rule(clause: str, condition: Condition = always, **options: Any) -> Callable[[Check], Check]:
     """Makes a function a rule of behaviour; arguments as of `rule`."""
-    return rule(clause, Stage.BEHAVIOUR, condition, needs, last, interface)
+    return rule(clause, Stage.BEHAVIOUR, condition, **options)
 
 
 def messages_of(check: Iterable[str]) -> tuple[str, ...]:
@@ -186,9 +178,8 @@ def repeated(names: Iterable[Any]) -> dict[Any, int]:
 
 MODULES = (
     "archive", "files", "description", "variables", "structure", "library",
-    "lifecycle", "initialization", "calls", "value", "setting", "step", "asynchronous",
+    "lifecycle", "initialization", "calls", "value", "setting", "step",
     "environment", "messages", "state", "derivatives", "effects", "reference", "model_exchange",
-    "status",  # of refusals in the calls of all others
 )  # fmt: skip
 """Modules of `fmus.compliance.rules`, in the order in which their rules are judged and told."""
 

@@ -1,5 +1,6 @@
 """Calls on one instance of an FMU, written down first and played in one message."""
 
+import itertools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,7 +11,12 @@ from fmus.fmi.binding import WARNING, status_name
 
 USUAL_NAME = "instance"
 KINDS = ("Real", "Integer", "Boolean", "String")
-STEPS = ("do_step", "do_steps", "begin_step")
+_MOST_LEAPT, _LEAPS = 100, 16  # steps
+STEPS = ("do_step", "do_steps", "begin_step", "leap")
+VECTORS = (
+    "fmi2GetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndicators",
+    "fmi2GetNominalsOfContinuousStates",
+)  # fmt: skip
 UNWRITTEN = "values"  # among what a call changed: those that were asked for were not
 ARGUMENTS = "arguments"  # among what a call changed
 _FUNCTIONS = {  # method of `CalledInstance` -> function of FMI, where their names are not alike
@@ -140,6 +146,8 @@ class Script:
     attempts: calls that the FMU may refuse, and then nothing can be compared
     ignored: calls whose failure tells nothing
     errors: calls that return error, each with words for a finding if it does not
+    lead: actions that lead `start` from the first communication point to where runs begin
+    has_started: whether `start` was written
     """
 
     def __init__(self, probe: Any, options: dict[str, Any]) -> None:
@@ -157,6 +165,8 @@ class Script:
         self.observed: list[tuple[str, str, Reading]] = []
         self.attempts, self.ignored = list[Reply](), list[Reply]()
         self.errors: list[tuple[Reply, str]] = []
+        self.lead: Sequence[Action] = ()
+        self.has_started = False
 
     # writing
 
@@ -223,6 +233,23 @@ class Script:
         """Initialises, up to where steps are allowed."""
         self._step = 0
         return self.initialise(start).exit_initialization_mode()
+
+    def start(self) -> "Script":
+        """Initialises, and goes on to where the runs of a row begin."""
+        self.has_started = True
+        self.begin().write(self.lead)
+        return self
+
+    def leap(self, thirds: int) -> "Script":
+        """Adds a part of the default experiment: usual steps, or few of other sizes for model exchange."""
+        count = self.probe.steps_of_experiment * thirds // 3
+        if not self.probe.fmu.is_model_exchange:
+            return self.go_on(min(count, _MOST_LEAPT * thirds))
+        ends = [self._step + count * i // _LEAPS for i in range(_LEAPS + 1)]
+        for before, end in itertools.pairwise(map(self.point, ends)):
+            self.call("leap", before, end - before)
+        self._step += count
+        return self
 
     def step(self, count: int = 1, no_going_back: bool = False) -> "Script":
         """Adds steps of the default experiment's size, from where the script is."""
@@ -297,6 +324,16 @@ class Script:
             kind: self.call("get", kind, [v.reference for v in members]) for kind, members in groups.items()
         }
         return Reading(groups, replies)
+
+    def read_everything(self) -> Reading:
+        """Adds a reading of all variables, and of the vectors that model exchange has."""
+        reading = self.read(self.variables)
+        for function in VECTORS if self.probe.fmu.is_model_exchange else ():
+            if count := self.probe.fmu.vector_length(function):
+                elements = (f"element {i} of {function}" for i in range(1, count + 1))
+                reading.groups[function] = [Variable(0, {"name": name}, "", {}, {}) for name in elements]
+                reading.replies[function] = self.call("vector", function)
+        return reading
 
     def point(self, i: int) -> float:
         """Returns the time of communication point number i [s]."""

@@ -20,8 +20,8 @@ enum { FIXED, TUNABLE, INPUT, DISCRETE_INPUT, STATE, OTHER };
 #define ORDER "the order of states is another"
 
 typedef struct {
-    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept, kept_v, derived_x, before;
-    int is_kept, is_read, up, stairs, turns, above, rising, state, set_up, iteration, evaluations, derivatives;
+    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept, kept_v, kept_k, kept_time, derived_x, before;
+    int above_read, set, is_kept, is_read, up, stairs, turns, above, rising, state, set_up, iteration, evaluations, derivatives;
 } Data;
 typedef struct {
     unsigned reference;
@@ -76,10 +76,13 @@ static void evaluate(Data *d) {
     if (IS("values stay in continuous-time mode once they are read") && d->is_read && d->state == CONT) return;
     if (IS("instances share an input")) d->u = shared;
     d->a = d->u - d->k * d->x + 0.1 * d->stairs * (d->up ? 1 : -1);
+    if (IS("relations follow states where continuous time begins") && d->state == CONT && d->time == d->last_event)
+        d->above = d->x > 0.1;
     if (IS("derivatives have a history")) d->a += 1e-3 * d->derivatives;
     if (IS("relations are not frozen") && d->state == CONT) d->above = d->x > 0.1;
     if (d->state == INIT || d->state == EVENT) d->above = d->x - 0.1 > 0;
 }
+static double acceleration(Data *d);
 static void start(Data *d) {
     memset(d, 0, sizeof *d);
     d->k = 4, d->e = 0.8, d->u = 0.2, d->x = 0.5, d->v = -0.5, d->up = 1, d->nominal = 1;
@@ -170,11 +173,14 @@ fmi2Status fmi2Terminate(fmi2Component c) {
     Model *m = c;
     NEED(EVENT | CONT);
     m->d.state = TERM;
+    if (IS("final values after an event are lost") && m->d.stairs) m->d.v = -0.5;
     return fmi2OK;
 }
 fmi2Status fmi2Reset(fmi2Component c) {
     Model *m = c;
+    const double nominal = m->d.nominal;
     start(&m->d);
+    if (IS("reset keeps nominal values")) m->d.nominal = nominal;
     return fmi2OK;
 }
 
@@ -200,6 +206,9 @@ static int settable(const Model *m, const Variable *v) {
             const Variable *v = variable(letter, r[i]);                                                      \
             if (!v) return error(m, "no such variable");                                                     \
             values[i] = *(type *)((char *)&m->d + v->offset);                                                \
+            if (v->offset == O(a)) values[i] = (type)acceleration(&m->d);                                    \
+            if (IS("time in multiples of 1 ms") && v->offset == O(time))                                     \
+                values[i] = (type)(1e-3 * floor(1e3 * m->d.time + 0.5));                                                \
             if (IS("out of range for a moment") && v->offset == O(stairs) && fabs(m->d.time - 2.3) < 0.05)   \
                 values[i] = (type)-5;                                                                        \
         }                                                                                                    \
@@ -212,6 +221,9 @@ static int settable(const Model *m, const Variable *v) {
             const Variable *v = variable(letter, r[i]);                                                      \
             if (!v) return error(m, "no such variable");                                                     \
             if (!settable(m, v)) return error(m, "not settable");                                            \
+            if (IS("inputs in continuous-time mode are lost") && m->d.state == CONT && m->d.stairs) continue; \
+            if (IS("the second set in continuous-time mode is lost") && m->d.state == CONT && m->d.set++)    \
+                continue;                                                                                    \
             *(type *)((char *)&m->d + v->offset) = values[i];                                                \
             if (v->offset == O(u)) shared = m->d.u;                                                          \
         }                                                                                                    \
@@ -252,13 +264,14 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
         info->newDiscreteStatesNeeded = fmi2True;
     }
     if (IS("events never end") && d->stairs > 1) info->newDiscreteStatesNeeded = fmi2True;
+    if (IS("an event ends too early") && d->stairs > 1 && ++d->iteration == 2) d->turns++;
     d->before = d->v;
     if (d->x < -0.3 && d->v < 0) {
         d->v *= -d->e;
         info->valuesOfContinuousStatesChanged = !IS("a change of states is not announced");
     }
     if (IS("states that stay are announced") && d->stairs) info->valuesOfContinuousStatesChanged = fmi2True;
-    if (d->rising != (d->v > 0)) {
+    if (d->rising != (d->v > 0) && !FLAG("completed steps are not needed")) {
         d->rising = d->v > 0;
         d->turns++;
         d->nominal = d->rising ? 0.5 : 1;
@@ -276,6 +289,7 @@ fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
     Model *m = c;
     NEED(EVENT);
     m->d.state = CONT;
+    m->d.set = 0;
     m->d.derived_x = m->d.x;
     m->d.is_kept = m->d.is_read = 0;
     return fmi2OK;
@@ -335,6 +349,11 @@ fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n
 enum { READ = INIT | EVENT | CONT | TERM | FAIL };
 static double acceleration(Data *d) {
     evaluate(d);
+    if (IS("derivatives follow a tunable parameter late")) {
+        if (d->kept_time != d->time || d->state < EVENT) d->kept_k = d->k;
+        d->kept_time = d->time;
+        return d->a + (d->k - d->kept_k) * d->x;
+    }
     if (!d->is_kept || d->state != CONT) d->kept = d->a;
     d->is_kept = 1;
     if (IS("derivatives stay until the second state is set") && d->state == CONT) {
@@ -352,6 +371,9 @@ static double velocity(Data *d) {
 VECTOR(ContinuousStates, READ, 2, d->x, velocity(d))
 VECTOR(NominalsOfContinuousStates, READ | INST, 2, d->nominal, 1)
 static double level(Data *d) {
+    if (IS("an indicator of a distance")) return fabs(d->x - 0.1) + 1e-9;
+    if (IS("an indicator near 0 changes with each call") && fabs(d->x - 0.1) < 1e-4) d->above_read = !d->above_read;
+    if (d->above_read) return d->x - 0.1 + 2e-5;
     const double x = IS("indicators are those of the last derivatives") && d->state == CONT ? d->derived_x : d->x;
     const double z = x - 0.1 + (d->above ? 1e-9 : -1e-9);
     if (IS("an indicator is no number") && d->stairs > 1) return NAN;

@@ -26,7 +26,7 @@ enum { L = 2000 };
 typedef struct {
     double time, m, k, w0, half_m, gain2, inv_m, f, f2, ref, pos, vel, acc, power, held, guess, g, energy, df,
         df2, f_end, last, h, tend, vel_before, tolerance;
-    int n_in, n_tun, n_out, steps, kind, kind_in, kind_out, n_const, on, off, both, yes;
+    int n_in, n_tun, n_out, steps, kind, kind_in, kind_out, n_const, on, off, both, yes, n_before;
     char label[L], text_in[L], text_out[L], s_fixed[L], s_const[L];
     int state, setup, stop_defined;
     double stop;
@@ -68,7 +68,7 @@ typedef struct Slave {
     const char *kept_category;
     int keeps;
     Data *first_state;
-    int flushed, late, states, resets;
+    int flushed, late, states, resets, is_back, sets;
     double first_start;
     char mutation_file[3100];
 } Slave;
@@ -111,6 +111,7 @@ static void say(Slave *s, fmi2Status st, int cat, const char *text) {
 }
 static fmi2Status err(Slave *s, const char *text) {
     say(s, fmi2Error, 3, text);
+    if (IS("an error ends all instances")) failed_globally = live > 1;
     s->d.state = FAIL;
     return fmi2Error;
 }
@@ -227,6 +228,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     int same = !strcmp(guid, GUID);
     if (IS("GUID without case")) same = !strcasecmp(guid, GUID);
     if (type != fmi2CoSimulation || !same) {
+        if (IS("a refusal in silence with logging off") && !logging) return NULL;
         if (IS("a refusal without environment")) {
             fn->logger(NULL, name, fmi2Error, CAT[3], "no");
             return NULL;
@@ -240,7 +242,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     }
     Slave *s = calloc(1, sizeof *s);
     if (!s) return NULL;
-    if (!live++) freed = NULL, first = s;
+    if (!live++) freed = NULL, first = s, failed_globally = 0;
     latest = s;
     s->cb = *fn;
     snprintf(s->name, IS("long names are cut") ? 40 : sizeof s->name, "%s", name);
@@ -332,6 +334,7 @@ fmi2Status fmi2Terminate(fmi2Component c) {
     Slave *s = c;
     NEED(STEP | STEPFAIL);
     s->d.state = TERM;
+    if (IS("late final values are those of the start") && s->d.time > 2.8) s->d.pos = 0.1;
     return fmi2OK;
 }
 fmi2Status fmi2Reset(fmi2Component c) {
@@ -353,6 +356,9 @@ fmi2Status fmi2Reset(fmi2Component c) {
     if (IS("reset turns logging on")) s->enabled = 63;
     if (IS("reset takes the environment of the first instance")) s->cb = first->cb;
     if (IS("reset keeps strings")) strcpy(s->d.label, old.label), strcpy(s->d.s_fixed, old.s_fixed);
+    if (IS("a late reset keeps the state") && old.time > 2.8) s->d.vel = old.vel;
+    if (IS("no reset after a late error") && old.state == FAIL && old.time > 2.8) return err(s, "too late");
+    if (IS("an error spoils the next run") && old.state == FAIL) s->d.k = 4.1;
     if (IS("reset keeps inputs")) s->d.f = s->d.f_end = old.f, s->d.f2 = old.f2, s->d.ref = old.ref;
     if (IS("reset frees states")) {
         if (s->first_state) memset(s->first_state, 0xff, sizeof *s->first_state);
@@ -380,13 +386,14 @@ static const Var *find(char type, unsigned vr) {
         for (size_t i = 0; i < n; i++) {                                                                     \
             const Var *v = find(ch, vr[i]);                                                                  \
             if (!v) return err(s, "no such variable");                                                       \
-            if (d->state == INIT && !(v->ca == OUT || v->unknown)) return err(s, "not now");                 \
+            if (d->state == INIT && !(v->ca == OUT || v->unknown || v->ca == IND)) return err(s, "not now");                 \
             if (IS("a reference twice in a call") && i && vr[i] == vr[i - 1]) {                              \
                 memset(&value[i], 0, sizeof value[i]);                                                       \
                 continue;                                                                                    \
             }                                                                                                \
             void *p = (char *)d + v->off;                                                                    \
             if (IS("values are not written") && (p == &d->energy || p == &d->steps)) continue;                 \
+            if (IS("values out of order are not written") && n > 1 && vr[0] > vr[n - 1]) continue;             \
             value[i] = expr;                                                                                 \
             if (IS("reading writes references")) ((unsigned *)vr)[i] = 0;                                    \
             if (IS("reading writes one more") && i + 1 == n) memset(&value[n], 0, sizeof value[n]);          \
@@ -400,6 +407,7 @@ static double real_of(Slave *s, void *p) {
     if (IS("a derivative is twice as large") && p == &s->d.acc && s->d.state != INIT) x *= 2;
     if (IS("out of range for a moment") && p == &s->d.held && s->d.time > 2.42 && s->d.time < 2.53) x = 50;
     if (IS("not a number late in the experiment") && p == &s->d.power && s->d.time > 3.3) x = NAN;
+    if (IS("time is 0 in initialization mode") && p == &s->d.time && s->d.state == INIT) x = 0;
     if (IS("not a number later") && p == &s->d.power && s->d.steps > 2) x = NAN;
     return x;
 }
@@ -448,6 +456,9 @@ static int refused(const Var *v, char *p) {
     }
 static void set_real(Slave *s, void *p, double x) {
     if (IS("inputs are clipped") && p == &s->d.f) x = fmin(x, 0.5);
+    if (IS("the second of two sets is lost") && p == &s->d.f && s->d.state == STEP && s->sets++) return;
+    if (IS("late inputs are lost") && p == &s->d.f && s->d.time > 2.8) return;
+    if (IS("inputs are lost once a state was set back") && p == &s->d.f && s->is_back) return;
     if (IS("tunable parameters are clipped") && p == &s->d.k) x = fmin(x, 6);
     *(double *)p = x;
     if (p == &s->d.f) s->d.f_end = x;
@@ -488,12 +499,15 @@ static void integrate(Slave *s, double h) {
         x += dt / 6 * (k1x + 2 * k2x + 2 * k3x + k4x);
         v += dt / 6 * (k1v + 2 * k2v + 2 * k3v + k4v);
     }
+    s->sets = 0;
     d->vel_before = d->vel;
     d->pos = x;
     d->vel = v;
     d->f_end = d->f + a * h;
     d->steps++;
     outputs(d);
+    if (IS("Integer inputs act a step late")) d->n_out = (d->steps > 1 ? d->n_before : d->n_in) * d->n_tun;
+    d->n_before = d->n_in;
     d->df = d->df2 = 0;
 }
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
@@ -521,6 +535,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
         d->time = d->last = t + h / 2;
         if (IS("half a step without a last time")) d->last = t - 1;
         if (IS("no reading after a discarded step")) d->last = t;
+        if (IS("values of the end of a discarded step")) d->time = t + h;
         return discard(s);
     }
     if (FLAG("asynchronous")) {
@@ -693,6 +708,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate st) {
     if (!st) return err(s, "no state");
     if (IS("a late step ends all states") && s->late) return err(s, "too late");
     if (IS("the flag ends all states") && s->flushed) return err(s, "flushed");
+    s->is_back = 1;
     memcpy(&s->d, st, sizeof(Data));
     if (IS("late states keep time alone") && s->d.time > 2.6) {
         const double time = s->d.time;

@@ -1,32 +1,32 @@
 """Table of the calls that the state machines of 3.2.3 and 4.2.4 allow, and how rules ask for calls."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import wraps
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
 from fmus.compliance.actions import Pair
-from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE, FmuFile
+from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Check, NotApplicableError, NotJudgedError, behaviour_rule
-from fmus.compliance.script import Action, Script
+from fmus.compliance.script import VECTORS, Action, Reply, Script
 from fmus.fmi.binding import DISCARD, ERROR, FATAL, OK, WARNING
 
 NAME = "instance of the tour"
+_MOST_FAILED = 5  # calls of a tour
 TOLERANCE, LARGE_TOLERANCE = 1e-5, 1e-3
 _SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
-_NOMINALS, _INDICATORS = "fmi2GetNominalsOfContinuousStates", "fmi2GetEventIndicators"
-VECTORS = ("fmi2GetContinuousStates", "fmi2GetDerivatives", _INDICATORS, _NOMINALS)
 
 Calls = Callable[[Probe, str], Iterable[Action]]
 
-STATES = {CO_SIMULATION: "IMBCFPXT", MODEL_EXCHANGE: "IMEKT"}
+STATES = {CO_SIMULATION: "IMBCFPXTD", MODEL_EXCHANGE: "IMEKTD"}
 """I instantiated, M initialization mode, B and C step complete, before the first step and after one, F step
-failed, P step in progress, X step canceled, E event mode, K continuous-time mode, T terminated.
+failed, P step in progress, X step canceled, E event mode, K continuous-time mode, T terminated, D after an
+error.
 """
 
 
@@ -44,7 +44,7 @@ def _way(probe: Probe, state: str) -> Iterable[Action]:
         "I": (), "M": (do.initialise,), "B": (do.begin,), "C": (do.begin, do.step()), "E": (do.begin,),
         "K": (do.begin, do.enter_continuous_time_mode), "P": pending,
         "X": (*pending, do.plain("fmi2CancelStep"), do.in_state("step canceled")),
-        "T": (do.begin, do.step(), do.terminate),
+        "T": (do.begin, do.step(), do.terminate), "D": (*begin, do.fail, do.in_state("error")),
     }[state]  # fmt: skip
 
 
@@ -91,7 +91,9 @@ def of_each_type(pairs: Iterable[Pair]) -> Iterable[Pair]:
 def _get(probe: Probe, state: str) -> Iterator[Action]:
     # most FMUs answer when instantiated too, which harms nobody
     if state != "I":
-        yield do.glance(values.readable_in_initialization(probe.fmu) if state == "M" else probe.fmu.variables)
+        at_first = values.readable_in_initialization(probe.fmu)
+        variables = at_first if state == "M" else probe.fmu.variables
+        yield from (do.glance(variables), do.glance(variables[::-1]))
 
 
 def output_derivatives(probe: Probe, _: str, orders: Sequence[int] = ()) -> Iterator[Action]:
@@ -112,26 +114,15 @@ def _directional_derivatives(probe: Probe, state: str) -> Iterator[Action]:
         yield do.call("directional_derivatives", references, inputs, [1.0] * len(inputs))
 
 
-def vector_length(fmu: FmuFile, function: str) -> int:
-    """Returns the number of elements that a function of model exchange gives."""
-    if function == _INDICATORS:
-        return int(fmu.root.get("numberOfEventIndicators") or 0)
-    return sum(1 for _ in fmu.unknowns("Derivatives"))
-
-
 def vectors(probe: Probe, state: str) -> Iterator[Action]:
     """Yields what reads vectors that have elements: nominal values alone when instantiated."""
-    for function in (_NOMINALS,) if state == "I" else VECTORS:
-        if probe.fmu.is_model_exchange and vector_length(probe.fmu, function):
+    for function in VECTORS[-1:] if state == "I" else VECTORS:
+        if probe.fmu.is_model_exchange and probe.fmu.vector_length(function):
             yield do.call("vector", function)
 
 
-def _set_time(probe: Probe, _: str) -> Iterator[Action]:
-    yield lambda script: script.call("set_time", script.time)
-
-
 def _set_states(probe: Probe, _: str) -> Iterator[Action]:
-    if count := vector_length(probe.fmu, VECTORS[0]):
+    if count := probe.fmu.vector_length(VECTORS[0]):
         yield do.call("set_continuous_states", [0.0] * count)
 
 
@@ -167,7 +158,7 @@ TABLE = (
     Row("BCFXT", "", output_derivatives),
     Row("MBCFXEKT", "", _directional_derivatives),
     Row("IMEKT", "IMT", vectors),
-    Row("EK", "EK", _set_time),
+    Row("EK", "EK", _one(do.set_time)),
     Row("K", "K", _set_states),
     Row("K", "", _complete_step),
     Row("E", "", _one(do.call("new_discrete_states"))),
@@ -182,14 +173,38 @@ TABLE = (
 )  # fmt: skip
 
 
-def tour(probe: Probe) -> Script:
-    """Returns the calls that the states from instantiated to terminated allow, with a tolerance and a stop
-    time, played once for all rules with settings of the process watched.
+class Tour(NamedTuple):
+    """The calls that the states from instantiated to terminated allow, with a tolerance and a stop time.
+
+    script: with settings of the process watched; failed: replies of calls that it leaves out, as they fail
     """
+
+    script: Script
+    failed: list[Reply]
+
+
+def tour(probe: Probe) -> Tour:
+    """Returns the tour through the states, played once for all rules."""
     return probe.once("tour of the states", lambda: _played_tour(probe))
 
 
-def _played_tour(probe: Probe) -> Script:
+def _played_tour(probe: Probe) -> Tour:
+    failed, left_out = list[Reply](), set[tuple[int, str]]()
+    while True:
+        script, rows = _tour(probe, left_out)
+        script.play(keep_going=True)
+        wrong = [reply for reply in script.replies if reply.status in (ERROR, FATAL)]
+        row = next((row for row, replies in rows.items() if wrong and wrong[0] in replies), None)
+        failed += wrong[:1]
+        if row is None or len(failed) == _MOST_FAILED:
+            return Tour(script, failed)
+        left_out.add(row)
+
+
+def _tour(
+    probe: Probe, left_out: Container[tuple[int, str]]
+) -> tuple[Script, dict[tuple[int, str], list[Reply]]]:
+    """Returns the script of a tour, and the replies of each row in each state but those left out."""
     tolerance = TOLERANCE if run_with_tolerance(probe).succeeded else None
     initialise = do.set_up(1000, tolerance), do.enter_initialization_mode
     leads = [(), initialise, (do.exit_initialization_mode,), (do.step(),), (do.step(),), (do.terminate,)]
@@ -198,11 +213,13 @@ def _played_tour(probe: Probe) -> Script:
         leads[3:3] = (do.enter_continuous_time_mode,), (do.enter_event_mode,)
         leads[-1:-1] = [(do.enter_continuous_time_mode,)]
         states = "IMEKEEEKT"
-    script = probe.script(name=NAME, logging=True, watched=True)
+    script, rows = probe.script(name=NAME, logging=True, watched=True), dict[tuple[int, str], list[Reply]]()
     for lead, state in zip(leads, states, strict=True):
-        rows = [row for row in TABLE if state in row.allowed and state not in row.apart]
-        script.write((*lead, *(action for row in rows for action in row.calls(probe, state))))
-    return script.play(keep_going=True)
+        script.write(lead)
+        for i, row in enumerate(TABLE):
+            if state in row.allowed and state not in row.apart and (i, state) not in left_out:
+                rows.setdefault((i, state), []).extend(script.write(row.calls(probe, state)))
+    return script, rows
 
 
 def run_with_tolerance(probe: Probe) -> Script:
@@ -257,8 +274,12 @@ def call_rule(
 
 def _unexpected(probe: Probe, expected: Expected, asks: Iterable[Ask]) -> Iterator[str]:
     """Yields the first call of each script that does not return what is expected."""
-    chosen = [ask for ask in asks if ask.state in STATES[probe.fmu.interface]]
-    scripts = [probe.script(*_way(probe, ask.state), logging=True) for ask in chosen]
+    chosen, scripts = list[Ask](), list[Script]()
+    for ask in (ask for ask in asks if ask.state in STATES[probe.fmu.interface]):
+        # perhaps no call that returns error is known
+        with suppress(*([NotJudgedError] if ask.state == "D" else [])):
+            scripts.append(probe.script(*_way(probe, ask.state), logging=True))
+            chosen.append(ask)
     all_replies = [script.write(ask.actions) for script, ask in zip(scripts, chosen, strict=True)]
     for script, ask in zip(scripts, chosen, strict=True):
         script.is_forbidden = expected is REFUSAL or ask.state in "PX"
@@ -268,6 +289,8 @@ def _unexpected(probe: Probe, expected: Expected, asks: Iterable[Ask]) -> Iterat
     for script, ask, replies in zip(scripts, chosen, all_replies, strict=True):
         if any(call[0] == "begin_step" and not r.value for call, r in script.pairs):
             raise NotJudgedError("the step was not pending")
+        if any(error.status != ERROR for error, _ in script.errors):
+            continue  # no call that returns error is known
         wrong = (reply for reply in replies if reply.status not in (None, *expected.statuses))
         for reply in islice(wrong, 1):
             first = f"after {replies[0].function} in" if reply is not replies[0] else "in"

@@ -10,30 +10,11 @@ from fmus.compliance.differential import Row, differential
 from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
-from fmus.compliance.rules.call_table import (
-    AN_ERROR,
-    KNOWN_OR_NOT,
-    REFUSAL,
-    STATES,
-    SUCCESS,
-    TABLE,
-    Ask,
-    call_rule,
-    discarded_step,
-    of_each_type,
-    output_derivatives,
-    tour,
-    vectors,
-)
+from fmus.compliance.rules import call_table as table
 from fmus.compliance.script import KINDS
 from fmus.compliance.values import INTERPOLATES, unless_claimed
-from fmus.fmi.binding import DISCARD, ERROR, FATAL, LAST_SUCCESSFUL_TIME, TERMINATED
+from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME, TERMINATED
 
-_STATES = "4.2.4 State Machine of Calling Sequence from Master to Slave"
-_MACHINE = "3.2.3 State Machine of Calling Sequence"
-_STATUS = "4.2.3 Retrieving Status Information from the Slave"
-_COMPUTATION = "4.2.2 Computation (fmi2DoStep)"
-_REFERENCES = "2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)"
 _NOTHING = {"Real": 0.0, "Integer": 0, "Boolean": 0, "String": ""}
 _STATUS_KINDS = {  # fmi2StatusKind -> its name, and the type of its function
     0: ("fmi2DoStepStatus", ""),
@@ -45,26 +26,25 @@ _STATUS_KINDS = {  # fmi2StatusKind -> its name, and the type of its function
 # what a state allows
 
 
-@behaviour_rule(_STATES, needs="variables-can-be-read")
+@behaviour_rule("4.2.4")
 def allowed_calls_succeed(probe: Probe) -> Iterator[str]:
     """The functions that the FMU supports succeed in the states, instantiated to terminated, that allow
     them.
     """
-    for reply in tour(probe).replies:
-        if reply.status in (ERROR, FATAL):  # of other statuses `statuses-are-legal` tells
-            yield f"in the state {reply.state!r}: {reply.problem}"
-            return  # what follows in this instance has the same cause
+    for reply in table.tour(probe).failed:  # of other statuses `statuses-are-legal` tells
+        probe.note_failure(reply, "allowed-calls-succeed")
+        yield f"in the state {reply.state!r}: {reply.problem}"
 
 
-@call_rule(_STATES, SUCCESS)
-def reset_in_every_state(_: Probe) -> Iterator[Ask]:
-    """fmi2Reset is allowed when instantiated, in initialization mode, while stepping and after
-    fmi2Terminate.
+@table.call_rule("4.2.4", table.SUCCESS)
+def reset_in_every_state(_: Probe) -> Iterator[table.Ask]:
+    """fmi2Reset is allowed when instantiated, in initialization mode, while stepping, after fmi2Terminate and
+    after an error.
     """
-    return (Ask(state, (do.reset, do.begin, do.step())) for state in "IMCEKT")
+    return (table.Ask(state, (do.reset, do.begin, do.step())) for state in "IMCEKTD")
 
 
-@behaviour_rule(_STATES)
+@behaviour_rule("4.2.4")
 def frees_in_every_state(probe: Probe) -> Iterator[str]:
     """fmi2FreeInstance is allowed when instantiated, in initialization mode, while stepping and after
     fmi2Terminate.
@@ -75,27 +55,27 @@ def frees_in_every_state(probe: Probe) -> Iterator[str]:
     yield from ()
 
 
-@call_rule(_MACHINE, SUCCESS, needs="allowed-calls-succeed", interface=MODEL_EXCHANGE)
-def event_mode_is_entered_from_itself(_: Probe) -> Iterator[Ask]:
+@table.call_rule("3.2.3", table.SUCCESS, interface=MODEL_EXCHANGE)
+def event_mode_is_entered_from_itself(_: Probe) -> Iterator[table.Ask]:
     """fmi2EnterEventMode succeeds in event mode too, as the table of 3.2.3 has it."""
-    yield Ask("E", (do.plain("fmi2EnterEventMode"), do.call("new_discrete_states")))
+    yield table.Ask("E", (do.plain("fmi2EnterEventMode"), do.call("new_discrete_states")))
 
 
-@call_rule(_MACHINE, SUCCESS, needs="allowed-calls-succeed", interface=MODEL_EXCHANGE)
-def vectors_are_given_in_every_state(probe: Probe) -> Iterator[Ask]:
+@table.call_rule("3.2.3", table.SUCCESS, interface=MODEL_EXCHANGE)
+def vectors_are_given_in_every_state(probe: Probe) -> Iterator[table.Ask]:
     """Vectors can be read in initialization mode and when terminated, nominal values also before."""
-    return (Ask(state, [*vectors(probe, state)]) for state in "IMT")
+    return (table.Ask(state, [*table.vectors(probe, state)]) for state in "IMT")
 
 
-@call_rule(_STATES, SUCCESS, condition=unless_claimed(INTERPOLATES), needs="allowed-calls-succeed")
-def input_derivatives_when_instantiated(_: Probe) -> Iterator[Ask]:
+@table.call_rule("4.2.4", table.SUCCESS, condition=unless_claimed(INTERPOLATES))
+def input_derivatives_when_instantiated(_: Probe) -> Iterator[table.Ask]:
     """Derivatives of inputs can be set when instantiated: 4.2.4 allows it, although 4.2.1 gives them the
     restrictions of fmi2SetReal, which cannot set inputs there.
     """
-    yield Ask("I", (do.set_derivatives(0.0), do.begin, do.step()))
+    yield table.Ask("I", (do.set_derivatives(0.0), do.begin, do.step()))
 
 
-@differential("advice: an empty call has nothing to refuse", needs="allowed-calls-succeed")
+@differential("advice: an empty call has nothing to refuse")
 def empty_calls_succeed(probe: Probe) -> Iterator[Row]:
     """Getting or setting no variables, with NULL for both arrays, succeeds and changes nothing."""
     set_nothing, get_nothing = (
@@ -112,33 +92,33 @@ def empty_calls_succeed(probe: Probe) -> Iterator[Row]:
 # what a state forbids, and wrong arguments: FMI does not say what the FMU does then, but for some
 
 
-@call_rule("advice: calls that 4.2.4, 4.2.2 and 3.2.3 forbid to importers", REFUSAL, last=True)
-def forbidden_calls_are_refused(probe: Probe) -> Iterator[Ask]:
+@table.call_rule("advice: calls that 4.2.4, 4.2.2 and 3.2.3 forbid to importers", table.REFUSAL, last=True)
+def forbidden_calls_are_refused(probe: Probe) -> Iterator[table.Ask]:
     """A call that its state forbids, a fixed parameter or an output set while stepping, a variable that is
     calculated set at any time, a step that is not above 0 or does not start at the present, or a derivative
     of order 0 is refused.
     """
-    states = set(STATES[probe.fmu.interface])
-    for row in TABLE:
+    states = set(table.STATES[probe.fmu.interface])
+    for row in table.TABLE:
         for state in sorted(states & set("IMCEKT") - set(row.allowed)) if states & set(row.allowed) else ():
-            yield from (Ask(state, [action]) for action in row.calls(probe, state))
+            yield from (table.Ask(state, [action]) for action in row.calls(probe, state))
     yield from _forbidden_values(probe)
-    for action in (do.set_derivatives(0.0, order=0), *output_derivatives(probe, "C", orders=[0])):
-        yield Ask("C", [action], " of order 0")
+    for action in (do.set_derivatives(0.0, order=0), *table.output_derivatives(probe, "C", orders=[0])):
+        yield table.Ask("C", [action], " of order 0")
     for state, i, size in (("B", 5, 1), ("C", 6, 1), ("C", 1, 0), ("C", 1, -1)):
         t, h = probe.point(i), size * probe.step_size
         words = f" from {t:g} s with the communication step size {h:g} s"
-        yield Ask(state, [do.call("do_step", t, h)], words)
+        yield table.Ask(state, [do.call("do_step", t, h)], words)
 
 
-def _forbidden_values(probe: Probe) -> Iterator[Ask]:
+def _forbidden_values(probe: Probe) -> Iterator[table.Ask]:
     """Yields what sets variables that can never be set, but for aliases, or not in step or event mode."""
     variables = probe.fmu.variables
     settable = {(v.base_kind, v.reference) for v in variables if v.is_settable}
     calculated = [v for v in variables if v.initial == "calculated" or v.causality == "independent"]
     for v in [v for v in calculated if (v.base_kind, v.reference) not in settable][:MOST_VARIABLES]:
         if v.base_kind != "String":
-            yield Ask(
+            yield table.Ask(
                 "M", [do.set_values([(v, _NOTHING[v.base_kind])])], f" of {v.name}, which is calculated,"
             )
     fixed = values.start_values(
@@ -147,13 +127,13 @@ def _forbidden_values(probe: Probe) -> Iterator[Ask]:
     outputs = values.start_values(
         v for v in variables if v.causality == "output" and v.variability != "constant"
     )
-    for v, x in (*of_each_type(fixed), *outputs[:1]):
+    for v, x in (*table.of_each_type(fixed), *outputs[:1]):
         words = f" of {v.name}, {'an output' if v.causality == 'output' else 'a fixed parameter'},"
-        yield from (Ask(state, [do.set_values([(v, x)])], words) for state in "CE")
+        yield from (table.Ask(state, [do.set_values([(v, x)])], words) for state in "CE")
 
 
-@call_rule(_REFERENCES, AN_ERROR)
-def wrong_references_are_refused(probe: Probe) -> Iterator[Ask]:
+@table.call_rule("2.1.2", table.AN_ERROR)
+def wrong_references_are_refused(probe: Probe) -> Iterator[table.Ask]:
     """A value reference that no variable has is an error to read and to set, also for derivatives; the
     instance is freed then.
     """
@@ -165,29 +145,30 @@ def wrong_references_are_refused(probe: Probe) -> Iterator[Ask]:
         calls.append(("C", do.call("set_input_derivatives", [reference], [1], [0.0])))
     if probe.fmu.output_derivative_order > 0:
         calls.append(("C", do.call("output_derivatives", [reference], 1)))
-    return (Ask(state, [action], words) for states, action in calls for state in states)
+    return (table.Ask(state, [action], words) for states, action in calls for state in states)
 
 
-@call_rule(_REFERENCES, AN_ERROR)
-def constants_cannot_be_set(probe: Probe) -> Iterator[Ask]:
+@table.call_rule("2.1.2", table.AN_ERROR)
+def constants_cannot_be_set(probe: Probe) -> Iterator[table.Ask]:
     """Setting a constant is an error."""
     constants = [v for v in probe.fmu.variables if v.variability == "constant"]
     for v, x in values.start_values(constants[:MOST_VARIABLES]):
-        yield Ask("M", [do.set_values([(v, x)])], f" of the constant {v.name}")
+        yield table.Ask("M", [do.set_values([(v, x)])], f" of the constant {v.name}")
 
 
 # steps that are discarded or canceled
 
 
-@behaviour_rule(_COMPUTATION, interface=CO_SIMULATION)
+@behaviour_rule("4.2.2", interface=CO_SIMULATION)
 def discarded_steps_have_a_last_time(probe: Probe) -> Iterator[str]:
     """After a discarded step, fmi2LastSuccessfulTime, if given, lies in that step, before its end, and
     fmi2Terminated is a Boolean.
     """
-    number = discarded_step(probe)
+    number = table.discarded_step(probe)
     script = probe.script(logging=True).begin().step(number + 1)
     time = script.call("status_of", "Real", LAST_SUCCESSFUL_TIME)
     terminated = script.call("status_of", "Boolean", TERMINATED)
+    present = script.read(v for v in probe.fmu.variables if v.causality == "independent")
     with suppress(NotJudgedError):  # that a step is discarded
         script.play(keep_going=True)
     start, end = probe.point(number), probe.point(number + 1)
@@ -198,59 +179,63 @@ def discarded_steps_have_a_last_time(probe: Probe) -> Iterator[str]:
             yield f"after a discarded step {reply.function} {reply.status_name}: expected ok or discard"
     if time.ok and not start - rounding <= time.value < end - rounding:
         yield f"{step} is discarded, and fmi2LastSuccessfulTime is {time.value:g} s"
+    for name, t in present.values.items() if time.ok and present.ok else ():
+        if abs(t - time.value) > rounding:
+            last = f"{time.value:g} s, fmi2LastSuccessfulTime"
+            yield f"{step} is discarded, and {name} is {t:g} s: expected {last}"
     if terminated.ok and terminated.value not in (0, 1):
         yield f"after a discarded step fmi2Terminated is {terminated.value}: expected 0 or 1, a Boolean"
     if script.failure and not script.failure.messages:
         yield f"{step} was discarded and nothing was logged: expected the reason"
 
 
-@call_rule(_STATES, SUCCESS, needs="reset-in-every-state variables-can-be-read", interface=CO_SIMULATION)
-def discarded_steps_can_be_left(probe: Probe) -> Iterator[Ask]:
+@table.call_rule("4.2.4", table.SUCCESS, interface=CO_SIMULATION)
+def discarded_steps_can_be_left(probe: Probe) -> Iterator[table.Ask]:
     """After a step was discarded variables can be read, and fmi2Terminate, fmi2Reset and, if it is
     supported, fmi2SetFMUstate succeed.
     """
-    yield Ask("F", (do.glance(probe.fmu.variables), do.terminate))
-    yield Ask("F", (do.reset, do.begin))
+    yield table.Ask("F", (do.glance(probe.fmu.variables), do.terminate))
+    yield table.Ask("F", (do.reset, do.begin))
     if probe.fmu.claims("canGetAndSetFMUstate"):
-        yield Ask("F", [do.restore()])
+        yield table.Ask("F", [do.restore()])
 
 
-@call_rule(_COMPUTATION, SUCCESS, condition=unless_claimed("canRunAsynchronuously"))
-def cancelled_step_can_be_left(probe: Probe) -> Iterator[Ask]:
+@table.call_rule("4.2.2", table.SUCCESS, condition=unless_claimed("canRunAsynchronuously"))
+def cancelled_step_can_be_left(probe: Probe) -> Iterator[table.Ask]:
     """A pending step can be cancelled; fmi2Reset and fmi2SetFMUstate are allowed then."""
     cancel = do.plain("fmi2CancelStep")
-    yield Ask("P", (cancel, do.reset, do.begin, do.step()))
+    yield table.Ask("P", (cancel, do.reset, do.begin, do.step()))
     if probe.fmu.claims("canGetAndSetFMUstate"):
-        yield Ask("P", (cancel, do.restore(), do.step()))
+        yield table.Ask("P", (cancel, do.restore(), do.step()))
 
 
-@call_rule(_COMPUTATION, REFUSAL, condition=unless_claimed("canRunAsynchronuously"))
-def cancelled_step_ends_stepping(probe: Probe) -> Iterator[Ask]:
+@table.call_rule("4.2.2", table.REFUSAL, condition=unless_claimed("canRunAsynchronuously"))
+def cancelled_step_ends_stepping(probe: Probe) -> Iterator[table.Ask]:
     """After fmi2CancelStep no step is accepted."""
-    yield Ask("X", [do.call("do_step", probe.start_time, probe.step_size)])
+    yield table.Ask("X", [do.call("do_step", probe.start_time, probe.step_size)])
 
 
 # what fmi2GetXXXStatus returns
 
 
-@call_rule(_STATUS, KNOWN_OR_NOT, needs="discarded-steps-have-a-last-time", interface=CO_SIMULATION)
-def unknown_statuses_are_discarded(_: Probe) -> Iterator[Ask]:
+@table.call_rule("4.2.3", table.KNOWN_OR_NOT, interface=CO_SIMULATION)
+def unknown_statuses_are_discarded(_: Probe) -> Iterator[table.Ask]:
     """fmi2GetXXXStatus returns ok, or discard for what it cannot retrieve; no other status."""
     kinds = [(kind, number) for number, (_, kind) in _STATUS_KINDS.items()]
     for kind, number in (*kinds, ("Integer", 0)):
-        yield from (Ask(state, [do.call("status_of", kind, number)]) for state in "CT")
+        yield from (table.Ask(state, [do.call("status_of", kind, number)]) for state in "CT")
 
 
-@call_rule(_STATUS, REFUSAL, interface=CO_SIMULATION)
-def statuses_have_their_types(_: Probe) -> Iterator[Ask]:
+@table.call_rule("4.2.3", table.REFUSAL, interface=CO_SIMULATION)
+def statuses_have_their_types(_: Probe) -> Iterator[table.Ask]:
     """A status is given by the function of its type alone: another function returns discard."""
     for number, (name, right) in _STATUS_KINDS.items():
         for kind in {"", *KINDS} - {right}:
             words = f" of {name}, which has another type,"
-            yield Ask("C", [do.call("status_of", kind, number)], words)
+            yield table.Ask("C", [do.call("status_of", kind, number)], words)
 
 
-@behaviour_rule(_STATUS, interface=CO_SIMULATION)
+@behaviour_rule("4.2.3", interface=CO_SIMULATION)
 def last_successful_time_is_right(probe: Probe) -> Iterator[str]:
     """fmi2LastSuccessfulTime, where it is given, is the end of the last step; fmi2Terminated is then
     false.

@@ -10,15 +10,7 @@ from fmus.compliance.differential import Row, differences, differential
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, behaviour_rule
-from fmus.compliance.rules.finite_differences import (
-    ANY_STEP,
-    NOISE,
-    Slopes,
-    Values,
-    in_steps,
-    series,
-    values_of,
-)
+from fmus.compliance.rules import finite_differences as finite
 from fmus.compliance.script import Action, Reading, Script
 from fmus.compliance.values import (
     INTERPOLATES,
@@ -32,10 +24,8 @@ from fmus.compliance.values import (
 )
 from fmus.compliance.variable import Variable, is_true
 
-_ATTRIBUTE = "2.2.7 Definition of Model Variables (ModelVariables): derivative"
-_TRANSFER = "4.2.1 Transfer of Input / Output Values and Parameters"
+_TRANSFER = "4.2.1"
 _INTERPOLATES = unless_claimed(INTERPOLATES)
-_COMPARED = "output-derivatives variables-can-be-read communication-points-may-be-rounded"
 _STEPS, _STEPS_OF_OUTPUTS = 30, 8
 _SHORT = 0.30901699  # of a step: no simple fraction, so that nothing that repeats with it stands still
 _BACKWARDS = 0.1  # of the effect of the input, at least
@@ -49,7 +39,7 @@ _APART = 0.35  # relative: less than what a half or a double is away
 # the attribute derivative
 
 
-def _named_slopes(probe: Probe, part: float = 1.0) -> list[tuple[Variable, Variable, Slopes]]:
+def _named_slopes(probe: Probe, part: float = 1.0) -> list[tuple[Variable, Variable, finite.Slopes]]:
     """Returns each continuous variable that names another one as its integral, the other one, and the slopes
     of that; states that events change are left out.
     """
@@ -63,10 +53,10 @@ def _named_slopes(probe: Probe, part: float = 1.0) -> list[tuple[Variable, Varia
     ]
     if not pairs:
         raise NotApplicableError("no continuous variable without reinit has another as its derivative")
-    table = series(probe, list(itertools.chain(*pairs)), _STEPS, part)
+    table = finite.series(probe, list(itertools.chain(*pairs)), _STEPS, part)
     columns = [(d, v, table[v.name][0], table[d.name][0]) for d, v in pairs if table]
     return [
-        (d, v, Slopes(values, derivatives, part * probe.step_size))
+        (d, v, finite.Slopes(values, derivatives, part * probe.step_size))
         for d, v, values, derivatives in columns
         if all(map(math.isfinite, [*values, *derivatives]))
     ]
@@ -81,18 +71,18 @@ def _no_slopes(probe: Probe, part: float = 1.0) -> dict[str, str]:
     }
 
 
-@behaviour_rule(_ATTRIBUTE, needs="variables-can-be-read communication-points-may-be-rounded")
+@behaviour_rule("2.2.7")
 def derivatives_are_slopes(probe: Probe) -> Iterator[str]:
     """A variable with the attribute derivative is the slope of the variable that it names: in most steps it
     lies near the difference quotients.
     """
     wrong = _no_slopes(probe)
     # what repeats with each step moves in steps of another size
-    short = _no_slopes(probe, _SHORT) if wrong and probe.fmu.claims(ANY_STEP) else {}
+    short = _no_slopes(probe, _SHORT) if wrong and probe.fmu.claims(finite.ANY_STEP) else {}
     yield from (f"{name}: {message}" for name, message in wrong.items() if name in short)
 
 
-@behaviour_rule(_ATTRIBUTE, needs="derivatives-are-slopes")
+@behaviour_rule("2.2.7")
 def derivatives_integrate_to_their_variables(probe: Probe) -> Iterator[str]:
     """A variable changes by the integral of the variable that names it with the attribute derivative."""
     for derivative, v, slopes in _named_slopes(probe):
@@ -114,25 +104,25 @@ _rule_of_outputs = partial(behaviour_rule, condition=_orders)
 def _outputs(probe: Probe, part: float = 1.0) -> dict[str, list[list[float]]]:
     """Returns the values of continuous outputs, and their derivatives of each order that is claimed."""
     chosen = continuous_reals(probe, "output")
-    return series(probe, chosen, _STEPS_OF_OUTPUTS, part, probe.fmu.output_derivative_order)
+    return finite.series(probe, chosen, _STEPS_OF_OUTPUTS, part, probe.fmu.output_derivative_order)
 
 
-def _output_slopes(probe: Probe, part: float = 1.0) -> dict[str, Slopes]:
+def _output_slopes(probe: Probe, part: float = 1.0) -> dict[str, finite.Slopes]:
     return {
-        name: Slopes(values, first, part * probe.step_size)
+        name: finite.Slopes(values, first, part * probe.step_size)
         for name, (values, first, *_) in _outputs(probe, part).items()
         if all(map(math.isfinite, values))
     }
 
 
-@_rule_of_outputs(_TRANSFER, needs="allowed-calls-succeed communication-points-may-be-rounded")
+@_rule_of_outputs("4.2.1")
 def output_derivatives(probe: Probe) -> Iterator[str]:
     """After a step the derivatives of continuous Real outputs can be read, of each order that is claimed."""
     _outputs(probe)
     yield from ()
 
 
-@_rule_of_outputs("advice: importers extrapolate with finite numbers", needs="output-derivatives")
+@_rule_of_outputs("advice: importers extrapolate with finite numbers")
 def output_derivatives_are_finite(probe: Probe) -> Iterator[str]:
     """After a step the derivatives of outputs are finite."""
     for name, (_, *orders) in _outputs(probe).items():
@@ -142,12 +132,12 @@ def output_derivatives_are_finite(probe: Probe) -> Iterator[str]:
                 yield f"{name}: derivative of order {order} is {wrong}: expected a finite number"
 
 
-@_rule_of_outputs(_TRANSFER, needs=_COMPARED)
+@_rule_of_outputs("4.2.1")
 def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
     """The first derivative of an output is 0, where its order is lower, or its slope: near the difference
     quotients before and after it.
     """
-    short = _output_slopes(probe, _SHORT) if probe.fmu.claims(ANY_STEP) else {}
+    short = _output_slopes(probe, _SHORT) if probe.fmu.claims(finite.ANY_STEP) else {}
     for name, slopes in _output_slopes(probe).items():
         wrong = slopes.wrong()
         if wrong and (not short or (name in short and short[name].wrong())):
@@ -156,7 +146,7 @@ def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
             yield f"{name}: its derivative is that of the step's begin: expected that of its end"
 
 
-@_rule_of_outputs("advice: 4.2.1 allows 0 where the order is lower", needs=_COMPARED)
+@_rule_of_outputs("advice: 4.2.1 allows 0 where the order is lower")
 def output_derivatives_are_not_zero(probe: Probe) -> Iterator[str]:
     """The first derivative of an output that moves is not 0, as maxOutputDerivativeOrder claims one."""
     for name, slopes in _output_slopes(probe).items():
@@ -164,7 +154,7 @@ def output_derivatives_are_not_zero(probe: Probe) -> Iterator[str]:
             yield f"{name}: {wrong}"
 
 
-@_rule_of_outputs(_TRANSFER, needs=_COMPARED)
+@_rule_of_outputs("4.2.1")
 def higher_output_derivatives_are_right(probe: Probe) -> Iterator[str]:
     """A derivative of an output of a higher order is 0, where its order is lower, or the slope of the one
     before; each of several that are read in one call is its own.
@@ -174,7 +164,7 @@ def higher_output_derivatives_are_right(probe: Probe) -> Iterator[str]:
     for name, (_, *orders) in _outputs(probe).items() if not messages else ():
         for order, (lower, higher) in enumerate(itertools.pairwise(orders), 2):
             is_finite = all(map(math.isfinite, [*lower, *higher]))
-            if is_finite and (wrong := Slopes(lower, higher, probe.step_size).wrong()):
+            if is_finite and (wrong := finite.Slopes(lower, higher, probe.step_size).wrong()):
                 yield f"{name}, order {order}: {wrong}"
 
 
@@ -208,7 +198,7 @@ def _read_alone(outputs: Sequence[Variable], orders: Sequence[int]) -> Action:
 _rule_of_inputs = partial(behaviour_rule, _TRANSFER, _INTERPOLATES)
 
 
-@differential(_TRANSFER, condition=_INTERPOLATES, needs="allowed-calls-succeed")
+@differential("4.2.1", condition=_INTERPOLATES)
 def input_derivatives(_: Probe) -> Iterator[Row]:
     """The first derivative of every continuous Real input can be set before a step; zero, also after
     another value, changes nothing."""
@@ -216,7 +206,7 @@ def input_derivatives(_: Probe) -> Iterator[Row]:
     yield Row("where derivatives of inputs were set to 0", varied, failing="", tolerance=RESTARTED)
 
 
-@_rule_of_inputs(needs="input-derivatives")
+@_rule_of_inputs()
 def input_derivatives_have_an_effect(probe: Probe) -> Iterator[str]:
     """The derivative of an input that outputs follow moves them, in the direction of the input itself."""
     inputs = _inputs_by_effect(probe)
@@ -227,7 +217,7 @@ def input_derivatives_have_an_effect(probe: Probe) -> Iterator[str]:
         yield f"{without}, as canInterpolateInputs says it has"
 
 
-@_rule_of_inputs(needs="input-derivatives-have-an-effect")
+@_rule_of_inputs()
 def each_input_derivative_has_an_effect(probe: Probe) -> Iterator[str]:
     """If the derivative of one continuous input has an effect, that of each that outputs follow has one."""
     for v in _inputs_by_effect(probe)["none"]:
@@ -250,7 +240,7 @@ def _inputs_by_effect(probe: Probe) -> dict[str, list[Variable]]:
     return inputs
 
 
-def _runs_to(probe: Probe, v: Variable, value: float, parts: int) -> list[list[Values]]:
+def _runs_to(probe: Probe, v: Variable, value: float, parts: int) -> list[list[finite.Values]]:
     """Returns the outputs after each part of a step, of an input that is held, one that has another value,
     and one that moves to it: by its derivative in one step, by its values in short steps.
     """
@@ -258,16 +248,16 @@ def _runs_to(probe: Probe, v: Variable, value: float, parts: int) -> list[list[V
     on_line = [start + (value - start) * (i + 0.5) / parts for i in range(parts)]
     moving = (on_line, None) if parts > 1 else ([start], (value - start) / size)
     runs = ([start] * parts, None), ([value] * parts, None), moving
-    return values_of(probe, [in_steps(probe, v, xs, size, slope) for xs, slope in runs])
+    return finite.values_of(probe, [finite.in_steps(probe, v, xs, size, slope) for xs, slope in runs])
 
 
-@_rule_of_inputs(needs="input-derivatives-have-an-effect setting-the-same-changes-nothing variable-step-size")
+@_rule_of_inputs()
 def input_derivatives_are_slopes(probe: Probe) -> Iterator[str]:
     """With its first derivative an input moves an output, which follows it through a state, in a step about
     as far as in short steps in which the input is set to its values on that line.
     """
-    if not probe.fmu.claims(ANY_STEP):
-        raise NotApplicableError(f"{ANY_STEP} is not claimed")
+    if not probe.fmu.claims(finite.ANY_STEP):
+        raise NotApplicableError(f"{finite.ANY_STEP} is not claimed")
     for v, value in other_values(_inputs_by_effect(probe)["right"][:_MOST_INPUTS]):
         judged = list(_effects_of_a_line(probe, v, value))
         if judged and all(abs(got - expected) > _APART * abs(expected) for _, got, expected in judged):
@@ -292,15 +282,11 @@ def _effects_of_a_line(probe: Probe, v: Variable, value: float) -> Iterator[tupl
         # an output that is sampled once, late in the step, has not moved halfway and follows no line
         is_state = abs(at_once) < _THROUGH_A_STATE * abs(effect) and halfway != 0.0
         is_converged = abs(raised - held - effect) <= _CONVERGED * abs(effect)
-        if is_state and is_converged and abs(effect) > NOISE * abs(held) and math.isfinite(moving):
+        if is_state and is_converged and abs(effect) > finite.NOISE * abs(held) and math.isfinite(moving):
             yield name, moving - held, line - short_held
 
 
-@differential(
-    _TRANSFER,
-    condition=_INTERPOLATES,
-    needs="input-derivatives-have-an-effect variables-can-be-read",
-)
+@differential("4.2.1", condition=_INTERPOLATES)
 def input_derivatives_are_set_together(probe: Probe) -> Iterator[Row]:
     """Derivatives of several inputs that are set in one call act as if each is set in a call of its own, also
     of different orders.

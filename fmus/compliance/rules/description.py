@@ -12,7 +12,6 @@ from fmus.compliance.rules.files import BUILD_DESCRIPTION, TERMINALS
 from fmus.compliance.variable import Variable, integer, is_true, number
 from fmus.errors import nearest
 
-_HEAD = "2.2.1 Definition of an FMU (fmiModelDescription)"
 _DATE = re.compile(r"\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01])T([01]\d|2[0-3]):[0-5]\d:[0-5]\dZ")
 _UTF_8 = re.compile(
     rb"(\xef\xbb\xbf)?<\?xml[^>\r\n]*[ \t]encoding[ \t]*=[ \t]*[\"']utf-8[\"']", re.IGNORECASE
@@ -33,13 +32,15 @@ _STANDARD_CATEGORIES = (
 _TYPE_NAMES, _ITEM = "TypeDefinitions/SimpleType/@name", "TypeDefinitions/SimpleType/Enumeration/Item"
 
 
-@rule("2.2 FMI Description Schema", Stage.FILE, condition=unreadable)
+@rule("2.2", Stage.FILE, condition=unreadable)
 def description_is_readable(fmu: FmuFile) -> Iterable[str]:
     """modelDescription.xml is well-formed XML without a document type declaration."""
     return {fmu.description_problem} - {"", fmu.NO_DESCRIPTION}
 
 
-@rule(_HEAD, Stage.FILE, condition=lambda fmu: fmu.description_problem and "there is no description to read")
+@rule(
+    "2.2.1", Stage.FILE, condition=lambda fmu: fmu.description_problem and "there is no description to read"
+)
 def fmi_version(fmu: FmuFile) -> Iterable[str]:
     """fmiVersion is 2.0."""
     return {fmu.other_version} - {""}
@@ -123,109 +124,78 @@ def _type_problem(v: Variable, fmu: FmuFile) -> str:
 
 
 add_rows(__name__, Stage.DESCRIPTION, rows=(
-    row("description-is-utf-8", "The first line of the model description states the encoding UTF-8.",
-        lambda fmu: [(DESCRIPTION, fmu.xml)], _NOT_UTF_8),
+    row("description-is-utf-8", lambda fmu: [(DESCRIPTION, fmu.xml)], _NOT_UTF_8),
     row("other-xml-is-utf-8",
-        "The first line of buildDescription.xml and of terminalsAndIcons.xml states the encoding UTF-8.",
         lambda fmu: [(path, fmu.read(path)) for path in {BUILD_DESCRIPTION, TERMINALS} & fmu.paths],
         _NOT_UTF_8),
-    row("schema", "The model description is valid by the XML schema of FMI 2.0.",
-        lambda fmu: schema_errors(fmu.root, "fmi2/fmi2ModelDescription.xsd"),
+    row("schema", lambda fmu: schema_errors(fmu.root, "fmi2/fmi2ModelDescription.xsd"),
         (anything, "line {line}: {message}")),
-    row("numbers-are-finite", "No number is infinite or NaN.", lambda fmu: fmu.root.xpath(_NUMBERS),
+    row("numbers-are-finite", lambda fmu: fmu.root.xpath(_NUMBERS),
         (lambda text, _: [text.getparent()],
          "line {value[0].sourceline}: {value[0].tag} has {attrname}={subject!r}: expected a finite number")),
-    row("interfaces", "There is an element ModelExchange or CoSimulation, each at most once.",
+    row("interfaces",
         lambda fmu: [[element.tag for element in fmu.root.iterchildren("ModelExchange", "CoSimulation")]],
         (lambda tags, _: not tags, "neither ModelExchange nor CoSimulation: expected one of them at least"),
         (lambda tags, _: ", ".join(f"{n} elements {tag}" for tag, n in repeated(tags).items()),
          "{value}: expected one")),
-    row("name-and-guid-are-given",
-        "modelName and guid, which ties description and library together, are not empty.", elements("."),
+    row("name-and-guid-are-given", elements("."),
         (lambda root, _: not root.get("modelName", "-").strip(), "modelName is empty: expected one"),
         (lambda root, _: not root.get("guid", "-").strip(), "guid is empty: expected one")),
-    row("generation-date", "generationDateAndTime is a date in UTC, YYYY-MM-DDThh:mm:ssZ.",
-        elements("self::*[@generationDateAndTime]"),
+    row("generation-date", elements("self::*[@generationDateAndTime]"),
         (lambda root, _: not _DATE.fullmatch(root.get("generationDateAndTime")),
          "generationDateAndTime {generationDateAndTime!r}: expected such as 2026-01-31T12:00:00Z")),
-    row("log-categories-are-unique", "No two log categories have the same name.",
-        elements(repeats("LogCategories/Category")),
+    row("log-categories-are-unique", elements(repeats("LogCategories/Category")),
         (anything, "log category {name!r} is defined again in line {subject.sourceline}: expected once")),
-    row("log-category-names", "A standardized log category has its standardized name.",
-        elements("LogCategories/Category"),
+    row("log-category-names", elements("LogCategories/Category"),
         (_standard_category, "log category {name!r}: expected {value}, the standardized name")),
-    row("log-category-descriptions",
-        "The description of a log category, where there is one, is not empty.",
-        elements("LogCategories/Category"),
+    row("log-category-descriptions", elements("LogCategories/Category"),
         (lambda category, _: not category.get("description", "-").strip(),
          "log category {name!r} has an empty description: expected one or none")),
-    row("default-experiment",
-        "The default experiment does not stop before it starts; step size and tolerance are not negative.",
-        _experiment, (lambda size, _: size[0] < 0, "{subject[1]}")),
-    row("default-experiment-is-meaningful",
-        "The default experiment takes a step at least; its step size and tolerance are not 0.",
-        _experiment, (lambda size, _: size[0] == 0, "{subject[1]}")),
+    row("default-experiment", _experiment, (lambda size, _: size[0] < 0, "{subject[1]}")),
+    row("default-experiment-is-meaningful", _experiment, (lambda size, _: size[0] == 0, "{subject[1]}")),
     row("annotations-are-unique",
-        "No two annotations of the FMU, or of one variable, are of one tool.",
         elements(f"{repeats('VendorAnnotations/Tool')} | {repeats(f'{_VARIABLE}/Annotations/Tool')}"),
         (_owner, "{value}: tool {name!r} occurs again in line {subject.sourceline}: expected once")),
-    row("model-identifier",
-        "modelIdentifier is a C identifier, as it names files and the prefix of functions.",
-        elements("*[@modelIdentifier]"),
+    row("model-identifier", elements("*[@modelIdentifier]"),
         (lambda interface, _: not C_IDENTIFIER.fullmatch(interface.get("modelIdentifier")),
          "{subject.tag} modelIdentifier {modelIdentifier!r}: expected letters, digits and _, no digit first")
         ),
-    row("capabilities-agree", "canSerializeFMUstate only with canGetAndSetFMUstate.",
-        elements("*[@canSerializeFMUstate]"),
+    row("capabilities-agree", elements("*[@canSerializeFMUstate]"),
         (lambda i, _: is_true(i.get("canSerializeFMUstate")) and not is_true(i.get("canGetAndSetFMUstate")),
          "{subject.tag} has canSerializeFMUstate: expected canGetAndSetFMUstate too")),
-    row("unit-names-are-unique", "No two units have the same name.",
-        elements(repeats("UnitDefinitions/Unit")),
+    row("unit-names-are-unique", elements(repeats("UnitDefinitions/Unit")),
         (anything, "unit {name!r} is defined again in line {subject.sourceline}: expected once")),
-    row("display-unit-names-are-unique", "No two display units of one unit have the same name.",
-        elements(repeats("UnitDefinitions/Unit/DisplayUnit")),
+    row("display-unit-names-are-unique", elements(repeats("UnitDefinitions/Unit/DisplayUnit")),
         (_owner,
          "display unit {name!r} of {value!r} is defined again in line {subject.sourceline}: expected once")),
-    row("units-are-defined",
-        "Each unit of a type or variable is defined; none has a display unit without unit.",
-        _using_units, (_unit_problem, "{name}: {value}")),
-    row("display-units-are-defined",
-        "Each display unit belongs to its unit; otherwise importers ignore it.",
-        _using_units, (_display_unit_problem, "{name}: displayUnit {value}")),
-    row("units-are-used", "Each unit that is defined is used by a type or variable.",
-        lambda fmu: _unused(fmu.units, {v.get("unit") for v in _using_units(fmu)}),
+    row("units-are-defined", _using_units, (_unit_problem, "{name}: {value}")),
+    row("display-units-are-defined", _using_units, (_display_unit_problem, "{name}: displayUnit {value}")),
+    row("units-are-used", lambda fmu: _unused(fmu.units, {v.get("unit") for v in _using_units(fmu)}),
         (anything, "unit {subject!r} is used by no type and no variable: expected it to be, or left out")),
-    row("unit-factors",
-        "Factors of base units and display units are not 0, or nothing could be converted back.",
-        elements("UnitDefinitions/Unit/*"),
+    row("unit-factors", elements("UnitDefinitions/Unit/*"),
         (lambda e, _: number(e.get("factor", "1")) == 0 and f"unit {_owner(e)!r}: {e.tag}",
          "{value} with factor 0: expected another")),
-    row("type-names", "Names of types are unique, and differ from those of variables.",
+    row("type-names",
         lambda fmu: repeated([*fmu.root.xpath(_TYPE_NAMES), *{v.name for v in fmu.variables}]).items(),
         (anything, "{subject[1]} types or variables are called {subject[0]!r}: expected other names")),
-    row("enumeration-items", "Items of an enumeration have names and values that occur once.",
-        elements(f"{repeats(_ITEM)}/@name | {repeats(_ITEM, 'value')}/@value"),
+    row("enumeration-items", elements(f"{repeats(_ITEM)}/@name | {repeats(_ITEM, 'value')}/@value"),
         (lambda text, _: [_owner(text.getparent())],
          "enumeration {value[0]!r}: several items have {attrname} {subject!r}: expected one")),
-    row("types-are-used", "Each type that is defined is the declared type of a variable.",
+    row("types-are-used",
         lambda fmu: _unused(fmu.types, {v.typed.get("declaredType") for v in fmu.variables}),
         (anything, "type {subject!r} is declared by no variable: expected it to be, or left out")),
-    row("range-is-not-empty", "max is not less than min.", _limited,
+    row("range-is-not-empty", _limited,
         (lambda v, _: v.high < v.low, "{name}: max {high:.17g}: expected at least min, {low:.17g}")),
-    row("nominal-is-positive", "A nominal value is more than 0.", _limited,
+    row("nominal-is-positive", _limited,
         (lambda v, _: v.nominal <= 0, "{name}: nominal {nominal:g}: expected more than 0")),
-    row("start-is-in-range", "A start value is not less than min and not more than max.",
-        lambda fmu: fmu.variables,
+    row("start-is-in-range", lambda fmu: fmu.variables,
         (_starts_outside, "{name}: start {start}: expected {low:.17g}..{high:.17g}")),
-    row("declared-type-fits", "declaredType is defined, and of the variable's own type.",
-        lambda fmu: [v for v in fmu.variables if "declaredType" in v.typed],
+    row("declared-type-fits", lambda fmu: [v for v in fmu.variables if "declaredType" in v.typed],
         (_type_problem, "{name}{value}")),
-    row("enumeration-start-is-an-item", "The start value of an Enumeration is the value of an item.",
-        lambda fmu: [v for v in fmu.variables if v.items],
+    row("enumeration-start-is-an-item", lambda fmu: [v for v in fmu.variables if v.items],
         (lambda v, _: integer(v.start) not in {*v.items, None} and sorted(v.items),
          "{name}: start {start}: expected one of {value}")),
-    row("enumeration-range-holds-an-item", "Between min and max of an Enumeration there is an item.",
-        lambda fmu: [v for v in fmu.variables if v.items],
+    row("enumeration-range-holds-an-item", lambda fmu: [v for v in fmu.variables if v.items],
         (lambda v, _: v.low <= v.high and not any(v.low <= x <= v.high for x in v.items) and sorted(v.items),
          "{name}: min {low:g}, max {high:g}: expected an item between, one of {value}")),
 ))  # fmt: skip

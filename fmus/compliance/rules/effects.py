@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 from fmus.compliance import actions as do
 from fmus.compliance import values
 from fmus.compliance.actions import Pair
-from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.differential import starts
+from fmus.compliance.fmu_file import CO_SIMULATION, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.rules.finite_differences import ANY_STEP, NOISE, Column, followers, in_steps, values_of
@@ -18,8 +19,7 @@ from fmus.compliance.script import Action, CallError, Reply, Script
 from fmus.compliance.values import continuous_reals, other_values, references_of, same, start_value, texts
 from fmus.compliance.variable import Variable
 
-_STRUCTURE = "2.2.8 Definition of the Model Structure (ModelStructure)"
-_PARTIAL = "2.1.9 Getting Partial Derivatives"
+_PARTIAL = "2.1.9"
 _PROVIDES = values.unless_claimed("providesDirectionalDerivative")
 _partial_rule = partial(behaviour_rule, _PARTIAL, _PROVIDES)
 _AT_FIRST, _STEPPING = ("InitialUnknowns",), ("Outputs", "Derivatives")
@@ -80,21 +80,31 @@ def _states(fmu: FmuFile) -> list[Variable]:
 # dependencies
 
 
-@behaviour_rule(_STRUCTURE)
-def initial_dependencies_are_declared(probe: Probe) -> Iterator[str]:
-    """An initial unknown changes only with the knowns that its dependencies list."""
-    for known, value in other_values(values.settable_in_initialization(probe.fmu)[:_MOST_KNOWNS]):
-        unlisted = [
-            unknown
-            for unknown, listed, _ in probe.fmu.dependencies["InitialUnknowns"]
-            if listed is not None and known.index not in listed and unknown.name != known.name
-        ]
-        read = [do.read(unlisted)]
-        for name in sorted(followers(probe, _INITIALIZATION, known, value, read) if unlisted else ()):
-            yield f"{name} changes with {known.name} in initialization mode: {_TO_BE_LISTED}"
+@behaviour_rule("2.2.8")
+def dependencies_are_declared(probe: Probe) -> Iterator[str]:
+    """An initial unknown changes only with the knowns that its dependencies list; for model exchange, so do
+    outputs and derivatives in event mode.
+    """
+    inputs = [v for v in probe.fmu.variables if v.causality == "input"]
+    settable = values.settable_in_initialization(probe.fmu)
+    begin: Sequence[Action] = _INITIALIZATION
+    modes = [("initialization mode", begin, "InitialUnknowns", settable)]
+    for start in starts(probe) if probe.fmu.is_model_exchange else ():
+        mode, begin = f"event mode{start.words}", (do.begin, *start.lead)
+        modes += [(mode, begin, section, inputs) for section in _STEPPING]
+    for mode, actions, section, knowns in modes:
+        for known, value in other_values(knowns[:_MOST_KNOWNS]):
+            unlisted = [
+                unknown
+                for unknown, listed, _ in probe.fmu.dependencies[section]
+                if listed is not None and known.index not in listed and unknown.name != known.name
+            ]
+            read = [do.read(unlisted)]
+            for name in sorted(followers(probe, actions, known, value, read) if unlisted else ()):
+                yield f"{name} changes with {known.name} in {mode}: {_TO_BE_LISTED}"
 
 
-@behaviour_rule(_STRUCTURE, needs="variables-can-be-read")
+@behaviour_rule("2.2.8")
 def dependencies_on_time_are_declared(probe: Probe) -> Iterator[str]:
     """An initial unknown changes with the start time only if it lists the independent variable, where that is
     defined.
@@ -107,17 +117,13 @@ def dependencies_on_time_are_declared(probe: Probe) -> Iterator[str]:
     set_up = [do.call("set_up_experiment", probe.point(i), None) for i in (0, 1)]
     runs = values_of(probe, [(call, do.enter_initialization_mode, do.read(unlisted)) for call in set_up])
     if not all(runs):
-        raise NotJudgedError("another start time is refused")
+        raise NotJudgedError("a run up to initialization mode, in which initial unknowns are read, fails")
     (before,), (after,) = runs
     for name in [name for name, x in before.items() if not same(x, after[name], NOISE)]:
         yield f"{name} changes with the start time: expected the independent variable in its dependencies"
 
 
-@behaviour_rule(
-    "advice: 2.2.8, a direct dependency is told from one step's delay by no call",
-    needs="variables-can-be-read initial-dependencies-are-declared "
-    "directional-derivatives-are-zero-without-dependency",
-)
+@behaviour_rule("advice: 2.2.8, a direct dependency is told from one step's delay by no call")
 def outputs_follow_declared_inputs_alone(probe: Probe) -> Iterator[str]:
     """In step mode an input has no direct effect on an output that lists others: one that stays as steps
     become short and ends with the input.
@@ -137,6 +143,21 @@ def outputs_follow_declared_inputs_alone(probe: Probe) -> Iterator[str]:
             sizes = [effect.get(name, 0.0) for effect in effects]
             if all(sizes) and sizes[-1] > _STAYS * sizes[0]:
                 yield f"{name} changes with {v.name} in a step, however short: {_TO_BE_LISTED}"
+
+
+@behaviour_rule("4.2.1", interface=CO_SIMULATION)
+def inputs_act_in_the_next_step(probe: Probe) -> Iterator[str]:
+    """An output that an input changes at once in initialization mode changes with it in the step after it was
+    set, and not only one step later, when the input has its old value again.
+    """
+    for v, value in other_values([v for v in probe.fmu.variables if v.causality == "input"][:_MOST_INPUTS]):
+        direct = followers(probe, _INITIALIZATION, v, value, [do.read(probe.outputs)])
+        start = start_value(v)
+        runs = [in_steps(probe, v, (x, start), probe.step_size) for x in (start, value)] if direct else []
+        (now, later), (changed, then) = r if all(r := values_of(probe, runs)) and r else (({}, {}),) * 2
+        for name in sorted(direct & now.keys()):
+            if now[name] == changed[name] and later[name] != then[name]:
+                yield f"{name} follows {v.name} one step late: expected that in the step after it was set"
 
 
 def _direct_effects(probe: Probe, v: Variable, value: Any, part: float) -> dict[str, float]:
@@ -160,7 +181,7 @@ def _distance(a: Any, b: Any) -> float:
     return abs(a - b) if isinstance(a, float) else float(a != b)
 
 
-@behaviour_rule(_STRUCTURE, needs="variables-can-be-read")
+@behaviour_rule("2.2.8")
 def constant_factors_are_constant(probe: Probe) -> Iterator[str]:
     """An initial unknown changes with a known of the kind constant by the same factor everywhere, whatever
     the inputs are.
@@ -200,7 +221,7 @@ def _derivatives(probe: Probe, mode: Iterable[Action], groups: Iterable[_Group])
     return replies
 
 
-@_partial_rule(needs="allowed-calls-succeed variables-can-be-read start-values-are-as-declared")
+@_partial_rule()
 def directional_derivatives(probe: Probe) -> Iterator[str]:
     """In initialization mode, derivatives of outputs, calculated parameters and state derivatives lie between
     difference quotients of both sides.
@@ -216,7 +237,7 @@ def _initial_factors(fmu: FmuFile) -> Iterator[_Factor]:
             yield factor
 
 
-@_partial_rule(needs="directional-derivatives directional-derivatives-are-linear")
+@_partial_rule()
 def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
     """After initialisation with other values, the derivatives of continuous outputs and state derivatives in
     step mode lie near difference quotients: those of runs with other inputs and states at first.
@@ -263,7 +284,7 @@ def _beside_quotients(
                 yield f"{got}: expected {low:.9g}..{high:.9g}"
 
 
-@_partial_rule(needs="directional-derivatives questions-change-nothing")
+@_partial_rule()
 def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
     """A directional derivative is the sum of the partial derivatives, each times its seed, in every mode."""
     initial = [v for v, *_ in probe.fmu.dependencies["InitialUnknowns"] if v.kind == "Real"]
@@ -293,7 +314,7 @@ def _other_sums(script: Script, unknowns: list[Variable], knowns: list[Variable]
             yield f"{what} is {shown[0]} {where}: expected {shown[1]}, the sum of its parts"
 
 
-@_partial_rule(needs="directional-derivatives initial-dependencies-are-declared")
+@_partial_rule()
 def directional_derivatives_are_zero_without_dependency(probe: Probe) -> Iterator[str]:
     """The derivative with respect to an input, in step mode also to a continuous state, that is not among
     the dependencies of an output or a state derivative is zero.
@@ -321,7 +342,7 @@ def _unlisted(fmu: FmuFile, section: str, knowns: Sequence[Variable]) -> Iterato
             yield from ((known, [unknown]) for known in others[:_MOST_DERIVED])
 
 
-@behaviour_rule(_STRUCTURE, _PROVIDES, needs="directional-derivatives directional-derivatives-are-linear")
+@behaviour_rule("2.2.8", _PROVIDES)
 def factors_change_as_declared(probe: Probe) -> Iterator[str]:
     """In step mode a factor that is constant or fixed is the same when inputs, states and tunable parameters
     have changed, and a tunable one when inputs and states have.

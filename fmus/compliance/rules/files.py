@@ -15,8 +15,6 @@ from fmus.compliance.variable import is_true
 
 BUILD_DESCRIPTION = "sources/buildDescription.xml"
 TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
-_NAMING = "2.1.1 Header Files and Naming of Functions"
-_TERMINALS = "2.3.2 Terminals and Icons"
 
 _PLATFORM = re.compile(
     r"(?:win|linux|darwin)(?:32|64)|(?:(?:aarch|riscv|ppc|x86_)(?:32|64)|x86)-(?:windows|linux|darwin)(?:-\w+)?"
@@ -49,6 +47,7 @@ _PREFIX = re.compile(rb"^[ \t]*#[ \t]*define[ \t]+FMI2_FUNCTION_PREFIX[ \t]+(\w+
 _FUNCTIONS = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*["<]fmi2Functions\.h[">]', re.MULTILINE)
 _NAMES_FUNCTIONS = (b"FMI2_FUNCTION_PREFIX", b"FMI2_OVERRIDE_FUNCTION_PREFIX")
 _DEFINED = re.compile(rb"^(static\s)?[A-Za-z_][\w \t*]*[\s*](\w+)[ \t]*\([^;{}]*\)\s*\{", re.MULTILINE)
+_OF_FMI = re.compile(rb"\bfmi2\w+\s*\([^;{}]*\)\s*\{")
 _MACRO, _CALLED = re.compile(rb"#[ \t]*define[ \t]+(\w+)"), re.compile(rb"\b(\w+)[ \t]*\(")
 _GUARD = re.compile(
     rb"^[ \t]*#[ \t]*if(?:ndef|[ \t]+!defined)\W+(\w+)\W*\n\s*#[ \t]*define[ \t]+\1\b", re.MULTILINE
@@ -137,76 +136,55 @@ def _compiled(fmu: FmuFile, listed: list[str]) -> dict[str, bytes]:
 
 
 add_rows(__name__, Stage.FILE, condition=unreadable, rows=(
-    row("platform-names",
-        "Folders below binaries are named as FMI 2.0 (linux64) or FMI 3.0 (aarch64-linux) does.",
-        lambda fmu: fmu.platforms(),
+    row("platform-names", lambda fmu: fmu.platforms(),
         (lambda folder, _: not _PLATFORM.fullmatch(folder),
          "binaries/{subject}: expected win64, linux64, darwin64, aarch64-linux or the like")),
-    row("headers-of-fmi-are-left-out",
-        "Below sources and binaries there are no header files of FMI: they are the importer's.",
-        lambda fmu: [*_files(fmu, _SOURCES), *_files(fmu, "binaries/")],
+    row("headers-of-fmi-are-left-out", lambda fmu: [*_files(fmu, _SOURCES), *_files(fmu, "binaries/")],
         (lambda path, _: posixpath.basename(path) in _HEADERS,
          "{subject}: expected it to be left out, the importer has it")),
-    row("documentation-has-an-entry", "Documentation is entered by documentation/index.html.",
+    row("documentation-has-an-entry",
         lambda fmu: [[path for path in _files(fmu, "documentation/") if not path.startswith(_NO_PAGES)]],
         (lambda files, _: "documentation/index.html" not in files and ", ".join(files[:3]),
          "{value}: expected documentation/index.html, where a reader begins")),
-    row("licenses-have-an-entry",
-        "Licences are entered by documentation/licenses/license.txt or license.html.",
-        lambda fmu: [_files(fmu, _LICENSES)],
+    row("licenses-have-an-entry", lambda fmu: [_files(fmu, _LICENSES)],
         (lambda files, _: files and not {f"{_LICENSES}license.txt", f"{_LICENSES}license.html"} & {*files},
          "documentation/licenses/: expected license.txt or license.html, where a reader begins")),
-    row("icon-is-png", "model.png is a picture in the format PNG.",
-        lambda fmu: [fmu.read(path) for path in fmu.paths if path == "model.png"],
+    row("icon-is-png", lambda fmu: [fmu.read(path) for path in fmu.paths if path == "model.png"],
         (lambda content, _: not content.startswith(b"\x89PNG\r\n\x1a\n"),
          "model.png: expected a picture in the format PNG")),
-    row("extra-names-are-not-reserved",
-        "Names below extra that begin with org.modelica or org.fmi-standard are of layered standards of FMI.",
-        _extra,
+    row("extra-names-are-not-reserved", _extra,
         (lambda path, _: path.startswith(_RESERVED) and not _LAYERED_STANDARD.fullmatch(path),
          "{subject}: expected a name of the maker's own, as this is for layered standards of FMI")),
-    row("extra-names-are-domains",
-        "Files below extra are in a directory that is named by a domain, its parts reversed.", _extra,
+    row("extra-names-are-domains", _extra,
         (lambda path, _: not path.endswith("/"),
          "{subject}: expected it in a directory such as extra/com.example"),
         (lambda path, _: not _REVERSE_DOMAIN.fullmatch(path),
          "{subject}: expected a reversed domain such as com.example")),
 ))  # fmt: skip
 add_rows(__name__, Stage.DESCRIPTION, rows=(
-    row("has-an-implementation", "There is a binary for some platform, or sources, of each interface.",
-        _interfaces,
+    row("has-an-implementation", _interfaces,
         (lambda interface, fmu: not _has_sources(fmu) and _missing_binary(interface, fmu),
          "{subject.tag}: no {value} below binaries, no C file in sources: expected one")),
-    row("tool-wrapper-is-a-binary", "With needsExecutionTool there is a binary, which talks to the tool.",
-        _tools,
+    row("tool-wrapper-is-a-binary", _tools,
         (_missing_binary, "{subject.tag} has needsExecutionTool: expected a {value} that talks to it")),
-    row("tool-is-documented",
-        "With needsExecutionTool, documentation/externalDependencies.txt or .html exists.", _tools,
+    row("tool-is-documented", _tools,
         (lambda _, fmu: not {f"{_DEPENDENCIES}txt", f"{_DEPENDENCIES}html"} & fmu.paths,
          "{subject.tag} has needsExecutionTool: expected documentation/externalDependencies.txt or .html")),
     row("source-files-are-distributed",
-        "SourceFiles, which is meaningful for sources alone, is left out where the FMU holds no sources.",
         lambda fmu: _interfaces(fmu) if fmu.libraries() and not _has_sources(fmu) else (),
         (lambda interface, _: ", ".join(_listed(interface)[:3]),
          "{subject.tag}: SourceFiles lists {value}: expected none, as there are no sources")),
-    row("source-files-exist",
-        "Every file that SourceFiles lists is below sources, its path relative and with forward slashes.",
-        elements("*/SourceFiles/File"),
+    row("source-files-exist", elements("*/SourceFiles/File"),
         (lambda file, _: "\\" in file.get("name", ""),
          "line {subject.sourceline}, SourceFiles lists {name}: expected forward slashes"),
         (lambda file, _: file.get("name", "").startswith("/"),
          "line {subject.sourceline}, SourceFiles lists {name}: expected a path below sources"),
         (_is_missing,
          "line {subject.sourceline}, SourceFiles lists {name}: expected sources/{name} in the archive")),
-    row("sources-are-listed",
-        "SourceFiles, or buildDescription.xml, lists the C files below sources that are to be compiled.",
-        lambda fmu: [] if fmu.libraries() else _unlisted(fmu, _TO_COMPILE),
+    row("sources-are-listed", lambda fmu: [] if fmu.libraries() else _unlisted(fmu, _TO_COMPILE),
         (lambda files, _: ", ".join(files[:3]),
          "{value}: expected SourceFiles that lists what is to be compiled")),
-    row("sources-beside-a-library-are-listed",
-        "Beside a library, SourceFiles or buildDescription.xml lists the files in C below sources too; files "
-        "of other languages may be there to be read.",
-        lambda fmu: _unlisted(fmu, ".c") if fmu.libraries() else [],
+    row("sources-beside-a-library-are-listed", lambda fmu: _unlisted(fmu, ".c") if fmu.libraries() else [],
         (lambda files, _: ", ".join(files[:3]),
          "{value}: expected SourceFiles that lists what is to be compiled")),
 ))  # fmt: skip
@@ -284,7 +262,7 @@ def included_files_exist(fmu: FmuFile) -> Iterator[str]:
                     yield f'{path}: #include "{included}": expected that file below sources'
 
 
-@rule(_NAMING, Stage.DESCRIPTION, condition=unreadable)
+@rule("2.1.1", Stage.DESCRIPTION, condition=unreadable)
 def source_prefix(fmu: FmuFile) -> Iterator[str]:
     """Sources that define FMI2_FUNCTION_PREFIX as a word define it as modelIdentifier with an underscore, and
     before they include fmi2Functions.h.
@@ -299,7 +277,7 @@ def source_prefix(fmu: FmuFile) -> Iterator[str]:
             yield f"{path} defines FMI2_FUNCTION_PREFIX: expected that before it includes fmi2Functions.h"
 
 
-@rule(_NAMING, Stage.DESCRIPTION, condition=unreadable)
+@rule("2.1.1", Stage.DESCRIPTION, condition=unreadable)
 def source_prefix_is_defined(fmu: FmuFile) -> Iterator[str]:
     """Sources that include fmi2Functions.h define FMI2_FUNCTION_PREFIX directly before that, or say how their
     build does.
@@ -308,13 +286,29 @@ def source_prefix_is_defined(fmu: FmuFile) -> Iterator[str]:
     own = {path: text for path, text in sources.items() if posixpath.basename(path) not in _HEADERS}
     including = sorted(path for path, text in own.items() if _FUNCTIONS.search(text))
     built = [fmu.read(path) for path in fmu.names if path.startswith(_SOURCES) and path not in sources]
-    if including and not any(name in text for name in _NAMES_FUNCTIONS for text in [*own.values(), *built]):
-        expected = "expected #define FMI2_FUNCTION_PREFIX before that"
-        yield f"{including[0]} includes fmi2Functions.h: {expected}"
+    prefixed = {path for path, text in own.items() if any(name in text for name in _NAMES_FUNCTIONS)}
+    is_built = any(name in text for name in _NAMES_FUNCTIONS for text in built)
+    for path in including if not is_built else ():
+        # another file may include it for its types
+        is_free = prefixed and not _OF_FMI.search(own[path])
+        if not is_free and not prefixed & {path, *_reached(path, own)}:
+            yield f"{path} includes fmi2Functions.h: expected #define FMI2_FUNCTION_PREFIX before that"
+            break
     for path in including:
         if between := (_between(own[path]) or b"").split():
             word = b" ".join(between)[:40].decode("utf-8", "replace")
             yield f"{path}: {word} follows FMI2_FUNCTION_PREFIX: expected fmi2Functions.h directly after it"
+
+
+def _reached(path: str, sources: dict[str, bytes]) -> set[str]:
+    """Returns the paths of all sources that a file includes by quotes, and these in turn."""
+    reached, left = set[str](), [path]
+    while left:
+        names = {posixpath.basename(name) for name in _included(sources[left.pop()])}
+        new = {other for other in sources if posixpath.basename(other) in names} - reached
+        reached |= new
+        left += new
+    return reached
 
 
 def _between(text: bytes) -> bytes | None:
@@ -368,7 +362,7 @@ def build_description(fmu: FmuFile) -> Iterator[str]:
                 yield f"{path} lists {file.get('name')}: expected it below sources"
 
 
-@rule(_TERMINALS, Stage.DESCRIPTION, condition=_unless_there(TERMINALS))
+@rule("2.3.2", Stage.DESCRIPTION, condition=_unless_there(TERMINALS))
 def terminals_and_icons(fmu: FmuFile) -> Iterator[str]:
     """terminalsAndIcons.xml is valid by FMI 3.0; terminals have unique names, and variables of the FMU."""
     root = fmu.parsed(TERMINALS)
@@ -382,7 +376,7 @@ def terminals_and_icons(fmu: FmuFile) -> Iterator[str]:
         yield f"{where}: {name.attrname} {name!r} is that of another: expected one"
 
 
-@rule(_TERMINALS, Stage.DESCRIPTION, condition=_unless_there(TERMINALS))
+@rule("2.3.2", Stage.DESCRIPTION, condition=_unless_there(TERMINALS))
 def terminal_icons_exist(fmu: FmuFile) -> Iterator[str]:
     """Pictures of terminals are beside terminalsAndIcons.xml."""
     with suppress(BrokenMemberError):  # which another rule tells

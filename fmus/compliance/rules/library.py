@@ -9,7 +9,6 @@ from fmus.compliance.rows import add_rows, row
 from fmus.compliance.rule import IS_BROKEN, NotJudgedError, Stage, rule
 from fmus.fmi.binding import CO_SIMULATION, MODEL_EXCHANGE, platform_name, signatures
 
-_BINARIES = "2.3 FMU Distribution (binaries)"
 _MACHINES = {
     "linux64": "ELF X86_64", "linux32": "ELF X86", "x86_64-linux": "ELF X86_64", "aarch64-linux": "ELF ARM64",
     "win64": "PE X86_64", "win32": "PE X86", "x86_64-windows": "PE X86_64", "aarch64-windows": "PE ARM64",
@@ -26,7 +25,7 @@ def _libraries(fmu: FmuFile) -> Sequence[Library]:
     return libraries
 
 
-@rule(_BINARIES, Stage.LIBRARY, condition=no_library)
+@rule("2.3", Stage.LIBRARY, condition=no_library)
 def library_format(fmu: FmuFile) -> Iterator[str]:
     """Each library has the format and the processor that its folder names."""
     libraries, failure = start_reading(fmu).result
@@ -78,18 +77,12 @@ def _own_memory(library: Library, fmu: FmuFile) -> str:
 
 
 add_rows(__name__, Stage.LIBRARY, condition=no_library, rows=(
-    row("library-exports",
-        "Each library exports every function of the interfaces that the description names.", _libraries,
+    row("library-exports", _libraries,
         (_missing_functions, "{path} does not export {value}")),
-    row("libraries-are-complete",
-        "Libraries for Linux need those of the FMU and of the system alone, or externalDependencies tells.",
-        _libraries, (_missing_libraries,
+    row("libraries-are-complete", _libraries, (_missing_libraries,
         "{path} needs {value}: expected it in the FMU, or documentation/externalDependencies.txt")),
-    row("libraries-have-an-rpath",
-        "Libraries for Linux that need others of the FMU have the RPATH $ORIGIN.", _libraries,
+    row("libraries-have-an-rpath", _libraries,
         (_unsought_libraries, "{path} needs {value}, without RPATH: expected $ORIGIN")),
-    row("memory-functions-are-callbacks",
-        "Without canNotUseMemoryManagementFunctions, a library does not import malloc, calloc or realloc.",
-        _libraries, (_own_memory,
+    row("memory-functions-are-callbacks", _libraries, (_own_memory,
         "{path} uses {value}: expected canNotUseMemoryManagementFunctions, or allocateMemory alone")),
 ))  # fmt: skip

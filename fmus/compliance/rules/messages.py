@@ -1,4 +1,4 @@
-"""Messages, which an FMU sends to the logger, and settings of its process, which it leaves as they are."""
+"""Messages, which an FMU sends to the logger, statuses of its functions, and settings of its process."""
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence, Set
@@ -14,13 +14,13 @@ from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rows import told
 from fmus.compliance.rules.call_table import NAME, tour
-from fmus.compliance.script import ARGUMENTS, UNWRITTEN, CallError, Message, Script
+from fmus.compliance.script import ARGUMENTS, UNWRITTEN, CallError, Message, Reply, Script
 from fmus.compliance.values import refused_reference
-from fmus.fmi.binding import ERROR, OK, PENDING, WARNING
+from fmus.fmi.binding import DISCARD, ERROR, OK, PENDING, WARNING, status_name
 
-_CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
-_GENERAL = "2.1 FMI Application Programming Interface"
-_VALUES = "2.1.7 Getting and Setting Variable Values"
+_CREATION = "2.1.5"
+_GENERAL = "2.1"
+_VALUES = "2.1.7"
 _REFERENCE = re.compile(r"#([ribs])(\d+)#")
 _KINDS = {"r": "Real", "i": "Integer", "b": "Boolean", "s": "String"}
 _ALL = "logAll"  # of 2.2.4: all messages, whatever their category
@@ -34,6 +34,8 @@ _BLANK_OF_TEXT = re.compile(r"%[-+#0]* [-+#0 ]*[scp](?=[a-zA-Z])")  # as in "100
 _BLANK_FLAG = re.compile(r"%[-+#0]* [-+#0]*[a-zA-Z](?=[a-zA-Z])")  # as in "100 % done"
 _PRINTED = "printed"
 _MOST_FINDINGS = 3  # of a rule
+_SETTERS = "fmi2SetReal", "fmi2SetInteger", "fmi2SetBoolean", "fmi2SetString"
+_OF_STATES = "fmi2SetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndicators", "fmi2GetReal"
 _FORMATS_ARE_LEGAL = "formats-of-messages-are-legal"
 Case = tuple[Callable[[Any, Any], object], str]
 """Whether a message or a change is wrong, and the words if it is: see `rows.told`."""
@@ -48,10 +50,14 @@ def _refusal(probe: Probe) -> list[Message]:
     """Returns the messages with a text of an instantiation that fails, or one without."""
 
     def refused() -> list[Message]:
-        created, messages = probe.creates(name=NAME, guid="wrong", logging=True)
-        if created:
-            raise rule.NotJudgedError("fmi2Instantiate returns an instance for a wrong GUID")
-        return [m for m in messages if m.text.strip()] or [Message(ERROR, "", NAME, None)]
+        told = list[Message]()
+        for logging, words in ((True, ""), (False, " with loggingOn = fmi2False")):
+            created, messages = probe.creates(name=NAME, guid="wrong", logging=logging)
+            if created:
+                raise rule.NotJudgedError("fmi2Instantiate returns an instance for a wrong GUID")
+            silent = Message(ERROR, "", NAME, None, given_name=words)
+            told += [m for m in messages if m.text.strip()] or [silent]
+        return told
 
     return probe.once("refused instantiation", refused)
 
@@ -122,7 +128,7 @@ def _changes(probe: Probe) -> Iterator[_Change]:
     """Yields what functions change in the tour of the states, and in the default experiment; the number of
     bytes is printed after them.
     """
-    scripts = [tour(probe)]
+    scripts = [tour(probe).script]
     with suppress(rule.NotApplicableError, rule.NotJudgedError):
         scripts.append(do.over_the_experiment(probe))
     for reply in (reply for script in scripts for reply in script.everything):
@@ -132,53 +138,73 @@ def _changes(probe: Probe) -> Iterator[_Change]:
             yield _Change(reply.function, _PRINTED, "", str(reply.printed))
 
 
+def _of_the_tour(probe: Probe) -> list[Reply]:
+    return tour(probe).script.replies
+
+
+def _refusals(probe: Probe) -> list[Reply]:
+    return probe.refusals
+
+
+def _refused(probe: Probe) -> list[Reply]:
+    """Returns replies with logging that are warning, discard or error; discarded steps have a rule."""
+    replies = [*probe.refusals, *tour(probe).script.replies, *tour(probe).failed]
+    refused = [reply for reply in replies if reply.status not in (None, OK, PENDING)]
+    return [reply for reply in refused if not reply.reason and (not reply.is_step or reply.status != DISCARD)]
+
+
+def _illegal(reply: Reply, probe: Probe) -> str:
+    """Returns what is wrong with a status, which is noted for all rules."""
+    may_discard = (*_SETTERS, "fmi2DoStep", *(_OF_STATES if probe.fmu.is_model_exchange else ()))
+    is_discard = reply.status == DISCARD and not reply.function.endswith("Status")
+    is_wrong = is_discard and reply.function not in may_discard
+    is_wrong |= reply.status == PENDING and reply.function not in ("fmi2DoStep", "fmi2GetStatus")
+    if reply.status is None or reply.reason or (OK <= reply.status <= PENDING and not is_wrong):
+        return ""
+    probe.note_failure(reply, "statuses-are-legal")
+    legal = f": expected an fmi2Status, 0 to {PENDING}"
+    return f", which it may not: {reply.logged}" if is_wrong else legal
+
+
+_WRONG_STATUS = (_illegal, "{function} {status_name}{value}")
 _WRONG_CATEGORY = (_undeclared, "a message has the category {category!r}: expected {value}")
-# name, clause, what it looks at, claim, and cases: what is wrong, and the words for it
-_TABLE: tuple[tuple[str, str, Callable[[Probe], Iterable[Any]], str, *tuple[Case, ...]], ...] = (
+# name, clause, what it looks at, and cases: what is wrong, and the words for it
+_TABLE: tuple[tuple[str, str, Callable[[Probe], Iterable[Any]], *tuple[Case, ...]], ...] = (
     ("messages-have-the-instance-name", _CREATION, _log,
-     "Messages carry the name of the instance that sends them, and the environment of its callbacks, also "
-     "beside other instances, after these were freed, and after fmi2Reset.",
      (lambda m, _: not m.right_environment,
       "the logger was called without the componentEnvironment of its instance"),
      (lambda m, _: m.instance != m.given_name and ("NULL" if m.instance is None else repr(m.instance)),
       "a message carries the instance name {value}: expected {given_name!r}, its instance")),
     ("log-categories-are-declared", _CREATION, _log,
-     "Messages have a category of LogCategories; without LogCategories it is NULL.", _WRONG_CATEGORY),
+     _WRONG_CATEGORY),
     ("messages-have-a-category", _CREATION, _log,
-     "Messages have a category, if LogCategories declares any.",
      (lambda m, probe: m.category is None and ", ".join(_declared(probe)),
       "a message has no category: expected one of {value}")),
     ("log-category-of-a-refusal-is-declared", _CREATION, _refusal,
-     "The message of an instantiation that fails, too, has a category of LogCategories.", _WRONG_CATEGORY),
-    ("messages-have-no-trailing-line-break", _CREATION, _log, "Messages do not end with a line break.",
+     _WRONG_CATEGORY),
+    ("messages-have-no-trailing-line-break", _CREATION, _log,
      (lambda m, _: m.text.endswith(("\n", "\r")), "a message ends with a line break: {text!r:.80}")),
     ("variables-in-messages-exist", _CREATION, _log,
-     "In messages `#r12#` is a variable with that type and value reference, and `##` stands for `#`.",
      (_unknown_variable, "a message refers to {value}, which is no variable: {text!r:.80}"),
      (lambda m, _: "#" in _REFERENCE.sub("", m.text.replace("##", "")),
       "a message has a single #: expected ## or the reference of a variable: {text!r:.80}")),
-    ("status-of-messages-is-legal", _CREATION, _log, "Messages carry an fmi2Status.",
-     (lambda m, _: not OK <= m.status <= PENDING,
+    ("status-of-messages-is-legal", _CREATION, _log, (lambda m, _: not OK <= m.status <= PENDING,
       "a message has the status {status}: expected an fmi2Status")),
-    ("messages-are-utf-8", _CREATION, _log, "Messages are UTF-8, as every string of FMI.",
+    ("messages-are-utf-8", _CREATION, _log,
      (lambda m, _: "\ufffd" in m.text, "a message is not UTF-8: {text!r:.80}")),
-    ("messages-have-a-text", "advice: a message is read for its text", _log, "Messages have a text.",
+    ("messages-have-a-text", "advice: a message is read for its text", _log,
      (lambda m, _: not m.text.strip(), "a message has no text")),
     (_FORMATS_ARE_LEGAL, _CREATION, _formats,
-     "A message is a format of printf: each % begins a conversion or is doubled, also one of the instance's "
-     "name, and none writes (%n).",
      (lambda m, _: _NAME_WITH_A_PERCENT_SIGN in m.text,
       f"the format {{text!r:.80}} holds the name {_NAME_WITH_A_PERCENT_SIGN!r}: expected its % doubled"),
      (_has_a_single_percent_sign,
       "the format {text!r:.80} of a message has a single %: expected %% or a conversion")),
     ("percent-signs-before-words-are-doubled", "advice: a % before a word is seldom a conversion", _formats,
-     'No format of a message has a conversion with a blank inside a word, as "100 % done" has.',
      (_has_a_percent_sign_before_a_word,
       "the format {text!r:.80} of a message has a single % before a word: expected %%")),
     ("messages-of-a-refusal-are-complete", _CREATION, _refusal,
-     "If fmi2Instantiate returns NULL, the logger was called with the reason, with the instance's name and "
-     "environment, and not with the status ok alone.",
-     (lambda m, _: not m.text, "fmi2Instantiate returned NULL and logged nothing: expected the reason"),
+     (lambda m, _: not m.text,
+      "fmi2Instantiate{given_name} returned NULL and logged nothing: expected the reason"),
      (lambda m, _: m.instance != NAME,
       f"the message of a refused instantiation carries the name {{instance!r}}: expected {NAME!r}"),
      (lambda m, _: not m.right_environment,
@@ -186,25 +212,27 @@ _TABLE: tuple[tuple[str, str, Callable[[Probe], Iterable[Any]], str, *tuple[Case
      (lambda _, probe: all(m.status == OK for m in _refusal(probe)),
       "the messages of a refused instantiation have the status ok: expected error")),
     ("floating-point-control-is-restored", _GENERAL, _changes,
-     "Rounding mode, traps and flushing to zero are as before when a function returns or calls back.",
      (_is_of_floating_point, "{function} changes the {value}: expected it restored")),
     ("process-settings-are-restored", _GENERAL, _changes,
-     "Working directory, locale, file mode mask, signal handlers and mask, environment, standard streams, "
-     "timers, limits and priority are not changed.",
      (lambda c, probe: not _is_of_floating_point(c, probe)
       and c.setting not in (ARGUMENTS, UNWRITTEN, _PRINTED)
       and (c.after or "as at first", c.before or "no change"),
       "{function} changes the {setting}: {value[0]}, expected {value[1]}")),
     ("arguments-are-not-written", _VALUES, _changes,
-     "Arrays that are constant by their declaration, value references and values to set, stay as they are, "
-     "and so does what lies behind an array of values that are read.",
      (lambda c, _: c.setting == ARGUMENTS,
       "{function} writes into an array that is constant, or behind one: expected that unchanged")),
-    ("values-are-written", _VALUES, _changes, "fmi2GetXXX that returns ok has written each value.",
-     (lambda c, _: c.setting == UNWRITTEN,
+    ("values-are-written", _VALUES, _changes, (lambda c, _: c.setting == UNWRITTEN,
       "{function} returned ok and left a value unwritten: expected each written")),
+    ("statuses-are-legal", "2.1.3", _of_the_tour, _WRONG_STATUS),
+    ("refusals-have-legal-statuses", "2.1.3", _refusals, _WRONG_STATUS),
+    ("refusals-are-logged", "2.1.3", _refused,
+     # fmi2SetDebugLogging may have turned logging off
+     (lambda reply, _: not reply.messages and reply.function != "fmi2SetDebugLogging",
+      "{function} {status_name} and logged nothing: expected the reason")),
+    ("messages-of-refusals-are-no-information", "2.1.3", _refused,
+     (lambda r, _: r.messages and all(m.status == OK for m in r.messages) and status_name(r.status),
+      "{function} {status_name} and logged {subject.logged!r:.60} with the status ok: expected {value}")),
     ("nothing-is-printed", "advice: messages belong to the logger", _changes,
-     "Nothing is printed to standard output or standard error.",
      (lambda c, _: c.setting == _PRINTED,
       "{function} prints {after} bytes to standard output or standard error: expected none")),
 )  # fmt: skip
@@ -214,10 +242,13 @@ def _check(subjects: Callable[[Probe], Iterable[Any]], cases: Sequence[Case]) ->
     return lambda probe: islice(dict.fromkeys(told(probe, subjects(probe), *cases)), _MOST_FINDINGS)
 
 
-for _name, _clause, _subjects, _claim, *_cases in _TABLE:
-    _needs = (_FORMATS_ARE_LEGAL,) if _name == "messages-are-utf-8" else ()  # or there is garbage in them
-    _of_behaviour = rule.Stage.BEHAVIOUR, _check(_subjects, _cases), rule.always, _needs
-    rule.add_rule(rule.Rule(_name, _clause, _claim, *_of_behaviour, last=_subjects is _log, module=__name__))
+for _name, _clause, _subjects, *_cases in _TABLE:
+    _judged = rule.Stage.BEHAVIOUR, _check(_subjects, _cases), rule.always
+    rule.add_rule(
+        rule.Rule(
+            _name, _clause, "", *_judged, last=_subjects in (_log, _refusals, _refused), module=__name__
+        )
+    )
 
 
 # logging that is turned on and off
@@ -284,7 +315,7 @@ def _sent(script: Script, declared: Sequence[str]) -> dict[str | None, str]:
     return {m.category: m.text for m in reversed(chosen)}
 
 
-@rule.behaviour_rule(_CREATION)
+@rule.behaviour_rule("2.1.5")
 def no_messages_with_logging_off(probe: Probe) -> Iterator[str]:
     """Messages of a category that is not enabled do not arrive from calls that return ok: with loggingOn =
     fmi2False, also after fmi2Reset, and after fmi2SetDebugLogging with other categories, but logAll (2.2.4),
@@ -298,18 +329,18 @@ def no_messages_with_logging_off(probe: Probe) -> Iterator[str]:
                 break
 
 
-@rule.behaviour_rule(_CREATION, needs="debug-logging-can-be-set")
+@rule.behaviour_rule("2.1.5")
 def chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
     """Messages that arrive with all categories enabled arrive where their own is among those enabled."""
-    usual, *others = _runs_with_logging(probe)
-    for run in others:
+    runs = _runs_with_logging(probe)
+    for usual, run in ((runs[0], run) for run in runs[1:]):
         for category in _declared(probe) or [None]:
             if category in run.enabled and category in usual.sent and category not in run.sent:
                 text = usual.sent[category][:80]
                 yield f"no message of the category {category!r} arrives {run.when}: expected {text!r}"
 
 
-@differential(_CREATION, needs="allowed-calls-succeed statuses-are-legal")
+@differential("2.1.5")
 def debug_logging_can_be_set(probe: Probe) -> Iterator[Row]:
     """fmi2SetDebugLogging accepts each declared category, and none at all, on and off; outputs stay the
     same.
@@ -319,7 +350,7 @@ def debug_logging_can_be_set(probe: Probe) -> Iterator[Row]:
     yield Row("after fmi2SetDebugLogging", (*calls, do.begin, do.run(2)), failing="")
 
 
-@differential("advice: an unknown log category is no reason to fail", needs="reset-in-every-state")
+@differential("advice: an unknown log category is no reason to fail")
 def reset_works_after_unknown_categories(_: Probe) -> Iterator[Row]:
     """After fmi2SetDebugLogging with a category that is not declared, which may be refused, fmi2Reset
     works.
@@ -328,7 +359,7 @@ def reset_works_after_unknown_categories(_: Probe) -> Iterator[Row]:
     yield Row("", (do.forbidden, do.ignore(unknown), do.reset, do.begin, do.step()), ())
 
 
-@differential("4.2.4 State Machine of Calling Sequence from Master to Slave", needs="allowed-calls-succeed")
+@differential("4.2.4")
 def debug_logging_is_allowed_after_an_error(_: Probe) -> Iterator[Row]:
     """fmi2SetDebugLogging succeeds after another function returned error."""
     varied = do.begin, do.step(), do.fail, do.call("set_debug_logging", True, [])

@@ -86,13 +86,9 @@ def _table(fmu: FmuFile, source: str) -> Columns:
 
 
 def _replayed(
-    probe: Probe,
-    points: np.ndarray,
-    h: float,
-    ends: Sequence[int],
-    columns: Sequence[tuple[Variable, list[Any]]],
-    outputs: Sequence[Variable],
-) -> list[Reading]:
+    probe: Probe, points: np.ndarray, h: float, ends: Sequence[int],
+    columns: Sequence[tuple[Variable, list[Any]]], outputs: Sequence[Variable],
+) -> list[Reading]:  # fmt: skip
     """Returns readings of outputs at the communication points whose numbers are ends, before inputs are set.
 
     columns: values of each input at all communication points

@@ -9,7 +9,7 @@ from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differ
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import behaviour_rule
 
-_CLAUSE = "2.1.8 Getting and Setting the Complete FMU State"
+_CLAUSE = "2.1.8"
 _SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
 _SET_BACK = "in the state that was set back"
 _saves, _serialises = values.unless_claimed(_SAVES), values.unless_claimed(_SERIALISES)
@@ -19,11 +19,11 @@ _rule_of_states = partial(differential, _CLAUSE, condition=_saves)
 def _restored(probe: Probe, tolerance: float | None) -> Row:
     """Returns the row of a state that is set back once."""
     end = do.read(probe.outputs, _SET_BACK), do.run(5)
-    varied = do.begin, do.step(2), do.save(), do.expect(*end), do.restore(), *end
+    varied = do.start, do.step(2), do.save(), do.expect(*end), do.restore(), *end
     return Row("from the state that was set back", varied, (), "", tolerance)
 
 
-@_rule_of_states(needs="communication-points-may-be-rounded allowed-calls-succeed")
+@_rule_of_states()
 def state_restores(probe: Probe) -> Iterator[Row]:
     """A state that is set back gives the same outputs at once and in the steps that follow, up to
     the tolerance of the default experiment: a solver may begin anew.
@@ -31,15 +31,13 @@ def state_restores(probe: Probe) -> Iterator[Row]:
     yield _restored(probe, OF_EXPERIMENT)
 
 
-@_rule_of_states(needs="state-restores")
+@_rule_of_states()
 def state_restores_exactly(probe: Probe) -> Iterator[Row]:
     """A state that is set back gives exactly the same outputs."""
     yield _restored(probe, 0.0)
 
 
-@_rule_of_states(
-    needs="state-restores state-can-be-saved-often allowed-calls-succeed questions-change-nothing"
-)
+@_rule_of_states()
 def state_holds_the_mode(probe: Probe) -> Iterator[Row]:
     """A state holds internal status information: saved and set back when instantiated or in initialization
     mode, with what was set there; set back while stepping, one of initialization mode is in that mode.
@@ -56,9 +54,7 @@ def state_holds_the_mode(probe: Probe) -> Iterator[Row]:
     yield Row("from a state of initialization mode", (*first, *again), (), failing, OF_EXPERIMENT)
 
 
-@_rule_of_states(
-    needs="state-restores allowed-calls-succeed state-holds-the-mode step-beyond-the-stop-time-is-an-error"
-)
+@_rule_of_states()
 def state_restores_after_the_end(probe: Probe) -> Iterator[Row]:
     """A state can be set back after fmi2Terminate and after an error, and steps go on from it, up to the stop
     time.
@@ -74,11 +70,11 @@ def state_restores_after_the_end(probe: Probe) -> Iterator[Row]:
         yield Row(f"from a state set back after {end}", varied, (), f"after {end}", OF_EXPERIMENT)
 
 
-@_rule_of_states(needs="state-restores")
+@_rule_of_states()
 def state_can_be_saved_often(_: Probe) -> Iterator[Row]:
     """Several states are kept at a time, each its own; one that is given again is written over."""
     varied = (
-        do.begin, do.save(), do.expect(do.run(3)), do.save(1),
+        do.start, do.save(), do.expect(do.run(3)), do.save(1),
         do.restore(), do.run(3, "from the older of two states"),
         do.restore(), do.save(1), do.run(3, "after a state was written over"),
         do.restore(1), do.run(3, "from the state that was written over"),
@@ -87,7 +83,7 @@ def state_can_be_saved_often(_: Probe) -> Iterator[Row]:
     yield Row("with several states", varied, (), tolerance=OF_EXPERIMENT)
 
 
-@behaviour_rule(_CLAUSE, condition=_saves, needs="state-restores")
+@behaviour_rule("2.1.8", condition=_saves)
 def freed_state_is_null(probe: Probe) -> Iterator[str]:
     """fmi2FreeFMUstate returns NULL in its argument."""
     script = probe.script(logging=True).begin().step().save()
@@ -97,19 +93,19 @@ def freed_state_is_null(probe: Probe) -> Iterator[str]:
         yield "fmi2FreeFMUstate left the state's address: expected NULL"
 
 
-@_rule_of_states(needs="state-restores")
+@_rule_of_states()
 def free_of_null_state_is_ignored(_: Probe) -> Iterator[Row]:
     """fmi2FreeFMUstate of a NULL state does nothing."""
     yield Row("with a state that is NULL", (do.begin, do.run(1), do.free_state(7), do.run(2)))
 
 
-@_rule_of_states(needs="state-restores questions-change-nothing")
+@_rule_of_states()
 def state_holds_every_value(probe: Probe) -> Iterator[Row]:
     """Set back after inputs, tunable parameters and derivatives of inputs went back to their start values, a
     state gives all variables again, at once and in the steps that follow, as if it had not been saved.
     """
     pairs = do.others_accepted(probe, values.settable_while_stepping(probe.fmu), do.begin, do.step())
-    moving = do.begin, do.step(), do.set_values(pairs), do.set_derivatives(), do.step(), do.set_derivatives()
+    moving = do.start, do.step(), do.set_values(pairs), do.set_derivatives(), do.step(), do.set_derivatives()
     slopes = values.continuous_reals(probe, "output") if probe.fmu.output_derivative_order else []
     end = do.read_all(_SET_BACK), do.read_slopes(slopes, _SET_BACK), do.run_all(3)
     back = do.set_derivatives(0.0), do.set_values(values.start_values(v for v, _ in pairs)), do.step(2)
@@ -118,11 +114,7 @@ def state_holds_every_value(probe: Probe) -> Iterator[Row]:
     yield Row(when, varied, (*moving, *end), tolerance=OF_EXPERIMENT, may_fail=True)
 
 
-@behaviour_rule(
-    _CLAUSE,
-    condition=_serialises,
-    needs="state-holds-every-value strings-are-copied inputs-that-are-set-are-read allowed-calls-succeed",
-)
+@behaviour_rule("2.1.8", condition=_serialises)
 def serialised_state_restores(probe: Probe) -> Iterator[str]:
     """Bytes of a state with other values, that was freed, give all variables again in an instance with start
     values; they are as many as fmi2SerializedFMUstateSize gives, and reading them changes nothing until the
@@ -146,44 +138,28 @@ def serialised_state_restores(probe: Probe) -> Iterator[str]:
     first = do.attempt(do.begin, do.step(), do.expect(do.read_all()))
     varied = first, do.read_bytes(source), do.read_all(still), do.restore(), do.read_all(), do.run_all(3)
     when = "from bytes in another instance"
-    yield from differences(probe, [Row(when, (*varied, do.free_state()), usual, tolerance=OF_EXPERIMENT)])
+    rows = [Row(when, (*varied, do.free_state()), usual, tolerance=OF_EXPERIMENT)]
+    again = do.copy(0, 1), do.free_state(), do.step(), do.restore(1), do.read_all(), do.run_all(3)
+    varied = do.start, do.step(2), do.save(), do.expect(do.read_all(), do.run_all(3)), *again
+    yield from differences(probe, [*rows, Row("from bytes", varied, (), tolerance=OF_EXPERIMENT)])
 
 
-@_rule_of_states(needs="state-restores state-holds-the-mode reset-in-every-state")
+@_rule_of_states()
 def state_can_be_set_after_reset(_: Probe) -> Iterator[Row]:
     """A state that was saved before fmi2Reset can be set after it, and the steps that follow are the same."""
-    varied = do.begin, do.step(2), do.save(), do.expect(do.run(3)), do.reset, do.restore(), do.run(3)
+    varied = do.start, do.step(2), do.save(), do.expect(do.run(3)), do.reset, do.restore(), do.run(3)
     failing = "with a state from before fmi2Reset"
     yield Row("from a state from before fmi2Reset", varied, (), failing, OF_EXPERIMENT)
 
 
-@_rule_of_states(needs="state-restores-exactly state-can-be-saved-often serialised-state-restores")
-def state_restores_over_the_experiment(probe: Probe) -> Iterator[Row]:
-    """A state of the middle of the default experiment, and its copy by bytes, give all variables again up to
-    the stop time, as far as steps take a second.
-    """
-    half, copied = probe.steps_of_experiment // 2, probe.fmu.claims(_SERIALISES)
-    t = f"{probe.point(half):g} s"
-    first = do.attempt(do.begin, do.go_on(half), do.save(), do.expect(do.go_on_reading(half, 5)))
-    again = do.restore(), do.go_on_reading(half, 5, f"from a state of {t} that was set back")
-    by_bytes = do.copy(0, 1), do.restore(1), do.go_on_reading(half, 5, f"from bytes of a state of {t}")
-    yield Row(
-        f"from a state of {t}", (first, *again, *(by_bytes if copied else ())), (), tolerance=OF_EXPERIMENT
-    )
-
-
-@differential(
-    "4.2.2 Computation (fmi2DoStep)",
-    condition=_saves,
-    needs="state-restores no-set-state-flag-changes-nothing",
-)
+@differential("4.2.2", condition=_saves)
 def flag_keeps_the_states_of_the_present(_: Probe) -> Iterator[Row]:
     """After a step with noSetFMUStatePriorToCurrentPoint, a state of its beginning can be set."""
-    varied = do.begin, do.step(2), do.save(), do.step(no_going_back=True), do.restore(), do.step()
+    varied = do.start, do.step(2), do.save(), do.step(no_going_back=True), do.restore(), do.step()
     yield Row("after noSetFMUStatePriorToCurrentPoint", varied)
 
 
-@differential("2.1.7 Getting and Setting Variable Values", needs="allowed-calls-succeed")
+@differential("2.1.7")
 def questions_change_nothing(probe: Probe) -> Iterator[Row]:
     """Reading values and derivatives, or saving a state, changes nothing in the steps that follow."""
     outputs, inputs = (values.references_of(values.continuous_reals(probe, c)) for c in ("output", "input"))
@@ -193,7 +169,7 @@ def questions_change_nothing(probe: Probe) -> Iterator[Row]:
         asked.append(do.call("output_derivatives", outputs, 1))
     if outputs and inputs and probe.fmu.claims("providesDirectionalDerivative"):
         asked.append(do.call("directional_derivatives", outputs, inputs, [1.0] * len(inputs)))
-    varied = do.begin, *(do.set_derivatives(), *saved, do.step(), *asked, *saved, do.read_all()) * 4
+    varied = do.start, *(do.set_derivatives(), *saved, do.step(), *asked, *saved, do.read_all()) * 4
     when = "where values and derivatives are read more often"
-    usual = do.begin, *(do.set_derivatives(), do.run_all(1)) * 4
+    usual = do.start, *(do.set_derivatives(), do.run_all(1)) * 4
     yield Row(when, varied, usual, tolerance=OF_EXPERIMENT, may_fail=True)

@@ -1,4 +1,4 @@
-"""Steps: their times, their sizes, the stop time, and what a step does."""
+"""Steps: their times, their sizes, the stop time, what a step does, and steps that are pending."""
 
 import itertools
 import math
@@ -12,19 +12,25 @@ from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.rules.call_table import LARGE_TOLERANCE, TOLERANCE, run_with_tolerance
 from fmus.compliance.script import Reading, Script
-from fmus.compliance.values import continuous_reals, texts, unless_claimed
+from fmus.compliance.values import (
+    continuous_reals,
+    differing,
+    if_not_claimed,
+    is_utf_8,
+    texts,
+    unless_claimed,
+)
 from fmus.compliance.variable import Variable
-from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME
+from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME, OK, WARNING, status_name
 
-_SETUP = "2.1.6 Initialization, Termination, and Resetting an FMU (fmi2SetupExperiment)"
-_COMPUTATION = "4.2.2 Computation (fmi2DoStep)"
-_FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
+_ASYNCHRONOUS, _PENDING_STATUS = "canRunAsynchronuously", 1  # fmi2StatusKind
 _ANY_STEP = "canHandleVariableCommunicationStepSize"
+_LAST_TIME = "status_of", "Real", LAST_SUCCESSFUL_TIME
 _MORE_STEPS = (13, 47, 211)  # instead of two: for each internal step from the usual size to a hundredth
 _APART = 0.4  # of the change over two steps: a rough solver, but not half a step
 
 
-@differential(_SETUP, needs="reset-in-every-state error-leaves-other-instances-unchanged")
+@differential("2.1.6")
 def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[Row]:
     """If a stop time is defined, steps up to it succeed and a step past it returns error; fmi2Reset brings
     the instance back, where the same holds of another stop time with a tolerance.
@@ -43,7 +49,7 @@ def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[Row]:
     yield Row(after, varied, ())
 
 
-@differential(_SETUP)
+@differential("2.1.6")
 def undefined_arguments_are_ignored(probe: Probe) -> Iterator[Row]:
     """A tolerance or a stop time that is not defined is not looked at."""
     set_up = do.call("set_up_experiment_with", [], probe.start_time, [], probe.start_time - 1.0)
@@ -52,7 +58,7 @@ def undefined_arguments_are_ignored(probe: Probe) -> Iterator[Row]:
     yield Row("where an undefined stop time lies before the start time", varied, failing=failing)
 
 
-@behaviour_rule(_SETUP)
+@behaviour_rule("2.1.6")
 def tolerance_is_accepted(probe: Probe) -> Iterator[str]:
     """A tolerance that is defined is accepted."""
     if failure := run_with_tolerance(probe).failure:
@@ -63,11 +69,7 @@ def _without_independent(fmu: FmuFile) -> str:
     return "" if any(v.causality == "independent" for v in fmu.variables) else "no variable is independent"
 
 
-@behaviour_rule(
-    "2.2.7 Definition of Model Variables (ModelVariables), independent",
-    condition=_without_independent,
-    needs="reset-in-every-state",
-)
+@behaviour_rule("2.2.7", condition=_without_independent)
 def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
     """The independent variable is the start time after initialisation, and then the end of the last step,
     also of its multiples: after a fraction, an FMU of fixed internal steps may be behind. So it is after
@@ -86,7 +88,9 @@ def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
 
 def _times(probe: Probe, v: Variable) -> Iterator[tuple[float, Reading]]:
     """Yields communication points with readings of a variable, up to a call that fails."""
-    factors = (1.0, 2.0, 3.0) if probe.fmu.claims(_ANY_STEP) else (1.0, 1.0, 1.0)
+    # a slave of fixed internal steps may be behind after a fraction
+    exchanged = (1.0, 2.0, 0.30901699) if probe.fmu.is_model_exchange else (1.0, 1.0, 1.0)
+    factors = (1.0, 2.0, 3.0) if probe.fmu.claims(_ANY_STEP) else exchanged
     tolerance = LARGE_TOLERANCE if run_with_tolerance(probe).succeeded else None
     for start in (probe.start_time, probe.start_time + 3 * probe.step_size):
         script, t = probe.script(), start
@@ -104,6 +108,13 @@ def _times(probe: Probe, v: Variable) -> Iterator[tuple[float, Reading]]:
         script.play(keep_going=True)
         for _, reading, t in itertools.takewhile(lambda row: row[0].ok and row[1].ok, rows):
             yield t, reading
+    script = probe.script(do.forbidden).initialise(
+        probe.point(3)
+    )  # 4.2.4 does not list it among what is read
+    reading = script.read([v])
+    script.play(keep_going=True)
+    if reading.ok:
+        yield probe.point(3), reading
     with suppress(NotApplicableError, NotJudgedError):  # then the times before are judged alone
         whole = do.over_the_experiment(probe)
         count = len(whole.observed)
@@ -111,7 +122,7 @@ def _times(probe: Probe, v: Variable) -> Iterator[tuple[float, Reading]]:
             yield probe.point(probe.steps_of_experiment * i // count), reading
 
 
-@behaviour_rule(_COMPUTATION, interface=CO_SIMULATION)
+@behaviour_rule("4.2.2", interface=CO_SIMULATION)
 def communication_points_may_be_rounded(probe: Probe) -> Iterator[str]:
     """Communication points may be sums of step sizes or multiples of one: their rounding is no error."""
     script = probe.script(logging=True).begin()
@@ -124,16 +135,16 @@ def communication_points_may_be_rounded(probe: Probe) -> Iterator[str]:
         yield script.failure.problem
 
 
-@differential(_COMPUTATION, needs="variables-can-be-read")
+@differential("4.2.2")
 def no_set_state_flag_changes_nothing(probe: Probe) -> Iterator[Row]:
     """noSetFMUStatePriorToCurrentPoint = fmi2True is accepted, and the values are the same."""
     read = do.read([v for v in probe.fmu.variables if v.causality != "independent"])
-    varied = do.begin, *(do.step(no_going_back=True), read) * 3
+    varied = do.start, *(do.step(no_going_back=True), read) * 3
     when = "with noSetFMUStatePriorToCurrentPoint"
-    yield Row(when, varied, (do.begin, *(do.step(), read) * 3), failing="")
+    yield Row(when, varied, (do.start, *(do.step(), read) * 3), failing="")
 
 
-@behaviour_rule(f"{_FLAGS}: {_ANY_STEP}", condition=unless_claimed(_ANY_STEP))
+@behaviour_rule("4.3.1", condition=unless_claimed(_ANY_STEP))
 def variable_step_size(probe: Probe) -> Iterator[str]:
     """Steps of different sizes succeed one after the other; one that is discarded says how far it came."""
     script = probe.script(logging=True).begin()
@@ -141,7 +152,7 @@ def variable_step_size(probe: Probe) -> Iterator[str]:
     for factor in (1.0, 0.5, 2.0, 0.25, 1.5):
         script.call("do_step", ends[-1], factor * probe.step_size)
         ends.append(ends[-1] + factor * probe.step_size)
-    last = script.call("status_of", "Real", LAST_SUCCESSFUL_TIME)
+    last = script.call(*_LAST_TIME)
     script.play(keep_going=True)
     failure = script.failure if script.failure is not last else None
     if failure is None:
@@ -155,7 +166,7 @@ def variable_step_size(probe: Probe) -> Iterator[str]:
         yield f"a step from {t:g} to {end:g} s is discarded, and fmi2LastSuccessfulTime is {last.value:g} s"
 
 
-@behaviour_rule(f"{_FLAGS}: {_ANY_STEP}", condition=unless_claimed(_ANY_STEP), needs="variable-step-size")
+@behaviour_rule("4.3.1", condition=unless_claimed(_ANY_STEP))
 def two_steps_are_one_of_twice_the_size(probe: Probe) -> Iterator[str]:
     """A step reaches its end: after a step, two more bring continuous outputs about as far as one of twice
     the size, or many of no simple fraction of it.
@@ -198,10 +209,7 @@ def _change(before: Reading, after: Reading, name: str) -> float:
     return after.values[name] - before.values[name]
 
 
-@behaviour_rule(
-    "advice: 2.2.5, what a user runs first",
-    needs="communication-points-may-be-rounded variables-can-be-read",
-)
+@behaviour_rule("advice: 2.2.5, what a user runs first")
 def default_experiment_runs(probe: Probe) -> Iterator[str]:
     """The steps of DefaultExperiment succeed up to its stop time, as far as they take about a second."""
     if not probe.states_step_size or not math.isfinite(probe.stop_time):
@@ -209,3 +217,75 @@ def default_experiment_runs(probe: Probe) -> Iterator[str]:
     failure = do.over_the_experiment(probe).failure
     if failure and failure.status != DISCARD:
         yield failure.problem
+
+
+# steps that are pending
+
+
+@behaviour_rule("4.2.2", condition=if_not_claimed(_ASYNCHRONOUS), interface=CO_SIMULATION)
+def steps_are_not_pending(probe: Probe) -> Iterator[str]:
+    """Without canRunAsynchronuously, fmi2DoStep does not return pending."""
+    script = probe.script(logging=True).begin()
+    pending = script.call("begin_step", probe.start_time, probe.step_size)
+    script.play(keep_going=True)
+    if pending.value:
+        yield "fmi2DoStep returned pending: expected that only with canRunAsynchronuously"
+
+
+@behaviour_rule("2.1.5", condition=unless_claimed(_ASYNCHRONOUS))
+def step_finished_is_called(probe: Probe) -> Iterator[str]:
+    """After a pending step, perhaps also after others, the callback stepFinished is called once; without it
+    fmi2GetStatus tells the step's end.
+    """
+    count = 3
+    script = probe.script(logging=True).begin().step(count)
+    steps = script.call("finished_steps")
+    script.play(keep_going=True)
+    pending, calls = steps.value or (0, [])
+    finished = len(calls)
+    if script.failure:
+        yield script.failure.problem
+    elif not pending <= finished <= count:  # a step that is not pending is completed too
+        yield (
+            f"stepFinished was called {finished} times for {pending} pending steps of {count}: "
+            "expected once for each"
+        )
+    if not all(right_environment for _, right_environment in calls):
+        yield "stepFinished was called without the componentEnvironment of its instance"
+    if not script.failure and any(status not in (OK, WARNING) for status, _ in calls):
+        statuses = ", ".join(sorted({status_name(status) for status, _ in calls}))
+        yield f"stepFinished was called with the status {statuses} for steps that succeed: expected theirs"
+    fewest = probe.script(callbacks="fewest").begin().step(3)
+    fewest.play(keep_going=True)
+    if fewest.failure:
+        yield f"without stepFinished: {fewest.failure.problem}"
+
+
+@behaviour_rule("4.2.3", condition=unless_claimed(_ASYNCHRONOUS))
+def status_of_a_pending_step_is_given(probe: Probe) -> Iterator[str]:
+    """While a step is pending, fmi2GetStatus returns ok and gives pending, or the status of the step that has
+    ended; a text of fmi2PendingStatus is UTF-8.
+    """
+    script = probe.script(logging=True).begin()
+    pending = script.call("begin_step", probe.start_time, probe.step_size)
+    text = script.call("status_of", "String", _PENDING_STATUS)
+    polled = script.call("poll_step")
+    time = script.read([v for v in probe.fmu.variables if v.causality == "independent"])
+    outputs = script.read(probe.outputs)
+    usual = do.played(probe, (do.begin, do.run(1)))
+    script.play(keep_going=True)
+    if not pending.value:
+        raise NotJudgedError("the step was not pending")
+    if text.ok and (text.value is None or not is_utf_8(bytes.fromhex(text.value))):
+        shown = "NULL" if text.value is None else bytes.fromhex(text.value)
+        yield f"fmi2GetStringStatus of fmi2PendingStatus is {shown!r}: expected a text in UTF-8"
+    if polled.status is None:
+        return
+    answer, step = polled.value[-1]
+    if answer:
+        yield f"fmi2GetStatus of a pending step returned {status_name(answer)}: expected ok and its status"
+    elif step not in (OK, WARNING):
+        yield f"fmi2GetStatus gives {status_name(step)} for a step that succeeds: expected ok"
+    elif outputs.ok and time.ok:
+        expected = [reading for *_, reading in usual.observed]
+        yield from differing(expected, [outputs], "after a step that has ended by fmi2GetStatus")

@@ -10,7 +10,6 @@ from fmus.compliance.rows import add_rows, row
 from fmus.compliance.rule import Stage, repeated, rule
 from fmus.compliance.variable import Variable, integer
 
-_CLAUSE = "2.2.8 Definition of the Model Structure (ModelStructure)"
 _FACTORS = {"constant", "fixed", "tunable", "discrete"}
 _COMPUTED = ("approx", "calculated")
 _LATER = "an input, a continuous-time state or the independent variable"
@@ -66,7 +65,7 @@ def _derivatives_are_ignored(fmu: FmuFile) -> bool:
     return set(fmu.interfaces) == {"CoSimulation"} and not fmu.claims("providesDirectionalDerivative")
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION)
+@rule("2.2.8", Stage.DESCRIPTION)
 def structure_indices(fmu: FmuFile) -> Iterator[str]:
     """Each Unknown is the index of a variable, once in its section."""
     for unknown in _unknowns(fmu):
@@ -76,14 +75,14 @@ def structure_indices(fmu: FmuFile) -> Iterator[str]:
         yield f"{where} is listed {count} times: expected once"
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION)
+@rule("2.2.8", Stage.DESCRIPTION)
 def outputs_are_listed(fmu: FmuFile) -> Iterator[str]:
     """Outputs lists exactly the variables of causality output."""
     expected = {v.index for v in fmu.variables if v.causality == "output"}
     return _difference(fmu, "Outputs", expected, expected)
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION)
+@rule("2.2.8", Stage.DESCRIPTION)
 def initial_unknowns_are_complete(fmu: FmuFile) -> Iterator[str]:
     """InitialUnknowns lists outputs, states and their derivatives with initial approx or calculated, and all
     calculated parameters; no others."""
@@ -105,7 +104,7 @@ def _difference(fmu: FmuFile, section: str, expected: set[int], allowed: set[int
         yield f"{section} lists {_listed(fmu, got - allowed)}: expected it not to"
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION)
+@rule("2.2.8", Stage.DESCRIPTION)
 def derivatives_are_marked(fmu: FmuFile) -> Iterator[str]:
     """Variables that Derivatives lists have the attribute derivative, each of a state of its own."""
     for index in _indices(fmu, "Derivatives"):
@@ -116,7 +115,7 @@ def derivatives_are_marked(fmu: FmuFile) -> Iterator[str]:
         yield f"Derivatives lists {count} derivatives of {_listed(fmu, {state})}: expected one"
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION)
+@rule("2.2.8", Stage.DESCRIPTION)
 def derivatives_are_there(fmu: FmuFile) -> Iterator[str]:
     """For model exchange there are Derivatives if a variable with initial exact has a derivative."""
     if "ModelExchange" in fmu.interfaces and fmu.root.find("ModelStructure/Derivatives") is None:
@@ -168,30 +167,24 @@ def _descent(indices: Sequence[int]) -> str:
 
 
 add_rows(__name__, Stage.DESCRIPTION, rows=(
-    row("initial-unknowns-ascend", "InitialUnknowns are in ascending order of their indices.",
-        lambda fmu: [_indices(fmu, "InitialUnknowns")],
+    row("initial-unknowns-ascend", lambda fmu: [_indices(fmu, "InitialUnknowns")],
         (lambda indices, _: _descent(indices), "InitialUnknowns: {value}: expected ascending indices")),
-    row("dependencies-are-indices", "Dependencies are indices of variables, each once.", _unknowns,
+    row("dependencies-are-indices", _unknowns,
         (_no_index, "{where}: dependency {value}"),
         (lambda unknown, _: ", ".join(repeated(unknown.dependencies)),
          "{where}: dependency {value} is listed several times: expected once")),
-    row("dependencies-ascend", "Dependencies are in ascending order.", _unknowns,
+    row("dependencies-ascend", _unknowns,
         (lambda unknown, _: _descent([index for text in unknown.dependencies if (index := integer(text))]),
          "{where}: dependency {value}: expected ascending indices")),
-    row("dependencies-are-known",
-        "Outputs and Derivatives depend on inputs, continuous-time states and the independent variable; "
-        "InitialUnknowns on inputs, the independent variable and what has initial exact.",
-        _unknown_dependencies,
+    row("dependencies-are-known", _unknown_dependencies,
         (lambda d, _: d[0].is_initial, f"{_DEPENDS}: expected an input or what has initial exact"),
         (lambda d, fmu: not _is_parameter(d, fmu), f"{_DEPENDS}: expected {_LATER}")),
-    row("dependencies-on-parameters", "Outputs and Derivatives name no parameter among their dependencies.",
+    row("dependencies-on-parameters",
         _unknown_dependencies, (_is_parameter, f"{_DEPENDS}: expected {_LATER}")),
     row("dependencies-on-states-are-provided",
-        "For co-simulation alone, dependencies name states if providesDirectionalDerivative is true.",
         lambda fmu: _unknowns(fmu) if _derivatives_are_ignored(fmu) else (),
         (_states_among, "{where} depends on states ({value}): expected providesDirectionalDerivative")),
     row("dependencies-kind",
-        "dependenciesKind has one word for each dependency; in InitialUnknowns dependent or constant.",
         lambda fmu: [unknown for unknown in _unknowns(fmu) if "dependenciesKind" in unknown.element.attrib],
         (lambda unknown, _: "dependencies" not in unknown.element.attrib,
          "{where} has dependenciesKind: expected dependencies too"),
@@ -200,7 +193,6 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
         (lambda unknown, _: unknown.is_initial and ", ".join(sorted(unknown.factors - {"constant"})),
          "{where}: kind {value!r}: expected dependent or constant")),
     row("dependencies-of-reals-have-factors",
-        "Kinds of dependency with a factor, all but dependent, are of Real unknowns.",
         lambda fmu: [u for u in _unknowns(fmu) if u.variable and u.variable.kind not in ("Real", "")],
         (lambda unknown, _: ", ".join(sorted(unknown.factors)),
          "{where} is {variable.kind} and has kind {value!r}: expected dependent")),

@@ -9,7 +9,6 @@ from fmus.compliance.rows import add_rows, anything, elements, row
 from fmus.compliance.rule import Stage, repeated, rule
 from fmus.compliance.variable import INITIAL, Variable, integer, is_true, number
 
-_NAMES = "2.2.9 Variable Naming Conventions (variableNamingConvention)"
 _LONGEST_NAME = 55
 
 _ESCAPE = r"\\['\"?\\abfnrtv]"
@@ -50,7 +49,7 @@ def _outside_of_q_char(name: str, _: FmuFile) -> str:
     return " ".join(sorted(set(_OUTSIDE_OF_Q_CHAR.findall(texts))))
 
 
-@rule(_NAMES, Stage.DESCRIPTION, condition=_not_structured)
+@rule("2.2.9", Stage.DESCRIPTION, condition=_not_structured)
 def arrays_are_consecutive(fmu: FmuFile) -> Iterator[str]:
     """Elements of an array follow one another; only derivatives of elements may stand between them."""
     matches = [_STRUCTURED.fullmatch(v.name) and _ELEMENT.fullmatch(v.name) for v in fmu.variables]
@@ -66,7 +65,7 @@ def arrays_are_consecutive(fmu: FmuFile) -> Iterator[str]:
             last[match.groups()] = i
 
 
-@rule(_NAMES, Stage.DESCRIPTION, condition=_not_structured)
+@rule("2.2.9", Stage.DESCRIPTION, condition=_not_structured)
 def arrays_are_row_major(fmu: FmuFile) -> Iterator[str]:
     """Elements of an array are in row-major order: the last index runs fastest."""
     last: dict[str, tuple[list[int], str]] = {}
@@ -142,100 +141,76 @@ def _variabilities(alias: _AliasSet, _: FmuFile) -> str:
 
 
 add_rows(__name__, Stage.DESCRIPTION, rows=(
-    row("variable-names-are-unique", "No two variables have the same name.",
-        lambda fmu: repeated(v.name for v in fmu.variables).items(),
+    row("variable-names-are-unique", lambda fmu: repeated(v.name for v in fmu.variables).items(),
         (anything, "{subject[1]} variables are called {subject[0]!r}: expected one")),
-    row("variable-names-are-legal",
-        "Names are not empty and on one line; with the structured convention they follow its grammar.",
-        lambda fmu: [v for v in fmu.variables if "name" in v.attributes],
+    row("variable-names-are-legal", lambda fmu: [v for v in fmu.variables if "name" in v.attributes],
         (lambda v, _: _NO_LINE.fullmatch(v.attributes["name"]),
          "variable {index}, {name!r}: expected a name without tab or line break"),
         (lambda v, fmu: _breaks_grammar(v.name, fmu),
          "{name!r}: expected a structured name such as tank.level[1] or der(x)")),
-    row("type-names-are-legal",
-        "Names of types are as those of variables: not empty, on one line, and structured if these are.",
-        elements("TypeDefinitions/SimpleType[@name]"),
+    row("type-names-are-legal", elements("TypeDefinitions/SimpleType[@name]"),
         (lambda element, _: _NO_LINE.fullmatch(element.get("name")),
          "type {name!r}: expected a name without tab or line break"),
         (lambda element, fmu: _breaks_grammar(element.get("name"), fmu),
          "type {name!r}: expected a structured name such as Units.Length")),
-    row("variable-names-are-short",
-        "Names have at most 55 characters, so that importers can put something before them.", _variables,
+    row("variable-names-are-short", _variables,
         (lambda v, _: len(v.name) > _LONGEST_NAME and len(v.name),
          f"{{name}} has {{value}} characters: expected at most {_LONGEST_NAME}"),
         clause="advice: Simulink cuts identifiers off beyond 63 characters"),
-    row("quoted-names-have-legal-characters",
-        "Between apostrophes structured names hold the characters of Q-char and escapes alone.",
-        _structured_names,
+    row("quoted-names-have-legal-characters", _structured_names,
         (_outside_of_q_char, "{subject}: {value} between apostrophes: expected a character of Q-char")),
-    row("causality-and-variability", "Causality and variability are one of the pairs that FMI allows.",
-        lambda fmu: [v for v in fmu.variables if not v.is_legal_pair],
+    row("causality-and-variability", lambda fmu: [v for v in fmu.variables if not v.is_legal_pair],
         (lambda v, _: " or ".join(legal for causality, legal in INITIAL if causality == v.causality),
          "{name}: causality {causality} with variability {variability}: expected {value}")),
-    row("continuous-is-real", "Only a Real is continuous, which is the default.",
+    row("continuous-is-real",
         lambda fmu: [v for v in fmu.variables if v.variability == "continuous" and v.is_legal_pair],
         (lambda v, _: v.kind not in ("Real", "") and v.causality != "independent" and
          ("stated" if "variability" in v.attributes else "the default"),
          "{name} is {kind} and continuous ({value}): expected another variability")),
-    row("initial-is-legal", "`initial` is what causality and variability allow.",
+    row("initial-is-legal",
         lambda fmu: [v for v in fmu.variables if v.is_legal_pair and "initial" in v.attributes],
         (lambda v, _: v.initial != v.attributes["initial"] and (" or ".join(v.legal_initial or ()) or "none"),
          "{name} ({causality}, {variability}): initial {attributes[initial]}: expected {value}")),
-    row("start-is-given",
-        "Inputs and variables with initial exact or approx have a start value, no others.",
-        lambda fmu: [v for v in fmu.variables if v.kind and v.is_legal_pair],
+    row("start-is-given", lambda fmu: [v for v in fmu.variables if v.kind and v.is_legal_pair],
         (lambda v, _: _needs_start(v) and v.start is None and (v.initial or "none"),
          "{name} ({causality}, {variability}, initial {value}): expected a start value"),
         (lambda v, _: not _needs_start(v) and v.start is not None and (v.initial or "none"),
          "{name} ({causality}, {variability}, initial {value}) has start {start!r}: expected none")),
-    row("one-independent-variable", "At most one variable is independent; it is a Real.", _independent,
+    row("one-independent-variable", _independent,
         (lambda _, fmu: len(_independent(fmu)) > 1 and ", ".join(v.name for v in _independent(fmu)),
          "{value} are independent: expected one at most"),
         (lambda v, _: v.kind not in ("Real", ""), "{name} is independent and {kind}: expected Real")),
-    row("time-is-independent",
-        "Without an independent variable no other is called time, as FMI calls the one that is implied.",
-        lambda fmu: [v for v in fmu.variables if v.name == "time"],
+    row("time-is-independent", lambda fmu: [v for v in fmu.variables if v.name == "time"],
         (lambda _, fmu: not _independent(fmu),
          "time is {causality} and no variable is independent: expected another name")),
     row("set-once-is-of-inputs",
-        "canHandleMultipleSetPerTimeInstant is stated for inputs of FMUs for model exchange alone.",
         lambda fmu: [v for v in fmu.variables if "canHandleMultipleSetPerTimeInstant" in v.attributes],
         (_is_for_co_simulation,
          "{name} has canHandleMultipleSetPerTimeInstant: expected none without ModelExchange"),
         (lambda v, _: v.causality != "input",
          "{name} ({causality}) has canHandleMultipleSetPerTimeInstant: expected an input")),
-    row("reinit-is-of-states",
-        "reinit is stated for continuous-time states of FMUs for model exchange alone.",
-        lambda fmu: [v for v in fmu.variables if "reinit" in v.typed],
+    row("reinit-is-of-states", lambda fmu: [v for v in fmu.variables if "reinit" in v.typed],
         (_is_for_co_simulation, "{name} has reinit: expected none without ModelExchange"),
         (lambda v, fmu: v.index not in fmu.states, "{name} has reinit: expected a continuous-time state")),
-    row("derivative-is-of-a-variable",
-        "The attribute derivative is the index of another variable, both Real, in Derivatives continuous.",
-        lambda fmu: [v for v in fmu.variables if "derivative" in v.typed],
+    row("derivative-is-of-a-variable", lambda fmu: [v for v in fmu.variables if "derivative" in v.typed],
         (lambda v, fmu: v.index not in fmu.derivatives,
          "{name}: derivative {typed[derivative]}: expected another variable's index"),
         (lambda v, fmu: _unlike("Real", "kind", v, fmu), "{name}, {value}"),
         (lambda v, fmu: v.index in fmu.state_derivatives and _unlike("continuous", "variability", v, fmu),
          "{name}, {value}")),
-    row("states-are-local-or-outputs", "A continuous-time state is a local variable or an output.",
-        lambda fmu: [fmu.variables[index - 1] for index in sorted(fmu.states)],
+    row("states-are-local-or-outputs", lambda fmu: [fmu.variables[index - 1] for index in sorted(fmu.states)],
         (lambda v, _: v.causality not in ("local", "output"),
          "{name} is a continuous-time state and {causality}: expected local or output")),
-    row("alias-units", "Variables of an alias set have the same unit, or none of them has one.", _alias_sets,
+    row("alias-units", _alias_sets,
         (lambda alias, _: _several(v.get("unit") for v in alias.members),
          "{names}: expected one unit, got {value}")),
-    row("alias-settable-once",
-        "At most one variable of an alias set can be set, and so has a start value; none beside the "
-        "independent variable.", _set_twice,
+    row("alias-settable-once", _set_twice,
         (anything, "{names}: expected at most one that can be set or is independent")),
-    row("alias-constants",
-        "In an alias set all variables are constant, with the same start value, or none is.",
-        lambda fmu: [alias for alias in _alias_sets(fmu) if _constants(alias)],
+    row("alias-constants", lambda fmu: [alias for alias in _alias_sets(fmu) if _constants(alias)],
         (lambda alias, _: len(_constants(alias)) < len(alias.members) and len(_constants(alias)),
          "{names}: expected all constant or none, got {value} constant"),
         (lambda alias, _: _several(_VALUES.get(v.base_kind, str)(v.start) for v in alias.members),
          "{names} are constant: expected one start value, got {value}")),
-    row("alias-variability",
-        "Variables of an alias set without input and parameter have the same variability.", _alias_sets,
+    row("alias-variability", _alias_sets,
         (_variabilities, "{names} are {value}: expected the highest for all")),
 ))  # fmt: skip

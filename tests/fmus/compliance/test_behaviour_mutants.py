@@ -205,6 +205,17 @@ def test_an_instance_that_is_refused_after_many_others_is_one_finding_and_all_ru
     assert {r.outcome for r in results} == {"passed", "error"}
 
 
+@pytest.mark.parametrize("name", ["derivatives of outputs are refused", "approximations cannot be set"])
+def test_a_call_that_fails_is_told_once_and_leaves_what_does_not_make_it_judged(
+    name: str, tmp_path: Path
+) -> None:
+    results = [r for r in examine(write_slave(tmp_path, name)) if r.rule.stage == "behaviour"]
+    assert [r.rule.name for r in results if r.messages] == ["allowed-calls-succeed"]
+    reasons = {r.not_judged for r in results if r.not_judged}
+    assert all(reason.endswith("fails, which allowed-calls-succeed tells") for reason in reasons), reasons
+    assert sum(bool(r.not_judged) for r in results) <= 10
+
+
 def test_another_guid_inside_the_library_is_one_finding_with_its_own_words(tmp_path: Path) -> None:
     wrong = (('guid="{5', 'guid="{6'),)
     results = [r for r in examine(write_slave(tmp_path, "", "", wrong)) if r.rule.stage == "behaviour"]
