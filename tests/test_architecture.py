@@ -99,6 +99,7 @@ LEVELS = {
     "orchestration.gym": 10,
     "orchestration.margins": 10,
     "orchestration.score": 11,
+    "orchestration.fit": 12,
     "orchestration.report": 12,
     "orchestration.cli": 13,
     "orchestration": 14,  # the names that it exports, each imported when it is asked for

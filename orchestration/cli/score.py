@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from orchestration.score.score import ScoreResult
     from orchestration.score.score_document import Score
     from orchestration.score.score_view import ScoreTable
+    from orchestration.score.vehicle import Vehicle
 
 FullOption = Annotated[
     bool, typer.Option("--full", help="Run the 300 plants of the protocol too, and compare on each.")
@@ -167,14 +168,19 @@ def print_score(document: "Score") -> None:
 def chosen_protocol(changes: Changes, file: Path | None = None) -> "Protocol":
     """Returns the protocol of a file, by default the one that ships, on the vehicle that --plant names."""
     from orchestration.score import protocol as protocols
+
+    vehicle = chosen_vehicle(changes) if PLANT in changes.components else None
+    return protocols.read_protocol(file or protocols.FILE, vehicle)
+
+
+def chosen_vehicle(changes: Changes) -> "Vehicle":
+    """Returns the vehicle that --plant names, with its settings."""
     from orchestration.score.vehicle import Vehicle
 
-    vehicle, plant = None, changes.components.get(PLANT, "")
-    if plant:
-        values, mapping = changes.of_component(PLANT)
-        settings = {f"{PLANT}.{name}": value for name, value in values.items()}
-        vehicle = Vehicle.of(plant, _built(plant), mapping, settings)
-    return protocols.read_protocol(file or protocols.FILE, vehicle)
+    plant = changes.components[PLANT]
+    values, mapping = changes.of_component(PLANT)
+    settings = {f"{PLANT}.{name}": value for name, value in values.items()}
+    return Vehicle.of(plant, _built(plant), mapping, settings)
 
 
 def _built(fmu: str) -> str:
