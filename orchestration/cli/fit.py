@@ -103,6 +103,8 @@ def print_fit(fitted: "VehicleFit") -> None:
     for name, rmse in fitted.rmse.items():
         print(f"{name}: RMSE {1000.0 * rmse:.3g} mm of {len(fitted.recordings[name].time)} readings")
     print(f"{analysis.correlation_time:.3g} readings count as one: residuals are correlated so long")
+    for name in analysis.rough:
+        print(f"rough interval: {name}: the depth is not linear in it over the interval")
     for message in analysis.undetermined:
         print(f"not determined: {message}")
     if fitted.ended:

@@ -12,14 +12,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orchestration.fit.least_squares import Free, Search
+from orchestration.errors import OrchestrationError
+from orchestration.fit.least_squares import Free, Search, values_at
 
 LEVEL = 0.95
 _NOT_DETERMINED = 1.0  # standard deviation over the value, of a combination that the data do not determine
 _ROUNDING = 1e-6  # of the largest singular value: below it a derivative is an error of its differences
 _SHARE = 0.01  # of the square of a direction: a parameter with less is no part of it
 _AT_A_LIMIT = 1e-6  # of the coordinate
-_NONLINEAR = 0.2  # of the rise of the sum of squares that the linear model predicts
+_ROUGH = 0.25  # of the rise of the sum of squares that the linear model predicts at the ends of an interval
 
 
 @dataclass(frozen=True)
@@ -38,12 +39,16 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Analysis:
-    """Estimates, the standard deviation and correlation time [readings] of the residuals, and messages."""
+    """Estimates, the standard deviation and correlation time [readings] of the residuals, and messages.
+
+    rough: names of the parameters whose intervals are wrong by more than a few per cent of their length
+    """
 
     estimates: tuple[Estimate, ...]
     noise: float
     correlation_time: float
     undetermined: tuple[str, ...]
+    rough: tuple[str, ...]
 
 
 def correlation_time(series: Sequence[np.ndarray]) -> float:
@@ -98,7 +103,28 @@ def analysed(search: Search, series: Callable[[np.ndarray], Sequence[np.ndarray]
         estimates.append(estimate)
     shares = np.array([_share(free[i], float(best[i])) for i in inside])
     messages = [_undetermined([free[i] for i in inside], row * shares) for row in directions[~is_known]]
-    return Analysis(tuple(estimates), noise, tau, tuple(messages))
+    determined = [row for row in range(len(inside)) if not unknown[row] and covariance[row, row] > 0.0]
+    rough = []
+    for row in determined:
+        step = np.zeros(len(best))
+        step[inside] = factor * covariance[:, row] / math.sqrt(covariance[row, row])
+        if _is_rough(search, best, step, factor * deviation):
+            rough.append(free[inside[row]].name)
+    return Analysis(tuple(estimates), noise, tau, tuple(messages), tuple(rough))
+
+
+def _is_rough(search: Search, best: np.ndarray, step: np.ndarray, rise: float) -> bool:
+    """Whether the sum of squares at the ends of an interval is not what the linear model predicts.
+
+    step: from the best point to an end, the other parameters with it; rise: square root of that predicted
+    """
+    points = [values_at(search.free, best + sign * step) for sign in (1.0, -1.0)]
+    least = float(search.residuals @ search.residuals)
+    try:
+        rises = [float(r @ r) - least for r in search.evaluate(points)]
+    except OrchestrationError:  # of values with which nothing can run
+        return True
+    return any(abs(one / rise**2 - 1.0) > _ROUGH for one in rises)
 
 
 def _limit(one: Free, x: float) -> str:

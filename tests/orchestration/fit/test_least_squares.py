@@ -61,6 +61,20 @@ def test_parameters_of_which_only_the_sum_acts_are_not_determined() -> None:
     assert slope.low < 1.0 < slope.high
 
 
+@pytest.mark.parametrize(("power", "rough"), [(1.0, ()), (8.0, ("a",))])
+def test_an_interval_is_rough_where_the_model_bends_over_it(power: float, rough: tuple[str, ...]) -> None:
+    """Of a^8 = 1 with noise of 5 in 200 readings: the sum rises by 1.9 and 0.5 of what is predicted."""
+    readings = 1.0 + 5.0 * np.random.default_rng(1).standard_normal(len(TIMES))
+    readings += 1.0 - readings.mean()
+    free = (Free("a", start=1.1),)
+
+    def residuals(points: Sequence[Values]) -> Iterator[np.ndarray]:
+        return (p["a"] ** power - readings for p in points)
+
+    search = Search(free, residuals, 1e-6, 500).run(np.ones(1), x_scale="jac")
+    assert analysed(search, lambda residuals: [residuals]).rough == rough
+
+
 def test_a_value_at_a_limit_says_so_and_is_taken_as_given() -> None:
     free = (FREE[0], FREE[1], Free("gain", 5.0, 100.0, 6.0))
     analysis = analysed(line(np.zeros_like(TIMES), free), lambda residuals: [residuals])
