@@ -100,6 +100,7 @@ LEVELS = {
     "orchestration.margins": 10,
     "orchestration.score": 11,
     "orchestration.design": 12,
+    "orchestration.fit": 12,
     "orchestration.report": 12,
     "orchestration.cli": 13,
     "orchestration": 14,  # the names that it exports, each imported when it is asked for

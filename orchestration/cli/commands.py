@@ -19,7 +19,8 @@ from orchestration.errors import OrchestrationError
 _PANELS = {
     "FMUs": ("fmu.new", "fmu.build", "fmu.check", "fmu.inspect", "cache.cache"),
     "Scenarios": ("run.scenarios", "run.run", "sweep.sweep", "run.report"),
-    "Controllers compared": ("score.score", "tune.tune", "score.compare", "margins.margins", "design.design"),
+    "Controllers compared": ("score.score", "tune.tune", "score.compare", "margins.margins"),
+    "Vehicles": ("design.design", "fit.fit"),
     "The paper": ("paper.reproduce", "paper.identify"),
     "Other tools": ("exchange.package", "exchange.export"),
 }

@@ -79,14 +79,14 @@ def design(
 
 def _vehicle(changes: Changes) -> "Vehicle":
     """Returns the vehicle that --plant names, by default that of the shipped base."""
-    from orchestration.cli.score import vehicle_of
+    from orchestration.cli.score import chosen_vehicle
     from orchestration.score.vehicle import Vehicle
 
     wrong = [name for name in changes.settings if "." in name and not name.startswith(f"{PLANT}.")]
     wrong += [name for name in changes.mapping if name != PLANT]
     if wrong or changes.components.keys() - {PLANT}:
         raise ScenarioError(f"{(*wrong, 'component=FMU')[0]}: expected plant.NAME: controllers are designed")
-    vehicle = vehicle_of(changes) or Vehicle.of_base("vehicle")
+    vehicle = chosen_vehicle(changes) if plant else Vehicle.of_base("vehicle")
     values, _ = changes.of_component(PLANT)
     return replace(vehicle, settings={f"{PLANT}.{name}": value for name, value in values.items()})
 

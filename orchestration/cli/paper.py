@@ -42,8 +42,8 @@ def identify(
 ) -> None:
     """Fit the gains that the paper does not publish to the nominal row of its Table 1."""
     from orchestration.cli import chosen_scenario
+    from orchestration.fit import identify as identification
     from orchestration.results.metric_units import metrics_table, values_table
-    from orchestration.scenarios import identify as identification
 
     shared.check_writable(out.parent)
     scenarios = {name: chosen_scenario.load(name) for name in identification.SCENARIOS}

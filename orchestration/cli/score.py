@@ -181,19 +181,17 @@ def chosen_protocol(changes: Changes, file: Path | None = None) -> "Protocol":
     """Returns the protocol of a file, by default the one that ships, on the vehicle that --plant names."""
     from orchestration.score import protocol as protocols
 
-    return protocols.read_protocol(file or protocols.FILE, vehicle_of(changes))
+    vehicle = chosen_vehicle(changes) if PLANT in changes.components else None
+    return protocols.read_protocol(file or protocols.FILE, vehicle)
 
 
-def vehicle_of(changes: Changes) -> "Vehicle | None":
-    """Returns the vehicle that --plant names, None without one."""
+def chosen_vehicle(changes: Changes) -> "Vehicle":
+    """Returns the vehicle that --plant names, with its settings."""
     from orchestration.score.vehicle import Vehicle
 
-    plant = changes.components.get(PLANT, "")
-    if not plant:
-        return None
     values, mapping = changes.of_component(PLANT)
     settings = {f"{PLANT}.{name}": value for name, value in values.items()}
-    return Vehicle.of(plant, mapping, settings)
+    return Vehicle.of(changes.components[PLANT], mapping, settings)
 
 
 def scored_controllers(names: Sequence[str], no_rates: bool, changes: Changes) -> list["Controller"]:

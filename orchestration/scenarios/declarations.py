@@ -3,14 +3,13 @@
 A signal of kind `table` may name a CSV file. It is read where the scenario is, so that this becomes one file.
 """
 
-import csv
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import TypeAdapter
 
-from fmus.errors import nearest
 from orchestration.errors import ScenarioError, SystemDefinitionError
+from orchestration.scenarios.data_file import read_data_file
 from orchestration.scenarios.file_format import FAULT, SIGNAL
 from orchestration.scenarios.file_tables import At, Table, checked
 from orchestration.scenarios.toml_file import KeyPath
@@ -70,30 +69,10 @@ def with_file_values(signals: dict[str, Any], folder: Path, at: At, keys: KeyPat
 def _columns(path: Path, name: str, where: str) -> tuple[list[float], list[float]]:
     """Times and the values of a column, by default the second, of a CSV file."""
     try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            rows = [(number, row) for number, row in enumerate(csv.reader(stream), start=1) if row]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        beside = [file.name for file in path.parent.glob("*.csv")]
-        hint = f"; beside it, {nearest(path.name, beside)}" if not path.is_file() else ""
-        raise ScenarioError(f"{where}: {path}: expected a CSV file, got {error}{hint}") from error
-    index = 1
-    if rows and not _is_number(rows[0][1][0]):
-        titles = [title.partition(" [")[0].strip() for title in rows.pop(0)[1]]
-        if name and name not in titles[1:]:
-            raise ScenarioError(f"{where}: {path}:1: no column {name!r}; {nearest(name, titles[1:])}")
-        index = titles.index(name, 1) if name else 1
-    elif name:
-        raise ScenarioError(f"{where}: {path}:1: column = {name!r}: expected a first line of titles")
-    for number, row in rows:
-        if not (len(row) > index and _is_number(row[0]) and _is_number(row[index])):
-            expected = f"expected numbers in columns 1 and {index + 1}"
-            raise ScenarioError(f"{where}: {path}:{number}: {expected}, got {','.join(row)!r}")
-    return [float(row[0]) for _, row in rows], [float(row[index]) for _, row in rows]
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+        file = read_data_file(path)
+        if name and not file.titles:
+            raise ScenarioError(f"{path}:1: column = {name!r}: expected a first line of titles")
+        times, values = file.numbers(0, file.index(name) if name else 1).T.tolist()
+    except ScenarioError as error:
+        raise ScenarioError(f"{where}: {error}") from error
+    return times, values

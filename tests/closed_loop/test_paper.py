@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from fmus.build import builder
+from orchestration.fit.identify import GAINS
 from orchestration.scenarios import scenario
-from orchestration.scenarios.identify import GAINS
 from orchestration.scenarios.published import PUBLISHED
 from orchestration.scenarios.run_files import Result, reproduced
 

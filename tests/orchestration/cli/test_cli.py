@@ -13,7 +13,7 @@ import typer
 
 from fmus.files import write_archive
 from orchestration.cli.app import app
-from orchestration.scenarios import identify as identification
+from orchestration.fit import identify as identification
 from orchestration.scenarios import scenario
 from tests.described_fmus import XML, members
 from tests.shared_builds import Fmus

@@ -38,7 +38,8 @@ AT_WORK = {
     "margins nominal-l1": "orchestration.margins.margins.judge",
     "design --out .": "orchestration.design.rules.design_l1",
     "reproduce": "orchestration.scenarios.run_files.run_all",
-    "identify": "orchestration.scenarios.identify.metric_units",
+    "fit RovDepthPlant --free inertia --data {fmu} --out .": "orchestration.fit.dive.read_dive",
+    "identify": "orchestration.fit.identify.metric_units",
     "package nominal-l1": "orchestration.exchange.ssp_write.ramp_sources",
     "export modelica": "orchestration.exchange.modelica.texts",
 }

@@ -7,9 +7,8 @@ through the FMUs and the master; the buoyancy row is never looked at.
 """
 
 import math
-from collections.abc import Callable, Mapping
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ import tomli_w
 
 from fmus.files import write_text_atomically
 from orchestration.errors import OrchestrationError
+from orchestration.fit.least_squares import Free, Search, values_at
 from orchestration.many.job import Failure
 from orchestration.many.run_many import run_many
 from orchestration.results import metrics
@@ -36,24 +36,21 @@ OVERSHOOT_TOLERANCE_PCT = 0.25
 _NOT_SETTLED = 40.0  # tolerances: more than a run that settles can be away
 
 
-@dataclass(frozen=True)
-class Gain:
-    """An unpublished gain, the limits of its search and why they are where they are."""
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    reason: str
-
-
 GAINS = (
-    Gain("controller.depth_feedback_gain", "N/m", 1.0, 10.0, "restoring force of 0.1 N to 1 N at 0.1 m"),
-    Gain("controller.rate_feedback_gain", "N.s/m", 10.0, 25.0, "2 to 5 rad/s, below the observer's 8 rad/s"),
-    Gain("controller.filter_bandwidth", "rad/s", 0.05, 1.0, "below the velocity loop"),
-    Gain("controller.proportional_gain", "N/m", 2.0, 20.0, "of the order of the depth feedback"),
-    Gain("controller.integral_gain", "N/(m.s)", 0.003, 0.03, "small: sigma_hat integrates already"),
+    Free("controller.depth_feedback_gain", 1.0, 10.0, unit="N/m"),
+    Free("controller.rate_feedback_gain", 10.0, 25.0, unit="N.s/m"),
+    Free("controller.filter_bandwidth", 0.05, 1.0, unit="rad/s"),
+    Free("controller.proportional_gain", 2.0, 20.0, unit="N/m"),
+    Free("controller.integral_gain", 0.003, 0.03, unit="N/(m.s)"),
 )
+WHY_THESE_LIMITS = {
+    "controller.depth_feedback_gain": "restoring force of 0.1 N to 1 N at 0.1 m",
+    "controller.rate_feedback_gain": "2 to 5 rad/s, below the observer's 8 rad/s",
+    "controller.filter_bandwidth": "below the velocity loop",
+    "controller.proportional_gain": "of the order of the depth feedback",
+    "controller.integral_gain": "small: sigma_hat integrates already",
+}
+_DIFFERENCE = 0.01  # of the coordinates: 1 to 2 % of the range of each gain
 
 
 @dataclass(frozen=True)
@@ -86,18 +83,22 @@ def residuals(measured: Mapping[str, Mapping[str, float]]) -> np.ndarray:
     return np.nan_to_num(np.array(fit + excess), nan=_NOT_SETTLED)
 
 
-def measure(gains: Mapping[str, float]) -> dict[str, dict[str, float]]:
-    """Returns the metrics of each shipped scenario with these gains laid over it.
+def measure(points: Sequence[Mapping[str, float]]) -> list[dict[str, dict[str, float]]]:
+    """Returns for each set of gains the metrics of each shipped scenario with these gains laid over it.
 
     Raises OrchestrationError for a run that fails.
     """
-    loaded = [scenario.load(scenario.find(name), {"parameters": dict(gains)}) for name in SCENARIOS]
-    runs = run_many(loaded[0].system, [one.experiment for one in loaded])
-    measured = {}
-    for one, run in zip(loaded, runs, strict=True):
+    measured = [dict[str, dict[str, float]]() for _ in points]
+    loaded = [
+        (one, scenario.load(scenario.find(name), {"parameters": dict(gains)}))
+        for name in SCENARIOS
+        for one, gains in zip(measured, points, strict=True)
+    ]
+    runs = run_many(loaded[0][1].system, [chosen.experiment for _, chosen in loaded])
+    for (one, chosen), run in zip(loaded, runs, strict=True):
         if isinstance(run, Failure):
-            raise OrchestrationError(f"{one.name}: {run.reason}")
-        measured[one.name] = metrics.evaluate(run, one.metrics)
+            raise OrchestrationError(f"{chosen.name}: {run.reason}")
+        one[chosen.name] = metrics.evaluate(run, chosen.metrics)
     return measured
 
 
@@ -120,53 +121,27 @@ def identify(
     starts: how many of them go to points drawn over the whole range
     progress: called with the lowest cost (half the sum of squares) after every evaluation
     """
-    from scipy.optimize import least_squares  # of this command alone, and slow to import
-    from scipy.stats import qmc
+    from scipy.stats import qmc  # slow to import
 
     if not 1 <= starts < evaluations:
         raise OrchestrationError(f"evaluations {evaluations}: expected more than the {starts} starts")
-    search = _Objective(seed, evaluations, progress)
-    drawn = _SCALED_LOW + qmc.LatinHypercube(len(GAINS), rng=seed).random(starts)
-    begin = min(drawn, key=lambda point: float(np.sum(search(point) ** 2)))
-    with suppress(_OutOfEvaluations):
-        least_squares(search, begin, bounds=(_SCALED_LOW, _SCALED_HIGH), diff_step=_STEP, ftol=1e-3)
-    return search.best
+    units = _units()
+    search = Search(
+        GAINS,
+        lambda points: map(residuals, measure([*map(rounded, points)])),
+        _DIFFERENCE,
+        evaluations,
+        progress,
+    )
+    search.at([*(1.0 + qmc.LatinHypercube(len(GAINS), rng=seed).random(starts))])
+    search.run(search.best, ftol=1e-3)
+    gains = rounded(values_at(GAINS, search.best))
+    return Fit(gains, measure([gains])[0], units, search.cost, search.count, seed)
 
 
-# A gain is searched as the position of its logarithm between its limits, scaled to 1..2: SciPy's finite
-# differences take a step relative to the value, which must therefore stay away from 0.
-_SCALED_LOW, _SCALED_HIGH = 1.0, 2.0
-_STEP = 0.01  # 1 to 2 % of the range of each gain
-
-
-def _unscaled(gain: Gain, scaled: float) -> float:
-    value = gain.low * (gain.high / gain.low) ** (scaled - _SCALED_LOW)
-    return float(f"{value:.4g}")  # what is written is what was run
-
-
-class _OutOfEvaluations(Exception):  # noqa: N818  (a signal to stop, not an error)
-    pass
-
-
-class _Objective:
-    """The objective, remembering the best point that it was asked for."""
-
-    def __init__(self, seed: int, evaluations: int, progress: Callable[[float], None]) -> None:
-        self._evaluations, self._progress = evaluations, progress
-        self.best = Fit({}, {}, _units(), cost=math.inf, evaluations=0, seed=seed)
-
-    def __call__(self, scaled_gains: np.ndarray) -> np.ndarray:
-        if self.best.evaluations >= self._evaluations:
-            raise _OutOfEvaluations
-        gains = {g.name: _unscaled(g, float(x)) for g, x in zip(GAINS, scaled_gains, strict=True)}
-        measured = measure(gains)
-        deviations = residuals(measured)
-        cost = 0.5 * float(deviations @ deviations)
-        if cost < self.best.cost:
-            self.best = replace(self.best, gains=gains, metrics=measured, cost=cost)
-        self.best = replace(self.best, evaluations=self.best.evaluations + 1)
-        self._progress(self.best.cost)
-        return deviations
+def rounded(gains: Mapping[str, float]) -> dict[str, float]:
+    """Returns the gains with four digits: what is written is what was run."""
+    return {name: float(f"{value:.4g}") for name, value in gains.items()}
 
 
 def write(fit: Fit, path: Path) -> None:
@@ -181,7 +156,7 @@ def write(fit: Fit, path: Path) -> None:
             "unit": gain.unit,
             "limits": [gain.low, gain.high],
             "at_a_limit": min(fit.gains[gain.name] / gain.low, gain.high / fit.gains[gain.name]) < AT_A_LIMIT,
-            "why_these_limits": gain.reason,
+            "why_these_limits": WHY_THESE_LIMITS[gain.name],
             "source": source,
         }
         for gain in GAINS

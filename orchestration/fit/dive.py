@@ -1,0 +1,143 @@
+"""Logs of dives: commands over time, as signals for a vehicle, and readings of the depth to compare with."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from fmus.errors import nearest
+from orchestration.errors import OrchestrationError
+from orchestration.scenarios.data_file import DataFile, read_data_file
+from orchestration.score.vehicle import PLANT, Vehicle
+from orchestration.system.signals import Table
+
+DATA = "data"  # before the name of a column, as a component
+TIME, DEPTHS = "time", ("measured_depth", "depth")
+LONG_GAP = 1.0  # s, from which a gap in the commands is told
+_FACTORS = {"": 1.0, "m": 1e-3, "c": 1e-2, "k": 1e3}  # of a prefix of the unit in the title of a column
+
+
+@dataclass(frozen=True)
+class Dive:
+    """A dive: from the first row in which all commands are known to the last one.
+
+    commands: input of the vehicle -> its values, each held until the next, from 0 s
+    units: of the commands; times, depths: of the readings, shape (n,) [s] and [m]
+    gaps: (start, end) of those in the commands that are longer than `LONG_GAP` [s]
+    """
+
+    name: str
+    commands: Mapping[str, Table]
+    units: Mapping[str, str]
+    times: np.ndarray
+    depths: np.ndarray
+    gaps: tuple[tuple[float, float], ...] = ()
+
+
+def read_dive(path: Path, vehicle: Vehicle, mapping: Mapping[str, str] | None = None) -> Dive:
+    """Reads the log of a dive.
+
+    mapping: time, measured_depth or an input of the vehicle -> title of its column; by default the same name,
+    or that after "plant."
+    Raises OrchestrationError for a column that is missing or has another unit, times that do not ascend, and
+    readings that say nothing of the vehicle.
+    """
+    file, mapping = read_data_file(path), mapping or {}
+    columns = _columns(file, vehicle, mapping)
+    units = [_unit(name, vehicle) for name in columns]
+    indices = [file.titles.index(title) for title in columns.values()]
+    factors = [_factor(file, i, unit) for i, unit in zip(indices, units, strict=True)]
+    times = file.numbers(indices[0])[:, 0] * factors[0]
+    _check_ascending(file, times)
+    depths, *commands = file.numbers(*indices[1:], gaps=True).T * np.array(factors[1:])[:, None]
+    known = np.isfinite(commands)
+    starts = [int(np.argmax(row)) if row.any() else len(row) for row in known]
+    first, last = max(starts), max((int(np.flatnonzero(row)[-1]) for row in known if row.any()), default=-1)
+    is_read = np.isfinite(depths) & (np.arange(len(times)) >= first) & (np.arange(len(times)) <= last)
+    if not is_read.any():
+        raise OrchestrationError(
+            f"{path}: no overlap: expected readings of the depth while commands are known"
+        )
+    if np.ptp(depths[is_read]) == 0.0:
+        raise OrchestrationError(
+            f"{path}: the vehicle does not move: all {is_read.sum()} readings are {depths[is_read][0]:g} m"
+        )
+    times = times - times[first]
+    names = list(columns)[2:]
+    signals: dict[str, Table] = {}
+    for name, values, row in zip(names, commands, known, strict=True):
+        latest = np.maximum.accumulate(np.where(row, np.arange(len(row)), 0))
+        signals[name] = Table(times[first:], values[latest][first:], hold=True)
+    commanded = times[known.all(axis=0) & (times >= 0.0)].tolist()
+    gaps = tuple((a, b) for a, b in pairwise(commanded) if b - a > LONG_GAP)
+    own_units = dict(zip(columns, units, strict=True))
+    return Dive(path.stem, signals, own_units, times[is_read], depths[is_read], gaps)
+
+
+def _columns(file: DataFile, vehicle: Vehicle, mapping: Mapping[str, str]) -> dict[str, str]:
+    """Returns time, depth, and each input of the vehicle that has a column -> its title."""
+    if not file.titles:
+        raise OrchestrationError(f"{file.path}:1: expected a first line of titles, got numbers")
+    inputs = {name: v for name, v in vehicle.variables.items() if v.causality == "input"}
+    known = [TIME, *DEPTHS, *inputs, *vehicle.mapping]
+    for name, title in mapping.items():
+        if name not in known:
+            raise OrchestrationError(f"--map {DATA}.{name}={title}: {nearest(name, known)}")
+        file.index(title)
+
+    def column(*names: str) -> str:
+        own = [mapping[name] for name in names if name in mapping]
+        found = [prefix + name for name in names for prefix in ("", PLANT) if prefix + name in file.titles]
+        return next(iter([*own, *found]), "")
+
+    # a name of the interface that stands for another variable is not the variable of that name
+    names = {name: [name] for name in inputs.keys() - vehicle.mapping.keys()}
+    for name, own in vehicle.mapping.items():
+        names.setdefault(own, []).append(name)
+    columns = {TIME: column(TIME), DEPTHS[0]: column(*DEPTHS)}
+    columns |= {name: column(*names.get(name, [])) for name in inputs}
+    commands = [vehicle.variable(name) for name in vehicle.actuators]
+    needed = [TIME, DEPTHS[0], *(n.removeprefix(PLANT) for n in commands if n not in vehicle.settings)]
+    for name in needed:
+        if not columns[name]:
+            raise OrchestrationError(
+                f"{file.path}:1: no column {name}: name it by --map {DATA}.{name}=COLUMN; "
+                f"its columns are {', '.join(file.titles)}"
+            )
+    return {name: column for name, column in columns.items() if column}
+
+
+def _unit(name: str, vehicle: Vehicle) -> str:
+    return {TIME: "s", DEPTHS[0]: "m"}.get(name) or vehicle.variables[name].unit or ""
+
+
+def _factor(file: DataFile, index: int, expected: str) -> float:
+    """Returns what converts a column to a unit; a title without a unit has the expected one."""
+    unit = file.units[index]
+    factors = {prefix + expected: factor for prefix, factor in _FACTORS.items() if expected or not prefix}
+    if unit and unit not in factors:
+        raise OrchestrationError(
+            f"{file.path}:1: {file.titles[index]} is in {unit}: expected {' or '.join(factors) or 'no unit'}"
+        )
+    return factors.get(unit, 1.0)
+
+
+def _check_ascending(file: DataFile, times: np.ndarray) -> None:
+    for i in np.flatnonzero(np.diff(times) <= 0.0)[:1]:
+        line = file.rows[int(i) + 1][0]
+        kind = "repeated" if times[i + 1] == times[i] else "earlier"
+        raise OrchestrationError(
+            f"{file.path}:{line}: {kind} time {times[i + 1]:.9g} s after {times[i]:.9g} s: "
+            "expected ascending times"
+        )
+
+
+def held_over(dive: Dive) -> Iterator[str]:
+    """Yields a message about each gap in the commands of a dive."""
+    for start, end in dive.gaps:
+        yield (
+            f"{dive.name}: no commands from {start:.6g} s to {end:.6g} s: they are held; if they changed, "
+            "make it two files"
+        )

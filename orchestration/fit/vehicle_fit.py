@@ -1,0 +1,299 @@
+"""A vehicle fitted to logs of dives: parameters at which its simulated depth is nearest to the measured one.
+
+The vehicle's FMU is driven by the measured commands. A residual is the simulated depth, without the sensor,
+minus the measured one, where there is a reading; between two communication points the depth is a straight
+line. The depth at the start is free in every dive, unless it is set.
+"""
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fmus.errors import nearest
+from fmus.fmi.description import describe, start_value
+from fmus.registry import fmu_path
+from orchestration.errors import OrchestrationError
+from orchestration.fit.dive import DATA, DEPTHS, Dive
+from orchestration.fit.intervals import LEVEL, Analysis, Estimate, analysed
+from orchestration.fit.least_squares import Free, Search, Values, values_at
+from orchestration.many.job import Failure, Job, Run
+from orchestration.many.run_many import LocalRuns, in_order
+from orchestration.results.recording import Recording
+from orchestration.scenarios.changes import values_of_settings, with_values
+from orchestration.scenarios.layers import Layer
+from orchestration.score.vehicle import DEPTH, PLANT, Vehicle
+from orchestration.system.experiment import Experiment, suggested_times
+from orchestration.system.prepared_run import has_start_value
+from orchestration.system.system import Port, System
+from orchestration.system.values import value_range
+
+_DIFFERENCE = 1e-5  # of the coordinates: about 1e-4 of a value between limits of seven decades
+_EVALUATIONS = 100  # for each free parameter
+_SHARES = (1 / 8, 1 / 4, 1 / 2)
+"""Of each dive, to which the search fits first: errors of the depth grow with time, to local minima."""
+_FEWEST, _ROUGHLY = 50, {"x_scale": "jac", "ftol": 1e-2, "max_nfev": 10}
+_MEASURED, _RESIDUAL = f"{DATA}.{DEPTHS[0]}", f"{DATA}.residual"
+
+
+@dataclass(frozen=True)
+class VehicleFit:
+    """A fit of a vehicle.
+
+    recordings: of each dive at the times of its readings: simulated and measured depth, their difference and
+    the commands; ended: why the search ended before it converged, or empty
+    """
+
+    vehicle: Vehicle
+    dives: Sequence[Dive]
+    analysis: Analysis
+    recordings: Mapping[str, Recording]
+    ended: str
+
+    @property
+    def of_vehicle(self) -> Iterator[tuple[str, Estimate]]:
+        """Each fitted variable, "plant.NAME", with its estimate; depths at the start of dives are none."""
+        for estimate in self.analysis.estimates:
+            if not estimate.free.name.startswith(f"{DATA}."):
+                yield from ((PLANT + name, estimate) for name in estimate.free.variables)
+
+    @property
+    def metrics(self) -> dict[str, dict[str, str]]:
+        """The metric of a recording, as a scenario declares it."""
+        return {"rmse": {"function": "rmse", "signal": self.vehicle.variable(DEPTH), "reference": _MEASURED}}
+
+    @property
+    def rmse(self) -> dict[str, float]:
+        """Dive -> root mean square of the residuals [m]."""
+        return {name: float(np.sqrt(np.mean(one[_RESIDUAL] ** 2))) for name, one in self.recordings.items()}
+
+    def parameters(self) -> dict[str, Any]:
+        """Returns the document of a parameter file: value, unit, interval and source of each variable."""
+        readings = sum(len(dive.times) for dive in self.dives)
+        source = f"fitted to {readings} readings of the depth in {', '.join(d.name for d in self.dives)}"
+        return {
+            "fit": {"rmse": {name: {"value": value, "unit": "m"} for name, value in self.rmse.items()}},
+            "parameters": {
+                name: {
+                    "value": one.value,
+                    "unit": one.free.unit,
+                    "source": f"{source}{f'; {one.note}' if one.note else ''}",
+                    **({} if one.note else {"interval": [one.low, one.high], "level": LEVEL}),
+                }
+                for name, one in self.of_vehicle
+            },
+        }
+
+
+def free_parameters(texts: Sequence[str], vehicle: Vehicle) -> list[Free]:
+    """Returns the parameters of options --free NAME,NAME=LOW:HIGH.
+
+    A name is that of a parameter, of an array for all its elements, or one in the description of the vehicle.
+    Limits are those of the FMU if none are given; the start is its start value, or one that is set.
+    Raises OrchestrationError for what is no parameter of type Real, or for limits that it cannot have.
+    """
+    parts = [part.strip() for text in texts for part in re.split(r",(?![^\[]*\])", text)]
+    result = dict[str, Free]()
+    for part in filter(None, parts):
+        name, _, limits = part.partition("=")
+        free = _free(name.strip().removeprefix(PLANT), limits, vehicle)
+        taken = {variable for other in result.values() for variable in other.variables}
+        if taken & {*free.variables}:
+            raise OrchestrationError(f"--free {part}: given twice: expected it once")
+        result[free.name] = free
+    if not result:
+        raise OrchestrationError("nothing to fit: expected --free NAME,NAME")
+    return [*result.values()]
+
+
+def _free(name: str, limits: str, vehicle: Vehicle) -> Free:
+    variables = vehicle.variables
+    described = {key: [x] if isinstance(x, str) else x for key, x in vehicle.described.variables if x}
+    elements = [own for own in variables if own.partition("[")[0] == name and own != name]
+    own = [name] if name in variables else elements or described.get(name) or []
+    settable = {n: v for n, v in variables.items() if has_start_value(v) and v.type == "Real"}
+    for one in own or [name]:
+        if one not in settable:
+            variable = variables.get(one)
+            got = f", got {variable.causality} of type {variable.type}" if variable else ""
+            raise OrchestrationError(
+                f"--free {name}: expected a parameter of type Real{got}; {nearest(one, settable)}"
+            )
+    first = settable[own[0]]
+    low, high = value_range(Port("plant", first))
+    if limits:
+        given = _limits(name, limits)
+        if not low <= given[0] < given[1] <= high:
+            raise OrchestrationError(f"--free {name}={limits}: expected limits within {low:g}..{high:g}")
+        low, high = given
+    start = float(_settings(vehicle)["parameters"].get(PLANT + own[0], start_value(first)))
+    return Free(name, low, high, min(max(start, low), high), first.unit or "", tuple(own))
+
+
+def _limits(name: str, limits: str) -> tuple[float, float]:
+    low, _, high = limits.partition(":")
+    try:
+        return float(low), float(high)
+    except ValueError:
+        raise OrchestrationError(f"--free {name}={limits}: expected NAME or NAME=LOW:HIGH") from None
+
+
+def _settings(vehicle: Vehicle) -> dict[str, dict[str, Any]]:
+    """Returns the parameters and constant inputs that are set, as the FMU takes them."""
+    layers = [Layer({"components": {"plant": vehicle.fmu}})]
+    tables = values_of_settings(vehicle.settings, layers, lambda fmu: describe(_path(vehicle)))
+    return {"parameters": {}, "inputs": {}, **tables}
+
+
+def _path(vehicle: Vehicle) -> Path:
+    return Path(vehicle.fmu) if vehicle.fmu.endswith(".fmu") else fmu_path(vehicle.fmu)
+
+
+class _Runs:
+    """The runs of a vehicle through some dives, by values of its free parameters.
+
+    free: those given, and the depth at the start of each dive if it is not set
+    make: makes the runs of a job
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        dives: Sequence[Dive],
+        free: Sequence[Free],
+        step_size: float | None,
+        make: Callable[[Job, Sequence[Run]], Iterator[Any]],
+    ) -> None:
+        self.system, self.dives, self._make = System({"plant": _path(vehicle)}), dives, make
+        self.depth = vehicle.variable(DEPTH)
+        settings = _settings(vehicle)
+        step = suggested_times(self.system, 1.0, step_size)[1]
+        self._experiments = [
+            Experiment(
+                stop_time=step * max(1, math.ceil(dive.times[-1] / step * (1.0 - 1e-12))),
+                step_size=step,
+                signals={PLANT + name: signal for name, signal in dive.commands.items()},
+                record=[self.depth],
+                open_inputs="start",
+                parameters=settings["parameters"],
+                inputs={n: v for n, v in settings["inputs"].items() if n[len(PLANT) :] not in dive.commands},
+            )
+            for dive in dives
+        ]
+        start_depth = vehicle.variable(vehicle.start_depth)
+        own = start_depth.removeprefix(PLANT)
+        is_given = start_depth in settings["parameters"] or any(own in one.variables for one in free)
+        self._at_starts = [
+            Free(f"{DATA}.{own} of {dive.name}", start=float(dive.depths[0]), unit="m", variables=(own,))
+            for dive in dives
+            if vehicle.has(vehicle.start_depth) and not is_given
+        ]
+        self.free, self._of_all = [*free, *self._at_starts], free
+
+    def recorded(self, points: Sequence[Values]) -> list[list[Recording | Failure]]:
+        """Returns for each point the recording of every dive."""
+        runs = [
+            Run(None, self._experiment(dive, point), _recordings)
+            for dive in range(len(self.dives))
+            for point in points
+        ]
+        results = [done.result for done in self._make(Job(self.system, self._experiments[0]), runs)]
+        return [results[i :: len(points)] for i in range(len(points))]
+
+    def _experiment(self, dive: int, point: Values) -> Experiment:
+        chosen = [*self._of_all, *self._at_starts[dive : dive + 1]]
+        values = {PLANT + own: point[one.name] for one in chosen for own in one.variables}
+        return with_values(self._experiments[dive], values)
+
+    def residuals(self, points: Sequence[Values]) -> Iterator[np.ndarray]:
+        """Yields the simulated depth minus the measured one at each point, all dives in a row [m].
+
+        OrchestrationError for values with which the vehicle cannot run.
+        """
+        for point, recordings in zip(points, self.recorded(points), strict=True):
+            yield np.concatenate(
+                [
+                    self.simulated(*pair, point) - pair[0].depths
+                    for pair in zip(self.dives, recordings, strict=True)
+                ]
+            )
+
+    def simulated(self, dive: Dive, run: Recording | Failure, point: Values) -> np.ndarray:
+        """Returns the simulated depth at the times of the readings, shape (n,)."""
+        reason = run.reason if isinstance(run, Failure) else ""
+        depth = np.empty(0) if isinstance(run, Failure) else np.interp(dive.times, run.time, run[self.depth])
+        if reason or not np.isfinite(depth).all():
+            values = ", ".join(f"{name} = {value:.4g}" for name, value in point.items())
+            raise OrchestrationError(
+                f"{dive.name}: no depth with {values}: {reason or 'not a number'}; "
+                "give narrower limits by --free NAME=LOW:HIGH"
+            )
+        return depth
+
+    def by_dive(self, residuals: np.ndarray) -> list[np.ndarray]:
+        return np.split(residuals, np.cumsum([len(dive.times) for dive in self.dives])[:-1])
+
+
+def _recordings(runs: Recording) -> list[Recording]:
+    return [runs.run(i) for i in range(len(runs.values))]
+
+
+def fit_vehicle(
+    vehicle: Vehicle,
+    dives: Sequence[Dive],
+    free: Sequence[Free],
+    step_size: float | None = None,
+    workers: int = 1,
+    progress: Callable[[float], None] = lambda cost: None,
+) -> VehicleFit:
+    """Fits parameters of a vehicle to dives.
+
+    step_size: communication step [s], by default that of the FMU; progress: called after each evaluation
+    Raises OrchestrationError for values with which the vehicle cannot run, and too few readings.
+    """
+    if len({dive.name for dive in dives}) < len(dives):
+        raise OrchestrationError(f"two dives are called {dives[0].name}: expected files of different names")
+    count = sum(len(dive.times) for dive in dives)
+    most = _EVALUATIONS * (len(free) + len(dives))
+    with LocalRuns(workers, expected=most * len(dives)) as place:
+        make = partial(in_order, place)
+        runs = _Runs(vehicle, dives, free, step_size, make)
+        if count <= len(runs.free):
+            raise OrchestrationError(
+                f"{count} readings: expected more than the {len(runs.free)} free parameters"
+            )
+        start = np.array([one.coordinate(one.start) for one in runs.free])
+        first = start
+        for share in _SHARES:
+            parts = [_beginning(dive, share) for dive in dives]
+            part = _Runs(vehicle, parts, free, step_size, make)
+            first = Search(part.free, part.residuals, _DIFFERENCE, most).run(first, **_ROUGHLY).best
+        search = Search(runs.free, runs.residuals, _DIFFERENCE, most, progress)
+        search.at([start, first])
+        search.run(search.best, x_scale="jac")
+        search.evaluations += 2 * len(runs.free)
+        analysis = analysed(search, runs.by_dive)
+        runs_at_best = runs.recorded([values_at(runs.free, search.best)])[0]
+    parts = zip(dives, runs.by_dive(search.residuals), runs_at_best, strict=True)
+    recordings = {part[0].name: _recording(runs.depth, *part) for part in parts}
+    return VehicleFit(vehicle, dives, analysis, recordings, search.ended)
+
+
+def _beginning(dive: Dive, share: float) -> Dive:
+    """Returns a share of the readings of a dive, the first ones, at least `_FEWEST` of them."""
+    count = max(_FEWEST, math.ceil(share * len(dive.times)))
+    return replace(dive, times=dive.times[:count], depths=dive.depths[:count])
+
+
+def _recording(depth: str, dive: Dive, residuals: np.ndarray, run: Recording | Failure) -> Recording:
+    """Returns the simulated and the measured depth, their difference and the commands, at the readings."""
+    commands = {PLANT + name: signal.at(dive.times) for name, signal in dive.commands.items()}
+    columns = {depth: dive.depths + residuals, _MEASURED: dive.depths, _RESIDUAL: residuals, **commands}
+    units = ("m", "m", "m", *(dive.units[name] for name in dive.commands))
+    provenance = {} if isinstance(run, Failure) else run.provenance
+    return Recording(tuple(columns), units, dive.times, np.column_stack([*columns.values()]), provenance)

@@ -1,0 +1,150 @@
+"""Logs of dives as other programs write them."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orchestration.errors import OrchestrationError
+from orchestration.fit.dive import Dive, held_over, read_dive
+from orchestration.score.vehicle import Vehicle
+
+PLAIN = """\
+time [s],measured_depth [m],voltage[1],voltage[2]
+10.0,1.5,2.5,3.0
+10.1,1.6,2.5,3.0
+10.25,1.75,-1.0,3.0
+"""
+IN_MS = (
+    PLAIN.replace("[s]", "[ms]").replace("10.25", "10250").replace("10.1", "10100").replace("10.0", "10000")
+)
+GERMAN = """\
+# Tauchgang 7
+Zeit;Tiefe (cm);U vorn [V];U hinten [mV];Bemerkung
+2026-05-04T12:00:00,00;150,0;2,5;3000;los
+2026-05-04T12:00:00,10;160,0;2,5;3000;
+
+2026-05-04T12:00:00,25;175,0;-1,0;3000;
+"""
+MAPPING = {"time": "Zeit", "measured_depth": "Tiefe", "voltage[1]": "U vorn", "voltage[2]": "U hinten"}
+Read = Callable[..., Dive]
+
+
+@pytest.fixture
+def read(tmp_path: Path, vehicle: Vehicle) -> Read:
+    def written(text: str, mapping: dict[str, str] | None = None, of: Vehicle = vehicle) -> Dive:
+        path = tmp_path / "dive.csv"
+        path.write_text(text, encoding="utf-8-sig")
+        return read_dive(path, of, mapping)
+
+    return written
+
+
+@pytest.mark.parametrize(
+    ("text", "mapping"),
+    [
+        (PLAIN, None),
+        (PLAIN.replace(",", "\t"), None),
+        (PLAIN.replace("voltage", "plant.voltage").replace("measured_depth", "plant.depth"), None),
+        (IN_MS, None),
+        (GERMAN, MAPPING),
+    ],
+)
+def test_a_log_is_the_same_dive_however_it_is_written(
+    read: Read, text: str, mapping: dict[str, str] | None
+) -> None:
+    dive = read(text, mapping)
+    assert dive.times == pytest.approx([0.0, 0.1, 0.25])
+    assert dive.depths == pytest.approx([1.5, 1.6, 1.75])
+    assert dive.commands.keys() == {"voltage[1]", "voltage[2]"}
+    assert dive.commands["voltage[1]"].at(np.array([0.0, 0.2, 0.3])) == pytest.approx([2.5, 2.5, -1.0])
+    assert dive.commands["voltage[2]"].at(np.array([0.3])) == pytest.approx([3.0])
+
+
+GAPS = """\
+time,measured_depth,voltage[1],voltage[2],current_velocity
+0,1.0,,,0.1
+1,1.1,2,2,
+1.5,,2,2,
+2,nan,3,,0.2
+4,1.4,3,3,
+5,1.5,,,
+"""
+
+
+def test_gaps_have_no_reading_and_hold_the_commands(read: Read) -> None:
+    """From the first to the last row in which all commands are known, at 1 s and 4 s of the log."""
+    dive = read(GAPS)
+    assert dive.times.tolist() == [0.0, 3.0]
+    assert dive.depths.tolist() == [1.1, 1.4]
+    times = np.array([0.0, 0.9, 1.0, 2.9, 3.0])
+    assert dive.commands["voltage[1]"].at(times).tolist() == [2.0, 2.0, 3.0, 3.0, 3.0]
+    assert dive.commands["voltage[2]"].at(times).tolist() == [2.0, 2.0, 2.0, 2.0, 3.0]
+    assert dive.commands["current_velocity"].at(times).tolist() == [0.1, 0.1, 0.2, 0.2, 0.2]
+
+
+def test_a_long_gap_in_the_commands_is_told(read: Read) -> None:
+    text = "time,depth,voltage[1],voltage[2]\n0,1,0,0\n0.5,1,1,1\n3,2,1,1\n3.5,2,,\n4,2,1,1\n"
+    assert [*held_over(read(text))] == [
+        "dive: no commands from 0.5 s to 3 s: they are held; if they changed, make it two files"
+    ]
+
+
+def test_a_command_that_is_set_needs_no_column(read: Read, vehicle: Vehicle) -> None:
+    given = replace(vehicle, settings={"plant.voltage[2]": 0.0})
+    text = "time,depth,voltage[1]\n0,1,0\n1,1.2,1\n"
+    assert read(text, of=given).commands.keys() == {"voltage[1]"}
+
+
+def test_the_variable_that_stands_for_another_names_its_column_too(read: Read, vehicle: Vehicle) -> None:
+    mapped = replace(vehicle, mapping={"current_velocity": "external_force"})
+    text = PLAIN.replace("voltage[2]\n", "voltage[2],current_velocity\n").replace("3.0\n", "3.0,0.5\n")
+    assert read(text, of=mapped).commands.keys() == {"voltage[1]", "voltage[2]", "external_force"}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "mapping", "message"),
+    [
+        (
+            "time [s]",
+            "zeit",
+            {},
+            "dive.csv:1: no column time: name it by --map data.time=COLUMN; its columns are zeit",
+        ),
+        ("voltage[2]", "u", {}, r"no column voltage\[2\]: name it by --map data.voltage\[2\]=COLUMN"),
+        ("", "", {"measured_depth": "measured_dept"}, "dive.csv:1: no column 'measured_dept'; nearest is"),
+        ("", "", {"voltag": "time"}, r"--map data.voltag=time: .*voltage\["),
+        ("[m]", "[ft]", {}, "measured_depth is in ft: expected m or mm or cm or km"),
+        ("10.1,", "10.0,", {}, "dive.csv:3: repeated time 10 s after 10 s: expected ascending times"),
+        ("10.25,", "9,", {}, "dive.csv:4: earlier time 9 s after 10.1 s: expected ascending"),
+        ("1.6,", "deep,", {}, "dive.csv:3: expected numbers in columns 2 and 3 and 4, got"),
+        ("10.1,", ",", {}, "dive.csv:3: expected numbers in column 1, got"),
+    ],
+)
+def test_a_mistake_is_named_with_its_line(
+    read: Read, old: str, new: str, mapping: dict[str, str], message: str
+) -> None:
+    with pytest.raises(OrchestrationError, match=message):
+        read(PLAIN.replace(old, new, 1), mapping)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (PLAIN.partition("\n")[2], "dive.csv:1: expected a first line of titles, got numbers"),
+        ("time,depth,voltage[1],voltage[2]\n0,1,,\n1,,2,2\n2,1,,\n", "no overlap: expected readings"),
+        ("time,depth,voltage[1],voltage[2]\n0,1,,\n1,1,,\n", "no overlap"),
+        ("time,depth,voltage[1],voltage[2]\n0,1,1,1\n1,1,2,2\n", "does not move: all 2 readings are 1 m"),
+    ],
+)
+def test_data_that_say_nothing_of_the_vehicle_are_refused(read: Read, text: str, message: str) -> None:
+    with pytest.raises(OrchestrationError, match=message):
+        read(text)
+
+
+def test_a_missing_file_names_its_neighbour(tmp_path: Path, vehicle: Vehicle) -> None:
+    (tmp_path / "dive.csv").touch()
+    with pytest.raises(OrchestrationError, match=r"dives.csv: expected a CSV file.*nearest is 'dive.csv'"):
+        read_dive(tmp_path / "dives.csv", vehicle)
