@@ -18,6 +18,7 @@ from orchestration.cli.changes import (
     LoopSetOption,
     OpenInputsOption,
     PlantOption,
+    fmu_name,
 )
 from orchestration.errors import ScenarioError
 from orchestration.system.open_inputs import OpenInputs
@@ -203,7 +204,7 @@ def scored_controllers(names: Sequence[str], league: str, changes: Changes) -> l
         raise ScenarioError(f"--set and --map with {len(names)} controllers: expected one")
     return [
         Controller(
-            name=Path(name).stem,
+            name=fmu_name(name),
             fmu=_built(name),
             league=league,
             parameters=own,

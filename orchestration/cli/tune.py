@@ -127,7 +127,7 @@ def _controller(
     from orchestration.score.closed_loop import built_in
 
     known = [*protocol.controllers, *block_names()]
-    if name not in known and not name.endswith((".py", ".fmu")):
+    if name not in known and not (name.endswith((".py", ".fmu")) or ".py:" in name):
         raise ScenarioError(f"no controller {name!r}; {nearest(name, known)}")
     if name in protocol.controllers:
         mapped = changes.mapping.get(CONTROLLER)
