@@ -6,11 +6,12 @@ class Policy:
     outputs = ("control_force",)                       this by default
     gain = 16.5                                        a parameter: numbers of the class, and tuples of them
 
-    def reset(self): ...                               at the start of each run, once on a new object
+    def reset(self): ...                               at the start of each run, on a new object
     def step(self, time, inputs): ...                  at start + k period; returns all outputs by name
 
 `step` gets the inputs of the communication point at its time, or the one before it. What it returns is put
-out from the end of that communication step on; before that all outputs are 0.
+out from the end of that communication step on. Before the first one, the outputs are those of a step at the
+start, of an object that is then dropped.
 """
 
 import copy
@@ -189,23 +190,36 @@ class PolicyInstance(BlockInstance):
         self._period = [v.name for v in block.variables].index("period")
 
     def _refresh(self) -> None:
-        """Leaves the outputs as the last step gave them."""
+        """Calculates the outputs at the start, which follow the inputs, by an object that is then dropped."""
+        if self._outputs_are_stale and not self._stepping:
+            self._sample(self._begun(), self.time)
+            self._outputs_are_stale = False
 
     def exit_initialization_mode(self) -> None:
-        self._policy = self._call("__init__", self.block.new, self._values[: self._parameters_end])
-        self._call("reset", self._policy.reset)
-        self._begin, self._samples, self._stepping = self.time, 0, True
+        self._refresh()
+        self._policy, self._begin, self._samples = self._begun(), self.time, 0
+        self._stepping = True
 
     def do_step(self, t: float, h: float) -> None:
         """Advances from t to t + h [s]; calls `step` for each sample from t on and before t + h."""
         self._check_step(t, h)
         end, period = t + h - step_tolerance(t, h), self._values[self._period]
         while (time := self._begin + self._samples * period) < end:
-            inputs = _Values(zip(self._names, self._values[self._parameters_end :], strict=False))
-            result = self._call("step", self._policy.step, time, inputs)
-            self._values[self._inputs_end :] = self._numbers(result, time)
+            self._sample(self._policy, time)
             self._samples += 1
         self.time = t + h
+
+    def _begun(self) -> Any:
+        """Returns a new object at the start of a run."""
+        policy = self._call("__init__", self.block.new, self._values[: self._parameters_end])
+        self._call("reset", policy.reset)
+        return policy
+
+    def _sample(self, policy: Any, time: float) -> None:
+        """Takes over the outputs of a step."""
+        inputs = _Values(zip(self._names, self._values[self._parameters_end :], strict=False))
+        result = self._call("step", policy.step, time, inputs)
+        self._values[self._inputs_end :] = self._numbers(result, time)
 
     def _call(self, method: str, function: Callable[..., Any], *arguments: Any) -> Any:
         """Returns what a method returns; BlockError names the line of the user's file that raises."""

@@ -135,7 +135,8 @@ def _fmu(file: Path, cls: str, sources: dict[str, str], carried: dict[str, bytes
     files = {path: source.encode() for path, source in text.items()}
     files |= {f"{package}/{path}": content for path, content in carried.items()}
     block, can_save = _tried(file, cls, files, package)
-    outputs = {v.value_reference: () for v in block.of_causality("output")}
+    known = [v.value_reference for v in block.variables if v.settable]
+    outputs = {v.value_reference: known for v in block.of_causality("output")}
     capabilities = python_flavour.CAPABILITIES | (_STATE if can_save else _NO_STATE)
     description = model_description(block, GUID, capabilities, dependencies=outputs)
     _, members = with_guid(python_flavour.archive(block, files, description))

@@ -72,13 +72,14 @@ def test_it_is_called_at_start_plus_k_periods_with_the_inputs_of_the_point_befor
     assert depths == tuple(held)
 
 
-def test_outputs_are_0_until_the_first_step_ends_and_held_between_samples() -> None:
+def test_outputs_are_those_of_the_last_sample_and_at_the_start_of_one_that_leaves_no_trace() -> None:
     instance = begun(Counting, 1.0)
     seen = [value(instance)]
     for i in range(4):
         instance.do_step(1.0 + 0.02 * i, 0.02)
         seen.append(value(instance))
-    assert seen == [0.0, 2.0, 2.0, 2.08, 2.08]
+    assert seen == [2.0, 2.0, 2.0, 2.08, 2.08]
+    assert [time for time, _ in instance._policy.calls] == [1.0, 1.04]
 
 
 def test_a_new_run_begins_with_a_new_object() -> None:
@@ -224,9 +225,8 @@ def test_a_step_that_fails_is_named_with_its_line(tmp_path: Path, step: str, mes
         tmp_path,
         OWN.format(step),
     )
-    instance = begun(cls)
     with pytest.raises(BlockError, match=message):
-        instance.do_step(0.0, 1.0)
+        begun(cls)
 
 
 @pytest.fixture(autouse=True)

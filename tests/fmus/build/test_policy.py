@@ -58,7 +58,7 @@ def test_it_carries_its_modules_and_files_and_runs_where_they_are_gone(policy: P
     for file in (policy, policy.with_name("helper.py"), policy.with_name("weights.npy")):
         file.unlink()
     recording = simulate(System({"own": path}), Experiment(1.0, 0.1, open_inputs="start"))
-    assert recording["own.control_force"].tolist() == [0.0] + 10 * [3.0]
+    assert recording["own.control_force"].tolist() == 11 * [3.0]
 
 
 @pytest.mark.parametrize("changed", ["my.py", "helper.py", "weights.npy"])
