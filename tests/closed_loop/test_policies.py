@@ -109,8 +109,8 @@ def test_the_law_of_a_block_gives_the_recording_of_the_block(
 
     The class takes its period of 0.02 s, the block the distance of two communication points, which rounding
     moves by 4e-15 s at 40 s: an error of 0.1 m and ki = 5.5 N/(m.s) in 2000 steps make 4e-12 N, or 9e-12 V
-    of two thrusters of 0.25 N/V. At the start the error is 0 without noise, and so is its integral over a step,
-    which the class has at once.
+    of two thrusters of 0.25 N/V. At the start the error is 0 without noise, and so is its integral over a
+    step, which the class has at once.
     """
     (tmp_path / "own.py").write_text(PID)
     builder.build_if_stale("PidDepthController", flavour=Flavour.PYTHON)
