@@ -112,7 +112,10 @@ def compiled_libraries(
     Raises ExportError for any platform.
     """
     if platforms:
-        raise ExportError("platforms of the python flavour: expected none, its libraries are PythonFMU's")
+        raise ExportError(
+            "platforms of the python flavour: expected none, its libraries are PythonFMU's; "
+            "the native flavour is compiled for each"
+        )
     yield dict
 
 

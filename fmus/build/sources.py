@@ -135,7 +135,8 @@ def _refuse_foreign(importer: str, name: str, folder: Path | None) -> None:
     top = name.partition(".")[0]
     if top not in (importer.partition(".")[0], "fmus", "pythonfmu") and not _is_beside(top, folder):
         raise ExportError(
-            f"{importer} imports {name}: expected the standard library, fmus or its own package or folder"
+            f"{importer} imports {name}: expected the standard library, fmus or its own package or folder; "
+            "the native flavour, which is compiled, takes any module"
         )
 
 

@@ -42,7 +42,10 @@ ProtocolOption = Annotated[
 def score(
     controllers: Annotated[
         list[str],
-        typer.Argument(metavar="CONTROLLER...", help="An .fmu, a block or its .py file; or several."),
+        typer.Argument(
+            metavar="CONTROLLER...",
+            help="An .fmu, a block, its .py file or a class FILE.py:Class; or several.",
+        ),
     ],
     league: Annotated[
         str,

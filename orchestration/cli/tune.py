@@ -31,7 +31,10 @@ if TYPE_CHECKING:
 def tune(
     name: Annotated[
         str,
-        typer.Argument(metavar="CONTROLLER", help="Of the protocol; or an .fmu, a block or its .py file."),
+        typer.Argument(
+            metavar="CONTROLLER",
+            help="Of the protocol; or an .fmu, a block, its .py file or a class FILE.py:Class.",
+        ),
     ],
     free: Annotated[
         list[str],
