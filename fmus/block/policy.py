@@ -113,7 +113,7 @@ def _parameters(cls: type) -> Iterator[Field]:
     types = {name: declared for base in bases for name, declared in base.get("__annotations__", {}).items()}
     own = {field.name: field for field in fields(cls)} if is_dataclass(cls) else {}
     period: Any = members.get("period")
-    if type(period) not in (int, float) or not _SHORTEST <= period < float("inf"):
+    if type(period) not in (int, float) or not isfinite(period) or period < _SHORTEST:
         raise ExportError(
             f"{cls.__name__}.period = {period!r}: expected the sampling period, at least {_SHORTEST} s, "
             "such as period = 0.04"
@@ -140,10 +140,10 @@ def _field(name: str, declared: Any, start: Any = None, **metadata: Any) -> Fiel
 
 
 def _is_number(value: Any) -> bool:
-    """Whether a value is a number or a truth value of Python, or a tuple of those, not empty."""
+    """Whether a value is a finite number or a truth value of Python, or a tuple of those, not empty."""
     if isinstance(value, tuple):
         return bool(value) and all(map(_is_number, value))
-    return isinstance(value, int | float)
+    return isinstance(value, int | float) and isfinite(value)
 
 
 def _named(cls: type, role: str, known: Mapping[str, str]) -> dict[str, str | None]:
@@ -268,12 +268,8 @@ def line_below(error: BaseException, folder: Path) -> str:
 
     FILE is relative to the folder. Lines of what an FMU carries of `fmus` do not count.
     """
-    if isinstance(error, SyntaxError) and error.filename:
-        lines = [(error.filename, error.lineno)]
-    else:
-        lines = [(frame.filename, frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
-    for file, number in reversed(lines):
-        path = Path(file)
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        path = Path(frame.filename)
         if path.is_relative_to(folder) and path.relative_to(folder).parts[0] not in ("fmus", "pythonfmu"):
-            return f"{path.relative_to(folder).as_posix()}:{number}"
+            return f"{path.relative_to(folder).as_posix()}:{frame.lineno}"
     return ""

@@ -29,8 +29,6 @@ from fmus.registry import FOLDER_VARIABLE, Flavour, fmu_folder
 _NAMED = re.compile(r"(.+\.py):([^:/\\]*)", re.DOTALL)
 _SLAVE = "fmus.build.policy_slave"
 _PATIENCE_S = 120  # for the imports of a policy and its first step
-_STATE = {"canGetAndSetFMUstate": "true", "canSerializeFMUstate": "false"}
-_NO_STATE = {"canGetAndSetFMUstate": "false", "canSerializeFMUstate": "false"}
 
 _ENTRY = '''"""Entry point of the FMU {name}: the class that PythonFMU's binary instantiates."""
 
@@ -128,7 +126,10 @@ def _fmu(file: Path, cls: str, sources: dict[str, str], carried: dict[str, bytes
 
     entry = f"{cls.lower()}_{GUID_IN_NAMES}"
     package = f"{entry}_sources"
-    text = in_package(source_closure(_SLAVE) | sources, package) | {
+    own = source_closure(_SLAVE)
+    # a module of the user's that hides one of Python's hides it from the user's modules alone
+    text = in_package(own | sources, package) | in_package(own, package)
+    text |= {
         f"{entry}.py": _ENTRY.format(name=cls, package=package, module=file.stem, guid=GUID),
         "slavemodule.txt": entry,
     }
@@ -137,7 +138,8 @@ def _fmu(file: Path, cls: str, sources: dict[str, str], carried: dict[str, bytes
     block, can_save = _tried(file, cls, files, package)
     known = [v.value_reference for v in block.variables if v.settable]
     outputs = {v.value_reference: known for v in block.of_causality("output")}
-    capabilities = python_flavour.CAPABILITIES | (_STATE if can_save else _NO_STATE)
+    state = {"canGetAndSetFMUstate": str(can_save).lower(), "canSerializeFMUstate": "false"}
+    capabilities = python_flavour.CAPABILITIES | state
     description = model_description(block, GUID, capabilities, dependencies=outputs)
     _, members = with_guid(python_flavour.archive(block, files, description))
     return packed(members)

@@ -1,5 +1,6 @@
 """A policy class runs as a block does: sampling, parameters, refusals."""
 
+import math
 import sys
 import types
 from collections.abc import Callable
@@ -110,6 +111,7 @@ class Declared(Counting):
     on: bool = True
     weights: tuple[float, ...] = (1.0, 0.5)
     name: str = "no number, so no parameter"
+    limit: float = math.inf  # no parameter either: no description of an FMU can state it
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "row", self.kp * np.array(self.weights))

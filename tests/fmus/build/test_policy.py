@@ -106,6 +106,12 @@ def test_its_state_is_saved_if_it_can_be_copied(policy: Path) -> None:
     assert not interface(policy).canGetAndSetFMUstate
 
 
+def test_a_module_that_hides_one_of_python_hides_it_from_the_users_modules_alone(policy: Path) -> None:
+    policy.with_name("helper.py").rename(policy.with_name("json.py"))
+    policy.write_text(POLICY.replace("from helper", "from json"))
+    assert force(policy) == 3.5
+
+
 def interface(policy: Path) -> CoSimulation:
     found = describe(fmu_of_class(f"{policy}:Policy")).coSimulation
     assert found
