@@ -88,6 +88,7 @@ LEVELS = {
     "fmus.compliance": 4,
     "fmus.compliance.rules": 5,
     "fmus.build.builder": 5,
+    "fmus.build.policy": 5,
     "orchestration.errors": 5,
     "orchestration.system": 6,
     "orchestration.results": 6,
@@ -107,7 +108,8 @@ LEVELS = {
 }
 
 # What running FMUs needs of `fmus`. `fmus.native` imports the compiler if nothing compiled is there.
-FOR_RUNNING = ("fmus.fmi", "fmus.native")
+# `fmus.build.policy` is imported where a component names a class, and makes its FMU in another process.
+FOR_RUNNING = ("fmus.fmi", "fmus.native", "fmus.build.policy")
 
 
 def room(module: str) -> str:
@@ -210,6 +212,7 @@ def test_one_file_knows_the_users_cache_and_holds_locks() -> None:
     assert importers("fcntl") | importers("msvcrt") | importers("filelock") == {"fmus.store"}
     writers = {
         "fmus.build.builder",
+        "fmus.build.policy",
         "fmus.native.compiled_library",
         "fmus.build.stamp",
         "orchestration.score.score_rows",

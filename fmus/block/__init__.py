@@ -262,7 +262,7 @@ class Block:
         scalars: list[BlockVariable] = []
         for role in ROLES:
             for declared in fields(getattr(self, role)):
-                scalars.extend(_scalars(declared, role, len(scalars)))
+                scalars.extend(scalar_variables(declared, role, len(scalars)))
         return tuple(scalars)
 
     def of_causality(self, causality: str) -> tuple[BlockVariable, ...]:
@@ -307,7 +307,7 @@ def _with_internal_step(parameters: type, start: float) -> type:
     )
 
 
-def _scalars(declared: Field, role: str, first_reference: int) -> Iterator[BlockVariable]:
+def scalar_variables(declared: Field, role: str, first_reference: int) -> Iterator[BlockVariable]:
     said = declared.metadata
     causality, variability, initial = ROLES[role]
     for offset, (index, start) in enumerate(_elements(declared.default)):

@@ -68,7 +68,7 @@ def blocks_in(path: Path) -> Iterator[tuple[Block, ...]]:
     Raises ExportError for a file that cannot be imported, or that defines no block.
     """
     path = path.absolute()
-    _check_name(path)
+    check_file(path)
     before, paths = dict(sys.modules), list(sys.path)
     sys.path.insert(0, str(path.parent))
     loaded = {path.stem}
@@ -84,7 +84,8 @@ def blocks_in(path: Path) -> Iterator[tuple[Block, ...]]:
         sys.modules.update({name: before[name] for name in loaded & before.keys()})
 
 
-def _check_name(path: Path) -> None:
+def check_file(path: Path) -> None:
+    """Raises ExportError for a Python file that is missing, or whose name no module of a user's can have."""
     if not path.is_file():
         files = [file.name for file in path.parent.glob("*.py")]
         known = nearest(path.name, files) if files else f"{path.parent} has no Python file"

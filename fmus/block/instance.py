@@ -16,7 +16,7 @@ _FORMAT = 1  # of the serialised snapshot
 _MOST_INTERNAL_STEPS = 1e9
 
 
-def _tolerance(t: float, h: float) -> float:
+def step_tolerance(t: float, h: float) -> float:
     """Returns the tolerance of a communication point [s]: far less than a step, more than rounding."""
     return min(1e-9 * max(1.0, abs(t)), 1e-3 * h) + 8.0 * sys.float_info.epsilon * abs(t)
 
@@ -127,9 +127,9 @@ class BlockInstance:
             )
         if not (math.isfinite(h) and h > 0.0):
             raise BlockError(f"communication step size {h!r} s: expected more than 0")
-        if not (math.isfinite(t) and abs(t - self.time) <= _tolerance(t, h)):
+        if not (math.isfinite(t) and abs(t - self.time) <= step_tolerance(t, h)):
             raise BlockError(f"communication point {t!r} s: expected {self.time!r}, the current time")
-        if not t + h <= self._stop_time + _tolerance(t, h):
+        if not t + h <= self._stop_time + step_tolerance(t, h):
             raise BlockError(f"step to {t + h!r} s: expected at most the stop time {self._stop_time!r} s")
 
     def _advance(self, t: float, h: float) -> Any:

@@ -7,7 +7,7 @@ step mode no output depends directly on an input; in initialisation mode outputs
 import hashlib
 import os
 import uuid
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
@@ -40,11 +40,16 @@ _CAPABILITIES = {
 
 
 def model_description(
-    block: Block, guid: str, capabilities: dict[str, str], source_files: Sequence[str] = ()
+    block: Block,
+    guid: str,
+    capabilities: dict[str, str],
+    source_files: Sequence[str] = (),
+    dependencies: Mapping[int, Sequence[int]] | None = None,
 ) -> bytes:
     """Returns the XML of a block; capabilities: the attributes of `CoSimulation` that the flavour decides.
 
     source_files: what an importer must compile to rebuild the FMU, inside the folder `sources`.
+    dependencies: as `initial_dependencies`, which traces the block, returns them by default
 
     Raises ExportError for a unit that `fmus.block.units` does not know.
     """
@@ -62,7 +67,7 @@ def model_description(
         "variableNamingConvention": "structured",
     }
     root = ElementTree.Element("fmiModelDescription", _without_none(attributes))
-    interface = _add(root, "CoSimulation", modelIdentifier=block.name, **_CAPABILITIES, **capabilities)
+    interface = _add(root, "CoSimulation", modelIdentifier=block.name, **(_CAPABILITIES | capabilities))
     listed = _add(interface, "SourceFiles") if source_files else interface
     for file in source_files:
         _add(listed, "File", name=file)
@@ -76,7 +81,7 @@ def model_description(
     variables = _add(root, "ModelVariables")
     for variable in block.variables:
         _variable(variables, variable)
-    _structure(root, block)
+    _structure(root, block, initial_dependencies(block) if dependencies is None else dependencies)
     text = xml_document(root)
     try:
         ElementTree.fromstring(text)
@@ -154,15 +159,15 @@ def _text(value: Any) -> str | None:
     return repr(value) if isinstance(value, float) else str(int(value))
 
 
-def _structure(root: Any, block: Block) -> None:
+def _structure(root: Any, block: Block, dependencies: Mapping[int, Sequence[int]]) -> None:
     structure = _add(root, "ModelStructure")
     outputs = _add(structure, "Outputs")
     for v in block.of_causality("output"):
         _add(outputs, "Unknown", index=str(v.value_reference + 1), dependencies="")
     initial = _add(structure, "InitialUnknowns")
-    for unknown, known in sorted(initial_dependencies(block).items()):
-        dependencies = " ".join(str(reference + 1) for reference in known)
-        _add(initial, "Unknown", index=str(unknown + 1), dependencies=dependencies)
+    for unknown, known in sorted(dependencies.items()):
+        indices = " ".join(str(reference + 1) for reference in known)
+        _add(initial, "Unknown", index=str(unknown + 1), dependencies=indices)
 
 
 def with_guid(members: dict[str, bytes], recipe: str = "") -> tuple[str, dict[str, bytes]]:

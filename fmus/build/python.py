@@ -7,7 +7,7 @@ names are our own; what its binary makes impossible is listed in docs/fidelity.m
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
@@ -18,7 +18,7 @@ from fmus.build.model_description import GUID, GUID_IN_NAMES, model_description,
 from fmus.build.sources import defined_as, in_package, source_closure
 from fmus.errors import ExportError
 
-_CAPABILITIES = {
+CAPABILITIES = {
     "canInterpolateInputs": "false",
     "maxOutputDerivativeOrder": "0",
     "canNotUseMemoryManagementFunctions": "true",
@@ -47,7 +47,6 @@ class {name}(BlockSlave):
 
 def content(block: Block) -> tuple[str, dict[str, bytes]]:
     """Returns (GUID, path -> content) of the FMU; the GUID is derived from everything inside."""
-    dependencies = resources.files("fmus.build.documentation") / "externalDependencies.txt"
     module, attribute = defined_as(block)
     entry = f"{block.name.lower()}_{GUID_IN_NAMES}"
     package = f"{entry}_sources"
@@ -59,15 +58,21 @@ def content(block: Block) -> tuple[str, dict[str, bytes]]:
     }
     if module.partition(".")[0] not in _OURS:
         _check_import(block, text, entry)
-    members = {
-        **{f"resources/{path}": source.encode() for path, source in text.items()},
+    resource_files = {path: source.encode() for path, source in text.items()}
+    return with_guid(archive(block, resource_files, model_description(block, GUID, CAPABILITIES)))
+
+
+def archive(block: Block, resource_files: Mapping[str, bytes], description: bytes) -> dict[str, bytes]:
+    """Returns path -> content of an FMU with these files in its resources and this model description."""
+    dependencies = resources.files("fmus.build.documentation") / "externalDependencies.txt"
+    return {
+        **{f"resources/{path}": content for path, content in resource_files.items()},
         **_binaries(block.name),
         **licenses("l1-depth", "pythonfmu"),
         **documentation(block),
         "documentation/externalDependencies.txt": dependencies.read_bytes(),
-        "modelDescription.xml": model_description(block, GUID, _CAPABILITIES),
+        "modelDescription.xml": description,
     }
-    return with_guid(members)
 
 
 def _check_import(block: Block, text: dict[str, str], entry: str) -> None:
@@ -107,7 +112,10 @@ def compiled_libraries(
     Raises ExportError for any platform.
     """
     if platforms:
-        raise ExportError("platforms of the python flavour: expected none, its libraries are PythonFMU's")
+        raise ExportError(
+            "platforms of the python flavour: expected none, its libraries are PythonFMU's; "
+            "the native flavour is compiled for each"
+        )
     yield dict
 
 

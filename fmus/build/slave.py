@@ -22,9 +22,10 @@ from fmus.fmi.variable_types import types_of_transfer
 
 
 class BlockSlave(Fmi2Slave):
-    """A block behind PythonFMU's interface; a subclass names the block and its fingerprint."""
+    """A block behind PythonFMU's interface; a subclass names the block, its fingerprint and how it runs."""
 
-    block: ClassVar[Block]
+    block: Block
+    instance_class: ClassVar[type[BlockInstance]] = BlockInstance
     fingerprint: ClassVar[str]
 
     def __init__(self, **kwargs: Any) -> None:
@@ -32,7 +33,7 @@ class BlockSlave(Fmi2Slave):
         # the binary put the resources first on the path to find this module; nobody else needs them
         with suppress(ValueError):
             sys.path.remove(str(self.resources))
-        self._instance = BlockInstance(self.block, self.fingerprint)
+        self._instance = self.instance_class(self.block, self.fingerprint)
         self._refused: dict[object, str] = {}
 
     def setup_experiment(

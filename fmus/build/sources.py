@@ -64,6 +64,41 @@ def source_closure(module: str) -> dict[str, str]:
     }
 
 
+def sources_beside(file: Path) -> dict[str, str]:
+    """Returns module -> source, of a Python file and of what it imports of its folder and of `fmus`.
+
+    Imports in functions count. Other modules stay where they are installed.
+    Raises ExportError for a file that cannot be read as Python.
+    """
+    modules, folder = Modules(), file.parent
+
+    def is_carried(name: str) -> bool:
+        top = name.partition(".")[0]
+        files = folder / f"{top}.py", folder / top / "__init__.py"
+        return top == "fmus" or any(map(Path.is_file, files))
+
+    def imports(name: str, path: str) -> Iterator[Import]:
+        for node in ast.walk(ast.parse(modules.read(path), path)):
+            try:
+                found = [
+                    (base, members) for base, members in imports_in([node], name, path) if is_carried(base)
+                ]
+            except ImportError:  # of a relative import
+                line = getattr(node, "lineno", 1)
+                raise ExportError(f"{path}:{line}: an import with dots: expected one without") from None
+            if found and isinstance(node, ast.stmt):
+                _refuse_unmoved(name, node)
+            yield from found
+
+    try:
+        files = modules.closure([file.stem], imports, str(folder))
+    except ImpureError as error:
+        raise ExportError(f"{file}: imports {error}: expected a module of plain Python") from None
+    except SyntaxError as error:
+        raise ExportError(f"{error.filename}:{error.lineno}: {error.msg}") from None
+    return {name: _text(path) if path else "" for name, path in sorted(files.items()) if path is not None}
+
+
 def in_package(sources: dict[str, str], package: str) -> dict[str, str]:
     """Returns path inside the FMU's resources -> source, every module moved into `package`."""
     tops = "|".join(sorted({name.partition(".")[0] for name in sources}))
@@ -100,7 +135,8 @@ def _refuse_foreign(importer: str, name: str, folder: Path | None) -> None:
     top = name.partition(".")[0]
     if top not in (importer.partition(".")[0], "fmus", "pythonfmu") and not _is_beside(top, folder):
         raise ExportError(
-            f"{importer} imports {name}: expected the standard library, fmus or its own package or folder"
+            f"{importer} imports {name}: expected the standard library, fmus or its own package or folder; "
+            "the native flavour, which is compiled, takes any module"
         )
 
 

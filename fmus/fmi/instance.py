@@ -273,7 +273,9 @@ def _library(path: Path, description: ModelDescription, folder: Path) -> Library
         sources = ["C sources"] if any(name.startswith("sources/") for name in names) else []
         available = ", ".join(here or [*sources, *sorted(others)]) or "none"
         named = f" called {identifier}, its modelIdentifier" if here else ""
-        raise FmuLoadError(f"{path} has no binary for {platform_name()}{named}: it has {available}")
+        is_python = "resources/slavemodule.txt" in names  # PythonFMU's mark
+        hint = "; it runs Python: of a block, the native flavour is compiled for each" if is_python else ""
+        raise FmuLoadError(f"{path} has no binary for {platform_name()}{named}: it has {available}{hint}")
     needed = [name for name in names if name == member or name.startswith("resources/")]
     extract_archive(path, folder, needed if is_independent(description) else None)
     return Library(folder / member)

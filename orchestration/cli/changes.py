@@ -21,7 +21,8 @@ def _fmu_option(component: str) -> Any:
     """Returns the option --component, which replaces the component of that name."""
     return typer.Option(
         metavar="FMU",
-        help=f"Put this {component}, an .fmu, a block or its .py file, in the place of the scenario's.",
+        help=f"Put this {component}, an .fmu, a block, its .py file or a class FILE.py:Class, "
+        "in the place of the scenario's.",
     )
 
 
@@ -148,14 +149,19 @@ class Changes:
 
     def title(self, scenario: str) -> str:
         """Returns the title of the results of the scenario of that name."""
-        return ", ".join([scenario, *(f"{name} {Path(fmu).stem}" for name, fmu in self.components.items())])
+        return ", ".join([scenario, *(f"{name} {fmu_name(fmu)}" for name, fmu in self.components.items())])
 
     def name(self, scenario: str) -> str:
         """Returns the name of the results: the scenario's, and that of each FMU that replaces one of it."""
-        return "-".join([scenario, *(Path(fmu).stem for fmu in self.components.values())])
+        return "-".join([scenario, *map(fmu_name, self.components.values())])
 
 
 NO_CHANGES = Changes()
+
+
+def fmu_name(fmu: str) -> str:
+    """Returns the name that results have of an FMU: that of its file, or of the class of my.py:Policy."""
+    return fmu.rpartition(":")[2] if ".py:" in fmu else Path(fmu).stem
 
 
 def takes_changes(command: Callable[..., None]) -> Callable[..., None]:

@@ -86,7 +86,7 @@ def _vehicle(changes: Changes) -> "Vehicle":
     wrong += [name for name in changes.mapping if name != PLANT]
     if wrong or changes.components.keys() - {PLANT}:
         raise ScenarioError(f"{(*wrong, 'component=FMU')[0]}: expected plant.NAME: controllers are designed")
-    vehicle = chosen_vehicle(changes) if plant else Vehicle.of_base("vehicle")
+    vehicle = chosen_vehicle(changes) if PLANT in changes.components else Vehicle.of_base("vehicle")
     values, _ = changes.of_component(PLANT)
     return replace(vehicle, settings={f"{PLANT}.{name}": value for name, value in values.items()})
 

@@ -40,8 +40,9 @@ def build(
     names: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[NAME|FILE.py]...",
-            help="Installed blocks, or Python files with blocks; all installed ones by default.",
+            metavar="[NAME|FILE.py|FILE.py:CLASS]...",
+            help="Installed blocks, Python files with blocks, or Python classes that control; "
+            "all installed blocks by default.",
             autocompletion=block_names,
         ),
     ] = None,
@@ -100,9 +101,17 @@ def build(
     named = check_platforms([name.strip() for name in platform.split(",")]) if platform else ()
     platforms = PLATFORMS if all_platforms else named
 
+    classes = [name for name in names or () if ".py:" in name]
+    if classes:
+        unused = {"--platform": platform, "--all-platforms": all_platforms, "--terminals": terminals}
+        unused |= {"--reals-only": reals_only, "--with-reference": with_reference}
+        refuse_without_effect(f"{classes[0]}, a Python class", unused)
+    for name in classes:
+        print(_built_class(name, None if cache else out or _FOLDERS[Flavour.PYTHON]))
     orders = [
         BuildRequest(name, folder, flavour, tuple(platforms), terminals, reals_only, with_reference)
         for name in names or block_names()
+        if name not in classes
     ]
     stamps = BuildCache()
     current = {} if with_reference else {order: stamps.current(order) for order in orders}
@@ -119,6 +128,18 @@ def build(
             bar.advance()
     if refused:
         fail("; ".join(refused))
+
+
+def _built_class(name: str, folder: Path | None) -> Path:
+    """Returns the FMU of a policy class, in a folder or, for None, in the cache."""
+    from fmus.build.policy import fmu_of_class
+    from fmus.files import write_bytes_atomically
+
+    path = fmu_of_class(name)
+    if folder is None:
+        return path
+    write_bytes_atomically(folder / path.name, path.read_bytes())
+    return folder / path.name
 
 
 def _check_names(orders: Sequence[BuildRequest], current: Current) -> None:

@@ -19,6 +19,7 @@ from orchestration.cli.changes import (
     OpenInputsOption,
     ParametersOption,
     PlantOption,
+    fmu_name,
 )
 from orchestration.errors import ScenarioError
 from orchestration.system.open_inputs import OpenInputs
@@ -54,7 +55,10 @@ ProtocolOption = Annotated[
 def score(
     controllers: Annotated[
         list[str],
-        typer.Argument(metavar="CONTROLLER...", help="An .fmu, a block or its .py file; or several."),
+        typer.Argument(
+            metavar="CONTROLLER...",
+            help="An .fmu, a block, its .py file or a class FILE.py:Class; or several.",
+        ),
     ],
     no_rates: RatesOption = False,
     full: FullOption = False,
@@ -213,7 +217,7 @@ def scored_controllers(names: Sequence[str], no_rates: bool, changes: Changes) -
         raise ScenarioError(f"--set and --map with {len(names)} controllers: expected one")
     return [
         Controller(
-            name=Path(name).stem,
+            name=fmu_name(name),
             fmu=name,
             reference_rates=not no_rates,
             parameters=own,

@@ -31,7 +31,10 @@ if TYPE_CHECKING:
 def tune(
     name: Annotated[
         str,
-        typer.Argument(metavar="CONTROLLER", help="Of the protocol; or an .fmu, a block or its .py file."),
+        typer.Argument(
+            metavar="CONTROLLER",
+            help="Of the protocol; or an .fmu, a block, its .py file or a class FILE.py:Class.",
+        ),
     ],
     free: Annotated[
         list[str],
@@ -122,7 +125,7 @@ def _controller(
     from orchestration.score.closed_loop import built_in
 
     known = [*protocol.controllers, *block_names()]
-    if name not in known and not name.endswith((".py", ".fmu")):
+    if name not in known and not (name.endswith((".py", ".fmu")) or ".py:" in name):
         raise ScenarioError(f"no controller {name!r}; {nearest(name, known)}")
     if name in protocol.controllers:
         mapped = changes.mapping.get(CONTROLLER)

@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from fmus.errors import nearest
+from fmus.errors import ExportError, nearest
 from fmus.registry import block_names
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.declarations import with_file_values
@@ -98,13 +98,22 @@ def _values_of(file: TomlFile) -> dict[str, Any]:
 def named_fmu(fmu: str, folder: Path, at: At, keys: KeyPath) -> str:
     """Returns the name of a known block, or the absolute path of an .fmu or a .py relative to a folder.
 
-    at, keys: where it is named; begins the ScenarioError about a name that is neither
+    That of a policy class, my.py:Policy, is made first.
+    at, keys: where it is named; begins the ScenarioError about a name that is none of these
     """
     if fmu.endswith((".fmu", ".py")):
         return str((folder / fmu).absolute())
+    if ".py:" in fmu:
+        from fmus.build.policy import fmu_of_class
+
+        try:
+            return str(fmu_of_class(fmu, folder))
+        except ExportError as error:
+            raise ScenarioError(f"{at(keys)}: {error}") from error
     known = block_names()
     if fmu not in known:
         raise ScenarioError(
-            f"{at(keys)}: no block {fmu!r}, and a path must end in .fmu or .py; {nearest(fmu, known)}"
+            f"{at(keys)}: no block {fmu!r}, and a path must end in .fmu, .py or .py:Class; "
+            f"{nearest(fmu, known)}"
         )
     return fmu

@@ -71,9 +71,11 @@ class Port:
 class System:
     """A system: named FMUs and their connections, (source, target) as "component.variable".
 
+    A component may also be a policy class, "my.py:Policy": its FMU is made in the user's cache.
+
     A third item, {"factor": 0.001, "offset": 0.0}, transforms what the connection carries.
 
-    Raises SystemDefinitionError for another form.
+    Raises SystemDefinitionError for another form, ExportError for a class that is no policy.
     """
 
     components: Mapping[str, Path]
@@ -87,9 +89,18 @@ class System:
         for name in components:
             if not isinstance(name, str) or not name or "." in name:
                 raise SystemDefinitionError(f"component {name!r}: expected a name without a dot")
-        paths = {name: Path(path) for name, path in components.items()}
+        paths = {name: _fmu(path) for name, path in components.items()}
         object.__setattr__(self, "components", paths)
         object.__setattr__(self, "connections", tuple(_ends(connection) for connection in connections))
+
+
+def _fmu(path: str | Path) -> Path:
+    """Returns the path of an FMU, which is made first of a policy class, FILE.py:Class."""
+    if ".py:" not in str(path):
+        return Path(path)
+    from fmus.build.policy import fmu_of_class
+
+    return fmu_of_class(str(path))
 
 
 def _ends(connection: Any) -> tuple[str, str] | tuple[str, str, LinearTransformation]:

@@ -41,6 +41,17 @@ def test_new_and_build_make_the_fmu_of_a_file_beside_that_of_an_installed_block(
     assert done.stdout == "out/Pid.fmu\nout/DepthReference.fmu\n"
 
 
+def test_build_writes_the_fmu_of_a_class_and_no_other(command: Command, refused: Command) -> None:
+    Path("own.py").write_text(
+        "class Own:\n    period = 0.1\n    def reset(self): pass\n"
+        "    def step(self, time, inputs): return {'control_force': 1.0}\n"
+    )
+    assert command("build", "own.py:Own", "--out", "out").stdout == "out/Own.fmu\n"
+    assert "control_force" in command("inspect", "out/Own.fmu").stdout
+    assert command("build", "own.py:Own").stdout == "fmus-built/python/Own.fmu\n"
+    assert "no effect with own.py:Own, a Python class" in refused("build", "own.py:Own", "--all-platforms")
+
+
 def test_the_block_that_new_writes_runs_in_the_papers_loop_and_passes_every_rule(
     command: Command, short_scenario: Command
 ) -> None:

@@ -21,6 +21,19 @@ from tests.orchestration.report.made_up_score import made_up_score
 COMPARISON = Path(__file__).parents[3] / "docs" / "explanation" / "comparison.json"
 
 
+PROPORTIONAL = """
+class Proportional:
+    period = 0.04
+    gain = 8.0
+
+    def reset(self):
+        pass
+
+    def step(self, time, inputs):
+        return {"control_force": self.gain * (inputs["depth_reference"] - inputs["measured_depth"])}
+"""
+
+
 @pytest.fixture
 def protocol_file(tmp_path: Path, scenario_fmus: None) -> Path:
     data = dict(read_protocol().file.data)
@@ -49,6 +62,16 @@ def test_score_prints_tables_and_writes_a_document_and_a_page(
     assert row["cases"]["nominal"]["failed"] == []
     assert row["delay_margin"] > 0.0
     assert "not on a real vehicle" in (tmp_path / "results" / "score.html").read_text(encoding="utf-8")
+
+
+def test_a_python_class_is_scored_by_its_name(
+    command: Callable[..., object], protocol_file: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "own.py").write_text(PROPORTIONAL)
+    command("score", "own.py:Proportional", "--set", "controller.gain=4.0", "--protocol", protocol_file)
+    (row,) = json.loads((tmp_path / "results" / "score.json").read_text(encoding="utf-8"))["rows"]
+    assert (row["name"], row["parameters"]) == ("Proportional", {"gain": 4.0})
+    assert row["cases"]["nominal"]["metrics"]["rmse"] > 1.0  # cm, with nothing against weight
 
 
 def test_a_score_that_its_schema_refuses_is_not_written(

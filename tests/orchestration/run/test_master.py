@@ -166,6 +166,16 @@ def test_a_missing_binary_is_said_with_those_there_are(built: Mapping[str, Path]
     assert list(temporary.iterdir()) == [path]
 
 
+def test_an_fmu_of_python_without_a_binary_names_the_flavour_that_has_one(
+    python_built: Mapping[str, Path], temporary: Path
+) -> None:
+    """As on macOS, for which PythonFMU has none."""
+    content = members(python_built["ExamplePlant"]).items()
+    path = write_archive(temporary / "alien.fmu", {n: data for n, data in content if "linux64" not in n})
+    with pytest.raises(FmuLoadError, match=r"it has win64; it runs Python: of a block, the native flavour"):
+        simulate(System({"p": path}), Experiment(1.0, 0.1, inputs=PLANT_INPUTS))
+
+
 def test_a_binary_that_cannot_be_loaded_says_why(built: Mapping[str, Path], temporary: Path) -> None:
     content = members(built["ExamplePlant"])
     (library,) = [name for name in content if name.endswith(".so")]
