@@ -10,14 +10,12 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fmus.errors import nearest
 from fmus.fmi.description import describe, start_value
-from fmus.registry import fmu_path
 from orchestration.errors import OrchestrationError
 from orchestration.fit.dive import DATA, DEPTHS, Dive
 from orchestration.fit.intervals import LEVEL, Analysis, Estimate, analysed
@@ -26,6 +24,7 @@ from orchestration.many.job import Failure, Job, Run
 from orchestration.many.run_many import LocalRuns, in_order
 from orchestration.results.recording import Recording
 from orchestration.scenarios.changes import values_of_settings, with_values
+from orchestration.scenarios.fmu_files import fmu_file
 from orchestration.scenarios.layers import Layer
 from orchestration.score.vehicle import DEPTH, PLANT, Vehicle
 from orchestration.system.experiment import Experiment, suggested_times
@@ -146,12 +145,8 @@ def _limits(name: str, limits: str) -> tuple[float, float]:
 def _settings(vehicle: Vehicle) -> dict[str, dict[str, Any]]:
     """Returns the parameters and constant inputs that are set, as the FMU takes them."""
     layers = [Layer({"components": {"plant": vehicle.fmu}})]
-    tables = values_of_settings(vehicle.settings, layers, lambda fmu: describe(_path(vehicle)))
+    tables = values_of_settings(vehicle.settings, layers, lambda fmu: describe(fmu_file(vehicle.fmu)))
     return {"parameters": {}, "inputs": {}, **tables}
-
-
-def _path(vehicle: Vehicle) -> Path:
-    return Path(vehicle.fmu) if vehicle.fmu.endswith(".fmu") else fmu_path(vehicle.fmu)
 
 
 class _Runs:
@@ -169,7 +164,7 @@ class _Runs:
         step_size: float | None,
         make: Callable[[Job, Sequence[Run]], Iterator[Any]],
     ) -> None:
-        self.system, self.dives, self._make = System({"plant": _path(vehicle)}), dives, make
+        self.system, self.dives, self._make = System({"plant": fmu_file(vehicle.fmu)}), dives, make
         self.depth = vehicle.variable(DEPTH)
         settings = _settings(vehicle)
         step = suggested_times(self.system, 1.0, step_size)[1]

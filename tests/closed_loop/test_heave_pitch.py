@@ -18,7 +18,7 @@ RIGHTING = 29.43 * 0.005  # N.m/rad: weight and metacentric height of RovHeavePi
 @cache
 def recording(controller: str, efficiency: float = GAP) -> Recording:
     settings = {"controller": controller, "plant.thruster_efficiency[2]": efficiency}
-    chosen = scenario.load(scenario.find("nominal-heave-pitch"), settings=settings)
+    chosen = scenario.load(scenario.find("heave-pitch"), settings=settings)
     return simulate(chosen.system, chosen.experiment)
 
 

@@ -17,7 +17,8 @@ from orchestration.score.protocol import read_protocol
 from orchestration.score.vehicle import Vehicle
 
 pytestmark = pytest.mark.usefixtures("scenario_fmus")
-WEAK_FORE = {"plant.thruster_gain[1]": 0.225}  # 10 % less than the aft one
+# 10 % less than the aft one; of another gain, the controller would be told
+WEAK_FORE = {"plant.thruster_efficiency[1]": 0.9}
 LITTLE_DAMPING = {"plant.pitch_linear_damping": 0.005}  # a damping ratio of 0.04 in place of 0.16
 INVERSE = {f"controller.thruster_scale[{i}]": 2.0 for i in (1, 2)} | {"controller.thruster_tabulated": True}
 

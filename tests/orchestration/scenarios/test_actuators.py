@@ -86,7 +86,7 @@ def test_nothing_is_handed_on_from_the_vehicle_of_the_scenario_or_one_that_state
 
 def test_a_vehicle_with_parameters_of_these_names_keeps_its_own(scenario_fmus: None) -> None:
     settings = {"plant": "RovDepthPlant", "controller": "L1DepthController"}
-    told = scenario.load(scenario.find("nominal-heave-pitch"), settings=settings).from_actuators
+    told = scenario.load(scenario.find("heave-pitch"), settings=settings).from_actuators
     assert told == dict.fromkeys(GAINS, 0.25) | {"controller.voltage_limit": 12.0}
 
 

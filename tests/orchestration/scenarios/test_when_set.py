@@ -12,7 +12,7 @@ from tests.described_fmus import described
 RATE, ACCELERATION = "controller.depth_reference_rate", "controller.depth_reference_acceleration"
 FEEDFORWARD = "controller.reference_feedforward"
 # those of our controller; another one with inputs for the rates gets them always
-VEHICLE = [n for n in scenario.shipped() if not n.startswith("example") and n != "nominal-heave-pitch"]
+VEHICLE = [n for n in scenario.shipped() if not n.startswith("example") and n != "heave-pitch"]
 
 pytestmark = pytest.mark.usefixtures("scenario_fmus")
 
