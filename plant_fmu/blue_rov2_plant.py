@@ -75,8 +75,8 @@ BLOCK = heave_pitch_plant.BLOCK.with_starts(
             " 0.1 m/s and 0.05 m/s, 0.05 rad of pitch.",
             "The righting moment has the weight for the buoyancy, which differ by 0.7 %, and stays at the"
             " surface what it is below. The free surface acts on heave alone.",
-            "One pair at full thrust has a moment of 9.6 N.m, the righting moment is 1.3 N.m at most: it"
-            " tumbles the vehicle.",
+            "One pair at full reverse thrust has a moment of 9.6 N.m, the righting moment is 1.3 N.m at most:"
+            " it tumbles the vehicle.",
             "The hydrodynamic numbers were identified in a tank by others. Other sets of numbers of this"
             " vehicle exist, with 11.4 kg and a metacentric height of 0.1 m; they are not mixed with these.",
             "Of the table every tenth row is taken, and the ends of the dead band. It was measured in fresh"

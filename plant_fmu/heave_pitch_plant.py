@@ -14,7 +14,7 @@ from plant_fmu.depth_sensor import Sensor, SensorState
 from plant_fmu.heave_pitch_guide import GUIDE
 from plant_fmu.thruster import Transfer, Triple
 
-_OTHER_SEEDS = 2**30  # one sensor's noise is not that of the other
+_OTHER_SEEDS = 2**30  # the noise of the pitch has other numbers than that of the depth
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,8 @@ class Parameters(depth_plant.Parameters):
         min=-1e3, max=1e3, source="guess: the paper gives none",
     )  # fmt: skip
     thruster_transfer: tuple[float, float, float, float] = variable(
-        (0.0, 0.0, 0.0, 0.0), "Transfer function behind the lag: b_1, a_2, a_1, a_0; a_0 = 0 leaves it out",
+        (0.0, 30.0, 300.0, 0.0),
+        "Transfer function behind the lag: b_1, a_2, a_1, a_0; a_0 = 0 leaves it out",
         unit=("1/s2", "1/s", "1/s2", "1/s3"), min=0.0, max=1e15, source="guess: left out, the lag alone",
     )  # fmt: skip
     sensor_forward: float = variable(
@@ -197,7 +198,7 @@ def _forces(depth: float, pitch: float, transfer: tuple[Triple, Triple], asked: 
     """Returns the force of each thruster [N], each at its own depth below the surface."""
     first, second = (
         depth_plant.submerged_share(heave_pitch.depth_at(depth, pitch, lever), p)
-        * _transfer_of(p).force(x, steady)
+        * where(p.thruster_ideal, steady, _transfer_of(p).force(x, steady))
         for lever, x, steady in zip(p.thruster_lever, transfer, asked, strict=True)
     )
     return first, second

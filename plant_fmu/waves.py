@@ -21,7 +21,7 @@ from plant_fmu.heave import GRAVITY
 COMPONENTS = 32
 LOWEST, HIGHEST = 0.5, 4.0  # of the peak frequency, as the signal `spectrum` of the scenarios
 STEEPEST = 0.142  # height / length at which a wave breaks: Miche (1944)
-_OTHER_SEEDS = 2**31  # seeds of sensors are smaller: no sea has the numbers of a sensor's noise
+_OTHER_SEEDS = 2**31  # so that a sea has other numbers than a sensor of its seed
 _Numbers = tuple[float, ...]
 
 

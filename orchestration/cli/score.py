@@ -185,6 +185,8 @@ def chosen_protocol(changes: Changes, file: Path | None = None) -> "Protocol":
     """Returns the protocol of a file, by default the one that ships, on the vehicle that --plant names."""
     from orchestration.score import protocol as protocols
 
+    if changes.parameter_set:
+        raise ScenarioError(f"--parameters {changes.parameter_set}: expected a file that ends in .toml")
     vehicle = chosen_vehicle(changes) if PLANT in changes.components else None
     return protocols.read_protocol(file or protocols.FILE, vehicle)
 
@@ -214,7 +216,10 @@ def scored_controllers(names: Sequence[str], no_rates: bool, changes: Changes) -
             raise ScenarioError(f"{option}: expected controller.NAME, or --plant beside plant.NAME")
     own, mapping = changes.of_component(CONTROLLER)
     if len(names) > 1 and (own or mapping):
-        raise ScenarioError(f"--set and --map with {len(names)} controllers: expected one")
+        raise ScenarioError(
+            f"--set, --map and --parameters with {len(names)} controllers: expected one; score them one by "
+            "one with the same --seed"
+        )
     return [
         Controller(
             name=fmu_name(name),

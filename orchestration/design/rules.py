@@ -42,7 +42,7 @@ NOISE = 0.05  # of the thrust limit: the largest standard deviation of the deman
 TURN = 0.25  # of a turn of the fast loop in a sample; at half a turn it aliases
 WEIGHT = 1.0 / 9.0  # of the depth in Q, times w_m^2: the fast loop then has 90 % of the damping it can have
 SIGMA = 1.5  # bound of sigma_hat over what it has to reach
-_RATIO, _STEPS = 1.1, 60  # bandwidths are tried from the highest down, each 10 % below the one before
+_RATIO, _STEPS = 1.1, 60  # bandwidths are tried from the highest down, each 9 % below the one before
 
 Design = TypeVar("Design", "L1Design", "PidDesign")
 

@@ -54,7 +54,9 @@ def read_dive(path: Path, vehicle: Vehicle, mapping: Mapping[str, str] | None = 
     depths, *commands = file.numbers(*indices[1:], gaps=True).T * np.array(factors[1:])[:, None]
     known = np.isfinite(commands)
     starts = [int(np.argmax(row)) if row.any() else len(row) for row in known]
-    first, last = max(starts), max((int(np.flatnonzero(row)[-1]) for row in known if row.any()), default=-1)
+    ends = [int(np.flatnonzero(row)[-1]) if row.any() else -1 for row in known]
+    # without a command in the log all are set, and known at all times
+    first, last = max(starts, default=0), max(ends, default=len(times) - 1)
     is_read = np.isfinite(depths) & (np.arange(len(times)) >= first) & (np.arange(len(times)) <= last)
     if not is_read.any():
         raise OrchestrationError(

@@ -76,7 +76,7 @@ def analysed(search: Search, series: Callable[[np.ndarray], Sequence[np.ndarray]
     """
     from scipy.stats import t as student  # slow to import
 
-    free, best, residuals = search.free, search.best, search.residuals
+    free, best, residuals, cost = search.free, search.best, search.residuals, search.cost
     tau = correlation_time(series(residuals))
     noise = math.sqrt(float(residuals @ residuals) / (len(residuals) - len(free)))
     deviation = max(noise, np.finfo(float).eps) * math.sqrt(tau)
@@ -84,6 +84,8 @@ def analysed(search: Search, series: Callable[[np.ndarray], Sequence[np.ndarray]
     inside = [i for i, limit in enumerate(limits) if not limit]
     relative = np.array([one.relative for one in free])
     jacobian = search.jacobian(best, central=True)
+    # a step of the differences may have come lower: estimates, ends and recordings are of one point
+    search.best, search.residuals, search.cost = best, residuals, cost
     _, singular, directions = np.linalg.svd((jacobian / relative)[:, inside] / deviation, full_matrices=False)
     is_known = singular > max(1.0 / _NOT_DETERMINED, _ROUNDING * singular.max(initial=0.0))
     unknown = (directions[~is_known] ** 2).sum(axis=0) > _SHARE

@@ -71,10 +71,13 @@ def design_of(chosen: Scenario, largest_reference: float, rest: float) -> Design
     law = _LAWS[described[controllers[0]]](values, rest, largest_reference if math.isnan(rest) else abs(rest))
     bound = _pair(values, "theta_bound")
     centre, half_width = values["input_gain"], values["input_gain_uncertainty"]
+    linear_plant = plant_of(plant, values)
+    if linear_plant is None:
+        return None
     is_gradient = values.get("adaptation_law", "projection") == "projection"
     return Design(
         law=law,
-        plant=plant_of(plant, values),
+        plant=linear_plant,
         lipschitz=lipschitz_constant(Regressor[str(values["regressor"]).upper()], bound),
         omegas=(centre - half_width, centre + half_width),
         frozen_gains=_frozen_gains(values, largest_reference),
@@ -150,7 +153,7 @@ def _general_law(values: Values, rest: float, reference: float) -> Law:
     )
 
 
-def _linear_plant(fmu: str, model: str) -> "Callable[[Values, Values], Plant] | None":
+def _linear_plant(fmu: str, model: str) -> "Callable[[Values, Values], Plant | None] | None":
     """Returns what gives the linear plant of a component; None for one that is no plant, or not known.
 
     fmu: as the scenario names it, beside which the description of a vehicle stands
@@ -162,12 +165,14 @@ def _linear_plant(fmu: str, model: str) -> "Callable[[Values, Values], Plant] | 
     return partial(_vehicle, names) if names.inertia else None
 
 
-def _vehicle(names: VariablesTable, values: Values, controller: Values) -> Plant:
+def _vehicle(names: VariablesTable, values: Values, controller: Values) -> Plant | None:
     """Returns a vehicle at rest: linear damping alone, but for a vertical current.
 
     Each thruster takes half of the control, divided by the gain that the controller assumes. A vehicle
-    without gains takes a force.
+    without gains takes a force. None if the thrusters follow a table that the controller does not invert.
     """
+    if names.tabulated and values[names.tabulated] and not controller.get("thruster_tabulated"):
+        return None
     inertia, damping = values[names.inertia], values[names.damping] if names.damping else 0.0
     if names.drag:
         damping += 2.0 * values[names.drag] * abs(values.get("current_velocity", 0.0))

@@ -229,7 +229,8 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
         signals = dict(experiment.signals)
         if case.trajectory:
             signals[self.controller.variable("depth_reference")] = Ramps(case.trajectory)
-        moved = {n: Later(signals[n], case.later) for n in case.layer["signals"] if n in signals}
+        changed = map(self.protocol.vehicle.variable, case.layer["signals"])
+        moved = {name: Later(signals[name], case.later) for name in changed if name in signals}
         moved.pop(self.controller.variable("depth_reference"), None)
         self._drive_rates(loaded, inputs, signals)
         faults = [replace(f, start=f.start + case.later, end=f.end + case.later) for f in experiment.faults]

@@ -85,8 +85,6 @@ simulate(system, stop_time=10.0, step_size=0.02, open_inputs="start")
 def command(line: str, remark: str, goal: float | None, is_quick: bool) -> Measure:
     def read(state: State, quick: bool) -> Rows:
         assert state.fmus
-        if line.startswith("score"):  # keeps its rows
-            shutil.rmtree(state.folder / "cache" / "l1-depth" / "score", ignore_errors=True)
         shown = "build" if line.startswith("build") else line.replace("fmus/", "")
         row = f"`l1-depth {shown}`{remark and f', {remark}'}, s{f' -> {goal:g}' if goal else ''}"
         return {"commands": {row: state.cost(*COMMAND, *line.split()).wall_s}}

@@ -306,7 +306,7 @@ def discrete_variables_are_frozen(probe: Probe, start: Start) -> Iterator[str]:
                 return
 
 
-@_rule("3.1")
+@_rule("3.1", condition=_no_indicators)
 def discrete_changes_have_an_event(probe: Probe) -> Iterator[str]:
     """Discrete variables do not change where event mode is entered although there is no event."""
     events, _ = _run(probe)

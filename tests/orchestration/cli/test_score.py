@@ -103,7 +103,7 @@ def test_the_table_of_differences_says_on_how_many_plants_both_have_a_value() ->
         (["L1DepthController", "--out", f"{__file__}/results"], "Not a directory: expected a folder"),
         (
             ["a.fmu", "b.fmu", "--set", "controller.gain=9"],
-            "--set and --map with 2 controllers: expected one",
+            "--set, --map and --parameters with 2 controllers: expected one",
         ),
     ],
 )

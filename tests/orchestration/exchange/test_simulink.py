@@ -137,7 +137,7 @@ def test_every_parameter_of_the_scenario_that_is_no_start_value_is_set(
 def test_an_fmu_with_other_ports_is_refused(octave: Callable[..., tuple]) -> None:
     status, _, errors = octave(missing_ports=1)
     assert status == 1
-    assert "expected 9 inputs and 7 outputs, got 9 and 6" in errors
+    assert "expected 12 inputs and 7 outputs, got 12 and 6" in errors
 
 
 def test_a_model_that_is_open_is_left_alone(octave: Callable[..., tuple]) -> None:

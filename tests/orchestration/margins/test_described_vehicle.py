@@ -1,6 +1,7 @@
 """The linear plant of another vehicle follows from the description beside its FMU."""
 
 from pathlib import Path
+from typing import Any
 
 from fmus.block.block_file import write_new_block
 from orchestration.margins.l1_design import design_of
@@ -12,8 +13,11 @@ DESCRIPTION = '[variables]\ninertia = "mass"\ndamping = "drag"\n'
 
 
 def test_thrusters_with_a_table_and_a_transfer_function_have_one_lag() -> None:
-    chosen = scenario.load(scenario.find("nominal-l1"), settings={"plant": "BlueRov2Plant"})
-    design = design_of(chosen, 0.8, 0.8)
+    settings: dict[str, Any] = {"plant": "BlueRov2Plant"}
+    not_inverted = scenario.load(scenario.find("nominal-l1"), settings=settings)
+    assert design_of(not_inverted, 0.8, 0.8) is None
+    settings["controller.thruster_tabulated"] = True
+    design = design_of(scenario.load(scenario.find("nominal-l1"), settings=settings), 0.8, 0.8)
     assert design is not None
     assert design.plant.gains == (1.0,)
     assert design.plant.lags == ((9258.0 - 6136.0) / 108700.0,)

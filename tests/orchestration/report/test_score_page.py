@@ -52,7 +52,7 @@ def test_the_best_of_each_column_that_did_not_fail_is_marked(opened_score: Opene
     page = opened_score.choose("#table", "RMSE [cm]")
     (table,) = [table for table in page.all("[data-table]") if table.is_displayed()]
     cells = [row.text.split("\n")[0] for row in table.find_elements("css selector", "tbody tr")]
-    assert [cell.split(" position ")[1] for cell in cells] == ["2 3", "★ 1 ★ 1.5", "✗ 3 4.5"]
+    assert [cell.split(" r ")[1] for cell in cells] == ["2 3", "★ 1 ★ 1.5", "✗ 3 4.5"]
 
 
 def test_all_controllers_are_drawn_and_can_be_hidden(opened_score: OpenedPage) -> None:
