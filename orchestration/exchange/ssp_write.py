@@ -27,6 +27,9 @@ from orchestration.exchange import ssp_xml
 from orchestration.exchange.limits import check_plain_exchange
 from orchestration.exchange.signal_sources import BuildSource, RampSource, ramp_sources, with_sources
 from orchestration.exchange.ssp_xml import STRUCTURE, SspVersion, add, add_value
+from orchestration.scenarios.fmu_files import fmu_file
+from orchestration.scenarios.layers import components_of
+from orchestration.scenarios.read_layers import file_layers
 from orchestration.scenarios.scenario import Scenario, load, shipped
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import PreparedRun, prepare
@@ -134,8 +137,15 @@ def _with_all_settings(variants: Sequence[_Variant]) -> list[_Variant]:
 
 def family(scenario: Scenario) -> list[Scenario]:
     """Returns the scenario and the shipped ones with equal components, connections and driven inputs."""
-    others = [load(path) for name, path in shipped().items() if name != scenario.name]
+    components = dict(scenario.system.components)
+    # a scenario of other FMUs is not loaded: those that it replaces would have to be built
+    paths = [path for path in shipped().values() if _components_of(path) == components]
+    others = [load(path) for path in paths if path.stem != scenario.name]
     return [scenario, *(other for other in others if _structure_of(other) == _structure_of(scenario))]
+
+
+def _components_of(path: Path) -> dict[str, Path]:
+    return {name: fmu_file(fmu) for name, fmu in components_of(file_layers(path)).items()}
 
 
 def _structure_of(scenario: Scenario) -> tuple[dict[str, Path], tuple[Any, ...], set[str]]:
