@@ -21,7 +21,7 @@ from orchestration.fit.dive import DATA, DEPTHS, Dive
 from orchestration.fit.intervals import LEVEL, Analysis, Estimate, analysed
 from orchestration.fit.least_squares import Free, Search, Values, values_at
 from orchestration.many.job import Failure, Job, Run
-from orchestration.many.run_many import LocalRuns, in_order
+from orchestration.many.run_many import LocalRuns, in_order, recordings_of
 from orchestration.results.recording import Recording
 from orchestration.scenarios.changes import values_of_settings, with_values
 from orchestration.scenarios.fmu_files import fmu_file
@@ -193,7 +193,7 @@ class _Runs:
     def recorded(self, points: Sequence[Values]) -> list[list[Recording | Failure]]:
         """Returns for each point the recording of every dive."""
         runs = [
-            Run(None, self._experiment(dive, point), _recordings)
+            Run(None, self._experiment(dive, point), recordings_of)
             for dive in range(len(self.dives))
             for point in points
         ]
@@ -232,10 +232,6 @@ class _Runs:
 
     def by_dive(self, residuals: np.ndarray) -> list[np.ndarray]:
         return np.split(residuals, np.cumsum([len(dive.times) for dive in self.dives])[:-1])
-
-
-def _recordings(runs: Recording) -> list[Recording]:
-    return [runs.run(i) for i in range(len(runs.values))]
 
 
 def fit_vehicle(

@@ -59,7 +59,7 @@ def run_many(
     Raises what `simulate` raises before a run, for the first experiment; EnsembleError with `vectorise=True`
     where vectors cannot be used.
     """
-    reduce, all_experiments = reduce or _recordings, list(experiments)
+    reduce, all_experiments = reduce or recordings_of, list(experiments)
     if not all_experiments:
         return
     job = Job(system, all_experiments[0], timeout)
@@ -91,7 +91,8 @@ def in_order(place: Place, job: Job, runs: Sequence[Run]) -> Generator[Done, Non
                 following += 1
 
 
-def _recordings(runs: Recording) -> list[Recording]:
+def recordings_of(runs: Recording) -> list[Recording]:
+    """Returns the recording of each run, for `Run.reduce`."""
     return [runs.run(i) for i in range(len(runs.values))]
 
 

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from fmus.fmi.description import describe, of_causality
 from orchestration.errors import OrchestrationError, ScenarioError, SimulationError, SweepError
 from orchestration.many.job import ENDED, TOO_LONG, Done, Failure, Job, Reduce, Run
-from orchestration.many.run_many import LocalRuns, in_order
+from orchestration.many.run_many import LocalRuns, in_order, recordings_of
 from orchestration.many.runners import ClosedError
 from orchestration.margins.fmu_margins import scan
 from orchestration.margins.hold import HoldRuns, LoopSignal, last_part
@@ -193,7 +193,7 @@ def microseconds(loop: ClosedLoop, case: Case) -> float:
         if target.startswith(OWN):
             driven[target] = source
     nominal = Job(loaded.system, experiment, loop.timeout)
-    given = _done(loop, nominal, replace(experiment, record=tuple(driven.values())), _recordings).result
+    given = _done(loop, nominal, replace(experiment, record=tuple(driven.values())), recordings_of).result
     own = {name: value for name, value in experiment.signals.items() if name.startswith(OWN)}
     own |= {name: Table(given.time, given[source], hold=True) for name, source in driven.items()}
     output = next(v.name for v in of_causality(describe(fmu), "output") if v.type != "String")
@@ -223,10 +223,6 @@ def _done(loop: ClosedLoop, job: Job, experiment: Experiment, reduce: Reduce) ->
     if isinstance(done.result, Failure):
         raise SimulationError(done.result.reason, None)
     return done
-
-
-def _recordings(runs: Recording) -> list[Recording]:
-    return [runs.run(i) for i in range(len(runs.values))]
 
 
 def _last(runs: Recording) -> list[float]:
