@@ -66,7 +66,8 @@ def elsewhere(built: Fmus, tmp_path: Path) -> Path:
 
 def readers() -> list[psutil.Process]:
     """The processes of LIEF that this one started."""
-    return [child for child in psutil.Process().children() if "library_reader" in " ".join(child.cmdline())]
+    alive = [child for child in psutil.Process().children() if child.status() != psutil.STATUS_ZOMBIE]
+    return [child for child in alive if "library_reader" in " ".join(child.cmdline())]
 
 
 def libraries_results(results: list[Result]) -> dict[str, Result]:
