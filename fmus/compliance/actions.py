@@ -37,14 +37,14 @@ save, restore, copy = _action(Script.save), _action(Script.restore), _action(Scr
 read_bytes, glance, plain = _action(Script.read_bytes), _action(Script.read), _action(Script.plain)
 
 
-def set_up(stop: int, tolerance: float | None = None) -> Action:
-    """Sets the experiment up with a stop time at the communication point of a number."""
-    return lambda script: script.set_up(stop=script.point(stop), tolerance=tolerance)
+def set_up(stop: int, tolerance: float | None = None, start: int = 0) -> Action:
+    """Sets the experiment up, from the communication point of a number to that of another."""
+    return lambda script: script.set_up(script.point(start), script.point(stop), tolerance)
 
 
-def begin_until(stop: int, tolerance: float | None = None) -> tuple[Action, ...]:
-    """Initialises, with a stop time at the communication point of a number."""
-    return set_up(stop, tolerance), enter_initialization_mode, exit_initialization_mode
+def begin_until(stop: int, tolerance: float | None = None, start: int = 0) -> tuple[Action, ...]:
+    """Initialises, with start and stop times as of `set_up`."""
+    return set_up(stop, tolerance, start), enter_initialization_mode, exit_initialization_mode
 
 
 def in_state(name: str) -> Action:

@@ -4,13 +4,10 @@ import ctypes
 import math
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 from fmus.compliance.instance_parts import (
     MessageLog,
-    RefusingAllocator,
     SavedStates,
     logger_of_formats,
     set_traps,
@@ -21,7 +18,6 @@ from fmus.compliance.script import ARGUMENTS, UNWRITTEN, USUAL_NAME
 from fmus.fmi import binding
 from fmus.fmi.callbacks import AllocateMemory, Callbacks, CountingAllocator, FreeMemory, StepFinished
 
-_UNWRITTEN = 77  # no fmi2Status
 _GUARD = 0xA5  # each byte behind an array
 _CHANGES_OF_STATE = (
     "fmi2Enter", "fmi2Exit", "fmi2DoStep", "fmi2Terminate", "fmi2Reset", "fmi2SetFMUstate",
@@ -49,7 +45,7 @@ class CalledInstance(binding.BoundInstance):
 
     options: name, guid, location of the resources, logging (bool), visible (bool), and
       callbacks: "usual"; "fewest" without stepFinished and environment; "no memory" without memory functions;
-        "refused memory" with an allocator that returns NULL; "formats" with messages before they are printed
+        "formats" with messages before they are printed
       overwritten: whether all arguments of fmi2Instantiate are overwritten after the call
       watched: whether settings of the process are compared before and after each call
     announce: gets each call before it is made, as a text
@@ -69,29 +65,22 @@ class CalledInstance(binding.BoundInstance):
         self._kept: list[Any] = []
         self.states = SavedStates(self)
         self._traps: list[str] = []
-        self._finished_steps: list[list[Any]] = []
-        self.last_status = self._pending_steps = 0
+        self.last_status = 0
         self.watched = bool(options.get("watched"))
         kind = options.get("callbacks", "usual")
-        allocator = RefusingAllocator() if kind == "refused memory" else memory
         log = MessageLog(settings, self._noted)
-        super().__init__(library, Callbacks(allocator, log=log, environment=0 if kind == "fewest" else None))
+        super().__init__(library, Callbacks(memory, log=log, environment=0 if kind == "fewest" else None))
         self.messages = log
         CalledInstance._unknown = MessageLog(settings, self._noted, False)
         if kind != "fewest":
             Callbacks(environment=0, log=CalledInstance._unknown)
-        self._kept += [allocator]
         self._fill(self.callbacks.structure, kind)
 
     def _fill(self, structure: Any, kind: str) -> None:
         if kind == "fewest":
             structure.componentEnvironment = None
         else:
-            structure.stepFinished = StepFinished(
-                lambda environment, status: self._finished_steps.append(
-                    [status, environment == structure.componentEnvironment]
-                )
-            )
+            structure.stepFinished = StepFinished(lambda environment, status: None)
         if kind == "formats":
             structure.logger = logger_of_formats(self.messages)
         if kind == "no memory":
@@ -144,6 +133,8 @@ class CalledInstance(binding.BoundInstance):
         self._mode = function if function.startswith(_CHANGES_OF_STATE) else self._mode
         self.note(ARGUMENTS, before != [bytes(array) for array in arrays])
 
+    call_plain = call  # as model exchange calls it
+
     def new_messages(self) -> list[list[Any]]:
         """Returns [status, message, instance, category, right environment or not] of each new message."""
         unknown = CalledInstance._unknown
@@ -161,10 +152,6 @@ class CalledInstance(binding.BoundInstance):
     def used_traps(self) -> list[str]:
         """Returns what the FMU used that was valid during fmi2Instantiate only."""
         return sorted(set(self._traps))
-
-    def finished_steps(self) -> list[Any]:
-        """Returns the number of pending steps, and [status, right environment] of each `stepFinished`."""
-        return [self._pending_steps, self._finished_steps]
 
     def held_blocks(self) -> int:
         """Returns the number of blocks of memory of `allocateMemory` that are in use, of all instances."""
@@ -209,16 +196,6 @@ class CalledInstance(binding.BoundInstance):
         self.set_values(kind, references, [ctypes.cast(b, ctypes.c_char_p) for b in buffers])
         _overwrite(buffers)
 
-    def remove_link(self, location: str) -> None:
-        """Removes the link through which the resources were found: their path is no more."""
-        from urllib.request import url2pathname  # which imports an HTTP client
-
-        Path(url2pathname(urlsplit(location).path)).parent.unlink()
-
-    def transfer_nothing(self, function: str) -> None:
-        """Gets or sets no values, with NULL for both arrays."""
-        self.call(function, None, 0, None)
-
     def set_debug_logging(self, on: bool, categories: Sequence[str]) -> None:
         """Calls fmi2SetDebugLogging; the memory of the categories is overwritten after the call."""
         buffers = [ctypes.create_string_buffer(category.encode()) for category in categories]
@@ -232,7 +209,6 @@ class CalledInstance(binding.BoundInstance):
         """Advances from t to t + h seconds; a pending step is waited for. Returns no reason."""
         self.call("fmi2DoStep", t, h, int(no_going_back))
         if self.last_status == binding.PENDING:
-            self._pending_steps += 1
             self.wait()
         return ""
 
@@ -269,28 +245,6 @@ class CalledInstance(binding.BoundInstance):
                 self.last_status = binding.ERROR  # there is no status, which is no discarded step
                 return
         self.last_status = status.value
-
-    def begin_step(self, t: float, h: float) -> bool:
-        """Calls fmi2DoStep; returns whether the step is pending, which is no failure."""
-        self.call("fmi2DoStep", t, h, 0)
-        pending = self.last_status == binding.PENDING
-        self.last_status = 0 if pending else self.last_status
-        return pending
-
-    def poll_step(self) -> list[list[int]]:
-        """Returns [status of fmi2GetStatus, of the step] of each question, until a pending step has ended."""
-        answers: list[list[int]] = []
-        step = ctypes.c_int(binding.PENDING)
-        while step.value == binding.PENDING and not self.last_status:
-            time.sleep(0.001)
-            step.value = _UNWRITTEN
-            self.call("fmi2GetStatus", binding.DO_STEP_STATUS, ctypes.byref(step))
-            answers = [*answers[-1:], [self.last_status, step.value]]
-        return answers
-
-    def call_plain(self, function: str) -> None:
-        """Calls a function of FMI that has no argument but the instance."""
-        self.call(function)
 
     def status_of(self, kind: str, status_kind: int) -> Any:
         """Returns the value of fmi2GetXXXStatus; XXX is the type `kind`."""

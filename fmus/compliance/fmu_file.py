@@ -2,12 +2,12 @@
 
 import re
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from copy import copy
 from functools import cache, cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 from fmus.compliance.variable import Variable, integer, is_true
 from fmus.extras import require
@@ -45,14 +45,6 @@ class BrokenMemberError(ValueError):
 
 class UnreadableMemberError(Exception):
     """A member cannot be unpacked, which is a finding of the rules of the archive."""
-
-
-class Dependencies(NamedTuple):
-    """Indices of the knowns that an unknown lists, with their kinds; None where it lists nothing."""
-
-    unknown: Variable
-    knowns: Sequence[int | None] | None
-    kinds: Sequence[str]
 
 
 class FmuFile:
@@ -207,17 +199,19 @@ class FmuFile:
             yield (index if exists else None), element
 
     @cached_property
-    def dependencies(self) -> dict[str, list[Dependencies]]:
-        """Section of ModelStructure -> those of each Unknown that is the index of a variable."""
-        sections: dict[str, list[Dependencies]] = {"Outputs": [], "Derivatives": [], "InitialUnknowns": []}
-        for section, listed in sections.items():
-            for index, element in self.unknowns(section):
-                if index is not None:
-                    stated = element.get("dependencies")
-                    knowns = None if stated is None else [integer(text) for text in stated.split()]
-                    kinds = element.get("dependenciesKind", "").split()
-                    listed.append(Dependencies(self.variables[index - 1], knowns, kinds))
-        return sections
+    def dependencies(self) -> dict[str, list[tuple[Variable, list[int | None] | None]]]:
+        """Section of ModelStructure -> each Unknown that is the index of a variable, with the indices of the
+        knowns that it lists; None where it lists nothing.
+        """
+
+        def listed(element: Any) -> list[int | None] | None:
+            stated = element.get("dependencies")
+            return None if stated is None else [integer(text) for text in stated.split()]
+
+        return {
+            section: [(self.variables[i - 1], listed(e)) for i, e in self.unknowns(section) if i is not None]
+            for section in ("Outputs", "Derivatives", "InitialUnknowns")
+        }
 
     def vector_length(self, function: str) -> int:
         """Returns the number of elements that a function of model exchange gives."""

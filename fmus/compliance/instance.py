@@ -25,7 +25,7 @@ MOST_OF_A_FILE = 1 << 30  # bytes
 CALLED = "called"  # a file of the working folder: the call that is under way, and the time at which it began
 _ANNOUNCED = 400  # bytes of that file
 _DEFECTS = (TypeError, LookupError, NameError, AssertionError, ctypes.ArgumentError)
-_OBSERVATIONS = ("observed_events", "used_traps", "finished_steps", "held_blocks")  # which call nothing
+_OBSERVATIONS = ("observed_events", "used_traps", "held_blocks")  # which call nothing
 _AFTER_A_FAILURE = {  # status -> methods of `CalledInstance`, and plain functions, that FMI allows then
     DISCARD: (*_OBSERVATIONS, "free_fmu_state", "set_debug_logging", "get", "status_of", "fmi2Terminate"),
     ERROR: (*_OBSERVATIONS, "free_fmu_state", "set_debug_logging"),
@@ -130,7 +130,7 @@ class LoadedFmu:
         for method, *arguments in calls:
             instance = self._instances[number]
             is_saved = method != "set_fmu_state" or instance.states.holds(*arguments)
-            called = arguments[0] if method == "call_plain" else method
+            called = arguments[0] if method == "call" else method
             recovers = called == "fmi2Reset" or (called == "set_fmu_state" and is_saved)
             forbidden = failed and not recovers and called not in _AFTER_A_FAILURE.get(failed, ())
             if forbidden or not is_saved:

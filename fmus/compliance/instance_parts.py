@@ -4,7 +4,7 @@ import ctypes
 from typing import Any, Protocol
 
 from fmus.compliance.process_settings import ProcessSettings
-from fmus.fmi.callbacks import AllocateMemory, CountingAllocator, FreeMemory, Log, Logger
+from fmus.fmi.callbacks import AllocateMemory, FreeMemory, Log, Logger
 
 _MOST_MESSAGES = 1000
 
@@ -27,13 +27,6 @@ class MessageLog(Log):
             self._noted.add("floating-point control in a callback")
         if len(self.messages) < _MOST_MESSAGES:
             self.messages.append([status, message, instance, category, self._known_environment])
-
-
-class RefusingAllocator(CountingAllocator):
-    """Memory that is used up."""
-
-    def _allocate(self, count: int, size: int) -> None:  # type: ignore[override]
-        return None
 
 
 def logger_of_formats(messages: MessageLog) -> Any:

@@ -16,7 +16,7 @@ from fmus.compliance.rule import NotApplicableError, NotJudgedError
 from fmus.compliance.script import USUAL_NAME, Action, CallError, Message, Reply, Script
 from fmus.compliance.variable import Variable, number
 from fmus.fmi import binding
-from fmus.fmi.binding import DISCARD, ERROR, OK, TERMINATED, WARNING
+from fmus.fmi.binding import DISCARD, ERROR
 
 T = TypeVar("T")
 _LICENCE = re.compile("licen[cs]e", re.IGNORECASE)
@@ -88,34 +88,46 @@ class Probe:
         """Creates an instance for each script, plays the scripts in turn by parts, then frees the instances.
 
         Raises CallError for a call that fails, unless `keep_going`, and where the FMU returns no instance;
-        NotJudgedError where it discards a step, or terminates the simulation by itself.
+        NotJudgedError where it discards a step.
         """
-        numbers = [next(self._instances) for _ in scripts]
-        calls: list[Call] = [
-            ("create", number, script.options) for number, script in zip(numbers, scripts, strict=True)
-        ]
-        created = self.process.calls(calls)
-        freed: list[Call] = [("free", number) for number in numbers]
-        if not all(answer[0] for answer in created):
-            self.process.calls(freed)
-            raise _refused([Message(*m) for _, messages, *_ in created for m in messages])
-        for instance, script in zip(numbers, scripts, strict=True):
-            script.number = instance
-        for part in range(max(len(script.parts) for script in scripts)):
-            for script in scripts:
-                calls = script.part(part)
-                if calls:
-                    (answers,) = self.process.calls([("play", script.number, calls, keep_going)])
-                    script.fill(part, answers)
-                if not keep_going and script.failure:
-                    self._fail(script, freed)
-        ends = self.process.calls(freed)
-        for script, creation, end in zip(scripts, created, ends, strict=True):
-            script.fill_ends(creation, end)
-        self._note_messages(scripts)
-        self._note_refusals(scripts)
-        self._judge_steps(scripts)
-        self._judge_calls(scripts)
+        self._play([scripts], keep_going)
+        failure = next(filter(None, (script.failure for script in scripts)), None)
+        if failure is None or keep_going:
+            return
+        if failure.reason or (failure.is_step and failure.status == DISCARD):
+            raise DiscardedStepError(failure.reason or f"the FMU discards {failure.function}")
+        raise CallError(failure.problem, failure.status)
+
+    def play_each(self, scripts: Sequence[Script]) -> None:
+        """Plays scripts one after the other; an instance is freed before the next is created.
+
+        A call that fails ends nothing. Raises CallError where the FMU returns no instance.
+        """
+        self._play([[script] for script in scripts], keep_going=True)
+
+    def _play(self, groups: Sequence[Sequence[Script]], keep_going: bool) -> None:
+        """Plays groups of scripts one after the other in one message, those of a group side by side."""
+        turns = list[tuple[Script, int, Call]]()  # with the part of a script
+        for scripts in groups:
+            pairs = [(script, next(self._instances)) for script in scripts]
+            turns += [(script, 0, ("create", number, script.options)) for script, number in pairs]
+            turns += [
+                (script, part, ("play", number, script.part(part), keep_going))
+                for part in range(max(len(script.parts) for script in scripts))
+                for script, number in pairs
+                if script.part(part)
+            ]
+            turns += [(script, 0, ("free", number)) for script, number in pairs]
+        answers = self.process.calls([call for *_, call in turns])
+        for (script, part, (method, *_)), answer in zip(turns, answers, strict=True):
+            if method == "create" and not answer[0]:
+                raise _refused([Message(*message) for message in answer[1]])
+            script.take(method, part, answer)
+        all_scripts = [script for scripts in groups for script in scripts]
+        self._note_messages(all_scripts)
+        self._note_refusals(all_scripts)
+        self._judge_steps(all_scripts)
+        self._judge_calls(all_scripts)
 
     def play_usual_steps(self, script: Script) -> None:
         """Plays a script of equal steps of the default experiment's size.
@@ -236,61 +248,14 @@ class Probe:
 
     def play_once(self, scripts: Sequence[Script]) -> None:
         """Plays scripts as `play_each`; those with the calls of one that was played so have its answers."""
-        known: dict[str, Sequence[Any]] = self._shared.setdefault(_PLAYED, {})
+        known: dict[str, Script] = self._shared.setdefault(_PLAYED, {})
         keys = [repr((script.options, script.calls)) for script in scripts]
         new = {key: script for key, script in zip(keys, scripts, strict=True) if key not in known}
         if new:
-            known |= zip(new, self.play_each(list(new.values())), strict=True)
+            self.play_each(list(new.values()))
+            known |= new
         for key, script in zip(keys, scripts, strict=True):
-            script.fill(0, known[key])
-
-    def play_each(self, scripts: Sequence[Script]) -> list[Sequence[Any]]:
-        """Plays scripts one after the other in one message; an instance is freed before the next is created.
-
-        A call that fails ends nothing. Returns the answers to each script. Raises CallError where the FMU
-        returns no instance.
-        """
-        calls: list[Call] = []
-        for script in scripts:
-            script.number = next(self._instances)
-            calls += [
-                ("create", script.number, script.options),
-                ("play", script.number, script.calls, True),
-                ("free", script.number),
-            ]
-        results = self.process.calls(calls)
-        for created, messages, *_ in results[::3]:
-            if not created:
-                raise _refused([Message(*message) for message in messages])
-        for script, creation, answers, end in zip(scripts, *(results[i::3] for i in range(3)), strict=True):
-            script.fill_ends(creation, end)
-            script.fill(0, answers)
-        self._note_messages(scripts)
-        self._note_refusals(scripts)
-        self._judge_steps(scripts)
-        self._judge_calls(scripts)
-        return results[1::3]
-
-    def _fail(self, script: Script, freed: list[Call]) -> None:
-        failure = script.failure
-        assert failure is not None
-        is_discarded = failure.is_step and failure.status == DISCARD
-        if failure.reason or (is_discarded and self.fmu.is_model_exchange):
-            self.process.calls(freed)
-            raise DiscardedStepError(failure.reason or f"the FMU discards {failure.function}")
-        if is_discarded and script.number:
-            ((reply,),) = self.process.calls(
-                [("play", script.number, [("status_of", "Boolean", TERMINATED)], True)]
-            )
-            if reply[0] in (OK, WARNING) and reply[1]:
-                self.process.calls(freed)
-                raise NotJudgedError("the FMU terminates the simulation by itself")
-        self.process.calls(freed)
-        self._judge_steps([script])
-        self._judge_calls([script])
-        if is_discarded:
-            raise DiscardedStepError("the FMU discards a step")
-        raise CallError(failure.problem, failure.status)
+            script.take("play", 0, known[key].answers)
 
     def creates(self, **options: Any) -> tuple[bool, list[Message]]:
         """Whether the FMU creates an instance, which is freed again, and its messages."""

@@ -12,7 +12,7 @@ from fmus.fmi.binding import WARNING, status_name
 USUAL_NAME = "instance"
 KINDS = ("Real", "Integer", "Boolean", "String")
 _MOST_LEAPT, _LEAPS = 100, 16  # steps
-STEPS = ("do_step", "do_steps", "begin_step", "leap")
+STEPS = ("do_step", "do_steps", "leap")
 VECTORS = (
     "fmi2GetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndicators",
     "fmi2GetNominalsOfContinuousStates",
@@ -21,7 +21,7 @@ UNWRITTEN = "values"  # among what a call changed: those that were asked for wer
 ARGUMENTS = "arguments"  # among what a call changed
 _FUNCTIONS = {  # method of `CalledInstance` -> function of FMI, where their names are not alike
     "set_up_experiment": "fmi2SetupExperiment", "set_up_experiment_with": "fmi2SetupExperiment",
-    "do_steps": "fmi2DoStep", "begin_step": "fmi2DoStep", "poll_step": "fmi2GetStatus",
+    "do_steps": "fmi2DoStep",
     "directional_derivatives": "fmi2GetDirectionalDerivative",
     "set_input_derivatives": "fmi2SetRealInputDerivatives",
     "output_derivatives": "fmi2GetRealOutputDerivatives",
@@ -32,7 +32,7 @@ _FUNCTIONS = {  # method of `CalledInstance` -> function of FMI, where their nam
 
 def _function(method: str, arguments: Sequence[Any]) -> str:
     """Returns the function of FMI that a method of `CalledInstance` calls."""
-    if method in ("call_plain", "transfer_nothing", "vector"):
+    if method in ("call", "vector"):
         return str(arguments[0])
     if method in ("get", "set"):
         return f"fmi2{method.title()}{arguments[0]}"
@@ -140,7 +140,7 @@ Action = Callable[["Script"], object]
 class Script:
     """Calls on a new instance, in the order in which they are written down.
 
-    number: of the instance, after it was played; creation, end: of the instance
+    creation, end: of the instance
     is_forbidden: whether it makes calls that FMI forbids, or with arguments that it forbids
     expected, observed: readings to be compared; the latter with words for when and where
     attempts: calls that the FMU may refuse, and then nothing can be compared
@@ -155,7 +155,6 @@ class Script:
         self.calls: list[tuple[Any, ...]] = []
         self.replies: list[Reply] = []
         self.creation, self.end = Reply("fmi2Instantiate", ""), Reply("fmi2FreeInstance", "")
-        self.number = 0
         self.is_forbidden = False
         self.state = "instantiated"
         self.parts = [0]
@@ -167,6 +166,7 @@ class Script:
         self.errors: list[tuple[Reply, str]] = []
         self.lead: Sequence[Action] = ()
         self.has_started = False
+        self.answers: Sequence[Any] = ()  # to the calls of the last part
 
     # writing
 
@@ -203,7 +203,7 @@ class Script:
 
     def plain(self, function: str) -> Reply:
         """Adds a call of a function of FMI without arguments."""
-        return self.call("call_plain", function)
+        return self.call("call", function)
 
     def set_up(
         self, start: float | None = None, stop: float | None = None, tolerance: float | None = None
@@ -360,16 +360,15 @@ class Script:
         self.probe.play(self, keep_going=keep_going)
         return self
 
-    def fill_ends(self, creation: Sequence[Any], end: Sequence[Any]) -> None:
-        """Fills in what was observed while the instance was created and freed."""
-        for reply, (_, messages, changed, printed) in ((self.creation, creation), (self.end, end)):
-            reply.changed, reply.printed = changed, printed
+    def take(self, method: str, part: int, answers: Sequence[Any]) -> None:
+        """Takes what was observed while the instance was created, freed, or played a part of the calls."""
+        if method != "play":
+            reply = self.creation if method == "create" else self.end
+            _, messages, reply.changed, reply.printed = answers
             reply.messages = [Message(*message) for message in messages]
-
-    def fill(self, part: int, answers: Sequence[Sequence[Any]]) -> None:
-        """Gives each call of a part its reply."""
-        end = len(self.part(part))
-        for reply, answer in zip(self.replies[self.parts[part] :][:end], answers, strict=False):
+            return
+        self.answers = answers
+        for reply, answer in zip(self.replies[self.parts[part] :], answers, strict=False):
             if not answer:
                 continue
             try:

@@ -239,7 +239,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     Slave *s = functions->allocateMemory && functions->freeMemory && !own_memory
                    ? functions->allocateMemory(1, sizeof *s)
                    : calloc(1, sizeof *s);
-    if (!s && !IS("memory that is not asked for")) return NULL;
+    if (!s) return NULL;
     if (IS("memory functions are called") && !functions->allocateMemory(1, 8)) return NULL;
     if (IS("needs stepFinished") && !functions->stepFinished) return NULL;
     if (IS("needs the environment") && !functions->componentEnvironment) return NULL;
@@ -444,12 +444,11 @@ DEFINE_GET(String, fmi2String, N_STRINGS, vr[i] == TEXT, string_of(s, d, vr[i]))
 static int settable(Slave *s, int before, int input, int tunable) {
     if (s->data.state == INSTANTIATED) return before && !input;
     if (s->data.state == INITIALIZATION) return before || input;
-    return s->data.state == STEPPING && (input || tunable || IS("fixed parameters can be set"));
+    return s->data.state == STEPPING && (input || tunable);
 }
 
-static fmi2Status not_settable(Slave *s, int constant, int calculated) {
+static fmi2Status not_settable(Slave *s, int constant) {
     if (IS("constants can be set") && constant) return fmi2OK;
-    if (IS("calculated values can be set") && calculated) return fmi2OK;
     return error(s, "cannot be set now");
 }
 
@@ -466,7 +465,7 @@ static fmi2Status not_settable(Slave *s, int constant, int calculated) {
                 continue;                                                                                    \
             }                                                                                                \
             if (!settable(s, before, input, tunable)) {                                                      \
-                const fmi2Status status = not_settable(s, constant, !(before) && !(input) && !(constant));   \
+                const fmi2Status status = not_settable(s, constant);                                         \
                 if (status != fmi2OK) return status;                                                         \
                 continue;                                                                                    \
             }                                                                                                \
@@ -568,7 +567,7 @@ fmi2Status fmi2CancelStep(fmi2Component c) {
     Slave *s = c;
     if (s->data.state == PENDING) {
         s->data.state = IS("a cancelled step stays") ? PENDING : FAILED;
-        return IS("a step cannot be cancelled") ? error(s, "no") : fmi2OK;
+        return fmi2OK;
     }
     if (IS("forbidden calls succeed")) return fmi2OK;
     return finishes_all ? discard(s, "no step is pending") : error(s, "no step is pending");
@@ -579,7 +578,7 @@ fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status 
     if (kind == fmi2DoStepStatus && s->data.state == PENDING) {
         s->data.state = STEPPING;
         *value = fmi2OK;
-        if (s->callbacks.stepFinished && !IS("stepFinished is not called"))
+        if (s->callbacks.stepFinished)
             s->callbacks.stepFinished(s->callbacks.componentEnvironment, fmi2OK);
         return fmi2OK;
     }
@@ -643,7 +642,6 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
         value[i] = order[i] == 1 ? s->data.real[DER_X] : 0;
         if (unusual && vr[i] == Y && order[i] == 1) value[i] += 6.283185307179586 * cos(62.83185307179586 * s->data.real[TIME]);
         if (IS("wrong derivatives of outputs")) value[i] *= 2;
-        if (IS("derivatives of outputs of 0")) value[i] = 0;
         if (IS("infinite derivatives of outputs")) value[i] = INFINITY;
     }
     return fmi2OK;

@@ -23,27 +23,20 @@ _SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
 
 Calls = Callable[[Probe, str], Iterable[Action]]
 
-STATES = {CO_SIMULATION: "IMBCFPXTD", MODEL_EXCHANGE: "IMEKTD"}
+STATES = {CO_SIMULATION: "IMBCFTD", MODEL_EXCHANGE: "IMEKTD"}
 """I instantiated, M initialization mode, B and C step complete, before the first step and after one, F step
-failed, P step in progress, X step canceled, E event mode, K continuous-time mode, T terminated, D after an
-error.
+failed, E event mode, K continuous-time mode, T terminated, D after an error.
 """
 
 
 def _way(probe: Probe, state: str) -> Iterable[Action]:
     """Returns actions that lead to a state; those of B, C and what follows save it in slot 0, if they can."""
     begin = do.begin, *([do.save()] if probe.fmu.claims(_SAVES) else [])
-    pending = (
-        *begin,
-        do.call("begin_step", probe.start_time, probe.step_size),
-        do.in_state("step in progress"),
-    )
     if state == "F":
         return *begin, do.step(discarded_step(probe) + 1), do.in_state("step failed")
     return {
         "I": (), "M": (do.initialise,), "B": (do.begin,), "C": (do.begin, do.step()), "E": (do.begin,),
-        "K": (do.begin, do.enter_continuous_time_mode), "P": pending,
-        "X": (*pending, do.plain("fmi2CancelStep"), do.in_state("step canceled")),
+        "K": (do.begin, do.enter_continuous_time_mode),
         "T": (do.begin, do.step(), do.terminate), "D": (*begin, do.fail, do.in_state("error")),
     }[state]  # fmt: skip
 
@@ -148,15 +141,15 @@ class Row:
     calls: Calls
 
 
-# as the tables of 3.2.3 and 4.2.4 have it; fmi2Reset and fmi2FreeInstance are allowed in all states but P
+# as the tables of 3.2.3 and 4.2.4 have it; fmi2Reset and fmi2FreeInstance are allowed in all states
 TABLE = (
-    Row("IMBCFPXEKT", "", _log),
-    Row("IMBCFXEKT", "", _save),
+    Row("IMBCFEKT", "", _log),
+    Row("IMBCFEKT", "", _save),
     Row("IMBCEK", "", _set),
     Row("IMBC", "I", _one(do.set_derivatives(0.0))),
-    Row("MBCFXEKT", "", _get),
-    Row("BCFXT", "", output_derivatives),
-    Row("MBCFXEKT", "", _directional_derivatives),
+    Row("MBCFEKT", "", _get),
+    Row("BCFT", "", output_derivatives),
+    Row("MBCFEKT", "", _directional_derivatives),
     Row("IMEKT", "IMT", vectors),
     Row("EK", "EK", _one(do.set_time)),
     Row("K", "K", _set_states),
@@ -168,7 +161,6 @@ TABLE = (
     Row("EK", "EK", _one(do.plain("fmi2EnterEventMode"))),
     Row("E", "E", _one(do.plain("fmi2EnterContinuousTimeMode"))),
     Row("BC", "BC", _one(do.step())),
-    Row("P", "", _one(do.plain("fmi2CancelStep"))),
     Row("BCFEK", "BCEK", _one(do.plain("fmi2Terminate"))),
 )  # fmt: skip
 
@@ -281,14 +273,12 @@ def _unexpected(probe: Probe, expected: Expected, asks: Iterable[Ask]) -> Iterat
             scripts.append(probe.script(*_way(probe, ask.state), logging=True))
             chosen.append(ask)
     all_replies = [script.write(ask.actions) for script, ask in zip(scripts, chosen, strict=True)]
-    for script, ask in zip(scripts, chosen, strict=True):
-        script.is_forbidden = expected is REFUSAL or ask.state in "PX"
+    for script in scripts:
+        script.is_forbidden = expected is REFUSAL
     # that a step is discarded, in the state F, is no reason
     with suppress(*([NotJudgedError] if any(ask.state == "F" for ask in chosen) else [])):
         probe.play_once(scripts)
     for script, ask, replies in zip(scripts, chosen, all_replies, strict=True):
-        if any(call[0] == "begin_step" and not r.value for call, r in script.pairs):
-            raise NotJudgedError("the step was not pending")
         if any(error.status != ERROR for error, _ in script.errors):
             continue  # no call that returns error is known
         wrong = (reply for reply in replies if reply.status not in (None, *expected.statuses))

@@ -79,7 +79,7 @@ def input_derivatives_when_instantiated(_: Probe) -> Iterator[table.Ask]:
 def empty_calls_succeed(probe: Probe) -> Iterator[Row]:
     """Getting or setting no variables, with NULL for both arrays, succeeds and changes nothing."""
     set_nothing, get_nothing = (
-        [do.call("transfer_nothing", f"fmi2{x}{kind}") for kind in KINDS] for x in ("Set", "Get")
+        [do.call("call", f"fmi2{x}{kind}", None, 0, None) for kind in KINDS] for x in ("Set", "Get")
     )
     if probe.fmu.claims(INTERPOLATES):
         set_nothing.append(do.call("set_input_derivatives", [], [], []))
@@ -94,42 +94,19 @@ def empty_calls_succeed(probe: Probe) -> Iterator[Row]:
 
 @table.call_rule("advice: calls that 4.2.4, 4.2.2 and 3.2.3 forbid to importers", table.REFUSAL, last=True)
 def forbidden_calls_are_refused(probe: Probe) -> Iterator[table.Ask]:
-    """A call that its state forbids, a fixed parameter or an output set while stepping, a variable that is
-    calculated set at any time, a step that is not above 0 or does not start at the present, or a derivative
-    of order 0 is refused.
+    """A call that its state forbids, a step that is not above 0 or does not start at the present, or a
+    derivative of order 0 is refused.
     """
     states = set(table.STATES[probe.fmu.interface])
     for row in table.TABLE:
         for state in sorted(states & set("IMCEKT") - set(row.allowed)) if states & set(row.allowed) else ():
             yield from (table.Ask(state, [action]) for action in row.calls(probe, state))
-    yield from _forbidden_values(probe)
     for action in (do.set_derivatives(0.0, order=0), *table.output_derivatives(probe, "C", orders=[0])):
         yield table.Ask("C", [action], " of order 0")
     for state, i, size in (("B", 5, 1), ("C", 6, 1), ("C", 1, 0), ("C", 1, -1)):
         t, h = probe.point(i), size * probe.step_size
         words = f" from {t:g} s with the communication step size {h:g} s"
         yield table.Ask(state, [do.call("do_step", t, h)], words)
-
-
-def _forbidden_values(probe: Probe) -> Iterator[table.Ask]:
-    """Yields what sets variables that can never be set, but for aliases, or not in step or event mode."""
-    variables = probe.fmu.variables
-    settable = {(v.base_kind, v.reference) for v in variables if v.is_settable}
-    calculated = [v for v in variables if v.initial == "calculated" or v.causality == "independent"]
-    for v in [v for v in calculated if (v.base_kind, v.reference) not in settable][:MOST_VARIABLES]:
-        if v.base_kind != "String":
-            yield table.Ask(
-                "M", [do.set_values([(v, _NOTHING[v.base_kind])])], f" of {v.name}, which is calculated,"
-            )
-    fixed = values.start_values(
-        v for v in variables if (v.causality, v.variability) == ("parameter", "fixed")
-    )
-    outputs = values.start_values(
-        v for v in variables if v.causality == "output" and v.variability != "constant"
-    )
-    for v, x in (*table.of_each_type(fixed), *outputs[:1]):
-        words = f" of {v.name}, {'an output' if v.causality == 'output' else 'a fixed parameter'},"
-        yield from (table.Ask(state, [do.set_values([(v, x)])], words) for state in "CE")
 
 
 @table.call_rule("2.1.2", table.AN_ERROR)
@@ -198,21 +175,6 @@ def discarded_steps_can_be_left(probe: Probe) -> Iterator[table.Ask]:
     yield table.Ask("F", (do.reset, do.begin))
     if probe.fmu.claims("canGetAndSetFMUstate"):
         yield table.Ask("F", [do.restore()])
-
-
-@table.call_rule("4.2.2", table.SUCCESS, condition=unless_claimed("canRunAsynchronuously"))
-def cancelled_step_can_be_left(probe: Probe) -> Iterator[table.Ask]:
-    """A pending step can be cancelled; fmi2Reset and fmi2SetFMUstate are allowed then."""
-    cancel = do.plain("fmi2CancelStep")
-    yield table.Ask("P", (cancel, do.reset, do.begin, do.step()))
-    if probe.fmu.claims("canGetAndSetFMUstate"):
-        yield table.Ask("P", (cancel, do.restore(), do.step()))
-
-
-@table.call_rule("4.2.2", table.REFUSAL, condition=unless_claimed("canRunAsynchronuously"))
-def cancelled_step_ends_stepping(probe: Probe) -> Iterator[table.Ask]:
-    """After fmi2CancelStep no step is accepted."""
-    yield table.Ask("X", [do.call("do_step", probe.start_time, probe.step_size)])
 
 
 # what fmi2GetXXXStatus returns

@@ -2,22 +2,18 @@
 
 import itertools
 from collections.abc import Iterator
-from contextlib import suppress
 from statistics import median
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
 from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.differential import Row, differences, differential, verdict
-from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.script import Action, CallError, Script
 
 _OWN_MEMORY, _SAVES = "canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate"
 _NAME = "system.subsystem[2].'instance with a name of its own'.part"
-_RESOURCES = "resources/"
-_CODE = (".class", ".dll", ".dylib", ".exe", ".jar", ".m", ".py", ".pyc", ".pyd", ".so", ".whl", ".zip")
 _CYCLES, _MORE_CYCLES, _LEAST_LEAK = 8, 30, 64  # instances; bytes that each of them leaves
 _WARM_UP = 18  # instances before: what the heap keeps for reuse counts as used, and hides the first leaks
 
@@ -78,16 +74,6 @@ def memory_functions_may_be_null(probe: Probe) -> Iterator[str]:
         yield f"allocateMemory was called: expected no call, as {_OWN_MEMORY} is claimed"
     varied, options = (*_with_a_state(probe), do.terminate), {"callbacks": "no memory"}
     yield from differences(probe, [Row("without memory functions", varied, options=options)])
-
-
-@behaviour_rule("advice: 2.1.5, allocateMemory returns NULL if memory is used up")
-def failed_allocation_is_handled(probe: Probe) -> Iterator[str]:
-    """fmi2Instantiate returns NULL where allocateMemory does, or an instance that needs no such memory."""
-    script = probe.script(callbacks="refused memory").begin().step()
-    with suppress(CallError):  # no instance
-        script.play(keep_going=True)
-    if script.failure:
-        yield f"where allocateMemory returns NULL: {script.failure.problem}"
 
 
 # resources that fmi2FreeInstance frees
@@ -189,28 +175,6 @@ def _with_location(location: str) -> Row:
     failing = f"with the resource location {location.split('/', maxsplit=1)[0]}{slashes}..."
     when, options = f"with the resource location {location}", {"location": location}
     return Row(when, (do.begin, do.run(2)), failing=failing, options=options)
-
-
-def _without_data(fmu: FmuFile) -> str:
-    if fmu.claims("needsExecutionTool"):
-        return "a tool may read its resources"
-    resources = [name for name in fmu.names if name.startswith(_RESOURCES) and not name.endswith("/")]
-    if any(name.lower().endswith(_CODE) for name in resources):
-        return "its resources hold code, which may be loaded later"
-    return "" if resources else "it has no resources"
-
-
-@differential("2.3", condition=_without_data)
-def resources_are_read_in_initialization(probe: Probe) -> Iterator[Row]:
-    """Resources that are data are read before fmi2ExitInitializationMode returns: steps need them no more."""
-    location = _link(probe, "linked")
-    try:
-        do.played(probe, [do.begin], location=location)
-    except CallError as error:  # an FMU that does not follow links
-        raise NotJudgedError(str(error)) from error
-    varied = do.begin, do.call("remove_link", location), do.run(2)
-    when = "without its resources after initialisation"
-    yield Row(when, varied, options={"location": location})
 
 
 @behaviour_rule("4.3.1", condition=values.if_not_claimed("needsExecutionTool"))

@@ -3,7 +3,7 @@ value alone, and between values of one run.
 """
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from fmus.compliance import actions as do
@@ -130,12 +130,10 @@ class Slopes:
         self._sides = list(itertools.pairwise((b - a) / step_size for a, b in itertools.pairwise(values)))
         self._rounding = NOISE * max(map(abs, values)) / step_size
 
-    def wrong(self, judged: Callable[[float], bool] = bool) -> str:
-        """Returns a message if over half of the derivatives are wrong, and are to be judged: those that are
-        not 0, unless `judged` is given.
-        """
+    def wrong(self) -> str:
+        """Returns a message if over half of the derivatives are wrong, and not 0."""
         pairs = zip(self._derivatives[1:-1], self._sides, strict=True)
-        wrong = [(x, *sides) for x, sides in pairs if judged(x) and self._is_wrong(x, *sides)]
+        wrong = [(x, *sides) for x, sides in pairs if x and self._is_wrong(x, *sides)]
         if len(wrong) <= (len(self._sides) + 1) // 2:  # a jump or an event is not a wrong derivative
             return ""
         shown = texts(*wrong[0])

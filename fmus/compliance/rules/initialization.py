@@ -68,20 +68,6 @@ def visible_instances_run(_: Probe) -> Iterator[Row]:
     yield Row("with visible = fmi2True", (do.begin, do.step()), options={"visible": True})
 
 
-@differential("2.2.7")
-def exact_values_remain_after_initialization(probe: Probe) -> Iterator[Row]:
-    """Directly after fmi2ExitInitializationMode a variable with initial exact has its start value, or the
-    value that was set.
-    """
-    exact = [v for v in probe.fmu.variables if v.initial == "exact" and v.variability != "constant"]
-    starts = values.start_values(exact)[:MOST_VARIABLES]
-    runs = [((), starts), *(([pair], [pair]) for pair in values.other_values(v for v, _ in starts))]
-    for pairs, expected in runs:
-        actions = do.initialise, do.set_values(pairs), do.exit_initialization_mode, do.read_as(expected)
-        again = "{}, its exact value"
-        yield Row("after initialisation", actions, (), tolerance=_ROUNDED, may_fail=True, again=again)
-
-
 @differential("2.1.7")
 def values_are_set_together(probe: Probe) -> Iterator[Row]:
     """Several variables that are set in one call have the values that they have if each is set in a call of

@@ -31,7 +31,6 @@ _CONVERSION = re.compile(  # of C, POSIX, glibc and Microsoft, without %n, which
 )
 _NAME_WITH_A_PERCENT_SIGN = "tank at 5%d"
 _BLANK_OF_TEXT = re.compile(r"%[-+#0]* [-+#0 ]*[scp](?=[a-zA-Z])")  # as in "100 % sure"; C gives it no effect
-_BLANK_FLAG = re.compile(r"%[-+#0]* [-+#0]*[a-zA-Z](?=[a-zA-Z])")  # as in "100 % done"
 _PRINTED = "printed"
 _MOST_FINDINGS = 3  # of a rule
 _SETTERS = "fmi2SetReal", "fmi2SetInteger", "fmi2SetBoolean", "fmi2SetString"
@@ -101,11 +100,6 @@ def _unknown_variable(message: Message, probe: Probe) -> str:
 def _has_a_single_percent_sign(message: Message, _: Probe) -> bool:
     text = message.text.replace("%%", "")
     return "%" in _CONVERSION.sub("", text) or _BLANK_OF_TEXT.search(text) is not None
-
-
-def _has_a_percent_sign_before_a_word(message: Message, _: Probe) -> bool:
-    text = message.text.replace("%%", "").replace(_NAME_WITH_A_PERCENT_SIGN, "")
-    return _BLANK_FLAG.search(_BLANK_OF_TEXT.sub("", text)) is not None
 
 
 class _Change(NamedTuple):
@@ -199,9 +193,6 @@ _TABLE: tuple[tuple[str, str, Callable[[Probe], Iterable[Any]], *tuple[Case, ...
       f"the format {{text!r:.80}} holds the name {_NAME_WITH_A_PERCENT_SIGN!r}: expected its % doubled"),
      (_has_a_single_percent_sign,
       "the format {text!r:.80} of a message has a single %: expected %% or a conversion")),
-    ("percent-signs-before-words-are-doubled", "advice: a % before a word is seldom a conversion", _formats,
-     (_has_a_percent_sign_before_a_word,
-      "the format {text!r:.80} of a message has a single % before a word: expected %%")),
     ("messages-of-a-refusal-are-complete", _CREATION, _refusal,
      (lambda m, _: not m.text,
       "fmi2Instantiate{given_name} returned NULL and logged nothing: expected the reason"),

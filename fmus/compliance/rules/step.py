@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 
 from fmus.compliance import actions as do
@@ -11,20 +11,19 @@ from fmus.compliance.fmu_file import CO_SIMULATION, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.rules.call_table import LARGE_TOLERANCE, TOLERANCE, run_with_tolerance
-from fmus.compliance.script import Reading, Script
+from fmus.compliance.rules.finite_differences import ANY_STEP as _ANY_STEP
+from fmus.compliance.rules.finite_differences import values_of
+from fmus.compliance.script import Script
 from fmus.compliance.values import (
     continuous_reals,
-    differing,
     if_not_claimed,
-    is_utf_8,
     texts,
     unless_claimed,
 )
 from fmus.compliance.variable import Variable
-from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME, OK, WARNING, status_name
+from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME, PENDING
 
-_ASYNCHRONOUS, _PENDING_STATUS = "canRunAsynchronuously", 1  # fmi2StatusKind
-_ANY_STEP = "canHandleVariableCommunicationStepSize"
+_ASYNCHRONOUS = "canRunAsynchronuously"
 _LAST_TIME = "status_of", "Real", LAST_SUCCESSFUL_TIME
 _MORE_STEPS = (13, 47, 211)  # instead of two: for each internal step from the usual size to a hundredth
 _APART = 0.4  # of the change over two steps: a rough solver, but not half a step
@@ -78,48 +77,34 @@ def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
     (v,) = [v for v in probe.fmu.variables if v.causality == "independent"][:1]
     if not probe.states_step_size:
         raise NotJudgedError("no step size is stated, and an internal step may be longer than others")
-    for t, reading in _times(probe, v):
-        got = reading.values[v.name]
-        if not abs(got - t) <= 1e-3 * probe.step_size + 1e-9 * abs(t):
-            shown = texts(got, t)
-            yield f"{v.name} is {shown[0]} at the communication point {shown[1]} s"
-            return
+    for script, times in _runs(probe, v):
+        for t, (*_, reading) in zip(times, script.observed, strict=True) if script.succeeded else ():
+            got = reading.values[v.name]
+            if not abs(got - t) <= 1e-3 * probe.step_size + 1e-9 * abs(t):
+                shown = texts(got, t)
+                yield f"{v.name} is {shown[0]} at the communication point {shown[1]} s"
+                return
 
 
-def _times(probe: Probe, v: Variable) -> Iterator[tuple[float, Reading]]:
-    """Yields communication points with readings of a variable, up to a call that fails."""
+def _runs(probe: Probe, v: Variable) -> Iterator[tuple[Script, Sequence[float]]]:
+    """Yields runs in which a variable is read, with the times at which it is."""
     # a slave of fixed internal steps may be behind after a fraction
     exchanged = (1.0, 2.0, 0.30901699) if probe.fmu.is_model_exchange else (1.0, 1.0, 1.0)
-    factors = (1.0, 2.0, 3.0) if probe.fmu.claims(_ANY_STEP) else exchanged
+    factors = (0.0, *((1.0, 2.0, 3.0) if probe.fmu.claims(_ANY_STEP) else exchanged))
     tolerance = LARGE_TOLERANCE if run_with_tolerance(probe).succeeded else None
-    for start in (probe.start_time, probe.start_time + 3 * probe.step_size):
-        script, t = probe.script(), start
-        if start == probe.start_time:
-            script.begin()
-        else:
-            script.begin().step().reset()
-            script.set_up(start, probe.point(1000), tolerance).enter_initialization_mode()
-            script.exit_initialization_mode()
-        rows = [(script.replies[-1], script.read([v]), start)]
-        for factor in factors:
-            step = script.call("do_step", t, factor * probe.step_size)
-            t += factor * probe.step_size
-            rows.append((step, script.read([v]), t))
-        script.play(keep_going=True)
-        for _, reading, t in itertools.takewhile(lambda row: row[0].ok and row[1].ok, rows):
-            yield t, reading
-    script = probe.script(do.forbidden).initialise(
-        probe.point(3)
-    )  # 4.2.4 does not list it among what is read
-    reading = script.read([v])
-    script.play(keep_going=True)
-    if reading.ok:
-        yield probe.point(3), reading
+    again = do.begin, do.step(), do.reset, *do.begin_until(1000, tolerance, start=3)
+    for start, begin in ((0, (do.begin,)), (3, again)):
+        times = [probe.point(start) + x * probe.step_size for x in itertools.accumulate(factors)]
+        steps = (do.call("do_step", t, end - t) for t, end in itertools.pairwise(times))
+        read = itertools.chain(*((step, do.read([v])) for step in steps))
+        yield do.played(probe, [*begin, do.read([v]), *read]), times
+    # 4.2.4 does not list it among what is read
+    at_first = do.forbidden, do.set_up(1000, start=3), do.enter_initialization_mode, do.read([v])
+    yield do.played(probe, at_first), [probe.point(3)]
     with suppress(NotApplicableError, NotJudgedError):  # then the times before are judged alone
         whole = do.over_the_experiment(probe)
         count = len(whole.observed)
-        for i, (*_, reading) in enumerate(whole.observed if whole.succeeded else (), 1):
-            yield probe.point(probe.steps_of_experiment * i // count), reading
+        yield whole, [probe.point(probe.steps_of_experiment * i // count) for i in range(1, count + 1)]
 
 
 @behaviour_rule("4.2.2", interface=CO_SIMULATION)
@@ -171,42 +156,23 @@ def two_steps_are_one_of_twice_the_size(probe: Probe) -> Iterator[str]:
     """A step reaches its end: after a step, two more bring continuous outputs about as far as one of twice
     the size, or many of no simple fraction of it.
     """
-    chosen = continuous_reals(probe, "output")
-    small, others = probe.script().begin(), [(n, probe.script().begin()) for n in (1, *_MORE_STEPS)]
-    before = small.step().read(chosen)
-    two = small.step(2).read(chosen)
-    readings = [_in_steps(probe, script, n).read(chosen) for n, script in others]
-    small.play()
-    probe.play_each([script for _, script in others])
-    if not chosen or not any(script.succeeded for _, script in others):
-        raise NotJudgedError("there is no continuous output, or no step of twice the size")
-    names = [v.name for v in chosen if abs(_change(before, two, v.name)) > 1e-9 * abs(two.values[v.name])]
-    for (n, script), got in zip(others, readings, strict=True):
-        if script.succeeded and names and all(_is_elsewhere(before, two, got, name) for name in names):
-            shown = texts(got.values[names[0]], two.values[names[0]])
-            steps = "one step" if n == 1 else f"{n} steps"
-            yield (
-                f"{names[0]} is {shown[0]} after {steps} of {2 * probe.step_size / n:g} s: expected about "
-                f"{shown[1]}, as after two of {probe.step_size:g} s"
-            )
+    if not (chosen := continuous_reals(probe, "output")):
+        raise NotApplicableError("there is no continuous output")
+    counts, span, read = (2, 1, *_MORE_STEPS), 2 * probe.step_size, do.read(chosen)
+    steps = ([do.call("do_step", probe.point(1) + i * span / n, span / n) for i in range(n)] for n in counts)
+    usual, *others = values_of(probe, [(do.begin, do.step(), read, *equal, read) for equal in steps])
+    if not usual or not any(others):
+        raise NotJudgedError("no step of twice the size succeeds")
+    before, two = usual
+    changes = {name: x - before[name] for name, x in two.items() if abs(x - before[name]) > 1e-9 * abs(x)}
+    for n, run in zip(counts[1:], others, strict=True):
+        is_elsewhere = (abs(run[1][name] - two[name]) > _APART * abs(x) for name, x in changes.items() if run)
+        if run and changes and all(is_elsewhere):
+            name = min(changes)
+            shown = texts(run[1][name], two[name])
+            what = f"{name} is {shown[0]} after {n} step{'s' * (n > 1)} of {span / n:g} s"
+            yield f"{what}: expected about {shown[1]}, as after two of {probe.step_size:g} s"
             return
-
-
-def _in_steps(probe: Probe, script: Script, count: int) -> Script:
-    """Returns a script that goes two usual steps further, after the first, in equal steps of a number."""
-    h = 2 * probe.step_size / count
-    script.step()
-    for i in range(count):
-        script.call("do_step", probe.point(1) + i * h, h)
-    return script
-
-
-def _is_elsewhere(before: Reading, two: Reading, got: Reading, name: str) -> bool:
-    return abs(got.values[name] - two.values[name]) > _APART * abs(_change(before, two, name))
-
-
-def _change(before: Reading, after: Reading, name: str) -> float:
-    return after.values[name] - before.values[name]
 
 
 @behaviour_rule("advice: 2.2.5, what a user runs first")
@@ -226,66 +192,7 @@ def default_experiment_runs(probe: Probe) -> Iterator[str]:
 def steps_are_not_pending(probe: Probe) -> Iterator[str]:
     """Without canRunAsynchronuously, fmi2DoStep does not return pending."""
     script = probe.script(logging=True).begin()
-    pending = script.call("begin_step", probe.start_time, probe.step_size)
+    step = script.call("call", "fmi2DoStep", probe.start_time, probe.step_size, 0)
     script.play(keep_going=True)
-    if pending.value:
+    if step.status == PENDING:
         yield "fmi2DoStep returned pending: expected that only with canRunAsynchronuously"
-
-
-@behaviour_rule("2.1.5", condition=unless_claimed(_ASYNCHRONOUS))
-def step_finished_is_called(probe: Probe) -> Iterator[str]:
-    """After a pending step, perhaps also after others, the callback stepFinished is called once; without it
-    fmi2GetStatus tells the step's end.
-    """
-    count = 3
-    script = probe.script(logging=True).begin().step(count)
-    steps = script.call("finished_steps")
-    script.play(keep_going=True)
-    pending, calls = steps.value or (0, [])
-    finished = len(calls)
-    if script.failure:
-        yield script.failure.problem
-    elif not pending <= finished <= count:  # a step that is not pending is completed too
-        yield (
-            f"stepFinished was called {finished} times for {pending} pending steps of {count}: "
-            "expected once for each"
-        )
-    if not all(right_environment for _, right_environment in calls):
-        yield "stepFinished was called without the componentEnvironment of its instance"
-    if not script.failure and any(status not in (OK, WARNING) for status, _ in calls):
-        statuses = ", ".join(sorted({status_name(status) for status, _ in calls}))
-        yield f"stepFinished was called with the status {statuses} for steps that succeed: expected theirs"
-    fewest = probe.script(callbacks="fewest").begin().step(3)
-    fewest.play(keep_going=True)
-    if fewest.failure:
-        yield f"without stepFinished: {fewest.failure.problem}"
-
-
-@behaviour_rule("4.2.3", condition=unless_claimed(_ASYNCHRONOUS))
-def status_of_a_pending_step_is_given(probe: Probe) -> Iterator[str]:
-    """While a step is pending, fmi2GetStatus returns ok and gives pending, or the status of the step that has
-    ended; a text of fmi2PendingStatus is UTF-8.
-    """
-    script = probe.script(logging=True).begin()
-    pending = script.call("begin_step", probe.start_time, probe.step_size)
-    text = script.call("status_of", "String", _PENDING_STATUS)
-    polled = script.call("poll_step")
-    time = script.read([v for v in probe.fmu.variables if v.causality == "independent"])
-    outputs = script.read(probe.outputs)
-    usual = do.played(probe, (do.begin, do.run(1)))
-    script.play(keep_going=True)
-    if not pending.value:
-        raise NotJudgedError("the step was not pending")
-    if text.ok and (text.value is None or not is_utf_8(bytes.fromhex(text.value))):
-        shown = "NULL" if text.value is None else bytes.fromhex(text.value)
-        yield f"fmi2GetStringStatus of fmi2PendingStatus is {shown!r}: expected a text in UTF-8"
-    if polled.status is None:
-        return
-    answer, step = polled.value[-1]
-    if answer:
-        yield f"fmi2GetStatus of a pending step returned {status_name(answer)}: expected ok and its status"
-    elif step not in (OK, WARNING):
-        yield f"fmi2GetStatus gives {status_name(step)} for a step that succeeds: expected ok"
-    elif outputs.ok and time.ok:
-        expected = [reading for *_, reading in usual.observed]
-        yield from differing(expected, [outputs], "after a step that has ended by fmi2GetStatus")
