@@ -3,6 +3,7 @@
 import ctypes
 import gc
 import itertools
+import locale
 import os
 import platform
 import signal
@@ -10,17 +11,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-try:
-    import resource
-except ImportError:  # of Windows
-    resource: Any = None
-
-_LC_ALL = 6  # of glibc, musl; other C libraries have another number, and then no locale is compared
-_SIGNAL_LINES = ("SigIgn", "SigCgt")
-_RESTORED = ("working directory", "file mode mask", "locale")
-_STREAMS = (0, 1, 2)  # file descriptors
 _SELF = Path("/proc/self")
-_LIMITS = sorted({getattr(resource, name) for name in dir(resource) if name.startswith("RLIMIT_")})
+_LINES = {  # of /proc/self/status
+    "signal handlers": ("SigIgn", "SigCgt"),
+    "signal mask": ("SigBlk",),
+    "processors": ("Cpus_allowed_list",),
+}
+_WIDTH = 26  # of the first column of /proc/self/limits
+_RESTORED = ("working directory", "file mode mask", "locale")
 # processor -> register -> its bytes in `fenv_t` of Linux, and the bits of rounding, precision, traps and
 # numbers near zero
 _CONTROL = {
@@ -29,16 +27,6 @@ _CONTROL = {
 }
 _MOST_OF_FENV = 64  # bytes
 _IN_USE, _IN_LARGE_BLOCKS = 7, 4  # uordblks, hblkhd
-_processors = getattr(os, "sched_getaffinity", lambda _: ())  # those that a process may run on: of Linux
-
-
-def _stream(number: int) -> str:
-    """Returns the stream to which a file descriptor leads."""
-    try:
-        status = os.fstat(number)
-    except OSError:
-        return "closed"
-    return f"{status.st_dev}:{status.st_ino}"
 
 
 class MallocInformation(ctypes.Structure):
@@ -61,7 +49,6 @@ class ProcessSettings:
         library: Any = ctypes.CDLL(None) if os.name == "posix" else None
         self._flush = _function(library, "fflush", ctypes.c_int, ctypes.c_void_p)
         linux = library if _SELF.is_dir() else None
-        self._locale = _function(linux, "setlocale", ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p)
         self._heap = _function(linux, "mallinfo2", MallocInformation)
         self._registers = _CONTROL.get(platform.machine(), {}) if linux else {}
         mathematics = linux
@@ -114,8 +101,7 @@ class ProcessSettings:
         self.restore_floating_point()
         os.chdir(self._process["working directory"])
         os.umask(int(self._process["file mode mask"], 8))
-        if self._locale is not None:
-            self._locale(_LC_ALL, self._process["locale"].encode())
+        locale.setlocale(locale.LC_ALL, self._process["locale"])
 
     def restore_floating_point(self) -> None:
         """Sets back rounding mode, precision and traps."""
@@ -123,32 +109,29 @@ class ProcessSettings:
             self._set_floating_point(self._first_fenv)
 
     def _process_now(self) -> dict[str, str]:
-        """Settings by name."""
-        settings = {"working directory": str(Path.cwd()), "signal handlers": ""}
+        """Returns settings by name, those that the operating system tells."""
         umask = os.umask(0)
         os.umask(umask)
-        settings["file mode mask"] = oct(umask)
-        if self._locale is not None:
-            settings["locale"] = (self._locale(_LC_ALL, None) or b"").decode("utf-8", "replace")
+        settings = {
+            "working directory": str(Path.cwd()),
+            "file mode mask": oct(umask),
+            "locale": locale.setlocale(locale.LC_ALL),
+        }
+        if os.name == "posix":
+            timers = (signal.getitimer(kind)[0] > 0.0 for kind in (signal.ITIMER_REAL, signal.ITIMER_VIRTUAL))
+            settings["timers"] = " ".join(map(str, timers))
+            settings["priority"] = str(os.getpriority(os.PRIO_PROCESS, 0))
+            settings["environment"] = self._environment_now()
         with suppress(OSError):
             lines = dict(line.split(":", 1) for line in (_SELF / "status").read_text().splitlines())
-            settings["signal handlers"] = " ".join(lines[name].strip() for name in _SIGNAL_LINES)
-            settings["signal mask"] = lines["SigBlk"].strip()
-        return settings | self._shared_now()
-
-    def _shared_now(self) -> dict[str, str]:
-        """Settings that all of the process shares, where the operating system has them."""
-        if os.name != "posix":
-            return {}
-        timers = (signal.getitimer(kind)[0] > 0.0 for kind in (signal.ITIMER_REAL, signal.ITIMER_VIRTUAL))
-        return {
-            "environment": self._environment_now(),
-            "standard streams": " ".join(map(_stream, _STREAMS)),
-            "timers": " ".join(map(str, timers)),
-            "limits": " ".join(str(resource.getrlimit(kind)) for kind in _LIMITS),
-            "priority": str(os.getpriority(os.PRIO_PROCESS, 0)),
-            "processors": " ".join(map(str, sorted(_processors(0)))),
-        }
+            for name, of in _LINES.items():
+                settings[name] = " ".join(lines[one].strip() for one in of)
+            for limit in (_SELF / "limits").read_text().splitlines()[1:]:
+                settings[f"limit {limit[:_WIDTH].strip()}"] = " ".join(limit[_WIDTH:].split())
+            streams = (_SELF / "fd" / number for number in "012")
+            to = (str(stream.readlink()) if stream.is_symlink() else "closed" for stream in streams)
+            settings["standard streams"] = " ".join(to)
+        return settings
 
     def _variables(self) -> dict[bytes, bytes]:
         """Returns the environment variables of the C library: name -> NAME=VALUE."""
