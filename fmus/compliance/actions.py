@@ -70,6 +70,11 @@ def read_all(when: str = "", where: str = "") -> Action:
     return lambda script: script.observed.append((when, where, script.read_everything()))
 
 
+def glance_all(script: Script) -> None:
+    """Reads all variables, which are not compared."""
+    script.read(script.variables)
+
+
 def go_on_reading(steps: int, readings: int, when: str = "", observed: Sequence[Variable] = ()) -> Action:
     """Makes many steps, in which all variables are read a few times, and those observed after each."""
     ends = [steps * i // readings for i in range(readings + 1)]

@@ -6,13 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from fmus.compliance.instance_parts import (
-    MessageLog,
-    SavedStates,
-    logger_of_formats,
-    set_traps,
-    shown,
-)
+from fmus.compliance import instance_parts as parts
 from fmus.compliance.process_settings import ProcessSettings
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, USUAL_NAME
 from fmus.fmi import binding
@@ -53,7 +47,7 @@ class CalledInstance(binding.BoundInstance):
     """
 
     interface = binding.CO_SIMULATION
-    _unknown: MessageLog  # of environments of no instance, perhaps of one that was freed
+    _unknown: parts.MessageLog  # of environments of no instance, perhaps of one that was freed
 
     def __init__(
         self, library: binding.Library, memory: CountingAllocator, settings: ProcessSettings,
@@ -63,15 +57,15 @@ class CalledInstance(binding.BoundInstance):
         self.function = self._mode = ""  # the latest function, and the latest that changes the state
         self._memory, self._noted = memory, set[str]()
         self._kept: list[Any] = []
-        self.states = SavedStates(self)
+        self.states = parts.SavedStates(self)
         self._traps: list[str] = []
         self.last_status = 0
         self.watched = bool(options.get("watched"))
         kind = options.get("callbacks", "usual")
-        log = MessageLog(settings, self._noted)
+        log = parts.MessageLog(settings, self._noted)
         super().__init__(library, Callbacks(memory, log=log, environment=0 if kind == "fewest" else None))
         self.messages = log
-        CalledInstance._unknown = MessageLog(settings, self._noted, False)
+        CalledInstance._unknown = parts.MessageLog(settings, self._noted, False)
         if kind != "fewest":
             Callbacks(environment=0, log=CalledInstance._unknown)
         self._fill(self.callbacks.structure, kind)
@@ -82,7 +76,7 @@ class CalledInstance(binding.BoundInstance):
         else:
             structure.stepFinished = StepFinished(lambda environment, status: None)
         if kind == "formats":
-            structure.logger = logger_of_formats(self.messages)
+            structure.logger = parts.logger_of_formats(self.messages)
         if kind == "no memory":
             structure.allocateMemory = AllocateMemory()
             structure.freeMemory = FreeMemory()
@@ -105,7 +99,7 @@ class CalledInstance(binding.BoundInstance):
         self._kept += [*strings, structure]
         if options.get("overwritten"):
             _overwrite(strings)
-            self._kept += set_traps(structure, self.callbacks.structure, self._traps)
+            self._kept += parts.set_traps(structure, self.callbacks.structure, self._traps)
         return self.handle is not None
 
     def check_status(self, function: str, status: int) -> None:
@@ -114,7 +108,7 @@ class CalledInstance(binding.BoundInstance):
     def _tell(self, function: str, *arguments: Any) -> None:
         """Announces a call, with the function that brought the instance where it is."""
         after = f" after {self._mode}" if self._mode else ""
-        self._announce(f"{function}({', '.join(filter(None, map(shown, arguments)))}){after}")
+        self._announce(f"{function}({', '.join(filter(None, map(parts.shown, arguments)))}){after}")
 
     def note(self, what: str, is_so: bool) -> None:
         """Notes what the FMU did wrong, if so, for `changed_settings`."""

@@ -6,24 +6,16 @@ from collections.abc import Iterator
 from functools import partial
 
 from fmus.compliance import actions as do
+from fmus.compliance import values
 from fmus.compliance.differential import Row, differences, differential
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, behaviour_rule
 from fmus.compliance.rules import finite_differences as finite
-from fmus.compliance.values import (
-    INTERPOLATES,
-    RESTARTED,
-    continuous_reals,
-    other_values,
-    start_value,
-    texts,
-    unless_claimed,
-)
 from fmus.compliance.variable import Variable, is_true
 
 _TRANSFER = "4.2.1"
-_INTERPOLATES = unless_claimed(INTERPOLATES)
+_INTERPOLATES = values.unless_claimed(values.INTERPOLATES)
 _STEPS, _STEPS_OF_OUTPUTS = 30, 8
 _SHORT = 0.30901699  # of a step: no simple fraction, so that nothing that repeats with it stands still
 _BACKWARDS = 0.1  # of the effect of the input, at least
@@ -52,7 +44,7 @@ def derivatives_integrate_to_their_variables(probe: Probe) -> Iterator[str]:
         series = table[v.name][0], table[derivative.name][0]
         difference = finite.Slopes(*series, probe.step_size).difference_of_integral(v.nominal)
         if difference and all(map(math.isfinite, itertools.chain(*series))):
-            shown = texts(*difference)
+            shown = values.texts(*difference)
             yield f"{v.name} changes by {shown[0]} where the integral of {derivative.name} is {shown[1]}"
 
 
@@ -68,15 +60,15 @@ _rule_of_outputs = partial(behaviour_rule, condition=_orders)
 
 def _outputs(probe: Probe, part: float = 1.0) -> dict[str, list[list[float]]]:
     """Returns the values of continuous outputs, and their derivatives of each order that is claimed."""
-    chosen = continuous_reals(probe, "output")
+    chosen = values.continuous_reals(probe, "output")
     return finite.series(probe, chosen, _STEPS_OF_OUTPUTS, part, probe.fmu.output_derivative_order)
 
 
 def _output_slopes(probe: Probe, part: float = 1.0) -> dict[str, finite.Slopes]:
     return {
-        name: finite.Slopes(values, first, part * probe.step_size)
-        for name, (values, first, *_) in _outputs(probe, part).items()
-        if all(map(math.isfinite, values))
+        name: finite.Slopes(outputs, first, part * probe.step_size)
+        for name, (outputs, first, *_) in _outputs(probe, part).items()
+        if all(map(math.isfinite, outputs))
     }
 
 
@@ -117,7 +109,7 @@ def higher_output_derivatives_are_right(probe: Probe) -> Iterator[str]:
 
 def _read_together(probe: Probe) -> Iterator[Row]:
     """Yields rows of derivatives that one call reads, all of the first order, and of different ones."""
-    chosen, highest = continuous_reals(probe, "output"), probe.fmu.output_derivative_order
+    chosen, highest = values.continuous_reals(probe, "output"), probe.fmu.output_derivative_order
     alternating = [1 + (highest - 1) * (i % 2) for i in range(len(chosen))]
     for orders in ([1] * len(chosen), alternating, [1 + highest - order for order in alternating]):
         names = " or ".join(str(order) for order in sorted(set(orders)))
@@ -139,7 +131,7 @@ def input_derivatives(_: Probe) -> Iterator[Row]:
     """The first derivative of every continuous Real input can be set before a step; zero, also after
     another value, changes nothing."""
     varied = do.begin, do.set_derivatives(1.0), do.set_derivatives(0.0), do.run(2)
-    yield Row("where derivatives of inputs were set to 0", varied, failing="", tolerance=RESTARTED)
+    yield Row("where derivatives of inputs were set to 0", varied, failing="", tolerance=values.RESTARTED)
 
 
 @_rule_of_inputs()
@@ -163,8 +155,8 @@ def each_input_derivative_has_an_effect(probe: Probe) -> Iterator[str]:
 def _inputs_by_effect(probe: Probe) -> dict[str, list[Variable]]:
     """Returns continuous inputs by what their derivatives do to outputs that follow them."""
     inputs: dict[str, list[Variable]] = {"right": [], "none": [], "backwards": []}
-    for v, value in other_values(continuous_reals(probe, "input")):
-        start = start_value(v)
+    for v, value in values.other_values(values.continuous_reals(probe, "input")):
+        start = values.start_value(v)
         # held, with another value, and moving to that by its derivative
         ways = (start, None), (value, None), (start, (value - start) / probe.step_size)
         runs = finite.values_of(

@@ -15,7 +15,6 @@ from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, behaviour_rule
 from fmus.compliance.rules.finite_differences import NOISE, Column, followers, in_steps, values_of
 from fmus.compliance.script import Action, CallError, Reply, Script
-from fmus.compliance.values import continuous_reals, other_values, references_of, start_value, texts
 from fmus.compliance.variable import Variable
 
 _PARTIAL = "2.1.9"
@@ -75,7 +74,7 @@ def dependencies_are_declared(probe: Probe) -> Iterator[str]:
         mode, begin = f"event mode{start.words}", (do.begin, *start.lead)
         modes += [(mode, begin, section, inputs) for section in _STEPPING]
     for mode, actions, section, knowns in modes:
-        for known, value in other_values(knowns[:_MOST_KNOWNS]):
+        for known, value in values.other_values(knowns[:_MOST_KNOWNS]):
             unlisted = [
                 unknown
                 for unknown, listed in probe.fmu.dependencies[section]
@@ -91,9 +90,11 @@ def inputs_act_in_the_next_step(probe: Probe) -> Iterator[str]:
     """An output that an input changes at once in initialization mode changes with it in the step after it was
     set, and not only one step later, when the input has its old value again.
     """
-    for v, value in other_values([v for v in probe.fmu.variables if v.causality == "input"][:_MOST_INPUTS]):
+    for v, value in values.other_values(
+        [v for v in probe.fmu.variables if v.causality == "input"][:_MOST_INPUTS]
+    ):
         direct = followers(probe, _INITIALIZATION, v, value, [do.read(probe.outputs)])
-        start = start_value(v)
+        start = values.start_value(v)
         runs = [in_steps(probe, v, (x, start), probe.step_size) for x in (start, value)] if direct else []
         (now, later), (changed, then) = r if all(r := values_of(probe, runs)) and r else (({}, {}),) * 2
         for name in sorted(direct & now.keys()):
@@ -107,7 +108,9 @@ def inputs_act_in_the_next_step(probe: Probe) -> Iterator[str]:
 def _derive(
     unknowns: Sequence[Variable], knowns: Sequence[Variable], seed: Sequence[float] = (1.0,)
 ) -> Action:
-    return do.call("directional_derivatives", references_of(unknowns), references_of(knowns), list(seed))
+    return do.call(
+        "directional_derivatives", values.references_of(unknowns), values.references_of(knowns), list(seed)
+    )
 
 
 def _derivatives(probe: Probe, mode: Iterable[Action], groups: Iterable[_Group]) -> list[Reply]:
@@ -186,10 +189,10 @@ def _beside_quotients(
 def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
     """A directional derivative is the sum of the partial derivatives, each times its seed, in every mode."""
     initial = [v for v, *_ in probe.fmu.dependencies["InitialUnknowns"] if v.kind == "Real"]
-    inputs, at_first = continuous_reals(probe, "input"), _groups_at_first(probe.fmu)
+    inputs, at_first = values.continuous_reals(probe, "input"), _groups_at_first(probe.fmu)
     modes = (
         (_INITIALIZATION, initial, [*inputs, *(known for known, _ in at_first)]),
-        (_STEP, continuous_reals(probe, "output"), [*inputs, *_states(probe.fmu)]),
+        (_STEP, values.continuous_reals(probe, "output"), [*inputs, *_states(probe.fmu)]),
     )
     judged = [(mode, unknowns, knowns) for mode, unknowns, knowns in modes if unknowns and knowns]
     if not judged:
@@ -207,7 +210,7 @@ def _other_sums(script: Script, unknowns: list[Variable], knowns: list[Variable]
     for i, (v, got) in enumerate(zip(unknowns, together.value, strict=True)):
         parts = [s * reply.value[i] for s, reply in zip(seed, alone, strict=True)]
         if not abs(got - sum(parts)) <= _SUMMED * max([abs(got), *map(abs, parts)]) + _CANCELLED * seed[-1]:
-            shown, what = texts(got, sum(parts)), f"the directional derivative of {v.name}"
+            shown, what = values.texts(got, sum(parts)), f"the directional derivative of {v.name}"
             where = f"in the state {together.state!r}"
             yield f"{what} is {shown[0]} {where}: expected {shown[1]}, the sum of its parts"
 
@@ -217,7 +220,7 @@ def directional_derivatives_are_zero_without_dependency(probe: Probe) -> Iterato
     """The derivative with respect to an input, in step mode also to a continuous state, that is not among
     the dependencies of an output or a state derivative is zero.
     """
-    inputs, states = continuous_reals(probe, "input"), _states(probe.fmu)
+    inputs, states = values.continuous_reals(probe, "input"), _states(probe.fmu)
     for section in (*_AT_FIRST, *_STEPPING):
         mode, knowns = (_STEP, [*inputs, *states]) if section in _STEPPING else (_INITIALIZATION, inputs)
         groups = list(_unlisted(probe.fmu, section, knowns))

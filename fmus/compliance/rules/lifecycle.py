@@ -8,12 +8,12 @@ from collections.abc import Iterator
 from pathlib import PurePath
 
 from fmus.compliance import actions as do
+from fmus.compliance import values
 from fmus.compliance.differential import Row, differential
 from fmus.compliance.fmu_file import ONLY_ONCE, FmuFile
 from fmus.compliance.probe import Probe, refusal
 from fmus.compliance.rule import CANNOT_LOAD, RANDOM, NotJudgedError, behaviour_rule
 from fmus.compliance.script import CallError
-from fmus.compliance.values import differing, if_not_claimed, settable_before, settable_while_stepping
 
 _WRONG_GUID = "{00000000-0000-0000-0000-000000000000}"
 _STEPS, _MANY_STEPS, _INSTANCES = 5, 30, 10
@@ -125,7 +125,7 @@ def _differences(probe: Probe) -> Iterator[str]:
     first, second = (script.run(5) for script in scripts)
     for script in scripts:
         script.play()
-    yield from differing(first, second, "in a second instance")
+    yield from values.differing(first, second, "in a second instance")
 
 
 @behaviour_rule("2.1.5")
@@ -139,11 +139,11 @@ def wrong_guid_is_refused(probe: Probe) -> Iterator[str]:
             return
 
 
-@differential("4.3.1", condition=if_not_claimed(ONLY_ONCE))
+@differential("4.3.1", condition=values.if_not_claimed(ONLY_ONCE))
 def several_instances(probe: Probe) -> Iterator[Row]:
     """Instances live side by side: values and steps of one, and its end, change nothing in another."""
-    changed = do.set_others(settable_before(probe.fmu)), do.initialise
-    moved = do.begin, do.set_others(settable_while_stepping(probe.fmu)), do.step()
+    changed = do.set_others(values.settable_before(probe.fmu)), do.initialise
+    moved = do.begin, do.set_others(values.settable_while_stepping(probe.fmu)), do.step()
     beside = changed, moved, (do.begin, do.run(5))
     yield Row("beside another instance", (do.begin, do.run(2), do.pause, do.run(3)), beside=beside)
     varied = do.begin, do.run(1), do.pause, do.pause, do.run(2)
@@ -151,7 +151,7 @@ def several_instances(probe: Probe) -> Iterator[Row]:
     yield Row("after another instance was freed", varied, beside=(freed,))
 
 
-@behaviour_rule("2.1.5", condition=if_not_claimed(ONLY_ONCE))
+@behaviour_rule("2.1.5", condition=values.if_not_claimed(ONLY_ONCE))
 def instances_follow_each_other(probe: Probe) -> Iterator[str]:
     """After some instances that were used and freed, fewer of a slow FMU, another one takes a step."""
     half = (time.monotonic() + probe.process.deadline) / 2
@@ -162,7 +162,7 @@ def instances_follow_each_other(probe: Probe) -> Iterator[str]:
     yield from ()
 
 
-@differential("2.1.3", condition=if_not_claimed(ONLY_ONCE))
+@differential("2.1.3", condition=values.if_not_claimed(ONLY_ONCE))
 def error_leaves_other_instances_unchanged(probe: Probe) -> Iterator[Row]:
     """After an error, other instances go on as before."""
     failing = do.begin, do.step(), do.pause, do.fail, do.pause, do.reset, do.begin, do.step(3)

@@ -3,7 +3,6 @@
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from contextlib import suppress
-from dataclasses import dataclass
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -14,7 +13,7 @@ from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rows import told
 from fmus.compliance.rules.call_table import NAME, tour
-from fmus.compliance.script import ARGUMENTS, UNWRITTEN, CallError, Message, Reply, Script
+from fmus.compliance.script import ARGUMENTS, UNWRITTEN, Action, CallError, Message, Reply, Script
 from fmus.compliance.values import refused_reference
 from fmus.fmi.binding import DISCARD, ERROR, OK, PENDING, WARNING, status_name
 
@@ -33,6 +32,7 @@ _NAME_WITH_A_PERCENT_SIGN = "tank at 5%d"
 _BLANK_OF_TEXT = re.compile(r"%[-+#0]* [-+#0 ]*[scp](?=[a-zA-Z])")  # as in "100 % sure"; C gives it no effect
 _PRINTED = "printed"
 _MOST_FINDINGS = 3  # of a rule
+_CALLS_THAT_LOG = do.begin, do.step(2), do.glance_all, do.terminate
 _SETTERS = "fmi2SetReal", "fmi2SetInteger", "fmi2SetBoolean", "fmi2SetString"
 _OF_STATES = "fmi2SetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndicators", "fmi2GetReal"
 _FORMATS_ARE_LEGAL = "formats-of-messages-are-legal"
@@ -65,19 +65,12 @@ def _formats(probe: Probe) -> list[Message]:
     """Returns messages with the formats that they are before printf."""
 
     def collected() -> list[Message]:
-        script = probe.script(name=_NAME_WITH_A_PERCENT_SIGN, logging=True, callbacks="formats")
-        _calls_that_log(probe, script)
-        script.call("get", "Real", [refused_reference(probe)])
-        script.play(keep_going=True)
+        wrong = do.call("get", "Real", [refused_reference(probe)])
+        options = {"name": _NAME_WITH_A_PERCENT_SIGN, "callbacks": "formats"}
+        script = do.played(probe, [*_CALLS_THAT_LOG, wrong], logging=True, **options)
         return [m for reply in script.everything for m in reply.messages]
 
     return probe.once("log of formats", collected)
-
-
-def _calls_that_log(probe: Probe, script: Script) -> None:
-    script.begin().step(2)
-    script.read(probe.fmu.variables)
-    script.terminate()
 
 
 def _declared(probe: Probe) -> list[str]:
@@ -245,8 +238,7 @@ for _name, _clause, _subjects, *_cases in _TABLE:
 # logging that is turned on and off
 
 
-@dataclass(frozen=True)
-class _Run:
+class _Run(NamedTuple):
     """Run with logging.
 
     when: words; enabled: categories whose messages may arrive; sent: category -> text of a message that did
@@ -263,40 +255,33 @@ def _runs_with_logging(probe: Probe) -> list[_Run]:
 
 
 def _played_with_logging(probe: Probe) -> Iterator[_Run]:
-    declared, on, off = _declared(probe), (True, []), (False, [])
+    declared = _declared(probe)
     names, everything = [name for name in declared if name != _ALL], {None, *declared}
+    on, off = (do.call("set_debug_logging", is_on, []) for is_on in (True, False))
+    all_names = do.call("set_debug_logging", True, names[::-1])
     another = "where fmi2SetDebugLogging of another instance turned logging"
-    # words; enabled categories; loggingOn at first; calls of fmi2SetDebugLogging, and on another instance
-    rows = [
+    again = do.reset, do.begin, do.step()
+    # words; enabled categories; loggingOn at first; settings of logging, and those of another instance
+    rows: list[tuple[str, Set[str | None], bool, Sequence[Action], Sequence[Action]]] = [
         ("where logging is on", everything, False, [on], []),
-        ("where all categories are enabled by name", everything, False, [(True, names[::-1])], []),
+        ("where all categories are enabled by name", everything, False, [all_names], []),
         ("where logging is off at fmi2Instantiate", set(), False, [], []),
         ("where fmi2SetDebugLogging turned logging off", set(), True, [off], []),
         (f"{another} off", everything, True, [], [off]),
         (f"{another} on", set(), False, [], [on]),
     ]
     for name in names:
-        rows.append((f"where {name!r} alone is enabled", {name}, False, [(True, [name])], []))
-        rows.append(
-            (f"where {name!r} alone was disabled", everything - {name}, False, [on, (False, [name])], [])
-        )
-    for when, enabled, logging, settings, settings_of_another in rows:
-        script, other = probe.script(logging=logging).pause(), probe.script(logging=logging)
-        for setting in settings_of_another:
-            other.call("set_debug_logging", *setting)
-        for setting in settings:
-            script.call("set_debug_logging", *setting)
-        _calls_that_log(probe, script)
-        if not settings:
-            script.reset()
-            script.begin().step()
-        if not settings_of_another:
-            script.play(keep_going=True)
-        elif not probe.fmu.claims(ONLY_ONCE):
+        alone, without = (do.call("set_debug_logging", is_on, [name]) for is_on in (True, False))
+        rows.append((f"where {name!r} alone is enabled", {name}, False, [alone], []))
+        rows.append((f"where {name!r} alone was disabled", everything - {name}, False, [on, without], []))
+    for when, enabled, logging, settings, others in rows:
+        actions = do.pause, *settings, *_CALLS_THAT_LOG, *(() if settings else again)
+        scripts = [probe.script(*some, logging=logging) for some in (others, actions) if some]
+        if len(scripts) == 1 or not probe.fmu.claims(ONLY_ONCE):
             with suppress(CallError):  # no second instance
-                probe.play(other, script, keep_going=True)
-        if script.succeeded:
-            yield _Run(when, enabled, _sent(script, declared))
+                probe.play(*scripts, keep_going=True)
+        if scripts[-1].succeeded:
+            yield _Run(when, enabled, _sent(scripts[-1], declared))
 
 
 def _sent(script: Script, declared: Sequence[str]) -> dict[str | None, str]:

@@ -6,20 +6,15 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 
 from fmus.compliance import actions as do
+from fmus.compliance import values
 from fmus.compliance.differential import Row, differential
 from fmus.compliance.fmu_file import CO_SIMULATION, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
-from fmus.compliance.rules.call_table import LARGE_TOLERANCE, TOLERANCE, run_with_tolerance
+from fmus.compliance.rules import call_table as table
 from fmus.compliance.rules.finite_differences import ANY_STEP as _ANY_STEP
 from fmus.compliance.rules.finite_differences import values_of
 from fmus.compliance.script import Script
-from fmus.compliance.values import (
-    continuous_reals,
-    if_not_claimed,
-    texts,
-    unless_claimed,
-)
 from fmus.compliance.variable import Variable
 from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME, PENDING
 
@@ -34,7 +29,7 @@ def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[Row]:
     """If a stop time is defined, steps up to it succeed and a step past it returns error; fmi2Reset brings
     the instance back, where the same holds of another stop time with a tolerance.
     """
-    tolerance = TOLERANCE if run_with_tolerance(probe).succeeded else None
+    tolerance = table.TOLERANCE if table.run_with_tolerance(probe).succeeded else None
     beyond = "a step to {} s {{}}: expected error beyond the stop time {} s"
     first, again = (
         do.error(do.step(), beyond.format(*(f"{probe.point(i):g}" for i in (stop + 1, stop))))
@@ -60,8 +55,8 @@ def undefined_arguments_are_ignored(probe: Probe) -> Iterator[Row]:
 @behaviour_rule("2.1.6")
 def tolerance_is_accepted(probe: Probe) -> Iterator[str]:
     """A tolerance that is defined is accepted."""
-    if failure := run_with_tolerance(probe).failure:
-        yield f"with the tolerance {TOLERANCE:g}: {failure.problem}"
+    if failure := table.run_with_tolerance(probe).failure:
+        yield f"with the tolerance {table.TOLERANCE:g}: {failure.problem}"
 
 
 def _without_independent(fmu: FmuFile) -> str:
@@ -81,7 +76,7 @@ def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
         for t, (*_, reading) in zip(times, script.observed, strict=True) if script.succeeded else ():
             got = reading.values[v.name]
             if not abs(got - t) <= 1e-3 * probe.step_size + 1e-9 * abs(t):
-                shown = texts(got, t)
+                shown = values.texts(got, t)
                 yield f"{v.name} is {shown[0]} at the communication point {shown[1]} s"
                 return
 
@@ -91,7 +86,7 @@ def _runs(probe: Probe, v: Variable) -> Iterator[tuple[Script, Sequence[float]]]
     # a slave of fixed internal steps may be behind after a fraction
     exchanged = (1.0, 2.0, 0.30901699) if probe.fmu.is_model_exchange else (1.0, 1.0, 1.0)
     factors = (0.0, *((1.0, 2.0, 3.0) if probe.fmu.claims(_ANY_STEP) else exchanged))
-    tolerance = LARGE_TOLERANCE if run_with_tolerance(probe).succeeded else None
+    tolerance = table.LARGE_TOLERANCE if table.run_with_tolerance(probe).succeeded else None
     again = do.begin, do.step(), do.reset, *do.begin_until(1000, tolerance, start=3)
     for start, begin in ((0, (do.begin,)), (3, again)):
         times = [probe.point(start) + x * probe.step_size for x in itertools.accumulate(factors)]
@@ -129,7 +124,7 @@ def no_set_state_flag_changes_nothing(probe: Probe) -> Iterator[Row]:
     yield Row(when, varied, (do.start, *(do.step(), read) * 3), failing="")
 
 
-@behaviour_rule("4.3.1", condition=unless_claimed(_ANY_STEP))
+@behaviour_rule("4.3.1", condition=values.unless_claimed(_ANY_STEP))
 def variable_step_size(probe: Probe) -> Iterator[str]:
     """Steps of different sizes succeed one after the other; one that is discarded says how far it came."""
     script = probe.script(logging=True).begin()
@@ -151,12 +146,12 @@ def variable_step_size(probe: Probe) -> Iterator[str]:
         yield f"a step from {t:g} to {end:g} s is discarded, and fmi2LastSuccessfulTime is {last.value:g} s"
 
 
-@behaviour_rule("4.3.1", condition=unless_claimed(_ANY_STEP))
+@behaviour_rule("4.3.1", condition=values.unless_claimed(_ANY_STEP))
 def two_steps_are_one_of_twice_the_size(probe: Probe) -> Iterator[str]:
     """A step reaches its end: after a step, two more bring continuous outputs about as far as one of twice
     the size, or many of no simple fraction of it.
     """
-    if not (chosen := continuous_reals(probe, "output")):
+    if not (chosen := values.continuous_reals(probe, "output")):
         raise NotApplicableError("there is no continuous output")
     counts, span, read = (2, 1, *_MORE_STEPS), 2 * probe.step_size, do.read(chosen)
     steps = ([do.call("do_step", probe.point(1) + i * span / n, span / n) for i in range(n)] for n in counts)
@@ -169,7 +164,7 @@ def two_steps_are_one_of_twice_the_size(probe: Probe) -> Iterator[str]:
         is_elsewhere = (abs(run[1][name] - two[name]) > _APART * abs(x) for name, x in changes.items() if run)
         if run and changes and all(is_elsewhere):
             name = min(changes)
-            shown = texts(run[1][name], two[name])
+            shown = values.texts(run[1][name], two[name])
             what = f"{name} is {shown[0]} after {n} step{'s' * (n > 1)} of {span / n:g} s"
             yield f"{what}: expected about {shown[1]}, as after two of {probe.step_size:g} s"
             return
@@ -188,7 +183,7 @@ def default_experiment_runs(probe: Probe) -> Iterator[str]:
 # steps that are pending
 
 
-@behaviour_rule("4.2.2", condition=if_not_claimed(_ASYNCHRONOUS), interface=CO_SIMULATION)
+@behaviour_rule("4.2.2", condition=values.if_not_claimed(_ASYNCHRONOUS), interface=CO_SIMULATION)
 def steps_are_not_pending(probe: Probe) -> Iterator[str]:
     """Without canRunAsynchronuously, fmi2DoStep does not return pending."""
     script = probe.script(logging=True).begin()

@@ -8,11 +8,11 @@ from functools import wraps
 from typing import Any
 
 from fmus.compliance import actions as do
+from fmus.compliance import values
 from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.differential import ROUNDING, Row, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Check, NotApplicableError, NotJudgedError, behaviour_rule
-from fmus.compliance.values import is_utf_8, other_values, settable_while_stepping, start_values, texts
 from fmus.compliance.variable import Variable
 
 _ROUNDED = 1e-6
@@ -29,8 +29,8 @@ def variables_can_be_read(probe: Probe) -> Iterator[str]:
     reading = script.step().read(probe.fmu.variables)
     script.play()
     kinds = {v.name: v.base_kind for v in probe.fmu.variables}
-    for values, when in ((first.values, "initialisation"), (reading.values, "the first step")):
-        for name, value in values.items():
+    for read, when in ((first, "initialisation"), (reading, "the first step")):
+        for name, value in read.values.items():
             if value is None:
                 yield f"{name} is NULL after {when}: expected a string"
                 return
@@ -74,7 +74,7 @@ def _rule_of_each_value(clause: str, **options: Any) -> Callable[[Callable[[Vari
             for when, name, value in _values_in_runs(probe):
                 text = expected(variables[name], value) if name in variables.keys() - wrong else ""
                 if text:
-                    wrong[name] = f"{name} is {texts(value)[0]} {when}: expected {text}"
+                    wrong[name] = f"{name} is {values.texts(value)[0]} {when}: expected {text}"
             yield from wrong.values()
 
         return behaviour_rule(clause, **options)(check)
@@ -112,7 +112,7 @@ def values_are_in_range(v: Variable, value: Any) -> str:
 @_rule_of_each_value("2.1.2")
 def strings_are_utf_8(_: Variable, value: Any) -> str:
     """Strings that are read are UTF-8."""
-    return "UTF-8" if isinstance(value, bytes) and not is_utf_8(value) else ""
+    return "UTF-8" if isinstance(value, bytes) and not values.is_utf_8(value) else ""
 
 
 @differential("2.1.2")
@@ -146,7 +146,7 @@ def fixed_values_stay(probe: Probe) -> Iterator[Row]:
     """
     variables = probe.fmu.variables
     chosen = [v for v in variables if v.variability in ("fixed", "tunable") or v.causality == "input"]
-    constants = start_values(v for v in variables if v.variability == "constant")
+    constants = values.start_values(v for v in variables if v.variability == "constant")
     for first, read, tolerance, again in (
         ((), do.read_as(constants), _ROUNDED, "{}, as it is a constant"),
         ((do.expect(do.read(chosen)),), do.read(chosen), ROUNDING, "{} as before"),
@@ -160,7 +160,7 @@ def fixed_values_follow_nothing(probe: Probe) -> Iterator[Row]:
     """Fixed values do not follow inputs and tunable parameters that are set at communication points,
     tunable ones do not follow inputs.
     """
-    settable, variables = settable_while_stepping(probe.fmu), probe.fmu.variables
+    settable, variables = values.settable_while_stepping(probe.fmu), probe.fmu.variables
     fixed, tunable = ([v for v in variables if v.variability == kind] for kind in ("fixed", "tunable"))
     for causality, chosen, what in (
         ("input", [*fixed, *tunable], "inputs"),
@@ -181,8 +181,8 @@ def tunable_values_are_computed_anew(probe: Probe) -> Iterator[Row]:
     had been set before.
     """
     computed = [v for v in probe.fmu.variables if v.variability == "tunable" and v.causality != "parameter"]
-    settable = [v for v in settable_while_stepping(probe.fmu) if v.causality == "parameter"]
-    pairs = other_values(settable[:MOST_VARIABLES])
+    settable = [v for v in values.settable_while_stepping(probe.fmu) if v.causality == "parameter"]
+    pairs = values.other_values(settable[:MOST_VARIABLES])
     if not computed or not pairs:
         raise NotApplicableError("there is no tunable parameter, or no tunable value that is calculated")
     for v, x in pairs:
