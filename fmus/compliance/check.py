@@ -8,7 +8,6 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import date
 from pathlib import Path
-from threading import Timer
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
     from fmus.compliance.report import Checked
 
 NO_VERDICT, NOT_JUDGED = 3, 4  # exit status
-_SHOWN_AFTER_S = 2.0
 
 
 def check(
@@ -139,22 +137,15 @@ def _judged(
 
 @contextmanager
 def _progress(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Gives a function that shows a text on standard error, if that is a terminal and after some time."""
+    """Gives a function that shows a text on standard error, if that is a terminal."""
     if quiet or not sys.stderr.isatty():
         yield lambda text: None
         return
     from rich.console import Console
     from rich.markup import escape
 
-    status = Console(stderr=True).status("")
-    timer = Timer(_SHOWN_AFTER_S, status.start)
-    timer.start()
-    try:
+    with Console(stderr=True).status("") as status:
         yield lambda text: status.update(escape(text))
-    finally:
-        timer.cancel()
-        timer.join()  # it may be at work
-        status.stop()
 
 
 def _print(checked: "Checked", format_name: str, out: Path | None, json_file: str) -> None:

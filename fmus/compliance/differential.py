@@ -4,12 +4,12 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import partial, wraps
+from functools import partial
 from typing import Any, NamedTuple
 
 from fmus.compliance import actions as do
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Check, NotApplicableError, NotJudgedError, behaviour_rule
+from fmus.compliance.rule import Check, NotApplicableError, NotJudgedError, rule_of
 from fmus.compliance.script import Action, CallError, Script
 from fmus.compliance.values import differing, steadily
 from fmus.fmi.binding import ERROR
@@ -62,15 +62,7 @@ def differential(clause: str, **options: Any) -> Callable[[Callable[[Probe], Ite
 
     options: of `behaviour_rule`
     """
-
-    def register(rows: Callable[[Probe], Iterable[Row]]) -> Check:
-        @wraps(rows)
-        def check(probe: Probe) -> Iterator[str]:
-            return differences(probe, rows(probe))
-
-        return behaviour_rule(clause, **options)(check)
-
-    return register
+    return rule_of(lambda probe, rows: differences(probe, rows(probe)), clause, **options)
 
 
 def differences(probe: Probe, rows: Iterable[Row]) -> Iterator[str]:

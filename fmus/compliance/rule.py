@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import cache
+from functools import cache, wraps
 from importlib import import_module
 from typing import Any
 
@@ -152,6 +152,21 @@ def add_rule(added: Rule) -> None:
 def behaviour_rule(clause: str, condition: Condition = always, **options: Any) -> Callable[[Check], Check]:
     """Makes a function a rule of behaviour; arguments as of `rule`."""
     return rule(clause, Stage.BEHAVIOUR, condition, **options)
+
+
+def rule_of(
+    judge: Callable[[Any, Any], Iterable[str]], clause: str, **options: Any
+) -> Callable[[Callable[..., Any]], Check]:
+    """Makes a function a rule of behaviour, whose messages `judge` yields, given a probe and the function.
+
+    options: of `behaviour_rule`
+    """
+
+    def register(function: Callable[..., Any]) -> Check:
+        check = wraps(function)(lambda probe: judge(probe, function))
+        return behaviour_rule(clause, **options)(check)
+
+    return register
 
 
 def messages_of(check: Iterable[str]) -> tuple[str, ...]:

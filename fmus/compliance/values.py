@@ -101,27 +101,20 @@ def _is_integer_of_fmi(value: float) -> bool:
     return _LEAST_INTEGER <= value <= _LARGEST_INTEGER
 
 
-def settable_before(fmu: FmuFile) -> list[Variable]:
-    """Variables that can be set when instantiated: initial exact or approx, not constant."""
-    return [v for v in fmu.variables if v.variability != "constant" and v.initial in ("exact", "approx")]
+def _settable(may_be_set: Callable[[Variable], bool]) -> Callable[[FmuFile], list[Variable]]:
+    return lambda fmu: [v for v in fmu.variables if may_be_set(v)]
 
 
-def settable_in_initialization(fmu: FmuFile) -> list[Variable]:
-    """Variables that can be set in initialization mode: initial exact, not constant, and inputs."""
-    return [
-        v
-        for v in fmu.variables
-        if v.causality == "input" or (v.variability != "constant" and v.initial == "exact")
-    ]
-
-
-def settable_while_stepping(fmu: FmuFile) -> list[Variable]:
-    """Variables that can be set at communication points: inputs and tunable parameters."""
-    return [
-        v
-        for v in fmu.variables
-        if v.causality == "input" or (v.causality == "parameter" and v.variability == "tunable")
-    ]
+# when instantiated: initial exact or approx, not constant
+settable_before = _settable(lambda v: v.variability != "constant" and v.initial in ("exact", "approx"))
+# in initialization mode: initial exact, not constant, and inputs
+settable_in_initialization = _settable(
+    lambda v: v.causality == "input" or (v.variability != "constant" and v.initial == "exact")
+)
+# at communication points: inputs and tunable parameters
+settable_while_stepping = _settable(
+    lambda v: v.causality == "input" or (v.causality, v.variability) == ("parameter", "tunable")
+)
 
 
 def readable_in_initialization(fmu: FmuFile) -> list[Variable]:

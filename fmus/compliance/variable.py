@@ -1,29 +1,19 @@
 """A ScalarVariable as its XML says it, with the defaults of FMI 2.0.5, 2.2.7; tolerant of a broken one."""
 
 import math
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import resources
 
 from fmus.fmi.variable_types import TRANSFER_TYPE
 
+_TABLE = resources.files("fmus.compliance") / "sentences" / "initial.toml"
 # (causality, variability) -> values that `initial` may have, the default first
 INITIAL = {
-    ("parameter", "fixed"): ("exact",),
-    ("parameter", "tunable"): ("exact",),
-    ("calculatedParameter", "fixed"): ("calculated", "approx"),
-    ("calculatedParameter", "tunable"): ("calculated", "approx"),
-    ("input", "discrete"): (),
-    ("input", "continuous"): (),
-    ("output", "constant"): ("exact",),
-    ("output", "discrete"): ("calculated", "exact", "approx"),
-    ("output", "continuous"): ("calculated", "exact", "approx"),
-    ("local", "constant"): ("exact",),
-    ("local", "fixed"): ("calculated", "approx"),
-    ("local", "tunable"): ("calculated", "approx"),
-    ("local", "discrete"): ("calculated", "exact", "approx"),
-    ("local", "continuous"): ("calculated", "exact", "approx"),
-    ("independent", "continuous"): (),
+    tuple(pair.split()): tuple(values.split())
+    for pair, values in tomllib.loads(_TABLE.read_text(encoding="utf-8")).items()
 }
 
 

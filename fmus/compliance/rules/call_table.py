@@ -3,7 +3,6 @@
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import wraps
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -12,7 +11,7 @@ from fmus.compliance import values
 from fmus.compliance.actions import Pair
 from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Check, NotApplicableError, NotJudgedError, behaviour_rule
+from fmus.compliance.rule import Check, NotApplicableError, NotJudgedError, rule_of
 from fmus.compliance.script import VECTORS, Action, Reply, Script
 from fmus.fmi.binding import DISCARD, ERROR, FATAL, OK, WARNING
 
@@ -253,15 +252,7 @@ def call_rule(
 
     options: of `behaviour_rule`
     """
-
-    def register(asks: Callable[[Probe], Iterable[Ask]]) -> Check:
-        @wraps(asks)
-        def check(probe: Probe) -> Iterator[str]:
-            return _unexpected(probe, expected, asks(probe))
-
-        return behaviour_rule(clause, **options)(check)
-
-    return register
+    return rule_of(lambda probe, asks: _unexpected(probe, expected, asks(probe)), clause, **options)
 
 
 def _unexpected(probe: Probe, expected: Expected, asks: Iterable[Ask]) -> Iterator[str]:

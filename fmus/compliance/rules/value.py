@@ -4,7 +4,6 @@ import itertools
 import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from functools import wraps
 from typing import Any
 
 from fmus.compliance import actions as do
@@ -12,7 +11,7 @@ from fmus.compliance import values
 from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.differential import ROUNDING, Row, differential
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Check, NotApplicableError, NotJudgedError, behaviour_rule
+from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule, rule_of
 from fmus.compliance.variable import Variable
 
 _ROUNDED = 1e-6
@@ -60,43 +59,31 @@ def _values_in_runs(probe: Probe) -> Iterator[tuple[str, str, Any]]:
                 yield f"in the default experiment, at {other_t:g} s", v.name, largest
 
 
-def _rule_of_each_value(clause: str, **options: Any) -> Callable[[Callable[[Variable, Any], str]], Check]:
-    """Makes a function a rule: it returns what is expected, if the value of a variable is wrong.
-
-    options: of `behaviour_rule`
-    """
-
-    def register(expected: Callable[[Variable, Any], str]) -> Check:
-        @wraps(expected)
-        def check(probe: Probe) -> Iterator[str]:
-            wrong: dict[str, str] = {}  # the first of each variable
-            variables = {v.name: v for v in probe.fmu.variables}
-            for when, name, value in _values_in_runs(probe):
-                text = expected(variables[name], value) if name in variables.keys() - wrong else ""
-                if text:
-                    wrong[name] = f"{name} is {values.texts(value)[0]} {when}: expected {text}"
-            yield from wrong.values()
-
-        return behaviour_rule(clause, **options)(check)
-
-    return register
+def _wrong_values(probe: Probe, expected: Callable[[Variable, Any], str]) -> Iterator[str]:
+    """Yields the first value of each variable that is wrong. expected: what is expected of one, if it is."""
+    wrong, variables = set[str](), {v.name: v for v in probe.fmu.variables}
+    for when, name, value in _values_in_runs(probe):
+        text = expected(variables[name], value) if name in variables.keys() - wrong else ""
+        if text:
+            wrong.add(name)
+            yield f"{name} is {values.texts(value)[0]} {when}: expected {text}"
 
 
-@_rule_of_each_value("advice: other models expect numbers")
+@rule_of(_wrong_values, "advice: other models expect numbers")
 def outputs_are_finite(v: Variable, value: Any) -> str:
     """The Real outputs are finite, in initialization mode and after steps."""
     is_wrong = v.causality == "output" and isinstance(value, float) and not math.isfinite(value)
     return "a finite number" if is_wrong else ""
 
 
-@_rule_of_each_value("2.2.3")
+@rule_of(_wrong_values, "2.2.3")
 def enumerations_are_items(v: Variable, value: Any) -> str:
     """An Enumeration that is read is the value of one of its items."""
     is_wrong = v.items and value not in v.items
     return f"one of {', '.join(map(str, sorted(v.items)))}" if is_wrong else ""
 
 
-@_rule_of_each_value("2.2.3")
+@rule_of(_wrong_values, "2.2.3")
 def values_are_in_range(v: Variable, value: Any) -> str:
     """Integers and Enumerations that are read lie between min and max, and Reals up to rounding, outputs
     after each step of the default experiment.
@@ -109,7 +96,7 @@ def values_are_in_range(v: Variable, value: Any) -> str:
     return f"{v.low}..{v.high}" if is_wrong else ""
 
 
-@_rule_of_each_value("2.1.2")
+@rule_of(_wrong_values, "2.1.2")
 def strings_are_utf_8(_: Variable, value: Any) -> str:
     """Strings that are read are UTF-8."""
     return "UTF-8" if isinstance(value, bytes) and not values.is_utf_8(value) else ""
@@ -142,9 +129,10 @@ def final_values_after_terminate(probe: Probe) -> Iterator[Row]:
 @differential("2.2.7")
 def fixed_values_stay(probe: Probe) -> Iterator[Row]:
     """Constants have their start value after steps; fixed and tunable variables, and inputs, change only if
-    the importer sets them.
+    the importer sets them: fixed ones do not follow inputs and tunable parameters, tunable ones no inputs.
     """
     variables = probe.fmu.variables
+    fixed, tunable = ([v for v in variables if v.variability == kind] for kind in ("fixed", "tunable"))
     chosen = [v for v in variables if v.variability in ("fixed", "tunable") or v.causality == "input"]
     constants = values.start_values(v for v in variables if v.variability == "constant")
     for first, read, tolerance, again in (
@@ -153,22 +141,12 @@ def fixed_values_stay(probe: Probe) -> Iterator[Row]:
     ):
         varied = do.begin, *first, *itertools.chain(*((do.step(count), read) for count in _STEPS))
         yield Row("after steps", varied, (), "", tolerance, again=again)
-
-
-@differential("2.2.7")
-def fixed_values_follow_nothing(probe: Probe) -> Iterator[Row]:
-    """Fixed values do not follow inputs and tunable parameters that are set at communication points,
-    tunable ones do not follow inputs.
-    """
-    settable, variables = values.settable_while_stepping(probe.fmu), probe.fmu.variables
-    fixed, tunable = ([v for v in variables if v.variability == kind] for kind in ("fixed", "tunable"))
-    for causality, chosen, what in (
-        ("input", [*fixed, *tunable], "inputs"),
-        ("parameter", fixed, "tunable parameters"),
-    ):
-        changed = [v for v in settable if v.causality == causality]
+    settable = values.settable_while_stepping(probe.fmu)
+    rows = ("input", [*fixed, *tunable], "inputs"), ("parameter", fixed, "tunable parameters")
+    for causality, chosen, what in rows:
+        changed = [v for v in settable if v.causality == causality] if chosen else []
         pairs = do.others_accepted(probe, changed, do.begin, do.step())
-        if pairs and chosen:
+        if pairs:
             read, set_others = do.read(chosen), do.set_values(pairs)
             varied = do.start, do.step(), do.expect(read), do.step(), set_others, do.step(2), read
             when = f"after other {what}"
