@@ -597,7 +597,8 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
     for (size_t i = 0; i < n; i++) {
         if (o[i] < 1) return err(s, "order");
         if (o[i] > 1 && FLAG("first order alone")) return err(s, "order");
-        const int order = o[i];
+        const int order = IS("the order of the first input counts") ? o[0] : o[i];
+        if (IS("only the first derivative of a call is set") && i) continue;
         if (vr[i] == 201) {
             if (order == 1) s->d.df = v[i];
         } else if (vr[i] == 202) {

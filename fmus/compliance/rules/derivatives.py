@@ -171,3 +171,28 @@ def _inputs_by_effect(probe: Probe) -> dict[str, list[Variable]]:
             is_none = all(moved == 0.0 for _, moved in pairs)
             inputs["none" if is_none else "backwards" if is_backwards else "right"].append(v)
     return inputs
+
+
+@differential("4.2.1", condition=_INTERPOLATES)
+def input_derivatives_are_set_together(probe: Probe) -> Iterator[Row]:
+    """Derivatives of several inputs that are set in one call act as if each is set in a call of its own, also
+    of different orders.
+    """
+    pairs = values.other_values(values.continuous_reals(probe, "input"))
+    if len(pairs) < 2:
+        raise NotApplicableError("fewer than two continuous inputs take another value")
+    mixed = [1 + i % 2 for i in range(len(pairs))]
+    for orders in ([1] * len(pairs), mixed, [3 - order for order in mixed]):
+        slopes = [
+            (values.references_of([v]), [order], [(x - values.start_value(v)) / probe.step_size**order])
+            for (v, x), order in zip(pairs, orders, strict=True)
+        ]
+        alone = (do.call("set_input_derivatives", *one) for one in slopes)
+        together = do.call(
+            "set_input_derivatives", *(list(itertools.chain(*some)) for some in zip(*slopes, strict=True))
+        )
+        when = f"where one call sets derivatives of {len(pairs)} inputs"
+        begin, end = (do.begin, do.step()), do.run(2)
+        yield Row(
+            when, (*begin, together, end), (*begin, *alone, end), may_fail=True
+        )  # perhaps order 1 alone
