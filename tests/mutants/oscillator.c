@@ -144,7 +144,7 @@ static double accel(const Data *d, double pos, double f, double f2) {
 }
 static void tuned(Data *d) {
     if (!(IS("tunable calculated parameters stay") && d->state == STEP)) d->w0 = sqrt(fabs(d->k / d->m));
-    d->gain2 = 2 * d->k;
+    if (!(FLAG("tunable locals stay") && d->state == STEP)) d->gain2 = 2 * d->k;
     if (d->state != STEP) {
         d->half_m = d->m / 2;
         d->inv_m = 1 / d->m;
@@ -618,6 +618,10 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
     NEED(INST | INIT | STEP);
     for (size_t i = 0; i < n; i++) {
         if (o[i] < 1) return err(s, "order");
+        if (o[i] > 1 && FLAG("first order alone, or a warning")) {
+            say(s, fmi2Warning, 1, "order");
+            return fmi2Warning;
+        }
         if (o[i] > 1 && FLAG("first order alone")) return err(s, "order");
         const int order = IS("the order of the first input counts") ? o[0] : o[i];
         if (IS("only the first derivative of a call is set") && i) continue;

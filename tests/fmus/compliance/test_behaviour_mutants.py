@@ -57,6 +57,8 @@ def test_sources_of_another_language_beside_a_library_need_not_be_listed(tmp_pat
         ("legal formats, a new string of the version", ""),
         ("", "other values are refused"),
         ("", "first order alone"),
+        ("", "first order alone, or a warning"),
+        ("", "tunable locals stay"),
         ("", "backward differences"),
         ("", "seven digits"),
     ],
