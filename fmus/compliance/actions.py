@@ -39,7 +39,7 @@ read_bytes, glance, plain = _action(Script.read_bytes), _action(Script.read), _a
 
 def set_up(stop: int, tolerance: float | None = None) -> Action:
     """Sets the experiment up with a stop time at the communication point of a number."""
-    return lambda script: script.set_up(stop=script.point(stop), tolerance=tolerance)
+    return lambda script: script.set_up(stop=script.probe.point(stop), tolerance=tolerance)
 
 
 def begin_until(stop: int, tolerance: float | None = None) -> tuple[Action, ...]:

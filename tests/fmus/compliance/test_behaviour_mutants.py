@@ -69,6 +69,13 @@ def test_a_second_slave_that_refuses_what_is_not_allowed_breaks_no_rule(
     assert broken_rules(write_slave(tmp_path, feature, flags, slave="Oscillator"), is_static=False) == {}
 
 
+@pytest.mark.slow
+def test_a_relation_that_is_active_in_event_mode_and_frozen_after_it_breaks_no_rule(tmp_path: Path) -> None:
+    """3.2.2: in continuous-time mode relations are frozen, so values may differ until the event ends."""
+    flags = "a relation of a parameter"
+    assert broken_rules(write_slave(tmp_path, "", flags, slave="Exchange"), is_static=False) == {}
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="patches a library of Linux")
 @pytest.mark.parametrize(("name", "other"), [(b"libm.so.6", b"libin.so1"), (b"fesetround", b"fesetrounq")])
 def test_a_library_that_does_not_load_is_one_finding_and_no_behaviour_is_judged(
