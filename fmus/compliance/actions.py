@@ -39,7 +39,7 @@ read_bytes, glance, plain = _action(Script.read_bytes), _action(Script.read), _a
 
 def set_up(stop: int, tolerance: float | None = None, start: int = 0) -> Action:
     """Sets the experiment up, from the communication point of a number to that of another."""
-    return lambda script: script.set_up(script.point(start), script.point(stop), tolerance)
+    return lambda script: script.set_up(script.probe.point(start), script.probe.point(stop), tolerance)
 
 
 def begin_until(stop: int, tolerance: float | None = None, start: int = 0) -> tuple[Action, ...]:

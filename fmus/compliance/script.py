@@ -246,7 +246,7 @@ class Script:
         if not self.probe.fmu.is_model_exchange:
             return self.go_on(min(count, _MOST_LEAPT * thirds))
         ends = [self._step + count * i // _LEAPS for i in range(_LEAPS + 1)]
-        for before, end in itertools.pairwise(map(self.point, ends)):
+        for before, end in itertools.pairwise(map(self.probe.point, ends)):
             self.call("leap", before, end - before)
         self._step += count
         return self
@@ -335,14 +335,10 @@ class Script:
                 reading.replies[function] = self.call("vector", function)
         return reading
 
-    def point(self, i: int) -> float:
-        """Returns the time of communication point number i [s]."""
-        return self.probe.point(i)
-
     @property
     def time(self) -> float:
         """Time at which the next step begins [s]."""
-        return self.point(self._step)
+        return self.probe.point(self._step)
 
     @property
     def variables(self) -> Sequence[Variable]:

@@ -21,7 +21,7 @@ enum { FIXED, TUNABLE, INPUT, DISCRETE_INPUT, STATE, OTHER };
 
 typedef struct {
     double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept, kept_v, kept_k, kept_time, derived_x, before;
-    int above_read, set, is_kept, is_read, up, stairs, turns, above, rising, state, set_up, iteration, evaluations, derivatives;
+    int above_read, set, is_kept, is_read, up, stairs, turns, above, rising, stiff, state, set_up, iteration, evaluations, derivatives;
 } Data;
 typedef struct {
     unsigned reference;
@@ -76,6 +76,7 @@ static void evaluate(Data *d) {
     if (IS("values stay in continuous-time mode once they are read") && d->is_read && d->state == CONT) return;
     if (IS("instances share an input")) d->u = shared;
     d->a = d->u - d->k * d->x + 0.1 * d->stairs * (d->up ? 1 : -1);
+    if (FLAG("a relation of a parameter") && (d->state == EVENT ? d->k > 4.01 : d->stiff)) d->a += 1;
     if (IS("relations follow states where continuous time begins") && d->state == CONT && d->time == d->last_event)
         d->above = d->x > 0.1;
     if (IS("derivatives have a history")) d->a += 1e-3 * d->derivatives;
@@ -257,6 +258,7 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
     Data *d = &m->d;
     NEED(EVENT);
     d->is_read = 0;
+    d->stiff = d->k > 4.01; /* frozen in continuous-time mode */
     memset(info, 0, sizeof *info);
     if (d->time >= d->next) {
         d->stairs++;

@@ -113,6 +113,11 @@ static fmi2Status err(Slave *s, const char *text) {
     s->d.state = FAIL;
     return fmi2Error;
 }
+static const char *unknown(char type, unsigned reference) {
+    static char text[50];
+    snprintf(text, sizeof text, "no such variable: #%c%u#", type, reference);
+    return FLAG("logs its calls") ? text : "no such variable";
+}
 static fmi2Status discard(Slave *s) {
     say(s, fmi2Discard, 2, "discarded");
     return fmi2Discard;
@@ -142,7 +147,7 @@ static double accel(const Data *d, double pos, double f, double f2) {
 }
 static void tuned(Data *d) {
     if (!(IS("tunable calculated parameters stay") && d->state == STEP)) d->w0 = sqrt(fabs(d->k / d->m));
-    d->gain2 = 2 * d->k;
+    if (!(FLAG("tunable locals stay") && d->state == STEP)) d->gain2 = 2 * d->k;
     if (d->state != STEP) {
         d->half_m = d->m / 2;
         d->inv_m = 1 / d->m;
@@ -274,6 +279,7 @@ void fmi2FreeInstance(fmi2Component c) {
 }
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String cats[]) {
     Slave *s = c;
+    if (FLAG("logs its calls")) say(s, fmi2OK, 0, "fmi2SetDebugLogging");
     if (IS("debug logging is refused after an error") && s->d.state == FAIL) return err(s, "x");
     if (IS("debug logging off is for all") && !on) n = 0;
     unsigned chosen = n ? 0 : 63;
@@ -379,7 +385,7 @@ static const Var *find(char type, unsigned vr) {
         if (IS("reading counts") && d->state == STEP) d->steps++;                                            \
         for (size_t i = 0; i < n; i++) {                                                                     \
             const Var *v = find(ch, vr[i]);                                                                  \
-            if (!v) return err(s, "no such variable");                                                       \
+            if (!v) return err(s, unknown(ch, vr[i]));                                                       \
             if (d->state == INIT && !(v->ca == OUT || v->unknown || v->ca == IND)) return err(s, "not now");                 \
             if (IS("a reference twice in a call") && i && vr[i] == vr[i - 1]) {                              \
                 memset(&value[i], 0, sizeof value[i]);                                                       \
@@ -438,7 +444,7 @@ static int refused(const Var *v, char *p) {
         NEED(INST | INIT | STEP);                                                                            \
         for (size_t i = 0; i < n; i++) {                                                                     \
             const Var *v = find(ch, vr[i]);                                                                  \
-            if (!v) return err(s, "no such variable");                                                       \
+            if (!v) return err(s, unknown(ch, vr[i]));                                                       \
             if (!settable(s, v)) return err(s, "not settable");                                              \
             if (IS("only the first value of a call is set") && i) continue;                                  \
             void *p = (char *)d + v->off;                                                                    \
@@ -596,6 +602,10 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
     NEED(INST | INIT | STEP);
     for (size_t i = 0; i < n; i++) {
         if (o[i] < 1) return err(s, "order");
+        if (o[i] > 1 && FLAG("first order alone, or a warning")) {
+            say(s, fmi2Warning, 1, "order");
+            return fmi2Warning;
+        }
         if (o[i] > 1 && FLAG("first order alone")) return err(s, "order");
         const int order = IS("the order of the first input counts") ? o[0] : o[i];
         if (IS("only the first derivative of a call is set") && i) continue;

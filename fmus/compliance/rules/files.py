@@ -47,6 +47,7 @@ _PREFIX = re.compile(rb"^[ \t]*#[ \t]*define[ \t]+FMI2_FUNCTION_PREFIX[ \t]+(\w+
 _FUNCTIONS = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*["<]fmi2Functions\.h[">]', re.MULTILINE)
 _NAMES_FUNCTIONS = (b"FMI2_FUNCTION_PREFIX", b"FMI2_OVERRIDE_FUNCTION_PREFIX")
 _DEFINED = re.compile(rb"^(static\s)?[A-Za-z_][\w \t*]*[\s*](\w+)[ \t]*\([^;{}]*\)\s*\{", re.MULTILINE)
+_DECLARED = re.compile(rb"^[A-Za-z_][\w \t*]*[\s*]\w+[ \t]*\([^;{}]*\)\s*;", re.MULTILINE)
 _OF_FMI = re.compile(rb"\bfmi2\w+\s*\([^;{}]*\)\s*\{")
 _MACRO, _CALLED = re.compile(rb"#[ \t]*define[ \t]+(\w+)"), re.compile(rb"\b(\w+)[ \t]*\(")
 _GUARD = re.compile(
@@ -122,9 +123,9 @@ def _sources(fmu: FmuFile) -> dict[str, bytes]:
     return {path: _COMMENT.sub(b"", fmu.read(path)) for path in paths}
 
 
-def _included(text: bytes, mark: bytes = b'"') -> list[str]:
-    """Returns the files that C code includes by quotes, or by the angle bracket `<`."""
-    names = [name for begin, name in _INCLUDE.findall(text) if begin == mark]
+def _included(text: bytes, marks: bytes = b'"<') -> list[str]:
+    """Returns the files that C code includes, by quotes or by the angle bracket `<`."""
+    names = [name for begin, name in _INCLUDE.findall(text) if begin in marks]
     return list(dict.fromkeys(name.decode("utf-8", "replace").strip() for name in names))
 
 
@@ -211,7 +212,7 @@ def source_files_are_complete(fmu: FmuFile) -> Iterator[str]:
     for interface in filter(_listed, _interfaces(fmu)):
         compiled = _compiled(fmu, _listed(interface))
         text = b"\n".join(compiled.values())
-        calls = b"\n".join(map(_unconditional, compiled.values()))
+        calls = _DECLARED.sub(b"", b"\n".join(map(_unconditional, compiled.values())))
         missing = {b"fmi2Instantiate", *_CALLED.findall(calls)} - {*_MACRO.findall(text)}
         missing -= {name for _, name in _DEFINED.findall(text)}
         for path in sorted(path for path in _sources(fmu).keys() - compiled if path.endswith(_TO_COMPILE)):
@@ -256,7 +257,7 @@ def included_files_exist(fmu: FmuFile) -> Iterator[str]:
     listed = [name for interface in _interfaces(fmu) for name in _listed(interface)]
     for path, text in sorted((_compiled(fmu, listed) if listed else _sources(fmu)).items()):
         if path.endswith(_TO_COMPILE):
-            for included in _included(_unconditional(text)):
+            for included in _included(_unconditional(text), b'"'):
                 name = posixpath.basename(included)
                 if name not in known and not _HEADERS_OF_OTHERS.fullmatch(name):
                     yield f'{path}: #include "{included}": expected that file below sources'
@@ -301,7 +302,7 @@ def source_prefix_is_defined(fmu: FmuFile) -> Iterator[str]:
 
 
 def _reached(path: str, sources: dict[str, bytes]) -> set[str]:
-    """Returns the paths of all sources that a file includes by quotes, and these in turn."""
+    """Returns the paths of all sources that a file includes, and these in turn."""
     reached, left = set[str](), [path]
     while left:
         names = {posixpath.basename(name) for name in _included(sources[left.pop()])}

@@ -14,7 +14,7 @@ from fmus.compliance.probe import Probe
 from fmus.compliance.rows import told
 from fmus.compliance.rules.call_table import NAME, tour
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, Action, CallError, Message, Reply, Script
-from fmus.compliance.values import refused_reference
+from fmus.compliance.values import refused_reference, unknown_reference
 from fmus.fmi.binding import DISCARD, ERROR, OK, PENDING, WARNING, status_name
 
 _CREATION = "2.1.5"
@@ -87,7 +87,9 @@ def _undeclared(message: Message, probe: Probe) -> str:
 def _unknown_variable(message: Message, probe: Probe) -> str:
     found = _REFERENCE.findall(message.text.replace("##", ""))
     known = {(v.base_kind, v.reference) for v in probe.fmu.variables} if found else ()
-    return next((f"#{kind}{x}#" for kind, x in found if (_KINDS[kind], int(x)) not in known), "")
+    asked = unknown_reference(probe.fmu) if found else 0  # the answer may name it
+    wrong = (f"#{k}{x}#" for k, x in found if int(x) != asked and (_KINDS[k], int(x)) not in known)
+    return next(wrong, "")
 
 
 def _has_a_single_percent_sign(message: Message, _: Probe) -> bool:
@@ -285,8 +287,11 @@ def _played_with_logging(probe: Probe) -> Iterator[_Run]:
 
 
 def _sent(script: Script, declared: Sequence[str]) -> dict[str | None, str]:
-    """Returns category -> text of its first message that can be turned off: of a call that returns ok."""
-    messages = [m for reply in script.replies if reply.status == OK for m in reply.messages]
+    """Returns category -> text of its first message that can be turned off: of a call that returns ok, and
+    does not turn it off.
+    """
+    replies = [reply for reply in script.replies if reply.function != "fmi2SetDebugLogging"]
+    messages = [m for reply in replies if reply.status == OK for m in reply.messages]
     chosen = [m for m in messages if m.status == OK or (m.status == WARNING and m.category in declared)]
     return {m.category: m.text for m in reversed(chosen)}
 

@@ -155,14 +155,14 @@ def fixed_values_stay(probe: Probe) -> Iterator[Row]:
 
 @differential("2.2.7")
 def tunable_values_are_computed_anew(probe: Probe) -> Iterator[Row]:
-    """A tunable parameter that is set at a communication point gives calculated tunable values as if it
-    had been set before.
+    """A tunable parameter that is set at a communication point gives tunable calculated parameters and
+    outputs as if it had been set before.
     """
-    computed = [v for v in probe.fmu.variables if v.variability == "tunable" and v.causality != "parameter"]
-    settable = [v for v in values.settable_while_stepping(probe.fmu) if v.causality == "parameter"]
-    pairs = values.other_values(settable[:MOST_VARIABLES])
+    tunable = [v for v in probe.fmu.variables if v.variability == "tunable"]
+    computed = [v for v in tunable if v.causality in ("calculatedParameter", "output")]  # no local variable
+    pairs = values.other_values([v for v in tunable if v.causality == "parameter"][:MOST_VARIABLES])
     if not computed or not pairs:
-        raise NotApplicableError("there is no tunable parameter, or no tunable value that is calculated")
+        raise NotApplicableError("there is no tunable parameter, or none that is calculated")
     for v, x in pairs:
         early = do.initialise, do.set_values([(v, x)]), do.exit_initialization_mode, do.read(computed)
         late = do.start, do.step(), do.set_values([(v, x)]), do.step(), do.read(computed)

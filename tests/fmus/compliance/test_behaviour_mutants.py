@@ -57,6 +57,9 @@ def test_sources_of_another_language_beside_a_library_need_not_be_listed(tmp_pat
         ("legal formats, a new string of the version", ""),
         ("", "other values are refused"),
         ("", "first order alone"),
+        ("", "first order alone, or a warning"),
+        ("", "tunable locals stay"),
+        ("", "logs its calls"),
         ("", "backward differences"),
         ("", "seven digits"),
     ],
@@ -65,6 +68,20 @@ def test_a_second_slave_that_refuses_what_is_not_allowed_breaks_no_rule(
     feature: str, flags: str, tmp_path: Path
 ) -> None:
     assert broken_rules(write_slave(tmp_path, feature, flags, slave="Oscillator"), is_static=False) == {}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("flags", "changes"),
+    [
+        ("a relation of a parameter", []),  # 3.2.2: it is active in event mode, and frozen after it
+        ("", [('stepSize="0.04"', 'stepSize="0.05"')]),  # whose multiples are no sums
+    ],
+)
+def test_an_fmu_for_model_exchange_that_does_nothing_wrong_breaks_no_rule(
+    flags: str, changes: list[tuple[str, str]], tmp_path: Path
+) -> None:
+    assert broken_rules(write_slave(tmp_path, "", flags, changes, "Exchange"), is_static=False) == {}
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="patches a library of Linux")
