@@ -4,6 +4,7 @@ The AC-ROV of Maalouf et al. (2013) as far as it is published; every other numbe
 guess and says so. Depth is positive down and zero when the vehicle's top is at the surface.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from fmus.block import Block, NoValues, variable
@@ -217,35 +218,48 @@ def initial_state(t: float, inputs: Inputs, p: Parameters, calculated: NoValues)
 
 def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
     j = heave.body_to_earth(inputs.roll, inputs.pitch)
+    forces = forces_from(state.thruster_force, inputs, p)
+
+    def derivative(elapsed: float, x: tuple) -> tuple:
+        z, w = x
+        thrust = submerged_share(z, p) * sum(forces(elapsed))
+        return j * w, heave_acceleration(z, w, thrust, j, inputs, p)
+
+    depth, velocity = rk4_step(derivative, 0.0, (state.depth, state.heave_velocity), h)
+    head = inputs.wave_pressure_head
+    sensor = depth_sensor.sample_when_due(sensor_of(p), state.sensor, t + h, depth + head)
+    return State(depth, velocity, forces(h), j, head, sensor)
+
+
+def forces_from(force: Pair, inputs: Surroundings, p: Parameters) -> Callable[[float], Pair]:
+    """Returns a function of time [s]: the force of each submerged thruster [N] so long after `force`."""
     thrusters = thruster_of(p, 0), thruster_of(p, 1)
     steady = [
         thruster.steady_force(thrusters[i], inputs.voltage[i], inputs.thruster_efficiency[i]) for i in (0, 1)
     ]
 
     def forces(elapsed: float) -> Pair:
-        first, second = (
-            thruster.force_after(thrusters[i], state.thruster_force[i], steady[i], elapsed) for i in (0, 1)
-        )
+        first, second = (thruster.force_after(thrusters[i], force[i], steady[i], elapsed) for i in (0, 1))
         return first, second
 
-    head = inputs.wave_pressure_head
-    water_velocity = inputs.current_velocity + inputs.wave_velocity
+    return forces
+
+
+def heave_acceleration(
+    z: float, velocity: float, thrust: float, j: float, inputs: Surroundings, p: Parameters
+) -> float:
+    """Returns the acceleration [m/s2] along an axis at a depth [m] and a velocity along it [m/s].
+
+    thrust: along the axis [N]; j: vertical part of a unit along the axis
+    """
     submerged_buoyancy = p.weight - p.net_weight + inputs.buoyancy_change
-
-    def derivative(elapsed: float, x: tuple) -> tuple:
-        z, w = x
-        thrust = submerged_share(z, p) * sum(forces(elapsed))
-        floating = heave.buoyancy(z, submerged_buoyancy, p.water_density, p.waterplane_area)
-        b = where(p.free_surface, floating, submerged_buoyancy)
-        drag = heave.damping(w - j * water_velocity, p.linear_damping, p.quadratic_damping)
-        restoring = j * (p.weight - b)
-        wave_force = heave.wave_force(j * inputs.wave_acceleration, p.inertia, p.weight - b)
-        external = inputs.external_force + wave_force
-        return j * w, heave.acceleration(thrust, external, restoring, drag, p.inertia)
-
-    depth, velocity = rk4_step(derivative, 0.0, (state.depth, state.heave_velocity), h)
-    sensor = depth_sensor.sample_when_due(sensor_of(p), state.sensor, t + h, depth + head)
-    return State(depth, velocity, forces(h), j, head, sensor)
+    floating = heave.buoyancy(z, submerged_buoyancy, p.water_density, p.waterplane_area)
+    net_weight = p.weight - where(p.free_surface, floating, submerged_buoyancy)
+    water_velocity = inputs.current_velocity + inputs.wave_velocity
+    drag = heave.damping(velocity - j * water_velocity, p.linear_damping, p.quadratic_damping)
+    wave_force = heave.wave_force(j * inputs.wave_acceleration, p.inertia, net_weight)
+    external = inputs.external_force + wave_force
+    return heave.acceleration(thrust, external, j * net_weight, drag, p.inertia)
 
 
 def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:
