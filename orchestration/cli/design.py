@@ -1,5 +1,6 @@
 """Command design: gains of L1, its extension and PID for a vehicle, by rules, checked over its ranges."""
 
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -48,6 +49,8 @@ def design(
     changes = Changes.of_options("", settings, mapped, None, plant)
     vehicle = _vehicle(changes)
     drawn = vehicle_data.draws_of(vehicle)
+    for message in vehicle_data.overruled(vehicle, drawn):
+        print(f"l1-depth: warning: {message}", file=sys.stderr)
     data = vehicle_data.data_of(vehicle, drawn)
     shared.check_writable(out)
     scenarios = {title: _scenario(changes, *run) for title, run in _RUNS.items()}

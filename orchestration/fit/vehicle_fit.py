@@ -26,7 +26,7 @@ from orchestration.results.recording import Recording
 from orchestration.scenarios.changes import values_of_settings, with_values
 from orchestration.scenarios.fmu_files import fmu_file
 from orchestration.scenarios.layers import Layer
-from orchestration.score.vehicle import DEPTH, PLANT, Vehicle
+from orchestration.score.vehicle import DEPTH, PREFIX, Vehicle
 from orchestration.system.experiment import Experiment, suggested_times
 from orchestration.system.prepared_run import has_start_value
 from orchestration.system.system import Port, System
@@ -59,7 +59,7 @@ class VehicleFit:
         """Each fitted variable, "plant.NAME", with its estimate; depths at the start of dives are none."""
         for estimate in self.analysis.estimates:
             if not estimate.free.name.startswith(f"{DATA}."):
-                yield from ((PLANT + name, estimate) for name in estimate.free.variables)
+                yield from ((PREFIX + name, estimate) for name in estimate.free.variables)
 
     @property
     def metrics(self) -> dict[str, dict[str, str]]:
@@ -100,7 +100,7 @@ def free_parameters(texts: Sequence[str], vehicle: Vehicle) -> list[Free]:
     result = dict[str, Free]()
     for part in filter(None, parts):
         name, _, limits = part.partition("=")
-        free = _free(name.strip().removeprefix(PLANT), limits, vehicle)
+        free = _free(name.strip().removeprefix(PREFIX), limits, vehicle)
         taken = {variable for other in result.values() for variable in other.variables}
         if taken & {*free.variables}:
             raise OrchestrationError(f"--free {part}: given twice: expected it once")
@@ -130,7 +130,7 @@ def _free(name: str, limits: str, vehicle: Vehicle) -> Free:
         if not low <= given[0] < given[1] <= high:
             raise OrchestrationError(f"--free {name}={limits}: expected limits within {low:g}..{high:g}")
         low, high = given
-    start = float(_settings(vehicle)["parameters"].get(PLANT + own[0], start_value(first)))
+    start = float(_settings(vehicle)["parameters"].get(PREFIX + own[0], start_value(first)))
     return Free(name, low, high, min(max(start, low), high), first.unit or "", tuple(own))
 
 
@@ -172,16 +172,16 @@ class _Runs:
             Experiment(
                 stop_time=step * max(1, math.ceil(dive.times[-1] / step * (1.0 - 1e-12))),
                 step_size=step,
-                signals={PLANT + name: signal for name, signal in dive.commands.items()},
+                signals={PREFIX + name: signal for name, signal in dive.commands.items()},
                 record=[self.depth],
                 open_inputs="start",
                 parameters=settings["parameters"],
-                inputs={n: v for n, v in settings["inputs"].items() if n[len(PLANT) :] not in dive.commands},
+                inputs={n: v for n, v in settings["inputs"].items() if n[len(PREFIX) :] not in dive.commands},
             )
             for dive in dives
         ]
         start_depth = vehicle.variable(vehicle.start_depth)
-        own = start_depth.removeprefix(PLANT)
+        own = start_depth.removeprefix(PREFIX)
         is_given = start_depth in settings["parameters"] or any(own in one.variables for one in free)
         self._at_starts = [
             Free(f"{DATA}.{own} of {dive.name}", start=float(dive.depths[0]), unit="m", variables=(own,))
@@ -202,7 +202,7 @@ class _Runs:
 
     def _experiment(self, dive: int, point: Values) -> Experiment:
         chosen = [*self._of_all, *self._at_starts[dive : dive + 1]]
-        values = {PLANT + own: point[one.name] for one in chosen for own in one.variables}
+        values = {PREFIX + own: point[one.name] for one in chosen for own in one.variables}
         return with_values(self._experiments[dive], values)
 
     def residuals(self, points: Sequence[Values]) -> Iterator[np.ndarray]:
@@ -283,7 +283,7 @@ def _beginning(dive: Dive, share: float) -> Dive:
 
 def _recording(depth: str, dive: Dive, residuals: np.ndarray, run: Recording | Failure) -> Recording:
     """Returns the simulated and the measured depth, their difference and the commands, at the readings."""
-    commands = {PLANT + name: signal.at(dive.times) for name, signal in dive.commands.items()}
+    commands = {PREFIX + name: signal.at(dive.times) for name, signal in dive.commands.items()}
     columns = {depth: dive.depths + residuals, _MEASURED: dive.depths, _RESIDUAL: residuals, **commands}
     units = ("m", "m", "m", *(dive.units[name] for name in dive.commands))
     provenance = {} if isinstance(run, Failure) else run.provenance
