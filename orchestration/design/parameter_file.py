@@ -8,7 +8,7 @@ import tomli_w
 
 from fmus.files import write_text_atomically
 from orchestration.design import rules
-from orchestration.design.check import Checked
+from orchestration.design.check import DesignCheck
 from orchestration.design.rules import Conditions, Gain, L1Design, PidDesign, beta_of
 from orchestration.design.vehicle_data import Range, VehicleData
 
@@ -119,7 +119,9 @@ def _ranges(data: VehicleData) -> str:
     )
 
 
-def write(path: Path, gains: Sequence[Gain], phase: float, delay: float, checks: Sequence[Checked]) -> None:
+def write(
+    path: Path, gains: Sequence[Gain], phase: float, delay: float, checks: Sequence[DesignCheck]
+) -> None:
     """Writes a parameter file, with what the check gave."""
     document: dict[str, Any] = {
         "design": {
@@ -135,12 +137,12 @@ def write(path: Path, gains: Sequence[Gain], phase: float, delay: float, checks:
     write_text_atomically(path, tomli_w.dumps(document))
 
 
-def _checked(one: Checked) -> Mapping[str, Any]:
+def _checked(one: DesignCheck) -> Mapping[str, Any]:
     return {
         "controller": one.title,
         "runs": len(one.rmse),
         "rmse_cm": round(one.rmse[0], 3),
         "worst_rmse_cm": round(one.rmse[one.worst], 3),
         "worst_settling_time_s": round(max(one.settling), 2),
-        "worst_place": one.place(one.worst),
+        "worst_values": one.values_text(one.worst),
     }

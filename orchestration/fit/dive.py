@@ -91,8 +91,8 @@ def _columns(file: DataFile, vehicle: Vehicle, mapping: Mapping[str, str]) -> di
 
     def column(*names: str) -> str:
         own = [mapping[name] for name in names if name in mapping]
-        found = [prefix + name for name in names for prefix in ("", PREFIX) if prefix + name in file.titles]
-        return next(iter([*own, *found]), "")
+        titles = [prefix + name for name in names for prefix in ("", PREFIX) if prefix + name in file.titles]
+        return next(iter([*own, *titles]), "")
 
     # a name of the interface that stands for another variable is not the variable of that name
     names = {name: [name] for name in inputs.keys() - vehicle.mapping.keys()}

@@ -232,8 +232,8 @@ def fit_vehicle(
         raise OrchestrationError(f"two dives are called {dives[0].name}: expected files of different names")
     count = sum(len(dive.times) for dive in dives)
     most = _EVALUATIONS * (len(free) + len(dives))
-    with LocalRuns(workers, expected=most * len(dives)) as place:
-        make = partial(in_order, place)
+    with LocalRuns(workers, expected=most * len(dives)) as local_runs:
+        make = partial(in_order, local_runs)
         runs = _Runs(vehicle, dives, free, step_size, make)
         if count <= len(runs.free):
             raise OrchestrationError(

@@ -115,8 +115,8 @@ _FILE = TypeAdapter(VehicleFile)
 def description_file(vehicle: str) -> TomlFile:
     """Returns the description of a block, an FMU or a Python file; without entries if it has none."""
     beside, ships = Path(vehicle).with_suffix(".vehicle.toml"), SHIPPED / f"{Path(vehicle).stem}.toml"
-    found = next((path for path in (beside, ships) if path.is_file()), None)
-    return read_toml(found) if found else TomlFile(beside, "", {})
+    file = next((path for path in (beside, ships) if path.is_file()), None)
+    return read_toml(file) if file else TomlFile(beside, "", {})
 
 
 def description_of(file: TomlFile) -> VehicleFile:

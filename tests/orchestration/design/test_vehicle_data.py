@@ -111,9 +111,9 @@ def test_a_transfer_function_has_the_phase_of_the_lag_that_stands_for_it() -> No
 def test_corners_are_every_combination_of_ends_and_draws_lie_between() -> None:
     vehicle = Vehicle.of_base("vehicle")
     draws = draws_of(vehicle)
-    found = corners(vehicle, draws)
-    assert len(found) == 2**7  # seven ranges, and a seed
-    assert {(c["plant.thruster_gain[1]"], c["plant.thruster_gain[2]"]) for c in found} == {
+    ends = corners(vehicle, draws)
+    assert len(ends) == 2**7  # seven ranges, and a seed
+    assert {(c["plant.thruster_gain[1]"], c["plant.thruster_gain[2]"]) for c in ends} == {
         (0.2, 0.2),
         (0.3, 0.3),
     }
