@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestration.design.vehicle_data import VehicleData, corners, data_of, drawn, draws_of
+from orchestration.design.vehicle_data import VehicleData, corners, data_of, drawn, draws_of, overruled
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.actuators import ForceTable
 from orchestration.scenarios.vehicle import transfer_lag
@@ -96,6 +96,20 @@ def test_a_table_of_forces_is_handed_on_and_its_weaker_direction_limits(tmp_path
     assert read_data.actuators.table == ForceTable((-10.0, 0.0, 10.0), (-40.0, 0.0, 30.0))
     assert read_data.force_limit == 60.0  # two times two thrusters with 15 N at 5 V
     assert read_data.gain == (0.75, 1.5)
+
+
+def test_a_range_of_the_efficiency_is_one_of_the_thrust() -> None:
+    """Both thrusters at 0.2 N/V to 0.3 N/V, one of them at 80 % or more, over 0.5 N/V."""
+    assert read(Vehicle.of("RovHeavePitchPlant")).gain == pytest.approx(((0.2 + 0.8 * 0.2) / 0.5, 1.2))
+
+
+def test_a_value_that_yields_to_a_range_is_named_with_it() -> None:
+    settings = {"plant.inertia": 6.0, "plant.weight": 30.0}
+    vehicle = Vehicle.of("RovDepthPlant", settings=settings)
+    (message,) = overruled(vehicle, draws_of(vehicle))
+    assert message.startswith("plant.inertia = 6.0 acts in the first run alone: ")
+    assert "takes the range 5 to 7 in [vary.*] of" in message
+    assert read(vehicle).inertia == (5.0, 7.0)
 
 
 def test_a_transfer_function_has_the_phase_of_the_lag_that_stands_for_it() -> None:

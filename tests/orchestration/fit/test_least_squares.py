@@ -117,5 +117,5 @@ def test_a_search_ends_when_its_evaluations_are_used_up_and_keeps_the_best() -> 
 
 
 def test_limits_in_the_wrong_order_are_refused() -> None:
-    with pytest.raises(OrchestrationError, match="a=2:1: expected the lower limit first"):
+    with pytest.raises(OrchestrationError, match="a=2:1: expected finite limits, the lower one first"):
         FreeParameter("a", 2.0, 1.0)
