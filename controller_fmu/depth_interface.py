@@ -220,10 +220,12 @@ def body_to_earth(inputs: DepthInputs) -> float:
 
 
 def deliver(force: float, j: float, p: ActuatorParameters) -> Delivery:
-    """Allocates a demand [N] to the thrusters, and returns what they deliver of it."""
-    return where(
-        p.thruster_tabulated, lambda: _deliver_by_table(force, j, p), lambda: _deliver_by_gain(force, j, p)
-    )
+    """Allocates a demand [N] to the thrusters, half to each, and returns what they deliver of it."""
+    share = 0.5 * j * force
+    first, second = (clip(share, low, high) for low, high in force_ranges(p))
+    voltage, forces = voltages_of((first, second), p)
+    missing = first - share, second - share  # exactly 0 without saturation
+    return Delivery(voltage, allocation.force(forces, j), allocation.force(missing, j))
 
 
 def force_ranges(p: ActuatorParameters) -> tuple[Vector, Vector]:
@@ -256,34 +258,6 @@ def voltages_of(forces: Vector, p: ActuatorParameters) -> tuple[Vector, Vector]:
         return saturated, (gains[0] * saturated[0], gains[1] * saturated[1])
 
     return where(p.thruster_tabulated, of_table, of_gain)
-
-
-def _deliver_by_table(force: float, j: float, p: ActuatorParameters) -> Delivery:
-    """Limits the force of each thruster to what the table gives up to the largest voltage."""
-    voltages, forces = p.thruster_table_voltage, p.thruster_table_force
-    lowest, highest = (interp(limit, voltages, forces) for limit in (-p.voltage_limit, p.voltage_limit))
-    share = 0.5 * j * force
-    shares = [clip(share, scale * lowest, scale * highest) for scale in p.thruster_scale]
-    first, second = (
-        allocation.table_voltage(given / scale, voltages, forces)
-        for given, scale in zip(shares, p.thruster_scale, strict=True)
-    )
-    ones = (1.0, 1.0)  # the shares are forces, not voltages
-    return Delivery(
-        voltage=allocation.saturate((first, second), p.voltage_limit),  # an inverse rounds beyond the limit
-        force=allocation.force((shares[0], shares[1]), j, ones),
-        saturation_error=allocation.force((shares[0] - share, shares[1] - share), j, ones),
-    )
-
-
-def _deliver_by_gain(force: float, j: float, p: ActuatorParameters) -> Delivery:
-    demanded = allocation.allocate(force, j, p.thruster_gain)
-    saturated = allocation.saturate(demanded, p.voltage_limit)
-    return Delivery(
-        voltage=saturated,
-        force=allocation.force(saturated, j, p.thruster_gain),
-        saturation_error=allocation.saturation_error(demanded, saturated, j, p.thruster_gain),
-    )
 
 
 def outputs(force: float, measured: DepthMeasurement, j: float, p: ActuatorParameters) -> dict[str, Any]:

@@ -4,22 +4,20 @@ The AC-ROV of Maalouf et al. (2013) as far as it is published; every other numbe
 guess and says so. Depth is positive down and zero when the vehicle's top is at the surface.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from fmus.block import Block, NoValues, variable
 from fmus.numerics import rk4_step, where
 from plant_fmu import depth_sensor, heave, thruster
 from plant_fmu.depth_plant_guide import GUIDE
-from plant_fmu.depth_sensor import Sensor, SensorState
-from plant_fmu.thruster import T200_FORCE, T200_VOLTAGE, Thruster
-
-Pair = tuple[float, float]
-Table = tuple[float, ...]
+from plant_fmu.depth_sensor import SensorParameters, SensorState
+from plant_fmu.thruster import Pair, ThrusterParameters
 
 
 @dataclass(frozen=True)
-class Parameters:
-    """Parameters of the vehicle, the thrusters and the sensor."""
+class HullParameters:
+    """Parameters of the vehicle without thrusters and sensor."""
 
     internal_step: float = variable(
         0.02, "Longest internal step", unit="s", min=1e-6, max=10.0, variability="fixed"
@@ -55,92 +53,11 @@ class Parameters:
         0.022192, "Horizontal section of the vehicle", unit="m2", min=1e-6, max=1e4,
         source="published size: 0.152 m x 0.146 m",
     )  # fmt: skip
-    thruster_ideal: bool = variable(
-        False, "Leaves nothing of the thrusters but gain and efficiency: no dead zone, saturation or lag",
-        variability="fixed",
-    )  # fmt: skip
-    thruster_gain: Pair = variable(
-        (0.25, 0.25), "Force coefficient K of each thruster", unit="N/V", min=1e-6, max=1e6,
-        source="guess: the paper gives none",
-    )  # fmt: skip
-    thruster_dead_zone: Pair = variable(
-        (0.0, 0.0), "Voltage below which a thruster gives no force", unit="V", min=0.0, max=1e6,
-        source="guess: the paper gives none",
-    )  # fmt: skip
-    thruster_voltage_limit: Pair = variable(
-        (12.0, 12.0), "Largest voltage of each thruster", unit="V", min=1e-6, max=1e6,
-        source="guess: the paper gives none",
-    )  # fmt: skip
-    thruster_lag: Pair = variable(
-        (0.05, 0.05), "Time constant of each thruster", unit="s", min=0.0, max=1e3,
-        source="guess: the paper gives none",
-    )  # fmt: skip
-    thruster_rate_limit: Pair = variable(
-        (0.0, 0.0), "Largest change of a thruster's force in a second; 0 does not limit", unit="N/s",
-        min=0.0, max=1e6, source="guess: none, the paper gives none",
-    )  # fmt: skip
-    thruster_reverse_ratio: Pair = variable(
-        (1.0, 1.0), "Gain of negative voltages over that of positive ones", min=0.0, max=10.0,
-        source="assumed: symmetric, as (11); other propellers give less in reverse, about 0.8 (guess)",
-    )  # fmt: skip
-    thruster_curvature: Pair = variable(
-        (0.0, 0.0), "Share of the force that is quadratic in the voltage: 0 a line, 1 a parabola",
-        min=0.0, max=1.0, source="published: a line, (11)",
-    )  # fmt: skip
-    thruster_curve_voltage: Pair = variable(
-        (12.0, 12.0), "Voltage at which line and parabola give the same force", unit="V", min=1e-6, max=1e6,
-        source="guess: the largest voltage; without effect on a line",
-    )  # fmt: skip
-    thruster_tabulated: bool = variable(
-        False, "Takes the force from the table, in place of gain, dead zone, reverse ratio and curvature",
-        variability="fixed", source="assumed: the paper has a line, (11)",
-    )  # fmt: skip
-    thruster_scale: Pair = variable(
-        (1.0, 1.0), "Factor of the table's force: thrusters that a voltage drives, and their wear", min=0.0,
-        max=1e3, source="assumed: one thruster each",
-    )  # fmt: skip
-    thruster_table_voltage: Table = variable(
-        T200_VOLTAGE, "Voltages of the table, ascending", unit="V", min=-1e6, max=1e6,
-        source="chosen: 12 V to -12 V for pulses of 1100 us to 1900 us",
-    )  # fmt: skip
-    thruster_table_force: Table = variable(
-        T200_FORCE, "Force at each voltage of the table, positive down", unit="N", min=-1e6, max=1e6,
-        source="published: Blue Robotics T200 at 16 V, September 2019, forward thrust up",
-    )  # fmt: skip
-    thruster_depth: float = variable(
-        0.073, "Depth of the propellers below the vehicle's top", unit="m", min=-1e3, max=1e3,
-        source="guess: the middle of the published height; without effect but for ventilation",
-    )  # fmt: skip
-    thruster_full_depth: float = variable(
-        0.0, "Depth of a propeller from which ventilation takes no thrust; 0 leaves ventilation out",
-        unit="m", min=0.0, max=1e3, source="guess: left out, the paper gives none",
-    )  # fmt: skip
-    sensor_ideal: bool = variable(
-        False, "Reports depth and pressure head of waves at every instant", variability="fixed"
-    )
-    sensor_period: float = variable(
-        0.04, "Sampling period", unit="s", min=1e-4, max=10.0, variability="fixed",
-        source="proxy: a Bar30 reads in up to 40 ms; not the paper's sensor",
-    )  # fmt: skip
-    sensor_noise: float = variable(
-        0.001, "Standard deviation of the white noise", unit="m", min=0.0, max=1e3,
-        source="guess: half the resolution",
-    )  # fmt: skip
-    sensor_bias: float = variable(0.0, "Bias", unit="m", min=-1e3, max=1e3, source="assumed")
-    sensor_drift: float = variable(
-        0.0, "Drift, per second of simulation", unit="m/s", min=-1e3, max=1e3, source="assumed"
-    )
-    sensor_resolution: float = variable(
-        0.002, "Resolution; 0 does not quantise", unit="m", min=0.0, max=1e3,
-        source="proxy: a Bar30 resolves 2 mm; not the paper's sensor",
-    )  # fmt: skip
-    sensor_delay: float = variable(
-        0.0, "Time from a sample to its report", unit="s", min=0.0, max=70.0, variability="fixed",
-        source="assumed",
-    )  # fmt: skip
-    sensor_seed: int = variable(
-        1, "Seed of the noise", min=1, max=2147483397, variability="fixed", source="chosen"
-    )
+
+
+@dataclass(frozen=True)
+class Parameters(SensorParameters, ThrusterParameters, HullParameters):
+    """Parameters of the vehicle, the thrusters and the sensor."""
 
 
 @dataclass(frozen=True)
@@ -202,96 +119,72 @@ def requirements(p: Parameters, calculated: NoValues) -> tuple:
             "internal_step at most sensor_period",
         ),
         (p.net_weight < p.weight, "net_weight below weight, so that there is buoyancy"),
-        depth_sensor.delay_fits(sensor_of(p)),
-        thruster.table_ascends(p.thruster_tabulated, p.thruster_table_voltage),
+        depth_sensor.delay_fits(p),
+        thruster.table_ascends(p),
     )
 
 
 def initial_state(t: float, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
     """Returns the state at the start, the thrusters at rest."""
     head = inputs.wave_pressure_head
-    first = depth_sensor.first_sample(sensor_of(p), t, p.initial_depth + head, p.sensor_seed)
+    first = depth_sensor.first_sample(p, t, p.initial_depth + head, p.sensor_seed)
     j = heave.body_to_earth(inputs.roll, inputs.pitch)
     return State(p.initial_depth, p.initial_heave_velocity, (0.0, 0.0), j, head, first)
 
 
 def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
     j = heave.body_to_earth(inputs.roll, inputs.pitch)
-    thrusters = thruster_of(p, 0), thruster_of(p, 1)
-    steady = [
-        thruster.steady_force(thrusters[i], inputs.voltage[i], inputs.thruster_efficiency[i]) for i in (0, 1)
-    ]
-
-    def forces(elapsed: float) -> Pair:
-        first, second = (
-            thruster.force_after(thrusters[i], state.thruster_force[i], steady[i], elapsed) for i in (0, 1)
-        )
-        return first, second
-
-    head = inputs.wave_pressure_head
-    water_velocity = inputs.current_velocity + inputs.wave_velocity
-    submerged_buoyancy = p.weight - p.net_weight + inputs.buoyancy_change
+    forces = forces_from(state.thruster_force, inputs, p)
 
     def derivative(elapsed: float, x: tuple) -> tuple:
         z, w = x
-        thrust = submerged_share(z, p) * sum(forces(elapsed))
-        floating = heave.buoyancy(z, submerged_buoyancy, p.water_density, p.waterplane_area)
-        b = where(p.free_surface, floating, submerged_buoyancy)
-        drag = heave.damping(w - j * water_velocity, p.linear_damping, p.quadratic_damping)
-        restoring = j * (p.weight - b)
-        wave_force = heave.wave_force(j * inputs.wave_acceleration, p.inertia, p.weight - b)
-        external = inputs.external_force + wave_force
-        return j * w, heave.acceleration(thrust, external, restoring, drag, p.inertia)
+        thrust = thruster.submerged_share(z, p) * sum(forces(elapsed))
+        return j * w, heave_acceleration(z, w, thrust, j, inputs, p)
 
     depth, velocity = rk4_step(derivative, 0.0, (state.depth, state.heave_velocity), h)
-    sensor = depth_sensor.sample_when_due(sensor_of(p), state.sensor, t + h, depth + head)
+    head = inputs.wave_pressure_head
+    sensor = depth_sensor.sample_when_due(p, state.sensor, t + h, depth + head)
     return State(depth, velocity, forces(h), j, head, sensor)
 
 
+def forces_from(force: Pair, inputs: Surroundings, p: Parameters) -> Callable[[float], Pair]:
+    """Returns a function of time [s]: the force of each submerged thruster [N] so long after `force`."""
+    steady = [thruster.steady_force(p, i, inputs.voltage[i], inputs.thruster_efficiency[i]) for i in (0, 1)]
+
+    def forces(elapsed: float) -> Pair:
+        first, second = (thruster.force_after(p, i, force[i], steady[i], elapsed) for i in (0, 1))
+        return first, second
+
+    return forces
+
+
+def heave_acceleration(
+    z: float, velocity: float, thrust: float, j: float, inputs: Surroundings, p: Parameters
+) -> float:
+    """Returns the acceleration [m/s2] along an axis at a depth [m] and a velocity along it [m/s].
+
+    thrust: along the axis [N]; j: vertical part of a unit along the axis
+    """
+    submerged_buoyancy = p.weight - p.net_weight + inputs.buoyancy_change
+    floating = heave.buoyancy(z, submerged_buoyancy, p.water_density, p.waterplane_area)
+    net_weight = p.weight - where(p.free_surface, floating, submerged_buoyancy)
+    water_velocity = inputs.current_velocity + inputs.wave_velocity
+    drag = heave.damping(velocity - j * water_velocity, p.linear_damping, p.quadratic_damping)
+    wave_force = heave.wave_force(j * inputs.wave_acceleration, p.inertia, net_weight)
+    external = inputs.external_force + wave_force
+    return heave.acceleration(thrust, external, j * net_weight, drag, p.inertia)
+
+
 def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:
-    submerged = submerged_share(state.depth, p)
+    submerged = thruster.submerged_share(state.depth, p)
     first, second = (submerged * force for force in state.thruster_force)
     return Outputs(
         depth=state.depth,
         depth_rate=state.j * state.heave_velocity,
         heave_velocity=state.heave_velocity,
-        measured_depth=depth_sensor.reading(sensor_of(p), state.sensor, t, state.depth + state.pressure_head),
+        measured_depth=depth_sensor.reading(p, state.sensor, t, state.depth + state.pressure_head),
         thruster_force=(first, second),
         total_force=first + second,
-    )
-
-
-def thruster_of(p: Parameters, i: int) -> Thruster:
-    return Thruster(
-        gain=p.thruster_gain[i],
-        dead_zone=p.thruster_dead_zone[i],
-        limit=p.thruster_voltage_limit[i],
-        lag=p.thruster_lag[i],
-        ideal=p.thruster_ideal,
-        reverse_ratio=p.thruster_reverse_ratio[i],
-        curvature=p.thruster_curvature[i],
-        curve_voltage=p.thruster_curve_voltage[i],
-        rate_limit=p.thruster_rate_limit[i],
-        tabulated=p.thruster_tabulated,
-        scale=p.thruster_scale[i],
-        table_voltage=p.thruster_table_voltage,
-        table_force=p.thruster_table_force,
-    )
-
-
-def submerged_share(depth: float, p: Parameters) -> float:
-    return thruster.submerged_share(depth + p.thruster_depth, p.thruster_full_depth, p.thruster_ideal)
-
-
-def sensor_of(p: Parameters) -> Sensor:
-    return Sensor(
-        period=p.sensor_period,
-        noise=p.sensor_noise,
-        bias=p.sensor_bias,
-        drift=p.sensor_drift,
-        resolution=p.sensor_resolution,
-        delay=p.sensor_delay,
-        ideal=p.sensor_ideal,
     )
 
 

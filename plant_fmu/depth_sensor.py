@@ -11,6 +11,7 @@ A resolution of 0 does not quantise; an ideal sensor reports z itself.
 import math
 from dataclasses import dataclass, replace
 
+from fmus.block import variable
 from fmus.numerics import Clock, cos, floor, fmod, log, logical_and, sampled, sqrt, where
 
 HISTORY = 8  # samples kept: the delay may be HISTORY - 1 sampling periods
@@ -25,16 +26,35 @@ LARGEST_NOISE = math.sqrt(2.0 * math.log(_M_1))
 
 
 @dataclass(frozen=True)
-class Sensor:
-    """Depth sensor, in m and s."""
+class SensorParameters:
+    """Parameters of the depth sensor."""
 
-    period: float
-    noise: float
-    bias: float
-    drift: float
-    resolution: float
-    delay: float
-    ideal: bool
+    sensor_ideal: bool = variable(
+        False, "Reports depth and pressure head of waves at every instant", variability="fixed"
+    )
+    sensor_period: float = variable(
+        0.04, "Sampling period", unit="s", min=1e-4, max=10.0, variability="fixed",
+        source="proxy: a Bar30 reads in up to 40 ms; not the paper's sensor",
+    )  # fmt: skip
+    sensor_noise: float = variable(
+        0.001, "Standard deviation of the white noise", unit="m", min=0.0, max=1e3,
+        source="guess: half the resolution",
+    )  # fmt: skip
+    sensor_bias: float = variable(0.0, "Bias", unit="m", min=-1e3, max=1e3, source="assumed")
+    sensor_drift: float = variable(
+        0.0, "Drift, per second of simulation", unit="m/s", min=-1e3, max=1e3, source="assumed"
+    )
+    sensor_resolution: float = variable(
+        0.002, "Resolution; 0 does not quantise", unit="m", min=0.0, max=1e3,
+        source="proxy: a Bar30 resolves 2 mm; not the paper's sensor",
+    )  # fmt: skip
+    sensor_delay: float = variable(
+        0.0, "Time from a sample to its report", unit="s", min=0.0, max=70.0, variability="fixed",
+        source="assumed",
+    )  # fmt: skip
+    sensor_seed: int = variable(
+        1, "Seed of the noise", min=1, max=2147483397, variability="fixed", source="chosen"
+    )
 
 
 @dataclass(frozen=True)
@@ -70,11 +90,11 @@ def normal(seed_1: float, seed_2: float) -> tuple[float, float, float]:
     return sqrt(-2.0 * log(u)) * cos(2.0 * math.pi * v), seed_1, seed_2
 
 
-def sample(sensor: Sensor, state: SensorState, t: float, depth: float) -> SensorState:
+def sample(p: SensorParameters, state: SensorState, t: float, depth: float) -> SensorState:
     """Returns the state after one more sample, taken at time t."""
     n, seed_1, seed_2 = normal(state.seed_1, state.seed_2)
-    true = depth + sensor.bias + sensor.drift * (t - state.start)
-    newest = quantise(true + sensor.noise * n, sensor.resolution)
+    true = depth + p.sensor_bias + p.sensor_drift * (t - state.start)
+    newest = quantise(true + p.sensor_noise * n, p.sensor_resolution)
     return SensorState((newest, *state.samples[:-1]), state.start, state.clock, seed_1, seed_2)
 
 
@@ -105,27 +125,27 @@ def _low_half(value: float) -> float:
     return value - _HALF * floor(value / _HALF)
 
 
-def first_sample(sensor: Sensor, t: float, depth: float, seed: int) -> SensorState:
+def first_sample(p: SensorParameters, t: float, depth: float, seed: int) -> SensorState:
     """Returns the state of a sensor that has been reading this depth for ever; `seed` is 1 or more."""
-    state = sample(sensor, SensorState((), t, Clock(t, 1), *scrambled(seed)), t, depth)
+    state = sample(p, SensorState((), t, Clock(t, 1), *scrambled(seed)), t, depth)
     return replace(state, samples=(state.samples[0],) * HISTORY)
 
 
-def sample_when_due(sensor: Sensor, state: SensorState, t: float, depth: float) -> SensorState:
+def sample_when_due(p: SensorParameters, state: SensorState, t: float, depth: float) -> SensorState:
     """Returns the state with one more sample if a sampling period has passed, else as it was."""
-    return sampled(t, sensor.period, state, sample(sensor, state, t, depth))
+    return sampled(t, p.sensor_period, state, sample(p, state, t, depth))
 
 
-def reading(sensor: Sensor, state: SensorState, t: float, depth: float) -> float:
+def reading(p: SensorParameters, state: SensorState, t: float, depth: float) -> float:
     """Returns the depth that the sensor reports at time t: the newest sample that has had time to arrive."""
-    arrived, last_sample = state.samples[-1], state.clock.last_sample(sensor.period)
+    arrived, last_sample = state.samples[-1], state.clock.last_sample(p.sensor_period)
     for age, value in reversed(list(enumerate(state.samples))):
-        waited = t - last_sample + age * sensor.period
-        arrived = where(waited >= sensor.delay - 1e-6 * sensor.period, value, arrived)
-    return where(sensor.ideal, depth, arrived)
+        waited = t - last_sample + age * p.sensor_period
+        arrived = where(waited >= p.sensor_delay - 1e-6 * p.sensor_period, value, arrived)
+    return where(p.sensor_ideal, depth, arrived)
 
 
-def delay_fits(sensor: Sensor) -> tuple:
+def delay_fits(p: SensorParameters) -> tuple:
     """Returns the requirement that the samples kept reach back as far as the delay."""
-    fits = logical_and(sensor.delay >= 0.0, sensor.delay <= (HISTORY - 1) * sensor.period)
+    fits = logical_and(p.sensor_delay >= 0.0, p.sensor_delay <= (HISTORY - 1) * p.sensor_period)
     return fits, f"sensor_delay at most {HISTORY - 1} times sensor_period"

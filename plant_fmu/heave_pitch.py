@@ -15,7 +15,6 @@ origin in the centre of gravity.
 from collections.abc import Sequence
 
 from fmus.numerics import cos, sin
-from plant_fmu.heave import damping
 
 
 def vertical_thrust(forces: Sequence[float], pitch: float) -> float:
@@ -33,11 +32,9 @@ def righting_moment(pitch: float, weight: float, metacentric_height: float) -> f
     return weight * metacentric_height * sin(pitch)
 
 
-def angular_acceleration(
-    moment: float, righting: float, pitch_rate: float, linear: float, quadratic: float, inertia: float
-) -> float:
+def angular_acceleration(moment: float, righting: float, damping: float, inertia: float) -> float:
     """Returns q' [rad/s2] under a moment [N.m] of thrusters and surroundings."""
-    return (moment - righting - damping(pitch_rate, linear, quadratic)) / inertia
+    return (moment - righting - damping) / inertia
 
 
 def depth_at(depth: float, pitch: float, forward: float, below: float = 0.0) -> float:

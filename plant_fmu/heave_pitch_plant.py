@@ -4,15 +4,15 @@ The vehicle of RovDepthPlant with an axis more. What it needs besides is not pub
 vehicles are this block with other start values.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from fmus.block import Block, NoValues, variable
 from fmus.numerics import rk4_step, where
 from plant_fmu import depth_plant, depth_sensor, heave, heave_pitch, thruster
-from plant_fmu.depth_plant import Pair, Surroundings, sensor_of, thruster_of
-from plant_fmu.depth_sensor import Sensor, SensorState
+from plant_fmu.depth_plant import Surroundings
+from plant_fmu.depth_sensor import SensorState
 from plant_fmu.heave_pitch_guide import GUIDE
-from plant_fmu.thruster import Transfer, Triple
+from plant_fmu.thruster import Pair, Transfer, Triple
 
 _OTHER_SEEDS = 2**30  # the noise of the pitch has other numbers than that of the depth
 
@@ -111,7 +111,7 @@ def initial_state(t: float, inputs: Inputs, p: Parameters, calculated: NoValues)
         depth_rate=p.initial_heave_velocity,
         pitch=p.initial_pitch,
         pressure_head=head,
-        sensor=depth_sensor.first_sample(sensor_of(p), t, sensed, p.sensor_seed),
+        sensor=depth_sensor.first_sample(p, t, sensed, p.sensor_seed),
         pitch_sensor=depth_sensor.first_sample(
             _pitch_sensor(p), t, p.initial_pitch, p.sensor_seed + _OTHER_SEEDS
         ),
@@ -119,45 +119,21 @@ def initial_state(t: float, inputs: Inputs, p: Parameters, calculated: NoValues)
 
 
 def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
-    transfer = _transfer_of(p)
-    thrusters = thruster_of(p, 0), thruster_of(p, 1)
-    steady = [
-        thruster.steady_force(thrusters[i], inputs.voltage[i], inputs.thruster_efficiency[i]) for i in (0, 1)
-    ]
-
-    def lagged(elapsed: float) -> Pair:
-        first, second = (
-            thruster.force_after(thrusters[i], state.lagged_force[i], steady[i], elapsed) for i in (0, 1)
-        )
-        return first, second
-
-    head = inputs.wave_pressure_head
-    water_velocity = inputs.current_velocity + inputs.wave_velocity
-    submerged_buoyancy = p.weight - p.net_weight + inputs.buoyancy_change
+    transfer, lagged = _transfer_of(p), depth_plant.forces_from(state.lagged_force, inputs, p)
 
     def derivative(elapsed: float, x: tuple) -> tuple:
         z, v, theta, q, *rest = x
         asked, turning = lagged(elapsed), ((*rest[:3],), (*rest[3:],))
         forces = _forces(z, theta, turning, asked, p)
-        floating = heave.buoyancy(z, submerged_buoyancy, p.water_density, p.waterplane_area)
-        b = where(p.free_surface, floating, submerged_buoyancy)
-        drag = heave.damping(v - water_velocity, p.linear_damping, p.quadratic_damping)
-        wave_force = heave.wave_force(inputs.wave_acceleration, p.inertia, p.weight - b)
-        external = inputs.external_force + wave_force
         thrust = heave_pitch.vertical_thrust(forces, theta)
         moment = heave_pitch.thrust_moment(forces, p.thruster_lever) + inputs.external_moment
+        righting = heave_pitch.righting_moment(theta, p.weight, p.metacentric_height)
+        damping = heave.damping(q, p.pitch_linear_damping, p.pitch_quadratic_damping)
         return (
             v,
-            heave.acceleration(thrust, external, p.weight - b, drag, p.inertia),
+            depth_plant.heave_acceleration(z, v, thrust, 1.0, inputs, p),
             q,
-            heave_pitch.angular_acceleration(
-                moment,
-                heave_pitch.righting_moment(theta, p.weight, p.metacentric_height),
-                q,
-                p.pitch_linear_damping,
-                p.pitch_quadratic_damping,
-                p.pitch_inertia,
-            ),
+            heave_pitch.angular_acceleration(moment, righting, damping, p.pitch_inertia),
             *transfer.rates(turning[0], asked[0]),
             *transfer.rates(turning[1], asked[1]),
         )
@@ -165,6 +141,7 @@ def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calcul
     first, second = state.transfer
     moving = state.depth, state.depth_rate, state.pitch, state.pitch_rate
     depth, rate, pitch, pitch_rate, *rest = rk4_step(derivative, 0.0, (*moving, *first, *second), h)
+    head = inputs.wave_pressure_head
     sensed = _sensed_depth(depth, pitch, p) + head
     return State(
         depth,
@@ -174,7 +151,7 @@ def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calcul
         (tuple(rest[:3]), tuple(rest[3:])),
         lagged(h),
         head,
-        depth_sensor.sample_when_due(sensor_of(p), state.sensor, t + h, sensed),
+        depth_sensor.sample_when_due(p, state.sensor, t + h, sensed),
         depth_sensor.sample_when_due(_pitch_sensor(p), state.pitch_sensor, t + h, pitch),
     )
 
@@ -185,7 +162,7 @@ def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outpu
     return Outputs(
         depth=state.depth,
         depth_rate=state.depth_rate,
-        measured_depth=depth_sensor.reading(sensor_of(p), state.sensor, t, sensed),
+        measured_depth=depth_sensor.reading(p, state.sensor, t, sensed),
         thruster_force=(first, second),
         total_force=first + second,
         pitch=state.pitch,
@@ -197,7 +174,7 @@ def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outpu
 def _forces(depth: float, pitch: float, transfer: tuple[Triple, Triple], asked: Pair, p: Parameters) -> Pair:
     """Returns the force of each thruster [N], each at its own depth below the surface."""
     first, second = (
-        depth_plant.submerged_share(heave_pitch.depth_at(depth, pitch, lever), p)
+        thruster.submerged_share(heave_pitch.depth_at(depth, pitch, lever), p)
         * where(p.thruster_ideal, steady, _transfer_of(p).force(x, steady))
         for lever, x, steady in zip(p.thruster_lever, transfer, asked, strict=True)
     )
@@ -212,15 +189,15 @@ def _transfer_of(p: Parameters) -> Transfer:
     return Transfer(*p.thruster_transfer)
 
 
-def _pitch_sensor(p: Parameters) -> Sensor:
-    return Sensor(
-        period=p.sensor_period,
-        noise=p.pitch_noise,
-        bias=0.0,
-        drift=0.0,
-        resolution=0.0,
-        delay=0.0,
-        ideal=p.sensor_ideal,
+def _pitch_sensor(p: Parameters) -> Parameters:
+    """Returns the parameters with those of the pitch sensor for those of the depth sensor."""
+    return replace(
+        p,
+        sensor_noise=p.pitch_noise,
+        sensor_bias=0.0,
+        sensor_drift=0.0,
+        sensor_resolution=0.0,
+        sensor_delay=0.0,
     )
 
 

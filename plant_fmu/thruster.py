@@ -22,10 +22,10 @@ curves that depend on the load too: Kozlowska et al., Time domain modeling of pr
 ventilation in static and dynamic conditions, Journal of Marine Science and Engineering 8, 2020.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+from fmus.block import variable
 from fmus.numerics import (
     absolute,
     clip,
@@ -56,7 +56,9 @@ T200_VOLTAGE = tuple((1500.0 - pulse) * 12.0 / 400.0 for pulse, _ in _T200_AT_16
 T200_FORCE = tuple(0.0 - kgf * 9.80665 for _, kgf in _T200_AT_16_V)
 """Points of a table: voltage [V], and force [N], positive down."""
 
+Pair = tuple[float, float]
 Triple = tuple[float, float, float]
+Table = tuple[float, ...]
 
 _SHORTEST_LAG = 1e-9  # s; what is shorter counts as no lag
 _LEAST_RATE = 1e-9  # N/s; what is less counts as no limit
@@ -64,64 +66,106 @@ _LEAST_DEPTH = 1e-9  # m; what is less counts as no ventilation
 
 
 @dataclass(frozen=True)
-class Thruster:
-    """Thruster; `ideal` switches all but the gain off.
+class ThrusterParameters:
+    """Parameters of two thrusters; functions have the index i of one of them."""
 
-    reverse_ratio: gain of negative voltages over that of positive ones
-    curvature, curve_voltage: c and v_c [V]
-    rate_limit: R [N/s]; 0 does not limit
-    tabulated: whether the force is that of a table, in place of gain, dead zone, reverse ratio and curvature
-    scale: n; table_voltage [V], table_force [N]: points of the table
-    """
+    thruster_ideal: bool = variable(
+        False, "Leaves nothing of the thrusters but gain and efficiency: no dead zone, saturation or lag",
+        variability="fixed",
+    )  # fmt: skip
+    thruster_gain: Pair = variable(
+        (0.25, 0.25), "Force coefficient K of each thruster", unit="N/V", min=1e-6, max=1e6,
+        source="guess: the paper gives none",
+    )  # fmt: skip
+    thruster_dead_zone: Pair = variable(
+        (0.0, 0.0), "Voltage below which a thruster gives no force", unit="V", min=0.0, max=1e6,
+        source="guess: the paper gives none",
+    )  # fmt: skip
+    thruster_voltage_limit: Pair = variable(
+        (12.0, 12.0), "Largest voltage of each thruster", unit="V", min=1e-6, max=1e6,
+        source="guess: the paper gives none",
+    )  # fmt: skip
+    thruster_lag: Pair = variable(
+        (0.05, 0.05), "Time constant of each thruster", unit="s", min=0.0, max=1e3,
+        source="guess: the paper gives none",
+    )  # fmt: skip
+    thruster_rate_limit: Pair = variable(
+        (0.0, 0.0), "Largest change of a thruster's force in a second; 0 does not limit", unit="N/s",
+        min=0.0, max=1e6, source="guess: none, the paper gives none",
+    )  # fmt: skip
+    thruster_reverse_ratio: Pair = variable(
+        (1.0, 1.0), "Gain of negative voltages over that of positive ones", min=0.0, max=10.0,
+        source="assumed: symmetric, as (11); other propellers give less in reverse, about 0.8 (guess)",
+    )  # fmt: skip
+    thruster_curvature: Pair = variable(
+        (0.0, 0.0), "Share of the force that is quadratic in the voltage: 0 a line, 1 a parabola",
+        min=0.0, max=1.0, source="published: a line, (11)",
+    )  # fmt: skip
+    thruster_curve_voltage: Pair = variable(
+        (12.0, 12.0), "Voltage at which line and parabola give the same force", unit="V", min=1e-6, max=1e6,
+        source="guess: the largest voltage; without effect on a line",
+    )  # fmt: skip
+    thruster_tabulated: bool = variable(
+        False, "Takes the force from the table, in place of gain, dead zone, reverse ratio and curvature",
+        variability="fixed", source="assumed: the paper has a line, (11)",
+    )  # fmt: skip
+    thruster_scale: Pair = variable(
+        (1.0, 1.0), "Factor of the table's force: thrusters that a voltage drives, and their wear", min=0.0,
+        max=1e3, source="assumed: one thruster each",
+    )  # fmt: skip
+    thruster_table_voltage: Table = variable(
+        T200_VOLTAGE, "Voltages of the table, ascending", unit="V", min=-1e6, max=1e6,
+        source="chosen: 12 V to -12 V for pulses of 1100 us to 1900 us",
+    )  # fmt: skip
+    thruster_table_force: Table = variable(
+        T200_FORCE, "Force at each voltage of the table, positive down", unit="N", min=-1e6, max=1e6,
+        source="published: Blue Robotics T200 at 16 V, September 2019, forward thrust up",
+    )  # fmt: skip
+    thruster_depth: float = variable(
+        0.073, "Depth of the propellers below the vehicle's top", unit="m", min=-1e3, max=1e3,
+        source="guess: the middle of the published height; without effect but for ventilation",
+    )  # fmt: skip
+    thruster_full_depth: float = variable(
+        0.0, "Depth of a propeller from which ventilation takes no thrust; 0 leaves ventilation out",
+        unit="m", min=0.0, max=1e3, source="guess: left out, the paper gives none",
+    )  # fmt: skip
 
-    gain: float
-    dead_zone: float
-    limit: float
-    lag: float
-    ideal: bool
-    reverse_ratio: float = 1.0
-    curvature: float = 0.0
-    curve_voltage: float = 1.0
-    rate_limit: float = 0.0
-    tabulated: bool = False
-    scale: float = 1.0
-    table_voltage: Sequence[float] = ()
-    table_force: Sequence[float] = ()
 
-
-def steady_force(thruster: Thruster, voltage: float, efficiency: float) -> float:
+def steady_force(p: ThrusterParameters, i: int, voltage: float, efficiency: float) -> float:
     """Returns the force [N] at which the submerged thruster settles under a constant voltage."""
-    saturated = clip(voltage, -thruster.limit, thruster.limit)
-    size = maximum(absolute(saturated) - thruster.dead_zone, 0.0)
-    curve = (1.0 - thruster.curvature) + thruster.curvature * size / thruster.curve_voltage
-    ratio = where(saturated < 0.0, thruster.reverse_ratio, 1.0)
+    saturated = clip(voltage, -p.thruster_voltage_limit[i], p.thruster_voltage_limit[i])
+    size = maximum(absolute(saturated) - p.thruster_dead_zone[i], 0.0)
+    curvature = p.thruster_curvature[i]
+    curve = (1.0 - curvature) + curvature * size / p.thruster_curve_voltage[i]
+    ratio = where(saturated < 0.0, p.thruster_reverse_ratio[i], 1.0)
     real = sign(saturated) * size * (curve * ratio)
-    follows_table = logical_and(thruster.tabulated, logical_not(thruster.ideal))
-    factor = where(follows_table, thruster.scale, thruster.gain)
-    linear = where(thruster.ideal, voltage, real)
-    force_or_voltage = where(follows_table, lambda: table_force(thruster, saturated), linear)
+    follows_table = logical_and(p.thruster_tabulated, logical_not(p.thruster_ideal))
+    factor = where(follows_table, p.thruster_scale[i], p.thruster_gain[i])
+    linear = where(p.thruster_ideal, voltage, real)
+    force_or_voltage = where(follows_table, lambda: table_force(p, saturated), linear)
     return efficiency * factor * force_or_voltage
 
 
-def table_force(thruster: Thruster, voltage: float) -> float:
+def table_force(p: ThrusterParameters, voltage: float) -> float:
     """Returns the force [N] of the table at a voltage [V]."""
-    return interp(voltage, thruster.table_voltage, thruster.table_force)
+    return interp(voltage, p.thruster_table_voltage, p.thruster_table_force)
 
 
-def table_ascends(is_used: bool | float, voltages: Sequence[float]) -> tuple:
+def table_ascends(p: ThrusterParameters) -> tuple:
     """Returns the requirement that each voltage of a table that is used is above the one before."""
-    ascend = all_hold(a < b for a, b in pairwise(voltages))
-    return logical_or(logical_not(is_used), ascend), "thruster_table_voltage: each above the one before"
+    ascend = all_hold(a < b for a, b in pairwise(p.thruster_table_voltage))
+    is_left_out = logical_not(p.thruster_tabulated)
+    return logical_or(is_left_out, ascend), "thruster_table_voltage: each above the one before"
 
 
-def force_after(thruster: Thruster, force: float, steady: float, elapsed: float) -> float:
+def force_after(p: ThrusterParameters, i: int, force: float, steady: float, elapsed: float) -> float:
     """Returns the force [N] `elapsed` s after it was `force`: the exact answer of limit and lag to a voltage.
 
     Where the lag alone would change the force faster than R, it changes by R a second until it would not.
     """
-    lag = where(thruster.ideal, 0.0, thruster.lag)
-    rate = maximum(thruster.rate_limit, _LEAST_RATE)
-    is_limited = logical_and(logical_not(thruster.ideal), thruster.rate_limit > _LEAST_RATE)
+    lag = where(p.thruster_ideal, 0.0, p.thruster_lag[i])
+    rate = maximum(p.thruster_rate_limit[i], _LEAST_RATE)
+    is_limited = logical_and(logical_not(p.thruster_ideal), p.thruster_rate_limit[i] > _LEAST_RATE)
     away = force - steady
     limited = where(is_limited, maximum(absolute(away) / rate - lag, 0.0), 0.0)  # s
     begins = where(is_limited, clip(away, -rate * lag, rate * lag), away)
@@ -171,7 +215,11 @@ class Transfer:
         )
 
 
-def submerged_share(depth: float, full_depth: float, ideal: bool) -> float:
-    """Returns the share of thrust that a propeller gives at a depth [m]; 1 from `full_depth` on or if 0."""
-    share = clip(depth / maximum(full_depth, _LEAST_DEPTH), 0.0, 1.0)
-    return where(logical_and(logical_not(ideal), full_depth > _LEAST_DEPTH), share, 1.0)
+def submerged_share(depth: float, p: ThrusterParameters) -> float:
+    """Returns the share of thrust that the propellers of a vehicle give at its depth [m].
+
+    It is 1 where each is `thruster_full_depth` or more below the surface, or where that is 0.
+    """
+    full_depth = p.thruster_full_depth
+    share = clip((depth + p.thruster_depth) / maximum(full_depth, _LEAST_DEPTH), 0.0, 1.0)
+    return where(logical_and(logical_not(p.thruster_ideal), full_depth > _LEAST_DEPTH), share, 1.0)

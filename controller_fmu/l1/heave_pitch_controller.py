@@ -8,7 +8,7 @@ What one axis does to the other is left to the adaptation of each: no published 
 Depth is positive down, pitch theta and moment M are positive bow up.
 """
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from enum import IntEnum
 
 from controller_fmu import allocation, depth_interface, shared_guide
@@ -136,10 +136,14 @@ class Outputs(axis.Outputs):
     pitch_sigma_hat: float = variable(0.0, "sigma_hat of the pitch", unit="N.m")
 
 
-_MATRICES = (
-    "predictor_matrix", "predictor_input", "lyapunov_matrix", "adaptation_vector", "feedforward_gain",
-    "unmatched_input", "estimation_gain",
-)  # fmt: skip
+def _of_pitch(declared: type) -> dict[str, str]:
+    """Returns name of the depth axis -> variable of the pitch axis that is this name behind pitch_."""
+    names = [field.name for field in fields(declared)]
+    own = {name: f"pitch_{name}" for name in names if f"pitch_{name}" in names}
+    return own | ({"depth_feedback_gain": "pitch_feedback_gain"} if declared is Parameters else {})
+
+
+_PARAMETERS, _MATRICES, _OUTPUTS = map(_of_pitch, (Parameters, Matrices, Outputs))
 
 
 def calculate(p: Parameters) -> Matrices:
@@ -149,7 +153,7 @@ def calculate(p: Parameters) -> Matrices:
     pitch = depth_matrices(total, p.lyapunov_weight, of_pitch)
     sampled = sampled_prediction(pitch.predictor_input, p.prediction_error_matrix, p.adaptation_period)
     values = asdict(pitch) | asdict(sampled)
-    own = {f"pitch_{name}": values[name] for name in _MATRICES}
+    own = {of_pitch: values[name] for name, of_pitch in _MATRICES.items()}
     return Matrices(**asdict(axis.calculate(p)), **own, thruster_share=allocation.shares(p.thruster_lever))
 
 
@@ -184,18 +188,13 @@ def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, matric
 def output(t: float, state: State, p: Parameters, matrices: Matrices) -> Outputs:
     u, u_pitch = _controls(state, p)
     force, _ = _deliver(u.total, u_pitch.total, state.depth.interface.j, p, matrices)
-    depth, pitch = asdict(axis.output(t, state.depth, p, matrices)), state.pitch
-    depth["voltage"] = force.voltage
+    depth = asdict(axis.output(t, state.depth, p, matrices)) | {"voltage": force.voltage}
+    pitch = asdict(axis.output(t, state.pitch, _pitch_parameters(p), _pitch_matrices(matrices)))
     return Outputs(
         **depth,
+        **{of_pitch: pitch[name] for name, of_pitch in _OUTPUTS.items()},
         demanded_moment=u_pitch.total,
-        pitch_tracking_error=pitch.interface.measured.error,
-        estimated_pitch_rate=pitch.interface.measured.rate,
-        pitch_u_m=u_pitch.u_m,
-        pitch_u_a=u_pitch.u_a,
-        pitch_u_p=u_pitch.u_p,
-        pitch_theta_hat=pitch.law.estimates.theta_hat,
-        pitch_sigma_hat=pitch.law.estimates.sigma_hat,
+        estimated_pitch_rate=pitch["estimated_depth_rate"],
     )
 
 
@@ -214,9 +213,9 @@ def _deliver(
     forces = share[0] * given - turning, share[1] * given + turning
     voltage, delivered = depth_interface.voltages_of(forces, p)
     # errors are exactly 0 where both demands are met
-    error = allocation.force((given - demanded, 0.0), j, (1.0, 1.0))
+    error = allocation.force((given - demanded, 0.0), j)
     return (
-        Delivery(voltage, allocation.force(delivered, j, (1.0, 1.0)), error),
+        Delivery(voltage, allocation.force(delivered, j), error),
         Delivery(voltage, -x_1 * delivered[0] - x_2 * delivered[1], span * (turning - couple)),
     )
 
@@ -232,35 +231,13 @@ def _pitch_inputs(inputs: Inputs) -> DepthInputs:
 
 def _pitch_parameters(p: Parameters) -> Parameters:
     """Returns the parameters of the pitch axis by the names of the depth axis; what both share stays."""
-    return replace(
-        p,
-        model_inertia=p.pitch_model_inertia,
-        model_damping=p.pitch_model_damping,
-        depth_feedback_gain=p.pitch_feedback_gain,
-        rate_feedback_gain=p.pitch_rate_feedback_gain,
-        adaptation_gain=p.pitch_adaptation_gain,
-        filter_bandwidth=p.pitch_filter_bandwidth,
-        theta_bound=p.pitch_theta_bound,
-        sigma_bound=p.pitch_sigma_bound,
-        augmentation=p.pitch_augmentation,
-        proportional_gain=p.pitch_proportional_gain,
-        integral_gain=p.pitch_integral_gain,
-        reference_feedforward=ReferenceFeedforward.NONE,
-    )
+    own = {name: getattr(p, of_pitch) for name, of_pitch in _PARAMETERS.items()}
+    return replace(p, **own, reference_feedforward=ReferenceFeedforward.NONE)
 
 
 def _pitch_matrices(matrices: Matrices) -> axis.Matrices:
     """Returns the matrices of the pitch axis by the names of the depth axis."""
-    return replace(
-        matrices,
-        predictor_matrix=matrices.pitch_predictor_matrix,
-        predictor_input=matrices.pitch_predictor_input,
-        lyapunov_matrix=matrices.pitch_lyapunov_matrix,
-        adaptation_vector=matrices.pitch_adaptation_vector,
-        feedforward_gain=matrices.pitch_feedforward_gain,
-        unmatched_input=matrices.pitch_unmatched_input,
-        estimation_gain=matrices.pitch_estimation_gain,
-    )
+    return replace(matrices, **{name: getattr(matrices, of_pitch) for name, of_pitch in _MATRICES.items()})
 
 
 GUIDE = Guide(

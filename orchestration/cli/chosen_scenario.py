@@ -52,7 +52,9 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
         raise ScenarioError(scenario.located(str(error), chosen.files)) from error
     open_inputs = [f"{port.name} = {start_value(port.variable)}" for port in prepared.system.open_inputs]
     if chosen.from_actuators:
-        values = ", ".join(f"{name} = {value:g}" for name, value in chosen.from_actuators.items())
+        numbers = {n: "true" if x is True else f"{x:g}" for n, x in chosen.from_actuators.items()}
+        values = ", ".join(f"{n} = {text}" for n, text in numbers.items() if "_table_" not in n)
+        values += " and the points of its table" if any("_table_" in n for n in numbers) else ""
         print(f"l1-depth: of the actuators of plant: {values}; --set gives others", file=sys.stderr)
     if open_inputs:
         print(f"l1-depth: open inputs at their start values: {', '.join(open_inputs)}", file=sys.stderr)

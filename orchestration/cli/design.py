@@ -1,5 +1,6 @@
 """Command design: gains of L1, its extension and PID for a vehicle, by rules, checked over its ranges."""
 
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from orchestration.cli.changes import CONTROLLER, PLANT, Changes, LoopMapOption,
 from orchestration.errors import OrchestrationError, ScenarioError
 
 if TYPE_CHECKING:
-    from orchestration.design.check import Checked
+    from orchestration.design.check import DesignCheck
     from orchestration.design.rules import Conditions, Gain
     from orchestration.scenarios.scenario import Scenario
     from orchestration.score.vehicle import Vehicle
@@ -48,6 +49,8 @@ def design(
     changes = Changes.of_options("", settings, mapped, None, plant)
     vehicle = _vehicle(changes)
     drawn = vehicle_data.draws_of(vehicle)
+    for message in vehicle_data.overruled(vehicle, drawn):
+        print(f"l1-depth: warning: {message}", file=sys.stderr)
     data = vehicle_data.data_of(vehicle, drawn)
     shared.check_writable(out)
     scenarios = {title: _scenario(changes, *run) for title, run in _RUNS.items()}
@@ -57,13 +60,13 @@ def design(
     l1_gains = parameter_file.l1_gains(l1, data, conditions)
     pid_gains = parameter_file.pid_gains(pid, data)
     gains = {"L1": l1_gains, "L1 with PI": l1_gains, "PID": pid_gains}
-    places = [*vehicle_data.corners(vehicle, drawn), *vehicle_data.drawn(drawn, seed, draws)]
-    with shared.progress("design", len(scenarios) * (len(places) + 1), 0.5) as bar:
+    values = [*vehicle_data.corners(vehicle, drawn), *vehicle_data.drawn(drawn, seed, draws)]
+    with shared.progress("design", len(scenarios) * (len(values) + 1), 0.5) as bar:
         checks = [
-            check.check(title, scenario, gains[title], places, bar.advance)
+            check.check(title, scenario, gains[title], values, bar.advance)
             for title, scenario in scenarios.items()
         ]
-    _print(l1_gains, pid_gains, checks, f"{data.name}: {len(places) - draws} corners, {draws} draws")
+    _print(l1_gains, pid_gains, checks, f"{data.name}: {len(values) - draws} corners, {draws} draws")
     if failures := [line for one in checks for line in one.failures()]:
         more = f"; {len(failures) - 1} more runs do not" if failures[1:] else ""
         raise OrchestrationError(
@@ -71,9 +74,9 @@ def design(
             "--phase-margin or narrower ranges in [vary.*]"
         )
     files = (("l1", l1_gains, l1, checks[:2]), ("pid", pid_gains, pid, checks[2:]))
-    for ending, own, made, of_it in files:
+    for ending, own, made, of_design in files:
         path = out / f"{data.name}-{ending}.toml"
-        parameter_file.write(path, own, made.phase, made.delay, of_it)
+        parameter_file.write(path, own, made.phase, made.delay, of_design)
         print(path)
 
 
@@ -111,7 +114,7 @@ def _conditions(scenario: "Scenario") -> "Conditions":
     return Conditions(scenario.experiment.step_size, float(speed), float(np.abs(reference).max()))
 
 
-def _print(l1: "Sequence[Gain]", pid: "Sequence[Gain]", checks: "Sequence[Checked]", title: str) -> None:
+def _print(l1: "Sequence[Gain]", pid: "Sequence[Gain]", checks: "Sequence[DesignCheck]", title: str) -> None:
     """Prints the gains with their reasons, and what the runs gave."""
     from rich.table import Table
 
@@ -134,8 +137,8 @@ def _print(l1: "Sequence[Gain]", pid: "Sequence[Gain]", checks: "Sequence[Checke
     shared.print_table(table)
 
 
-def _rows(checks: "Sequence[Checked]") -> Iterator[tuple[str, ...]]:
+def _rows(checks: "Sequence[DesignCheck]") -> Iterator[tuple[str, ...]]:
     for one in checks:
         settled = f"{len(one.rmse) - len(one.failed)} of {len(one.rmse)}"
         numbers = one.rmse[0], one.rmse[one.worst], max(one.settling)
-        yield one.title, *(f"{number:.3g}" for number in numbers), settled, one.place(one.worst)
+        yield one.title, *(f"{number:.3g}" for number in numbers), settled, one.values_text(one.worst)

@@ -60,15 +60,15 @@ def tune(
     open_inputs: OpenInputsOption = None,
 ) -> None:
     """Search the gains of least cost on practice cases of the protocol; an interrupted tuning continues."""
+    from orchestration.scenarios.free_parameter import parse
     from orchestration.score import tune_problem
     from orchestration.score.closed_loop import ClosedLoop
     from orchestration.score.tune_problem import evaluations as started
-    from orchestration.score.tune_search import parse
 
     changes = Changes.of_options("", settings, mapped, open_inputs, plant)
     protocol = chosen_protocol(changes)
     controller = _controller(name, no_rates, changes, protocol)
-    problem = tune_problem.problem_of(controller, protocol, [parse(text) for text in free])
+    problem = tune_problem.problem_of(controller, protocol, parse(free))
     shared.check_writable(out)
     journal = out / f"{controller.name}.tune.jsonl"
     total = evaluations * len(problem.gains) * (seeds + 1)

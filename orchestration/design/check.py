@@ -20,15 +20,15 @@ Values = Mapping[str, FmiValue]
 
 
 @dataclass(frozen=True)
-class Checked:
+class DesignCheck:
     """Results of the runs of a controller.
 
-    places: the values of each run; the first has none, the start values
+    values: of each run; the first has none, the start values
     rmse: of each run [cm], not a number if it failed; settling: its settling time [s], not a number if none
     """
 
     title: str
-    places: Sequence[Values]
+    values: Sequence[Values]
     rmse: Sequence[float]
     settling: Sequence[float]
     reasons: Mapping[int, str]
@@ -43,15 +43,16 @@ class Checked:
         """The indices of the runs that did not settle, or failed."""
         return [i for i, time in enumerate(self.settling) if math.isnan(time)]
 
-    def place(self, index: int) -> str:
+    def values_text(self, index: int) -> str:
         """Returns the values of a run in words."""
-        values = self.places[index].items()
+        values = self.values[index].items()
         return ", ".join(f"{name} = {value:.4g}" for name, value in values) or "the start values"
 
     def failures(self) -> list[str]:
         """Returns a sentence for each run that did not settle."""
         return [
-            f"{self.title}: {self.reasons.get(i, 'does not settle')} at {self.place(i)}" for i in self.failed
+            f"{self.title}: {self.reasons.get(i, 'does not settle')} at {self.values_text(i)}"
+            for i in self.failed
         ]
 
 
@@ -63,13 +64,13 @@ def check(
     title: str,
     scenario: Scenario,
     gains: Sequence[Gain],
-    places: Sequence[Values],
+    values: Sequence[Values],
     progress: Callable[[], object] = lambda: None,
-) -> Checked:
-    """Runs a scenario with the gains of a design at every place."""
+) -> DesignCheck:
+    """Runs a scenario with the gains of a design at the start values and at others."""
     own = {f"controller.{gain.name}": gain.value for gain in gains}
-    all_places = [{}, *places]
-    experiments = [with_values(scenario.experiment, {**own, **place}) for place in all_places]
+    values = [{}, *values]
+    experiments = [with_values(scenario.experiment, {**own, **of_run}) for of_run in values]
     metrics = {name: scenario.metrics[name] for name in (RMSE, SETTLING)}
     rows, reasons = list[Mapping[str, float]](), dict[int, str]()
     for i, result in enumerate(run_many(scenario.system, experiments, reduce=partial(_reduced, metrics))):
@@ -79,10 +80,10 @@ def check(
         progress()
     columns = ([row.get(name, math.nan) for row in rows] for name in (RMSE, SETTLING))
     rmse, settling = columns
-    return Checked(title, all_places, rmse, settling, reasons)
+    return DesignCheck(title, values, rmse, settling, reasons)
 
 
 def _reduced(metrics: Mapping[str, Mapping[str, Any]], runs: Recording) -> list[dict[str, float]]:
     """Returns the metrics of each run; one that was terminated has none."""
-    each = (runs.run(i) for i in range(len(runs.values)))
-    return [{} if "terminated" in run.provenance else evaluate(run, metrics) for run in each]
+    rows = (runs.run(i) for i in range(len(runs.values)))
+    return [{} if "terminated" in run.provenance else evaluate(run, metrics) for run in rows]

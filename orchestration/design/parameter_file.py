@@ -8,12 +8,20 @@ import tomli_w
 
 from fmus.files import write_text_atomically
 from orchestration.design import rules
-from orchestration.design.check import Checked
+from orchestration.design.check import DesignCheck
 from orchestration.design.rules import Conditions, Gain, L1Design, PidDesign, beta_of
 from orchestration.design.vehicle_data import Range, VehicleData
 
 TABLE = "thruster_table_"
 """Beginning of the names of a table's points."""
+_UNITS = {
+    "thruster_gain": "N/V",
+    "thruster_tabulated": "1",
+    "thruster_scale": "1",
+    "thruster_table_voltage": "V",
+    "thruster_table_force": "N",
+    "voltage_limit": "V",
+}
 _DIGITS = 4  # what is written is what was run
 
 
@@ -71,25 +79,18 @@ def _model(data: VehicleData, inertia: float, damping: float) -> list[Gain]:
             f"puts omega = thrust M / inertia about 1: {_text(data.inertia)} kg, thrust {_text(data.gain)}",
         ),
         _gain("model_damping", damping, "N.s/m", f"middle of {_text(data.damping)}, at most what A_m damps"),
-        *_thrusters(data, f"designed: {thrust}"),
-        _gain("voltage_limit", data.voltage_limit, "V", thrust),
+        *(
+            Gain(name, value, _UNITS[name.partition("[")[0]], f"designed: {thrust}")
+            for name, value in _told(data).items()
+        ),
     ]  # fmt: skip
 
 
-def _thrusters(data: VehicleData, reason: str) -> list[Gain]:
-    """Returns the gain of each thruster, or the table in its place, point by point as the vehicle has it."""
-    if not data.table:
-        return [Gain(f"thruster_gain[{i}]", x, "N/V", reason) for i, x in enumerate(data.thruster_gain, 1)]
-    points = (("voltage", data.table.voltages, "V"), ("force", data.table.forces, "N"))
-    return [
-        Gain("thruster_tabulated", True, "1", "designed: the allocation inverts the table of the vehicle"),
-        *(Gain(f"thruster_scale[{i}]", x, "1", reason) for i, x in enumerate(data.table.scale, 1)),
-        *(
-            Gain(f"{TABLE}{name}[{i}]", x, unit, f"of {data.name}")
-            for name, values, unit in points
-            for i, x in enumerate(values, 1)
-        ),
-    ]
+def _told(data: VehicleData) -> dict[str, float]:
+    """Returns the parameters by which a controller with voltages knows the thrusters."""
+    points = len(data.actuators.table.voltages) if data.actuators.table else 0
+    told = data.actuators.parameters(data.voltage_limit, points) | {"voltage_limit": data.voltage_limit}
+    return {name: value for name, value in told.items() if name.partition("[")[0] in _UNITS}
 
 
 def _observer(alpha: float, data: VehicleData, crossover: str, noise: float) -> list[Gain]:
@@ -118,7 +119,9 @@ def _ranges(data: VehicleData) -> str:
     )
 
 
-def write(path: Path, gains: Sequence[Gain], phase: float, delay: float, checks: Sequence[Checked]) -> None:
+def write(
+    path: Path, gains: Sequence[Gain], phase: float, delay: float, checks: Sequence[DesignCheck]
+) -> None:
     """Writes a parameter file, with what the check gave."""
     document: dict[str, Any] = {
         "design": {
@@ -134,12 +137,12 @@ def write(path: Path, gains: Sequence[Gain], phase: float, delay: float, checks:
     write_text_atomically(path, tomli_w.dumps(document))
 
 
-def _checked(one: Checked) -> Mapping[str, Any]:
+def _checked(one: DesignCheck) -> Mapping[str, Any]:
     return {
         "controller": one.title,
         "runs": len(one.rmse),
         "rmse_cm": round(one.rmse[0], 3),
         "worst_rmse_cm": round(one.rmse[one.worst], 3),
         "worst_settling_time_s": round(max(one.settling), 2),
-        "worst_place": one.place(one.worst),
+        "worst_values": one.values_text(one.worst),
     }

@@ -215,12 +215,12 @@ def margin_left(loops: Iterator[LinearLoop], known_delay: float, enough: float) 
     """
     worst, delay = 180.0, math.inf
     for one in loops:
-        found = margins(one)
-        if math.isnan(found.delay):
+        own = margins(one)
+        if math.isnan(own.delay):
             return -180.0, math.nan
-        left = found.delay - known_delay
+        left = own.delay - known_delay
         if math.isfinite(left):
-            worst, delay = min(worst, math.degrees(left * found.frequency)), min(delay, left)
+            worst, delay = min(worst, math.degrees(left * own.frequency)), min(delay, left)
         if worst < enough:
             break
     return worst, delay

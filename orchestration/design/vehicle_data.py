@@ -8,17 +8,14 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
 
 import numpy as np
 
-from fmus.errors import nearest
-from fmus.fmi.description import start_value
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
+from orchestration.scenarios.actuators import Actuators
 from orchestration.score.protocol import check_vehicle, distribution_of, read_protocol
-from orchestration.score.vehicle import PLANT, Vehicle
+from orchestration.score.vehicle import PREFIX, Vehicle
 from orchestration.sweep.distributions import Distribution
 
 Range = tuple[float, float]
@@ -31,26 +28,11 @@ _SHARE_FOR_TRIM = 0.9  # of the thrust, at most: what is left moves the vehicle
 
 
 @dataclass(frozen=True)
-class ForceTable:
-    """A table of the force, which controllers invert: voltages [V], forces [N], factor of each thruster."""
-
-    voltages: tuple[float, ...]
-    forces: tuple[float, ...]
-    scale: Range
-
-    def least_gain(self, limit: float) -> float:
-        """Returns the force [N] at the largest voltage, in the weaker direction, over that voltage."""
-        ends = np.interp([-limit, limit], self.voltages, self.forces)
-        return float(np.abs(ends).min()) / limit
-
-
-@dataclass(frozen=True)
 class VehicleData:
     """The data of a vehicle.
 
     inertia [kg], damping [N.s/m], drag [N.s2/m2], net_weight [N]: ranges
-    gain: range of the thrust over that of the start values; force_limit [N]: the least of the thrusters
-    thruster_gain [N/V], voltage_limit [V], table: what a controller with voltages assumes
+    gain: range of the thrust over that of the start values; actuators: what a controller is told
     lag, delay, period [s]: of thrusters, sensor, and its sampling: the longest; noise [m]: with rounding
     """
 
@@ -60,14 +42,21 @@ class VehicleData:
     drag: Range
     net_weight: Range
     gain: Range
-    force_limit: float
-    thruster_gain: Range
-    voltage_limit: float
+    actuators: Actuators
     lag: float
     delay: float
     period: float
     noise: float
-    table: ForceTable | None = None
+
+    @property
+    def force_limit(self) -> float:
+        """The largest force [N] of the thrusters in their weaker direction."""
+        return self.actuators.largest_force
+
+    @property
+    def voltage_limit(self) -> float:
+        """The largest voltage [V] that a controller assumes."""
+        return self.actuators.limit if self.actuators.in_volts else _VOLTS
 
     @property
     def largest_weight(self) -> float:
@@ -114,7 +103,7 @@ def draws_of(vehicle: Vehicle) -> Draws:
 
 def corners(vehicle: Vehicle, draws: Draws) -> list[dict[str, FmiValue]]:
     """Returns the values of every corner of the ranges; a seed of noise has none."""
-    seed = PLANT + vehicle.described.variables.noise_seed
+    seed = PREFIX + vehicle.described.variables.noise_seed
     ranged = {names: distribution.reach for names, distribution in draws.items() if seed not in names}
     return [_values(ranged, ends) for ends in itertools.product(*ranged.values())]
 
@@ -130,75 +119,52 @@ def _values(names: Iterable[tuple[str, ...]], values: Sequence[FmiValue]) -> dic
     return {name: value for group, value in zip(names, values, strict=True) for name in group}
 
 
+def overruled(vehicle: Vehicle, draws: Draws) -> Iterator[str]:
+    """Yields a message about each value that is set and has a range, which the design takes in its place."""
+    for names, distribution in draws.items():
+        low, high = distribution.reach
+        for name in (name for name in names if name in vehicle.settings):
+            yield (
+                f"{name} = {vehicle.settings[name]} acts in the first run alone: the design takes the range "
+                f"{low:g} to {high:g} in [vary.*] of {vehicle.file.path}"
+            )
+
+
 def data_of(vehicle: Vehicle, draws: Draws) -> VehicleData:
     """Returns the data of a vehicle; ScenarioError names what is missing, and where to write it."""
-    read = _Reader(vehicle, draws)
-    read.check_described()
-    names = vehicle.described.variables
-    buoyancy = read.drawn("buoyancy_change", 0.0)
-    weight = read.named(names.net_weight)
-    resolution = read.named(names.sensor_resolution)[1]
-    gains, limits = read.thrusters()
+    _check_described(vehicle)
+    reach = {name: one.reach for names, one in draws.items() for name in names}
+    low, high = (vehicle.values({name: ends[end] for name, ends in reach.items()}) for end in (0, 1))
+
+    def ends_of(key: str) -> Range:
+        return sum(low.values(key)), sum(high.values(key))
+
+    weight, buoyancy = ends_of("net_weight"), [x.interface("buoyancy_change", 0.0) for x in (low, high)]
+    inertia, damping, drag = zip(low.heave, high.heave, strict=True)
+    nominal, lowest, highest = (sum(x.gains) for x in (vehicle.values(), low, high))
     data = VehicleData(
         name=vehicle.name,
-        inertia=read.named(names.inertia),
-        damping=read.named(names.damping),
-        drag=read.named(names.drag),
+        inertia=inertia,
+        damping=damping,
+        drag=drag,
         net_weight=(weight[0] - buoyancy[1], weight[1] - buoyancy[0]),
-        gain=read.relative_gain(),
-        force_limit=sum(gain * limit for gain, limit in zip(gains, limits, strict=True)),
-        thruster_gain=(gains[0], gains[-1]),
-        voltage_limit=min(limits),
-        lag=read.lag(),
-        delay=read.named(names.sensor_delay)[1],
-        period=read.named(names.sensor_period)[1],
+        gain=(lowest / nominal, highest / nominal),
+        actuators=vehicle.actuators,
+        lag=max(high.lags, default=0.0),
+        delay=ends_of("sensor_delay")[1],
+        period=ends_of("sensor_period")[1],
         # rounding to a multiple of the resolution: uniform within half of it, Widrow
-        noise=math.hypot(read.named(names.sensor_noise)[1], resolution / math.sqrt(12.0)),
-        table=read.table,
+        noise=math.hypot(ends_of("sensor_noise")[1], ends_of("sensor_resolution")[1] / math.sqrt(12.0)),
     )
     data.check()
     return data
 
 
-class _Reader:
-    """The values and ranges of a vehicle, by its own names or by those of its description."""
-
-    def __init__(self, vehicle: Vehicle, draws: Draws) -> None:
-        self._vehicle = vehicle
-        self._ranges = {name: one.reach for names, one in draws.items() for name in names}
-
-    def value(self, name: str) -> float:
-        """Returns the value [its unit] of a variable of the vehicle."""
-        variables = self._vehicle.variables
-        if name not in variables:
-            at = self._vehicle.file.at(("variables",))
-            raise ScenarioError(f"{at}: no variable {name!r}; {nearest(name, variables)}")
-        given: Any = self._vehicle.settings.get(PLANT + name, start_value(variables[name]))
-        try:
-            return float(given.value("Real") if hasattr(given, "value") else given)
-        except (TypeError, ValueError):
-            raise ScenarioError(f"{PLANT}{name} = {given!r}: expected a number") from None
-
-    def drawn(self, name: str, otherwise: float) -> Range:
-        """Returns the range of an input by its name in the interface."""
-        return self._ranges.get(PLANT + name, (otherwise, otherwise))
-
-    def named(self, name: str) -> Range:
-        """Returns the range of a variable, its value at both ends without one; 0 where there is no name."""
-        if not name:
-            return 0.0, 0.0
-        if PLANT + name in self._ranges:
-            return self._ranges[PLANT + name]
-        return self.value(name), self.value(name)
-
-    def check_described(self) -> None:
-        """Refuses a vehicle whose description lacks a name without which nothing is designed."""
-        vehicle = self._vehicle
-        missing = [name for name in _REQUIRED if not getattr(vehicle.described.variables, name)]
-        if not vehicle.takes_force and not self.table and not vehicle.described.variables.gain:
-            missing.append("gain")
-        if not missing:
-            return
+def _check_described(vehicle: Vehicle) -> None:
+    """Refuses a vehicle whose description lacks a name without which nothing is designed."""
+    missing = [name for name in _REQUIRED if not getattr(vehicle.described.variables, name)]
+    missing += [] if all(map(math.isfinite, vehicle.actuators.gains)) else ["gain"]
+    if missing:
         entries = ", ".join('gain = ["NAME", "NAME"]' if n == "gain" else f'{n} = "NAME"' for n in missing)
         parameters = [name for name, v in vehicle.variables.items() if v.causality == "parameter"]
         raise ScenarioError(
@@ -206,53 +172,8 @@ class _Reader:
             f"expected {entries} in [variables] of {vehicle.file.path}; its parameters are "
             f"{', '.join(parameters) or '(none)'}"
         )
-
-    def thrusters(self) -> tuple[Sequence[float], Sequence[float]]:
-        """Returns the gain [N/V] and the limit [V] of each thruster as a controller with volts assumes it."""
-        vehicle = self._vehicle
-        limits = vehicle.limits(vehicle.settings)
-        if not all(map(math.isfinite, limits)):
-            names = " and ".join(vehicle.actuators)
-            raise ScenarioError(
-                f"{vehicle.name}: the range of {names} is not known: expected min and max of the input in "
-                f"the FMU, or limit = [...] in [variables] of {vehicle.file.path}"
-            )
-        if vehicle.takes_force:
-            share = 0.5 * limits[0] / _VOLTS
-            return (share, share), (_VOLTS, _VOLTS)
-        if self.table:
-            pairs = zip(self.table.scale, limits, strict=True)
-            return [scale * self.table.least_gain(limit) for scale, limit in pairs], limits
-        return [self.value(name) for name in vehicle.described.variables.gain], limits
-
-    @cached_property
-    def table(self) -> ForceTable | None:
-        """The table of the thrusters' force; None where the vehicle has a gain or takes a force."""
-        names = self._vehicle.described.variables
-        if not names.table or (names.tabulated and not self.value(names.tabulated)):
-            return None
-        voltages, forces = (self._array(name) for name in names.table)
-        first, *others = [self.value(name) for name in names.table_scale] or [1.0]
-        return ForceTable(voltages, forces, (first, others[-1] if others else first))
-
-    def _array(self, name: str) -> tuple[float, ...]:
-        indexed = [n for n in self._vehicle.variables if n.partition("[")[0] == name]
-        return tuple(self.value(n) for n in indexed) or (self.value(name),)
-
-    def lag(self) -> float:
-        """Returns the longest lag [s] of the thrusters; a transfer function counts by its first moment."""
-        names = self._vehicle.described.variables
-        if names.no_lag and self.value(names.no_lag):
-            return 0.0
-        lag = max((self.named(name)[1] for name in names.lag), default=0.0)
-        return lag + names.transfer_lag(self.value)
-
-    def relative_gain(self) -> Range:
-        """Returns the range of the sum of the thrusters' gains over its start value."""
-        described = self._vehicle.described.variables
-        names = described.table_scale if self.table else described.gain
-        if self._vehicle.takes_force or not names:
-            return 1.0, 1.0
-        nominal = sum(self.value(name) for name in names)
-        low, high = (sum(self.named(name)[end] for name in names) / nominal for end in (0, 1))
-        return low, high
+    if not math.isfinite(vehicle.actuators.limit):
+        raise ScenarioError(
+            f"{vehicle.name}: the range of {' and '.join(vehicle.inputs)} is not known: expected min and max "
+            f"of the input in the FMU, or limit = [...] in [variables] of {vehicle.file.path}"
+        )

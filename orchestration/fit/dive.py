@@ -10,7 +10,7 @@ import numpy as np
 from fmus.errors import nearest
 from orchestration.errors import OrchestrationError
 from orchestration.scenarios.data_file import DataFile, read_data_file
-from orchestration.score.vehicle import PLANT, Vehicle
+from orchestration.score.vehicle import PREFIX, Vehicle
 from orchestration.system.signals import Table
 
 DATA = "data"  # before the name of a column, as a component
@@ -91,8 +91,8 @@ def _columns(file: DataFile, vehicle: Vehicle, mapping: Mapping[str, str]) -> di
 
     def column(*names: str) -> str:
         own = [mapping[name] for name in names if name in mapping]
-        found = [prefix + name for name in names for prefix in ("", PLANT) if prefix + name in file.titles]
-        return next(iter([*own, *found]), "")
+        titles = [prefix + name for name in names for prefix in ("", PREFIX) if prefix + name in file.titles]
+        return next(iter([*own, *titles]), "")
 
     # a name of the interface that stands for another variable is not the variable of that name
     names = {name: [name] for name in inputs.keys() - vehicle.mapping.keys()}
@@ -100,8 +100,8 @@ def _columns(file: DataFile, vehicle: Vehicle, mapping: Mapping[str, str]) -> di
         names.setdefault(own, []).append(name)
     columns = {TIME: column(TIME), DEPTHS[0]: column(*DEPTHS)}
     columns |= {name: column(*names.get(name, [])) for name in inputs}
-    commands = [vehicle.variable(name) for name in vehicle.actuators]
-    needed = [TIME, DEPTHS[0], *(n.removeprefix(PLANT) for n in commands if n not in vehicle.settings)]
+    commands = [vehicle.variable(name) for name in vehicle.inputs]
+    needed = [TIME, DEPTHS[0], *(n.removeprefix(PREFIX) for n in commands if n not in vehicle.settings)]
     for name in needed:
         if not columns[name]:
             raise OrchestrationError(

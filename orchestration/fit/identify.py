@@ -16,12 +16,13 @@ import tomli_w
 
 from fmus.files import write_text_atomically
 from orchestration.errors import OrchestrationError
-from orchestration.fit.least_squares import Free, Search, values_at
+from orchestration.fit.least_squares import LeastSquares, values_at
 from orchestration.many.job import Failure
 from orchestration.many.run_many import run_many
 from orchestration.results import metrics
 from orchestration.results.metric_units import metric_units, with_units
 from orchestration.scenarios import scenario
+from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.scenarios.published import PUBLISHED, Published
 from orchestration.system.prepared_run import prepare
 
@@ -37,11 +38,11 @@ _NOT_SETTLED = 40.0  # tolerances: more than a run that settles can be away
 
 
 GAINS = (
-    Free("controller.depth_feedback_gain", 1.0, 10.0, unit="N/m"),
-    Free("controller.rate_feedback_gain", 10.0, 25.0, unit="N.s/m"),
-    Free("controller.filter_bandwidth", 0.05, 1.0, unit="rad/s"),
-    Free("controller.proportional_gain", 2.0, 20.0, unit="N/m"),
-    Free("controller.integral_gain", 0.003, 0.03, unit="N/(m.s)"),
+    FreeParameter("controller.depth_feedback_gain", 1.0, 10.0, unit="N/m"),
+    FreeParameter("controller.rate_feedback_gain", 10.0, 25.0, unit="N.s/m"),
+    FreeParameter("controller.filter_bandwidth", 0.05, 1.0, unit="rad/s"),
+    FreeParameter("controller.proportional_gain", 2.0, 20.0, unit="N/m"),
+    FreeParameter("controller.integral_gain", 0.003, 0.03, unit="N/(m.s)"),
 )
 WHY_THESE_LIMITS = {
     "controller.depth_feedback_gain": "restoring force of 0.1 N to 1 N at 0.1 m",
@@ -54,8 +55,8 @@ _DIFFERENCE = 0.01  # of the coordinates: 1 to 2 % of the range of each gain
 
 
 @dataclass(frozen=True)
-class Fit:
-    """Fit of a search: gains, the metrics they give, and how often the loop was run."""
+class IdentifiedGains:
+    """Identified gains, the metrics that they give, and how often the loop was run."""
 
     gains: dict[str, float]
     metrics: dict[str, dict[str, float]]
@@ -114,7 +115,7 @@ def identify(
     evaluations: int = 80,
     starts: int = 10,
     progress: Callable[[float], None] = lambda cost: None,
-) -> Fit:
+) -> IdentifiedGains:
     """Searches the gains; the same seed gives the same fit.
 
     evaluations: how often the pair of scenarios may be run in all
@@ -126,7 +127,7 @@ def identify(
     if not 1 <= starts < evaluations:
         raise OrchestrationError(f"evaluations {evaluations}: expected more than the {starts} starts")
     units = _units()
-    search = Search(
+    search = LeastSquares(
         GAINS,
         lambda points: map(residuals, measure([*map(rounded, points)])),
         _DIFFERENCE,
@@ -136,7 +137,7 @@ def identify(
     search.at([*(1.0 + qmc.LatinHypercube(len(GAINS), rng=seed).random(starts))])
     search.run(search.best, ftol=1e-3)
     gains = rounded(values_at(GAINS, search.best))
-    return Fit(gains, measure([gains])[0], units, search.cost, search.count, seed)
+    return IdentifiedGains(gains, measure([gains])[0], units, search.cost, search.count, seed)
 
 
 def rounded(gains: Mapping[str, float]) -> dict[str, float]:
@@ -144,7 +145,7 @@ def rounded(gains: Mapping[str, float]) -> dict[str, float]:
     return {name: float(f"{value:.4g}") for name, value in gains.items()}
 
 
-def write(fit: Fit, path: Path) -> None:
+def write(fit: IdentifiedGains, path: Path) -> None:
     """Writes the parameter file that the scenarios use, provenance and limits beside each value."""
     source = (
         "identified: least squares on the nominal row of Table 1 of Maalouf et al. (2013), "

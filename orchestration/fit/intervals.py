@@ -13,7 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orchestration.errors import OrchestrationError
-from orchestration.fit.least_squares import Free, Search, values_at
+from orchestration.fit.least_squares import (
+    LeastSquares,
+    coordinate,
+    relative_change,
+    value_at,
+    values_at,
+)
+from orchestration.scenarios.free_parameter import FreeParameter
 
 LEVEL = 0.95
 _NOT_DETERMINED = 1.0  # standard deviation over the value, of a combination that the data do not determine
@@ -30,7 +37,7 @@ class Estimate:
     note: empty, or why the interval is as it is
     """
 
-    free: Free
+    free: FreeParameter
     value: float
     low: float
     high: float
@@ -69,7 +76,7 @@ def correlation_time(series: Sequence[np.ndarray]) -> float:
     return max(1.0, 2.0 * float(pairs[:positive].sum()) - 1.0)
 
 
-def analysed(search: Search, series: Callable[[np.ndarray], Sequence[np.ndarray]]) -> Analysis:
+def analysed(search: LeastSquares, series: Callable[[np.ndarray], Sequence[np.ndarray]]) -> Analysis:
     """Returns the estimates at the best point of a search, with intervals.
 
     series: splits the residuals into those of each dive
@@ -82,7 +89,7 @@ def analysed(search: Search, series: Callable[[np.ndarray], Sequence[np.ndarray]
     deviation = max(noise, np.finfo(float).eps) * math.sqrt(tau)
     limits = [_limit(one, x) for one, x in zip(free, best, strict=True)]
     inside = [i for i, limit in enumerate(limits) if not limit]
-    relative = np.array([one.relative for one in free])
+    relative = np.array([relative_change(one) for one in free])
     jacobian = search.jacobian(best, central=True)
     # a step of the differences may have come lower: estimates, ends and recordings are of one point
     search.best, search.residuals, search.cost = best, residuals, cost
@@ -94,14 +101,16 @@ def analysed(search: Search, series: Callable[[np.ndarray], Sequence[np.ndarray]
     factor = float(student.ppf(0.5 + 0.5 * LEVEL, max(1.0, len(residuals) / tau - len(free))))
     estimates = []
     for i, (one, x) in enumerate(zip(free, best, strict=True)):
-        estimate = Estimate(one, one.value(float(x)), one.low, one.high, limits[i])
+        estimate = Estimate(one, value_at(one, float(x)), one.low, one.high, limits[i])
         if i in inside:
             row = inside.index(i)
             if unknown[row]:
                 estimate = replace(estimate, note="not determined")
             else:
                 half = factor * math.sqrt(covariance[row, row])
-                estimate = replace(estimate, low=one.value(float(x) - half), high=one.value(float(x) + half))
+                estimate = replace(
+                    estimate, low=value_at(one, float(x) - half), high=value_at(one, float(x) + half)
+                )
         estimates.append(estimate)
     shares = np.array([_share(free[i], float(best[i])) for i in inside])
     messages = [_undetermined([free[i] for i in inside], row * shares) for row in directions[~is_known]]
@@ -115,7 +124,7 @@ def analysed(search: Search, series: Callable[[np.ndarray], Sequence[np.ndarray]
     return Analysis(tuple(estimates), noise, tau, tuple(messages), tuple(rough))
 
 
-def _is_rough(search: Search, best: np.ndarray, step: np.ndarray, rise: float) -> bool:
+def _is_rough(search: LeastSquares, best: np.ndarray, step: np.ndarray, rise: float) -> bool:
     """Whether the sum of squares at the ends of an interval is not what the linear model predicts.
 
     step: from the best point to an end, the other parameters with it; rise: square root of that predicted
@@ -129,19 +138,19 @@ def _is_rough(search: Search, best: np.ndarray, step: np.ndarray, rise: float) -
     return any(abs(one / rise**2 - 1.0) > _ROUGH for one in rises)
 
 
-def _limit(one: Free, x: float) -> str:
+def _limit(one: FreeParameter, x: float) -> str:
     for limit in (one.low, one.high):
-        if math.isfinite(limit) and abs(x - one.coordinate(limit)) < _AT_A_LIMIT * max(1.0, abs(x)):
+        if math.isfinite(limit) and abs(x - coordinate(one, limit)) < _AT_A_LIMIT * max(1.0, abs(x)):
             return f"at the limit {limit:g}"
     return ""
 
 
-def _share(one: Free, x: float) -> float:
+def _share(one: FreeParameter, x: float) -> float:
     """Returns the change of the value, relative to it, for one relative to its size at the start."""
     return 1.0 if one.is_logarithmic or x == 0.0 else 1.0 / x
 
 
-def _undetermined(free: Sequence[Free], direction: np.ndarray) -> str:
+def _undetermined(free: Sequence[FreeParameter], direction: np.ndarray) -> str:
     """Returns a message about a direction in which the data do not determine the parameters."""
     largest = direction[np.argmax(np.abs(direction))]
     members = [i for i, x in enumerate(direction) if x * x > _SHARE * largest * largest]

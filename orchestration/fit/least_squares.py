@@ -11,73 +11,47 @@ from typing import Any
 
 import numpy as np
 
-from orchestration.errors import OrchestrationError
+from orchestration.scenarios.free_parameter import FreeParameter
 
 Values = Mapping[str, float]
 Evaluate = Callable[[Sequence[Values]], Iterable[np.ndarray]]
 """Returns the residuals at some points, shape (m,) each; a point is name -> value of each parameter."""
 
-_SCALED_LOW, _SCALED_HIGH = 1.0, 2.0  # coordinates of the limits of a logarithmic search
+_FIRST = 1.0  # coordinate of the lower limit of a logarithmic search; that of the upper one is 2
 
 
-@dataclass(frozen=True)
-class Free:
-    """A free parameter: the limits of its search and the value that it begins at, in its unit.
+def coordinate(free: FreeParameter, value: float) -> float:
+    """Returns the coordinate of a value in the search.
 
-    Where both limits are positive and finite, the coordinate of the search is the position of the logarithm
-    between them, 1 to 2; otherwise it is the value over `scale`, its size at the start. So coordinates stay
-    away from 0, and finite differences can be relative to them.
-    variables: those of the FMU that have its value
+    It is the position of the logarithm between the limits, 1 to 2, or the value over `scale`: away from 0, so
+    that finite differences can be relative to it.
     """
-
-    name: str
-    low: float = -math.inf
-    high: float = math.inf
-    start: float = math.nan
-    unit: str = ""
-    variables: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        if not self.low < self.high:
-            raise OrchestrationError(
-                f"{self.name}={self.low:g}:{self.high:g}: expected the lower limit first"
-            )
-
-    @property
-    def is_logarithmic(self) -> bool:
-        return self.low > 0.0 and self.high < math.inf
-
-    @property
-    def scale(self) -> float:
-        return abs(self.start) or 1.0
-
-    def coordinate(self, value: float) -> float:
-        """Returns the coordinate of a value."""
-        if not self.is_logarithmic:
-            return value / self.scale
-        return _SCALED_LOW + math.log(value / self.low) / math.log(self.high / self.low)
-
-    def value(self, coordinate: float) -> float:
-        """Returns the value of a coordinate, within the limits."""
-        if self.is_logarithmic:
-            value = self.low * (self.high / self.low) ** (coordinate - _SCALED_LOW)
-        else:
-            value = coordinate * self.scale
-        return min(max(value, self.low), self.high)
-
-    @property
-    def relative(self) -> float:
-        """Relative change of the value for a change of the coordinate by 1; relative to `scale` if linear."""
-        return math.log(self.high / self.low) if self.is_logarithmic else 1.0
+    return _FIRST + free.share(value) if free.is_logarithmic else value / scale(free)
 
 
-def values_at(free: Sequence[Free], coordinates: np.ndarray) -> dict[str, float]:
+def value_at(free: FreeParameter, coordinate: float) -> float:
+    """Returns the value of a coordinate, within the limits."""
+    value = free.at(coordinate - _FIRST) if free.is_logarithmic else coordinate * scale(free)
+    return free.limited(value)
+
+
+def scale(free: FreeParameter) -> float:
+    """Returns the size of the value at the start."""
+    return abs(free.start) or 1.0
+
+
+def relative_change(free: FreeParameter) -> float:
+    """Returns the relative change of the value, to `scale` if linear, for a change of the coordinate by 1."""
+    return math.log(free.high / free.low) if free.is_logarithmic else 1.0
+
+
+def values_at(free: Sequence[FreeParameter], coordinates: np.ndarray) -> dict[str, float]:
     """Returns the value of each parameter at a point, shape (n,)."""
-    return {one.name: one.value(float(x)) for one, x in zip(free, coordinates, strict=True)}
+    return {one.name: value_at(one, float(x)) for one, x in zip(free, coordinates, strict=True)}
 
 
 @dataclass
-class Search:
+class LeastSquares:
     """A search of least squares, with the best point that it asked for.
 
     difference: step of the finite differences, relative to the coordinate
@@ -85,7 +59,7 @@ class Search:
     best: coordinates, shape (n,); cost: half the sum of squares there; count: of the points evaluated
     """
 
-    free: Sequence[Free]
+    free: Sequence[FreeParameter]
     evaluate: Evaluate
     difference: float
     evaluations: int
@@ -97,7 +71,7 @@ class Search:
     ended: str = ""
     _last: np.ndarray = field(default_factory=lambda: np.empty(0))
 
-    def run(self, start: np.ndarray, **options: Any) -> "Search":
+    def run(self, start: np.ndarray, **options: Any) -> "LeastSquares":
         """Searches from a point, shape (n,), and returns itself; `ended` says why it ended.
 
         options: of `scipy.optimize.least_squares`
@@ -105,7 +79,7 @@ class Search:
         from scipy.optimize import least_squares  # slow to import
 
         limits = (
-            [one.coordinate(x) for one, x in zip(self.free, ends, strict=True)] for ends in self._limits
+            [coordinate(one, x) for one, x in zip(self.free, ends, strict=True)] for ends in self._limits
         )
         self.ended = f"the {self.evaluations} evaluations are used up"
         with suppress(_OutOfEvaluations):
@@ -154,7 +128,7 @@ class Search:
 
     def _is_beyond(self, i: int, x: float) -> bool:
         one = self.free[i]
-        return not one.coordinate(one.low) <= x <= one.coordinate(one.high)
+        return not coordinate(one, one.low) <= x <= coordinate(one, one.high)
 
 
 class _OutOfEvaluations(Exception):  # noqa: N818  (a signal to stop, not an error)

@@ -6,7 +6,6 @@ line. The depth at the start is free in every dive, unless it is set.
 """
 
 import math
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,18 +18,18 @@ from fmus.fmi.description import describe, start_value
 from orchestration.errors import OrchestrationError
 from orchestration.fit.dive import DATA, DEPTHS, Dive
 from orchestration.fit.intervals import LEVEL, Analysis, Estimate, analysed
-from orchestration.fit.least_squares import Free, Search, Values, values_at
+from orchestration.fit.least_squares import LeastSquares, Values, coordinate, values_at
 from orchestration.many.job import Failure, Job, Run
 from orchestration.many.run_many import LocalRuns, in_order, recordings_of
 from orchestration.results.recording import Recording
 from orchestration.scenarios.changes import values_of_settings, with_values
 from orchestration.scenarios.fmu_files import fmu_file
+from orchestration.scenarios.free_parameter import FreeParameter, check_once, parse
 from orchestration.scenarios.layers import Layer
-from orchestration.score.vehicle import DEPTH, PLANT, Vehicle
+from orchestration.score.vehicle import DEPTH, PREFIX, Vehicle
 from orchestration.system.experiment import Experiment, suggested_times
 from orchestration.system.prepared_run import has_start_value
-from orchestration.system.system import Port, System
-from orchestration.system.values import value_range
+from orchestration.system.system import System
 
 _DIFFERENCE = 1e-5  # of the coordinates: about 1e-4 of a value between limits of seven decades
 _EVALUATIONS = 100  # for each free parameter
@@ -59,7 +58,7 @@ class VehicleFit:
         """Each fitted variable, "plant.NAME", with its estimate; depths at the start of dives are none."""
         for estimate in self.analysis.estimates:
             if not estimate.free.name.startswith(f"{DATA}."):
-                yield from ((PLANT + name, estimate) for name in estimate.free.variables)
+                yield from ((PREFIX + name, estimate) for name in estimate.free.variables)
 
     @property
     def metrics(self) -> dict[str, dict[str, str]]:
@@ -89,29 +88,22 @@ class VehicleFit:
         }
 
 
-def free_parameters(texts: Sequence[str], vehicle: Vehicle) -> list[Free]:
+def free_parameters(texts: Sequence[str], vehicle: Vehicle) -> list[FreeParameter]:
     """Returns the parameters of options --free NAME,NAME=LOW:HIGH.
 
     A name is that of a parameter, of an array for all its elements, or one in the description of the vehicle.
     Limits are those of the FMU if none are given; the start is its start value, or one that is set.
     Raises OrchestrationError for what is no parameter of type Real, or for limits that it cannot have.
     """
-    parts = [part.strip() for text in texts for part in re.split(r",(?![^\[]*\])", text)]
-    result = dict[str, Free]()
-    for part in filter(None, parts):
-        name, _, limits = part.partition("=")
-        free = _free(name.strip().removeprefix(PLANT), limits, vehicle)
-        taken = {variable for other in result.values() for variable in other.variables}
-        if taken & {*free.variables}:
-            raise OrchestrationError(f"--free {part}: given twice: expected it once")
-        result[free.name] = free
+    result = [_of_vehicle(free, vehicle) for free in parse(texts)]
+    check_once(result)
     if not result:
         raise OrchestrationError("nothing to fit: expected --free NAME,NAME")
-    return [*result.values()]
+    return result
 
 
-def _free(name: str, limits: str, vehicle: Vehicle) -> Free:
-    variables = vehicle.variables
+def _of_vehicle(given: FreeParameter, vehicle: Vehicle) -> FreeParameter:
+    name, variables = given.name.removeprefix(PREFIX), vehicle.variables
     described = {key: [x] if isinstance(x, str) else x for key, x in vehicle.described.variables if x}
     elements = [own for own in variables if own.partition("[")[0] == name and own != name]
     own = [name] if name in variables else elements or described.get(name) or []
@@ -124,22 +116,9 @@ def _free(name: str, limits: str, vehicle: Vehicle) -> Free:
                 f"--free {name}: expected a parameter of type Real{got}; {nearest(one, settable)}"
             )
     first = settable[own[0]]
-    low, high = value_range(Port("plant", first))
-    if limits:
-        given = _limits(name, limits)
-        if not low <= given[0] < given[1] <= high:
-            raise OrchestrationError(f"--free {name}={limits}: expected limits within {low:g}..{high:g}")
-        low, high = given
-    start = float(_settings(vehicle)["parameters"].get(PLANT + own[0], start_value(first)))
-    return Free(name, low, high, min(max(start, low), high), first.unit or "", tuple(own))
-
-
-def _limits(name: str, limits: str) -> tuple[float, float]:
-    low, _, high = limits.partition(":")
-    try:
-        return float(low), float(high)
-    except ValueError:
-        raise OrchestrationError(f"--free {name}={limits}: expected NAME or NAME=LOW:HIGH") from None
+    free = replace(given, name=name, variables=tuple(own)).within(first)
+    start = float(_settings(vehicle)["parameters"].get(PREFIX + own[0], start_value(first)))
+    return replace(free, start=free.limited(start))
 
 
 def _settings(vehicle: Vehicle) -> dict[str, dict[str, Any]]:
@@ -160,7 +139,7 @@ class _Runs:
         self,
         vehicle: Vehicle,
         dives: Sequence[Dive],
-        free: Sequence[Free],
+        free: Sequence[FreeParameter],
         step_size: float | None,
         make: Callable[[Job, Sequence[Run]], Iterator[Any]],
     ) -> None:
@@ -172,19 +151,21 @@ class _Runs:
             Experiment(
                 stop_time=step * max(1, math.ceil(dive.times[-1] / step * (1.0 - 1e-12))),
                 step_size=step,
-                signals={PLANT + name: signal for name, signal in dive.commands.items()},
+                signals={PREFIX + name: signal for name, signal in dive.commands.items()},
                 record=[self.depth],
                 open_inputs="start",
                 parameters=settings["parameters"],
-                inputs={n: v for n, v in settings["inputs"].items() if n[len(PLANT) :] not in dive.commands},
+                inputs={n: v for n, v in settings["inputs"].items() if n[len(PREFIX) :] not in dive.commands},
             )
             for dive in dives
         ]
         start_depth = vehicle.variable(vehicle.start_depth)
-        own = start_depth.removeprefix(PLANT)
+        own = start_depth.removeprefix(PREFIX)
         is_given = start_depth in settings["parameters"] or any(own in one.variables for one in free)
         self._at_starts = [
-            Free(f"{DATA}.{own} of {dive.name}", start=float(dive.depths[0]), unit="m", variables=(own,))
+            FreeParameter(
+                f"{DATA}.{own} of {dive.name}", start=float(dive.depths[0]), unit="m", variables=(own,)
+            )
             for dive in dives
             if vehicle.has(vehicle.start_depth) and not is_given
         ]
@@ -202,7 +183,7 @@ class _Runs:
 
     def _experiment(self, dive: int, point: Values) -> Experiment:
         chosen = [*self._of_all, *self._at_starts[dive : dive + 1]]
-        values = {PLANT + own: point[one.name] for one in chosen for own in one.variables}
+        values = {PREFIX + own: point[one.name] for one in chosen for own in one.variables}
         return with_values(self._experiments[dive], values)
 
     def residuals(self, points: Sequence[Values]) -> Iterator[np.ndarray]:
@@ -237,7 +218,7 @@ class _Runs:
 def fit_vehicle(
     vehicle: Vehicle,
     dives: Sequence[Dive],
-    free: Sequence[Free],
+    free: Sequence[FreeParameter],
     step_size: float | None = None,
     workers: int = 1,
     progress: Callable[[float], None] = lambda cost: None,
@@ -251,20 +232,20 @@ def fit_vehicle(
         raise OrchestrationError(f"two dives are called {dives[0].name}: expected files of different names")
     count = sum(len(dive.times) for dive in dives)
     most = _EVALUATIONS * (len(free) + len(dives))
-    with LocalRuns(workers, expected=most * len(dives)) as place:
-        make = partial(in_order, place)
+    with LocalRuns(workers, expected=most * len(dives)) as local_runs:
+        make = partial(in_order, local_runs)
         runs = _Runs(vehicle, dives, free, step_size, make)
         if count <= len(runs.free):
             raise OrchestrationError(
                 f"{count} readings: expected more than the {len(runs.free)} free parameters"
             )
-        start = np.array([one.coordinate(one.start) for one in runs.free])
+        start = np.array([coordinate(one, one.start) for one in runs.free])
         first = start
         for share in _SHARES:
             parts = [_beginning(dive, share) for dive in dives]
             part = _Runs(vehicle, parts, free, step_size, make)
-            first = Search(part.free, part.residuals, _DIFFERENCE, most).run(first, **_ROUGHLY).best
-        search = Search(runs.free, runs.residuals, _DIFFERENCE, most, progress)
+            first = LeastSquares(part.free, part.residuals, _DIFFERENCE, most).run(first, **_ROUGHLY).best
+        search = LeastSquares(runs.free, runs.residuals, _DIFFERENCE, most, progress)
         search.at([start, first])
         search.run(search.best, x_scale="jac")
         search.evaluations += 2 * len(runs.free)
@@ -283,7 +264,7 @@ def _beginning(dive: Dive, share: float) -> Dive:
 
 def _recording(depth: str, dive: Dive, residuals: np.ndarray, run: Recording | Failure) -> Recording:
     """Returns the simulated and the measured depth, their difference and the commands, at the readings."""
-    commands = {PLANT + name: signal.at(dive.times) for name, signal in dive.commands.items()}
+    commands = {PREFIX + name: signal.at(dive.times) for name, signal in dive.commands.items()}
     columns = {depth: dive.depths + residuals, _MEASURED: dive.depths, _RESIDUAL: residuals, **commands}
     units = ("m", "m", "m", *(dive.units[name] for name in dive.commands))
     provenance = {} if isinstance(run, Failure) else run.provenance

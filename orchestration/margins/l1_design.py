@@ -10,10 +10,14 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from controller_fmu.design import Extension, FilterOrder, Regressor, lipschitz_constant
+from fmus.fmi.model_description import ModelDescription, ScalarVariable
 from orchestration.margins.l1_loop import Law, Observer, Pair, Plant
 from orchestration.scenarios.scenario import Scenario
-from orchestration.scenarios.vehicle import VariablesTable, description_file, description_of
+from orchestration.scenarios.toml_file import TomlFile
+from orchestration.scenarios.vehicle import VehicleValues, description_file, description_of
 from orchestration.system.prepared_run import PreparedRun, values_of
 
 Values = Mapping[str, Any]
@@ -62,7 +66,7 @@ def design_of(chosen: Scenario, largest_reference: float, rest: float) -> Design
     prepared, named = chosen.prepared, chosen.resolved.get("components", chosen.system.components)
     described = {name: d.modelName or "" for name, d in prepared.system.descriptions.items()}
     controllers = [name for name, model in described.items() if model in _LAWS]
-    linear = {name: _linear_plant(str(named[name]), model) for name, model in described.items()}
+    linear = {name: _linear_plant(str(named[name]), d) for name, d in prepared.system.descriptions.items()}
     plants = {name: plant for name, plant in linear.items() if plant}
     if len(controllers) != 1 or len(plants) != 1:
         return None
@@ -153,46 +157,43 @@ def _general_law(values: Values, rest: float, reference: float) -> Law:
     )
 
 
-def _linear_plant(fmu: str, model: str) -> "Callable[[Values, Values], Plant | None] | None":
+def _linear_plant(
+    fmu: str, description: ModelDescription
+) -> "Callable[[Values, Values], Plant | None] | None":
     """Returns what gives the linear plant of a component; None for one that is no plant, or not known.
 
     fmu: as the scenario names it, beside which the description of a vehicle stands
     """
+    model = description.modelName or ""
     if model == "ExamplePlant":
         return _example
     described = (description_file(vehicle) for vehicle in (fmu, model))
-    names = next((description_of(file).variables for file in described if file.data), VariablesTable())
-    return partial(_vehicle, names) if names.inertia else None
+    file = next((file for file in described if description_of(file).variables.inertia), None)
+    return partial(_vehicle, file, {v.name: v for v in description.modelVariables}) if file else None
 
 
-def _vehicle(names: VariablesTable, values: Values, controller: Values) -> Plant | None:
+def _vehicle(
+    file: TomlFile, variables: Mapping[str, ScalarVariable], values: Values, controller: Values
+) -> Plant | None:
     """Returns a vehicle at rest: linear damping alone, but for a vertical current.
 
-    Each thruster takes half of the control, divided by the gain that the controller assumes. A vehicle
-    without gains takes a force. None if the thrusters follow a table that the controller does not invert.
+    Each thruster takes half of the control, divided by the gain, or the factor of the table, that the
+    controller assumes. None if the thrusters follow a table that the controller does not invert.
     """
-    if names.tabulated and values[names.tabulated] and not controller.get("thruster_tabulated"):
+    vehicle = VehicleValues(file, variables, {}, values)
+    actuators = vehicle.actuators
+    if actuators.table and not controller.get("thruster_tabulated"):
         return None
-    inertia, damping = values[names.inertia], values[names.damping] if names.damping else 0.0
-    if names.drag:
-        damping += 2.0 * values[names.drag] * abs(values.get("current_velocity", 0.0))
+    inertia, damping, drag = vehicle.heave
+    damping += 2.0 * drag * abs(vehicle.interface("current_velocity", 0.0))
     gains = (1.0,)
-    if names.gain:
-        efficiency = (values.get(f"thruster_efficiency[{i}]", 1.0) for i in (1, 2))
-        assumed = _pair(controller, "thruster_gain")
-        factors = zip((values[name] for name in names.gain), efficiency, assumed, strict=True)
-        gains = tuple(0.5 * gain * share / divisor for gain, share, divisor in factors)
-    has_lag = not (names.no_lag and values[names.no_lag])
-    lags = [values[name] for name in names.lag] if has_lag else []
+    if actuators.in_volts and np.isfinite(actuators.gains).all():
+        assumed = _pair(controller, "thruster_scale" if actuators.table else "thruster_gain")
+        gains = tuple(0.5 * gain / divisor for gain, divisor in zip(vehicle.gains, assumed, strict=True))
+    lags = vehicle.lags
     if len(lags) != len(gains):  # of a vehicle without gains, whose force has one lag
-        lags = [max(lags, default=0.0)] * len(gains)
-    after = names.transfer_lag(values.__getitem__) if has_lag else 0.0
-    return Plant(
-        a=((0.0, 1.0), (0.0, -damping / inertia)),
-        b=(0.0, 1.0 / inertia),
-        gains=gains,
-        lags=tuple(lag + after for lag in lags),
-    )
+        lags = (max(lags, default=0.0),) * len(gains)
+    return Plant(((0.0, 1.0), (0.0, -damping / inertia)), (0.0, 1.0 / inertia), gains, lags)
 
 
 def _example(values: Values, controller: Values) -> Plant:

@@ -35,7 +35,7 @@ from orchestration.scenarios.read_layers import (
 )
 from orchestration.scenarios.replaced import Describe, alternatives, replacements, without_misfits
 from orchestration.scenarios.toml_file import KeyPath, TomlFile
-from orchestration.scenarios.vehicle import PLANT, actuators_of
+from orchestration.scenarios.vehicle import PLANT, VehicleValues, description_file
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.prepared_run import PreparedRun, prepare
 from orchestration.system.signal_derivatives import with_derivatives
@@ -157,15 +157,24 @@ def _with_actuators(
         return [*layers], {}
     above = {k: v for x in layers[new.layer :] for k, v in x.data.get("parameters", {}).items()}
     given = {name.partition(".")[2]: value for name, value in above.items() if name.startswith(f"{PLANT}.")}
-    actuators = actuators_of(new.fmu, {n: port.variable for n, port in new.ports.items()}, mapping, given)
+    variables = {name: port.variable for name, port in new.ports.items()}
+    actuators = VehicleValues(description_file(new.fmu), variables, mapping, given).actuators
     entries: dict[str, float] = {}
     others = {name: fmu for name, fmu in components_of(layers).items() if name != PLANT}
     for component, fmu in others.items():
-        parameters = (v for v in describe(fmu).modelVariables if v.causality == "parameter")
-        own = {v.name: start_value(v) for v in parameters if v.type == "Real"}
-        limit = above.get(f"{component}.voltage_limit", own.get("voltage_limit"))
-        values = actuators.parameters(float(limit or math.nan))
-        entries |= {f"{component}.{name}": value for name, value in values.items() if name in own}
+        own = {v.name: start_value(v) for v in describe(fmu).modelVariables if v.causality == "parameter"}
+        own |= {name: above[f"{component}.{name}"] for name in own if f"{component}.{name}" in above}
+        # a controller that is set not to take a table takes a line
+        points = sum(name.startswith("thruster_table_voltage[") for name in own)
+        points *= above.get(f"{component}.thruster_tabulated") is not False
+        if actuators.table and 0 < points < len(actuators.table.voltages):
+            raise ScenarioError(
+                f"{component}: expected a table of at most {points} points, got "
+                f"{len(actuators.table.voltages)} of the thrusters of {Path(new.fmu).name}; "
+                f"--set {component}.thruster_tabulated=false takes a line in its place"
+            )
+        told = actuators.parameters(float(own.get("voltage_limit") or math.nan), points)
+        entries |= {f"{component}.{name}": value for name, value in told.items() if name in own}
     return [*layers[: new.layer], Layer({"parameters": entries}), *layers[new.layer :]], entries
 
 

@@ -17,8 +17,9 @@ high = 15.0
 # ruff: noqa: RUF012  (Pydantic copies defaults)
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -28,6 +29,8 @@ from fmus.errors import nearest
 from fmus.fmi.description import start_value
 from fmus.fmi.model_description import ScalarVariable
 from orchestration.errors import ScenarioError
+from orchestration.scenarios.actuators import FORCE, VOLTAGES, Actuators, ForceTable
+from orchestration.scenarios.changes import AssignedText
 from orchestration.scenarios.file_format import FAULT, SIGNAL
 from orchestration.scenarios.file_tables import Table, Value, checked
 from orchestration.scenarios.toml_file import TomlFile, read_toml
@@ -79,16 +82,6 @@ class VariablesTable(Table):
     sensor_delay: str = ""
     """Parameter: time from a sample to its report [s]."""
 
-    def transfer_lag(self, value: Callable[[str], float]) -> float:
-        """Returns the lag [s] of the first moment of the transfer function, 0 without one.
-
-        value: gives the value of a parameter
-        """
-        if not self.transfer:
-            return 0.0
-        b_1, _, a_1, a_0 = map(value, self.transfer)
-        return (a_1 - b_1) / a_0 if a_0 > 0.0 else 0.0
-
 
 class ChangesTable(Table):
     """Changes of a scenario: entries as a file has them."""
@@ -122,8 +115,8 @@ _FILE = TypeAdapter(VehicleFile)
 def description_file(vehicle: str) -> TomlFile:
     """Returns the description of a block, an FMU or a Python file; without entries if it has none."""
     beside, ships = Path(vehicle).with_suffix(".vehicle.toml"), SHIPPED / f"{Path(vehicle).stem}.toml"
-    found = next((path for path in (beside, ships) if path.is_file()), None)
-    return read_toml(found) if found else TomlFile(beside, "", {})
+    file = next((path for path in (beside, ships) if path.is_file()), None)
+    return read_toml(file) if file else TomlFile(beside, "", {})
 
 
 def description_of(file: TomlFile) -> VehicleFile:
@@ -131,58 +124,98 @@ def description_of(file: TomlFile) -> VehicleFile:
     return checked(_FILE, file.data, file.at)
 
 
-@dataclass(frozen=True)
-class Actuators:
-    """The actuators of a vehicle: force [N] for a unit of each, and the largest size that all of them take.
+def transfer_lag(b_1: float, a_2: float, a_1: float, a_0: float) -> float:
+    """Returns the first moment [s] of (b_1 s + a_0) / (s^3 + a_2 s^2 + a_1 s + a_0), 0 for an a_0 of 0."""
+    return (a_1 - b_1) / a_0 if a_0 > 0.0 else 0.0
 
-    gains: not a number, limit: infinite where the vehicle states none
+
+@dataclass(frozen=True)
+class VehicleValues:
+    """Values of a vehicle's parameters, by the names of its description.
+
+    file: of the description; variables: of its FMU
+    mapping: name of the vehicle's interface -> variable; given: parameter -> value, else its start value
     """
 
-    gains: tuple[float, ...]
-    limit: float
-    in_volts: bool
+    file: TomlFile
+    variables: Mapping[str, ScalarVariable]
+    mapping: Mapping[str, str]
+    given: Mapping[str, Any]
+
+    @cached_property
+    def names(self) -> VariablesTable:
+        """The names of the variables by the description."""
+        return description_of(self.file).variables
+
+    def value(self, name: str, key: str = "") -> float:
+        """Returns the value [its unit] of a variable; key: of the description, which names it."""
+        if name not in self.variables:
+            where = f"{self.file.at(('variables', key))}: variables.{key}"
+            raise ScenarioError(f"{where}: no variable {name!r}; {nearest(name, self.variables)}")
+        given = self.given.get(name, start_value(self.variables[name]))
+        try:
+            return float(given.value("Real") if isinstance(given, AssignedText) else given)
+        except (TypeError, ValueError):
+            raise ScenarioError(f"{PLANT}.{name} = {given!r}: expected a number") from None
+
+    def values(self, key: str) -> list[float]:
+        """Returns the values of a key of the description that lists variables, or names one."""
+        names = getattr(self.names, key)
+        return [self.value(name, key) for name in ([names] if isinstance(names, str) else names) if name]
+
+    def interface(self, name: str, otherwise: float) -> float:
+        """Returns the value of an input by its name in the interface, or another one if there is none."""
+        own = self.mapping.get(name, name)
+        return self.value(own) if own in self.variables else otherwise
 
     @property
-    def force(self) -> float:
-        """The largest force [N]."""
-        return sum(self.gains) * self.limit
+    def heave(self) -> tuple[float, float, float]:
+        """Inertia [kg], linear [N.s/m] and quadratic damping [N.s2/m2]; 0 of what has no name."""
+        inertia, damping, drag = (sum(self.values(key)) for key in ("inertia", "damping", "drag"))
+        return inertia, damping, drag
 
-    def parameters(self, voltage_limit: float) -> dict[str, float]:
-        """Returns the parameters of a controller that follow, by the names of the depth control interface.
+    @property
+    def gains(self) -> tuple[float, ...]:
+        """The gains of the actuators times the efficiencies that the vehicle has as inputs."""
+        gains = enumerate(self.actuators.gains, 1)
+        return tuple(gain * self.interface(f"thruster_efficiency[{i}]", 1.0) for i, gain in gains)
 
-        voltage_limit: its own [V]; there two thrusters give the largest force of a vehicle without voltages
-        """
-        gains = self.gains if self.in_volts else (0.5 * self.force / voltage_limit,) * 2
-        values = {f"thruster_gain[{i}]": gain for i, gain in enumerate(gains, 1)}
-        values |= {"voltage_limit": self.limit} if self.in_volts else {}
-        return {n: v for n, v in (values | {"force_limit": self.force}).items() if math.isfinite(v)}
+    @property
+    def lags(self) -> tuple[float, ...]:
+        """The lag [s] of each thruster; a transfer function counts by its first moment."""
+        if any(self.values("no_lag")):
+            return ()
+        behind = transfer_lag(*self.values("transfer")) if self.names.transfer else 0.0
+        return tuple(lag + behind for lag in self.values("lag") or [0.0])
 
+    @property
+    def actuators(self) -> Actuators:
+        """The actuators that the vehicle states by its description and by the range of its inputs."""
+        inputs = tuple(n for n in VOLTAGES if self.mapping.get(n, n) in self.variables) or (FORCE,)
+        ports = [self.variables.get(self.mapping.get(name, name)) for name in inputs]
+        ranges = [value_range(Port(PLANT, port)) if port else (-math.inf, math.inf) for port in ports]
+        ranges = [(-limit, limit) for limit in self.values("limit")] or ranges
+        if inputs == (FORCE,):
+            return Actuators(inputs, (1.0,), tuple(ranges))
+        if not self.names.table or not all(self.values("tabulated")):
+            return Actuators(inputs, self._of_inputs("gain", inputs, math.nan), tuple(ranges))
+        voltages, forces = (self._array(name) for name in self.names.table)
+        # the force is held beyond the table
+        ends = [(max(low, voltages[0]), min(high, voltages[-1])) for low, high in ranges]
+        ranges = [own if all(map(math.isfinite, own)) else end for own, end in zip(ranges, ends, strict=True)]
+        scale = self._of_inputs("table_scale", inputs, 1.0)
+        return Actuators(inputs, scale, tuple(ranges), ForceTable(voltages, forces))
 
-def actuators_of(
-    vehicle: str,
-    variables: Mapping[str, ScalarVariable],
-    mapping: Mapping[str, str],
-    given: Mapping[str, Any],
-) -> Actuators:
-    """Returns the actuators that a vehicle states by its description and by the range of its inputs.
+    def _of_inputs(self, key: str, inputs: Sequence[str], otherwise: float) -> tuple[float, ...]:
+        """Returns the value of a key for each input, or another one if the description names none."""
+        values = self.values(key) or [otherwise] * len(inputs)
+        if len(values) != len(inputs):
+            raise ScenarioError(
+                f"{self.file.at(('variables', key))}: variables.{key} has {len(values)} entries: expected "
+                f"{len(inputs)}, one for each of {', '.join(inputs)}"
+            )
+        return tuple(values)
 
-    variables: of its FMU; mapping: name of the vehicle's interface -> variable; given: parameter -> value
-    """
-    file = description_file(vehicle)
-    names = description_of(file).variables
-    voltages = [mapping.get(name, name) for name in ("voltage[1]", "voltage[2]")]
-    inputs = [name for name in voltages if name in variables]
-    in_volts = bool(inputs)
-    inputs = inputs or [mapping.get("control_force", "control_force")]
-
-    def values(key: str) -> list[float]:
-        parameters = getattr(names, key)
-        if unknown := next((name for name in parameters if name not in variables), ""):
-            where = f"{file.at(('variables', key))}: variables.{key}"
-            raise ScenarioError(f"{where}: no variable {unknown!r}; {nearest(unknown, variables)}")
-        return [float(given.get(name, start_value(variables[name]))) for name in parameters]
-
-    ends = [e for name in inputs if name in variables for e in value_range(Port(vehicle, variables[name]))]
-    limits = values("limit") or [abs(end) for end in ends if end]
-    gains = values("gain") or [math.nan] * len(inputs)
-    return Actuators(tuple(gains) if in_volts else (1.0,), min(limits, default=math.inf), in_volts)
+    def _array(self, name: str) -> tuple[float, ...]:
+        indexed = [n for n in self.variables if n.partition("[")[0] == name]
+        return tuple(self.value(n, "table") for n in indexed or [name])

@@ -30,7 +30,7 @@ from orchestration.scenarios.read_layers import file_layers, parameter_values, s
 from orchestration.scenarios.scenario import Scenario
 from orchestration.score.protocol import REFERENCE, Case, Protocol, check_vehicle
 from orchestration.score.run_metrics import Judged, all_signals, declared, metrics_of
-from orchestration.score.vehicle import DEPTH, PLANT, built
+from orchestration.score.vehicle import DEPTH, PREFIX, built
 from orchestration.system.experiment import Experiment
 from orchestration.system.signal_derivatives import derivative
 from orchestration.system.signals import Later, Ramps, Signal
@@ -38,7 +38,7 @@ from orchestration.system.signals import Later, Ramps, Signal
 OWN = "controller."
 GAINS = Path(__file__).with_name("gains")
 """Folder of the gains that `l1-depth tune` gave the controllers of the protocol: NAME.toml."""
-RATE, MEASURED_RATE = f"{OWN}measured_depth_rate", f"{PLANT}measured_depth_rate"
+RATE, MEASURED_RATE = f"{OWN}measured_depth_rate", f"{PREFIX}measured_depth_rate"
 _RATES = {"depth_reference_rate": 1, "depth_reference_acceleration": 2}  # input -> order of the derivative
 TOLD = ("depth_reference", *_RATES, "measured_depth_rate")
 """Inputs of the depth control interface that tell of the reference and of the depth rate."""
@@ -155,13 +155,10 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
             first, *others = group
             experiment = self.experiment(first.case)
             vehicle = self.protocol.vehicle
-            judged = Judged(
-                columns=tuple(experiment.record),
-                limits=vehicle.limits(experiment.parameters),
-                gains=vehicle.gains(),
-                compute=first.compute,
-                in_volts=not vehicle.takes_force,
-            )
+            # the limits are those of the run, the force that of the vehicle as controllers are told it
+            ranges = vehicle.values(experiment.parameters).actuators.ranges
+            actuators = replace(vehicle.actuators, ranges=ranges)
+            judged = Judged(tuple(experiment.record), actuators, first.compute)
             for run in (first, *others):
                 gains = {f"{OWN}{name}": value for name, value in run.gains.items()}
                 yield Run(None, with_values(experiment, gains), judged)
@@ -176,12 +173,12 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
     def _loaded(self, case: Case) -> Scenario:
         controller, vehicle = self.controller, self.protocol.vehicle
         layers = [
-            *_base(shipped_bases()[self.protocol.tables.base], vehicle.actuators, vehicle.has(MEASURED_RATE)),
+            *_base(shipped_bases()[self.protocol.tables.base], vehicle.inputs, vehicle.has(MEASURED_RATE)),
             Layer(dict(case.layer)),
         ]
         named = set(names_in([layer.data for layer in layers]))
         mapping = {"controller": dict(controller.mapping)} if controller.mapping else {}
-        if of_plant := {name: own for name, own in vehicle.mapping.items() if PLANT + name in named}:
+        if of_plant := {name: own for name, own in vehicle.mapping.items() if PREFIX + name in named}:
             mapping["plant"] = of_plant
         overrides: dict[str, Any] = {"experiment": {"open_inputs": controller.open_inputs}}
         if mapping:
@@ -274,9 +271,10 @@ def _inputs(fmu: Path) -> set[str]:
 
 
 @cache
-def _base(path: Path, actuators: tuple[str, ...], measures_rate: bool) -> tuple[Layer, ...]:
+def _base(path: Path, inputs: tuple[str, ...], measures_rate: bool) -> tuple[Layer, ...]:
     """Returns the layers of a base, and one with what is recorded for metrics in place of its metrics.
 
+    inputs: of the actuators
     measures_rate: whether the vehicle does, else no controller is told its depth rate
     """
     layers = file_layers(path)
@@ -284,4 +282,4 @@ def _base(path: Path, actuators: tuple[str, ...], measures_rate: bool) -> tuple[
     rate: dict[str, Any] = {"inputs": {RATE: 0.0}}
     if measures_rate:
         rate = {"connections": {RATE: MEASURED_RATE}}
-    return (*layers, Layer({"record": [REFERENCE, DEPTH, *actuators], "metrics": metrics, **rate}))
+    return (*layers, Layer({"record": [REFERENCE, DEPTH, *inputs], "metrics": metrics, **rate}))

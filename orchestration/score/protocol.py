@@ -38,7 +38,7 @@ from orchestration.score.protocol_format import (
     MetricTable,
     ProtocolFile,
 )
-from orchestration.score.vehicle import PLANT, Vehicle
+from orchestration.score.vehicle import PREFIX, Vehicle
 from orchestration.sweep.distributions import FUNCTIONS, Distribution
 
 FILE = Path(__file__).with_name("protocol.toml")
@@ -118,7 +118,7 @@ class Protocol:
         vehicle, ours = self.vehicle, Vehicle.of_base(self.tables.base).name
         if vehicle.is_of_base:
             return self.tables.statement.strip()
-        force = vehicle.largest_force
+        force = vehicle.actuators.largest_force
         told = f" Controllers are told that its actuators give {force:g} N." if math.isfinite(force) else ""
         return f"The vehicle is {vehicle.name}, simulated; the tuned gains beside are for {ours}.{told}"
 
@@ -149,7 +149,7 @@ class Protocol:
             return ""
         layer = self._layer(name)
         named = [n for part in ("parameters", "inputs", "signals") for n in layer.get(part, {})]
-        lacking = [n for n in named if n.startswith(PLANT) and not vehicle.has(n)]
+        lacking = [n for n in named if n.startswith(PREFIX) and not vehicle.has(n)]
         return f"{vehicle.name} lacks {', '.join(lacking)}" if lacking else ""
 
     @property
@@ -180,7 +180,7 @@ class Protocol:
         target = Target(table.hold, (start, end), moves=False) if table.hold else first_target(points)
         disturbance = described.disturbances.get(table.disturbance)
         title = (disturbance.title if disturbance else "") or table.title
-        seed = PLANT + described.variables.noise_seed
+        seed = PREFIX + described.variables.noise_seed
         seed = seed if self.vehicle.is_of_base or self.vehicle.has(seed) else ""
         case = Case(
             name, title, layer, target, (start, end), table.tuned_on, seed_variable=seed, latest=table.latest
@@ -275,9 +275,9 @@ def check_vehicle(protocol: Protocol) -> None:
     file, within = (protocol.file, ("plants",)) if tables.plants.vary else (vehicle.file, ())
     for drawn, entry in protocol.vary.items():
         names += [(file, (*within, "vary", drawn, "variables"), name) for name in entry.variables]
-    known = [f"{PLANT}{variable}" for variable in (*vehicle.variables, *vehicle.mapping)]
+    known = [f"{PREFIX}{variable}" for variable in (*vehicle.variables, *vehicle.mapping)]
     for file, keys, name in names:
-        if name.startswith(PLANT) and not vehicle.has(name):
+        if name.startswith(PREFIX) and not vehicle.has(name):
             raise ScenarioError(f"{file.at(keys)}: no variable {name}; {nearest(name, known)}")
 
 

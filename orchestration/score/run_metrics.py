@@ -9,6 +9,7 @@ import numpy as np
 
 from orchestration.results.metrics import evaluate
 from orchestration.results.recording import Recording
+from orchestration.scenarios.actuators import Actuators
 from orchestration.score.protocol import Case, Protocol, metric_of
 from orchestration.score.protocol_format import SIGNALS
 
@@ -23,45 +24,35 @@ Trace = dict[str, list[float]]
 class Judged:
     """The reduction of recordings to what a function computes of the judged signals of each run.
 
-    columns, limits, gains, in_volts: as `judged_signals` takes them
+    columns, actuators: as `judged_signals` takes them
     """
 
     columns: tuple[str, ...]
-    limits: tuple[float, ...]
-    gains: tuple[float, ...]
+    actuators: Actuators
     compute: Callable[[Recording], Any]
-    in_volts: bool = True
 
     def __call__(self, runs: Recording) -> list[Any]:
-        each = (runs.run(i) for i in range(len(runs.values)))
-        how = self.columns, self.limits, self.gains, self.in_volts
-        return [self.compute(judged_signals(run, *how)) for run in each]
+        rows = (runs.run(i) for i in range(len(runs.values)))
+        return [self.compute(judged_signals(run, self.columns, self.actuators)) for run in rows]
 
 
-def judged_signals(
-    recording: Recording,
-    columns: Sequence[str],
-    limits: Sequence[float],
-    gains: Sequence[float],
-    in_volts: bool = True,
-) -> Recording:
+def judged_signals(recording: Recording, columns: Sequence[str], actuators: Actuators) -> Recording:
     """Returns the recording with the signals that metrics are computed of (`SIGNALS`) in place of its own.
 
-    columns: names of reference, depth and actuators; limits: of each actuator; gains: its force for a unit
-    in_volts: whether the actuators take volts, not newtons: else voltage and power are not a number
+    columns: names of reference, depth and actuators. Of actuators that take a force, voltage and power are
+    not a number.
     """
-    reference, depth, *actuators = (recording[name] for name in columns)
-    given = np.column_stack(actuators)
-    sizes, delivered = np.abs(given), np.clip(given, -np.asarray(limits), limits)
+    reference, depth, *inputs = (recording[name] for name in columns)
+    given = np.column_stack(inputs)
+    delivered, is_limited = actuators.delivered(given), np.isfinite(actuators.ranges).all()
     unknown = np.full_like(depth, math.nan)
-    is_saturated = (sizes >= np.asarray(limits)).any(axis=1)
     values = {
         "depth": depth,
         "reference": reference,
-        "u": delivered @ np.asarray(gains),
-        "voltage": sizes.max(axis=1) if in_volts else unknown,
-        "power": (delivered**2).sum(axis=1) if in_volts else unknown,
-        "saturated": 100.0 * is_saturated if np.isfinite(limits).all() else unknown,
+        "u": actuators.force(delivered),
+        "voltage": np.abs(given).max(axis=1) if actuators.in_volts else unknown,
+        "power": (delivered**2).sum(axis=1) if actuators.in_volts else unknown,
+        "saturated": 100.0 * actuators.is_saturated(given) if is_limited else unknown,
     }
     table = np.column_stack([values[name] for name in SIGNALS])
     return Recording(tuple(SIGNALS), tuple(SIGNALS.values()), recording.time, table, recording.provenance)

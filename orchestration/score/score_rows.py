@@ -187,26 +187,9 @@ def microseconds(loop: ClosedLoop, case: Case) -> float:
     The FMU runs alone, with the inputs that it had in the case. Of the fastest of three runs; the time of a
     tenth of the run is subtracted, which holds that of the start.
     """
-    loaded, experiment = loop.scenario(case), loop.experiment(case)
-    fmu, driven = loaded.system.components["controller"], dict[str, str]()
-    for source, target, *_ in loaded.system.connections:
-        if target.startswith(OWN):
-            driven[target] = source
-    nominal = Job(loaded.system, experiment, loop.timeout)
-    given = _done(loop, nominal, replace(experiment, record=tuple(driven.values())), recordings_of).result
-    own = {name: value for name, value in experiment.signals.items() if name.startswith(OWN)}
-    own |= {name: Table(given.time, given[source], hold=True) for name, source in driven.items()}
-    output = next(v.name for v in of_causality(describe(fmu), "output") if v.type != "String")
-    base = replace(
-        experiment,
-        parameters={n: v for n, v in experiment.parameters.items() if n.startswith(OWN)},
-        inputs={n: v for n, v in experiment.inputs.items() if n.startswith(OWN)},
-        signals=own,
-        faults=(),
-        record=(OWN + output,),
-    )
+    system, base = alone(loop, case)
     timeout = None if loop.timeout is None else _TIMED_RUN * loop.timeout
-    job = Job(System({"controller": fmu}), base, timeout)
+    job = Job(system, base, timeout)
     steps = round(base.stop_time / base.step_size)
     few = steps // 10
 
@@ -215,6 +198,31 @@ def microseconds(loop: ClosedLoop, case: Case) -> float:
 
     longer, shorter = (min(duration(steps) for _ in range(_REPETITIONS)) for steps in (steps, few))
     return 1e6 * (longer - shorter) / (steps - few)
+
+
+def alone(loop: ClosedLoop, case: Case) -> tuple[System, Experiment]:
+    """Returns the controller's FMU alone, and the run of a case with the inputs that it had in the loop."""
+    loaded, experiment = loop.scenario(case), loop.experiment(case)
+    fmu = loaded.system.components["controller"]
+    driven = {target: (source, *way) for source, target, *way in loaded.system.connections}
+    driven = {target: source for target, source in driven.items() if target.startswith(OWN)}
+    in_loop = replace(experiment, record=tuple(source for source, *_ in driven.values()))
+    given = _done(loop, Job(loaded.system, experiment, loop.timeout), in_loop, recordings_of).result
+    signals = {name: value for name, value in experiment.signals.items() if name.startswith(OWN)}
+    for target, (source, *transformations) in driven.items():
+        values = given[source]
+        for transformation in transformations:
+            values = transformation(values)
+        signals[target] = Table(given.time, values, hold=True)
+    output = next(v.name for v in of_causality(describe(fmu), "output") if v.type != "String")
+    return System({"controller": fmu}), replace(
+        experiment,
+        parameters={n: v for n, v in experiment.parameters.items() if n.startswith(OWN)},
+        inputs={n: v for n, v in experiment.inputs.items() if n.startswith(OWN)},
+        signals=signals,
+        faults=(),
+        record=(OWN + output,),
+    )
 
 
 def _done(loop: ClosedLoop, job: Job, experiment: Experiment, reduce: Reduce) -> Done:

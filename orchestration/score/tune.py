@@ -16,7 +16,8 @@ from typing import Any
 from fmus.extras import imports_of
 from orchestration.errors import OrchestrationError
 from orchestration.many.journal import Journal
-from orchestration.score.tune_search import FreeGain, Search
+from orchestration.scenarios.free_parameter import FreeParameter
+from orchestration.score.tune_search import EvolutionSearch
 
 REFINEMENT = 0  # the seed of the last search
 LAST_PART = 0.5  # of the evaluations of the last search: what they still gain shows whether the cost is flat
@@ -36,7 +37,7 @@ class Problem:
     tuned: plain data that says what the cost depends on; a journal of something else is refused
     """
 
-    gains: tuple[FreeGain, ...]
+    gains: tuple[FreeParameter, ...]
     tuned: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -195,8 +196,8 @@ class _SeedSearch:
         self, problem: Problem, seed: int, evaluations: int, start: Mapping[str, float] | None = None
     ) -> None:
         self._gains, self._seed = problem.gains, seed
-        begin = [gain.position(start[gain.name]) for gain in problem.gains] if start else None
-        self._search = Search(len(problem.gains), seed, evaluations, begin)
+        begin = [gain.share(start[gain.name]) for gain in problem.gains] if start else None
+        self._search = EvolutionSearch(len(problem.gains), seed, evaluations, begin)
         self._rows: list[dict[str, Any]] = []
         self._asked = 0
 
@@ -205,7 +206,7 @@ class _SeedSearch:
         points = self._search.ask()
         self._asked = len(points)
         for point in points:
-            gains = {gain.name: gain.value(float(x)) for gain, x in zip(self._gains, point, strict=True)}
+            gains = {gain.name: gain.rounded(float(x)) for gain, x in zip(self._gains, point, strict=True)}
             self._rows.append({"seed": self._seed, "evaluation": len(self._rows), "gains": gains})
         return self._rows[len(self._rows) - self._asked :]
 

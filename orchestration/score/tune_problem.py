@@ -27,13 +27,14 @@ from orchestration.many.lane_library import LANES
 from orchestration.many.run_many import LocalRuns, in_order
 from orchestration.margins.hold import QUIET, last_part
 from orchestration.results.recording import Recording
+from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.score import tune
 from orchestration.score.closed_loop import ClosedLoop, ClosedLoopRun, Controller
 from orchestration.score.protocol import Case, Protocol
 from orchestration.score.protocol_format import DELAY_MARGIN
 from orchestration.score.run_metrics import declared, metrics_of
 from orchestration.score.tune import Evaluate, Problem, SearchResult, Tuning
-from orchestration.score.tune_search import FreeGain, with_units
+from orchestration.score.tune_search import with_units
 from orchestration.system.prepared_run import prepare
 
 LARGEST = 1000.0  # cost of a run that ends early; finite, so that the search goes on
@@ -43,7 +44,7 @@ Metrics = Mapping[str, float]
 Gains = Mapping[str, float]
 
 
-def problem_of(controller: Controller, protocol: Protocol, free: Iterable[FreeGain] = ()) -> Problem:
+def problem_of(controller: Controller, protocol: Protocol, free: Iterable[FreeParameter] = ()) -> Problem:
     """Returns the tuning of a controller, by default of the gains that the protocol has for it.
 
     Raises OrchestrationError for a controller that does not fit the vehicle, a value or a gain that its FMU
@@ -66,11 +67,11 @@ def problem_of(controller: Controller, protocol: Protocol, free: Iterable[FreeGa
     return Problem(gains, tuned)
 
 
-def _of_protocol(controller: Controller, protocol: Protocol) -> list[FreeGain]:
+def _of_protocol(controller: Controller, protocol: Protocol) -> list[FreeParameter]:
     table = protocol.controllers.get(controller.name)
     if table is None or table.fmu != controller.fmu:
         return []
-    return [FreeGain(name, gain.low, gain.high) for name, gain in table.gains.items()]
+    return [FreeParameter(name, gain.low, gain.high) for name, gain in table.gains.items()]
 
 
 def _what_costs(protocol: Protocol) -> dict[str, Any]:

@@ -4,9 +4,7 @@ Source: Hansen, "The CMA evolution strategy: a tutorial" (arXiv 1604.00772), as 
 restarts with twice the population after Auger and Hansen (CEC 2005).
 """
 
-import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,86 +13,30 @@ from fmus.extras import require
 from fmus.fmi.description import of_causality
 from fmus.fmi.model_description import ModelDescription
 from orchestration.errors import OrchestrationError
-
-_DIGITS = 4  # of a gain: what is written is what was run
-_AT_A_LIMIT = 0.01  # of the range of a search: a gain this near to its end was stopped by it
+from orchestration.scenarios.free_parameter import FreeParameter, check_once
 
 
-@dataclass(frozen=True)
-class FreeGain:
-    """A parameter of the controller and the limits of its search, in its unit.
-
-    The search is over its logarithm where both limits are positive.
-    """
-
-    name: str
-    low: float
-    high: float
-    unit: str = ""
-
-    def __post_init__(self) -> None:
-        if not -math.inf < self.low < self.high < math.inf:
-            raise OrchestrationError(
-                f"{self.name} = {self.low:g}:{self.high:g}: expected finite limits, the lower one first"
-            )
-
-    def value(self, position: float) -> float:
-        """Returns the gain at a position in its range, 0 at the lower limit and 1 at the upper one."""
-        if self.low > 0.0:
-            value = self.low * (self.high / self.low) ** position
-        else:
-            value = self.low + (self.high - self.low) * position
-        return min(max(float(f"{value:.{_DIGITS}g}"), self.low), self.high)
-
-    def position(self, value: float) -> float:
-        """Returns where a gain stands in its range, 0..1."""
-        if self.low > 0.0:
-            return math.log(value / self.low) / math.log(self.high / self.low)
-        return (value - self.low) / (self.high - self.low)
-
-    def is_at_a_limit(self, value: float) -> bool:
-        """Whether the range of the search, and not the cost, determines this value."""
-        return not self.value(_AT_A_LIMIT) < value < self.value(1.0 - _AT_A_LIMIT)
-
-
-def parse(text: str) -> FreeGain:
-    """Returns the gain of an option NAME=LOW:HIGH."""
-    name, _, limits = text.partition("=")
-    low, _, high = limits.partition(":")
-    try:
-        return FreeGain(name.strip(), float(low), float(high))
-    except ValueError:
-        raise OrchestrationError(f"--free {text}: expected NAME=LOW:HIGH, such as kp=1:20") from None
-
-
-def with_units(gains: Iterable[FreeGain], description: ModelDescription) -> tuple[FreeGain, ...]:
+def with_units(gains: Iterable[FreeParameter], description: ModelDescription) -> tuple[FreeParameter, ...]:
     """Returns the gains with the units of an FMU; OrchestrationError for one that it cannot take.
 
     A gain is a parameter of type Real, tunable or fixed, whose declared range holds the limits.
     """
-    parameters = {v.name: v for v in of_causality(description, "parameter") if v.type == "Real"}
-    tunable = [name for name, v in parameters.items() if v.variability == "tunable"]
-    chosen: dict[str, FreeGain] = {}
+    gains, parameters = list(gains), of_causality(description, "parameter")
+    known = {v.name: v for v in parameters if v.type == "Real"}
     for gain in gains:
-        if gain.name not in parameters:
+        if gain.name not in known:
             raise OrchestrationError(
-                f"--free {gain.name}: expected a parameter of type Real; {nearest(gain.name, parameters)}"
+                f"--free {gain.name}: expected a parameter of type Real; {nearest(gain.name, known)}"
             )
-        if gain.name in chosen:
-            raise OrchestrationError(f"--free {gain.name}: given twice: expected one range")
-        variable = parameters[gain.name]
-        low = -math.inf if variable.min is None else float(variable.min)
-        high = math.inf if variable.max is None else float(variable.max)
-        if not low <= gain.low < gain.high <= high:
-            raise OrchestrationError(
-                f"--free {gain.name}={gain.low:g}:{gain.high:g}: expected limits within {low:g}..{high:g}"
-            )
-        chosen[gain.name] = replace(gain, unit=variable.unit or "")
-    if not chosen:
+        if not gain.is_limited:
+            raise OrchestrationError(f"--free {gain.name}: expected NAME=LOW:HIGH, such as {gain.name}=1:20")
+    check_once(gains)
+    if not gains:
+        tunable = [name for name, v in known.items() if v.variability == "tunable"]
         raise OrchestrationError(
             f"nothing to tune: expected --free NAME=LOW:HIGH; tunable are {', '.join(tunable) or 'none'}"
         )
-    return tuple(chosen.values())
+    return tuple(gain.within(known[gain.name]) for gain in gains)
 
 
 _BEGIN = (0.25, 0.75)  # of the unit cube: the first mean of a search is drawn from there
@@ -102,7 +44,7 @@ _STEP = 0.25  # first standard deviation: half of the range lies within one of t
 _FINE_STEP = 0.05  # that of a search which begins at a point that another one has found
 
 
-class Search:
+class EvolutionSearch:
     """Points of the unit cube, generation by generation, until the evaluations are used up.
 
     The same seed and the same costs give the same points, so that a search continues from its costs alone.

@@ -7,21 +7,26 @@ from pathlib import Path
 from typing import Any
 
 from fmus.errors import nearest
-from fmus.fmi.description import describe, start_value
+from fmus.fmi.description import describe
 from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
+from orchestration.scenarios.actuators import FORCE, VOLTAGES, Actuators
 from orchestration.scenarios.fmu_files import build_missing, fmu_file
 from orchestration.scenarios.layers import components_of
 from orchestration.scenarios.read_layers import file_layers, named_fmu, shipped_bases
 from orchestration.scenarios.toml_file import TomlFile
-from orchestration.scenarios.vehicle import VehicleFile, actuators_of, description_file, description_of
-from orchestration.system.system import Port
-from orchestration.system.values import value_range
+from orchestration.scenarios.vehicle import (
+    PLANT,
+    VehicleFile,
+    VehicleValues,
+    description_file,
+    description_of,
+)
 
-PLANT = "plant."
-DEPTH, FORCE = f"{PLANT}depth", f"{PLANT}control_force"
-VOLTAGES = (f"{PLANT}voltage[1]", f"{PLANT}voltage[2]")
+PREFIX = f"{PLANT}."
+"""Before the name of a variable of the vehicle."""
+DEPTH = f"{PREFIX}depth"
 
 
 @cache
@@ -80,16 +85,16 @@ class Vehicle:
     @property
     def start_depth(self) -> str:
         """The parameter of the depth at the start, by the name of the interface."""
-        return PLANT + self.described.variables.start_depth
+        return PREFIX + self.described.variables.start_depth
 
     def has(self, name: str) -> bool:
         """Checks whether the vehicle has a variable, "plant.NAME" by the name of the interface."""
-        return self.variable(name).removeprefix(PLANT) in self.variables
+        return self.variable(name).removeprefix(PREFIX) in self.variables
 
     def variable(self, name: str) -> str:
         """Returns the variable that stands for "plant.NAME"; of other components the name itself."""
-        own = name.removeprefix(PLANT)
-        return PLANT + self.mapping.get(own, own) if name.startswith(PLANT) else name
+        own = name.removeprefix(PREFIX)
+        return PREFIX + self.mapping.get(own, own) if name.startswith(PREFIX) else name
 
     @property
     def variables(self) -> Mapping[str, ScalarVariable]:
@@ -97,24 +102,23 @@ class Vehicle:
         return {v.name: v for v in describe(built(self.fmu)).modelVariables}
 
     @property
-    def actuators(self) -> tuple[str, ...]:
-        """The inputs by which the vehicle is moved, "plant.NAME" by the name of the interface."""
-        voltages = tuple(name for name in VOLTAGES if self.has(name))
-        return voltages or (FORCE,)
+    def actuators(self) -> Actuators:
+        """The actuators as controllers are told them: those of the unchanged vehicle."""
+        return self.values().actuators
 
     @property
-    def takes_force(self) -> bool:
-        return self.actuators == (FORCE,)
+    def inputs(self) -> tuple[str, ...]:
+        """The inputs of the actuators, "plant.NAME" by the name of the interface."""
+        return tuple(PREFIX + name for name in self.actuators.inputs)
 
-    @property
-    def largest_force(self) -> float:
-        """The largest force [N] that controllers are told; not finite if the vehicle states none."""
-        given = {name.removeprefix(PLANT): value for name, value in self.settings.items()}
-        return actuators_of(self.fmu, self.variables, self.mapping, given).force
+    def values(self, changed: Mapping[str, Any] = {}) -> VehicleValues:
+        """Returns the values of its parameters; changed: "plant.variable" -> value of a run, over its own."""
+        given = {name.removeprefix(PREFIX): value for name, value in {**self.settings, **changed}.items()}
+        return VehicleValues(self.file, self.variables, self.mapping, given)
 
     def check(self) -> None:
         """Refuses a vehicle without a depth or without an actuator."""
-        for names in ((DEPTH,), (FORCE, VOLTAGES[0])):
+        for names in ((DEPTH,), (PREFIX + FORCE, PREFIX + VOLTAGES[0])):
             if not any(self.has(name) for name in names):
                 raise ScenarioError(
                     f"plant is {self.name}, which lacks {' and '.join(names)}: name the variable that stands "
@@ -122,24 +126,4 @@ class Vehicle:
                 )
         for name, own in self.mapping.items():
             if own not in self.variables:
-                raise ScenarioError(f"--map {PLANT}{name}={own}: {nearest(own, self.variables)}")
-
-    def gains(self) -> tuple[float, ...]:
-        """Returns the force for a unit of each actuator of the unchanged vehicle; not a number if unknown."""
-        if self.takes_force:
-            return (1.0,)
-        names = self.described.variables.gain or [""] * len(self.actuators)
-        return tuple(float(self.settings.get(PLANT + name, self._start(name))) for name in names)
-
-    def limits(self, given: Mapping[str, Any]) -> tuple[float, ...]:
-        """Returns the largest size of each actuator; infinite if the vehicle states none.
-
-        given: "plant.variable" -> value of a run
-        """
-        if names := self.described.variables.limit:
-            return tuple(float(given.get(PLANT + name, self._start(name))) for name in names)
-        inputs = (self.variables[self.variable(name).removeprefix(PLANT)] for name in self.actuators)
-        return tuple(max(map(abs, value_range(Port("plant", variable)))) for variable in inputs)
-
-    def _start(self, name: str) -> Any:
-        return start_value(self.variables[name]) if name else float("nan")
+                raise ScenarioError(f"--map {PREFIX}{name}={own}: {nearest(own, self.variables)}")

@@ -9,14 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller_fmu import adrc, depth_interface, pid, thrust_allocation
-from controller_fmu.allocation import (
-    allocate,
-    body_to_earth,
-    force,
-    saturate,
-    saturation_error,
-    table_voltage,
-)
+from controller_fmu.allocation import body_to_earth, force, saturate, table_voltage
 from controller_fmu.observer import ObserverState, correct, sample_when_due
 from fmus.block.instance import BlockError
 from fmus.numerics import Clock, interp
@@ -48,43 +41,40 @@ def test_an_observer_has_the_measurement_and_clock_of_its_sample() -> None:
     assert sample_when_due(PERIOD, early, 9.0, 0.4, 0.1, PERIOD) == expected
 
 
+GAINS = depth_interface.ActuatorParameters(thruster_gain=(0.2, 0.3))
+
+
 @given(st.floats(-3.0, 3.0), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
-def test_the_thrusters_give_j_times_the_demand(force: float, roll: float, pitch: float) -> None:
+def test_each_thruster_gives_half_of_j_times_the_demand(demand: float, roll: float, pitch: float) -> None:
     j = body_to_earth(roll, pitch)
     assert j == math.cos(roll) * math.cos(pitch)
-    gains = (0.2, 0.3)
-    voltages = allocate(force, j, gains)
-    assert gains[0] * voltages[0] + gains[1] * voltages[1] == pytest.approx(j * force)
-    assert saturation_error(voltages, saturate(voltages, 100.0), j, gains) == 0.0
+    delivered = depth_interface.deliver(demand, j, GAINS)
+    forces = [gain * v for gain, v in zip(GAINS.thruster_gain, delivered.voltage, strict=True)]
+    assert forces == pytest.approx([0.5 * j * demand] * 2)
+    assert delivered.saturation_error == 0.0
 
 
 @given(st.floats(-20.0, 20.0), st.floats(-3.0, 3.0))
 def test_force_delivered_is_force_demanded_and_the_shortfall(demand: float, roll: float) -> None:
     """Upright or upside down: T K u / J is what the earth frame sees."""
-    j, gains = math.cos(roll), (0.25, 0.25)
+    j = math.cos(roll)
     if abs(j) > 0.1:
-        demanded = allocate(demand, j, gains)
-        saturated = saturate(demanded, 12.0)
-        delivered = (gains[0] * saturated[0] + gains[1] * saturated[1]) / j
-        assert force(saturated, j, gains) == pytest.approx(delivered, abs=1e-9)
-        missing = force(saturated, j, gains) - force(demanded, j, gains)
-        assert saturation_error(demanded, saturated, j, gains) == pytest.approx(missing, abs=1e-9)
+        delivered = depth_interface.deliver(demand, j, GAINS)
+        thrust = 0.2 * delivered.voltage[0] + 0.3 * delivered.voltage[1]
+        # rounding of 20 N over J of 0.1
+        assert delivered.force == pytest.approx(thrust / j, abs=1e-12)
+        assert delivered.saturation_error == pytest.approx(delivered.force - demand, abs=1e-12)
 
 
 @pytest.mark.parametrize("j", [0.0, 0.05, -0.05])
 def test_a_vehicle_on_its_side_has_a_finite_force(j: float) -> None:
-    assert force((4.0, 4.0), j, (0.25, 0.25)) == pytest.approx(20.0 if j >= 0.0 else -20.0)
-
-
-def test_each_thruster_has_its_own_gain_and_takes_half_of_the_force() -> None:
-    assert allocate(2.0, 1.0, (0.25, 0.5)) == (4.0, 2.0)
-    assert force((4.0, 2.0), 1.0, (0.25, 0.5)) == 2.0
-    assert saturate((-5.0, 5.0), 3.0) == (-3.0, 3.0)
+    assert force((1.0, 1.0), j) == pytest.approx(20.0 if j >= 0.0 else -20.0)
 
 
 def test_each_voltage_is_limited_on_both_sides() -> None:
     assert saturate((13.0, -14.0), 12.0) == (12.0, -12.0)
     assert saturate((-13.0, 14.0), 12.0) == (-12.0, 12.0)
+    assert saturate((-5.0, 5.0), 3.0) == (-3.0, 3.0)
 
 
 @pytest.mark.parametrize("j", [1.0, 0.5, -0.5])

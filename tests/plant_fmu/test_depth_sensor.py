@@ -12,7 +12,7 @@ from scipy import stats
 from plant_fmu.depth_sensor import (
     HISTORY,
     LARGEST_NOISE,
-    Sensor,
+    SensorParameters,
     first_sample,
     normal,
     quantise,
@@ -20,15 +20,15 @@ from plant_fmu.depth_sensor import (
     sample_when_due,
 )
 
-SENSOR = Sensor(period=0.04, noise=0.0, bias=0.0, drift=0.0, resolution=0.0, delay=0.0, ideal=False)
+SENSOR = SensorParameters(sensor_noise=0.0, sensor_resolution=0.0)
 
 
-def readings(sensor: Sensor, seed: int = 1, count: int = 200, depth: float = 1.0) -> list[float]:
+def readings(sensor: SensorParameters, seed: int = 1, count: int = 200, depth: float = 1.0) -> list[float]:
     state = first_sample(sensor, 0.0, depth, seed)
     values = [reading(sensor, state, 0.0, depth)]
     for k in range(1, count):
-        state = sample_when_due(sensor, state, k * sensor.period, depth)
-        values.append(reading(sensor, state, k * sensor.period, depth))
+        state = sample_when_due(sensor, state, k * sensor.sensor_period, depth)
+        values.append(reading(sensor, state, k * sensor.sensor_period, depth))
     return values
 
 
@@ -44,7 +44,7 @@ def test_the_noise_is_standard_normal_and_white() -> None:
 
 
 def test_one_seed_one_sequence() -> None:
-    noisy = replace(SENSOR, noise=0.01)
+    noisy = replace(SENSOR, sensor_noise=0.01)
     assert readings(noisy, seed=7) == readings(noisy, seed=7)
     assert readings(noisy, seed=7) != readings(noisy, seed=8)
 
@@ -56,7 +56,7 @@ def test_one_seed_one_sequence() -> None:
 def test_readings_stay_within_noise_and_half_a_resolution(
     seed: int, noise: float, resolution: float, bias: float, depth: float
 ) -> None:
-    sensor = replace(SENSOR, noise=noise, resolution=resolution, bias=bias)
+    sensor = replace(SENSOR, sensor_noise=noise, sensor_resolution=resolution, sensor_bias=bias)
     bound = noise * LARGEST_NOISE + 0.5 * resolution + 1e-12
     assert all(abs(value - depth - bias) <= bound for value in readings(sensor, seed, 20, depth))
 
@@ -79,21 +79,21 @@ def test_a_sample_is_held_for_a_period() -> None:
 
 @pytest.mark.parametrize("delay", [0.04, 0.1, 0.28])
 def test_a_reading_is_as_old_as_the_delay(delay: float) -> None:
-    sensor = replace(SENSOR, delay=delay)
+    sensor = replace(SENSOR, sensor_delay=delay)
     state = first_sample(sensor, 0.0, 0.0, 1)
     for i in range(1, 400):
         t = 0.01 * i
         state = sample_when_due(sensor, state, t, t)
         if t > 1.0:
             age = t - reading(sensor, state, t, t)
-            assert delay - 1e-9 <= age < delay + sensor.period
-    assert delay <= (HISTORY - 1) * sensor.period
+            assert delay - 1e-9 <= age < delay + sensor.sensor_period
+    assert delay <= (HISTORY - 1) * sensor.sensor_period
 
 
 @pytest.mark.parametrize("periods", range(HISTORY))
 def test_a_delay_of_whole_periods_ends_with_a_communication_step_whatever_the_rounding(periods: int) -> None:
     """Of 0.02 s, five in a period; the depth is the number of the step."""
-    sensor = replace(SENSOR, period=0.1, delay=0.1 * periods)
+    sensor = replace(SENSOR, sensor_period=0.1, sensor_delay=0.1 * periods)
     state, reported = first_sample(sensor, 0.0, 0.0, 1), []
     for i in range(1, 200):
         t = 0.1 / 5 * i
@@ -104,7 +104,7 @@ def test_a_delay_of_whole_periods_ends_with_a_communication_step_whatever_the_ro
 
 def test_drift_is_counted_from_the_start() -> None:
     """Of the run: it may begin at any time."""
-    sensor = replace(SENSOR, drift=0.5)
+    sensor = replace(SENSOR, sensor_drift=0.5)
     state = first_sample(sensor, 100.0, 1.0, 1)
     assert reading(sensor, state, 100.0, 1.0) == 1.0
     state = sample_when_due(sensor, state, 100.04, 1.0)
@@ -112,12 +112,12 @@ def test_drift_is_counted_from_the_start() -> None:
 
 
 def test_a_bias_is_added_before_quantisation() -> None:
-    sensor = replace(SENSOR, bias=0.04, resolution=0.1)
+    sensor = replace(SENSOR, sensor_bias=0.04, sensor_resolution=0.1)
     assert readings(sensor, count=1, depth=1.0) == pytest.approx([1.0])
     assert readings(sensor, count=1, depth=1.02) == pytest.approx([1.1])
 
 
 def test_an_ideal_sensor_reports_the_depth_itself() -> None:
-    sensor = replace(SENSOR, ideal=True, noise=1.0, delay=0.1)
+    sensor = replace(SENSOR, sensor_ideal=True, sensor_noise=1.0, sensor_delay=0.1)
     state = first_sample(sensor, 0.0, 0.0, 1)
     assert reading(sensor, state, 0.013, 0.7) == 0.7

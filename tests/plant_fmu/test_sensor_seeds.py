@@ -5,7 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from plant_fmu.depth_sensor import Sensor, first_sample, normal, reading, sample_when_due, scrambled, uniform
+from plant_fmu.depth_sensor import (
+    SensorParameters,
+    first_sample,
+    normal,
+    reading,
+    sample_when_due,
+    scrambled,
+    uniform,
+)
 
 SEEDS, SAMPLES, DISTANCES = 1000, 40, 50
 # The largest of 50 standard normal numbers is above 4.8 once in 12,000 generators,
@@ -40,7 +48,7 @@ def test_each_sample_is_standard_normal_over_the_seeds(noise: np.ndarray) -> Non
 
 
 def test_the_noise_of_a_sensor_is_that_of_its_scrambled_seed() -> None:
-    sensor = Sensor(period=0.04, noise=0.01, bias=0.0, drift=0.0, resolution=0.0, delay=0.0, ideal=False)
+    sensor = SensorParameters(sensor_noise=0.01, sensor_resolution=0.0)
     first, *following = scrambled(7)
     n, *following = normal(first, *following)
     state = first_sample(sensor, 0.0, 1.0, 7)

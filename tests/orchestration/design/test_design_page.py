@@ -19,8 +19,8 @@ PAGE = Path(__file__).parents[3] / "docs" / "explanation" / "design.md"
 def rows(vehicle: str) -> dict[str, list[str]]:
     """Controller -> the numbers of the page."""
     pattern = rf"^\| {vehicle} \| ([\w ]+) \| ([\d.]+) \| ([\d.]+) \|$"
-    found = re.findall(pattern, PAGE.read_text(encoding="utf-8"), re.M)
-    return {controller: numbers for controller, *numbers in found}
+    listed = re.findall(pattern, PAGE.read_text(encoding="utf-8"), re.M)
+    return {controller: numbers for controller, *numbers in listed}
 
 
 @pytest.mark.parametrize("vehicle", ["RovDepthPlant", "BlueRov2Plant"])
@@ -28,15 +28,15 @@ def test_the_table_has_the_errors_of_the_check(
     vehicle: str, designed: Callable[[str], Any], conditions: Conditions
 ) -> None:
     """Every corner settles, and the extended law stays below 2 cm in each."""
-    made, found = designed(vehicle), dict[str, list[str]]()
-    places = [*corners(made.vehicle, made.draws), *drawn(made.draws, 1, 20)]
+    made, measured = designed(vehicle), dict[str, list[str]]()
+    values = [*corners(made.vehicle, made.draws), *drawn(made.draws, 1, 20)]
     for title in ("L1", "L1 with PI", "PID"):
         name = "nominal-l1" if title == "L1" else "nominal-extended"
         settings = {"plant": vehicle} | ({"controller": "PidDepthController"} if title == "PID" else {})
         chosen = scenario.load(scenario.find(name), settings=settings)
         gains = pid_gains(made.pid, made.data) if title == "PID" else l1_gains(made.l1, made.data, conditions)
-        checked = check(title, chosen, gains, places)
+        checked = check(title, chosen, gains, values)
         assert not checked.failed
-        found[title] = [f"{checked.rmse[0]:.3g}", f"{checked.rmse[checked.worst]:.3g}"]
-    assert rows(vehicle) == found
-    assert float(found["L1 with PI"][1]) < 2.0
+        measured[title] = [f"{checked.rmse[0]:.3g}", f"{checked.rmse[checked.worst]:.3g}"]
+    assert rows(vehicle) == measured
+    assert float(measured["L1 with PI"][1]) < 2.0

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from orchestration.design.vehicle_data import ForceTable, VehicleData, corners, data_of, drawn, draws_of
+from orchestration.design.vehicle_data import VehicleData, corners, data_of, drawn, draws_of, overruled
 from orchestration.errors import ScenarioError
-from orchestration.scenarios.vehicle import VariablesTable
+from orchestration.scenarios.actuators import ForceTable
+from orchestration.scenarios.vehicle import transfer_lag
 from orchestration.score.vehicle import Vehicle
 from tests.described_fmus import described
 
@@ -92,16 +93,29 @@ def test_a_table_of_forces_is_handed_on_and_its_weaker_direction_limits(tmp_path
     values = {"v[1]": -10.0, "v[3]": 10.0, "f[1]": -40.0, "f[3]": 30.0, "n[1]": 2.0, "n[2]": 2.0}
     values |= {"mass": 10.0, "pace": 0.05, "volts": 5.0, "trim": 1.0, "tab": True}
     read_data = read(Vehicle.of(str(fmu), settings={f"plant.{name}": x for name, x in values.items()}))
-    assert read_data.table == ForceTable((-10.0, 0.0, 10.0), (-40.0, 0.0, 30.0), (2.0, 2.0))
+    assert read_data.actuators.table == ForceTable((-10.0, 0.0, 10.0), (-40.0, 0.0, 30.0))
     assert read_data.force_limit == 60.0  # two times two thrusters with 15 N at 5 V
     assert read_data.gain == (0.75, 1.5)
+
+
+def test_a_range_of_the_efficiency_is_one_of_the_thrust() -> None:
+    """Both thrusters at 0.2 N/V to 0.3 N/V, one of them at 80 % or more, over 0.5 N/V."""
+    assert read(Vehicle.of("RovHeavePitchPlant")).gain == pytest.approx(((0.2 + 0.8 * 0.2) / 0.5, 1.2))
+
+
+def test_a_value_that_yields_to_a_range_is_named_with_it() -> None:
+    settings = {"plant.inertia": 6.0, "plant.weight": 30.0}
+    vehicle = Vehicle.of("RovDepthPlant", settings=settings)
+    (message,) = overruled(vehicle, draws_of(vehicle))
+    assert message.startswith("plant.inertia = 6.0 acts in the first run alone: ")
+    assert "takes the range 5 to 7 in [vary.*] of" in message
+    assert read(vehicle).inertia == (5.0, 7.0)
 
 
 def test_a_transfer_function_has_the_phase_of_the_lag_that_stands_for_it() -> None:
     """It lags by no more, and by less than 2 degrees less, up to the crossover of a fast design."""
     b_1, a_2, a_1, a_0 = 6136.0, 89.0, 9258.0, 108700.0  # of BlueRov2Plant
-    names = VariablesTable(transfer=["b", "a_2", "a_1", "a_0"])
-    lag = names.transfer_lag({"b": b_1, "a_2": a_2, "a_1": a_1, "a_0": a_0}.__getitem__)
+    lag = transfer_lag(b_1, a_2, a_1, a_0)
     for w in (1.0, 4.0, 8.0):
         s = 1j * w
         response = (b_1 * s + a_0) / (s**3 + a_2 * s**2 + a_1 * s + a_0)
@@ -111,9 +125,9 @@ def test_a_transfer_function_has_the_phase_of_the_lag_that_stands_for_it() -> No
 def test_corners_are_every_combination_of_ends_and_draws_lie_between() -> None:
     vehicle = Vehicle.of_base("vehicle")
     draws = draws_of(vehicle)
-    found = corners(vehicle, draws)
-    assert len(found) == 2**7  # seven ranges, and a seed
-    assert {(c["plant.thruster_gain[1]"], c["plant.thruster_gain[2]"]) for c in found} == {
+    ends = corners(vehicle, draws)
+    assert len(ends) == 2**7  # seven ranges, and a seed
+    assert {(c["plant.thruster_gain[1]"], c["plant.thruster_gain[2]"]) for c in ends} == {
         (0.2, 0.2),
         (0.3, 0.3),
     }

@@ -8,13 +8,18 @@ import pytest
 
 from orchestration.errors import OrchestrationError
 from orchestration.fit.intervals import analysed, correlation_time
-from orchestration.fit.least_squares import Free, Search, Values, values_at
+from orchestration.fit.least_squares import LeastSquares, Values, coordinate, values_at
+from orchestration.scenarios.free_parameter import FreeParameter
 
 TIMES = np.linspace(0.0, 1.0, 200)
-FREE = (Free("offset", start=2.0), Free("slope", start=-3.0), Free("gain", 0.1, 100.0, 5.0))
+FREE = (
+    FreeParameter("offset", start=2.0),
+    FreeParameter("slope", start=-3.0),
+    FreeParameter("gain", 0.1, 100.0, 5.0),
+)
 
 
-def line(noise: np.ndarray, free: Sequence[Free] = FREE) -> Search:
+def line(noise: np.ndarray, free: Sequence[FreeParameter] = FREE) -> LeastSquares:
     """A search for offset 1, slope -2 and gain 4, from readings with noise."""
     readings = 1.0 - 2.0 * TIMES + 4.0 * TIMES**2 + noise
 
@@ -22,8 +27,8 @@ def line(noise: np.ndarray, free: Sequence[Free] = FREE) -> Search:
         for p in points:
             yield p["offset"] + p["slope"] * TIMES + p["gain"] * TIMES**2 - readings
 
-    search = Search(free, residuals, 1e-6, 500)
-    return search.run(np.array([one.coordinate(one.start) for one in free]), x_scale="jac")
+    search = LeastSquares(free, residuals, 1e-6, 500)
+    return search.run(np.array([coordinate(one, one.start) for one in free]), x_scale="jac")
 
 
 def test_a_linear_problem_has_the_solution_and_the_intervals_of_linear_regression() -> None:
@@ -44,14 +49,14 @@ def test_a_linear_problem_has_the_solution_and_the_intervals_of_linear_regressio
 
 
 def test_parameters_of_which_only_the_sum_acts_are_not_determined() -> None:
-    free = (Free("a", start=3.0), Free("b", start=3.0), Free("slope", start=1.0))
+    free = (FreeParameter("a", start=3.0), FreeParameter("b", start=3.0), FreeParameter("slope", start=1.0))
     readings = 4.0 + TIMES + 0.01 * np.random.default_rng(1).standard_normal(len(TIMES))
 
     def residuals(points: Sequence[Values]) -> Iterator[np.ndarray]:
         for p in points:
             yield p["a"] + p["b"] + p["slope"] * TIMES - readings
 
-    search = Search(free, residuals, 1e-6, 500).run(np.ones(3), x_scale="jac")
+    search = LeastSquares(free, residuals, 1e-6, 500).run(np.ones(3), x_scale="jac")
     analysis = analysed(search, lambda residuals: [residuals])
     assert [one.note for one in analysis.estimates] == ["not determined", "not determined", ""]
     (message,) = analysis.undetermined
@@ -66,17 +71,17 @@ def test_an_interval_is_rough_where_the_model_bends_over_it(power: float, rough:
     """Of a^8 = 1 with noise of 5 in 200 readings: the sum rises by 1.9 and 0.5 of what is predicted."""
     readings = 1.0 + 5.0 * np.random.default_rng(1).standard_normal(len(TIMES))
     readings += 1.0 - readings.mean()
-    free = (Free("a", start=1.1),)
+    free = (FreeParameter("a", start=1.1),)
 
     def residuals(points: Sequence[Values]) -> Iterator[np.ndarray]:
         return (p["a"] ** power - readings for p in points)
 
-    search = Search(free, residuals, 1e-6, 500).run(np.ones(1), x_scale="jac")
+    search = LeastSquares(free, residuals, 1e-6, 500).run(np.ones(1), x_scale="jac")
     assert analysed(search, lambda residuals: [residuals]).rough == rough
 
 
 def test_a_value_at_a_limit_says_so_and_is_taken_as_given() -> None:
-    free = (FREE[0], FREE[1], Free("gain", 5.0, 100.0, 6.0))
+    free = (FREE[0], FREE[1], FreeParameter("gain", 5.0, 100.0, 6.0))
     analysis = analysed(line(np.zeros_like(TIMES), free), lambda residuals: [residuals])
     assert [one.note for one in analysis.estimates] == ["", "", "at the limit 5"]
 
@@ -100,9 +105,11 @@ def test_a_reading_that_is_repeated_counts_once() -> None:
 
 def test_a_search_ends_when_its_evaluations_are_used_up_and_keeps_the_best() -> None:
     costs: list[float] = []
-    search = Search(FREE, lambda points: [np.array([p["slope"], p["gain"], 1.0]) for p in points], 1e-6, 6)
+    search = LeastSquares(
+        FREE, lambda points: [np.array([p["slope"], p["gain"], 1.0]) for p in points], 1e-6, 6
+    )
     search.progress = costs.append
-    search.run(np.array([one.coordinate(one.start) for one in FREE]))
+    search.run(np.array([coordinate(one, one.start) for one in FREE]))
     assert search.count == len(costs) == 6
     assert search.ended == "the 6 evaluations are used up"
     assert costs == sorted(costs, reverse=True)
@@ -110,5 +117,5 @@ def test_a_search_ends_when_its_evaluations_are_used_up_and_keeps_the_best() -> 
 
 
 def test_limits_in_the_wrong_order_are_refused() -> None:
-    with pytest.raises(OrchestrationError, match="a=2:1: expected the lower limit first"):
-        Free("a", 2.0, 1.0)
+    with pytest.raises(OrchestrationError, match="a=2:1: expected finite limits, the lower one first"):
+        FreeParameter("a", 2.0, 1.0)

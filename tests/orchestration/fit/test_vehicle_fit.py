@@ -136,7 +136,7 @@ def test_a_parameter_has_its_name_or_that_of_the_description(
         ("free_surface", "expected a parameter of type Real, got parameter of type Boolean"),
         ("inertia=1", "--free inertia=1: expected NAME or NAME=LOW:HIGH"),
         ("inertia=0:3", r"--free inertia=0:3: expected limits within 0.1..1e\+06"),
-        ("inertia,inertia=1:3", "--free inertia=1:3: given twice"),
+        ("inertia,inertia=1:3", "--free inertia: given twice"),
         ("", "nothing to fit: expected --free NAME,NAME"),
     ],
 )

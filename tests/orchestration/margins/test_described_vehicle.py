@@ -14,13 +14,13 @@ DESCRIPTION = '[variables]\ninertia = "mass"\ndamping = "drag"\n'
 
 def test_thrusters_with_a_table_and_a_transfer_function_have_one_lag() -> None:
     settings: dict[str, Any] = {"plant": "BlueRov2Plant"}
-    not_inverted = scenario.load(scenario.find("nominal-l1"), settings=settings)
+    line = {**settings, "controller.thruster_tabulated": False}
+    not_inverted = scenario.load(scenario.find("nominal-l1"), settings=line)
     assert design_of(not_inverted, 0.8, 0.8) is None
-    settings["controller.thruster_tabulated"] = True
     design = design_of(scenario.load(scenario.find("nominal-l1"), settings=settings), 0.8, 0.8)
     assert design is not None
-    assert design.plant.gains == (1.0,)
-    assert design.plant.lags == ((9258.0 - 6136.0) / 108700.0,)
+    assert design.plant.gains == (0.5, 0.5)
+    assert design.plant.lags == ((9258.0 - 6136.0) / 108700.0,) * 2
 
 
 def test_a_vehicle_that_takes_a_force_has_the_plant_of_its_description(tmp_path: Path) -> None:

@@ -3,10 +3,12 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from orchestration.errors import ScenarioError
 from orchestration.scenarios import scenario
+from orchestration.scenarios.actuators import Actuators
 from orchestration.score.closed_loop import ClosedLoop, built_in
 from orchestration.score.protocol import read_protocol
 from orchestration.score.vehicle import Vehicle
@@ -90,6 +92,63 @@ def test_a_vehicle_with_parameters_of_these_names_keeps_its_own(scenario_fmus: N
     assert told == dict.fromkeys(GAINS, 0.25) | {"controller.voltage_limit": 12.0}
 
 
+TABLE = '[variables]\ntable = ["v", "f"]\ntable_scale = ["n[1]", "n[2]"]\n'
+POINTS = {"v": (-10.0, 0.0, 10.0), "f": (-40.0, 0.0, 30.0), "n": (2.0, 1.0)}
+VALUES = {f"plant__{name}[{i}]": x for name, xs in POINTS.items() for i, x in enumerate(xs, 1)}
+
+
+def thrusters(folder: Path, points: int) -> tuple[Path, Path]:
+    """A vehicle whose thrusters have a table of three points, and a controller with one of so many."""
+    names = ("v[1]", "v[2]", "v[3]", "f[1]", "f[2]", "f[3]", "n[1]", "n[2]")
+    outputs = ("depth", "depth_rate", "measured_depth")
+    plant = described(folder / "boat.fmu", VOLTAGES, outputs, names)
+    (folder / "boat.vehicle.toml").write_text(TABLE)
+    table = [f"thruster_table_{n}[{i}]" for n in ("voltage", "force") for i in range(1, points + 1)]
+    own = ["thruster_tabulated:Boolean", "voltage_limit", "thruster_scale[1]", "thruster_scale[2]", *table]
+    own += ["thruster_gain[1]", "thruster_gain[2]"]
+    inputs = ("depth_reference", "measured_depth")
+    return plant, described(folder / "c.fmu", inputs, VOLTAGES, own)
+
+
+@pytest.mark.parametrize("points", [3, 4, 7])
+def test_a_table_is_handed_on_with_the_points_that_the_controller_has(tmp_path: Path, points: int) -> None:
+    """Further points lie on its lines, so that the force is the same everywhere."""
+    plant, controller = thrusters(tmp_path, points)
+    told = parameters(plant, controller=str(controller), **VALUES)
+    assert told["controller.thruster_tabulated"] is True
+    assert [told[f"controller.thruster_scale[{i}]"] for i in (1, 2)] == [2.0, 1.0]
+    assert told["controller.voltage_limit"] == 10.0
+    voltages, forces = (
+        [told[f"controller.thruster_table_{n}[{i}]"] for i in range(1, points + 1)]
+        for n in ("voltage", "force")
+    )
+    assert (np.diff(voltages) > 0.0).all()
+    everywhere = np.linspace(-12.0, 12.0, 49)
+    expected = np.interp(everywhere, POINTS["v"], POINTS["f"])
+    np.testing.assert_allclose(np.interp(everywhere, voltages, forces), expected, atol=1e-12)  # rounding
+
+
+def test_a_longer_table_than_the_controller_has_is_refused_and_a_line_takes_its_place(
+    tmp_path: Path,
+) -> None:
+    """The line meets the table at its weaker end: 30 N at 10 V, times the thrusters."""
+    plant, controller = thrusters(tmp_path, 2)
+    given = {"controller": str(controller), **VALUES}
+    with pytest.raises(ScenarioError, match=r"controller: expected .* at most 2 points, got 3 .*=false"):
+        parameters(plant, **given)
+    assert parameters(plant, controller__thruster_tabulated=False, **given) == {
+        "controller.thruster_gain[1]": 6.0,
+        "controller.thruster_gain[2]": 3.0,
+        "controller.voltage_limit": 10.0,
+    }
+
+
+def test_gains_of_another_number_than_the_inputs_are_refused(tmp_path: Path) -> None:
+    plant = boat(tmp_path, '[variables]\ngain = ["fore"]\n')
+    with pytest.raises(ScenarioError, match=r"toml:2: variables.gain has 1 entries: expected 2, one "):
+        parameters(plant)
+
+
 def test_a_parameter_that_a_description_misspells_is_named(tmp_path: Path) -> None:
     plant = boat(tmp_path, '[variables]\ngain = ["for", "aft"]\n')
     with pytest.raises(
@@ -112,3 +171,11 @@ def test_a_score_tells_its_controllers_the_same_and_a_case_does_not_change_it(tm
             given = loop.experiment(case).parameters
             assert given["plant.largest"] == (9.0 if case is protocol.nominal else 3.0)
             assert [given[name] for name in (*GAINS, "controller.voltage_limit")] == [4.0, 2.0, 9.0]
+
+
+def test_a_limit_counts_as_reached_with_the_rounding_of_an_inverse_and_rest_does_not() -> None:
+    """One actuator pushes both ways, the other one way."""
+    actuators = Actuators(("voltage[1]", "voltage[2]"), (6.65, 6.65), ((-12.0, 12.0), (0.0, 12.0)))
+    rounded = 12.0 - 2e-15
+    given = np.array([[0.0, 0.0], [rounded, 0.0], [-rounded, 0.0], [11.9, 11.9], [0.0, 13.0]])
+    assert actuators.is_saturated(given).tolist() == [False, True, True, False, True]

@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from orchestration.errors import ScenarioError
@@ -14,6 +15,7 @@ from orchestration.scenarios.toml_file import read_toml
 from orchestration.scenarios.vehicle import description_of
 from orchestration.score.closed_loop import ClosedLoop, built_in
 from orchestration.score.protocol import Protocol, read_protocol
+from orchestration.score.score_rows import alone
 
 
 @pytest.mark.parametrize(
@@ -86,3 +88,19 @@ def test_a_variable_that_the_vehicle_lacks_is_refused_before_any_run(
         pytest.raises(ScenarioError, match=complaint),
     ):
         loop.scenario(protocol.nominal)
+
+
+def test_a_controller_alone_puts_out_what_it_did_in_the_loop_also_behind_a_transformation(
+    protocol: Protocol,
+) -> None:
+    """To the last bit at every communication point; a reading of 0.9 z + 0.1 m is another loop."""
+    way = {"source": "plant.measured_depth", "factor": 0.9, "offset": 0.1}
+    nominal = protocol.nominal
+    changed = replace(nominal, layer={**nominal.layer, "connections": {"controller.measured_depth": way}})
+    with ClosedLoop(built_in(protocol, "pid"), protocol) as loop:
+        system, experiment = alone(loop, changed)
+        (output,) = experiment.record
+        in_loop = replace(loop.experiment(changed), record=(output,))
+        expected = simulate(loop.scenario(changed).system, in_loop)[output]
+    assert np.abs(expected).max() > 1.0
+    np.testing.assert_array_equal(simulate(system, experiment)[output], expected)

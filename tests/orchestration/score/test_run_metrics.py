@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from orchestration.results.recording import Recording
+from orchestration.scenarios.actuators import VOLTAGES, Actuators
 from orchestration.score.protocol import Protocol
 from orchestration.score.run_metrics import declared, failures, judged_signals, metrics_of
 
@@ -20,7 +21,7 @@ def run(depth: np.ndarray, one: np.ndarray, two: np.ndarray) -> Recording:
     reference = np.interp(TIME, [0.0, 40.0, 140.0, 180.0, 250.0, 310.0], [0.0, 0.8, 0.8, 0.4, 0.4, 0.6])
     values = np.column_stack([reference, depth, one, two])
     recording = Recording(NAMES, ("m", "m", "V", "V"), TIME, values)
-    return judged_signals(recording, NAMES, (3.0, 12.0), (0.2, 0.3))
+    return judged_signals(recording, NAMES, Actuators(VOLTAGES, (0.2, 0.3), ((-3.0, 3.0), (-12.0, 12.0))))
 
 
 def test_u_and_power_are_of_what_the_vehicle_can_deliver() -> None:

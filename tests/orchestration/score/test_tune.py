@@ -11,11 +11,15 @@ import pytest
 
 from orchestration.errors import OrchestrationError
 from orchestration.scenarios import scenario
+from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.score import tune_problem
 from orchestration.score.tune import Evaluate, Problem, SearchResult, Tuning, tune
-from orchestration.score.tune_search import FreeGain
 
-GAINS = (FreeGain("kp", 0.1, 100.0, "N/m"), FreeGain("kd", 0.1, 100.0), FreeGain("offset", -2.0, 2.0))
+GAINS = (
+    FreeParameter("kp", 0.1, 100.0, unit="N/m"),
+    FreeParameter("kd", 0.1, 100.0),
+    FreeParameter("offset", -2.0, 2.0),
+)
 OPTIMUM = {"kp": 7.0, "kd": 30.0, "offset": -0.5}
 SEEDS = (1, 2, 3)
 
@@ -83,8 +87,8 @@ def test_gains_stay_within_their_ranges_and_the_first_generation_fills_them(tmp_
     rows = [json.loads(line) for line in path.read_text().split("\n")[1:]]
     for gain in GAINS:
         values = [row["gains"][gain.name] for row in rows]
-        assert gain.low <= min(values) < gain.value(0.3)
-        assert gain.value(0.7) < max(values) <= gain.high
+        assert gain.low <= min(values) < gain.rounded(0.3)
+        assert gain.rounded(0.7) < max(values) <= gain.high
 
 
 @pytest.mark.parametrize("cut_off", [0, 5], ids=["between lines", "in a line"])
@@ -171,7 +175,7 @@ def test_a_last_search_begins_at_the_best_gains_in_small_steps(tmp_path: Path) -
     rows = [json.loads(line) for line in (tmp_path / "journal").read_text().split("\n")[1:]]
     first = [row["gains"] for row in rows if row["seed"] == 0][:7]  # a generation
     for gain in GAINS:
-        away = [gain.position(gains[gain.name]) - gain.position(start.gains[gain.name]) for gains in first]
+        away = [gain.share(gains[gain.name]) - gain.share(start.gains[gain.name]) for gains in first]
         assert 0.0 < max(map(abs, away)) < 0.25  # five of its steps
     assert tuning.best.cost == min(start.cost, tuning.refinement.cost) < start.cost
 

@@ -16,9 +16,9 @@ import pytest
 
 from orchestration.cli.tune import print_gains
 from orchestration.scenarios import scenario
+from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.score import tune
 from orchestration.score.tune import Problem, SearchResult, Tuning
-from orchestration.score.tune_search import FreeGain
 
 Command = Callable[..., Any]
 OPTIONS = ("--evaluations", "3", "--seeds", "2", "--workers", "2")
@@ -70,7 +70,7 @@ def test_a_cost_that_a_limit_determines_is_not_called_flat(
 ) -> None:
     gains = {"kp": gain, "kd": 5.0}
     search = SearchResult(1, gains, {}, (2.0,) * 4)
-    free = (FreeGain("kp", 1.0, 10.0), FreeGain("kd", 1.0, 10.0))
+    free = (FreeParameter("kp", 1.0, 10.0), FreeParameter("kd", 1.0, 10.0))
     tuning = Tuning(Problem(free), (search,), search)
     assert tuning.is_flat
     print_gains(tuning, "pid")

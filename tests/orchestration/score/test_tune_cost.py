@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
+from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.score.closed_loop import ClosedLoop, built_in
 from orchestration.score.protocol import Protocol
 from orchestration.score.tune_problem import LARGEST, costs, delayed, practice_cases, problem_of, run_cost
-from orchestration.score.tune_search import FreeGain
 
 BOUNDS = {"overshoot": 5.0, "total_variation": 1000.0}
 
@@ -85,7 +85,7 @@ def test_the_gains_of_a_controller_of_the_protocol_are_those_that_it_has_for_it(
         name: (table.low, table.high) for name, table in protocol.controllers["l1-pi"].gains.items()
     }
     assert [gain.unit for gain in gains if gain.name == "integral_gain"] == ["N/(m.s)"]
-    other = problem_of(controller, protocol, [FreeGain("observer_alpha", 0.1, 0.9)])
+    other = problem_of(controller, protocol, [FreeParameter("observer_alpha", 0.1, 0.9)])
     assert [gain.name for gain in other.gains] == ["observer_alpha"]
     assert other.tuned == problem_of(controller, protocol).tuned
     assert other.tuned != problem_of(replace(controller, reference_rates=True), protocol).tuned

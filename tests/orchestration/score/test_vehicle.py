@@ -11,6 +11,7 @@ from fmus.fmi.description import describe, of_causality
 from fmus.registry import fmu_path
 from orchestration.errors import ScenarioError
 from orchestration.results.recording import Recording
+from orchestration.scenarios.actuators import FORCE, Actuators
 from orchestration.scenarios.vehicle import SHIPPED
 from orchestration.score.closed_loop import ClosedLoop, built_in
 from orchestration.score.protocol import Protocol, plants, read_protocol
@@ -128,11 +129,13 @@ def test_a_vehicle_without_depth_or_actuator_is_refused(tmp_path: Path, lacks: s
 def test_metrics_of_a_force_have_newtons_and_no_volts() -> None:
     values = np.column_stack([[0.0, 0.0], [0.1, 0.1], [-8.0, 3.0]])
     recording = Recording(("r", "z", "f"), ("m", "m", "N"), np.array([0.0, 0.02]), values)
-    signals = judged_signals(recording, ("r", "z", "f"), (6.0,), (1.0,), in_volts=False)
+    signals = judged_signals(recording, ("r", "z", "f"), Actuators((FORCE,), (1.0,), ((-6.0, 6.0),)))
     assert signals["u"].tolist() == [-6.0, 3.0]
     assert signals["saturated"].tolist() == [100.0, 0.0]
     assert np.isnan(signals["voltage"]).all()
     assert np.isnan(signals["power"]).all()
-    unlimited = judged_signals(recording, ("r", "z", "f"), (math.inf,), (1.0,), in_volts=False)
+    unlimited = judged_signals(
+        recording, ("r", "z", "f"), Actuators((FORCE,), (1.0,), ((-math.inf, math.inf),))
+    )
     assert unlimited["u"].tolist() == [-8.0, 3.0]
     assert np.isnan(unlimited["saturated"]).all()
