@@ -51,7 +51,8 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
     except SystemDefinitionError as error:
         raise ScenarioError(scenario.located(str(error), chosen.files)) from error
     open_inputs = [f"{port.name} = {start_value(port.variable)}" for port in prepared.system.open_inputs]
-    if chosen.from_actuators:
+    is_replaced_by_user = changes.components or scenario.shipped().get(path.stem) != path
+    if chosen.from_actuators and is_replaced_by_user:
         values = ", ".join(f"{name} = {value:g}" for name, value in chosen.from_actuators.items())
         print(f"l1-depth: of the actuators of plant: {values}; --set gives others", file=sys.stderr)
     if open_inputs:

@@ -22,6 +22,8 @@ from orchestration.system.values import value_range
 PLANT = "plant."
 DEPTH, FORCE = f"{PLANT}depth", f"{PLANT}control_force"
 VOLTAGES = (f"{PLANT}voltage[1]", f"{PLANT}voltage[2]")
+_EXPECTED = "expected an output depth, and an input control_force or inputs voltage[1] and voltage[2]"
+_LISTED = 12  # names in a message
 
 
 @cache
@@ -114,12 +116,15 @@ class Vehicle:
 
     def check(self) -> None:
         """Refuses a vehicle without a depth or without an actuator."""
-        for names in ((DEPTH,), (FORCE, VOLTAGES[0])):
-            if not any(self.has(name) for name in names):
-                raise ScenarioError(
-                    f"plant is {self.name}, which lacks {' and '.join(names)}: name the variable that stands "
-                    f"for it by --map {names[0]}=NAME; its variables are {', '.join(self.variables)}"
-                )
+        for causality, names in (("output", (DEPTH,)), ("input", (FORCE, VOLTAGES[0]))):
+            own = [name for name, v in self.variables.items() if v.causality == causality]
+            if any(self.variable(name).removeprefix(PLANT) in own for name in names):
+                continue
+            raise ScenarioError(
+                f"plant is {self.name}, which lacks {' and '.join(names)}, so it is no vehicle: {_EXPECTED}; "
+                f"name the {causality} that stands for it by --map {names[0]}=NAME; its {causality}s are "
+                f"{', '.join(own[:_LISTED]) or '(none)'}{' and more' if own[_LISTED:] else ''}"
+            )
         for name, own in self.mapping.items():
             if own not in self.variables:
                 raise ScenarioError(f"--map {PLANT}{name}={own}: {nearest(own, self.variables)}")

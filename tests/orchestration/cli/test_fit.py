@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -9,6 +10,8 @@ import pytest
 from orchestration import Experiment, simulate
 from orchestration.cli import chosen_scenario
 from orchestration.cli.changes import Changes
+from orchestration.cli.fit import print_fit
+from orchestration.fit.intervals import Analysis
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.system.signals import Ramps
@@ -64,6 +67,26 @@ def test_a_vehicle_of_ones_own_is_fitted_and_a_scenario_takes_the_values(
     (tmp_path / "mine.toml").write_text(f'base = "nominal-extended"\nparameter_files = ["{files[0]}"]\n')
     chosen = chosen_scenario.load("mine.toml", changes=Changes({"plant": "rover.py"}))
     assert chosen.experiment.parameters["plant.mass"] == values["plant.mass"]
+
+
+@pytest.mark.parametrize(
+    ("correlated", "line"),
+    [
+        (1.0, "1 reading counts as one: residuals are not correlated"),
+        (3.0, "3 readings count as one: residuals are correlated so long"),
+    ],
+)
+def test_one_reading_is_spoken_of_as_one(
+    capsys: pytest.CaptureFixture[str], correlated: float, line: str
+) -> None:
+    fitted: Any = SimpleNamespace(
+        vehicle=SimpleNamespace(name="rover"),
+        analysis=Analysis((), 0.0, correlated, (), ()),
+        rmse={},
+        ended="",
+    )
+    print_fit(fitted)
+    assert line in capsys.readouterr().out.splitlines()
 
 
 @pytest.mark.parametrize(
