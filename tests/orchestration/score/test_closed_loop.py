@@ -12,7 +12,7 @@ from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.scenarios.toml_file import read_toml
 from orchestration.scenarios.vehicle import description_of
-from orchestration.score.closed_loop import ClosedLoop, built_in
+from orchestration.score.closed_loop import TOLD, ClosedLoop, built_in
 from orchestration.score.protocol import Protocol, read_protocol
 
 
@@ -86,3 +86,11 @@ def test_a_variable_that_the_vehicle_lacks_is_refused_before_any_run(
         pytest.raises(ScenarioError, match=complaint),
     ):
         loop.scenario(protocol.nominal)
+
+
+def test_rates_that_are_not_connected_are_0(protocol: Protocol) -> None:
+    with ClosedLoop(replace(built_in(protocol, "pid-rates"), reference_rates=False), protocol) as loop:
+        assert loop.connected() == ["depth_reference"]
+        inputs = loop.experiment(protocol.nominal).inputs
+        for name in TOLD[1:]:
+            assert inputs[f"controller.{name}"] == 0.0
