@@ -87,7 +87,8 @@ def _scenario(changes: Changes, name: str, controller: str) -> "Scenario":
     from orchestration.cli import chosen_scenario
 
     others = {CONTROLLER: controller} if controller else {}
-    return chosen_scenario.load(name, changes=replace(changes, settings={**changes.settings, **others}))
+    chosen = replace(changes, settings={**changes.settings, **others})
+    return chosen_scenario.load(name, changes=chosen, names_actuators=False)  # gains are designed over them
 
 
 def _conditions(scenario: "Scenario") -> "Conditions":

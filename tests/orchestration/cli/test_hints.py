@@ -238,6 +238,13 @@ def test_actuators_are_told_only_of_what_the_user_puts_together(
     assert ("of the actuators of plant" in command(*run, *options).stderr) is is_told
 
 
+def test_actuators_are_told_of_a_vehicle_that_a_file_of_the_user_names(
+    command: Command, short_scenario: Callable[..., Path]
+) -> None:
+    short_scenario(more='[components]\nplant = "RovHeavePitchPlant"\n')
+    assert "of the actuators of plant: controller.thruster_gain[1]" in command("run", "short.toml").stderr
+
+
 def test_inspect_takes_what_other_commands_take(command: Command, error: Callable[..., str]) -> None:
     command("new", "rover", "--vehicle")
     for given, name in (("BlueRov2Plant", "BlueRov2Plant"), ("rover.py", "Rover")):
@@ -271,3 +278,13 @@ def test_a_score_names_the_file_in_which_a_disturbance_is_missing(command: Comma
     (file,) = re.findall(r"rover has no disturbance inertia-low: expected it in (\S+) beside it", reason)
     (tmp_path / file).write_text('[disturbances.inertia-low]\nparameters = { "plant.mass" = 5.0 }\n')
     assert "inertia-low" in read_protocol(vehicle=Vehicle.of("rover.py")).cases
+
+
+def test_a_design_does_not_name_parameters_that_it_designs(command: Command, tmp_path: Path) -> None:
+    command("new", "rover", "--vehicle")
+    (tmp_path / "rover.vehicle.toml").write_text(
+        '[variables]\ninertia = "mass"\nnet_weight = "net_weight"\nsensor_period = "sensor_period"\n'
+    )
+    stderr = command("design", "rover.py", "--bandwidth", "99", expect=1).stderr
+    assert "no L1 for rover" in stderr
+    assert "of the actuators" not in stderr
