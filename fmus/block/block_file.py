@@ -67,7 +67,7 @@ def blocks_in(path: Path) -> Iterator[tuple[Block, ...]]:
 
     Raises ExportError for a file that cannot be imported, or that defines no block.
     """
-    path = path.absolute()
+    given, path = path, path.absolute()
     check_file(path)
     before, paths = dict(sys.modules), list(sys.path)
     sys.path.insert(0, str(path.parent))
@@ -76,7 +76,7 @@ def blocks_in(path: Path) -> Iterator[tuple[Block, ...]]:
         with from_sources():
             module = _imported(path)
         loaded |= {name for name in sys.modules.keys() - before.keys() if _lies_in(path.parent, name)}
-        yield _defined(module, path)
+        yield _defined(module, given)
     finally:
         sys.path[:] = paths
         for name in loaded:
@@ -142,7 +142,10 @@ def _defined(module: ModuleType, path: Path) -> tuple[Block, ...]:
     named = {name: value for name, value in vars(module).items() if isinstance(value, Block)}
     blocks = tuple(dict.fromkeys(block for name, block in named.items() if name not in imported))
     if not blocks:
-        raise ExportError(f"{path}: no block at the top level of the file; expected BLOCK = Block(...)")
+        own = [cls for cls in vars(module).values() if getattr(cls, "__module__", "") == module.__name__]
+        policies = [cls.__name__ for cls in own if hasattr(cls, "reset") and hasattr(cls, "step")]
+        hint = "".join(f", or {path}:{name} for its class {name}" for name in dict.fromkeys(policies))
+        raise ExportError(f"{path}: no block at the top level of the file; expected BLOCK = Block(...){hint}")
     names = [block.name.casefold() for block in blocks]  # some file systems do not tell Pid.fmu from PID.fmu
     if twice := next((block.name for block in blocks if names.count(block.name.casefold()) > 1), None):
         raise ExportError(

@@ -1,8 +1,9 @@
 """The modules that a module imports, found without importing any; and whether they are pure.
 
 A pure module is the same at every import, as long as its text and those of what it imports are the same. Its
-names and attributes are known to lead to nothing else: no file, clock, environment, address or order of a
-set, which the seed of Python's hashes decides. Everything that is not listed here is refused.
+names and attributes are known to lead to nothing else: no file, clock, environment or order of a set, which
+the seed of Python's hashes decides. Everything that is not listed here is refused. What is not found: the
+text of an object, `str(object())`, has an address.
 """
 
 import ast

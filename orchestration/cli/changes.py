@@ -109,6 +109,9 @@ class Changes:
 
             values = parameter_values(Path(parameters))
             changed |= {name: AssignedText(json.dumps(value)) for name, value in values.items()}
+            for text in changed.values():
+                if isinstance(text, AssignedText):
+                    text.file = parameters
         for assignment in settings:
             name, value = _parts("--set", assignment, "component.variable=value or component=FMU")
             if "." not in name and name in changed:
@@ -126,6 +129,15 @@ class Changes:
         own = {n: v for n, v in self.settings.items() if n.startswith(f"{component}.")}
         values = {name.partition(".")[2]: value for name, value in own.items()}
         return values, self.mapping.get(component, {})
+
+    def check_of_plant(self, *mapped: str) -> None:
+        """Refuses settings of other components than the plant, and mappings of others than it and these."""
+        named = [(name, (PLANT,)) for name in self.settings]
+        named += [(f"{x}.{name}", (PLANT, *mapped)) for x, names in self.mapping.items() for name in names]
+        for name, components in named:
+            if name.partition(".")[0] not in components:
+                own = "NAME" if "." in name else name
+                raise ScenarioError(f"{name}: expected {' or '.join(f'{one}.{own}' for one in components)}")
 
     def overrides(self, scenario: str) -> dict[str, Any]:
         """Returns what is laid over the scenario of that name, besides components and settings."""

@@ -16,10 +16,16 @@ from orchestration.scenarios.fmu_files import build_missing, fmu_file
 from orchestration.scenarios.scenario import Scenario
 
 
-def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHANGES) -> Scenario:
+def load(
+    name: str,
+    flavour: Flavour = Flavour.NATIVE,
+    changes: Changes = NO_CHANGES,
+    names_actuators: bool = True,
+) -> Scenario:
     """Loads the shipped scenario of that name, or the one in that .toml file, and checks it against its FMUs.
 
     Its name and title contain the components that the changes replace.
+    names_actuators: whether a line names what follows from the actuators of another vehicle
     """
     arguments = (name, *changes.options(), *(() if flavour is Flavour.NATIVE else ("--flavour", flavour)))
     if changes.parameter_set:
@@ -51,7 +57,8 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
     except SystemDefinitionError as error:
         raise ScenarioError(scenario.located(str(error), chosen.files)) from error
     open_inputs = [f"{port.name} = {start_value(port.variable)}" for port in prepared.system.open_inputs]
-    if chosen.from_actuators:
+    is_of_user = changes.components or scenario.shipped().get(path.stem) != path
+    if chosen.from_actuators and is_of_user and names_actuators:
         numbers = {n: "true" if x is True else f"{x:g}" for n, x in chosen.from_actuators.items()}
         values = ", ".join(f"{n} = {text}" for n, text in numbers.items() if "_table_" not in n)
         values += " and the points of its table" if any("_table_" in n for n in numbers) else ""

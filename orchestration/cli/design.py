@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from orchestration.cli import shared
-from orchestration.cli.changes import CONTROLLER, PLANT, Changes, LoopMapOption, PlantOption
-from orchestration.errors import OrchestrationError, ScenarioError
+from orchestration.cli.changes import CONTROLLER, Changes
+from orchestration.errors import OrchestrationError
 
 if TYPE_CHECKING:
     from orchestration.design.check import DesignCheck
     from orchestration.design.rules import Conditions, Gain
     from orchestration.scenarios.scenario import Scenario
-    from orchestration.score.vehicle import Vehicle
 
 PID = "PidDepthController"
 _RUNS = {"L1": ("nominal-l1", ""), "L1 with PI": ("nominal-extended", ""), "PID": ("nominal-extended", PID)}
@@ -24,12 +23,17 @@ _RUNS = {"L1": ("nominal-l1", ""), "L1 with PI": ("nominal-extended", ""), "PID"
 
 
 def design(
-    plant: PlantOption = "",
+    plant: Annotated[str, typer.Argument(metavar="PLANT", help="An .fmu, a block or its .py file.")],
     settings: Annotated[
         list[str],
         typer.Option("--set", metavar="NAME=VALUE", help="Set plant.variable=value: data of the vehicle."),
     ] = [],  # noqa: B006  (Typer copies it)
-    mapped: LoopMapOption = [],  # noqa: B006
+    mapped: Annotated[
+        list[str],
+        typer.Option(
+            "--map", metavar="NAME=VARIABLE", help="Take this variable of the plant for plant.NAME."
+        ),
+    ] = [],  # noqa: B006
     bandwidth: Annotated[
         float,
         typer.Option(metavar="RAD/S", help="Of A_m and of PID; by default the largest that fits.", min=0.0),
@@ -44,10 +48,12 @@ def design(
     out: shared.OutFolder = Path("results"),
 ) -> None:
     """Design L1, its PI extension and PID for a vehicle, and check them in every corner of its ranges."""
+    from orchestration.cli.score import chosen_vehicle
     from orchestration.design import check, parameter_file, rules, vehicle_data
 
     changes = Changes.of_options("", settings, mapped, None, plant)
-    vehicle = _vehicle(changes)
+    changes.check_of_plant()
+    vehicle = chosen_vehicle(changes)
     drawn = vehicle_data.draws_of(vehicle)
     for message in vehicle_data.overruled(vehicle, drawn):
         print(f"l1-depth: warning: {message}", file=sys.stderr)
@@ -80,25 +86,12 @@ def design(
         print(path)
 
 
-def _vehicle(changes: Changes) -> "Vehicle":
-    """Returns the vehicle that --plant names, by default that of the shipped base."""
-    from orchestration.cli.score import chosen_vehicle
-    from orchestration.score.vehicle import Vehicle
-
-    wrong = [name for name in changes.settings if "." in name and not name.startswith(f"{PLANT}.")]
-    wrong += [name for name in changes.mapping if name != PLANT]
-    if wrong or changes.components.keys() - {PLANT}:
-        raise ScenarioError(f"{(*wrong, 'component=FMU')[0]}: expected plant.NAME: controllers are designed")
-    vehicle = chosen_vehicle(changes) if PLANT in changes.components else Vehicle.of_base("vehicle")
-    values, _ = changes.of_component(PLANT)
-    return replace(vehicle, settings={f"{PLANT}.{name}": value for name, value in values.items()})
-
-
 def _scenario(changes: Changes, name: str, controller: str) -> "Scenario":
     from orchestration.cli import chosen_scenario
 
     others = {CONTROLLER: controller} if controller else {}
-    return chosen_scenario.load(name, changes=replace(changes, settings={**changes.settings, **others}))
+    chosen = replace(changes, settings={**changes.settings, **others})
+    return chosen_scenario.load(name, changes=chosen, names_actuators=False)  # gains are designed over them
 
 
 def _conditions(scenario: "Scenario") -> "Conditions":

@@ -8,8 +8,7 @@ import typer
 
 from fmus.platforms import usable_processors
 from orchestration.cli import shared
-from orchestration.cli.changes import PLANT, Changes
-from orchestration.errors import ScenarioError
+from orchestration.cli.changes import Changes
 
 if TYPE_CHECKING:
     from orchestration.fit.vehicle_fit import VehicleFit
@@ -60,10 +59,7 @@ def fit(
     from orchestration.fit.vehicle_fit import fit_vehicle, free_parameters
 
     changes = Changes.of_options("", settings, mapped, None, plant)
-    for name in [*changes.settings, *(f"{x}.{n}" for x, names in changes.mapping.items() for n in names)]:
-        known = (PLANT, DATA) if name not in changes.settings else (PLANT,)
-        if name.partition(".")[0] not in known:
-            raise ScenarioError(f"{name}: expected {' or '.join(f'{one}.NAME' for one in known)}")
+    changes.check_of_plant(DATA)
     vehicle = chosen_vehicle(changes)
     shared.check_writable(out)
     parameters = free_parameters(free, vehicle)
@@ -102,7 +98,9 @@ def print_fit(fitted: "VehicleFit") -> None:
     shared.print_table(table)
     for name, rmse in fitted.rmse.items():
         print(f"{name}: RMSE {1000.0 * rmse:.3g} mm of {len(fitted.recordings[name].time)} readings")
-    print(f"{analysis.correlation_time:.3g} readings count as one: residuals are correlated so long")
+    count = f"{analysis.correlation_time:.3g}"
+    is_one = "1 reading counts as one: residuals are not correlated"
+    print(is_one if count == "1" else f"{count} readings count as one: residuals are correlated so long")
     for name in analysis.rough:
         print(f"rough interval: {name}: the depth is not linear in it over the interval")
     for message in analysis.undetermined:

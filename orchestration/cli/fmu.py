@@ -181,12 +181,19 @@ def _built(orders: Sequence[BuildRequest], current: Current) -> Generator[Sequen
 
 
 def inspect(
-    fmu: Annotated[Path, typer.Argument(metavar="FMU", help="An FMU of any origin.")],
+    fmu: Annotated[
+        Path, typer.Argument(metavar="FMU", help="An FMU of any origin, a block or its .py file.")
+    ],
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
 ) -> None:
     """Show what an FMU is, and each variable with its unit, range and start value."""
     from fmus.fmi.description import describe_any
+    from orchestration.scenarios.fmu_files import build_missing, fmu_file
+    from orchestration.scenarios.read_layers import named_fmu
 
+    if fmu.suffix == ".py" or not (fmu.exists() or fmu.suffix == ".fmu"):
+        fmu = fmu_file(named_fmu(str(fmu), Path(), lambda keys: str(fmu), ()))
+        build_missing([fmu])
     description = describe_any(fmu)
     document = {
         "name": description.modelName,

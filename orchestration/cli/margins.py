@@ -83,7 +83,8 @@ def _values(over: str) -> dict[str, list[float]]:
 def _print(title: str, judged: "Margins") -> None:
     """Prints the metrics, and below them what each assumes, once."""
     notes = list(dict.fromkeys((metric.assumption, metric.source) for metric in judged.metrics))
-    shared.print_table(_table(title, judged, notes))
+    if judged.metrics:
+        shared.print_table(_table(title, judged, notes))
     for number, (assumption, source) in enumerate(notes, 1):
         print(f"[{number}] {assumption} ({source})")
     for sentence in judged.not_judged:

@@ -206,7 +206,9 @@ def scored_controllers(names: Sequence[str], no_rates: bool, changes: Changes) -
 
     replaced = changes.components.keys() - {PLANT}
     if replaced:
-        raise ScenarioError(f"--set {min(replaced)}: expected controller.variable=value")
+        name = min(replaced)
+        own = "variable" if name in (CONTROLLER, PLANT) else name
+        raise ScenarioError(f"--set {name}: expected {CONTROLLER}.{own}=value")
     named = [f"--set {name}" for name in changes.settings if "." in name]
     named += [f"--map {component}.{name}" for component, names in changes.mapping.items() for name in names]
     known = {CONTROLLER} if len(names) else set()

@@ -158,8 +158,9 @@ def print_gains(tuning: "Tuning", name: str) -> None:
     verdict = "flat" if tuning.is_flat else "not flat: more evaluations may lower it"
     if stopped:
         verdict = f"limited by the range of {', '.join(stopped)}: a wider one in --free may lower it"
+    seeds = len(tuning.searches)
     print(
         f"The cost is {verdict}. In the last half of {len(tuning.refinement.curve)} evaluations it fell by "
-        f"{100 * tuning.improvement:.2g} %; the median of {len(tuning.searches)} seeds is "
+        f"{100 * tuning.improvement:.2g} %; the {f'median of {seeds} seeds' if seeds > 1 else 'one seed'} is "
         f"{100 * tuning.spread:.2g} % above the lowest."
     )

@@ -20,7 +20,8 @@ from orchestration.system.signals import values_at
 FOREIGN = (
     "The L1-norm condition and the linear margins are not judged: they follow from the equations of a law, "
     "and an FMU shows its inputs and outputs alone. The equations of L1DepthController and L1Controller are "
-    "known, on ExamplePlant and on vehicles whose description names their inertia, as that of RovDepthPlant."
+    "known, on ExamplePlant and on vehicles whose description names their inertia: expected it in "
+    "NAME.vehicle.toml beside the vehicle, as RovDepthPlant has it."
 )
 
 

@@ -5,12 +5,13 @@ value also "experiment.step_size" and the other `EXPERIMENT_SETTINGS`.
 """
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from fmus.errors import nearest
+from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.declarations import with_file_values
@@ -28,7 +29,8 @@ EXPERIMENT_SETTINGS = {"experiment.step_size": "s", "experiment.stop_time": "s",
 class AssignedText(str):
     """The assigned text of `--set component.variable=1.50`, behind the =: TOML, or a text without quotes."""
 
-    __slots__ = ()
+    file = ""
+    """The parameter file that it stands in, or ""."""
 
     def value(self, fmi_type: str) -> FmiValue:
         """Returns the value for a variable of this type: of a String 1.50 stays 1.50."""
@@ -41,11 +43,16 @@ class AssignedText(str):
         return value if is_taken else text
 
 
-def command_entries(overrides: Mapping[str, Any], settings: Mapping[str, FmiValue]) -> Data:
-    """Returns the overrides and the settings of components; paths are relative to the present folder."""
+def command_entries(
+    overrides: Mapping[str, Any], settings: Mapping[str, FmiValue], known: Collection[str]
+) -> Data:
+    """Returns the overrides and the settings of components; paths are relative to the present folder.
+
+    known: components that settings replace; `values_of_settings` refuses others
+    """
     if "base" in overrides:
         raise ScenarioError(f"base = {overrides['base']!r}: expected it in the scenario file that is loaded")
-    given = {n: str(fmu) for n, fmu in settings.items() if "." not in n}
+    given = {n: str(fmu) for n, fmu in settings.items() if n in known}
     above: Data = {
         "components": {
             name: named_fmu(fmu, Path(), lambda keys, fmu=fmu: f"{keys[0]} = {fmu}", (name,))
@@ -65,23 +72,41 @@ def values_of_settings(
     Raises ScenarioError for a setting that names no component, parameter or input.
     """
     below, components, tables = components_of(layers[:-1]), components_of(layers), Data()
+
+    def settable_of(component: str) -> dict[str, ScalarVariable]:
+        variables = description(components[component]).modelVariables
+        return {v.name: v for v in variables if v.causality in ("parameter", "input")}
+
     for name, value in settings.items():
         component, dot, variable = name.partition(".")
         known, purpose = (components, "") if dot else (below, " to replace")
         if component not in known:
-            hint = nearest(component, known)
+            meant = [] if dot else [f"{c}.{name}={value}" for c in components if name in settable_of(c)]
+            hint = nearest(component, known) + ("" if dot else "; of a variable, component.variable=value")
+            hint = f"expected {' or '.join(meant)}" if meant else hint
             raise ScenarioError(f"{name} = {value!r}: no component {component!r}{purpose}; {hint}")
         if not dot:
             continue
-        variables = {v.name: v for v in description(components[component]).modelVariables}
-        settable = {known: v for known, v in variables.items() if v.causality in ("parameter", "input")}
+        settable = settable_of(component)
         if variable not in settable:
+            if (file := getattr(value, "file", "")) and component not in settings:
+                raise ScenarioError(f"{file}: {other_fmu(name, components[component])}")
             hint = nearest(name, (f"{component}.{known}" for known in settable))
             raise ScenarioError(f"{name} = {value!r}: expected a parameter or an input; {hint}")
         fmi_type, causality = settable[variable].type, settable[variable].causality
         typed = value.value(str(fmi_type)) if isinstance(value, AssignedText) else value
         tables.setdefault(f"{causality}s", {})[name] = typed
     return tables
+
+
+def other_fmu(name: str, fmu: str) -> str:
+    """Returns the message about a parameter of a file that is for another FMU than that of the component."""
+    component = name.partition(".")[0]
+    option = f"--{component} " if component in ("controller", "plant") else f"--set {component}="
+    return (
+        f"{name}: {component} is {Path(fmu).stem}, which has no such parameter: expected the {component} "
+        f"that the file is for, {option}FMU"
+    )
 
 
 def table_of_value(name: str, experiment: Experiment) -> str:

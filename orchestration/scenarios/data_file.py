@@ -68,6 +68,11 @@ class DataFile:
 
 def read_data_file(path: Path) -> DataFile:
     """Reads the text of a file; ScenarioError for one that is no CSV file."""
+    if not path.is_file():
+        got, folder = ("a folder", path) if path.is_dir() else ("no file", path.parent)
+        names = [file.name for file in folder.glob("*.csv")]
+        known = nearest(path.name, names) if names else "no other is there"
+        raise ScenarioError(f"{path}: expected a CSV file, got {got}; {known}")
     try:
         with path.open(newline="", encoding="utf-8-sig", errors="replace") as stream:
             lines = [(number, line) for number, line in enumerate(stream, start=1) if _holds_data(line)]
@@ -76,9 +81,8 @@ def read_data_file(path: Path) -> DataFile:
         cells = csv.reader((line for _, line in lines), delimiter=delimiter, strict=True)
         rows = tuple((number, row) for (number, _), row in zip(lines, cells, strict=True))
     except (OSError, csv.Error, ValueError) as error:
-        beside = [file.name for file in path.parent.glob("*.csv")]
-        hint = f"; beside it, {nearest(path.name, beside)}" if not path.is_file() else ""
-        raise ScenarioError(f"{path}: expected a CSV file, got {error}{hint}") from error
+        reason = getattr(error, "strerror", None) or error  # without the number of an error of the system
+        raise ScenarioError(f"{path}: expected a CSV file, got {reason}") from error
     if not rows or _is_number(rows[0][1][0]):
         return DataFile(path, (), (), rows)
     matches = [(_TITLE.fullmatch(title.strip()), title.strip()) for title in rows[0][1]]

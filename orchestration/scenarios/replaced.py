@@ -109,10 +109,9 @@ class Replacement:
         hint = f"name those that stand for others by {mapped} or in [mapping.{self.component}]"
         if unjoined:
             may_stay = "; --open-inputs start leaves its inputs at their start values" if undriven else ""
-            raise ScenarioError(
-                f"{lacks}; nothing drives its {', '.join(undriven) or '(no input)'}, its outputs are "
-                f"{', '.join(self._names('output'))}: {hint}{may_stay}"
-            )
+            inputs_of = f"nothing drives its {', '.join(undriven)}, its" if undriven else "its"
+            outputs_of = f"outputs are {', '.join(self._names('output')) or '(none)'}"
+            raise ScenarioError(f"{lacks}; {inputs_of} {outputs_of}: {hint}{may_stay}")
         if missing:
             listed = f"list those that it may lack in [optional], {self.component} = [...]"
             _warn(f"{lacks}: left out; {hint}; {listed}")

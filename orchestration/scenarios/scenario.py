@@ -18,12 +18,19 @@ from fmus.registry import Flavour
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.results import metrics
 from orchestration.scenarios.adapters import adapted, with_chosen_entries
-from orchestration.scenarios.changes import command_entries, values_of_settings
+from orchestration.scenarios.changes import command_entries, other_fmu, values_of_settings
 from orchestration.scenarios.declarations import fault, signal
 from orchestration.scenarios.file_format import ScenarioFile
 from orchestration.scenarios.file_tables import checked
 from orchestration.scenarios.fmu_files import fmu_file
-from orchestration.scenarios.layers import TABLES, Layer, components_of, merged, with_faulted_constants
+from orchestration.scenarios.layers import (
+    TABLES,
+    Data,
+    Layer,
+    components_of,
+    merged,
+    with_faulted_constants,
+)
 from orchestration.scenarios.read_layers import (
     FILE,
     SHIPPED,
@@ -90,7 +97,8 @@ def load(
     Warns (ScenarioWarning) where an FMU that replaces that of the base may be another than was meant.
     """
     given, parameter_files = with_parameter_files(overrides or {}, Path())
-    layers = [*(layers or file_layers(path)), Layer(command_entries(given, settings or {}))]
+    layers = [*(layers or file_layers(path))]
+    layers.append(Layer(command_entries(given, settings or {}, components_of(layers))))
     files = [*reversed(parameter_files), *(file for layer in reversed(layers) for file in layer.files)]
 
     @cache
@@ -120,6 +128,7 @@ def load(
     for replacement in replaced.values():
         replacement.check(data)
     data["metrics"] = {name: metric for name, metric in data["metrics"].items() if metric is not False}
+    _check_parameters([*parameter_files, *(f for x in layers for f in x.files[1:])], data, description)
     file = checked(FILE, data, lambda keys: str(path))
     try:
         experiment = _experiment(file, data)
@@ -141,6 +150,16 @@ def load(
         from_actuators={n: v for n, v in from_actuators.items() if data["parameters"].get(n) == v},
         arguments=(path.stem if shipped().get(path.stem) == path else str(path),),
     )
+
+
+def _check_parameters(files: Sequence[TomlFile], data: Data, describe: Describe) -> None:
+    """Refuses parameter files with a parameter that its component lacks: they are for another FMU."""
+    for file in files:
+        for name in (name for name in file.data.get("parameters", {}) if name in data["parameters"]):
+            component, _, variable = name.partition(".")
+            fmu = data["components"].get(component)
+            if fmu and all(v.name != variable for v in describe(fmu).modelVariables):
+                raise ScenarioError(f"{file.at(('parameters', name))}: {other_fmu(name, fmu)}")
 
 
 def _with_actuators(

@@ -28,7 +28,7 @@ from orchestration.scenarios.file_tables import Table, checked
 from orchestration.scenarios.layers import Data, merge
 from orchestration.scenarios.read_layers import shipped_bases
 from orchestration.scenarios.toml_file import KeyPath, TomlFile, read_toml
-from orchestration.scenarios.vehicle import ChangesTable
+from orchestration.scenarios.vehicle import SHIPPED, ChangesTable
 from orchestration.score.protocol_format import (
     COMPARED,
     DELAY_MARGIN,
@@ -144,7 +144,9 @@ class Protocol:
         """Returns what a case asks for that the vehicle lacks, "" if it lacks nothing."""
         table, vehicle = self.tables.cases[name], self.vehicle
         if table.disturbance and table.disturbance not in vehicle.described.disturbances:
-            return f"{vehicle.name} has no disturbance {table.disturbance}"
+            file = vehicle.file.path
+            expected = "" if file.parent == SHIPPED else f": expected it in {file.name} beside it"
+            return f"{vehicle.name} has no disturbance {table.disturbance}{expected}"
         if vehicle.is_of_base:  # a name that it lacks is a mistake: `check_vehicle`
             return ""
         layer = self._layer(name)

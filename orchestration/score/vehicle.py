@@ -27,6 +27,8 @@ from orchestration.scenarios.vehicle import (
 PREFIX = f"{PLANT}."
 """Before the name of a variable of the vehicle."""
 DEPTH = f"{PREFIX}depth"
+_EXPECTED = "expected an output depth, and an input control_force or inputs voltage[1] and voltage[2]"
+_LISTED = 12  # names in a message
 
 
 @cache
@@ -118,12 +120,15 @@ class Vehicle:
 
     def check(self) -> None:
         """Refuses a vehicle without a depth or without an actuator."""
-        for names in ((DEPTH,), (PREFIX + FORCE, PREFIX + VOLTAGES[0])):
-            if not any(self.has(name) for name in names):
-                raise ScenarioError(
-                    f"plant is {self.name}, which lacks {' and '.join(names)}: name the variable that stands "
-                    f"for it by --map {names[0]}=NAME; its variables are {', '.join(self.variables)}"
-                )
+        for causality, names in (("output", (DEPTH,)), ("input", (PREFIX + FORCE, PREFIX + VOLTAGES[0]))):
+            own = [name for name, v in self.variables.items() if v.causality == causality]
+            if any(self.variable(name).removeprefix(PREFIX) in own for name in names):
+                continue
+            raise ScenarioError(
+                f"plant is {self.name}, which lacks {' and '.join(names)}, so it is no vehicle: {_EXPECTED}; "
+                f"name the {causality} that stands for it by --map {names[0]}=NAME; its {causality}s are "
+                f"{', '.join(own[:_LISTED]) or '(none)'}{' and more' if own[_LISTED:] else ''}"
+            )
         for name, own in self.mapping.items():
             if own not in self.variables:
                 raise ScenarioError(f"--map {PREFIX}{name}={own}: {nearest(own, self.variables)}")

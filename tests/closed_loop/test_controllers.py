@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -51,3 +52,15 @@ def test_every_scenario_takes_it_without_a_warning(
 ) -> None:
     for name in CONTROLLERS:
         scenario.load(path, settings={"controller": str(built[name])})
+
+
+@pytest.mark.filterwarnings("error::orchestration.errors.ScenarioWarning")
+@pytest.mark.parametrize("vehicle", ["RovHeavePitchPlant", "BlueRov2Plant"])
+def test_vehicles_that_pitch_take_every_controller_of_the_depth_unchanged(
+    scenario_fmus: None, built: Mapping[str, Path], vehicle: str
+) -> None:
+    for name in ("L1DepthController", *CONTROLLERS):
+        settings = {"controller": str(built[name]), "plant": str(built[vehicle])}
+        loaded = scenario.load(scenario.find("nominal-extended"), settings=settings)
+        run = simulate(loaded.system, replace(loaded.experiment, stop_time=1.0))
+        assert np.isfinite(run.values).all()

@@ -166,6 +166,29 @@ def test_the_command_tunes_it(lead: str, tmp_path: Path, monkeypatch: pytest.Mon
     assert 1.0 <= scenario.parameter_values(Path("results/Lead.toml"))["controller.kp"] <= 20.0
 
 
+SWEPT = """
+base = "nominal-extended"
+components = { controller = "lead.py:Lead" }
+metrics = { settling_time = false, overshoot = false, holding_thrust = false, lag = false }
+experiment = { stop_time = 1.0 }
+[sweep]
+samples = 2
+vary."controller.kp" = { distribution = "uniform", low = 4.0, high = 17.0 }
+"""
+
+
+def test_a_sweep_and_margins_take_it(
+    lead: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "swept.toml").write_text(SWEPT)
+    assert not run_command(["sweep", "swept.toml"])
+    assert "2 samples, 0 failed" in capsys.readouterr().out
+    hold = ("--signal", "plant.depth", "--window", "0.5", "1.0", "--over", "controller.kp=4")
+    assert not run_command(["margins", "swept.toml", *hold])
+    assert "controller.kp" in capsys.readouterr().out
+
+
 def test_an_environment_has_it_beside_the_agent(lead: str) -> None:
     """The agent pushes the vehicle, which the class holds."""
     chosen = loaded(lead)

@@ -159,6 +159,18 @@ def test_a_parameter_file_gives_values_below_those_of_set(tmp_path: Path) -> Non
     assert again.experiment == loaded.experiment
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    ["run nominal-l1", "sweep monte-carlo", "margins nominal-l1", "package nominal-l1", "export modelica",
+     "score PidDepthController"],
+)  # fmt: skip
+def test_a_parameter_file_is_read_by_every_command_that_runs_or_writes_gains(
+    refused: Command, arguments: str
+) -> None:
+    """None of them ignores it: one that is not there is named."""
+    assert "no file gains.toml" in refused(*arguments.split(), "--parameters", "gains.toml")
+
+
 def _assignments(changes: Changes) -> list[str]:
     """Returns the arguments of --set among the options that make the changes."""
     options = changes.options()

@@ -1,7 +1,9 @@
 """The command fit: from a log to a parameter file that a scenario takes, and a page."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -9,6 +11,8 @@ import pytest
 from orchestration import Experiment, simulate
 from orchestration.cli import chosen_scenario
 from orchestration.cli.changes import Changes
+from orchestration.cli.fit import print_fit
+from orchestration.fit.intervals import Analysis
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.system.signals import Ramps
@@ -64,6 +68,42 @@ def test_a_vehicle_of_ones_own_is_fitted_and_a_scenario_takes_the_values(
     (tmp_path / "mine.toml").write_text(f'base = "nominal-extended"\nparameter_files = ["{files[0]}"]\n')
     chosen = chosen_scenario.load("mine.toml", changes=Changes({"plant": "rover.py"}))
     assert chosen.experiment.parameters["plant.mass"] == values["plant.mass"]
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "columns"),
+    [("rover.py", ("control_force",)), ("RovDepthPlant", ("voltage[1]", "voltage[2]"))],
+)
+def test_the_page_compares_with_the_sensor_of_a_vehicle_that_has_noise_and_of_one_that_has_none(
+    command: Command, log: Path, vehicle: str, columns: tuple[str, ...]
+) -> None:
+    page = (Path(__file__).parents[3] / "docs" / "how-to" / "fit-a-vehicle.md").read_text(encoding="utf-8")
+    mapped, settings = re.findall(r"`(--map plant\.depth=\S+|--set plant\.\S+ --set \S+)`", page)
+    options = [*mapped.split(), *(settings.split() if vehicle == "RovDepthPlant" else ())]
+    columns_of = [part for name in columns for part in ("--map", f"data.{name}=F")]
+    free = "mass" if vehicle == "rover.py" else "inertia"
+    log.write_text(log.read_text().replace("F [N]", "F"))  # which stands for volts, too
+    command("fit", vehicle, "--data", log, "--free", free, *COLUMNS[:4], *columns_of, *options)
+
+
+@pytest.mark.parametrize(
+    ("correlated", "line"),
+    [
+        (1.0, "1 reading counts as one: residuals are not correlated"),
+        (3.0, "3 readings count as one: residuals are correlated so long"),
+    ],
+)
+def test_one_reading_is_spoken_of_as_one(
+    capsys: pytest.CaptureFixture[str], correlated: float, line: str
+) -> None:
+    fitted: Any = SimpleNamespace(
+        vehicle=SimpleNamespace(name="rover"),
+        analysis=Analysis((), 0.0, correlated, (), ()),
+        rmse={},
+        ended="",
+    )
+    print_fit(fitted)
+    assert line in capsys.readouterr().out.splitlines()
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,8 @@ from typing import Any
 
 import pytest
 
+from orchestration.score.protocol import read_protocol
+from orchestration.score.vehicle import Vehicle
 from tests.described_fmus import described
 
 Command = Callable[..., Any]
@@ -142,3 +144,147 @@ def test_what_is_advised_in_place_of_an_expression_is_not_refused(
     advice = error("build", "counts.py").rpartition("; ")[2]
     block.write_text(BLOCK.replace("{expression}", followed[advice]))
     command("build", "counts.py")
+
+
+POLICY = """
+class Helper:
+    def reset(self): ...
+
+
+class Pd:
+    period = 0.02
+    kp = 4.0
+
+    def reset(self): ...
+
+    def step(self, time, inputs):
+        return {"control_force": self.kp * (inputs["depth_reference"] - inputs["measured_depth"])}
+"""
+
+
+@pytest.mark.parametrize("folder", ["", "laws/"])
+def test_a_file_of_a_class_without_a_block_offers_the_class(
+    command: Command,
+    error: Callable[..., str],
+    short_scenario: Callable[..., Path],
+    tmp_path: Path,
+    folder: str,
+) -> None:
+    short_scenario()
+    (tmp_path / folder).mkdir(exist_ok=True)
+    (tmp_path / folder / "mine.py").write_text(POLICY)
+    message = error("run", "short.toml", "--controller", f"{folder}mine.py")
+    assert "no block at the top level of the file; expected BLOCK = Block(...), or " in message
+    (offered,) = re.findall(r"or (\S+:\w+) for its class Pd$", message)
+    assert offered == f"{folder}mine.py:Pd"
+    command("run", "short.toml", "--controller", offered)
+
+
+def test_a_variable_without_its_component_is_offered_with_it(
+    command: Command, error: Callable[..., str], short_scenario: Callable[..., Path]
+) -> None:
+    short_scenario()
+    options = ("run", "short.toml", "--controller", "PidDepthController")
+    message = error(*options, "--set", "kp=10")
+    assert message == ("l1-depth: kp = '10': no component 'kp' to replace; expected controller.kp=10")
+    command(*options, "--set", message.rpartition(" ")[2])
+    message = error("run", "short.toml", "--set", "kp=10")  # L1 has none
+    assert message.endswith("known: 'controller', 'plant'; of a variable, component.variable=value")
+    assert "--set kp: expected controller.kp=value" in error("score", "PidDepthController", "--set", "kp=1")
+    assert "mass: expected plant.mass" in error("design", "RovDepthPlant", "--set", "mass=3")
+
+
+def test_an_fmu_whose_outputs_alone_are_not_joined_is_not_said_to_have_open_inputs(
+    error: Callable[..., str], short_scenario: Callable[..., Path], tmp_path: Path
+) -> None:
+    short_scenario()
+    described(tmp_path / "law.fmu", ("depth_reference", "measured_depth"), ("left", "right"))
+    message = error("run", "short.toml", "--controller", "law.fmu")
+    assert "which lacks voltage[1], voltage[2]; its outputs are left, right: name those" in message
+    described(tmp_path / "deaf.fmu", ("depth_reference", "measured_depth"), ())
+    assert "; its outputs are (none): name" in error("run", "short.toml", "--controller", "deaf.fmu")
+
+
+def test_parameters_of_another_vehicle_ask_for_it(
+    command: Command, error: Callable[..., str], short_scenario: Callable[..., Path], tmp_path: Path
+) -> None:
+    """As `fit` writes them."""
+    short_scenario()
+    command("new", "rover", "--vehicle")
+    (tmp_path / "rover-fit.toml").write_text('[parameters."plant.mass"]\nvalue = 6.0\nsource = "a fit"\n')
+    options = ("run", "short.toml", "--parameters", "rover-fit.toml")
+    message = error(*options)
+    assert message == (
+        "l1-depth: rover-fit.toml: plant.mass: plant is RovDepthPlant, which has no such parameter: "
+        "expected the plant that the file is for, --plant FMU"
+    )
+    hint = message.rpartition(", ")[2].replace("FMU", "rover.py").split()
+    command(*options, *hint)
+    (tmp_path / "fitted.toml").write_text('base = "nominal-extended"\nparameter_files = ["rover-fit.toml"]\n')
+    same = error("run", "fitted.toml").replace("rover-fit.toml:1:", "rover-fit.toml:")
+    assert same == message
+    command("run", "fitted.toml", *hint, "--formats", "none")
+    assert "expected a parameter or an input; nearest is" in error(*options, "--plant", "BlueRov2Plant")
+
+
+@pytest.mark.parametrize(
+    ("options", "is_told"), [((), False), (("--controller", "PidDepthController"), True)]
+)
+def test_actuators_are_told_only_of_what_the_user_puts_together(
+    command: Command, options: tuple[str, ...], is_told: bool
+) -> None:
+    """The shipped scenario names a vehicle of its own, with the controller for it."""
+    run = ("run", "heave-pitch", "--formats", "none")
+    assert ("of the actuators of plant" in command(*run, *options).stderr) is is_told
+
+
+def test_actuators_are_told_of_a_vehicle_that_a_file_of_the_user_names(
+    command: Command, short_scenario: Callable[..., Path]
+) -> None:
+    short_scenario(more='[components]\nplant = "RovHeavePitchPlant"\n')
+    assert "of the actuators of plant: controller.thruster_gain[1]" in command("run", "short.toml").stderr
+
+
+def test_inspect_takes_what_other_commands_take(command: Command, error: Callable[..., str]) -> None:
+    command("new", "rover", "--vehicle")
+    for given, name in (("BlueRov2Plant", "BlueRov2Plant"), ("rover.py", "Rover")):
+        assert command("inspect", given).stdout.startswith(f"{name}: ")
+    assert "nearest is 'BlueRov2Plant'" in error("inspect", "BlueRov2Plan")
+    assert "no FMU at rover.fmu" in error("inspect", "rover.fmu")
+
+
+@pytest.mark.parametrize("name", ["design", "fit"])
+def test_what_is_no_vehicle_is_told_which_variables_one_has(
+    error: Callable[..., str], tmp_path: Path, name: str
+) -> None:
+    """Its outputs are listed, not its hundred parameters."""
+    (tmp_path / "dive.csv").touch()
+    options = ("--data", "dive.csv", "--free", "kp") if name == "fit" else ()
+    message = error(name, "L1DepthController", *options)
+    assert message.startswith(
+        "l1-depth: plant is L1DepthController, which lacks plant.depth, so it is no vehicle: expected an "
+        "output depth, and an input control_force or inputs voltage[1] and voltage[2]; name the output that "
+        "stands for it by --map plant.depth=NAME; its outputs are voltage[1], voltage[2], demanded_force,"
+    )
+    assert message.endswith(" and more")
+    assert len(message) < 500
+
+
+def test_a_score_names_the_file_in_which_a_disturbance_is_missing(command: Command, tmp_path: Path) -> None:
+    """A case is played as soon as it stands there."""
+    command("new", "rover", "--vehicle")
+    protocol = read_protocol(vehicle=Vehicle.of("rover.py"))
+    reason = protocol.left_out["inertia-low"]
+    (file,) = re.findall(r"rover has no disturbance inertia-low: expected it in (\S+) beside it", reason)
+    (tmp_path / file).write_text('[disturbances.inertia-low]\nparameters = { "plant.mass" = 5.0 }\n')
+    assert "inertia-low" in read_protocol(vehicle=Vehicle.of("rover.py")).cases
+
+
+def test_a_design_does_not_name_parameters_that_it_designs(command: Command, tmp_path: Path) -> None:
+    command("new", "rover", "--vehicle")
+    (tmp_path / "rover.vehicle.toml").write_text(
+        '[variables]\ninertia = "mass"\nnet_weight = "net_weight"\nsensor_period = "sensor_period"\n'
+    )
+    stderr = command("design", "rover.py", "--bandwidth", "99", expect=1).stderr
+    assert "no L1 for rover" in stderr
+    assert "of the actuators" not in stderr

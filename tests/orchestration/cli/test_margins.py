@@ -57,6 +57,20 @@ def test_a_foreign_controller_is_judged_by_runs_alone_and_told_why(
     assert "not judged: they follow from the equations of a law" in done.stdout
 
 
+def test_a_vehicle_without_a_description_is_told_where_to_write_it(
+    command: Command, short_scenario: Callable[..., Path], tmp_path: Path
+) -> None:
+    """With it the loop is judged. Before, there is no table."""
+    short_scenario()
+    command("new", "rover", "--vehicle")
+    options = ("margins", "short.toml", "--theory", "--plant", "rover.py", *HOLD)
+    before = command(*options).stdout
+    assert "names their inertia: expected it in NAME.vehicle.toml beside the vehicle" in before
+    assert "Margin " not in before
+    (tmp_path / "rover.vehicle.toml").write_text('[variables]\ninertia = "mass"\n')
+    assert "linear loop" in command(*options).stdout
+
+
 def test_a_scenario_without_a_hold_is_told_so(command: Command, short_scenario: Callable[..., Path]) -> None:
     short_scenario()
     done = command("margins", "short.toml", "--theory", "--controller", "PidDepthController")

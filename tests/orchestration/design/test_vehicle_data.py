@@ -135,3 +135,11 @@ def test_corners_are_every_combination_of_ends_and_draws_lie_between() -> None:
     assert first == again
     assert all(5.0 < float(values["plant.inertia"]) < 7.0 for values in first)
     assert len({values["plant.sensor_seed"] for values in first}) == 5
+
+
+def test_what_a_description_leaves_out_is_0(tmp_path: Path) -> None:
+    """Damping, lag and what the sensor does; inertia, net weight, period and thrust are asked for."""
+    found = read(boat(tmp_path, NAMES + 'gain = ["mass", "mass"]\nlimit = ["volts", "volts"]\n'))
+    assert (found.damping, found.drag) == ((0.0, 0.0), (0.0, 0.0))
+    assert (found.lag, found.delay, found.noise) == (0.0, 0.0, 0.0)
+    assert found.net_weight == (1.0, 1.0)

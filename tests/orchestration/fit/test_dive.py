@@ -144,7 +144,20 @@ def test_data_that_say_nothing_of_the_vehicle_are_refused(read: Read, text: str,
         read(text)
 
 
-def test_a_missing_file_names_its_neighbour(tmp_path: Path, vehicle: Vehicle) -> None:
-    (tmp_path / "dive.csv").touch()
-    with pytest.raises(OrchestrationError, match=r"dives.csv: expected a CSV file.*nearest is 'dive.csv'"):
-        read_dive(tmp_path / "dives.csv", vehicle)
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("dives.csv", "dives.csv: expected a CSV file, got no file; nearest is 'dive.csv'"),
+        ("logs", "logs: expected a CSV file, got a folder; known: 'one.csv'"),
+        ("none/dive.csv", "none/dive.csv: expected a CSV file, got no file; no other is there"),
+    ],
+)
+def test_a_missing_file_names_those_that_are_there(
+    tmp_path: Path, vehicle: Vehicle, name: str, message: str
+) -> None:
+    (tmp_path / "logs").mkdir()
+    for file in ("dive.csv", "logs/one.csv"):
+        (tmp_path / file).touch()
+    with pytest.raises(OrchestrationError) as caught:
+        read_dive(tmp_path / name, vehicle)
+    assert str(caught.value) == f"{tmp_path}/{message}"

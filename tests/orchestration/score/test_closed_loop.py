@@ -13,7 +13,7 @@ from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.scenarios.toml_file import read_toml
 from orchestration.scenarios.vehicle import description_of
-from orchestration.score.closed_loop import ClosedLoop, built_in
+from orchestration.score.closed_loop import TOLD, ClosedLoop, built_in
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.score_rows import alone
 
@@ -104,3 +104,11 @@ def test_a_controller_alone_puts_out_what_it_did_in_the_loop_also_behind_a_trans
         expected = simulate(loop.scenario(changed).system, in_loop)[output]
     assert np.abs(expected).max() > 1.0
     np.testing.assert_array_equal(simulate(system, experiment)[output], expected)
+
+
+def test_rates_that_are_not_connected_are_0(protocol: Protocol) -> None:
+    with ClosedLoop(replace(built_in(protocol, "pid-rates"), reference_rates=False), protocol) as loop:
+        assert loop.connected() == ["depth_reference"]
+        inputs = loop.experiment(protocol.nominal).inputs
+        for name in TOLD[1:]:
+            assert inputs[f"controller.{name}"] == 0.0

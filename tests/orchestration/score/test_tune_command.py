@@ -7,6 +7,7 @@ import sys
 import time
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any
@@ -74,7 +75,11 @@ def test_a_cost_that_a_limit_determines_is_not_called_flat(
     tuning = Tuning(Problem(free), (search,), search)
     assert tuning.is_flat
     print_gains(tuning, "pid")
-    assert capsys.readouterr().out.splitlines()[-1].startswith(verdict)
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith(verdict)
+    assert "; the one seed is " in last
+    print_gains(replace(tuning, searches=tuning.searches * 2), "pid")
+    assert "; the median of 2 seeds is " in capsys.readouterr().out
 
 
 def _process(folder: Path) -> subprocess.Popen[str]:

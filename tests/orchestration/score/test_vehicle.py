@@ -60,7 +60,9 @@ def test_a_case_that_a_vehicle_cannot_play_is_left_out_and_named(tmp_path: Path)
     protocol = read_protocol(vehicle=vehicle)
     assert list(protocol.cases) == ["nominal", "frozen", "drop-outs"]
     assert protocol.left_out["current"] == "boat lacks plant.current_velocity"
-    assert protocol.left_out["inertia-low"] == "boat has no disturbance inertia-low"
+    assert protocol.left_out["inertia-low"] == (
+        "boat has no disturbance inertia-low: expected it in boat.vehicle.toml beside it"
+    )
     assert protocol.left_out["hold-step"] == "boat lacks plant.initial_depth"
     assert protocol.cases.keys() | protocol.left_out.keys() == protocol.tables.cases.keys()
 
