@@ -101,13 +101,21 @@ def run_all(steps: int, when: str = "") -> Action:
     return lambda script: [script.write([step(), read_all(when, f", step {i + 1}")]) for i in range(steps)]
 
 
-def read_slopes(outputs: Sequence[Variable], when: str = "", orders: int | Sequence[int] = 1) -> Action:
-    """Reads derivatives of outputs, if there are any, of one order or each of its own, in one call."""
+def read_slopes(
+    outputs: Sequence[Variable], when: str = "", orders: int | Sequence[int] = 1, alone: bool = False
+) -> Action:
+    """Reads derivatives of outputs, if there are any, of one order or each its own, in one call or alone."""
 
     def action(script: Script) -> None:
+        groups = {v.name: [v] for v in outputs} if alone else {"Real": list(outputs)}
+        of_groups = orders if alone and not isinstance(orders, int) else [orders] * len(groups)
+        calls = zip(groups.items(), of_groups, strict=True) if outputs else ()
+        replies = {
+            name: script.call("output_derivatives", values.references_of(group), order)
+            for (name, group), order in calls
+        }
         if outputs:
-            reply = script.call("output_derivatives", values.references_of(outputs), orders)
-            script.observed.append((when, "", Reading({"Real": list(outputs)}, {"Real": reply})))
+            script.observed.append((when, "", Reading(groups, replies)))
 
     return action
 
