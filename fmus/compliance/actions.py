@@ -101,13 +101,21 @@ def run_all(steps: int, when: str = "") -> Action:
     return lambda script: [script.write([step(), read_all(when, f", step {i + 1}")]) for i in range(steps)]
 
 
-def read_slopes(outputs: Sequence[Variable], when: str = "", orders: int | Sequence[int] = 1) -> Action:
-    """Reads derivatives of outputs, if there are any, of one order or each of its own, in one call."""
+def read_slopes(
+    outputs: Sequence[Variable], when: str = "", orders: int | Sequence[int] = 1, alone: bool = False
+) -> Action:
+    """Reads derivatives of outputs, if there are any, of one order or each its own, in one call or alone."""
 
     def action(script: Script) -> None:
+        groups = {v.name: [v] for v in outputs} if alone else {"Real": list(outputs)}
+        of_groups = orders if alone and not isinstance(orders, int) else [orders] * len(groups)
+        calls = zip(groups.items(), of_groups, strict=True) if outputs else ()
+        replies = {
+            name: script.call("output_derivatives", values.references_of(group), order)
+            for (name, group), order in calls
+        }
         if outputs:
-            reply = script.call("output_derivatives", values.references_of(outputs), orders)
-            script.observed.append((when, "", Reading({"Real": list(outputs)}, {"Real": reply})))
+            script.observed.append((when, "", Reading(groups, replies)))
 
     return action
 
@@ -210,5 +218,41 @@ def number_outputs(probe: Probe) -> list[Variable]:
 
 def others_accepted(probe: Probe, variables: Sequence[Variable], *before: Action) -> list[Pair]:
     """Returns variables with other values that the FMU accepts at once after some actions."""
-    pairs = values.other_values(variables[:MOST_VARIABLES])
-    return values.accepted_together(probe, pairs, lambda: probe.script(*before))
+    return accepted_together(probe, values.other_values(variables[:MOST_VARIABLES]), *before)
+
+
+def accepted_together(probe: Probe, pairs: Sequence[Pair], *before: Action) -> list[Pair]:
+    """Returns variables and values with which the FMU takes a step at once after some actions: those accepted
+    alone, less those that it refuses beside others; found once for all rules that begin alike.
+    """
+    key = [(v.name, x) for v, x in pairs], probe.script(*before).calls
+    return probe.once("choice of values", lambda: _chosen(probe, pairs, before), *key)
+
+
+def _chosen(probe: Probe, pairs: Sequence[Pair], before: Sequence[Action]) -> list[Pair]:
+    if not pairs or _takes(probe, [pairs], before)[0]:
+        return list(pairs)
+    succeeded = _takes(probe, [[pair] for pair in pairs], before)
+    alone = [pair for pair, ok in zip(pairs, succeeded, strict=True) if ok]
+    if not alone or _takes(probe, [alone], before)[0]:
+        return alone
+    together = list[Pair]()
+    for pair in alone:
+        if _takes(probe, [[*together, pair]], before)[0]:
+            together.append(pair)
+    return together
+
+
+def _takes(probe: Probe, choices: Sequence[Sequence[Pair]], before: Sequence[Action]) -> list[bool]:
+    """Whether the FMU takes a step after the values of each choice were set in a new script."""
+
+    def finish(script: Script) -> None:
+        if script.state == "instantiated":
+            script.initialise()
+        if script.state == "initialization mode":
+            script.exit_initialization_mode()
+        script.step()
+
+    scripts = [probe.script(*before, set_values(pairs), finish) for pairs in choices]
+    probe.play_each(scripts)
+    return [script.succeeded for script in scripts]

@@ -1,6 +1,5 @@
 """Report of the check: lines for people, and documents for programs."""
 
-import difflib
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -16,6 +15,7 @@ from fmus.compliance.findings import Finding, folded
 from fmus.compliance.fmu_file import DESCRIPTION
 from fmus.compliance.rule import CANNOT_LOAD, OUTCOMES, Level, Result, Rule
 from fmus.compliance.sentences import levels, sentences_of
+from fmus.errors import nearest
 
 Results = Mapping[Path, Sequence[Result]]
 _STANDARD = "https://github.com/modelica/fmi-standard/tree/v2.0.5/docs"
@@ -151,16 +151,10 @@ def json_text(checked: Checked) -> str:
 
 def _rule(checked: Checked, path: Path, result: Result) -> dict[str, Any]:
     rule = result.rule
-    return {
-        "rule": rule.name,
-        "clause": rule.clause,
-        "claim": rule.claim,
-        "level": rule.level.value,
-        "outcome": checked.outcome(path, result),
-        "messages": list(result.messages),
-        "not_applicable": result.not_applicable,
-        "not_judged": result.not_judged,
-    }
+    of_rule = {"rule": rule.name, "clause": rule.clause, "claim": rule.claim, "level": rule.level.value}
+    names = ("messages", "not_applicable", "not_judged")
+    of_result = {name: getattr(result, name) for name in names}
+    return {**of_rule, "outcome": checked.outcome(path, result), **of_result}
 
 
 def _finding(finding: Finding) -> dict[str, Any]:
@@ -219,14 +213,10 @@ def junit(checked: Checked) -> str:
     failing = {(finding.fmu, finding.rule.name) for finding in checked.failing}
     for path, results in checked.results.items():
         cases = [_case(checked, path, result, (path, result.rule.name) in failing) for result in results]
-        counts = {name: sum(case.find(name) is not None for case in cases) for name in ("failure", "skipped")}
-        numbers = {
-            "tests": len(cases),
-            "failures": counts["failure"],
-            "skipped": counts["skipped"],
-            "errors": 0,
-        }
-        attributes = {name: str(number) for name, number in numbers.items()}
+        counts = Counter(child.tag for case in cases for child in case)
+        numbers = len(cases), counts["failure"], counts["skipped"], 0
+        names = ("tests", "failures", "skipped", "errors")
+        attributes = {name: str(number) for name, number in zip(names, numbers, strict=True)}
         ElementTree.SubElement(root, "testsuite", {"name": str(path), **attributes}).extend(cases)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
@@ -287,9 +277,7 @@ def explain(name: str, rules: Sequence[Rule]) -> str:
     """
     chosen = next((rule for rule in rules if rule.name == name), None)
     if chosen is None:
-        near = difflib.get_close_matches(name, [rule.name for rule in rules], 3, 0.4)
-        hint = f"; the nearest: {', '.join(near)}" if near else ""
-        raise ValueError(f"no rule {name!r}: expected the name of one{hint}")
+        raise ValueError(f"--explain: no rule {name!r}: {nearest(name, [rule.name for rule in rules])}")
     checked = [f"  {sentence.clause}: {sentence.text}" for sentence in sentences_of(name)]
     body = ["sentences of FMI 2.0.5 that it checks:", *checked] if checked else [f"clause: {chosen.clause}"]
     needs = [f"not judged if broken: {', '.join(chosen.needs)}"] if chosen.needs else []

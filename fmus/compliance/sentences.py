@@ -35,13 +35,6 @@ class Sentence:
     not_observable: str = ""
     no_demand: str = ""
 
-    def __post_init__(self) -> None:
-        if bool(self.rules) == bool(self.not_observable):
-            got = "both" if self.rules else "neither"
-            raise ValueError(
-                f"sentence {self.clause}, {self.text!r}: expected rules or not_observable, got {got}"
-            )
-
 
 @cache
 def _tables() -> Mapping[str, Mapping[str, Any]]:

@@ -8,7 +8,7 @@ from typing import Any
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Condition, NotJudgedError
-from fmus.compliance.script import Given, Reading, Script
+from fmus.compliance.script import Given, Reading
 from fmus.compliance.variable import Variable
 
 _TRUE = {"true": 1, "1": 1, "false": 0, "0": 0}
@@ -170,49 +170,6 @@ def is_utf_8(content: bytes) -> bool:
 def other_values(variables: Iterable[Variable]) -> list[tuple[Variable, Any]]:
     """Returns each variable that has another legal value, with that value."""
     return [(v, x) for v in variables if (x := other_value(v)) is not None]
-
-
-def accepted_together(
-    probe: Probe, pairs: Sequence[tuple[Variable, Any]], begun: Callable[[], Script]
-) -> list[tuple[Variable, Any]]:
-    """Returns variables and values with which the FMU takes a step at once: those accepted alone, less those
-    that it refuses beside others; found once for all rules that begin alike.
-    """
-    values = [(v.name, x) for v, x in pairs]
-    return probe.once("choice of values", lambda: _chosen(probe, pairs, begun), values, begun().calls)
-
-
-def _chosen(
-    probe: Probe, pairs: Sequence[tuple[Variable, Any]], begun: Callable[[], Script]
-) -> list[tuple[Variable, Any]]:
-    if not pairs or _takes(probe, [pairs], begun)[0]:
-        return list(pairs)
-    succeeded = _takes(probe, [[pair] for pair in pairs], begun)
-    alone = [pair for pair, ok in zip(pairs, succeeded, strict=True) if ok]
-    if not alone or _takes(probe, [alone], begun)[0]:
-        return alone
-    together = list[tuple[Variable, Any]]()
-    for pair in alone:
-        if _takes(probe, [[*together, pair]], begun)[0]:
-            together.append(pair)
-    return together
-
-
-def _takes(
-    probe: Probe, choices: Sequence[Sequence[tuple[Variable, Any]]], begun: Callable[[], Script]
-) -> list[bool]:
-    """Whether the FMU takes a step after the values of each choice were set in a new script."""
-    scripts = [begun() for _ in choices]
-    for script, pairs in zip(scripts, choices, strict=True):
-        for v, x in pairs:
-            script.set(v, x)
-        if script.state == "instantiated":
-            script.initialise()
-        if script.state == "initialization mode":
-            script.exit_initialization_mode()
-        script.step()
-    probe.play_each(scripts)
-    return [script.succeeded for script in scripts]
 
 
 _LARGE = 1e-5  # relative: what is more is compared with the variable itself

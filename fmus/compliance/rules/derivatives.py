@@ -113,11 +113,10 @@ def _read_together(probe: Probe) -> Iterator[Row]:
     alternating = [1 + (highest - 1) * (i % 2) for i in range(len(chosen))]
     for orders in ([1] * len(chosen), alternating, [1 + highest - order for order in alternating]):
         names = " or ".join(str(order) for order in sorted(set(orders)))
-        when = f"as derivative of order {names}, read alone"
-        begin, together = (do.begin, do.step(3)), do.read_slopes(chosen, orders=orders)
-        alone = (do.read_slopes([v], orders=[order]) for v, order in zip(chosen, orders, strict=True))
-        again = "{}, as in one call with those of others"
-        yield Row(when, (*begin, *alone), (*begin, together), again=again)
+        when = f"as derivative of order {names}, read in one call with those of others"
+        together, alone = (do.read_slopes(chosen, orders=orders, alone=x) for x in (False, True))
+        begin = do.begin, do.step(3)
+        yield Row(when, (*begin, together), (*begin, alone), again="{}, as alone")
 
 
 # derivatives of inputs

@@ -78,7 +78,7 @@ def values_are_set_together(probe: Probe) -> Iterator[Row]:
     """
     pairs = values.other_values(values.settable_in_initialization(probe.fmu))
     of_kinds = [[pair for pair in pairs if pair[0].base_kind == kind][:MOST_VARIABLES] for kind in KINDS]
-    taken = values.accepted_together(probe, list(chain(*of_kinds)), lambda: probe.script().initialise())
+    taken = do.accepted_together(probe, list(chain(*of_kinds)), do.initialise)
     several = [
         chosen for of_kind in of_kinds if len(chosen := [pair for pair in of_kind if pair in taken]) > 1
     ]

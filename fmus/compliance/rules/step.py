@@ -73,7 +73,11 @@ def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
     if not probe.states_step_size:
         raise NotJudgedError("no step size is stated, and an internal step may be longer than others")
     for script, times in _runs(probe, v):
-        for t, (*_, reading) in zip(times, script.observed, strict=True) if script.succeeded else ():
+        failure = script.failure
+        if failure and failure.status == DISCARD:  # then values are read of a time within the step
+            continue
+        readings = zip(times, (reading for *_, reading in script.observed), strict=True)
+        for t, reading in itertools.takewhile(lambda row: row[1].ok, readings):
             got = reading.values[v.name]
             if not abs(got - t) <= 1e-3 * probe.step_size + 1e-9 * abs(t):
                 shown = values.texts(got, t)

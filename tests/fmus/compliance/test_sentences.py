@@ -23,6 +23,10 @@ def test_every_rule_that_a_sentence_names_exists() -> None:
     assert [(s.clause, name) for s in sentences() for name in s.rules if name not in names] == []
 
 
+def test_a_sentence_has_rules_or_the_reason_why_no_check_sees_it_broken() -> None:
+    assert [(s.clause, s.text) for s in sentences() if bool(s.rules) == bool(s.not_observable)] == []
+
+
 def test_every_rule_checks_a_sentence_or_is_labelled_advice() -> None:
     rules = [rule for rule in all_rules() if not rule.clause.startswith(ADVICE)]
     assert [rule.name for rule in rules if not sentences_of(rule.name)] == []
