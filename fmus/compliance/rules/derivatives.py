@@ -295,9 +295,9 @@ def input_derivatives_are_set_together(probe: Probe) -> Iterator[Row]:
     if len(changes) < 2:
         raise NotApplicableError("fewer than two continuous inputs take another value")
     references, mixed = references_of(v for v, _ in changes), [1 + i % 2 for i in range(len(changes))]
-    second = do.played(probe, (do.begin, do.set_derivatives(0.0, order=2)))
-    # it may know the first order alone, and tell so by a warning
-    mixtures = [] if second.replies[-1].status else [mixed, [3 - order for order in mixed]]
+    # an FMU may know the first order alone, and tell so by a warning
+    second = do.played(probe, (do.begin, do.set_derivatives(0.0, order=2))).replies[-1]
+    mixtures = [] if second.status else [mixed, [3 - order for order in mixed]]
     for orders in ([1] * len(changes), *mixtures):
         slopes = [x / probe.step_size**order for (_, x), order in zip(changes, orders, strict=True)]
         alone = [
