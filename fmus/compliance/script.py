@@ -327,7 +327,7 @@ class Script:
 
     def read_everything(self) -> Reading:
         """Adds a reading of all variables, and of the vectors that model exchange has."""
-        reading = self.read(self.variables)
+        reading = self.read(self.probe.fmu.variables)
         for function in VECTORS if self.probe.fmu.is_model_exchange else ():
             if count := self.probe.fmu.vector_length(function):
                 elements = (f"element {i} of {function}" for i in range(1, count + 1))
@@ -339,11 +339,6 @@ class Script:
     def time(self) -> float:
         """Time at which the next step begins [s]."""
         return self.probe.point(self._step)
-
-    @property
-    def variables(self) -> Sequence[Variable]:
-        """All variables of the FMU."""
-        return self.probe.fmu.variables
 
     def run(self, steps: int) -> list[Reading]:
         """Returns readings of the outputs after each of some steps."""

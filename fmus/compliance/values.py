@@ -233,7 +233,7 @@ def _unsteady(probe: Probe) -> set[str]:
 
     def names() -> set[str]:
         one, other = probe.script().begin(), probe.script().begin()
-        first, second = ([s.step().read(s.variables) for _ in range(3)] for s in (one, other))
+        first, second = ([s.step().read(probe.fmu.variables) for _ in range(3)] for s in (one, other))
         probe.play_each([one, other])
         if not one.succeeded or not other.succeeded:
             raise NotJudgedError("a run fails")

@@ -226,6 +226,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
         if (fgets(flags, sizeof flags, file)) flags[strcspn(flags, "\n")] = 0;
         fclose(file);
     }
+    if (FLAG("events are of logAll")) CAT[0] = "logAll";
     int same = !strcmp(guid, GUID);
     if (IS("GUID without case")) same = !strcasecmp(guid, GUID);
     if (type != fmi2CoSimulation || !same) {

@@ -192,7 +192,7 @@ def unknown_statuses_are_discarded(_: Probe) -> Iterator[table.Ask]:
 def statuses_have_their_types(_: Probe) -> Iterator[table.Ask]:
     """A status is given by the function of its type alone: another function returns discard."""
     for number, (name, right) in _STATUS_KINDS.items():
-        for kind in {"", *KINDS} - {right}:
+        for kind in sorted({"", *KINDS} - {right}):
             words = f" of {name}, which has another type,"
             yield table.Ask("C", [do.call("status_of", kind, number)], words)
 

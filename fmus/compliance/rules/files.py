@@ -244,7 +244,7 @@ def includes_have_quotes(fmu: FmuFile) -> Iterator[str]:
     """Sources include the header files that the FMU holds by quotes, not by angle brackets."""
     headers = {path.removeprefix(_SOURCES) for path in _sources(fmu)}
     for path, text in _sources(fmu).items():
-        for name in headers.intersection(_included(text, b"<")):
+        for name in sorted(headers.intersection(_included(text, b"<"))):
             yield f'{path}: #include <{name}>: expected "{name}", as it is in the FMU'
 
 

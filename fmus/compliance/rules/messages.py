@@ -88,8 +88,7 @@ def _unknown_variable(message: Message, probe: Probe) -> str:
     found = _REFERENCE.findall(message.text.replace("##", ""))
     known = {(v.base_kind, v.reference) for v in probe.fmu.variables} if found else ()
     asked = unknown_reference(probe.fmu) if found else 0  # the answer may name it
-    wrong = (f"#{k}{x}#" for k, x in found if int(x) != asked and (_KINDS[k], int(x)) not in known)
-    return next(wrong, "")
+    return next((f"#{k}{x}#" for k, x in found if int(x) != asked and (_KINDS[k], int(x)) not in known), "")
 
 
 def _has_a_single_percent_sign(message: Message, _: Probe) -> bool:
@@ -287,11 +286,9 @@ def _played_with_logging(probe: Probe) -> Iterator[_Run]:
 
 
 def _sent(script: Script, declared: Sequence[str]) -> dict[str | None, str]:
-    """Returns category -> text of its first message that can be turned off: of a call that returns ok, and
-    does not turn it off.
-    """
-    replies = [reply for reply in script.replies if reply.function != "fmi2SetDebugLogging"]
-    messages = [m for reply in replies if reply.status == OK for m in reply.messages]
+    """Returns category -> text of its first message, of a call that returns ok and turns nothing off."""
+    replies = (r for r in script.replies if r.status == OK and r.function != "fmi2SetDebugLogging")
+    messages = [m for reply in replies for m in reply.messages]
     chosen = [m for m in messages if m.status == OK or (m.status == WARNING and m.category in declared)]
     return {m.category: m.text for m in reversed(chosen)}
 
@@ -312,10 +309,10 @@ def no_messages_with_logging_off(probe: Probe) -> Iterator[str]:
 
 @rule.behaviour_rule("2.1.5")
 def chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
-    """Messages that arrive with all categories enabled arrive where their own is among those enabled."""
-    runs = _runs_with_logging(probe)
+    """Messages that arrive with all categories enabled arrive where their own, but logAll, is enabled."""
+    runs, categories = _runs_with_logging(probe), _declared(probe) or [None]
     for usual, run in ((runs[0], run) for run in runs[1:]):
-        for category in _declared(probe) or [None]:
+        for category in [name for name in categories if name != _ALL]:
             if category in run.enabled and category in usual.sent and category not in run.sent:
                 text = usual.sent[category][:80]
                 yield f"no message of the category {category!r} arrives {run.when}: expected {text!r}"

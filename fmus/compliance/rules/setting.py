@@ -178,12 +178,11 @@ def values_follow_what_is_set(probe: Probe) -> Iterator[Row]:
         if mode != "initialization mode":  # as if time had been set, which computes anew
             # an event iteration ends first, after which relations that follow what is set are frozen
             iterate, into = ((), ()) if begin[1:] else ((do.call("new_discrete_states"),) * 3, (enter,))
-            others = do.set_values(values.other_values(settable)), *iterate
-            set_all = do.start, *begin[1:], do.glance(readable), *others
+            set_all = do.start, *begin[1:], do.glance(readable), do.set_values(values.other_values(settable))
             follow = [v for v in fmu.variables if v.kind == "Real" and v.variability == "continuous"]
-            usual = *set_all, *into, do.set_time, do.read(follow)
+            usual = *set_all, *iterate, *into, do.set_time, do.read(follow)
             when = f"where it had been read in {mode} before others were set"
-            yield Row(when, (*set_all, do.read(follow)), usual, tolerance=_ROUNDED, may_fail=True)
+            yield Row(when, (*set_all, *iterate, do.read(follow)), usual, tolerance=_ROUNDED, may_fail=True)
 
 
 @differential("4.1.2")

@@ -5,13 +5,12 @@ from functools import partial
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differential
+from fmus.compliance.differential import OF_EXPERIMENT, ROUNDING, Row, differences, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import behaviour_rule
 
 _CLAUSE = "2.1.8"
 _SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
-_OF_TIMES = 1e-12  # relative: this check's times are sums of step sizes or multiples of them
 _SET_BACK = "in the state that was set back"
 _saves, _serialises = values.unless_claimed(_SAVES), values.unless_claimed(_SERIALISES)
 _rule_of_states = partial(differential, _CLAUSE, condition=_saves)
@@ -35,7 +34,7 @@ def state_restores(probe: Probe) -> Iterator[Row]:
 @_rule_of_states()
 def state_restores_exactly(probe: Probe) -> Iterator[Row]:
     """A state that is set back gives exactly the same outputs, for model exchange up to rounding of times."""
-    yield _restored(probe, _OF_TIMES if probe.fmu.is_model_exchange else 0.0)
+    yield _restored(probe, ROUNDING if probe.fmu.is_model_exchange else 0.0)
 
 
 @_rule_of_states()

@@ -72,16 +72,20 @@ def test_a_second_slave_that_refuses_what_is_not_allowed_breaks_no_rule(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("flags", "changes"),
+    ("slave", "flags", "changes"),
     [
-        ("a relation of a parameter", []),  # 3.2.2: it is active in event mode, and frozen after it
-        ("", [('stepSize="0.04"', 'stepSize="0.05"')]),  # whose multiples are no sums
+        # 3.2.2: it is active in event mode, and frozen after it
+        ("Exchange", "a relation of a parameter", []),
+        # multiples of this size are no sums of it
+        ("Exchange", "", [('stepSize="0.04"', 'stepSize="0.05"')]),
+        # 2.2.4: other categories enable none of its messages
+        ("Oscillator", "events are of logAll", [('name="logEvents"', 'name="logAll"')]),
     ],
 )
-def test_an_fmu_for_model_exchange_that_does_nothing_wrong_breaks_no_rule(
-    flags: str, changes: list[tuple[str, str]], tmp_path: Path
+def test_another_fmu_that_does_nothing_wrong_breaks_no_rule(
+    slave: str, flags: str, changes: list[tuple[str, str]], tmp_path: Path
 ) -> None:
-    assert broken_rules(write_slave(tmp_path, "", flags, changes, "Exchange"), is_static=False) == {}
+    assert broken_rules(write_slave(tmp_path, "", flags, changes, slave), is_static=False) == {}
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="patches a library of Linux")
