@@ -178,7 +178,7 @@ def test_identify_writes_to_the_working_folder_and_not_into_the_package(
     command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     gains = {gain.name: gain.low for gain in identification.GAINS}
-    fit = identification.Fit(gains, {}, {}, cost=0.0, evaluations=2, seed=1)
+    fit = identification.IdentifiedGains(gains, {}, {}, cost=0.0, evaluations=2, seed=1)
     monkeypatch.setattr(identification, "identify", lambda *arguments: fit)
     shipped = scenario.SHIPPED / "parameters" / "identified.toml"
     before = shipped.read_bytes()
