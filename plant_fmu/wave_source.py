@@ -11,7 +11,7 @@ from fmus.block import Block, variable
 from fmus.block.guide import Experiment, Guide, Source
 from fmus.numerics import where
 from plant_fmu import waves
-from plant_fmu.waves import Components
+from plant_fmu.waves import Components, WaterMotion
 
 
 class WaveKind(IntEnum):
@@ -66,18 +66,6 @@ class State:
     depth: float = 0.0
 
 
-@dataclass(frozen=True)
-class Outputs:
-    elevation: float = variable(0.0, "Elevation of the surface, positive up", unit="m")
-    wave_velocity: float = variable(0.0, "Vertical orbital velocity at the depth, positive down", unit="m/s")
-    wave_acceleration: float = variable(
-        0.0, "Vertical orbital acceleration at the depth, positive down", unit="m/s2"
-    )
-    wave_pressure_head: float = variable(
-        0.0, "Pressure of the waves at the depth over rho g, positive under a crest", unit="m"
-    )
-
-
 def calculate(p: Parameters) -> Components:
     return where(
         p.kind == WaveKind.REGULAR,
@@ -100,13 +88,12 @@ def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, compon
     return State(inputs.depth)
 
 
-def output(t: float, state: State, p: Parameters, components: Components) -> Outputs:
-    motion = where(
+def output(t: float, state: State, p: Parameters, components: Components) -> WaterMotion:
+    return where(
         p.kind == WaveKind.REGULAR,
         lambda: waves.water_motion(t, state.depth, components, 1),
         lambda: waves.water_motion(t, state.depth, components),
     )
-    return Outputs(motion.elevation, motion.velocity, motion.acceleration, motion.pressure_head)
 
 
 GUIDE = Guide(
@@ -163,6 +150,7 @@ BLOCK = Block.of_module(
     "WaveSource",
     "Regular or irregular waves in deep water, at the depth of a vehicle",
     calculated=Components,
+    outputs=WaterMotion,
     stop_time=160.0,
     step_size=0.02,
     license="MIT",

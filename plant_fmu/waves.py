@@ -45,17 +45,16 @@ class Components:
 
 @dataclass(frozen=True)
 class WaterMotion:
-    """Motion of the water at a depth.
+    """Motion of the water at a depth."""
 
-    elevation: of the surface [m], positive up
-    velocity, acceleration: vertical [m/s, m/s2], positive down
-    pressure_head: pressure of the waves over rho g [m], positive under a crest
-    """
-
-    elevation: float
-    velocity: float
-    acceleration: float
-    pressure_head: float
+    elevation: float = variable(0.0, "Elevation of the surface, positive up", unit="m")
+    wave_velocity: float = variable(0.0, "Vertical orbital velocity at the depth, positive down", unit="m/s")
+    wave_acceleration: float = variable(
+        0.0, "Vertical orbital acceleration at the depth, positive down", unit="m/s2"
+    )
+    wave_pressure_head: float = variable(
+        0.0, "Pressure of the waves at the depth over rho g, positive under a crest", unit="m"
+    )
 
 
 def water_motion(t: float, depth: float, waves: Components, count: int = COMPONENTS) -> WaterMotion:
@@ -73,9 +72,9 @@ def water_motion(t: float, depth: float, waves: Components, count: int = COMPONE
     displacements = tuple(a * sin(angle) for a, angle in zip(decayed, angles, strict=True))
     return WaterMotion(
         elevation=matmul(waves.amplitude[:count], cosines),
-        velocity=matmul(waves.angular_frequency[:count], displacements),
-        acceleration=GRAVITY * matmul(waves.wave_number[:count], heads),
-        pressure_head=matmul((1.0,) * count, heads),
+        wave_velocity=matmul(waves.angular_frequency[:count], displacements),
+        wave_acceleration=GRAVITY * matmul(waves.wave_number[:count], heads),
+        wave_pressure_head=matmul((1.0,) * count, heads),
     )
 
 

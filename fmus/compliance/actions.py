@@ -72,7 +72,7 @@ def read_all(when: str = "", where: str = "") -> Action:
 
 def glance_all(script: Script) -> None:
     """Reads all variables, which are not compared."""
-    script.read(script.variables)
+    script.read(script.probe.fmu.variables)
 
 
 def go_on_reading(steps: int, readings: int, when: str = "", observed: Sequence[Variable] = ()) -> Action:

@@ -31,8 +31,8 @@ _ROUGH = 0.25  # of the rise of the sum of squares that the linear model predict
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """An estimate: value and interval of `LEVEL` in the unit of the parameter.
+class ParameterEstimate:
+    """An estimate of a parameter: value and interval of `LEVEL` in the unit of the parameter.
 
     note: empty, or why the interval is as it is
     """
@@ -51,7 +51,7 @@ class Analysis:
     rough: names of the parameters whose intervals are wrong by more than a few per cent of their length
     """
 
-    estimates: tuple[Estimate, ...]
+    estimates: tuple[ParameterEstimate, ...]
     noise: float
     correlation_time: float
     undetermined: tuple[str, ...]
@@ -101,7 +101,7 @@ def analysed(search: LeastSquares, series: Callable[[np.ndarray], Sequence[np.nd
     factor = float(student.ppf(0.5 + 0.5 * LEVEL, max(1.0, len(residuals) / tau - len(free))))
     estimates = []
     for i, (one, x) in enumerate(zip(free, best, strict=True)):
-        estimate = Estimate(one, value_at(one, float(x)), one.low, one.high, limits[i])
+        estimate = ParameterEstimate(one, value_at(one, float(x)), one.low, one.high, limits[i])
         if i in inside:
             row = inside.index(i)
             if unknown[row]:

@@ -17,7 +17,7 @@ from fmus.errors import nearest
 from fmus.fmi.description import describe, start_value
 from orchestration.errors import OrchestrationError
 from orchestration.fit.dive import DATA, DEPTHS, Dive
-from orchestration.fit.intervals import LEVEL, Analysis, Estimate, analysed
+from orchestration.fit.intervals import LEVEL, Analysis, ParameterEstimate, analysed
 from orchestration.fit.least_squares import LeastSquares, Values, coordinate, values_at
 from orchestration.many.job import Failure, Job, Run
 from orchestration.many.run_many import LocalRuns, in_order, recordings_of
@@ -54,7 +54,7 @@ class VehicleFit:
     ended: str
 
     @property
-    def of_vehicle(self) -> Iterator[tuple[str, Estimate]]:
+    def of_vehicle(self) -> Iterator[tuple[str, ParameterEstimate]]:
         """Each fitted variable, "plant.NAME", with its estimate; depths at the start of dives are none."""
         for estimate in self.analysis.estimates:
             if not estimate.free.name.startswith(f"{DATA}."):

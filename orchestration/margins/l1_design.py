@@ -189,7 +189,7 @@ def _vehicle(
     gains = (1.0,)
     if actuators.in_volts and np.isfinite(actuators.gains).all():
         assumed = _pair(controller, "thruster_scale" if actuators.table else "thruster_gain")
-        gains = tuple(0.5 * gain / divisor for gain, divisor in zip(vehicle.gains, assumed, strict=True))
+        gains = tuple(0.5 * gain / divisor for gain, divisor in zip(vehicle.gains, assumed, strict=False))
     lags = vehicle.lags
     if len(lags) != len(gains):  # of a vehicle without gains, whose force has one lag
         lags = (max(lags, default=0.0),) * len(gains)

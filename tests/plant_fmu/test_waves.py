@@ -47,7 +47,7 @@ def test_the_surface_moves_as_the_water_at_it() -> None:
     for t in (0.0, 3.0, 100.0):
         before, after = (waves.water_motion(t + s, 0.0, sea).elevation for s in (-dt, dt))
         # central differences leave w^3 dt^2 / 6 of the amplitude, and rounding 1e-16 m / 1e-5 s
-        assert -waves.water_motion(t, 0.0, sea).velocity == pytest.approx(
+        assert -waves.water_motion(t, 0.0, sea).wave_velocity == pytest.approx(
             (after - before) / (2 * dt), abs=1e-8
         )
 
@@ -55,9 +55,9 @@ def test_the_surface_moves_as_the_water_at_it() -> None:
 @given(st.floats(0.0, 1e4), st.floats(-1.0, 20.0), st.integers(1, 1000))
 def test_the_acceleration_is_the_derivative_of_the_velocity(t: float, depth: float, seed: int) -> None:
     sea, dt = waves.jonswap_sea(0.4, 5.0, 3.3, seed), 1e-4
-    before, after = (waves.water_motion(t + s, depth, sea).velocity for s in (-dt, dt))
+    before, after = (waves.water_motion(t + s, depth, sea).wave_velocity for s in (-dt, dt))
     # w^4 dt^2 / 6 of 0.1 m at most, w = 5 rad/s; and a time of 1e4 s has 2e-12 s of rounding, over 2e-4 s
-    assert waves.water_motion(t, depth, sea).acceleration == pytest.approx(
+    assert waves.water_motion(t, depth, sea).wave_acceleration == pytest.approx(
         (after - before) / (2 * dt), abs=3e-7
     )
 
@@ -68,7 +68,7 @@ def test_every_component_has_the_wave_number_of_deep_water_and_decays_by_it() ->
     for i in range(waves.COMPONENTS):
         a, k = sea.amplitude[i], sea.wave_number[i]
         one = waves.Components((a,), (sea.angular_frequency[i],), (k,), (0.0,))
-        heads = [waves.water_motion(0.0, z, one, 1).pressure_head for z in (1.0, 1.5)]
+        heads = [waves.water_motion(0.0, z, one, 1).wave_pressure_head for z in (1.0, 1.5)]
         assert heads == pytest.approx([a * math.exp(-k), a * math.exp(-1.5 * k)])
 
 
