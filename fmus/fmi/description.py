@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 from fmus.errors import FmuLoadError, nearest
 from fmus.fmi.model_description import ModelDescription, ScalarVariable, model_description
 from fmus.fmi.variable_types import FmiValue
-from fmus.registry import block_fmus, is_in_cache
+from fmus.registry import block_fmus, block_names, is_in_cache
 from fmus.store import is_own_build, keep_fmus, reason_for_distrust
 
 _MOST_DESCRIPTIONS = 256  # that stay in memory
@@ -52,7 +52,9 @@ def describe_any(path: Path) -> ModelDescription:
         for block, flavour in block_fmus([path]):
             command = f"l1-depth build --cache --flavour {flavour} {block}"
             raise FmuLoadError(f"the FMU of block {block} is not built: {command} writes {path}")
-        raise FmuLoadError(f"no FMU at {path}; in that folder, {nearest(path.name, beside)}")
+        name = path.stem  # of a block, or of the file that a build of it would write
+        build = f"; l1-depth build {name} writes fmus-built/{name}.fmu" if name in block_names() else ""
+        raise FmuLoadError(f"no FMU at {path}; in that folder, {nearest(path.name, beside)}{build}")
     return _read(path, FileVersion.of(path))
 
 

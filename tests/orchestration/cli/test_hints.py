@@ -250,7 +250,17 @@ def test_inspect_takes_what_other_commands_take(command: Command, error: Callabl
     for given, name in (("BlueRov2Plant", "BlueRov2Plant"), ("rover.py", "Rover")):
         assert command("inspect", given).stdout.startswith(f"{name}: ")
     assert "nearest is 'BlueRov2Plant'" in error("inspect", "BlueRov2Plan")
-    assert "no FMU at rover.fmu" in error("inspect", "rover.fmu")
+    assert error("inspect", "rover.fmu").endswith("no FMU at rover.fmu; in that folder, there are none")
+
+
+@pytest.mark.parametrize("given", ["ExamplePlant", "fmus-built/ExamplePlant.fmu"])
+def test_a_block_that_is_not_built_is_told_with_the_command_that_builds_it(
+    command: Command, tmp_path: Path, given: str
+) -> None:
+    message = command("check", given, expect=2).stderr.strip()
+    ((built, written),) = re.findall(r"; l1-depth (build \S+) writes (\S+)$", message)
+    command(*built.split())
+    assert (tmp_path / written).is_file()
 
 
 @pytest.mark.parametrize("name", ["design", "fit"])
