@@ -103,7 +103,8 @@ def axis_of_pitch(case: L1Case) -> L1Case:
     law = {**case.law, **law, "depth_feedback_gain": law["feedback_gain"]}
     plant = {**case.plant, "initial_depth": case.plant["initial_pitch"], "sensor_resolution": 0.0}
     still = {"noise": (), "reference": lambda t: 0.0, "water": lambda t, depth: STILL, "body": Heave}
-    return replace(case, plant=plant, law=law, augmentation=case.pitch_augmentation, **still)
+    own = {"augmentation": case.pitch_augmentation, "feedforward": "none"}
+    return replace(case, plant=plant, law=law, **own, **still)
 
 
 class HeavePitch:

@@ -36,9 +36,9 @@ def shipped_case(loaded: Scenario) -> L1Case:
         reference_rate=slope,
         ideal=bool(given.get("plant.sensor_ideal", False)),
         reference=cache(signals["controller.depth_reference"]),  # asked for several times at each time
-        force=signals.get("plant.external_force", lambda t: 0.0),
-        moment=lambda t: float(experiment.inputs.get("plant.external_moment", 0.0)),
-        current=signals.get("plant.current_velocity", lambda t: 0.0),
+        force=signals.get("plant.external_force", lambda t: values["plant"]["external_force"]),
+        moment=lambda t: values["plant"].get("external_moment", 0.0),
+        current=signals.get("plant.current_velocity", lambda t: values["plant"]["current_velocity"]),
         water=_water(loaded) if "waves" in loaded.system.components else lambda t, depth: STILL,
         efficiency=lambda t: (first(t), second(t)),
         duration=experiment.stop_time,

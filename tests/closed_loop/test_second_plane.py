@@ -61,7 +61,7 @@ LOOPS: dict[str, tuple[str, Settings]] = {
     "both, limited": ("heave-pitch", {**BOTH, **LIMITED}),
     "both, limited, pitch first": ("heave-pitch", {**BOTH, **LIMITED, "controller.priority": "pitch"}),
     "depth alone": ("heave-pitch", {**SMALL, **TURNED, "controller": "L1DepthController"}),
-    "current": ("hold-current", BOTH),
+    "current": ("heave-pitch", {**BOTH, "plant.current_velocity": 0.05}),
     "sea": ("hold-jonswap-sea", BOTH),
     "BlueROV2": ("nominal-extended", {**BLUE, **INVERSE}),
     "BlueROV2, dead band": ("nominal-extended", {**BLUE, **LINE}),
