@@ -7,6 +7,7 @@ from orchestration.scenarios.scenario import Scenario
 
 # of the sensor, what no other program can repeat: noise, and rounding to a resolution
 SMOOTH = {"plant.sensor_noise": 0.0, "plant.sensor_resolution": 0.0}
+KINDS, BOOLEANS = ("Real", "Boolean"), {"true": 1.0, "false": 0.0}
 
 
 def component_values(loaded: Scenario) -> dict[str, dict[str, float]]:
@@ -14,9 +15,10 @@ def component_values(loaded: Scenario) -> dict[str, dict[str, float]]:
     given: dict[str, Any] = {**loaded.experiment.parameters, **loaded.experiment.inputs}
     values: dict[str, dict[str, float]] = {}
     for component, fmu in loaded.system.components.items():
-        starts: dict[str, Any] = {v.name: v.start for v in describe(fmu).modelVariables if v.type == "Real"}
+        starts: dict[str, Any] = {v.name: v.start for v in describe(fmu).modelVariables if v.type in KINDS}
         own = {name: given.get(f"{component}.{name}", start) for name, start in starts.items()}
-        values[component] = {name: float(value) for name, value in own.items() if value is not None}
+        numbers = {name: BOOLEANS.get(value, value) for name, value in own.items()}
+        values[component] = {name: float(value) for name, value in numbers.items() if value is not None}
     return values
 
 

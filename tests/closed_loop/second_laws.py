@@ -1,40 +1,51 @@
 """Five laws of depth control in the loop of `second_loop`, from their equations alone.
 
     PID             u = -k_p e - k_i int e - k_d (v - beta r') + beta D r'
-    MRAC            u = -k_m x + f - theta |x|_inf - sigma,   f = (D + k_m2) r' + k_m1 r,   x = (y, v)
+    MRAC            u = -k_m x + f - theta |x|_inf - sigma,   f = M r'' + (D + k_m2) r' + k_m1 r,   x = (y, v)
                     x_m' = A_m x_m + B (f + u_d - u)
                     theta' = G Proj(theta, (x - x_m)' P B |x|_inf),   sigma' = G Proj(sigma, (x - x_m)' P B)
-    sliding mode    u = -M (2 l e' + l^2 e) + D v - K sat(s / phi),   s = e' + 2 l e + l^2 int e
-    super-twisting  u = -M l e' + D v - k_1 sqrt|s| g + nu,   nu' = -k_2 g,   s = e' + l e
+    sliding mode    u = M (r'' - 2 l e' - l^2 e) + D v - K sat(s / phi),   s = e' + 2 l e + l^2 int e
+    super-twisting  u = M (r'' - l e') + D v - k_1 sqrt|s| g + nu,   nu' = -k_2 g,   s = e' + l e
                     g = s / (|s| + eps)
-    ADRC            u = M (w_c^2 (r - z_1) + 2 w_c (r' - z_2) - z_3)
+    ADRC            u = M (w_c^2 (r - z_1) + 2 w_c (r' - z_2) + r'' - z_3)
                     z_1' = z_2 + 3 w_o i,   z_2' = z_3 + u_d / M + 3 w_o^2 i,   z_3' = w_o^3 i,   i = y - z_1
 
-y, v: measured depth and its rate, e = y - r, e' = v - r', r'' = 0; u_d: what the thrusters deliver. A law
-holds y, v, r and r' over a step, and its states go on by the Runge-Kutta method; f drives x_m as part of the
-control in force. An integral holds where its change would widen a saturation.
+y, v: measured depth and its rate, e = y - r, e' = v - r'; u_d: what the thrusters deliver. A law holds y, v,
+r, r' and r'' over a step, and its states go on by the Runge-Kutta method; f drives x_m as part of the control
+in force. An integral holds where its change would widen a saturation.
 Sources: Astrom and Hagglund (2006); Ioannou and Sun (1996); Slotine and Li (1991); Levant (1993); Gao (2003).
 """
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
-from tests.closed_loop.second_loop import Case, Pair, State, advanced, largest_force, projected
+from tests.closed_loop.second_loop import (
+    Case,
+    Measured,
+    Pair,
+    State,
+    advanced,
+    largest_force,
+    projected,
+    unless_wider,
+)
 
 
 @dataclass(frozen=True)
 class Known:
-    """What a law knows at a communication point: y [m], v [m/s], r [m], r' [m/s]."""
+    """What a law knows at a communication point: y [m], v [m/s], r [m], r' [m/s], r'' [m/s2]."""
 
     depth: float
     rate: float
     reference: float
     reference_rate: float
+    reference_acceleration: float
 
     @property
     def error(self) -> float:
@@ -46,26 +57,32 @@ class Known:
 
 
 class HeldLaw:
-    """A law whose states follow from what it knew at the beginning of the step.
-
-    reference_rate: r' [m/s] of time [s]
-    """
+    """A law whose states follow from what it knew at the beginning of the step."""
 
     state: State = (0.0,)
 
-    def __init__(self, case: Case, step: float, reference_rate: Callable[[float], float]) -> None:
-        self.case, self.step, self.reference_rate = case, step, reference_rate
-        self.p = case.law
+    def __init__(self, case: Case, step: float) -> None:
+        self.case, self.step = case, step
+        self.p, self.limit = case.law, largest_force(case.plant)
         self.known = self._known(0.0, (case.first_reading, 0.0))
 
     def _known(self, t: float, x: Pair) -> Known:
-        return Known(*x, self.case.reference(t), self.reference_rate(t))
+        case = self.case
+        return Known(*x, case.reference(t), case.reference_rate(t), case.reference_acceleration(t))
 
-    def advance(self, t: float, x: Pair, u: float) -> None:
-        limit = largest_force(self.case.plant)
-        withheld, now = max(-limit, min(limit, u)) - u, self._known(t, x)
+    @property
+    def start(self) -> State:
+        return self.state
+
+    def advance(self, t: float, measured: Measured, u: Any) -> None:
+        withheld, now = max(-self.limit, min(self.limit, u)) - u, self._known(t, measured[0])
         self.state = advanced(lambda state: self.rates(state, now, u, withheld), self.state, self.step)
         self.known = now
+
+    def at(self, t: float, measured: Measured, state: State) -> tuple[float, State]:
+        self.known, self.state = self._known(t, measured[0]), state
+        u = self.control()
+        return u, self.rates(state, self.known, u, max(-self.limit, min(self.limit, u)) - u)
 
     @abstractmethod
     def control(self) -> float:
@@ -74,11 +91,6 @@ class HeldLaw:
     @abstractmethod
     def rates(self, state: State, now: Known, u: float, withheld: float) -> State:
         """Of the states while u is demanded; withheld: u_d - u."""
-
-
-def unless_wider(rate: float, change_of_u: float, withheld: float) -> float:
-    """The rate of an integral, 0 where the change that it makes to u would widen a saturation."""
-    return 0.0 if change_of_u * withheld < 0.0 else rate
 
 
 class Pid(HeldLaw):
@@ -95,8 +107,8 @@ class Pid(HeldLaw):
 class Mrac(HeldLaw):
     """States: x_m (2), theta, sigma."""
 
-    def __init__(self, case: Case, step: float, reference_rate: Callable[[float], float]) -> None:
-        super().__init__(case, step, reference_rate)
+    def __init__(self, case: Case, step: float) -> None:
+        super().__init__(case, step)
         m, self.damping = self.p["model_inertia"], self.p["model_damping"] + self.p["rate_gain"]
         self.a, self.b = (-self.p["depth_gain"] / m, -self.damping / m), 1.0 / m
         q = np.diag([self.p["lyapunov_weight[1]"], self.p["lyapunov_weight[2]"]])
@@ -106,7 +118,9 @@ class Mrac(HeldLaw):
 
     def ahead(self) -> float:
         """f [N]."""
-        return self.damping * self.known.reference_rate + self.p["depth_gain"] * self.known.reference
+        p, k = self.p, self.known
+        accelerating = p["model_inertia"] * k.reference_acceleration
+        return accelerating + self.damping * k.reference_rate + p["depth_gain"] * k.reference
 
     def control(self) -> float:
         p, k, (_, _, theta, sigma) = self.p, self.known, self.state
@@ -130,7 +144,8 @@ class SlidingMode(HeldLaw):
         p, k, w = self.p, self.known, self.p["error_bandwidth"]
         s = k.error_rate + 2.0 * w * k.error + w * w * self.state[0]
         layer = max(-1.0, min(1.0, s / p["boundary_layer"]))
-        equivalent = -p["model_inertia"] * (2.0 * w * k.error_rate + w * w * k.error)
+        acceleration = k.reference_acceleration - 2.0 * w * k.error_rate - w * w * k.error
+        equivalent = p["model_inertia"] * acceleration
         return equivalent + p["model_damping"] * k.rate - p["switching_gain"] * layer
 
     def rates(self, state: State, now: Known, u: float, withheld: float) -> State:
@@ -145,7 +160,8 @@ class SuperTwisting(HeldLaw):
 
     def control(self) -> float:
         p, k, (root, g) = self.p, self.known, self.direction(self.known)
-        equivalent = -p["model_inertia"] * p["error_bandwidth"] * k.error_rate + p["model_damping"] * k.rate
+        acceleration = k.reference_acceleration - p["error_bandwidth"] * k.error_rate
+        equivalent = p["model_inertia"] * acceleration + p["model_damping"] * k.rate
         return equivalent - p["root_gain"] * root * g + self.state[0]
 
     def rates(self, state: State, now: Known, u: float, withheld: float) -> State:
@@ -154,15 +170,15 @@ class SuperTwisting(HeldLaw):
 
 
 class Adrc(HeldLaw):
-    def __init__(self, case: Case, step: float, reference_rate: Callable[[float], float]) -> None:
-        super().__init__(case, step, reference_rate)
+    def __init__(self, case: Case, step: float) -> None:
+        super().__init__(case, step)
         self.state = (case.first_reading, 0.0, 0.0)
 
     def control(self) -> float:
         p, k, (z_1, z_2, z_3) = self.p, self.known, self.state
         w = p["control_bandwidth"]
         acceleration = w * w * (k.reference - z_1) + 2.0 * w * (k.reference_rate - z_2)
-        return p["model_inertia"] * (acceleration - z_3)
+        return p["model_inertia"] * (acceleration + k.reference_acceleration - z_3)
 
     def rates(self, state: State, now: Known, u: float, withheld: float) -> State:
         z_1, z_2, z_3 = state
@@ -173,3 +189,12 @@ class Adrc(HeldLaw):
             z_3 + acceleration + 3.0 * w**2 * innovation,
             w**3 * innovation,
         )
+
+
+LAWS: Mapping[str, type[HeldLaw]] = {
+    "PidDepthController": Pid,
+    "MracDepthController": Mrac,
+    "SlidingModeDepthController": SlidingMode,
+    "SuperTwistingDepthController": SuperTwisting,
+    "AdrcDepthController": Adrc,
+}

@@ -22,15 +22,24 @@ the interval between the last two measurements, x on a line, and the filter then
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import numpy as np
-from scipy.integrate import solve_ivp
 from scipy.linalg import solve_continuous_lyapunov
 
-from tests.closed_loop.second_loop import Case, Pair, State, advanced, projected, run, vehicle
+from tests.closed_loop.second_loop import (
+    Case,
+    Measured,
+    Pair,
+    State,
+    advanced,
+    largest_force,
+    projected,
+    run,
+    unless_wider,
+)
 
 
 class LawStep(Enum):
@@ -46,24 +55,26 @@ class L1Case(Case):
 
     learns_from_all: whether u_w is u_ap; piecewise: A_s [1/s] times the identity and Ts [s] of the
     piecewise-constant law, if that adapts
-    reference_rate: r' [m/s] of time [s]
+    pitch_augmentation, priority (heave or pitch): of the law of both axes
     """
 
     augmentation: str
+    pitch_augmentation: str = "none"
+    priority: str = "heave"
     feedforward: str
     learns_from_all: bool
     piecewise: Pair | None
-    reference_rate: Callable[[float], float]
 
 
 class Equations:
-    """The rates of the vehicle (z, w, F) and of the law (x_hat, theta, sigma, omega, u_a, int e)."""
+    """The rates of the law (x_hat, theta, sigma, omega, u_a, int e)."""
 
     def __init__(self, case: L1Case) -> None:
         self.case, p = case, case.law
         m, d = p["model_inertia"], p["model_damping"]
         self.k_m = (p["depth_feedback_gain"], p["rate_feedback_gain"])
-        self.a, self.b = (-self.k_m[0] / m, -(d + self.k_m[1]) / m), 1.0 / m
+        stiffness = p.get("model_stiffness", 0.0)
+        self.a, self.b = (-(stiffness + self.k_m[0]) / m, -(d + self.k_m[1]) / m), 1.0 / m
         a_m, b = np.array([[0.0, 1.0], self.a]), np.array([0.0, self.b])
         q = np.diag([p["lyapunov_weight[1]"], p["lyapunov_weight[2]"]])
         self.pb = (solve_continuous_lyapunov(a_m.T, -q) @ b).tolist()
@@ -91,9 +102,10 @@ class Equations:
         return -p["small_error_gain"] * e / delta ** (1.0 - alpha)
 
     def feedforward(self, t: float) -> float:
-        """f = M r'' + (D + k_m2) r' + k_m1 r, r'' = 0."""
-        damping = self.case.law["model_damping"] + self.k_m[1]
-        return damping * self.case.reference_rate(t) + self.k_m[0] * self.case.reference(t)
+        """f = M r'' + (D + k_m2) r' + k_m1 r."""
+        case, damping = self.case, self.case.law["model_damping"] + self.k_m[1]
+        accelerating = case.law["model_inertia"] * case.reference_acceleration(t)
+        return accelerating + damping * case.reference_rate(t) + self.k_m[0] * case.reference(t)
 
     def demand(self, t: float, omega: float) -> float:
         """What the filter drives eta_hat to."""
@@ -121,37 +133,29 @@ class Equations:
         """u_a', known = theta |x|_inf + sigma."""
         return -self.case.law["filter_bandwidth"] * (omega * u_a + known - demand)
 
+    @property
+    def start(self) -> State:
+        """(x_hat, theta, sigma, omega, u_a, int e)."""
+        return self.case.first_reading, 0.0, 0.0, 0.0, self.case.law["input_gain"], 0.0, 0.0
 
-def continuous(case: L1Case, times: np.ndarray) -> np.ndarray:
-    """The depth at these times: vehicle and law as one differential equation, sensor and velocity ideal."""
-    equations = Equations(case)
-
-    def rates(t: float, state: np.ndarray) -> State:
-        values = tuple(state.tolist())
-        x, r, (theta, sigma, omega, u_a), f = (
-            values[:2],
-            case.reference(t),
-            values[5:9],
-            equations.feedforward(t),
-        )
-        u = equations.control(x, x[0] - r, u_a, values[9], f)
+    def at(self, t: float, measured: Measured, state: State) -> tuple[float, State]:
+        """u, and the rates of the states without a sampled law."""
+        (*_, theta, sigma, omega, u_a, integral), x, f = state, measured[0], self.feedforward(t)
+        e = x[0] - self.case.reference(t)
+        u = self.control(x, e, u_a, integral, f)
+        law = self.predictor(state[:5], x, u, self.learnt(u_a, f))
         known = theta * max(abs(x[0]), abs(x[1])) + sigma
-        body = vehicle(case.plant, values[:3], u, case.force(t))
-        law = equations.predictor(values[3:8], x, u, equations.learnt(u_a, f))
-        return *body, *law, equations.filter(u_a, known, omega, equations.demand(t, omega)), x[0] - r
-
-    z = case.plant["initial_depth"]
-    start = [z, 0.0, 0.0, z, 0.0, 0.0, 0.0, case.law["input_gain"], 0.0, 0.0]
-    solved = solve_ivp(
-        rates, (times[0], times[-1]), start, t_eval=times, rtol=1e-8, atol=1e-10, max_step=0.05
-    )
-    return solved.y[0]
+        return u, (*law, self.filter(u_a, known, omega, self.demand(t, omega)), e)
 
 
 def sampled(case: L1Case, step: float, law_step: LawStep) -> dict[str, np.ndarray]:
     """Time, depth, reference and demanded force at communication points `step` s apart."""
-    law = _PiecewiseLaw if case.piecewise else _Law
-    return run(case, step, law(Equations(case), step, law_step))
+    return run(case, step, law_of(case, step, law_step))
+
+
+def law_of(case: L1Case, step: float, kind: LawStep) -> "_Law":
+    """The law between communication points."""
+    return (_PiecewiseLaw if case.piecewise else _Law)(Equations(case), step, kind)
 
 
 class _Law:
@@ -159,6 +163,7 @@ class _Law:
 
     def __init__(self, equations: Equations, step: float, kind: LawStep) -> None:
         self.equations, self.step, self.kind = equations, step, kind
+        self.limit = largest_force(equations.case.plant)
         measured = equations.case.first_reading, 0.0
         self.x, self.e = measured, measured[0] - equations.case.reference(0.0)
         self.before = 0.0, 0.0  # u and u_w that the vehicle received before the measurement
@@ -170,10 +175,18 @@ class _Law:
     def control(self) -> float:
         return self.equations.control(self.x, self.e, self.u_a, self.integral, self.f)
 
-    def advance(self, t: float, x: Pair, u: float) -> None:
-        r, before = self.equations.case.reference(t), (u, self.equations.learnt(self.u_a, self.f))
-        self.u_a = self.adapted(x, t)
-        self.integral += self.step * (x[0] - r)
+    def advance(self, t: float, measured: Measured, u: Any, given: float | None = None) -> None:
+        """given: what of u the thrusters deliver, if the limit is not that of both together.
+
+        The filter, too, holds where its change would widen a saturation (docs/explanation/theory.md).
+        """
+        x = measured[0]
+        r, e = self.equations.case.reference(t), x[0] - self.equations.case.reference(t)
+        delivered = max(-self.limit, min(self.limit, u)) if given is None else given
+        before = delivered, self.equations.learnt(self.u_a, self.f)
+        change = self.adapted(x, t) - self.u_a
+        self.u_a += unless_wider(change, change, delivered - u)
+        self.integral += self.step * unless_wider(e, -e, delivered - u)
         self.x, self.e, self.before, self.is_first = x, x[0] - r, before, False
         self.f = self.equations.feedforward(t)
 

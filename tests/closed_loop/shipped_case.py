@@ -8,9 +8,11 @@ from functools import cache
 from orchestration.run import simulate
 from orchestration.scenarios.scenario import Scenario
 from tests.closed_loop.same_experiment import component_values, slope
-from tests.closed_loop.second_loop import STILL, Water
+from tests.closed_loop.second_loop import STILL, Heave, Water
+from tests.closed_loop.second_plane import Plane
 from tests.closed_loop.second_program import L1Case
 
+NO_OBSERVER = {"observer_period": 0.04, "observer_alpha": 0.0, "observer_beta": 0.0}  # of ours: ADRC
 PIECEWISE = (-0.1, 0.04)  # A_s [1/s] and Ts [s] of the FMU
 
 
@@ -24,19 +26,23 @@ def shipped_case(loaded: Scenario) -> L1Case:
     )
     return L1Case(
         plant=values["plant"],
-        law=values["controller"],
+        law={**NO_OBSERVER, **values["controller"]},
         augmentation=str(given.get("controller.augmentation", "none")),
+        pitch_augmentation=str(given.get("controller.pitch_augmentation", "none")),
+        priority=str(given.get("controller.priority", "heave")),
         feedforward=str(given.get("controller.reference_feedforward", "none")),
         learns_from_all=given.get("controller.input_gain_regressor") == "adaptive_control_and_extension",
         piecewise=PIECEWISE if "controller.adaptation_law" in given else None,
         reference_rate=slope,
         ideal=bool(given.get("plant.sensor_ideal", False)),
         reference=cache(signals["controller.depth_reference"]),  # asked for several times at each time
-        force=signals.get("plant.external_force", lambda t: 0.0),
-        current=signals.get("plant.current_velocity", lambda t: 0.0),
+        force=signals.get("plant.external_force", lambda t: values["plant"]["external_force"]),
+        moment=lambda t: values["plant"].get("external_moment", 0.0),
+        current=signals.get("plant.current_velocity", lambda t: values["plant"]["current_velocity"]),
         water=_water(loaded) if "waves" in loaded.system.components else lambda t, depth: STILL,
-        efficiency=lambda t: 0.5 * (first(t) + second(t)),
+        efficiency=lambda t: (first(t), second(t)),
         duration=experiment.stop_time,
+        body=Plane if "pitch_inertia" in values["plant"] else Heave,
     )
 
 
@@ -53,7 +59,8 @@ def _water(loaded: Scenario) -> Callable[[float, float], Water]:
         components = [(amplitude, 2.0 * math.pi / period, 0.0)]
 
     def water(t: float, depth: float) -> Water:
-        moved = [(a * math.exp(-w * w / 9.81 * depth), w, w * t + phase) for a, w, phase in components]
+        below = max(0.0, depth)  # above the mean surface the water moves as at it
+        moved = [(a * math.exp(-w * w / 9.81 * below), w, w * t + phase) for a, w, phase in components]
         velocity = sum(a * w * math.sin(angle) for a, w, angle in moved)
         acceleration = sum(a * w * w * math.cos(angle) for a, w, angle in moved)
         return velocity, acceleration, sum(a * math.cos(angle) for a, _, angle in moved)

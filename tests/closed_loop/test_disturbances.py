@@ -1,4 +1,4 @@
-"""Disturbed vehicles against SciPy and against frequency responses in closed form."""
+"""Disturbed vehicles against frequency responses in closed form, and the figures of the page."""
 
 import math
 from pathlib import Path
@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from fmus.registry import Flavour, fmu_path
 from orchestration.results import metrics
@@ -63,21 +62,6 @@ def disturbed(
         record=("plant.depth",), open_inputs=OpenInputs.START,
     )  # fmt: skip
     return simulate(System({"plant": plant}, connections or []), experiment)
-
-
-def test_the_vehicle_under_a_sine_is_what_scipy_integrates(scenario_fmus: None) -> None:
-    """A force held for 20 ms is one 10 ms late, but for (0.02 s * 1.26 rad/s)^2 / 24 of it."""
-    step = 0.02
-    own = disturbed(sine(1.0, 0.2), 30.0, step)
-
-    def rates(t: float, x: np.ndarray) -> list[float]:
-        force = math.sin(OMEGA * (t - 0.5 * step))
-        return [x[1], (force - 2.5 * x[1] - 7.0 * abs(x[1]) * x[1]) / 5.5]
-
-    exact = solve_ivp(rates, (0.0, 30.0), [5.0, 0.0], t_eval=own.time, rtol=1e-10, atol=1e-12)
-    moved = own["plant.depth"] - 5.0
-    assert np.abs(moved).max() > 0.1
-    np.testing.assert_allclose(moved, exact.y[0] - 5.0, rtol=0.0, atol=3e-5 * np.abs(moved).max())
 
 
 @pytest.mark.parametrize(("stiffness", "damping"), [(20.0, 10.0), (4.0, 30.0)])

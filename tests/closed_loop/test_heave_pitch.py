@@ -1,5 +1,6 @@
 """The controller of both axes on the vehicle that pitches, beside the controller of the depth alone."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -60,3 +61,14 @@ def test_with_equal_thrusters_the_depth_is_followed_as_by_the_controller_of_the_
     # the sensor is 8 cm forward: 2 mrad of pitch are 0.16 mm of depth
     np.testing.assert_allclose(both["plant.depth"], alone["plant.depth"], atol=2e-3)
     assert rmse(both) == pytest.approx(rmse(alone), abs=2e-3)
+
+
+def test_by_measured_rates_the_law_gets_that_of_the_pitch_too() -> None:
+    """The law gets the true rate of both axes."""
+    name = scenario.find("heave-pitch")
+    loaded = scenario.load(name, settings={"controller.velocity_source": "measured"})
+    record = ("controller.estimated_pitch_rate", "plant.pitch_rate")
+    run = simulate(loaded.system, replace(loaded.experiment, stop_time=10.0, record=record))
+    taken, true = run["controller.estimated_pitch_rate"], run["plant.pitch_rate"]
+    # Jacobi: an output follows from the inputs of the point before
+    np.testing.assert_array_equal(taken[1:], true[:-1])

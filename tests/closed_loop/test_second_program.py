@@ -15,7 +15,8 @@ from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.signals import values_at
 from tests.closed_loop.same_experiment import SMOOTH
-from tests.closed_loop.second_program import LawStep, continuous, sampled
+from tests.closed_loop.second_loop import continuous
+from tests.closed_loop.second_program import Equations, LawStep, sampled
 from tests.closed_loop.shipped_case import noisy_case, shipped_case
 
 IDEAL = {"plant.sensor_ideal": True, "controller.velocity_source": "measured"}
@@ -168,7 +169,8 @@ def limits_of(loaded: Sequence[Scenario]) -> list[dict[str, float]]:
     """The figures of the continuous system at the communication points of each, the last of them the most."""
     finest = loaded[-1].experiment
     times, reference = finest.time_grid(), finest.signals["controller.depth_reference"]
-    depth = continuous(shipped_case(loaded[-1]), times)
+    case = shipped_case(loaded[-1])
+    depth = continuous(case, times, Equations(case))[:, 0]
     columns = {"time": times, "depth": depth, "reference": values_at(reference, times)}
     every = [(len(times) - 1) // (len(one.experiment.time_grid()) - 1) for one in loaded]
     return [

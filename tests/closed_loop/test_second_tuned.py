@@ -14,22 +14,14 @@ from orchestration.run import simulate
 from orchestration.scenarios.scenario import Scenario
 from orchestration.score.closed_loop import ClosedLoop, Controller, tuned
 from orchestration.score.protocol import read_protocol
-from tests.closed_loop.same_experiment import SMOOTH, slope
-from tests.closed_loop.second_laws import Adrc, Mrac, Pid, SlidingMode, SuperTwisting
-from tests.closed_loop.second_loop import Case, run
+from tests.closed_loop.same_experiment import SMOOTH
+from tests.closed_loop.second_laws import LAWS
+from tests.closed_loop.second_loop import run
 from tests.closed_loop.second_program import LawStep, sampled
 from tests.closed_loop.shipped_case import shipped_case
 
 PROTOCOL = read_protocol()
 STEP, STOP = 0.01, 140.0  # s: of communication; when the reference leaves its first depth
-LAWS = {
-    "PidDepthController": Pid,
-    "MracDepthController": Mrac,
-    "SlidingModeDepthController": SlidingMode,
-    "SuperTwistingDepthController": SuperTwisting,
-    "AdrcDepthController": Adrc,
-}
-NO_OBSERVER = {"observer_period": 0.04, "observer_alpha": 0.0, "observer_beta": 0.0}  # of ours: ADRC
 
 
 def nominal(controller: Controller) -> Scenario:
@@ -45,13 +37,12 @@ def nominal(controller: Controller) -> Scenario:
 
 def second(loaded: Scenario, controller: Controller) -> dict[str, np.ndarray]:
     """By the second program of the law."""
-    base = shipped_case(loaded)
+    case = shipped_case(loaded)
     if controller.fmu not in LAWS:
-        return sampled(base, STEP, LawStep.BETWEEN_MEASUREMENTS)
-    law = {**NO_OBSERVER, **base.law}
-    case = Case(base.plant, law, base.ideal, base.reference, base.force, base.duration)
-    rate = slope if controller.reference_rates else lambda t: 0.0
-    return run(case, STEP, LAWS[controller.fmu](case, STEP, rate))
+        return sampled(case, STEP, LawStep.BETWEEN_MEASUREMENTS)
+    if not controller.reference_rates:
+        case = replace(case, reference_rate=lambda t: 0.0)
+    return run(case, STEP, LAWS[controller.fmu](case, STEP))
 
 
 def figures(time: np.ndarray, depth: np.ndarray, reference: np.ndarray) -> tuple[float, float]:

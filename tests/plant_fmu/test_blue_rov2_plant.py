@@ -43,6 +43,24 @@ def test_both_directions_are_206_n_and_160_n() -> None:
     assert round(4 * 4.07 * KGF) == 160
 
 
+# force [kgf] from 1100 us by 40 us, forward thrust positive: Blue Robotics, T200 at 16 V, September 2019
+T200 = (
+    -4.07, -3.66, -2.99, -2.45, -1.94, -1.44, -1.02, -0.65, -0.32, -0.07, 0.0,
+    0.08, 0.40, 0.82, 1.28, 1.82, 2.43, 3.11, 3.82, 4.65, 5.25,
+)  # fmt: skip
+
+
+def test_the_table_is_the_published_one_at_every_pulse(driver: Any) -> None:
+    """Forward thrust is up, so 12 V are 1100 us; without a transfer function the force follows at once."""
+    plant = driver(PLANT, **IDEAL, **{"thruster_transfer[4]": 0.0}).begin()
+    for i, thrust in enumerate(T200):
+        pulse = 1100 + 40 * i
+        plant["voltage[1]"] = (1500 - pulse) * 12.0 / 400.0
+        plant.step(0.005)
+        # two thrusters of a pair; between two of the published pulses the table has more points
+        assert plant["thruster_force[1]"] == pytest.approx(-2.0 * thrust * KGF, abs=1e-9), pulse
+
+
 def test_it_holds_its_depth_at_the_edge_of_the_dead_band(driver: Any) -> None:
     """0.98 N up of four thrusters: 2.5 us behind 1528 us, on the line to 0.04 kgf at 1532 us."""
     pulse = 1528.0 + 4.0 * (WEIGHT - BUOYANCY) / (4.0 * 0.04 * KGF)

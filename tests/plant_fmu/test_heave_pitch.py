@@ -5,12 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from fmus.block.instance import BlockError
 from fmus.build import builder
 from plant_fmu.heave_pitch import depth_at, righting_moment, thrust_moment, vertical_thrust
-from plant_fmu.thruster import Transfer
 
 HEAVE, PLANT = builder.load_block("RovDepthPlant"), builder.load_block("RovHeavePitchPlant")
 WEIGHT, HEIGHT, INERTIA = 29.43, 0.005, 0.026
@@ -162,33 +160,6 @@ def test_a_transfer_function_settles_at_the_force_that_is_asked_for(driver: Any)
     plant["voltage[2]"] = -4.0
     plant.step(0.02, count=200)  # 4 s at a slowest pole of 13.2 1/s: exp(-53)
     assert (plant["thruster_force[1]"], plant["thruster_force[2]"]) == (0.0, pytest.approx(-1.0, abs=1e-12))
-
-
-def test_whole_steps_converge_to_the_equations(driver: Any) -> None:
-    """Against SciPy, with thrusters of a transfer function and drag, at a tilt of 0.7 rad.
-
-    1e-7 m and rad: RK4 at |p| h = 0.1.
-    """
-    voltage = (6.0, 1.0)
-    drag = {"quadratic_damping": 7.0, "pitch_quadratic_damping": 0.005}
-    plant = driver(PLANT, internal_step=0.001, **T200, **NO_LAG, **FREE, **drag, initial_pitch=0.7).begin()
-    plant["voltage[1]"], plant["voltage[2]"] = voltage
-    plant.step(1.0)
-    transfer = Transfer(6136.0, 89.0, 9258.0, 108700.0)
-
-    def derivative(_: float, x: np.ndarray) -> list[float]:
-        _, v, theta, q, *rest = x
-        states = tuple(rest[:3]), tuple(rest[3:])
-        forces = [transfer.force(s, 0.25 * u) for s, u in zip(states, voltage, strict=True)]
-        rates = [r for s, u in zip(states, voltage, strict=True) for r in transfer.rates(s, 0.25 * u)]
-        heave = math.cos(theta) * sum(forces) - 2.5 * v - 7.0 * abs(v) * v
-        swing = -0.06 * (forces[0] - forces[1]) - STIFFNESS * math.sin(theta) - 0.02 * q - 0.005 * abs(q) * q
-        return [v, heave / 5.5, q, swing / INERTIA, *rates]
-
-    start = [5.0, 0.0, 0.7, 0.0, *(6 * [0.0])]
-    end = solve_ivp(derivative, (0.0, 1.0), start, "DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
-    found = [plant[name] for name in ("depth", "depth_rate", "pitch", "pitch_rate")]
-    assert found == pytest.approx(end[:4], abs=1e-7)
 
 
 @pytest.mark.parametrize(
