@@ -13,7 +13,7 @@ import pytest
 from orchestration.errors import OrchestrationError, ScenarioError
 from orchestration.score import score_document
 from orchestration.score.closed_loop import ClosedLoop, Controller, tuned
-from orchestration.score.protocol import drawn_cases, plants, read_protocol
+from orchestration.score.protocol import drawn_cases, plants, read_protocol, repeated_cases
 from orchestration.score.score import run_count, score_controllers
 from orchestration.score.score_document import Row, Score
 from orchestration.score.score_view import of_metric
@@ -40,7 +40,7 @@ def document(path: Path, rogue: Build) -> Score:
     result = score_controllers(
         controllers, read_protocol(path), full=True, seed=SEED, workers=2, progress=done.append
     )
-    assert sum(done) == run_count(2, read_protocol(path), full=True) == 3 * (2 + 3)
+    assert sum(done) == run_count(2, read_protocol(path), full=True) == 3 * (2 + 3 + 2 * 2)
     return result.document
 
 
@@ -59,6 +59,20 @@ def test_a_row_has_the_metrics_of_the_loop_in_the_drawn_cases(document: Score, p
     tuned = other.cases["nominal"].metrics["rmse"]
     assert tuned < mine.cases["nominal"].metrics["rmse"]
     assert mine.microseconds > 0.0
+
+
+def test_a_full_row_has_many_draws_of_each_case(document: Score, path: Path) -> None:
+    mine, protocol = row(document, "mine"), read_protocol(path)
+    assert list(mine.draws) == list(mine.cases)
+    with ClosedLoop(MINE, protocol) as loop:
+        for draws in repeated_cases(protocol, SEED, 2):
+            runs = mine.draws[draws[0].name]
+            assert runs.metrics["rmse"].values == [loop.metrics(draw)["rmse"] for draw in draws]
+            assert runs.metrics["rmse"].values[0] == mine.cases[draws[0].name].metrics["rmse"]
+            assert (runs.count, runs.failed, runs.failure_rate) == (2, {}, 0.0)
+            assert runs.failure_interval == (0.0, pytest.approx(1.0 - 0.025**0.5))
+    crashed = row(document, "segfault").draws["nominal"]
+    assert (crashed.failure_rate, list(crashed.failed)) == (1.0, ["0", "1"])
 
 
 def test_what_crashes_has_its_row_and_the_others_are_scored(document: Score) -> None:
