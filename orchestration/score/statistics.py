@@ -52,7 +52,7 @@ class PairedComparison:
 
     @property
     def verdict(self) -> Verdict:
-        """What the interval says: wholly within the margin, wholly beyond it, or neither."""
+        """Verdict of the interval: wholly within the margin, wholly beyond it, or neither."""
         if -self.margin < self.low and self.high < self.margin:
             return "equal"
         if self.high < -self.margin or self.low > self.margin:

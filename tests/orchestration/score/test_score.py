@@ -16,7 +16,7 @@ from orchestration.score.closed_loop import ClosedLoop, Controller, tuned
 from orchestration.score.protocol import drawn_cases, plants, read_protocol, repeated_cases
 from orchestration.score.score import run_count, score_controllers
 from orchestration.score.score_document import Row, Score
-from orchestration.score.score_view import of_metric
+from orchestration.score.score_view import of_metric, over_plants
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.report.made_up_score import made_up_score
 from tests.orchestration.score.controllers import rogue_doing
@@ -73,6 +73,20 @@ def test_a_full_row_has_many_draws_of_each_case(document: Score, path: Path) -> 
             assert runs.failure_interval == (0.0, pytest.approx(1.0 - 0.025**0.5))
     crashed = row(document, "segfault").draws["nominal"]
     assert (crashed.failure_rate, list(crashed.failed)) == (1.0, ["0", "1"])
+
+
+def test_failure_rates_over_plants_stand_between_the_ends_of_their_intervals(document: Score) -> None:
+    """Of three plants: none or all of them failed."""
+    table = over_plants(document)
+    assert table is not None
+    assert [column.title for column in table.columns[:3]] == ["Failed", "Failed, at least", "Failed, at most"]
+    shown = {
+        row.name: [cell.value for cell in cells[:3]]
+        for row, cells in zip(table.rows, table.cells, strict=True)
+    }
+    none = 0.025 ** (1.0 / 3.0)
+    assert shown["mine"] == pytest.approx([0.0, 0.0, 100.0 * (1.0 - none)])
+    assert shown["segfault"] == pytest.approx([100.0, 100.0 * none, 100.0])
 
 
 def test_what_crashes_has_its_row_and_the_others_are_scored(document: Score) -> None:
