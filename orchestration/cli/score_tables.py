@@ -16,12 +16,13 @@ _PADDING = 3
 
 
 def score_tables(score: Score) -> list[ScoreTable]:
-    """Returns the overview, the nominal case, the errors of all cases, and the plants if there are any."""
+    """Returns the overview, the nominal case, the errors of all cases, and the many runs if there are any."""
     nominal = next(iter(score.protocol.cases))
     tables = [
         score_view.overview(score),
         score_view.of_case(score, nominal),
         score_view.of_metric(score, "rmse"),
+        score_view.over_draws(score),
         score_view.over_plants(score),
     ]
     return [table for table in tables if table]

@@ -25,7 +25,9 @@ def score_page(result: ScoreResult, title: str) -> str:
         "A case": {f"case-{case}": score_view.of_case(score, case) for case in score.protocol.cases},
         "A metric": {f"metric-{name}": score_view.of_metric(score, name) for name in metrics},
     }
-    plants = score_view.over_plants(score)
+    draws, plants = score_view.over_draws(score), score_view.over_plants(score)
+    if draws:
+        tables["Draws of the cases"] = {"draws": draws}
     if plants:
         tables["Plants"] = {"plants": plants}
     return page(

@@ -71,10 +71,8 @@ def shown_tables(document: Score) -> dict[str, ScoreTable]:
     made = {f"{which} overview": score_view.overview(part(document, which)) for which in (TUNED, START)}
     rows = part(document, TUNED)
     made[f"{TUNED} rmse"] = score_view.of_metric(rows, "rmse")
-    plants = score_view.over_plants(rows)
-    if plants:
-        made[f"{TUNED} plants"] = plants
-    return made
+    full = {"draws": score_view.over_draws(rows), "plants": score_view.over_plants(rows)}
+    return made | {f"{TUNED} {name}": table for name, table in full.items() if table}
 
 
 def with_papers_differences(document: Score) -> Score:

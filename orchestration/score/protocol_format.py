@@ -46,7 +46,7 @@ class CaseTable(ChangesTable):
     tuned_on: bool = False
     """Controllers are tuned on this case: its metrics stand apart."""
     repeats_nominal: bool = False
-    """It ranks controllers as the nominal case does: it counts with that in profiles, and is run once."""
+    """It ranks controllers as the nominal case does: it is run once, and profiles leave it out."""
     hold: float = 0.0
     """The reference is this depth [m] all the time, and the vehicle starts there; 0: the trajectory."""
     judged: Pair = []

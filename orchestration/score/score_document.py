@@ -48,7 +48,7 @@ class CaseInfo(Part):
     tuned_on: bool
     """Built-in controllers are tuned on this case: its metrics are no test of them."""
     repeats_nominal: bool = False
-    """It ranks controllers as the nominal case does, and counts with that in performance profiles."""
+    """It ranks controllers as the nominal case does, and performance profiles leave it out."""
 
 
 class ProtocolInfo(Part):

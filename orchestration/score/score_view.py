@@ -120,6 +120,24 @@ def over_plants(score: Score) -> ScoreTable | None:
     return _table(score, f"{counts[0]} plants, each with a trajectory of its own", columns)
 
 
+def over_draws(score: Score) -> ScoreTable | None:
+    """Returns the median RMSE over the draws of each case, marked where some failed; None without draws."""
+    infos, metric = score.protocol.cases, score.protocol.metrics["rmse"]
+    cases = [name for name in infos if score.rows and all(name in row.draws for row in score.rows)]
+    meaning = f"median over draws of seeds and times; {metric.meaning}"
+    columns = [Column(infos[name].title, "", meaning, _draws(name)) for name in cases]
+    return _table(score, f"{metric.title} [{metric.unit}], median of draws", columns) if cases else None
+
+
+def _draws(case: str) -> Callable[[Row], Cell]:
+    def cell(row: Row) -> Cell:
+        runs = row.draws[case]
+        failed = (f"{len(runs.failed)} of {runs.count} draws",) if runs.failed else ()
+        return Cell(runs.metrics["rmse"].median, failed)
+
+    return cell
+
+
 _STATISTICS = {
     "median": ("median", "not exceeded on half of the plants"),
     "p95": ("p95", "not exceeded on 95 % of the plants"),

@@ -16,7 +16,7 @@ from orchestration.score.closed_loop import ClosedLoop, Controller, tuned
 from orchestration.score.protocol import drawn_cases, plants, read_protocol, repeated_cases
 from orchestration.score.score import run_count, score_controllers
 from orchestration.score.score_document import Row, Score
-from orchestration.score.score_view import of_metric, over_plants
+from orchestration.score.score_view import of_metric, over_draws, over_plants
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.report.made_up_score import made_up_score
 from tests.orchestration.score.controllers import rogue_doing
@@ -87,6 +87,20 @@ def test_failure_rates_over_plants_stand_between_the_ends_of_their_intervals(doc
     none = 0.025 ** (1.0 / 3.0)
     assert shown["mine"] == pytest.approx([0.0, 0.0, 100.0 * (1.0 - none)])
     assert shown["segfault"] == pytest.approx([100.0, 100.0 * none, 100.0])
+
+
+def test_a_table_has_the_median_of_the_draws_and_marks_where_some_failed(document: Score) -> None:
+    table = over_draws(document)
+    assert table is not None
+    assert [column.title for column in table.columns] == ["Nominal", "2 N step at 1 m"]
+    cells = {row.name: row_cells[0] for row, row_cells in zip(table.rows, table.cells, strict=True)}
+    first, second = row(document, "mine").draws["nominal"].metrics["rmse"].values
+    assert (cells["mine"].value, cells["mine"].failed) == (min(first, second), ())
+    assert cells["segfault"].failed == ("2 of 2 draws",)
+    assert cells["l1-pi"].is_best
+    score = document.model_copy(deep=True)
+    score.rows[0].draws = {}
+    assert over_draws(score) is None
 
 
 def test_what_crashes_has_its_row_and_the_others_are_scored(document: Score) -> None:
