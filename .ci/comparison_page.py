@@ -1,47 +1,71 @@
-"""Prints docs/explanation/comparison.json: what the page reads of a comparison by `l1-depth compare --full`.
+"""Writes docs/explanation/comparison.json, what the page reads of a comparison, and comparison.md, the page.
 
-    python .ci/comparison_page.py results/comparison.json > docs/explanation/comparison.json
+    l1-depth compare --full --seed 20131
+    python .ci/comparison_page.py results/comparison.json
 
-The metrics of a case keep eight digits. The values on each plant stay where a test computes from them again.
+Without a file it fills the page again from the docs/explanation/comparison.json that is there. The text, with
+the places of its numbers, is comparison_page.md; `figure` draws its figure when the site is built.
 """
 
+import io
 import json
+import math
 import sys
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from orchestration.score.compare import PAPERS
+import numpy as np
+from jinja2 import Environment, StrictUndefined
 
-_DIGITS = 8
-_WITH_PLANTS = (PAPERS, "tuned/pid")
-_WITH_VALUES = "rmse"
+from orchestration.score.compare import PAPERS, START, TUNED, part
+from orchestration.score.score_document import ManyRuns, MetricOverRuns, Row, Score
+from orchestration.score.statistics import EQUIVALENCE, compare, profile, rank_correlation, ratios_to_best
+
+PAGES = Path(__file__).parent.parent / "docs" / "explanation"
+DATA = PAGES / "comparison.json"
+TEMPLATE = Path(__file__).with_name("comparison_page.md")
+REPEATS = 0.98  # a rank correlation above it
+FACTORS = (1.1, 2.0)  # of the least RMSE, as in the tables of a score
+_DIGITS = 5
 
 
 def reduced(document: dict[str, Any]) -> dict[str, Any]:
-    """Returns the document with rounded metrics, and the plants' values of two controllers alone."""
+    """Returns the document with rounded metrics, and run by run the RMSE of tuned controllers alone.
+
+    Those as they come keep the draws of the nominal case.
+    """
     return {
         **document,
         "rows": [_row(row) for row in document["rows"]],
-        "differences": [entry for entry in document["differences"] if entry["metric"] == _WITH_VALUES],
+        "differences": [_rounded(entry) for entry in document["differences"] if entry["metric"] == "rmse"],
     }
 
 
 def _row(row: dict[str, Any]) -> dict[str, Any]:
-    plants = row["plants"]
-    metrics = {
-        name: {**_rounded(metric | {"values": []}), "values": _values(row["name"], name, metric["values"])}
-        for name, metric in plants["metrics"].items()
+    is_tuned = row["name"].startswith(f"{TUNED}/")
+    draws = {
+        case: {**runs, "metrics": _values(runs["metrics"], ["rmse"], keeps_values=True)}
+        for case, runs in row["draws"].items()
+        if is_tuned or case == next(iter(row["cases"]))
     }
-    return {**row, "cases": _rounded(row["cases"]), "plants": {**plants, "metrics": metrics}}
+    metrics = _values(row["plants"]["metrics"], row["plants"]["metrics"], keeps_values=is_tuned)
+    return _rounded({**row, "draws": draws, "plants": {**row["plants"], "metrics": metrics}})
 
 
-def _values(controller: str, metric: str, values: list[float]) -> list[float]:
-    return values if controller in _WITH_PLANTS and metric == _WITH_VALUES else []
+def _values(metrics: dict[str, Any], names: Sequence[str], keeps_values: bool) -> dict[str, Any]:
+    kept = {name for name in names if name == "rmse" and keeps_values}
+    return {
+        name: {**metrics[name], "values": metrics[name]["values"] if name in kept else []} for name in names
+    }
 
 
 def _rounded(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _rounded(item) for key, item in value.items()}
+        return {key: item if key == "parameters" else _rounded(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_rounded(item) for item in value]
     return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
 
 
@@ -57,5 +81,171 @@ def _part(value: Any) -> str:
     return "[\n" + ",\n".join(json.dumps(item, separators=(",", ":")) for item in value) + "\n]"
 
 
+class Numbers:
+    """What the page and its figure take from a comparison: tuned controllers, run by run."""
+
+    def __init__(self, document: Score) -> None:
+        self.document = document
+        self.rows = {row.name: row for row in document.rows}
+        self.tuned = part(document, TUNED).rows
+        self.start = part(document, START).rows
+        self.cases = document.protocol.cases
+        self.repeating = [name for name, case in self.cases.items() if case.repeats_nominal]
+        self.repeated = [name for name in self.cases if name in self.tuned[0].draws]
+        self.tests = [name for name in self.repeated if not self.cases[name].tuned_on]
+        self.plants = self.plants_of(self.tuned[0]).count
+        self.draws = self.tuned[0].draws[self.repeated[0]].count
+
+    def row(self, name: str) -> Row:
+        return self.rows[name]
+
+    def plants_of(self, row: Row) -> ManyRuns:
+        if row.plants is None:
+            raise ValueError(f"{row.name} has no plants: expected a comparison with --full")
+        return row.plants
+
+    def correlation(self, case: str) -> float:
+        """Returns the rank correlation with the nominal RMSE, the lesser of tuned and as they come."""
+        nominal = next(iter(self.cases))
+        return min(
+            rank_correlation(*([row.cases[name].metrics["rmse"] for row in rows] for name in (nominal, case)))
+            for rows in (self.tuned, self.start)
+        )
+
+    def errors(self, row: Row, case: str = "") -> MetricOverRuns:
+        """Returns the RMSE of the draws of a case, by default of the plants."""
+        return (row.draws[case] if case else self.plants_of(row)).metrics["rmse"]
+
+    def leaders(self, case: str = "") -> tuple[Row, list[Row]]:
+        """Returns the tuned controller of the least median RMSE, and those that are not found worse."""
+        pairs = math.comb(len(self.tuned), 2)
+        best, *others = sorted(self.tuned, key=lambda row: self.errors(row, case).median)
+        least = self.errors(best, case).values
+        worse = {
+            r.name: compare(least, self.errors(r, case).values, pairs).verdict == "lower" for r in others
+        }
+        return best, [row for row in others if not worse[row.name]]
+
+    def ratios(self, cases: Sequence[str]) -> np.ndarray:
+        """Returns controllers x draws of cases: RMSE by the least one, infinite where the run failed."""
+        values = [
+            [
+                math.nan if str(number) in row.draws[case].failed else value
+                for case in cases
+                for number, value in enumerate(row.draws[case].metrics["rmse"].values)
+            ]
+            for row in self.tuned
+        ]
+        return ratios_to_best(values, [not row.unranked for row in self.tuned])
+
+    def profiles(self, cases: Sequence[str], factors: Sequence[float]) -> dict[str, list[float]]:
+        shares = 100.0 * profile(self.ratios(cases), factors)
+        return {row.name: share.tolist() for row, share in zip(self.tuned, shares, strict=True)}
+
+    def verdicts(self) -> Counter[str]:
+        """Returns how many pairs of tuned controllers are different, equal and open in RMSE on the plants."""
+        words = {"lower": "different", "higher": "different"}
+        return Counter(words.get(entry.verdict, entry.verdict) for entry in self.document.differences)
+
+    def difference(self, first: str, second: str) -> Any:
+        return next(e for e in self.document.differences if (e.scored, e.other) == (first, second))
+
+    def failing(self) -> list[tuple[Row, str, ManyRuns]]:
+        """Returns the tuned controllers that fail in draws of a case, most often first."""
+        found = [(row, case, row.draws[case]) for row in self.tuned for case in self.repeated]
+        return sorted((entry for entry in found if entry[2].failed), key=lambda entry: -len(entry[2].failed))
+
+    def never_failing(self) -> list[Row]:
+        return [row for row in self.tuned if not self.plants_of(row).failed]
+
+    def worse_than_none(self) -> list[Row]:
+        """Returns those whose failure rate is above all that no failure at all allows."""
+        (_, limit) = next(self.plants_of(row) for row in self.never_failing()).failure_interval
+        found = [row for row in self.tuned if self.plants_of(row).failure_interval[0] > limit]
+        return sorted(found, key=lambda row: -self.plants_of(row).failure_rate)
+
+    def median(self, values: Sequence[float]) -> str:
+        """Returns the median of runs and its 95 % interval, as text."""
+        found = compare(values, np.zeros(len(values)))
+        return f"{found.median_difference:.3g} ({found.low:.3g} to {found.high:.3g})"
+
+
+def share(runs: ManyRuns) -> str:
+    """Returns a failure rate [%] and its 95 % interval, as text."""
+    rate, low, high = (f"{100.0 * part:.3g}" for part in (runs.failure_rate, *runs.failure_interval))
+    return f"{rate} % ({low} to {high} %)"
+
+
+def listed(titles: Sequence[str]) -> str:
+    """Returns words as a list in a sentence."""
+    return " and ".join([", ".join(titles[:-1]), titles[-1]] if len(titles) > 1 else titles)
+
+
+def page(document: Score) -> str:
+    """Returns the page."""
+    environment = Environment(
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
+    )
+    template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
+    numbers = Numbers(document)
+    return template.render(
+        n=numbers,
+        papers=PAPERS,
+        repeats=REPEATS,
+        equivalence=f"{100.0 * EQUIVALENCE:g}",
+        factors=FACTORS,
+        profiles=numbers.profiles(numbers.tests, FACTORS),
+        share=share,
+        listed=listed,
+        titles=lambda rows: listed([row.title for row in rows]),
+    )
+
+
+def figure(document: Score) -> bytes:
+    """Returns the figure of the page as PNG: error, failures and profile of each tuned controller."""
+    from matplotlib.figure import Figure
+
+    numbers = Numbers(document)
+    rows = sorted(numbers.tuned, key=lambda row: -numbers.plants_of(row).metrics["rmse"].median)
+    picture = Figure(figsize=(11.0, 6.0), layout="constrained")
+    error, failed, profiles = picture.subplots(1, 3, sharey=True, width_ratios=[1.2, 1.0, 1.3])
+    heights = np.arange(len(rows))
+    plants = [numbers.plants_of(row) for row in rows]
+    spread = [runs.metrics["rmse"] for runs in plants]
+    error.hlines(heights, [m.median for m in spread], [m.p95 for m in spread], color="0.6")
+    margins = [row.delay_margin for row in rows]
+    drawn = error.scatter([m.median for m in spread], heights, c=margins, cmap="viridis", zorder=2)
+    error.set(xscale="log", xlabel="RMSE on the plants [cm]:\nmedian, and line to the 95th percentile")
+    error.set_yticks(heights, [row.title for row in rows])
+    picture.colorbar(drawn, ax=error, location="top", label="Delay margin [s]")
+    ends = 100.0 * np.array([runs.failure_interval for runs in plants])
+    failed.hlines(heights, ends[:, 0], ends[:, 1], color="0.6")
+    failed.plot([100.0 * runs.failure_rate for runs in plants], heights, "ko", markersize=4)
+    failed.set(xscale="symlog", xlim=(-0.1, 100.0), xlabel="Failed plants [%],\n95 % interval")
+    factors = np.geomspace(1.0, 10.0, 91)
+    shares = numbers.profiles(numbers.tests, factors.tolist())
+    image = profiles.pcolormesh(factors, heights, [shares[row.name] for row in rows], cmap="cividis", vmin=0)
+    profiles.set(xscale="log", xlabel="Factor of the least RMSE of a run")
+    for axes, ticks in ((error, (0.2, 0.5, 1, 2, 5)), (failed, (0, 1, 10, 100)), (profiles, (1, 2, 5, 10))):
+        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes.minorticks_off()
+    picture.colorbar(image, ax=profiles, location="top", label="Runs within the factor [%]")
+    stream = io.BytesIO()
+    picture.savefig(stream, format="png", dpi=110, metadata={"Software": None})
+    return stream.getvalue()
+
+
+def committed() -> Score:
+    """Returns the comparison that the page is of."""
+    return Score.model_validate_json(DATA.read_text(encoding="utf-8"))
+
+
+def main(arguments: Sequence[str]) -> None:
+    if arguments:
+        document: Mapping[str, Any] = json.loads(Path(arguments[0]).read_text(encoding="utf-8"))
+        DATA.write_text(written(reduced(dict(document))), encoding="utf-8")
+    DATA.with_suffix(".md").write_text(page(committed()), encoding="utf-8")
+
+
 if __name__ == "__main__":
-    print(written(reduced(json.loads(Path(sys.argv[1]).read_text(encoding="utf-8")))), end="")
+    main(sys.argv[1:])

@@ -11,6 +11,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 sys.path.insert(0, str(Path(__file__).parent))  # mkdocs loads this file alone
+import comparison_page
 import downloads
 
 from fmus.files import write_archive
@@ -45,6 +46,7 @@ def _generated() -> Contents:
             **_schemas(),
             **_gallery(working),
             **_results(working),
+            "explanation/figure_comparison.png": comparison_page.figure(comparison_page.committed()),
             **_commands(working),
             **_names(),
         }

@@ -33,7 +33,10 @@ if TYPE_CHECKING:
     from orchestration.score.vehicle import Vehicle
 
 FullOption = Annotated[
-    bool, typer.Option("--full", help="Run the 300 plants of the protocol too, and compare on each.")
+    bool,
+    typer.Option(
+        "--full", help="Run 300 plants and 24 draws of each case too, with intervals and comparisons."
+    ),
 ]
 SeedOption = Annotated[
     int | None,
@@ -104,7 +107,7 @@ def compare(
 ) -> None:
     """Score all controllers of the protocol, each with the gains that it comes with, and tuned.
 
-    Writes comparison.json, comparison.md with the tables, and an interactive page.
+    Writes comparison.json and an interactive page.
     """
     from fmus.files import write_text_atomically
     from orchestration.score import compare as comparison
@@ -119,13 +122,10 @@ def compare(
     shown = comparison.shown_tables(document).items()
     print_tables(
         [replace(table, title=f"{table.title}: {name}") for name, table in shown if table.rows],
-        comparison.with_tuned_differences(document),
+        comparison.with_papers_differences(document),
     )
-    tables = "\n\n".join(f"{name}\n\n{text}" for name, text in comparison.tables(document).items())
-    written = {"comparison.json": document.model_dump_json(indent=1), "comparison.md": tables}
-    for name, text in written.items():
-        write_text_atomically(out / name, f"{text}\n")
-        print(out / name)
+    write_text_atomically(out / "comparison.json", document.model_dump_json(indent=1) + "\n")
+    print(out / "comparison.json")
     write_page(comparison.for_page(result), out / "comparison.html", "Comparison of the controllers")
 
 

@@ -16,12 +16,13 @@ _PADDING = 3
 
 
 def score_tables(score: Score) -> list[ScoreTable]:
-    """Returns the overview, the nominal case, the errors of all cases, and the plants if there are any."""
+    """Returns the overview, the nominal case, the errors of all cases, and the many runs if there are any."""
     nominal = next(iter(score.protocol.cases))
     tables = [
         score_view.overview(score),
         score_view.of_case(score, nominal),
         score_view.of_metric(score, "rmse"),
+        score_view.over_draws(score),
         score_view.over_plants(score),
     ]
     return [table for table in tables if table]
@@ -36,10 +37,10 @@ def differences_table(score: Score) -> Table | None:
     """Returns the scored controllers against the others, plant by plant; None without plants."""
     if not score.differences:
         return None
-    table = Table(title="Plant by plant: the scored controller minus another one")
+    table = Table(title="Plant by plant: one controller minus another one")
     for heading in ("Scored", "Other", "Metric"):
         table.add_column(heading)
-    for heading in ("Pairs", "Median difference", "95 % interval", "p, Holm"):
+    for heading in ("Pairs", "Median difference", "Interval", "p, Holm", "Verdict"):
         table.add_column(heading, justify="right")
     titles = {row.name: row.title for row in score.rows}
     for entry in score.differences:
@@ -53,6 +54,7 @@ def differences_table(score: Score) -> Table | None:
             f"{entry.median_difference:.3g} {metric.unit}",
             f"{low:.3g} to {high:.3g}",
             f"{entry.p_holm:.2g}",
+            entry.verdict,
         )
     return table
 

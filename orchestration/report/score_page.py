@@ -1,5 +1,6 @@
 """A score as one interactive page: tables, tracking, the price of accuracy, plants, and what failed."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,7 +25,9 @@ def score_page(result: ScoreResult, title: str) -> str:
         "A case": {f"case-{case}": score_view.of_case(score, case) for case in score.protocol.cases},
         "A metric": {f"metric-{name}": score_view.of_metric(score, name) for name in metrics},
     }
-    plants = score_view.over_plants(score)
+    draws, plants = score_view.over_draws(score), score_view.over_plants(score)
+    if draws:
+        tables["Draws of the cases"] = {"draws": draws}
     if plants:
         tables["Plants"] = {"plants": plants}
     return page(
@@ -47,7 +50,32 @@ def _data(result: ScoreResult) -> dict[str, Any]:
         row["traces"] = {
             case: {line: _scaled(trace[line]) for line in _LINES} for case, trace in traces.items() if trace
         }
-    return {**document, "references": _references(result, score), "scale": _SCALE}
+    return {
+        **document,
+        "shown": preselected(score),
+        "references": _references(result, score),
+        "scale": _SCALE,
+    }
+
+
+def preselected(score: Score) -> list[str]:
+    """Returns the names of the rows that are drawn at first: what was scored, and three others.
+
+    Of those that are ranked: the least RMSE, the least total variation and the longest delay margin in the
+    nominal case.
+    """
+    nominal = next(iter(score.protocol.cases))
+    others = [row for row in score.rows if not (row.scored or row.unranked or row.cases[nominal].failed)]
+    metrics = {row.name: row.cases[nominal].metrics for row in others}
+    keys = [
+        {name: known.get("rmse", math.inf) for name, known in metrics.items()},
+        {name: known.get("total_variation", math.inf) for name, known in metrics.items()},
+        {row.name: -row.delay_margin if math.isfinite(row.delay_margin) else math.inf for row in others},
+    ]
+    names = [row.name for row in score.scored]
+    for key in keys:
+        names += sorted(key.keys() - set(names), key=lambda name, key=key: (key[name], name))[:1]
+    return names
 
 
 def _references(result: ScoreResult, score: Score) -> dict[str, dict[str, str]]:

@@ -1,22 +1,23 @@
 """The comparison: every controller of the protocol with the gains that it comes with, and tuned.
 
 Names of rows: "start/l1" has the start values of its FMU, which for L1 are the gains identified from the
-paper; "tuned/l1" has those of gains/l1.toml. The tables are made for docs/explanation/comparison.md.
+paper; "tuned/l1" has those of gains/l1.toml.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
+from itertools import combinations
 
 from fmus.platforms import usable_processors
 from orchestration.score import score_view
 from orchestration.score.closed_loop import Controller, built_in, tuned
 from orchestration.score.protocol import Protocol
-from orchestration.score.score import ScoreResult, runs_each, score_controllers
+from orchestration.score.score import ScoreResult, differences, runs_each, score_controllers
 from orchestration.score.score_document import Score
-from orchestration.score.score_view import Cell, ScoreTable
+from orchestration.score.score_view import ScoreTable
 
 START, TUNED = "start", "tuned"
-PAPERS = f"{TUNED}/l1-pi"  # the paper's controller, which the others are compared with plant by plant
+PAPERS = f"{TUNED}/l1-pi"  # the paper's controller
 
 
 def controllers(protocol: Protocol) -> list[Controller]:
@@ -35,11 +36,13 @@ def compare(
     workers: int = usable_processors(),
     progress: Callable[[int], object] = lambda done: None,
 ) -> ScoreResult:
-    """Returns the score of all, with `full` on every plant, beside the paper's controller, tuned."""
+    """Returns the score of all, with `full` the differences of every pair of tuned controllers."""
     papers, *others = sorted(controllers(protocol), key=lambda controller: controller.name != PAPERS)
-    return score_controllers(
+    result = score_controllers(
         [papers], protocol, beside=others, full=full, seed=seed, workers=workers, progress=progress
     )
+    result.document.differences = differences(combinations(part(result.document, TUNED).rows, 2))
+    return result
 
 
 def run_count(protocol: Protocol, full: bool) -> int:
@@ -68,61 +71,11 @@ def shown_tables(document: Score) -> dict[str, ScoreTable]:
     made = {f"{which} overview": score_view.overview(part(document, which)) for which in (TUNED, START)}
     rows = part(document, TUNED)
     made[f"{TUNED} rmse"] = score_view.of_metric(rows, "rmse")
-    plants = score_view.over_plants(rows)
-    if plants:
-        made[f"{TUNED} plants"] = plants
-    return made
+    full = {"draws": score_view.over_draws(rows), "plants": score_view.over_plants(rows)}
+    return made | {f"{TUNED} {name}": table for name, table in full.items() if table}
 
 
-def tables(document: Score) -> dict[str, str]:
-    """Returns the tables of the page in Markdown, by the name that stands before them there."""
-    made = {name: _markdown(table) for name, table in shown_tables(document).items()}
-    if document.differences:
-        made[f"{TUNED} differences"] = _differences(document)
-    return made
-
-
-def with_tuned_differences(document: Score) -> Score:
-    """Returns the score with the differences in RMSE between tuned controllers alone."""
-    entries = [e for e in document.differences if e.other.startswith(f"{TUNED}/") and e.metric == "rmse"]
+def with_papers_differences(document: Score) -> Score:
+    """Returns the score with the differences in RMSE between the paper's controller and others alone."""
+    entries = [e for e in document.differences if e.scored == PAPERS and e.metric == "rmse"]
     return document.model_copy(update={"differences": entries})
-
-
-def _markdown(table: ScoreTable) -> str:
-    headings = ["Told", *(f"{c.title} [{c.unit}]" if c.unit else c.title for c in table.columns)]
-    return _lines(
-        headings,
-        (
-            [row.title, row.told, *map(_text, cells)]
-            for row, cells in zip(table.rows, table.cells, strict=True)
-        ),
-    )
-
-
-def _differences(document: Score) -> str:
-    """Returns the table of the paper's controller minus each other tuned one, in RMSE."""
-    titles = {row.name: row.title for row in document.rows}
-    return _lines(
-        ["Plants", "Median difference [cm]", "95 % interval [cm]", "p, Holm"],
-        (
-            [
-                titles[entry.other],
-                str(entry.pairs),
-                f"{entry.median_difference:.3g}",
-                f"{entry.interval[0]:.3g} to {entry.interval[1]:.3g}",
-                f"{entry.p_holm:.1g}",
-            ]
-            for entry in with_tuned_differences(document).differences
-        ),
-    )
-
-
-def _lines(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Returns a table of controllers in Markdown."""
-    lines = [["Controller", *headings], [":---", *["---:"] * len(headings)], *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def _text(cell: Cell) -> str:
-    text = f"**{cell.text}**" if cell.is_best else cell.text
-    return f"{text} !" if cell.failed else text

@@ -2,9 +2,9 @@
 
 A score draws what a controller could learn by heart: seeds and times of the cases, and the plants of
 `score --full`, the same for every controller. The numbers of case k come from SeedSequence(seed,
-spawn_key=(0, k)) alone, those of plant i from SeedSequence(seed, spawn_key=(1, i)), in the order of the
-protocol: what is varied, then way, depth and hold of each depth. Who tunes has the cases as the file gives
-them.
+spawn_key=(0, k)) alone, one draw after another, those of plant i from SeedSequence(seed, spawn_key=(1, i)),
+in the order of the protocol: what is varied, then way, depth and hold of each depth. Who tunes has the cases
+as the file gives them.
 """
 
 import math
@@ -83,6 +83,7 @@ class Case:
     target: Target
     judged: tuple[float, float]
     tuned_on: bool = False
+    repeats_nominal: bool = False
     values: Mapping[str, FmiValue] = field(default_factory=dict)
     trajectory: Sequence[Sequence[float]] = ()
     seed_variable: str = ""
@@ -185,7 +186,15 @@ class Protocol:
         seed = PREFIX + described.variables.noise_seed
         seed = seed if self.vehicle.is_of_base or self.vehicle.has(seed) else ""
         case = Case(
-            name, title, layer, target, (start, end), table.tuned_on, seed_variable=seed, latest=table.latest
+            name,
+            title,
+            layer,
+            target,
+            (start, end),
+            table.tuned_on,
+            table.repeats_nominal,
+            seed_variable=seed,
+            latest=table.latest,
         )
         return case.with_seed(self.tables.practice_seeds[0])
 
@@ -306,9 +315,16 @@ def _names(tables: ProtocolFile, ours: Vehicle) -> Iterator[tuple[KeyPath, str, 
 
 def drawn_cases(protocol: Protocol, seed: int) -> list[Case]:
     """Returns the cases of a score, with seeds and times that follow from its seed."""
+    return [draws[0] for draws in repeated_cases(protocol, seed, 1)]
+
+
+def repeated_cases(protocol: Protocol, seed: int, count: int) -> list[list[Case]]:
+    """Returns so many draws of each case; the first are those of `drawn_cases`."""
+    sources = (np.random.SeedSequence(seed, spawn_key=(0, number)) for number in range(len(protocol.cases)))
+    generators = map(np.random.default_rng, sources)
     return [
-        case.drawn(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, number))))
-        for number, case in enumerate(protocol.cases.values())
+        [case.drawn(random) for _ in range(count)]
+        for random, case in zip(generators, protocol.cases.values(), strict=True)
     ]
 
 

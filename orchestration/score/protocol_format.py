@@ -45,6 +45,8 @@ class CaseTable(ChangesTable):
     title: str
     tuned_on: bool = False
     """Controllers are tuned on this case: its metrics stand apart."""
+    repeats_nominal: bool = False
+    """It ranks controllers as the nominal case does: it is run once, and profiles leave it out."""
     hold: float = 0.0
     """The reference is this depth [m] all the time, and the vehicle starts there; 0: the trajectory."""
     judged: Pair = []
@@ -134,6 +136,8 @@ class ProtocolFile(Table):
     """Longest time [s] that a run may take."""
     practice_seeds: Annotated[list[int], Field(min_length=1)]
     """Seeds of the sensor's noise for whoever tunes."""
+    repetitions: Annotated[int, Field(ge=2)]
+    """Draws of each case of a full score, but of those that repeat the nominal one."""
     trajectory: Annotated[list[Pair], Field(min_length=3)]
     """[time, depth] of the reference, in s and m; straight lines between them."""
     metrics: dict[str, MetricTable]

@@ -5,11 +5,12 @@ result.document.scored[0].cases["nominal"].metrics["rmse"]
 """
 
 import secrets
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from itertools import combinations
 
 from fmus.platforms import usable_processors
 from orchestration.errors import ScenarioError
@@ -19,7 +20,7 @@ from orchestration.score.protocol import LARGEST_SEED, Protocol, read_protocol
 from orchestration.score.protocol_format import COMPARED
 from orchestration.score.run_metrics import Trace
 from orchestration.score.score_document import PairedDifference, Row, Score, protocol_info
-from orchestration.score.score_rows import Patience, Progress, RowTraces, Scoring
+from orchestration.score.score_rows import Patience, Progress, RowTraces, Scoring, repeated
 from orchestration.score.statistics import compare, holm
 from orchestration.system.prepared_run import prepare
 
@@ -67,13 +68,15 @@ def score_controllers(
         protocol=protocol_info(protocol),
         rows=[row for row, _ in rows],
     )
-    document.differences = _differences(document)
+    # the rows that are scored come first
+    document.differences = differences(pair for pair in combinations(document.rows, 2) if pair[0].scored)
     return ScoreResult(document, {row.name: traces for row, traces in rows})
 
 
 def runs_each(protocol: Protocol, full: bool) -> int:
     """Returns the number of runs of a controller's row."""
-    return len(protocol.cases) + (protocol.tables.plants.count if full else 0)
+    full_runs = protocol.tables.plants.count + sum(map(len, repeated(protocol, 0).values()))
+    return len(protocol.cases) + full * full_runs
 
 
 def run_count(controllers: int, protocol: Protocol, full: bool) -> int:
@@ -115,33 +118,34 @@ def _rows(
         return [future.result() for future in futures]
 
 
-def _differences(document: Score) -> list[PairedDifference]:
-    """Returns the scored controllers against each other one, plant by plant; corrected for their number."""
-    return [
-        difference
-        for row in document.scored
-        if row.plants
-        for metric in COMPARED
-        for difference in _differences_in(metric, row, document.rows)
-    ]
+def differences(pairs: Iterable[tuple[Row, Row]]) -> list[PairedDifference]:
+    """Returns each pair of rows in each metric, plant by plant; each metric is corrected for their number."""
+    known = [(first, second) for first, second in pairs if first.plants and second.plants]
+    return [difference for metric in COMPARED for difference in _differences_in(metric, known)]
 
 
-def _differences_in(metric: str, scored: Row, rows: Sequence[Row]) -> list[PairedDifference]:
-    """Returns one metric of one scored controller, minus that of each other row."""
-    values = {row.name: row.plants.metrics[metric].values for row in rows if row.plants}
-    own = values.pop(scored.name)
-    comparisons = {name: compare(own, other) for name, other in values.items()}
-    corrected = holm({name: comparison.p for name, comparison in comparisons.items()})
+def _differences_in(metric: str, pairs: Sequence[tuple[Row, Row]]) -> list[PairedDifference]:
+    compared = {
+        (first.name, second.name): compare(_values(first, metric), _values(second, metric), len(pairs))
+        for first, second in pairs
+    }
+    corrected = holm({names: comparison.p for names, comparison in compared.items()})
     return [
         PairedDifference(
-            scored=scored.name,
-            other=name,
+            scored=names[0],
+            other=names[1],
             metric=metric,
             pairs=comparison.pairs,
             median_difference=comparison.median_difference,
             interval=(comparison.low, comparison.high),
+            margin=comparison.margin,
+            verdict=comparison.verdict,
             p=comparison.p,
-            p_holm=corrected[name],
+            p_holm=corrected[names],
         )
-        for name, comparison in comparisons.items()
+        for names, comparison in compared.items()
     ]
+
+
+def _values(row: Row, metric: str) -> list[float]:
+    return row.plants.metrics[metric].values if row.plants else []

@@ -13,6 +13,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, Wi
 
 from orchestration.score.protocol import Protocol
 from orchestration.score.protocol_format import DELAY_MARGIN
+from orchestration.score.statistics import Verdict
 
 SCHEMA = Path(__file__).with_name("score.schema.json")
 
@@ -46,6 +47,8 @@ class CaseInfo(Part):
     title: str
     tuned_on: bool
     """Built-in controllers are tuned on this case: its metrics are no test of them."""
+    repeats_nominal: bool = False
+    """It ranks controllers as the nominal case does, and performance profiles leave it out."""
 
 
 class ProtocolInfo(Part):
@@ -70,26 +73,28 @@ class CaseResult(Part):
     """Why it counts as failed; empty if it does not."""
 
 
-class MetricOverPlants(Part):
-    """A metric over the plants: statistics of its distribution, and its values."""
+class MetricOverRuns(Part):
+    """A metric over the plants or the draws of a case: statistics of its distribution, and its values."""
 
     median: Number
     p95: Number
     cvar: Number
-    """Mean of the worst 5 %; null if a plant without a value is among them."""
+    """Mean of the worst 5 %; null if a run without a value is among them."""
     values: list[Number]
-    """Plant by plant; null where the run ended early."""
+    """Run by run; null where it ended early."""
 
 
-class PlantsResult(Part):
-    """The runs of --full."""
+class ManyRuns(Part):
+    """Runs of --full: the plants, or a case with seeds and times that are drawn."""
 
     count: int
     failure_rate: float
-    """Share of the plants on which the controller failed."""
+    """Share of the runs that failed."""
+    failure_interval: tuple[float, float]
+    """95 % of that rate, by Clopper and Pearson."""
     failed: dict[str, list[str]] = {}
-    """Number of a plant -> why it counts as failed."""
-    metrics: dict[str, MetricOverPlants]
+    """Number of a run -> why it counts as failed."""
+    metrics: dict[str, MetricOverRuns]
 
 
 _SYMBOLS = {
@@ -120,7 +125,9 @@ class Row(Part):
     microseconds: Number = math.nan
     """Of a communication step of the controller's FMU with the inputs of the nominal run, on this machine."""
     cases: dict[str, CaseResult] = {}
-    plants: PlantsResult | None = None
+    draws: dict[str, ManyRuns] = {}
+    """Case that does not repeat the nominal one -> its runs with drawn seeds and times, of --full."""
+    plants: ManyRuns | None = None
 
     @property
     def told(self) -> str:
@@ -129,7 +136,7 @@ class Row(Part):
 
 
 class PairedDifference(Part):
-    """A metric of the scored controller minus that of another one, over the same plants."""
+    """A metric of one controller minus that of another one, over the same plants."""
 
     scored: str
     other: str
@@ -138,11 +145,15 @@ class PairedDifference(Part):
     """Plants on which both have a value."""
     median_difference: Number
     interval: tuple[Number, Number]
-    """95 % of the median difference, by bootstrap."""
+    """Of the median difference; the intervals of a metric hold together with 95 %."""
+    margin: Number
+    """A difference below it counts as none: 5 % of the lesser median."""
+    verdict: Verdict
+    """Of the interval: beyond the margin ("lower", "higher"), within it ("equal"), or neither ("open")."""
     p: Number
     """Of Wilcoxon's signed-rank test."""
     p_holm: Number
-    """The same, corrected for the number of controllers compared."""
+    """The same, corrected for the number of pairs."""
 
 
 class Score(Part):
@@ -190,7 +201,10 @@ def protocol_info(protocol: Protocol) -> ProtocolInfo:
         version=protocol.version,
         statement=protocol.statement,
         metrics={**metrics, **OF_A_ROW},
-        cases={name: CaseInfo(title=c.title, tuned_on=c.tuned_on) for name, c in protocol.cases.items()},
+        cases={
+            name: CaseInfo(title=c.title, tuned_on=c.tuned_on, repeats_nominal=c.repeats_nominal)
+            for name, c in protocol.cases.items()
+        },
         left_out={protocol.tables.cases[name].title: why for name, why in protocol.left_out.items()},
         failure=dict(protocol.tables.failure),
     )

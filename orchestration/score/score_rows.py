@@ -20,11 +20,11 @@ from orchestration.margins.fmu_margins import scan
 from orchestration.margins.hold import HoldRuns, LoopSignal, last_part
 from orchestration.results.recording import Recording
 from orchestration.score.closed_loop import OWN, ClosedLoop, ClosedLoopRun
-from orchestration.score.protocol import Case, Protocol, drawn_cases, plants
+from orchestration.score.protocol import Case, Protocol, drawn_cases, plants, repeated_cases
 from orchestration.score.protocol_format import COMPARED
 from orchestration.score.run_metrics import Trace, declared, failures, traced_metrics
-from orchestration.score.score_document import CaseResult, MetricOverPlants, PlantsResult, Row
-from orchestration.score.statistics import distribution
+from orchestration.score.score_document import CaseResult, ManyRuns, MetricOverRuns, Row
+from orchestration.score.statistics import distribution, proportion_interval
 from orchestration.score.vehicle import DEPTH
 from orchestration.system.experiment import Experiment
 from orchestration.system.signals import Table
@@ -85,6 +85,7 @@ class Scoring:
     def __post_init__(self) -> None:
         self.cases = drawn_cases(self.protocol, self.seed)
         self.plants = plants(self.protocol, self.seed) if self.full else []
+        self.draws = repeated(self.protocol, self.seed) if self.full else {}
 
     def row(self, loop: ClosedLoop, patience: Patience, scored: bool) -> RowTraces:
         """Returns the row of a controller and its traces."""
@@ -120,8 +121,12 @@ class Scoring:
         row.microseconds = _value_or(math.nan, microseconds, loop, nominal)
         if self.plants:
             names = [name for name in OVER_PLANTS if name in self.protocol.metrics]
-            row.plants = _over_plants([run for run, _ in self._judged(loop, self.plants, names)], names)
+            row.plants = self._over_runs(loop, self.plants, names)
+            row.draws = {name: self._over_runs(loop, cases, names) for name, cases in self.draws.items()}
         return row, traces
+
+    def _over_runs(self, loop: ClosedLoop, cases: Sequence[Case], names: Sequence[str]) -> ManyRuns:
+        return many_runs([run for run, _ in self._judged(loop, cases, names)], names)
 
     def _judged(
         self, loop: ClosedLoop, cases: Sequence[Case], names: Collection[str] = (), traced: bool = False
@@ -248,15 +253,23 @@ def _fmu(loop: ClosedLoop) -> dict[str, Any]:
     }
 
 
-def _over_plants(runs: Sequence[CaseResult], names: Sequence[str]) -> PlantsResult:
+def repeated(protocol: Protocol, seed: int) -> dict[str, list[Case]]:
+    """Returns case -> its draws of a full score, of each case that does not repeat the nominal one."""
+    drawn = repeated_cases(protocol, seed, protocol.tables.repetitions)
+    return {draws[0].name: draws for draws in drawn if not draws[0].repeats_nominal}
+
+
+def many_runs(runs: Sequence[CaseResult], names: Sequence[str]) -> ManyRuns:
+    """Returns what many runs of a controller have in common, with the metrics named."""
     values = {name: [run.metrics.get(name, math.nan) for run in runs] for name in names}
     failed = {str(number): run.failed for number, run in enumerate(runs) if run.failed}
-    return PlantsResult(
+    return ManyRuns(
         count=len(runs),
         failure_rate=len(failed) / len(runs),
+        failure_interval=proportion_interval(len(failed), len(runs)),
         failed=failed,
         metrics={
-            name: MetricOverPlants(**asdict(distribution(column)), values=column)
+            name: MetricOverRuns(**asdict(distribution(column)), values=column)
             for name, column in values.items()
         },
     )

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 from orchestration.score.protocol_format import COMPARED, DELAY_MARGIN
 from orchestration.score.score_document import MICROSECONDS, MetricInfo, Row, Score
+from orchestration.score.statistics import profile, ratios_to_best
 
 
 @dataclass(frozen=True)
@@ -46,22 +47,27 @@ class ScoreTable:
 
 
 _OVERVIEW = ("rmse", "total_variation")
+_FACTORS = (1.1, 2.0)  # of the least RMSE: as good but for little, and not out of the question
 
 
 def overview(score: Score) -> ScoreTable:
-    """Means over the cases: those that built-in controllers are tuned on have columns of their own."""
-    tuned = [name for name, case in score.protocol.cases.items() if case.tuned_on]
-    others = [name for name in score.protocol.cases if name not in tuned]
+    """Returns a summary of the cases: those that built-in controllers are tuned on have columns of their own.
+
+    Cases that repeat the nominal one count in the failures of the others alone.
+    """
+    cases = score.protocol.cases
+    tuned = [name for name, case in cases.items() if case.tuned_on]
+    others = [name for name in cases if name not in tuned]
+    distinct = [name for name in others if not cases[name].repeats_nominal]
     columns: list[Column] = []
-    groups = ((tuned, "tuned on"), (others, "others"))
-    for cases, which in (group for group in groups if group[0]):
-        for name in _OVERVIEW:
-            metric = score.protocol.metrics[name]
-            meaning = f"mean over {len(cases)} cases: {', '.join(cases)}; {metric.meaning}"
-            columns.append(Column(f"{metric.title}, {which}", metric.unit, meaning, _mean(name, cases)))
-        meaning = f"runs that failed of {', '.join(cases)}"
-        columns.append(Column(f"Failed, {which}", f"of {len(cases)}", meaning, _failed(cases)))
-    return _table(score, "Means over the cases", [*columns, *_of_the_row(score)])
+    if tuned:
+        columns += [_mean(score, name, tuned, "tuned on") for name in _OVERVIEW]
+        columns.append(_failed(tuned, "tuned on"))
+    if distinct:
+        columns += [*_profiles(score, distinct), _mean(score, "total_variation", distinct, "others")]
+    if others:
+        columns.append(_failed(others, "others"))
+    return _table(score, "Summary of the cases", [*columns, *_of_the_row(score)])
 
 
 def of_case(score: Score, case: str) -> ScoreTable:
@@ -95,7 +101,16 @@ def over_plants(score: Score) -> ScoreTable | None:
     counts = [row.plants.count for row in score.rows if row.plants]
     if not counts or len(counts) < len(score.rows):
         return None
-    columns = [Column("Failed", "%", "share of the plants on which the run failed", _failure_rate)]
+    meaning = "share of the plants on which the run failed"
+    columns = [
+        Column("Failed", "%", meaning, _failure_rate),
+        *(
+            Column(
+                title, "%", f"{meaning}: end of the 95 % interval by Clopper and Pearson", _failure_limit(end)
+            )
+            for end, title in enumerate(("Failed, at least", "Failed, at most"))
+        ),
+    ]
     for name in COMPARED:
         metric = score.protocol.metrics[name]
         columns += [
@@ -103,6 +118,24 @@ def over_plants(score: Score) -> ScoreTable | None:
             for statistic, (title, meaning) in _STATISTICS.items()
         ]
     return _table(score, f"{counts[0]} plants, each with a trajectory of its own", columns)
+
+
+def over_draws(score: Score) -> ScoreTable | None:
+    """Returns the median RMSE over the draws of each case, marked where some failed; None without draws."""
+    infos, metric = score.protocol.cases, score.protocol.metrics["rmse"]
+    cases = [name for name in infos if score.rows and all(name in row.draws for row in score.rows)]
+    meaning = f"median over draws of seeds and times; {metric.meaning}"
+    columns = [Column(infos[name].title, "", meaning, _draws(name)) for name in cases]
+    return _table(score, f"{metric.title} [{metric.unit}], median of draws", columns) if cases else None
+
+
+def _draws(case: str) -> Callable[[Row], Cell]:
+    def cell(row: Row) -> Cell:
+        runs = row.draws[case]
+        failed = (f"{len(runs.failed)} of {runs.count} draws",) if runs.failed else ()
+        return Cell(runs.metrics["rmse"].median, failed)
+
+    return cell
 
 
 _STATISTICS = {
@@ -139,21 +172,60 @@ def _one(name: str, case: str) -> Callable[[Row], Cell]:
     return lambda row: Cell(_metric(row, name, case), _reasons(row, case))
 
 
-def _mean(name: str, cases: Sequence[str]) -> Callable[[Row], Cell]:
+def _mean(score: Score, name: str, cases: Sequence[str], which: str) -> Column:
+    """Returns the column of the mean of a metric over cases."""
+
     def cell(row: Row) -> Cell:
         values = [_metric(row, name, case) for case in cases]
         failed = (f"{case}: {reason}" for case in cases for reason in _reasons(row, case))
         return Cell(sum(values) / len(values), tuple(failed))
 
-    return cell
+    metric = score.protocol.metrics[name]
+    meaning = f"mean over {len(cases)} cases: {', '.join(cases)}; {metric.meaning}"
+    return Column(f"{metric.title}, {which}", metric.unit, meaning, cell)
 
 
-def _failed(cases: Sequence[str]) -> Callable[[Row], Cell]:
-    return lambda row: Cell(float(sum(bool(_reasons(row, case)) for case in cases)))
+def _failed(cases: Sequence[str], which: str) -> Column:
+    """Returns the column of the number of cases that failed."""
+    meaning = f"runs that failed of {', '.join(cases)}"
+    return Column(
+        f"Failed, {which}",
+        f"of {len(cases)}",
+        meaning,
+        lambda row: Cell(float(sum(bool(_reasons(row, case)) for case in cases))),
+    )
+
+
+def _profiles(score: Score, cases: Sequence[str]) -> list[Column]:
+    """Returns points of the performance profile: the share of cases within a factor of the least RMSE."""
+    errors = [
+        [math.nan if _reasons(row, case) else _metric(row, "rmse", case) for case in cases]
+        for row in score.rows
+    ]
+    shares = profile(ratios_to_best(errors, [not row.unranked for row in score.rows]), _FACTORS)
+    by_row = dict(zip((row.name for row in score.rows), 100.0 * shares, strict=True))
+    meaning = (
+        f"share of the cases {', '.join(cases)} in which the run did not fail and its RMSE is at most {{:g}} "
+        "times the least one of the ranked controllers: performance profile of Dolan and Moré (2002)"
+    )
+    return [
+        Column(
+            f"RMSE up to {factor:g} x best",
+            "%",
+            meaning.format(factor),
+            lambda row, index=index: Cell(float(by_row[row.name][index])),
+            greatest_is_best=True,
+        )
+        for index, factor in enumerate(_FACTORS)
+    ]
 
 
 def _failure_rate(row: Row) -> Cell:
     return Cell(100.0 * row.plants.failure_rate if row.plants else math.nan)
+
+
+def _failure_limit(end: int) -> Callable[[Row], Cell]:
+    return lambda row: Cell(100.0 * row.plants.failure_interval[end] if row.plants else math.nan)
 
 
 def _statistic(name: str, statistic: str) -> Callable[[Row], Cell]:

@@ -1,21 +1,24 @@
-"""Statistics over plants: what one controller does on all of them, and how two differ, plant by plant.
+"""Statistics over many runs: what one controller does in all of them, and how two differ, run by run.
 
-A plant on which a controller has no value (its run ended early) counts as worse than any number in the
+A run in which a controller has no value (it ended early) counts as worse than any number in the
 distribution of that controller, and is left out of pairs, whose number is given.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 TAIL = 0.05  # of the plants: the worst ones, of which CVaR is the mean
 CONFIDENCE = 0.95
-_RESAMPLES = 9999
-_BOOTSTRAP_SEED = 1
+Name = TypeVar("Name", bound=Hashable)
+Verdict = Literal["lower", "equal", "higher", "open"]
+# Of the lesser median: the seeds of one search agree if they come so near to each other
+# (tune.LARGEST_SPREAD), so that a smaller difference may be that of two searches
+EQUIVALENCE = 0.05
 
 
 @dataclass(frozen=True)
@@ -33,9 +36,10 @@ class OrderStatistics:
 
 @dataclass(frozen=True)
 class PairedComparison:
-    """A metric of two controllers on the same plants, the first minus the second.
+    """A metric of two controllers in the same runs, the first minus the second.
 
-    pairs: plants on which both have a value; low, high: 95 % interval of the median difference
+    pairs: runs in which both have a value; low, high: interval of the median difference
+    margin: a difference below it counts as none, 5 % of the lesser median
     p: of Wilcoxon's signed-rank test, that the differences are symmetric about 0
     """
 
@@ -43,7 +47,17 @@ class PairedComparison:
     median_difference: float
     low: float
     high: float
+    margin: float
     p: float
+
+    @property
+    def verdict(self) -> Verdict:
+        """Verdict of the interval: wholly within the margin, wholly beyond it, or neither."""
+        if -self.margin < self.low and self.high < self.margin:
+            return "equal"
+        if self.high < -self.margin or self.low > self.margin:
+            return "lower" if self.high < 0.0 else "higher"
+        return "open"
 
 
 def distribution(values: npt.ArrayLike) -> OrderStatistics:
@@ -54,39 +68,67 @@ def distribution(values: npt.ArrayLike) -> OrderStatistics:
     return OrderStatistics(float(median), float(p95), float(worst.mean()))
 
 
-def compare(first: npt.ArrayLike, second: npt.ArrayLike) -> PairedComparison:
-    """Returns Wilcoxon's test and a bootstrap interval of the median difference, paired by plant."""
+def compare(first: npt.ArrayLike, second: npt.ArrayLike, comparisons: int = 1) -> PairedComparison:
+    """Returns Wilcoxon's test and the interval of the median difference between order statistics, by pairs.
+
+    comparisons: so many intervals hold together with 95 % (Bonferroni)
+    """
     from scipy import stats  # takes longer to import than the test takes
 
-    differences = np.asarray(first, float) - np.asarray(second, float)
-    differences = differences[np.isfinite(differences)]
-    count = len(differences)
+    pairs = np.array([first, second], float)
+    pairs = pairs[:, np.isfinite(pairs).all(axis=0)]
+    count, differences = pairs.shape[1], pairs[0] - pairs[1]
     if count < 2:
-        return PairedComparison(count, math.nan, math.nan, math.nan, math.nan)
+        return PairedComparison(count, *[math.nan] * 5)
+    margin = EQUIVALENCE * float(np.median(pairs, axis=1).min())
     median = float(np.median(differences))
-    if not np.any(differences != differences[0]):
-        return PairedComparison(count, median, median, median, 1.0 if median == 0.0 else 2.0 ** (1 - count))
-    test: Any = stats.wilcoxon(differences)
-    resampled = stats.bootstrap(
-        (differences,),
-        np.median,
-        n_resamples=_RESAMPLES,
-        confidence_level=CONFIDENCE,
-        method="percentile",
-        rng=np.random.default_rng(_BOOTSTRAP_SEED),
-    ).confidence_interval
-    return PairedComparison(count, median, float(resampled.low), float(resampled.high), float(test.pvalue))
+    level = 1.0 - (1.0 - CONFIDENCE) / comparisons
+    interval = stats.quantile_test(differences, q=0, p=0.5).confidence_interval(level)
+    test: Any = stats.wilcoxon(differences) if np.any(differences) else None
+    p = test.pvalue if test else 1.0
+    return PairedComparison(count, median, float(interval.low), float(interval.high), margin, float(p))
 
 
-def holm(p_values: Mapping[str, float]) -> dict[str, float]:
+def proportion_interval(count: int, of: int) -> tuple[float, float]:
+    """Returns the 95 % interval of a share by Clopper and Pearson (1934), which covers at least that."""
+    from scipy import stats
+
+    interval = stats.binomtest(count, of).proportion_ci(CONFIDENCE, method="exact")
+    return float(interval.low), float(interval.high)
+
+
+def ratios_to_best(values: npt.ArrayLike, ranked: Sequence[bool]) -> npt.NDArray[np.float64]:
+    """Returns each value by the least of its problem among the ranked controllers (Dolan and More 2002).
+
+    values: controllers x problems, not a number for a run that failed, whose ratio is infinite
+    """
+    given = np.nan_to_num(np.asarray(values, float), nan=math.inf)
+    best = given[np.asarray(ranked, bool)].min(axis=0, initial=math.inf)
+    return np.divide(given, best, out=np.full_like(given, math.inf), where=np.isfinite(given))
+
+
+def profile(ratios: npt.NDArray[np.float64], limits: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Returns the share of problems with a ratio of at most each limit, controllers x limits."""
+    return (ratios[:, :, np.newaxis] <= np.asarray(limits, float)).mean(axis=1)
+
+
+def rank_correlation(first: npt.ArrayLike, second: npt.ArrayLike) -> float:
+    """Returns Spearman's correlation of two cases over the controllers that have a value in both."""
+    from scipy import stats
+
+    result: Any = stats.spearmanr(first, second, nan_policy="omit")
+    return float(result.statistic)
+
+
+def holm(p_values: Mapping[Name, float]) -> dict[Name, float]:
     """Returns name -> p-value corrected for how many are tested together, in steps as of Holm (1979).
 
     The k-th smallest of m is multiplied by m - k + 1, and is not below those before it, nor above 1. What is
     not a number is no test, and stays.
     """
-    tested = sorted((p, name) for name, p in p_values.items() if not math.isnan(p))
+    tested = sorted((name for name, p in p_values.items() if not math.isnan(p)), key=p_values.__getitem__)
     corrected, largest = dict(p_values), 0.0
-    for index, (p, name) in enumerate(tested):
-        largest = max(largest, min(1.0, (len(tested) - index) * p))
+    for index, name in enumerate(tested):
+        largest = max(largest, min(1.0, (len(tested) - index) * p_values[name]))
         corrected[name] = largest
     return corrected

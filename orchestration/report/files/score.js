@@ -2,9 +2,15 @@
 // A score: which table is shown, what the controllers did in a case, and how they compare.
 
 const find = (id) => document.getElementById(id);
-const hidden = new Set(); // titles of controllers whose lines are not drawn
+const names = page.rows.map((row) => row.name);
+const hidden = new Set(names.filter((name) => !page.shown.includes(name))); // whose lines are not drawn
+const order = [...page.shown, ...hidden]; // those that are drawn at first have styles that differ most
 
-const shade = (i) => ({ color: colour(i), dash: Object.keys(DASHES)[Math.floor(i / 10) % 4], width: page.rows[i].scored ? 3 : 1.5 });
+// forty pairs of ten colours and four dashes; neighbours differ in both
+const shade = (i) => {
+  const at = order.indexOf(names[i]);
+  return { color: colour(at), dash: dash(at + Math.floor(at / 20)), width: page.rows[i].scored ? 3 : 1.5 };
+};
 const numbers = async (packed) => (await unpacked(packed)).map((number) => number / page.scale);
 const value = (row, name) => row.cases[find("case").value]?.metrics[name] ?? NaN;
 
@@ -15,9 +21,12 @@ find("table").addEventListener("change", () => {
 /** Buttons that show and hide the lines of each controller. */
 function legend() {
   find("lines").replaceChildren(...page.rows.map((row, i) => {
-    const swatch = element("span", { textContent: "\u25ac" });
-    swatch.style.color = colour(i);
-    const button = element("button", { type: "button" }, swatch, row.title);
+    const button = element("button", { type: "button" });
+    button.innerHTML = '<svg viewBox="0 0 28 12" aria-hidden="true"><path d="M0 6H28" stroke-width="2.5"/></svg>';
+    button.append(row.title);
+    const path = button.querySelector("path");
+    path.setAttribute("stroke", shade(i).color);
+    path.setAttribute("stroke-dasharray", DASHES[shade(i).dash]);
     button.setAttribute("aria-pressed", String(!hidden.has(row.name)));
     button.addEventListener("click", () => {
       if (!hidden.delete(row.name)) hidden.add(row.name);
@@ -82,7 +91,7 @@ async function drawBoxes() {
   if (!name) return;
   const traces = page.rows.map((row, i) => ({
     type: "box", name: plain(row.title), y: row.plants?.metrics[name].values.filter(Number.isFinite) ?? [],
-    boxpoints: "outliers", marker: { color: colour(i), size: 3 }, line: { width: row.scored ? 2.5 : 1 },
+    boxpoints: "outliers", marker: { color: shade(i).color, size: 3 }, line: { width: row.scored ? 2.5 : 1 },
   }));
   const { title, unit } = page.protocol.metrics[name];
   await figure(find("boxes"), traces, { yaxis: { title: { text: titled(title, unit) }, type: "log" }, xaxis: { tickangle: -40 } }, `plants ${name}`);

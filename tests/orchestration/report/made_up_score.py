@@ -7,9 +7,9 @@ from orchestration.score.run_metrics import Trace
 from orchestration.score.score import ScoreResult
 from orchestration.score.score_document import (
     CaseResult,
-    MetricOverPlants,
+    ManyRuns,
+    MetricOverRuns,
     PairedDifference,
-    PlantsResult,
     Row,
     Score,
     protocol_info,
@@ -32,6 +32,8 @@ def made_up_score() -> ScoreResult:
         pairs=2,
         median_difference=1.0,
         interval=(0.5, 1.5),
+        margin=0.05,
+        verdict="higher",
         p=0.5,
         p_holm=1.0,
     )
@@ -46,8 +48,13 @@ def _row(name: str, rmse: float, variation: float) -> Row:
 
     cases = {"nominal": case(1.0), "buoyancy": case(1.5)}
     cases["nominal"].failed = ["breach 3 s"] if name == "l1" else []
-    over_plants = MetricOverPlants(median=rmse, p95=rmse, cvar=rmse, values=[rmse, 2.0 * rmse])
-    plants = PlantsResult(count=2, failure_rate=0.0, metrics=dict.fromkeys(OVER_PLANTS, over_plants))
+    over_plants = MetricOverRuns(median=rmse, p95=rmse, cvar=rmse, values=[rmse, 2.0 * rmse])
+    plants = ManyRuns(
+        count=2,
+        failure_rate=0.0,
+        failure_interval=(0.0, 0.8),
+        metrics=dict.fromkeys(OVER_PLANTS, over_plants),
+    )
     return Row(
         name=name,
         title=f"<{name}>",

@@ -1,12 +1,15 @@
 """The page of a score in a browser: tables, tracking, the price of accuracy, plants."""
 
+import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from selenium import webdriver
 
-from orchestration.report.score_page import score_page
+from orchestration.report.score_page import preselected, score_page
+from orchestration.score.score import ScoreResult
 
 from .made_up_score import made_up_score
 from .opened import OpenedPage
@@ -55,14 +58,65 @@ def test_the_best_of_each_column_that_did_not_fail_is_marked(opened_score: Opene
     assert [cell.split(" r ")[1] for cell in cells] == ["2 3", "★ 1 ★ 1.5", "✗ 3 4.5"]
 
 
-def test_all_controllers_are_drawn_and_can_be_hidden(opened_score: OpenedPage) -> None:
+def test_a_button_draws_and_hides_a_controller(opened_score: OpenedPage) -> None:
+    """At first the scored one, and those that are ranked: l1 failed the nominal case."""
     drawn = lines(opened_score, "error")
+    assert set(drawn) == {"&lt;mine&gt;", "&lt;pid&gt;"}
     assert drawn["&lt;pid&gt;"] == pytest.approx([0.0, -1.0, -1.0])
     assert drawn["&lt;mine&gt;"] == pytest.approx([0.0, -2.0, -2.0])
     opened_score.choose("#case", "Buoyancy +0.2 N")
     assert lines(opened_score, "error")["&lt;pid&gt;"] == pytest.approx([0.0, -1.5, -1.5])
-    opened_score.click(opened_score.all("#lines button")[1])
+    for number in (1, 2):
+        opened_score.click(opened_score.all("#lines button")[number])
     assert set(lines(opened_score, "depth")) == {"&lt;mine&gt;", "&lt;l1&gt;", "reference"}
+
+
+def with_others(*of_others: tuple[str, float, float, float]) -> ScoreResult:
+    """The made-up score with more rows: name, RMSE, total variation and delay margin."""
+    made_up = made_up_score()
+    document = made_up.document
+    for name, rmse, variation, margin in of_others:
+        row = document.rows[1].model_copy(deep=True)
+        row.name, row.title, row.delay_margin = name, name, margin
+        row.cases["nominal"].metrics |= {"rmse": rmse, "total_variation": variation}
+        document.rows.append(row)
+    traces = {row.name: made_up.traces.get(row.name, made_up.traces["pid"]) for row in document.rows}
+    return replace(made_up, traces=traces)
+
+
+def test_the_scored_one_is_drawn_beside_the_most_accurate_the_calmest_and_the_most_robust() -> None:
+    """Which are three; what is not ranked is none of them."""
+    others = [("exact", 0.5, 900.0, 0.02), ("calm", 5.0, 10.0, 0.3), ("slow", 6.0, 500.0, 0.2)]
+    document = with_others(*others, ("cheat", 0.0, 0.0, 9.0), ("unknown", 7.0, 500.0, math.nan)).document
+    document.rows[-2].unranked = ["its run, repeated, gives other values"]
+    assert preselected(document) == ["mine", "exact", "calm", "slow"]
+
+
+def test_no_two_of_forty_lines_look_alike(browser: "webdriver.Chrome", tmp_path: Path) -> None:
+    """And those that are drawn at first differ in colour and in dash, as do their buttons."""
+    file = tmp_path / "score.html"
+    many = with_others(*((f"other {i}", 2.0 + i, 1000.0 - i, 0.1 + i) for i in range(36)))
+    file.write_text(score_page(many, "Score"), encoding="utf-8")
+    page = OpenedPage(browser, file)
+    drawn = "return document.getElementById('error').data.map((t) => [t.line.color, t.line.dash])"
+    at_first = page.run(drawn)
+    assert [len({style[part] for style in at_first}) for part in (0, 1)] == [4, 4]
+    buttons = page.run(
+        "return [...document.querySelectorAll('#lines path')]"
+        ".map((p) => [p.getAttribute('stroke'), p.getAttribute('stroke-dasharray')])"
+    )
+    assert len({tuple(style) for style in buttons}) == len(buttons) == 39
+
+
+def test_the_error_stands_beside_the_depth(opened_score: OpenedPage) -> None:
+    """On a screen; on a phone below it."""
+    corners = "return ['depth', 'error'].map((id) => { const at = document.getElementById(id)"
+    corners += ".getBoundingClientRect(); return [at.left, at.top]; })"
+    (left, top), (right, beside) = opened_score.run(corners)
+    assert (top, left < right) == (beside, True)
+    opened_score.at_width(390)
+    (left, top), (right, below) = opened_score.run(corners)
+    assert (left, top < below) == (right, True)
 
 
 def test_the_price_joins_what_no_other_beats(opened_score: OpenedPage) -> None:

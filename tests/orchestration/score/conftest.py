@@ -30,6 +30,7 @@ def small_protocol(protocol: Protocol, tmp_path_factory: pytest.TempPathFactory)
         data["cost"] = {**data["cost"], "cases": ["nominal"]}
         data["controllers"] = {"l1-pi": data["controllers"]["l1-pi"]}
         data["plants"] = {**data["plants"], "count": 3}
+        data["repetitions"] = 2
         path = tmp_path_factory.mktemp("protocol") / "small.toml"
         path.write_text(tomli_w.dumps(data | changes), encoding="utf-8")
         return path

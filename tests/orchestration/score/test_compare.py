@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from orchestration.score import closed_loop, compare, score_view
-from orchestration.score.compare import part, tables
+from orchestration.score.compare import part
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.score_document import CaseResult, Row, Score, protocol_info
 
@@ -31,7 +31,7 @@ def test_every_controller_stands_twice_tuned_and_as_it_comes(small: Protocol) ->
     assert (tuned.name, start.name) == ("tuned/l1-pi", "start/l1-pi")
     assert start.parameters == {"augmentation": "pi"}
     assert tuned.parameters == {"augmentation": "pi", "proportional_gain": 12.5}
-    assert compare.run_count(small, full=True) == 2 * (2 + 3)
+    assert compare.run_count(small, full=True) == 2 * (2 + 3 + 2 * 2)
 
 
 @pytest.mark.slow
@@ -62,12 +62,39 @@ def made_up(protocol: Protocol, **errors: float) -> Score:
 
 def test_a_table_marks_the_best_and_what_failed(protocol: Protocol) -> None:
     document = made_up(protocol, a=1.25, b=2.5, c=7.0)
-    lines = tables(document)["tuned rmse"].splitlines()
-    assert [line.split(" | ")[:3] for line in lines[2:]] == [
-        ["| a", "r", "**1.25**"], ["| b", "r", "2.5"], ["| c", "r", "7 !"],
-    ]  # fmt: skip
+    table = score_view.of_metric(part(document, "tuned"), "rmse")
+    cells = [row[0] for row in table.cells]
+    assert [(cell.text, cell.is_best) for cell in cells] == [("1.25", True), ("2.5", False), ("7", False)]
+    assert [cell.failed for cell in cells] == [(), (), ("late",)]
     assert not part(document, "start").rows
-    assert len({line.count("|") for line in lines}) == 1
+
+
+def test_the_summary_has_points_of_the_profile_in_place_of_a_mean_over_cases(protocol: Protocol) -> None:
+    """Of cases that are not tuned on and repeat none; a failed run is within no factor of the best.
+
+    A mean of these errors would rank b first, by the one case whose errors are large.
+    """
+    document = made_up(protocol, a=1.0, b=1.05, c=1.0, d=0.1)
+    errors = {
+        "hold-sine": (3.0, 3.2, 3.0, 0.1),
+        "hold-waves": (9.0, 5.0, 4.0, 0.1),
+        "frozen": (1.0, 2.0, 9.9, 0.1),
+        "noise": (9.0, 1.0, 1.0, 1.0),  # it repeats the nominal case
+        "nominal": (9.0, 1.0, 1.0, 1.0),  # tuned on
+    }
+    infos = document.protocol.cases
+    document.protocol.cases = {name: infos[name] for name in errors}
+    for number, row in enumerate(document.rows):
+        row.cases = {name: CaseResult(metrics={"rmse": values[number]}) for name, values in errors.items()}
+    document.rows[2].cases["hold-waves"].failed = ["not settled"]
+    document.rows[3].unranked = ["its run, repeated, gives other values"]
+    table = score_view.overview(document)
+    titles = [column.title for column in table.columns]
+    near, wide = (titles.index(f"RMSE up to {factor} x best") for factor in ("1.1", "2"))
+    thirds = [100.0 / 3.0 * count for count in range(4)]
+    assert [row[near].value for row in table.cells] == pytest.approx([thirds[2], thirds[2], thirds[1], 100.0])
+    assert [row[wide].value for row in table.cells] == pytest.approx([100.0, 100.0, thirds[1], 100.0])
+    assert [row[near].is_best for row in table.cells] == [True, True, False, False]
 
 
 def test_a_controller_that_fails_the_nominal_case_has_no_best_delay_margin(protocol: Protocol) -> None:

@@ -11,7 +11,16 @@ import pytest
 from fmus.registry import block_names
 from orchestration.errors import ScenarioError
 from orchestration.scenarios import scenario
-from orchestration.score.protocol import FILE, Protocol, drawn_cases, first_target, plants, read_protocol
+from orchestration.score.protocol import (
+    FILE,
+    Protocol,
+    drawn_cases,
+    first_target,
+    plants,
+    read_protocol,
+    repeated_cases,
+)
+from orchestration.score.score_rows import repeated
 
 
 def seeds_in(value: Any) -> list[int]:
@@ -143,6 +152,27 @@ def test_the_thrust_of_the_plants_is_uniform_over_its_range(protocol: Protocol) 
     """The mean of 60 uniform numbers has a standard deviation of 0.1 / sqrt(12 * 60): four of them."""
     values = [float(plant.values["plant.thruster_gain[1]"]) for plant in plants(protocol, 1, 60)]
     assert np.mean(values) == pytest.approx(0.25, abs=4.0 * 0.1 / math.sqrt(12 * 60))
+
+
+def test_the_draws_of_a_case_begin_with_the_one_of_the_score_and_go_on(protocol: Protocol) -> None:
+    """Another number of them changes none, and each has a seed of its own."""
+    drawn, more = repeated_cases(protocol, 7, 3), repeated_cases(protocol, 7, 4)
+    assert [draws[0] for draws in drawn] == drawn_cases(protocol, 7)
+    assert [draws[:3] for draws in more] == drawn
+    noise, waves = (
+        next(draws for draws in drawn if draws[0].name == name) for name in ("nominal", "hold-waves")
+    )
+    assert len({draw.values[draw.seed_variable] for draw in noise}) == 3
+    assert len({draw.layer["signals"]["plant.external_force"]["seed"] for draw in waves}) == 3
+
+
+def test_a_case_that_repeats_the_nominal_one_is_drawn_once(protocol: Protocol) -> None:
+    names = {name for name, case in protocol.cases.items() if case.repeats_nominal}
+    assert {"noise", "drop-outs"} <= names
+    draws = repeated(protocol, 7)
+    assert draws.keys() == protocol.cases.keys() - names
+    assert {len(cases) for cases in draws.values()} == {protocol.tables.repetitions}
+    assert protocol.tables.repetitions >= 20
 
 
 def test_a_version_of_another_protocol_is_kept(small_protocol: Callable[..., Path]) -> None:

@@ -13,10 +13,10 @@ import pytest
 from orchestration.errors import OrchestrationError, ScenarioError
 from orchestration.score import score_document
 from orchestration.score.closed_loop import ClosedLoop, Controller, tuned
-from orchestration.score.protocol import drawn_cases, plants, read_protocol
+from orchestration.score.protocol import drawn_cases, plants, read_protocol, repeated_cases
 from orchestration.score.score import run_count, score_controllers
 from orchestration.score.score_document import Row, Score
-from orchestration.score.score_view import of_metric
+from orchestration.score.score_view import of_metric, over_draws, over_plants
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.report.made_up_score import made_up_score
 from tests.orchestration.score.controllers import rogue_doing
@@ -40,7 +40,7 @@ def document(path: Path, rogue: Build) -> Score:
     result = score_controllers(
         controllers, read_protocol(path), full=True, seed=SEED, workers=2, progress=done.append
     )
-    assert sum(done) == run_count(2, read_protocol(path), full=True) == 3 * (2 + 3)
+    assert sum(done) == run_count(2, read_protocol(path), full=True) == 3 * (2 + 3 + 2 * 2)
     return result.document
 
 
@@ -59,6 +59,48 @@ def test_a_row_has_the_metrics_of_the_loop_in_the_drawn_cases(document: Score, p
     tuned = other.cases["nominal"].metrics["rmse"]
     assert tuned < mine.cases["nominal"].metrics["rmse"]
     assert mine.microseconds > 0.0
+
+
+def test_a_full_row_has_many_draws_of_each_case(document: Score, path: Path) -> None:
+    mine, protocol = row(document, "mine"), read_protocol(path)
+    assert list(mine.draws) == list(mine.cases)
+    with ClosedLoop(MINE, protocol) as loop:
+        for draws in repeated_cases(protocol, SEED, 2):
+            runs = mine.draws[draws[0].name]
+            assert runs.metrics["rmse"].values == [loop.metrics(draw)["rmse"] for draw in draws]
+            assert runs.metrics["rmse"].values[0] == mine.cases[draws[0].name].metrics["rmse"]
+            assert (runs.count, runs.failed, runs.failure_rate) == (2, {}, 0.0)
+            assert runs.failure_interval == (0.0, pytest.approx(1.0 - 0.025**0.5))
+    crashed = row(document, "segfault").draws["nominal"]
+    assert (crashed.failure_rate, list(crashed.failed)) == (1.0, ["0", "1"])
+
+
+def test_failure_rates_over_plants_stand_between_the_ends_of_their_intervals(document: Score) -> None:
+    """Of three plants: none or all of them failed."""
+    table = over_plants(document)
+    assert table is not None
+    assert [column.title for column in table.columns[:3]] == ["Failed", "Failed, at least", "Failed, at most"]
+    shown = {
+        row.name: [cell.value for cell in cells[:3]]
+        for row, cells in zip(table.rows, table.cells, strict=True)
+    }
+    none = 0.025 ** (1.0 / 3.0)
+    assert shown["mine"] == pytest.approx([0.0, 0.0, 100.0 * (1.0 - none)])
+    assert shown["segfault"] == pytest.approx([100.0, 100.0 * none, 100.0])
+
+
+def test_a_table_has_the_median_of_the_draws_and_marks_where_some_failed(document: Score) -> None:
+    table = over_draws(document)
+    assert table is not None
+    assert [column.title for column in table.columns] == ["Nominal", "2 N step at 1 m"]
+    cells = {row.name: row_cells[0] for row, row_cells in zip(table.rows, table.cells, strict=True)}
+    first, second = row(document, "mine").draws["nominal"].metrics["rmse"].values
+    assert (cells["mine"].value, cells["mine"].failed) == (min(first, second), ())
+    assert cells["segfault"].failed == ("2 of 2 draws",)
+    assert cells["l1-pi"].is_best
+    score = document.model_copy(deep=True)
+    score.rows[0].draws = {}
+    assert over_draws(score) is None
 
 
 def test_what_crashes_has_its_row_and_the_others_are_scored(document: Score) -> None:

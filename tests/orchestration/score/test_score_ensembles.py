@@ -14,12 +14,12 @@ from orchestration.score import score_rows
 from orchestration.score.closed_loop import ClosedLoop, Controller
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.score import score_controllers
-from orchestration.score.score_document import PlantsResult
+from orchestration.score.score_document import ManyRuns
 from tests.foreign_fmus import Misdeed
 from tests.shared_builds import Build, built_once, session_folder
 
 MINE = Controller("mine", "L1DepthController")  # three signals of each plant
-Scored = Callable[..., tuple[PlantsResult, list[int]]]
+Scored = Callable[..., tuple[ManyRuns, list[int]]]
 COUNT = 19  # two groups and a part of one
 VARY: Mapping[str, Any] = {
     "weight": {"variables": ["plant.weight"], "distribution": "loguniform", "low": 1e-3, "high": 30.0},
@@ -60,7 +60,7 @@ def plants_of(path: Path, monkeypatch: pytest.MonkeyPatch) -> Scored:
 
     def score_plants(
         controller: Controller, is_compiled: bool, crashes: bool = False
-    ) -> tuple[PlantsResult, list[int]]:
+    ) -> tuple[ManyRuns, list[int]]:
         groups: list[int] = []
         made = Isolated._made
 
@@ -74,7 +74,9 @@ def plants_of(path: Path, monkeypatch: pytest.MonkeyPatch) -> Scored:
         with monkeypatch.context() as patch:
             patch.setattr(ensemble, "is_compiled", lambda *_: is_compiled)
             patch.setattr(Isolated, "_made", count)
-            patch.setattr(score_rows, "_value_or", lambda default, *_: default)  # without other runs
+            # without other runs
+            patch.setattr(score_rows, "_value_or", lambda default, *_: default)
+            patch.setattr(score_rows, "repeated", lambda *_: {})
             result = score_controllers(
                 [controller], read_protocol(path), full=True, seed=5, progress=done.append
             )

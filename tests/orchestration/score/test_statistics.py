@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from orchestration.score.statistics import compare, distribution, holm
+from orchestration.score.statistics import (
+    PairedComparison,
+    compare,
+    distribution,
+    holm,
+    profile,
+    proportion_interval,
+    rank_correlation,
+    ratios_to_best,
+)
 
 
 def test_median_percentile_and_cvar_of_one_to_a_hundred() -> None:
@@ -31,35 +40,108 @@ def test_wilcoxon_is_exact_where_all_differences_have_one_sign() -> None:
     assert comparison.p == pytest.approx(2.0 / 2.0**10, rel=1e-12)
     assert comparison.pairs == 10
     assert comparison.median_difference == pytest.approx(1.045)
-    assert 1.0 < comparison.low < comparison.median_difference < comparison.high < 1.09
 
 
-def test_the_bootstrap_interval_is_about_that_of_the_order_statistics() -> None:
-    """By the binomial distribution alone, that of 101 values is from the 41st to the 61st with 95 %.
+def test_the_interval_of_the_median_is_from_one_order_statistic_to_another() -> None:
+    """Of 101 values from the 41st to the 61st, by the binomial distribution alone, however large the last."""
+    ranks = np.array([*np.arange(1.0, 101.0), 1e6])
+    comparison = compare(1000.0 + ranks, np.full(101, 1000.0))
+    assert (comparison.median_difference, comparison.low, comparison.high) == (51.0, 41.0, 61.0)
+    tail = [stats.binom.cdf(below, 101, 0.5) for below in (40, 41)]
+    assert tail[0] < 0.025 < tail[1]
 
-    A resampled median is one of the values, so that both ends may be off by one of them.
-    """
-    ranks = np.arange(1.0, 102.0)
-    assert [stats.binom.ppf(p, 101, 0.5) for p in (0.025, 0.975)] == [41.0, 60.0]
-    comparison = compare(ranks, np.zeros(101))
-    assert comparison.median_difference == 51.0
-    assert (comparison.low, comparison.high) == (pytest.approx(41.0, abs=1.0), pytest.approx(61.0, abs=1.0))
+
+def test_intervals_of_many_comparisons_are_wider_so_that_all_hold_together() -> None:
+    """24 values and 100 comparisons: the 4th to the 21st, outside of which the median is with 0.03 %."""
+    values = np.random.default_rng(2).permutation(np.arange(1.0, 25.0))
+    alone, together = (compare(100.0 + values, np.full(24, 100.0), count) for count in (1, 100))
+    assert (alone.low, alone.high) == (7.0, 18.0)
+    assert (together.low, together.high) == (4.0, 21.0)
+    assert 2.0 * stats.binom.cdf(3, 24, 0.5) < 0.05 / 100 < 2.0 * stats.binom.cdf(4, 24, 0.5)
+    assert together.p == alone.p
+
+
+def test_six_pairs_are_the_fewest_that_have_an_interval() -> None:
+    """2 of 2^6 signs are 3 %, 2 of 2^5 are 6 %: fewer pairs decide nothing."""
+    six, five = (compare(np.arange(1.0, 1.0 + count), np.zeros(count)) for count in (6, 5))
+    assert (six.low, six.high) == (1.0, 6.0)
+    assert math.isnan(five.low)
+    assert five.verdict == "open"
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "verdict"),
+    [
+        (-0.9, 0.9, "equal"),
+        (0.1, 0.9, "equal"),  # it differs from 0, and that means nothing
+        (-1.0, 0.9, "open"),
+        (-0.9, 1.0, "open"),
+        (-2.0, 2.0, "open"),
+        (0.5, 1.5, "open"),
+        (-1.5, -0.5, "open"),
+        (-3.0, -1.1, "lower"),
+        (1.1, 3.0, "higher"),
+    ],
+)
+def test_a_verdict_is_where_the_interval_is_on_one_side_of_the_margin(
+    low: float, high: float, verdict: str
+) -> None:
+    assert PairedComparison(10, 0.0, low, high, 1.0, 0.5).verdict == verdict
+
+
+def test_the_margin_is_five_percent_of_the_lesser_median() -> None:
+    first, second = np.full(20, 4.0), np.linspace(1.0, 3.0, 20)
+    assert compare(first, second).margin == compare(second, first).margin == pytest.approx(0.05 * 2.0)
+    assert compare(1.04 * second, second).verdict == "equal"
+    assert [compare(*pair).verdict for pair in ((first, second), (second, first))] == ["higher", "lower"]
 
 
 def test_pairs_are_those_with_both_values() -> None:
     comparison = compare([1.0, math.nan, 3.0, 5.0], [0.0, 1.0, math.nan, 3.0])
     assert (comparison.pairs, comparison.median_difference) == (2, 1.5)
+    assert comparison.margin == pytest.approx(0.05 * 1.5)  # of the pairs alone: 0 and 3
     assert math.isnan(compare([1.0], [math.nan]).p)
 
 
 def test_a_controller_does_not_differ_from_itself() -> None:
-    comparison = compare([1.0, 2.0, 3.0], [1.0, 2.0, 3.0])
-    assert (comparison.median_difference, comparison.low, comparison.high, comparison.p) == (
-        0.0,
-        0.0,
-        0.0,
-        1.0,
-    )
+    comparison = compare(np.arange(1.0, 9.0), np.arange(1.0, 9.0))
+    assert (comparison.median_difference, comparison.low, comparison.high, comparison.p) == (0, 0, 0, 1)
+    assert comparison.verdict == "equal"
+
+
+def test_the_interval_of_a_share_is_that_of_clopper_and_pearson() -> None:
+    """None of 300: the share p at which (1 - p)^300 is 2.5 %. 3 of 300 overlap with it."""
+    low, high = proportion_interval(0, 300)
+    assert (low, high) == (0.0, pytest.approx(1.0 - 0.025 ** (1.0 / 300.0), rel=1e-9))
+    low, high = proportion_interval(3, 300)
+    assert stats.binom.sf(2, 300, low) == pytest.approx(0.025, rel=1e-6)
+    assert stats.binom.cdf(3, 300, high) == pytest.approx(0.025, rel=1e-6)
+    assert proportion_interval(300, 300) == (pytest.approx(0.025 ** (1.0 / 300.0), rel=1e-9), 1.0)
+
+
+def test_ratios_are_to_the_best_ranked_one_of_each_problem() -> None:
+    """The third is not ranked; a failed run is as far from the best as can be, and all may fail."""
+    values = [[1.0, 6.0, math.nan, math.nan], [2.0, 3.0, 4.0, math.nan], [0.5, 3.0, 1.0, 2.0]]
+    ratios = ratios_to_best(values, [True, True, False])
+    assert ratios.tolist() == [
+        [1.0, 2.0, math.inf, math.inf],
+        [2.0, 1.0, 1.0, math.inf],
+        [0.5, 1.0, 0.25, 0.0],
+    ]
+
+
+def test_a_profile_is_the_share_of_problems_within_a_factor() -> None:
+    """Dolan and Moré (2002): at 1 the share of wins, at large factors that of runs that did not fail."""
+    ratios = ratios_to_best([[1.0, 6.0, math.nan, 1.0], [2.0, 3.0, 4.0, 1.0]], [True, True])
+    assert profile(ratios, [1.0, 1.99, 2.0, 1e9]).tolist() == [[0.5, 0.5, 0.75, 0.75], [0.75, 0.75, 1.0, 1.0]]
+
+
+def test_the_rank_correlation_is_of_orders_alone() -> None:
+    """1 - 6 sum d^2 / (n (n^2 - 1)): one exchange of neighbours among five is 0.9."""
+    first = [1.0, 2.0, 3.0, 4.0, 5.0, math.nan]
+    assert rank_correlation(first, [1.0, 4.0, 9.0, 16.0, 250.0, 7.0]) == pytest.approx(1.0)
+    assert rank_correlation(first, [1.0, 2.0, 4.0, 3.0, 5.0, -9.0]) == pytest.approx(0.9)
+    assert rank_correlation(first, [5.0, 4.0, 3.0, 2.0, 1.0, 0.0]) == pytest.approx(-1.0)
 
 
 def test_holm_corrects_in_steps_and_keeps_the_order() -> None:
