@@ -38,7 +38,7 @@ def test_indices_of_ranks_that_two_numbers_decide(
     """adrc overtakes pid above the median inertia, and mrac is between them or ahead, as the lag decides.
 
     With a and b independent and fair coins, the ranks (pid, adrc, mrac) are, by a b: 1 3 2 where it is 00,
-    3 1 2 where it is 10, 2 3 1 where it is 01, and 3 2 1 where it is 11. The ranks' variances are 11/16, 11/16
+    3 1 2 where it is 10, 2 3 1 where it is 01, and 3 2 1 where it is 11. The variances are 11/16, 11/16
     and 1/4. Of them a leaves, with b known, 10/16, 10/16 and 0, and b leaves 1/8, 1/8 and 1/4.
     """
     numbers = study.guessed(protocol)
