@@ -46,6 +46,18 @@ SeedOption = Annotated[
 RatesOption = Annotated[
     bool, typer.Option("--no-rates", help="Connect the reference alone, not its derivatives.")
 ]
+BoundOption = Annotated[
+    list[str],
+    typer.Option(
+        "--bound",
+        metavar="METRIC=NUMBER",
+        help="Bound a metric of the cost from above, or delay_margin from below; what is beyond costs 10 cm "
+        "for each time that the bound fits into the excess.",
+    ),
+]
+CasesOption = Annotated[
+    str, typer.Option("--cases", metavar="NAME,...", help="Take the cost over these cases of the protocol.")
+]
 ProtocolOption = Annotated[
     Path | None,
     typer.Option("--protocol", metavar="FILE", help="Follow this protocol, not the one that ships."),
@@ -101,10 +113,35 @@ def compare(
     settings: LoopSetOption = [],  # noqa: B006
     mapped: LoopMapOption = [],  # noqa: B006
     protocol_file: ProtocolOption = None,
+    draws_fronts: Annotated[
+        bool,
+        typer.Option(
+            "--fronts",
+            help="Search for each law the front of error and total variation, not its score: the gains of "
+            "least error for each variation. Interrupted, the same command continues.",
+        ),
+    ] = False,
+    laws: Annotated[
+        str, typer.Option(metavar="NAME,...", help="With --fronts: of these alone, not of all laws.")
+    ] = "",
+    bounds: BoundOption = [],  # noqa: B006
+    cases: CasesOption = "",
+    seeds: Annotated[
+        int, typer.Option(metavar="NUMBER", help="With --fronts: search from so many seeds.")
+    ] = 5,
+    evaluations: Annotated[
+        int,
+        typer.Option(
+            metavar="NUMBER",
+            help="With --fronts: so many for each gain, bound on the variation and seed.",
+            min=1,
+        ),
+    ] = 40,
 ) -> None:
     """Score all controllers of the protocol, each with the gains that it comes with, and tuned.
 
     Writes comparison.json, comparison.md with the tables, and an interactive page.
+    With --fronts: fronts.json and fronts.svg.
     """
     from fmus.files import write_text_atomically
     from orchestration.score import compare as comparison
@@ -113,6 +150,14 @@ def compare(
     protocol = chosen_protocol(changes, protocol_file)
     scored_controllers([], False, changes)
     shared.check_writable(out)
+    if draws_fronts:
+        from orchestration.cli.fronts import write_fronts
+
+        shared.refuse_without_effect("--fronts", {"--full": full, "--seed": seed is not None})
+        write_fronts(protocol, bounds, cases, laws, seeds, evaluations, workers, out)
+        return
+    others = {"--laws": laws, "--bound": bounds, "--cases": cases}
+    shared.refuse_without_effect("compare without --fronts", others)
     with shared.progress("compare", comparison.run_count(protocol, full)) as bar:
         result = comparison.compare(protocol, full, seed, workers, bar.advance)
     document = result.document

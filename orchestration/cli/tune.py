@@ -19,7 +19,14 @@ from orchestration.cli.changes import (
     PlantOption,
 )
 from orchestration.cli.interrupts import INTERRUPTED
-from orchestration.cli.score import RatesOption, chosen_protocol, scored_controllers
+from orchestration.cli.score import (
+    BoundOption,
+    CasesOption,
+    ProtocolOption,
+    RatesOption,
+    chosen_protocol,
+    scored_controllers,
+)
 from orchestration.errors import ScenarioError
 
 if TYPE_CHECKING:
@@ -53,6 +60,24 @@ def tune(
     restart: Annotated[
         bool, typer.Option("--restart", help="Discard the evaluations of an earlier tuning of that name.")
     ] = False,
+    bounds: BoundOption = [],  # noqa: B006
+    cases: CasesOption = "",
+    plants: Annotated[
+        int,
+        typer.Option(
+            metavar="NUMBER", help="Take the worst fifth of so many plants in place of cases.", min=0
+        ),
+    ] = 0,
+    step: Annotated[
+        float,
+        typer.Option(
+            metavar="S",
+            help="Begin with this communication step, by default that of the protocol; it is halved, and the "
+            "search made anew, while half of it changes the cost by more than 2 %.",
+            min=0.0,
+        ),
+    ] = 0.0,
+    protocol_file: ProtocolOption = None,
     no_rates: RatesOption = False,
     plant: PlantOption = "",
     settings: LoopSetOption = [],  # noqa: B006
@@ -66,24 +91,57 @@ def tune(
     from orchestration.score.tune_search import parse
 
     changes = Changes.of_options("", settings, mapped, open_inputs, plant)
-    protocol = chosen_protocol(changes)
-    controller = _controller(name, no_rates, changes, protocol)
-    problem = tune_problem.problem_of(controller, protocol, [parse(text) for text in free])
+    protocol = with_cost(chosen_protocol(changes, protocol_file), bounds, cases, plants)
+    controller = replace(_controller(name, no_rates, changes, protocol), step=step)
+    gains = [parse(text) for text in free]
+    problem = tune_problem.problem_of(controller, protocol, gains)
     shared.check_writable(out)
-    journal = out / f"{controller.name}.tune.jsonl"
-    total = evaluations * len(problem.gains) * (seeds + 1)
-    with (
-        shared.progress(f"tune {controller.name}", total) as bar,
-        started(controller, protocol, workers, total) as evaluate,
-    ):
-        tuning = _search(problem, range(1, seeds + 1), evaluations, journal, evaluate, bar, restart)
-    provenance = tune_problem.provenance(tuning, controller, protocol)
+    total, journals = evaluations * len(problem.gains) * (seeds + 1), list[Path]()
+    for _ in range(1 + tune_problem.HALVINGS):
+        milliseconds = 1e3 * tune_problem.step_of(controller, protocol)
+        journals.append(out / f"{controller.name}.{milliseconds:g}ms.tune.jsonl")
+        with (
+            shared.progress(f"tune {controller.name}, {milliseconds:g} ms", total) as bar,
+            started(controller, protocol, workers, total) as evaluate,
+        ):
+            tuning = _search(problem, range(1, seeds + 1), evaluations, journals[-1], evaluate, bar, restart)
+        provenance = tune_problem.provenance(tuning, controller, protocol)
+        if abs(provenance["change_at_half_the_step"]) <= tune_problem.LARGEST_CHANGE:
+            break
+        controller = tune_problem.halved(controller, protocol)
+        problem = tune_problem.problem_of(controller, protocol, gains)
     path = out / f"{controller.name}.toml"
     with ClosedLoop(controller, protocol) as loop:
         tune_problem.write(tuning, loop.parameters(), provenance, path)
-    journal.unlink()
+    for journal in journals:
+        journal.unlink()
     print_gains(tuning, controller.name)
+    print(
+        f"Half the step of {1e3 * provenance['step']:g} ms changes the cost by "
+        f"{100 * provenance['change_at_half_the_step']:.2g} %."
+    )
     print(path)
+
+
+def with_cost(protocol: "Protocol", options: Sequence[str], cases: str, plants: int = 0) -> "Protocol":
+    """Returns the protocol with the cost that --bound METRIC=NUMBER, --cases and --plants ask for."""
+    from orchestration.score import tune_problem
+
+    bounds: dict[str, float] = {}
+    for option in options:
+        name, _, number = option.partition("=")
+        try:
+            bounds[name.strip()] = float(number)
+        except ValueError:
+            raise ScenarioError(
+                f"--bound {option}: expected METRIC=NUMBER, such as delay_margin=0.1"
+            ) from None
+    return tune_problem.with_cost(protocol, bounds, listed(cases), plants)
+
+
+def listed(names: str) -> list[str]:
+    """Returns the names of an option NAME,..."""
+    return [name.strip() for name in names.split(",") if name.strip()]
 
 
 def _search(
@@ -161,5 +219,6 @@ def print_gains(tuning: "Tuning", name: str) -> None:
     print(
         f"The cost is {verdict}. In the last half of {len(tuning.refinement.curve)} evaluations it fell by "
         f"{100 * tuning.improvement:.2g} %; the median of {len(tuning.searches)} seeds is "
-        f"{100 * tuning.spread:.2g} % above the lowest."
+        f"{100 * tuning.spread:.2g} % above the lowest, and after each quarter of its evaluations "
+        f"{', '.join(f'{cost:.4g}' for cost in tuning.flattening)} cm."
     )

@@ -154,7 +154,7 @@ def beyond_bounds(loop: ClosedLoop) -> list[str]:
     for table in loop.protocol.controllers.values():
         if table.fmu == loop.controller.fmu:
             for name, gain in table.gains.items():
-                low, high = ranges.get(name, (math.inf, 0.0))
+                low, high = ranges.get(name, (math.inf, -math.inf))
                 ranges[name] = min(low, gain.low), max(high, gain.high)
     given = {name: float(value) for name, value in loop.parameters().items() if name in ranges}
     return [
