@@ -48,15 +48,17 @@ RatesOption = Annotated[
 ]
 BoundOption = Annotated[
     list[str],
-    typer.Option(
-        "--bound",
-        metavar="METRIC=NUMBER",
-        help="Bound a metric of the cost from above, or delay_margin from below; what is beyond costs 10 cm "
-        "for each time that the bound fits into the excess.",
-    ),
+    typer.Option("--bound", metavar="METRIC=NUMBER", help="Bound a metric of the cost, or delay_margin."),
 ]
 CasesOption = Annotated[
     str, typer.Option("--cases", metavar="NAME,...", help="Take the cost over these cases of the protocol.")
+]
+SeedsOption = Annotated[int, typer.Option(metavar="NUMBER", help="Search from so many seeds.", min=1)]
+EvaluationsOption = Annotated[
+    int,
+    typer.Option(
+        metavar="NUMBER", help="Evaluate so many for each free gain, seed and bound of a front.", min=1
+    ),
 ]
 ProtocolOption = Annotated[
     Path | None,
@@ -113,30 +115,14 @@ def compare(
     settings: LoopSetOption = [],  # noqa: B006
     mapped: LoopMapOption = [],  # noqa: B006
     protocol_file: ProtocolOption = None,
-    draws_fronts: Annotated[
-        bool,
-        typer.Option(
-            "--fronts",
-            help="Search for each law the front of error and total variation, not its score: the gains of "
-            "least error for each variation. Interrupted, the same command continues.",
-        ),
+    fronts: Annotated[
+        bool, typer.Option("--fronts", help="Search the front of error and total variation of each law.")
     ] = False,
-    laws: Annotated[
-        str, typer.Option(metavar="NAME,...", help="With --fronts: of these alone, not of all laws.")
-    ] = "",
+    laws: Annotated[str, typer.Option(metavar="NAME,...", help="Take the fronts of these laws alone.")] = "",
     bounds: BoundOption = [],  # noqa: B006
     cases: CasesOption = "",
-    seeds: Annotated[
-        int, typer.Option(metavar="NUMBER", help="With --fronts: search from so many seeds.")
-    ] = 5,
-    evaluations: Annotated[
-        int,
-        typer.Option(
-            metavar="NUMBER",
-            help="With --fronts: so many for each gain, bound on the variation and seed.",
-            min=1,
-        ),
-    ] = 40,
+    seeds: SeedsOption = 5,
+    evaluations: EvaluationsOption = 40,
 ) -> None:
     """Score all controllers of the protocol, each with the gains that it comes with, and tuned.
 
@@ -150,12 +136,13 @@ def compare(
     protocol = chosen_protocol(changes, protocol_file)
     scored_controllers([], False, changes)
     shared.check_writable(out)
-    if draws_fronts:
+    if fronts:
         from orchestration.cli.fronts import write_fronts
+        from orchestration.score.tune_problem import cost_of_options, listed
 
         shared.refuse_without_effect("--fronts", {"--full": full, "--seed": seed is not None})
-        write_fronts(protocol, bounds, cases, laws, seeds, evaluations, workers, out)
-        return
+        protocol = cost_of_options(protocol, bounds, cases)
+        return write_fronts(protocol, listed(laws), seeds, evaluations, workers, out)
     others = {"--laws": laws, "--bound": bounds, "--cases": cases}
     shared.refuse_without_effect("compare without --fronts", others)
     with shared.progress("compare", comparison.run_count(protocol, full)) as bar:
@@ -171,7 +158,7 @@ def compare(
     for name, text in written.items():
         write_text_atomically(out / name, f"{text}\n")
         print(out / name)
-    write_page(comparison.for_page(result), out / "comparison.html", "Comparison of the controllers")
+    return write_page(comparison.for_page(result), out / "comparison.html", "Comparison of the controllers")
 
 
 def write_score(result: "ScoreResult", out: Path) -> None:

@@ -22,8 +22,10 @@ from orchestration.cli.interrupts import INTERRUPTED
 from orchestration.cli.score import (
     BoundOption,
     CasesOption,
+    EvaluationsOption,
     ProtocolOption,
     RatesOption,
+    SeedsOption,
     chosen_protocol,
     scored_controllers,
 )
@@ -51,10 +53,8 @@ def tune(
             "by default the gains that the protocol has for the controller.",
         ),
     ] = [],  # noqa: B006  (Typer copies it)
-    evaluations: Annotated[
-        int, typer.Option(metavar="NUMBER", help="Evaluate so many for each free gain and seed.", min=1)
-    ] = 100,
-    seeds: Annotated[int, typer.Option(metavar="NUMBER", help="Search from so many seeds.", min=1)] = 5,
+    evaluations: EvaluationsOption = 100,
+    seeds: SeedsOption = 5,
     workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
     out: shared.OutFolder = Path("results"),
     restart: Annotated[
@@ -68,15 +68,6 @@ def tune(
             metavar="NUMBER", help="Take the worst fifth of so many plants in place of cases.", min=0
         ),
     ] = 0,
-    step: Annotated[
-        float,
-        typer.Option(
-            metavar="S",
-            help="Begin with this communication step, by default that of the protocol; it is halved, and the "
-            "search made anew, while half of it changes the cost by more than 2 %.",
-            min=0.0,
-        ),
-    ] = 0.0,
     protocol_file: ProtocolOption = None,
     no_rates: RatesOption = False,
     plant: PlantOption = "",
@@ -91,13 +82,13 @@ def tune(
     from orchestration.score.tune_search import parse
 
     changes = Changes.of_options("", settings, mapped, open_inputs, plant)
-    protocol = with_cost(chosen_protocol(changes, protocol_file), bounds, cases, plants)
-    controller = replace(_controller(name, no_rates, changes, protocol), step=step)
+    protocol = tune_problem.cost_of_options(chosen_protocol(changes, protocol_file), bounds, cases, plants)
+    controller = _controller(name, no_rates, changes, protocol)
     gains = [parse(text) for text in free]
     problem = tune_problem.problem_of(controller, protocol, gains)
     shared.check_writable(out)
     total, journals = evaluations * len(problem.gains) * (seeds + 1), list[Path]()
-    for _ in range(1 + tune_problem.HALVINGS):
+    while True:
         milliseconds = 1e3 * tune_problem.step_of(controller, protocol)
         journals.append(out / f"{controller.name}.{milliseconds:g}ms.tune.jsonl")
         with (
@@ -106,7 +97,8 @@ def tune(
         ):
             tuning = _search(problem, range(1, seeds + 1), evaluations, journals[-1], evaluate, bar, restart)
         provenance = tune_problem.provenance(tuning, controller, protocol)
-        if abs(provenance["change_at_half_the_step"]) <= tune_problem.LARGEST_CHANGE:
+        change = provenance["change_at_half_the_step"]
+        if abs(change) <= tune_problem.LARGEST_CHANGE or len(journals) > tune_problem.HALVINGS:
             break
         controller = tune_problem.halved(controller, protocol)
         problem = tune_problem.problem_of(controller, protocol, gains)
@@ -116,32 +108,8 @@ def tune(
     for journal in journals:
         journal.unlink()
     print_gains(tuning, controller.name)
-    print(
-        f"Half the step of {1e3 * provenance['step']:g} ms changes the cost by "
-        f"{100 * provenance['change_at_half_the_step']:.2g} %."
-    )
+    print(f"Half the step of {milliseconds:g} ms changes the cost by {100 * change:.2g} %.")
     print(path)
-
-
-def with_cost(protocol: "Protocol", options: Sequence[str], cases: str, plants: int = 0) -> "Protocol":
-    """Returns the protocol with the cost that --bound METRIC=NUMBER, --cases and --plants ask for."""
-    from orchestration.score import tune_problem
-
-    bounds: dict[str, float] = {}
-    for option in options:
-        name, _, number = option.partition("=")
-        try:
-            bounds[name.strip()] = float(number)
-        except ValueError:
-            raise ScenarioError(
-                f"--bound {option}: expected METRIC=NUMBER, such as delay_margin=0.1"
-            ) from None
-    return tune_problem.with_cost(protocol, bounds, listed(cases), plants)
-
-
-def listed(names: str) -> list[str]:
-    """Returns the names of an option NAME,..."""
-    return [name.strip() for name in names.split(",") if name.strip()]
 
 
 def _search(

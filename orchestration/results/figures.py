@@ -211,18 +211,16 @@ def front_figure(
     with figure_style():
         figure = Figure(figsize=(_WIDTH_IN, _WIDTH_IN), layout="constrained")
         panel, margins = figure.subplots(), [p["delay_margin"] for law in laws for p in law["points"]]
-        limits = {"vmin": min(margins, default=0.0), "vmax": max(margins, default=1.0)}
         for index, law in enumerate(law for law in laws if law["points"]):
-            x, y, colour = (
-                [point[name] for point in law["points"]]
-                for name in ("total_variation", "error", "delay_margin")
-            )
-            spread = "" if law["spread"] is None else f", seeds within {100 * law['spread']:.2g} %"
-            marker = {"marker": _MARKERS[index % len(_MARKERS)], "label": f"{law['title']}{spread}"}
+            names = ("total_variation", "error", "delay_margin")
+            x, y, colour = ([point[name] for point in law["points"]] for name in names)
+            spread = "" if law["spread"] is None else f", seeds {100 * law['spread']:.2g} % apart"
+            label, marker = f"{law['title']}{spread}", _MARKERS[index % len(_MARKERS)]
             panel.plot(x, y, color=GREY, linestyle=_LINES[index % len(_LINES)], linewidth=0.5)
-            drawn = panel.scatter(x, y, c=colour, s=14.0, cmap="viridis", **marker, **limits)
-            if index == 0:
-                figure.colorbar(drawn, label="Delay margin [s]", location="top", shrink=0.5)
+            dots = panel.scatter(x, y, s=14.0, c=colour, marker=marker, label=label, cmap="viridis")
+            dots.set_clim(min(margins), max(margins))
+            if not index:
+                figure.colorbar(dots, label="Delay margin [s]", location="top", shrink=0.5)
         panel.set(xscale="log", yscale="log", xlabel="Total variation [N]", ylabel="RMSE [cm]")
         figure.legend(loc="outside lower center", ncols=2, title=title)
         return write_figure(figure, path, formats)

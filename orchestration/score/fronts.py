@@ -6,22 +6,20 @@ the best gains that the seed has evaluated until then. The front is of all evalu
 the other bounds of the cost and do not fail.
 """
 
-import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
+from statistics import median
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from fmus.files import write_text_atomically
 from orchestration.errors import ScenarioError
 from orchestration.score import tune_problem
-from orchestration.score.closed_loop import ClosedLoop, Controller, tuned
+from orchestration.score.closed_loop import ClosedLoop, tuned
 from orchestration.score.protocol import Protocol
 from orchestration.score.protocol_format import DELAY_MARGIN
 from orchestration.score.score_rows import delay_margin_of
@@ -31,7 +29,10 @@ from orchestration.score.tune_problem import LARGEST, beyond
 LEVELS = 6
 """Bounds on the total variation, each half of the one before: from that of the protocol to a 32nd of it."""
 LARGEST_ERROR = 10.0
-"""RMSE [cm] of the point from which hypervolumes are measured: that of the paper's L1, untuned."""
+"""RMSE [cm] of the point from which hypervolumes are measured: that of the paper's L1, untuned.
+
+Below it what is beyond a bound costs more than the error falls with the variation (`tune_problem.beyond`).
+"""
 LARGEST_SPREAD = 0.05
 """Of the hypervolumes of the seeds, of their median: where it is less, the seeds found one front."""
 _MOST_POINTS = 16  # of a front that is written: each is checked by some twenty runs
@@ -67,8 +68,8 @@ def hypervolume(points: Iterable[Point], reference: Point) -> float:
 
 def spread(hypervolumes: Sequence[float]) -> float:
     """Returns the range of the hypervolumes of the seeds, of their median; not a number of one seed."""
-    median = float(np.median(hypervolumes))
-    return (max(hypervolumes) - min(hypervolumes)) / median if len(hypervolumes) > 1 and median else math.nan
+    middle = median(hypervolumes) if len(hypervolumes) > 1 else 0.0
+    return (max(hypervolumes) - min(hypervolumes)) / middle if middle else math.nan
 
 
 def variation_of(row: Mapping[str, Any]) -> float:
@@ -99,7 +100,6 @@ def search_front(
     path: Path,
     evaluate: Evaluate,
     progress: Callable[[int, float], None] = lambda done, cost: None,
-    restart: bool = False,
 ) -> list[list[Point]]:
     """Returns the front of each seed; interrupted or not, the same.
 
@@ -110,97 +110,58 @@ def search_front(
     evaluations = evaluations_per_gain * len(problem.gains)
     problem = replace(problem, tuned={**problem.tuned, _VARIATION: bounds})
     searches = [SeedSearch(problem, seed, evaluations, costs=costs) for seed in seeds]
-    with searching(problem, evaluations, path, evaluate, progress, restart) as run_searches:
+    with searching(problem, evaluations, path, evaluate, progress) as run_searches:
         run_searches(searches)
     return [nondominated(admitted(search.rows, largest)) for search in searches]
 
 
-def evaluations_of(problem: Problem, seeds: int, evaluations_per_gain: int) -> int:
-    """Returns the number of evaluations of a front."""
-    return evaluations_per_gain * len(problem.gains) * LEVELS * seeds
+def front_of_law(
+    protocol: Protocol,
+    name: str,
+    seeds: Sequence[int],
+    evaluations_per_gain: int,
+    workers: int,
+    path: Path,
+    progress: Callable[[int, float], None] = lambda done, cost: None,
+) -> dict[str, Any]:
+    """Returns the front of a controller of the protocol as plain data, at the step that its tuned gains need.
 
-
-class Law(NamedTuple):
-    """A controller whose front is searched, and the protocol of its cost, which leaves the variation free."""
-
-    controller: Controller
-    protocol: Protocol
-    largest: float
-    problem: Problem
-
-
-def law_of(protocol: Protocol, name: str) -> Law:
-    """Returns a controller of the protocol, at the step that its tuned gains need."""
+    Each point has its delay margin; one that is not quiet with a shorter delay than the bound is left out.
+    """
     largest = protocol.tables.cost.bounds.get(_VARIATION, math.inf)
     if not math.isfinite(largest):
         raise ScenarioError(
             f"--fronts: the cost bounds no {_VARIATION}: expected --bound {_VARIATION}=NUMBER"
         )
-    free = tune_problem.with_cost(protocol, {_VARIATION: math.inf})
-    table = protocol.controllers[name]
-    controller = replace(tuned(protocol, name), parameters=table.parameters)
-    return Law(controller, free, largest, tune_problem.problem_of(controller, free))
-
-
-def document_of(law: Law, fronts: Sequence[Sequence[Point]]) -> dict[str, Any]:
-    """Returns the front of a law as plain data, each point with its delay margin.
-
-    A point that loses its quiet with a shorter delay than its bound is left out.
-    """
-    controller, protocol = law.controller, law.protocol
-    reference = Point(LARGEST_ERROR, law.largest)
-    hypervolumes = [hypervolume(front, reference) for front in fronts]
-    front = nondominated(point for front in fronts for point in front)
-    chosen = np.unique(np.linspace(0, len(front) - 1, min(len(front), _MOST_POINTS)).round().astype(int))
-    measured = [_measured(controller, protocol, front[i]) for i in chosen]
-    least = protocol.tables.cost.bounds.get(DELAY_MARGIN, 0.0)
-    points = [point for point in measured if point[DELAY_MARGIN] >= least]
-    with ClosedLoop(controller, protocol) as loop:
-        connected = loop.connected()
-    with ClosedLoop(tune_problem.halved(controller, protocol), protocol) as fine:
-        at_half = tune_problem.costs(fine, [point["gains"] for point in points])
-        changes = [abs(half["cost"] / p["error"] - 1.0) for half, p in zip(at_half, points, strict=True)]
+    protocol = tune_problem.with_cost(protocol, {_VARIATION: math.inf})
+    controller = replace(tuned(protocol, name), parameters=protocol.controllers[name].parameters)
+    problem = tune_problem.problem_of(controller, protocol)
+    total = LEVELS * len(seeds) * evaluations_per_gain * len(problem.gains)
+    with tune_problem.evaluations(controller, protocol, workers, total) as evaluate:
+        fronts = search_front(problem, seeds, evaluations_per_gain, largest, path, evaluate, progress)
+    volumes = [hypervolume(front, Point(LARGEST_ERROR, largest)) for front in fronts]
+    front, points = nondominated(point for front in fronts for point in front), list[dict[str, Any]]()
+    for i in sorted({*np.linspace(0, len(front) - 1, min(len(front), _MOST_POINTS)).round().astype(int)}):
+        error, variation, gains = front[i]
+        at_gains = replace(controller, parameters={**controller.parameters, **gains})
+        with ClosedLoop(at_gains, protocol) as loop:
+            margin = delay_margin_of(loop, protocol.nominal)
+        if margin >= protocol.tables.cost.bounds.get(DELAY_MARGIN, 0.0):
+            change = tune_problem.change_at_half_the_step(gains, controller, protocol)
+            points.append(
+                {
+                    "error": error,
+                    _VARIATION: variation,
+                    DELAY_MARGIN: margin,
+                    "change_at_half_the_step": change,
+                    "gains": gains,
+                }
+            )
     return {
-        "name": controller.name,
+        "name": name,
         "title": controller.title,
-        "connected": connected,
-        "gains": [gain.name for gain in law.problem.gains],
         "step": tune_problem.step_of(controller, protocol),
-        "largest_change_at_half_the_step": max(changes, default=None),
-        "hypervolumes": hypervolumes,
-        "spread": None if math.isnan(spread(hypervolumes)) else spread(hypervolumes),
-        "left_out": len(measured) - len(points),
+        "hypervolumes": volumes,
+        "spread": None if math.isnan(spread(volumes)) else spread(volumes),
         "points": points,
     }
-
-
-def _measured(controller: Controller, protocol: Protocol, point: Point) -> dict[str, Any]:
-    """Returns a point as plain data, with its delay margin [s]."""
-    parameters = {**controller.parameters, **point.gains}
-    with ClosedLoop(replace(controller, parameters=parameters), protocol) as loop:
-        margin = delay_margin_of(loop, protocol.nominal)
-    return {
-        "error": point.error,
-        _VARIATION: point.variation,
-        DELAY_MARGIN: margin,
-        "gains": dict(point.gains),
-    }
-
-
-def write(
-    laws: Sequence[Mapping[str, Any]], protocol: Protocol, effort: Mapping[str, int], path: Path
-) -> None:
-    """Writes the fronts of laws, with the effort of their searches and the units of their numbers."""
-    cost = protocol.tables.cost
-    document = {
-        "made_by": f"l1-depth {version('l1-depth')}",
-        "protocol": protocol.version,
-        "statement": protocol.statement,
-        "vehicle": protocol.vehicle.name,
-        "cost": cost.model_dump(),
-        "effort": {**effort, "levels": LEVELS},
-        "units": {"error": "cm", _VARIATION: "N", DELAY_MARGIN: "s", "step": "s", "hypervolumes": "decades2"},
-        "reference": {"error": LARGEST_ERROR, _VARIATION: cost.bounds[_VARIATION]},
-        "laws": list(laws),
-    }
-    write_text_atomically(path, json.dumps(document, indent=1) + "\n")

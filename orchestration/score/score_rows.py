@@ -107,6 +107,7 @@ class Scoring:
             scored=scored,
             fmu=_fmu(loop),
             parameters=loop.parameters(),
+            step=loop.experiment(nominal).step_size,
         )
         traces: dict[str, Trace] = {}
         for case, (run, trace) in zip(self.cases, self._judged(loop, self.cases, traced=True), strict=True):

@@ -95,6 +95,25 @@ def with_cost(
     return replace(protocol, tables=protocol.tables.model_copy(update={"cost": changed}))
 
 
+def cost_of_options(protocol: Protocol, options: Iterable[str], cases: str, plant_count: int = 0) -> Protocol:
+    """Returns the protocol with the cost of options: METRIC=NUMBER of --bound, NAME,... of --cases."""
+    bounds: dict[str, float] = {}
+    for option in options:
+        name, _, number = option.partition("=")
+        try:
+            bounds[name.strip()] = float(number)
+        except ValueError:
+            raise ScenarioError(
+                f"--bound {option}: expected METRIC=NUMBER, such as delay_margin=0.1"
+            ) from None
+    return with_cost(protocol, bounds, listed(cases), plant_count)
+
+
+def listed(names: str) -> list[str]:
+    """Returns the names of an option NAME,..."""
+    return [name.strip() for name in names.split(",") if name.strip()]
+
+
 def step_of(controller: Controller, protocol: Protocol) -> float:
     """Returns the communication step [s] of a controller's runs."""
     with ClosedLoop(controller, protocol) as loop:

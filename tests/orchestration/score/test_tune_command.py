@@ -16,7 +16,7 @@ import pytest
 
 from orchestration.cli.tune import print_gains
 from orchestration.scenarios import scenario
-from orchestration.score import tune
+from orchestration.score import tune, tune_problem
 from orchestration.score.tune import Problem, SearchResult, Tuning
 from orchestration.score.tune_search import FreeGain
 
@@ -75,6 +75,19 @@ def test_a_cost_that_a_limit_determines_is_not_called_flat(
     assert tuning.is_flat
     print_gains(tuning, "pid")
     assert capsys.readouterr().out.splitlines()[-1].startswith(verdict)
+
+
+@pytest.mark.slow
+def test_the_step_is_halved_until_half_of_it_hardly_changes_the_cost(
+    command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    changes = iter([-0.021, 0.02])
+    monkeypatch.setattr(tune_problem, "change_at_half_the_step", lambda *_: next(changes))
+    done = command("tune", "pid", *OPTIONS)
+    assert done.stdout.splitlines()[-2] == "Half the step of 10 ms changes the cost by 2 %."
+    written = tomllib.loads(Path("results/pid.toml").read_text())["tuning"]
+    assert (written["step"], written["change_at_half_the_step"]) == (0.01, 0.02)
+    assert [path.name for path in Path("results").iterdir()] == ["pid.toml"]
 
 
 def _process(folder: Path) -> subprocess.Popen[str]:
