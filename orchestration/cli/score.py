@@ -54,6 +54,7 @@ CasesOption = Annotated[
     str, typer.Option("--cases", metavar="NAME,...", help="Take the cost over these cases of the protocol.")
 ]
 SeedsOption = Annotated[int, typer.Option(metavar="NUMBER", help="Search from so many seeds.", min=1)]
+_SEEDS = 5
 EvaluationsOption = Annotated[
     int,
     typer.Option(
@@ -121,7 +122,7 @@ def compare(
     laws: Annotated[str, typer.Option(metavar="NAME,...", help="Take the fronts of these laws alone.")] = "",
     bounds: BoundOption = [],  # noqa: B006
     cases: CasesOption = "",
-    seeds: SeedsOption = 5,
+    seeds: SeedsOption = _SEEDS,
     evaluations: EvaluationsOption = 40,
 ) -> None:
     """Score all controllers of the protocol, each with the gains that it comes with, and tuned.
@@ -138,12 +139,13 @@ def compare(
     shared.check_writable(out)
     if fronts:
         from orchestration.cli.fronts import write_fronts
+        from orchestration.score.protocol import with_cost
         from orchestration.score.tune_problem import cost_of_options, listed
 
         shared.refuse_without_effect("--fronts", {"--full": full, "--seed": seed is not None})
-        protocol = cost_of_options(protocol, bounds, cases)
+        protocol = with_cost(protocol, cost_of_options(bounds, cases))
         return write_fronts(protocol, listed(laws), seeds, evaluations, workers, out)
-    others = {"--laws": laws, "--bound": bounds, "--cases": cases}
+    others = {"--laws": laws, "--bound": bounds, "--cases": cases, "--seeds": seeds != _SEEDS}
     shared.refuse_without_effect("compare without --fronts", others)
     with shared.progress("compare", comparison.run_count(protocol, full)) as bar:
         result = comparison.compare(protocol, full, seed, workers, bar.advance)

@@ -78,11 +78,15 @@ def tune(
     """Search the gains of least cost on practice cases of the protocol; an interrupted tuning continues."""
     from orchestration.score import tune_problem
     from orchestration.score.closed_loop import ClosedLoop
+    from orchestration.score.protocol import with_cost
     from orchestration.score.tune_problem import evaluations as started
     from orchestration.score.tune_search import parse
 
     changes = Changes.of_options("", settings, mapped, open_inputs, plant)
-    protocol = tune_problem.cost_of_options(chosen_protocol(changes, protocol_file), bounds, cases, plants)
+    if plants:
+        shared.refuse_without_effect("--plants", {"--cases": cases})
+    cost = tune_problem.cost_of_options(bounds, cases, plants)
+    protocol = with_cost(chosen_protocol(changes, protocol_file), cost)
     controller = _controller(name, no_rates, changes, protocol)
     gains = [parse(text) for text in free]
     problem = tune_problem.problem_of(controller, protocol, gains)
@@ -170,16 +174,11 @@ def _controller(
 
 def print_gains(tuning: "Tuning", name: str) -> None:
     """Prints the gains of a tuning, and whether evaluations or limits keep the cost from being lower."""
-    from rich.table import Table
-
-    table = Table(title=f"{name}: cost {tuning.best.cost:.4g} cm")
-    for heading in ("Gain", "Value", "Limits", ""):
-        table.add_column(heading, justify="left" if heading in ("Gain", "") else "right")
+    print(f"{name}: cost {tuning.best.cost:.4g} cm")
     for gain in tuning.problem.gains:
         value = tuning.best.gains[gain.name]
-        limits = f"{gain.low:g} to {gain.high:g} {gain.unit}".rstrip()
-        table.add_row(gain.name, f"{value:g}", limits, "at a limit" if gain.is_at_a_limit(value) else "")
-    shared.print_table(table)
+        ending = ", at a limit" if gain.is_at_a_limit(value) else ""
+        print(f"{gain.name} = {value:g} {gain.unit}, of {gain.low:g} to {gain.high:g}{ending}")
     stopped = [gain.name for gain in tuning.problem.gains if gain.is_at_a_limit(tuning.best.gains[gain.name])]
     verdict = "flat" if tuning.is_flat else "not flat: more evaluations may lower it"
     if stopped:

@@ -20,7 +20,7 @@ import numpy as np
 from orchestration.errors import ScenarioError
 from orchestration.score import tune_problem
 from orchestration.score.closed_loop import ClosedLoop, tuned
-from orchestration.score.protocol import Protocol
+from orchestration.score.protocol import Protocol, with_cost
 from orchestration.score.protocol_format import DELAY_MARGIN
 from orchestration.score.score_rows import delay_margin_of
 from orchestration.score.tune import Evaluate, Problem, SeedSearch, searching
@@ -36,7 +36,9 @@ Below it what is beyond a bound costs more than the error falls with the variati
 LARGEST_SPREAD = 0.05
 """Of the hypervolumes of the seeds, of their median: where it is less, the seeds found one front."""
 _MOST_POINTS = 16  # of a front that is written: each is checked by some twenty runs
+_APART = 1000  # of the seeds of searches that follow one another
 _VARIATION = "total_variation"
+Row = Mapping[str, Any]
 
 
 class Point(NamedTuple):
@@ -72,18 +74,18 @@ def spread(hypervolumes: Sequence[float]) -> float:
     return (max(hypervolumes) - min(hypervolumes)) / middle if middle else math.nan
 
 
-def variation_of(row: Mapping[str, Any]) -> float:
+def variation_of(row: Row) -> float:
     """Returns the mean total variation [N] over the cases of an evaluation; infinite if one failed to run."""
     cases = row.get("metrics", {}).values()
     return sum(case.get(_VARIATION, math.inf) for case in cases) / len(cases) if cases else math.inf
 
 
-def bounded_cost(row: Mapping[str, Any], bound: float) -> float:
+def bounded_cost(row: Row, bound: float) -> float:
     """Returns the cost of an evaluation with a bound on its total variation."""
     return min(row["cost"] + beyond(variation_of(row), bound), LARGEST)
 
 
-def admitted(rows: Iterable[Mapping[str, Any]], largest: float) -> list[Point]:
+def admitted(rows: Iterable[Row], largest: float) -> list[Point]:
     """Returns the evaluations that keep every bound, no run of which failed."""
     return [
         Point(row["error"], variation, row["gains"])
@@ -106,13 +108,18 @@ def search_front(
     largest: total variation [N] that is admitted; path: of the journal, which holds what is done
     """
     bounds = [largest * 0.5**level for level in range(LEVELS)]
-    costs = [partial(bounded_cost, bound=bound) for bound in bounds]
-    evaluations = evaluations_per_gain * len(problem.gains)
+    evaluations, rows = evaluations_per_gain * len(problem.gains), {seed: list[Row]() for seed in seeds}
     problem = replace(problem, tuned={**problem.tuned, _VARIATION: bounds})
-    searches = [SeedSearch(problem, seed, evaluations, costs=costs) for seed in seeds]
     with searching(problem, evaluations, path, evaluate, progress) as run_searches:
-        run_searches(searches)
-    return [nondominated(admitted(search.rows, largest)) for search in searches]
+        for level, bound in enumerate(bounds):
+            cost, searches = partial(bounded_cost, bound=bound), list[SeedSearch]()
+            for seed, found in rows.items():
+                start = min(found, key=cost)["gains"] if found else None
+                searches.append(SeedSearch(problem, seed + _APART * level, evaluations, start, cost))
+            run_searches(searches)
+            for seed, search in zip(rows, searches, strict=True):
+                rows[seed] += search.rows
+    return [nondominated(admitted(found, largest)) for found in rows.values()]
 
 
 def front_of_law(
@@ -133,7 +140,7 @@ def front_of_law(
         raise ScenarioError(
             f"--fronts: the cost bounds no {_VARIATION}: expected --bound {_VARIATION}=NUMBER"
         )
-    protocol = tune_problem.with_cost(protocol, {_VARIATION: math.inf})
+    protocol = with_cost(protocol, {"bounds": {_VARIATION: math.inf}})
     controller = replace(tuned(protocol, name), parameters=protocol.controllers[name].parameters)
     problem = tune_problem.problem_of(controller, protocol)
     total = LEVELS * len(seeds) * evaluations_per_gain * len(problem.gains)
@@ -147,16 +154,9 @@ def front_of_law(
         with ClosedLoop(at_gains, protocol) as loop:
             margin = delay_margin_of(loop, protocol.nominal)
         if margin >= protocol.tables.cost.bounds.get(DELAY_MARGIN, 0.0):
+            point = {"error": error, _VARIATION: variation, DELAY_MARGIN: margin, "gains": gains}
             change = tune_problem.change_at_half_the_step(gains, controller, protocol)
-            points.append(
-                {
-                    "error": error,
-                    _VARIATION: variation,
-                    DELAY_MARGIN: margin,
-                    "change_at_half_the_step": change,
-                    "gains": gains,
-                }
-            )
+            points.append({**point, "change_at_half_the_step": change})
     return {
         "name": name,
         "title": controller.title,

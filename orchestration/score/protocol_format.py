@@ -83,7 +83,7 @@ class CostTable(Table):
 
     metric: str
     cases: Annotated[list[str], Field(min_length=1)]
-    bounds: dict[str, float] = {}
+    bounds: dict[str, Annotated[float, Field(gt=0.0)]] = {}
     """Metric -> its largest value; of the delay margin, its smallest."""
     plants: Annotated[int, Field(ge=0)] = 0
     """If not 0: the cost is of so many practice plants in place of the cases, CVaR over them."""

@@ -21,7 +21,6 @@ from orchestration.many.journal import Journal
 from orchestration.score.tune_search import FreeGain, Search
 
 REFINEMENT = 0  # the seed of the last search
-_APART = 1000  # of the seeds of the searches that follow one another
 LAST_PART = 0.5  # of the evaluations of the last search: what they still gain shows whether the cost is flat
 LARGEST_IMPROVEMENT = 0.02  # of the cost, in the last part
 LARGEST_SPREAD = 0.05  # of the lowest cost: where most of the seeds come so near to it, they agree
@@ -212,11 +211,9 @@ def _check_same(row: Mapping[str, Any], stored: Mapping[str, Any], path: Path) -
 
 
 class SeedSearch:
-    """The search of one seed, with every evaluation that it asked for.
+    """The search of one seed, with every evaluation that it asked for in `rows`.
 
-    start: the gains that it begins at
-    costs: what the search makes small, of a row, one after another: each search after the first begins at the
-    best of all rows until then
+    start: the gains that it begins at; cost: what it makes small, of a row
     """
 
     def __init__(
@@ -225,28 +222,17 @@ class SeedSearch:
         seed: int,
         evaluations: int,
         start: Mapping[str, float] | None = None,
-        costs: Sequence[Callable[[Mapping[str, Any]], float]] = (itemgetter("cost"),),
+        cost: Callable[[Mapping[str, Any]], float] = itemgetter("cost"),
     ) -> None:
-        self._gains, self._seed, self._evaluations = problem.gains, seed, evaluations
-        self._cost, *self._next_costs = costs
-        self._count = len(costs)
+        self._gains, self._seed, self._cost = problem.gains, seed, cost
+        begin = [gain.position(start[gain.name]) for gain in problem.gains] if start else None
+        self._search = Search(len(problem.gains), seed, evaluations, begin)
         self.rows: list[dict[str, Any]] = []
         self._asked = 0
-        self._begin(start)
-
-    def _begin(self, start: Mapping[str, float] | None) -> None:
-        begin = [gain.position(start[gain.name]) for gain in self._gains] if start else None
-        # each of the costs has a seed of its own
-        seed = self._seed + _APART * (self._count - 1 - len(self._next_costs))
-        self._search = Search(len(self._gains), seed, self._evaluations, begin)
 
     def ask(self) -> list[dict[str, Any]]:
         """Returns the evaluations of the next generation, each to be completed with its cost."""
         points = self._search.ask()
-        if not points and self._next_costs:
-            self._cost = self._next_costs.pop(0)
-            self._begin(min(self.rows, key=self._cost)["gains"])
-            points = self._search.ask()
         self._asked = len(points)
         for point in points:
             gains = {gain.name: gain.value(float(x)) for gain, x in zip(self._gains, point, strict=True)}

@@ -20,10 +20,9 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from fmus.errors import nearest
 from fmus.files import write_text_atomically
 from fmus.fmi.description import describe
-from orchestration.errors import OrchestrationError, ScenarioError
+from orchestration.errors import OrchestrationError
 from orchestration.many.job import Failure
 from orchestration.many.lane_library import LANES
 from orchestration.many.run_many import LocalRuns, in_order
@@ -71,42 +70,18 @@ def problem_of(controller: Controller, protocol: Protocol, free: Iterable[FreeGa
     return Problem(gains, tuned)
 
 
-def with_cost(
-    protocol: Protocol, bounds: Mapping[str, float], cases: Sequence[str] = (), plant_count: int = 0
-) -> Protocol:
-    """Returns the protocol with bounds of the cost beside its own or in their place, and cases or plants.
-
-    Raises ScenarioError for a bound of no metric or not above 0, and for a case that it does not have.
-    """
-    known = [*protocol.metrics, DELAY_MARGIN]
-    for name, bound in bounds.items():
-        if name not in known:
-            raise ScenarioError(f"--bound {name}; {nearest(name, known)}")
-        if not bound > 0.0:
-            raise ScenarioError(f"--bound {name}={bound:g}: expected a number above 0")
-    for case in cases:
-        if case not in protocol.cases:
-            raise ScenarioError(f"--cases {case}; {nearest(case, protocol.cases)}")
-    if cases and plant_count:
-        raise ScenarioError("--cases and --plants: expected one of them")
-    cost = protocol.tables.cost
-    changes = {"bounds": {**cost.bounds, **bounds}, "cases": [*cases] or cost.cases}
-    changed = cost.model_copy(update={**changes, "plants": plant_count or cost.plants})
-    return replace(protocol, tables=protocol.tables.model_copy(update={"cost": changed}))
-
-
-def cost_of_options(protocol: Protocol, options: Iterable[str], cases: str, plant_count: int = 0) -> Protocol:
-    """Returns the protocol with the cost of options: METRIC=NUMBER of --bound, NAME,... of --cases."""
-    bounds: dict[str, float] = {}
-    for option in options:
+def cost_of_options(bounds: Iterable[str], cases: str, plant_count: int = 0) -> dict[str, Any]:
+    """Returns entries of a cost: of METRIC=NUMBER of --bound, NAME,... of --cases, and --plants."""
+    cost: dict[str, Any] = {"bounds": {}}
+    for option in bounds:
         name, _, number = option.partition("=")
         try:
-            bounds[name.strip()] = float(number)
+            cost["bounds"][name.strip()] = float(number)
         except ValueError:
-            raise ScenarioError(
-                f"--bound {option}: expected METRIC=NUMBER, such as delay_margin=0.1"
-            ) from None
-    return with_cost(protocol, bounds, listed(cases), plant_count)
+            expected = "METRIC=NUMBER, such as delay_margin=0.1"
+            raise OrchestrationError(f"--bound {option}: expected {expected}") from None
+    chosen = {"cases": listed(cases), "plants": plant_count}
+    return cost | {name: value for name, value in chosen.items() if value}
 
 
 def listed(names: str) -> list[str]:
@@ -144,11 +119,11 @@ def _of_protocol(controller: Controller, protocol: Protocol) -> list[FreeGain]:
 
 def _what_costs(protocol: Protocol) -> dict[str, Any]:
     """Returns the part of the protocol that the cost depends on, as plain data."""
-    data, cost = protocol.file.data, protocol.tables.cost
+    data = protocol.file.data
     return {
         "version": protocol.version,
-        "cost": cost.model_dump(),
-        "cases": {name: data["cases"][name] for name in cost.cases},
+        "cost": data["cost"],
+        "cases": {name: data["cases"][name] for name in data["cost"]["cases"]},
         "vehicle": protocol.vehicle.key,
         **{key: data[key] for key in ("base", "trajectory", "practice_seeds", "plants")},
     }

@@ -150,7 +150,7 @@ def test_a_front_without_a_bound_on_the_variation_is_refused(
         (["--fronts", "--laws", "pidd"], "nearest is 'pid'"),
         (["--fronts", "--cases", "nominel"], "nearest is 'nominal'"),
         (["--fronts", "--bound", "overshot=3"], "nearest is 'overshoot'"),
-        (["--fronts", "--bound", "overshoot=0"], "expected a number above 0"),
+        (["--fronts", "--bound", "overshoot=0"], "cost.bounds.overshoot"),
         (["--fronts", "--bound", "overshoot"], "expected METRIC=NUMBER"),
     ],
 )

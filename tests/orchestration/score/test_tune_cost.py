@@ -10,11 +10,12 @@ from orchestration.errors import ScenarioError
 from orchestration.margins.fmu_margins import scan
 from orchestration.margins.hold import QUIET, HoldRuns, LoopSignal, last_part
 from orchestration.score.closed_loop import ClosedLoop, built_in, tuned
-from orchestration.score.protocol import Protocol, plants
+from orchestration.score.protocol import Protocol, plants, with_cost
 from orchestration.score.score_rows import delay_margin_of
 from orchestration.score.tune_problem import (
     LARGEST,
     change_at_half_the_step,
+    cost_of_options,
     costs,
     delayed,
     halved,
@@ -23,7 +24,6 @@ from orchestration.score.tune_problem import (
     problem_of,
     run_cost,
     step_of,
-    with_cost,
 )
 from orchestration.score.tune_search import FreeGain
 
@@ -93,14 +93,14 @@ def test_the_bound_on_the_delay_margin_is_the_margin_that_a_score_measures(proto
             measured = scan(runs, LoopSignal.MEASUREMENT, only_first_loss=True)
         assert delay_margin_of(loop, nominal) == measured.margin
     for bound in (measured.margin, measured.lost):
-        bounded = with_cost(protocol, {"delay_margin": bound})
+        bounded = with_cost(protocol, {"bounds": {"delay_margin": bound}})
         with ClosedLoop(tuned(protocol, "l1-pi"), bounded) as loop:
             unrest.append(next(costs(loop, [{}]))["unrest"])
     assert unrest[0] < QUIET <= unrest[1]
 
 
 def test_the_cost_over_plants_is_that_of_the_worst(loop: ClosedLoop) -> None:
-    over_plants = with_cost(loop.protocol, {}, plant_count=3)
+    over_plants = with_cost(loop.protocol, {"plants": 3})
     with ClosedLoop(loop.controller, over_plants) as other:
         evaluated = next(costs(other, [{}]))
         drawn = plants(over_plants, over_plants.tables.plants.practice_seed, 3)
@@ -114,7 +114,7 @@ def test_any_metric_bounds_the_cost(loop: ClosedLoop) -> None:
     """What is beyond costs ten times the excess, and the other bounds stay."""
     free = next(costs(loop, [{}]))
     peak = loop.metrics(loop.protocol.nominal)["peak_voltage"]
-    bounded = with_cost(loop.protocol, {"peak_voltage": peak / 2.0}, ["nominal"])
+    bounded = with_cost(loop.protocol, cost_of_options([f"peak_voltage={peak / 2.0}"], "nominal"))
     assert set(bounded.tables.cost.bounds) == {"overshoot", "total_variation", "delay_margin", "peak_voltage"}
     with ClosedLoop(loop.controller, bounded) as other:
         evaluated = next(costs(other, [{}]))
@@ -123,19 +123,20 @@ def test_any_metric_bounds_the_cost(loop: ClosedLoop) -> None:
 
 
 @pytest.mark.parametrize(
-    ("bounds", "cases", "count", "message"),
+    ("bound", "cases", "count", "message"),
     [
-        ({"rms": 1.0}, (), 0, "--bound rms; nearest is 'rmse'"),
-        ({"overshoot": math.nan}, (), 0, "expected a number above 0"),
-        ({}, ("nominol",), 0, "--cases nominol; nearest is 'nominal'"),
-        ({}, ("nominal",), 3, "--cases and --plants: expected one of them"),
+        ("rms=1", "", 0, "cost.bounds.rms = 'rms'; nearest is 'rmse'"),
+        ("overshoot=nan", "", 0, "overshoot"),
+        ("overshoot=0", "", 0, "overshoot"),
+        ("overshoot=4", "nominol", 0, "'nominol'; nearest is 'nominal'"),
+        ("overshoot=4", "", -1, "plants"),
     ],
 )
 def test_a_cost_that_the_protocol_cannot_have_is_refused(
-    protocol: Protocol, bounds: dict[str, float], cases: tuple[str, ...], count: int, message: str
+    protocol: Protocol, bound: str, cases: str, count: int, message: str
 ) -> None:
     with pytest.raises(ScenarioError, match=message):
-        with_cost(protocol, bounds, cases, count)
+        with_cost(protocol, cost_of_options([bound], cases, count))
 
 
 def test_a_controller_runs_at_its_step_and_half_of_it_is_compared(protocol: Protocol) -> None:
