@@ -40,8 +40,8 @@ class FreeParameter:
 
     @property
     def is_logarithmic(self) -> bool:
-        """Whether a search is over its logarithm: both limits are positive and finite."""
-        return self.low > 0.0 and self.high < math.inf
+        """Whether a search is over its logarithm: both limits are finite and have one sign."""
+        return self.is_limited and self.low * self.high > 0.0
 
     def share(self, value: float) -> float:
         """Returns where a value stands in the range, 0 at the lower limit and 1 at the upper one."""
