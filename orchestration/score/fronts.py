@@ -37,6 +37,7 @@ LARGEST_SPREAD = 0.05
 """Of the hypervolumes of the seeds, of their median: where it is less, the seeds found one front."""
 _MOST_POINTS = 16  # of a front that is written: each is checked by some twenty runs
 _APART = 1000  # of the seeds of searches that follow one another
+_ANY = 1e12  # N, above every total variation: it is measured, and bounded by `bounded_cost`
 _VARIATION = "total_variation"
 Row = Mapping[str, Any]
 
@@ -140,7 +141,7 @@ def front_of_law(
         raise ScenarioError(
             f"--fronts: the cost bounds no {_VARIATION}: expected --bound {_VARIATION}=NUMBER"
         )
-    protocol = with_cost(protocol, {"bounds": {_VARIATION: math.inf}})
+    protocol = with_cost(protocol, {"bounds": {_VARIATION: _ANY}})
     controller = replace(tuned(protocol, name), parameters=protocol.controllers[name].parameters)
     problem = tune_problem.problem_of(controller, protocol)
     total = LEVELS * len(seeds) * evaluations_per_gain * len(problem.gains)
