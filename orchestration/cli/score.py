@@ -46,6 +46,21 @@ SeedOption = Annotated[
 RatesOption = Annotated[
     bool, typer.Option("--no-rates", help="Connect the reference alone, not its derivatives.")
 ]
+BoundOption = Annotated[
+    list[str],
+    typer.Option("--bound", metavar="METRIC=NUMBER", help="Bound a metric of the cost, or delay_margin."),
+]
+CasesOption = Annotated[
+    str, typer.Option("--cases", metavar="NAME,...", help="Take the cost over these cases of the protocol.")
+]
+SeedsOption = Annotated[int, typer.Option(metavar="NUMBER", help="Search from so many seeds.", min=1)]
+_SEEDS = 5
+EvaluationsOption = Annotated[
+    int,
+    typer.Option(
+        metavar="NUMBER", help="Evaluate so many for each free gain, seed and bound of a front.", min=1
+    ),
+]
 ProtocolOption = Annotated[
     Path | None,
     typer.Option("--protocol", metavar="FILE", help="Follow this protocol, not the one that ships."),
@@ -101,10 +116,19 @@ def compare(
     settings: LoopSetOption = [],  # noqa: B006
     mapped: LoopMapOption = [],  # noqa: B006
     protocol_file: ProtocolOption = None,
+    fronts: Annotated[
+        bool, typer.Option("--fronts", help="Search the front of error and total variation of each law.")
+    ] = False,
+    laws: Annotated[str, typer.Option(metavar="NAME,...", help="Take the fronts of these laws alone.")] = "",
+    bounds: BoundOption = [],  # noqa: B006
+    cases: CasesOption = "",
+    seeds: SeedsOption = _SEEDS,
+    evaluations: EvaluationsOption = 40,
 ) -> None:
     """Score all controllers of the protocol, each with the gains that it comes with, and tuned.
 
     Writes comparison.json, comparison.md with the tables, and an interactive page.
+    With --fronts: fronts.json and fronts.svg.
     """
     from fmus.files import write_text_atomically
     from orchestration.score import compare as comparison
@@ -113,6 +137,16 @@ def compare(
     protocol = chosen_protocol(changes, protocol_file)
     scored_controllers([], False, changes)
     shared.check_writable(out)
+    if fronts:
+        from orchestration.cli.fronts import write_fronts
+        from orchestration.score.protocol import with_cost
+        from orchestration.score.tune_problem import cost_of_options, listed
+
+        shared.refuse_without_effect("--fronts", {"--full": full, "--seed": seed is not None})
+        protocol = with_cost(protocol, cost_of_options(bounds, cases))
+        return write_fronts(protocol, listed(laws), seeds, evaluations, workers, out)
+    others = {"--laws": laws, "--bound": bounds, "--cases": cases, "--seeds": seeds != _SEEDS}
+    shared.refuse_without_effect("compare without --fronts", others)
     with shared.progress("compare", comparison.run_count(protocol, full)) as bar:
         result = comparison.compare(protocol, full, seed, workers, bar.advance)
     document = result.document
@@ -126,7 +160,7 @@ def compare(
     for name, text in written.items():
         write_text_atomically(out / name, f"{text}\n")
         print(out / name)
-    write_page(comparison.for_page(result), out / "comparison.html", "Comparison of the controllers")
+    return write_page(comparison.for_page(result), out / "comparison.html", "Comparison of the controllers")
 
 
 def write_score(result: "ScoreResult", out: Path) -> None:

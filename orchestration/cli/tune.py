@@ -19,7 +19,16 @@ from orchestration.cli.changes import (
     PlantOption,
 )
 from orchestration.cli.interrupts import INTERRUPTED
-from orchestration.cli.score import RatesOption, chosen_protocol, scored_controllers
+from orchestration.cli.score import (
+    BoundOption,
+    CasesOption,
+    EvaluationsOption,
+    ProtocolOption,
+    RatesOption,
+    SeedsOption,
+    chosen_protocol,
+    scored_controllers,
+)
 from orchestration.errors import ScenarioError
 
 if TYPE_CHECKING:
@@ -44,15 +53,22 @@ def tune(
             "by default the gains that the protocol has for the controller.",
         ),
     ] = [],  # noqa: B006  (Typer copies it)
-    evaluations: Annotated[
-        int, typer.Option(metavar="NUMBER", help="Evaluate so many for each free gain and seed.", min=1)
-    ] = 100,
-    seeds: Annotated[int, typer.Option(metavar="NUMBER", help="Search from so many seeds.", min=1)] = 5,
+    evaluations: EvaluationsOption = 100,
+    seeds: SeedsOption = 5,
     workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
     out: shared.OutFolder = Path("results"),
     restart: Annotated[
         bool, typer.Option("--restart", help="Discard the evaluations of an earlier tuning of that name.")
     ] = False,
+    bounds: BoundOption = [],  # noqa: B006
+    cases: CasesOption = "",
+    plants: Annotated[
+        int,
+        typer.Option(
+            metavar="NUMBER", help="Take the worst fifth of so many plants in place of cases.", min=0
+        ),
+    ] = 0,
+    protocol_file: ProtocolOption = None,
     no_rates: RatesOption = False,
     plant: PlantOption = "",
     settings: LoopSetOption = [],  # noqa: B006
@@ -62,27 +78,41 @@ def tune(
     """Search the gains of least cost on practice cases of the protocol; an interrupted tuning continues."""
     from orchestration.score import tune_problem
     from orchestration.score.closed_loop import ClosedLoop
+    from orchestration.score.protocol import with_cost
     from orchestration.score.tune_problem import evaluations as started
     from orchestration.score.tune_search import parse
 
     changes = Changes.of_options("", settings, mapped, open_inputs, plant)
-    protocol = chosen_protocol(changes)
+    if plants:
+        shared.refuse_without_effect("--plants", {"--cases": cases})
+    cost = tune_problem.cost_of_options(bounds, cases, plants)
+    protocol = with_cost(chosen_protocol(changes, protocol_file), cost)
     controller = _controller(name, no_rates, changes, protocol)
-    problem = tune_problem.problem_of(controller, protocol, [parse(text) for text in free])
+    gains = [parse(text) for text in free]
+    problem = tune_problem.problem_of(controller, protocol, gains)
     shared.check_writable(out)
-    journal = out / f"{controller.name}.tune.jsonl"
-    total = evaluations * len(problem.gains) * (seeds + 1)
-    with (
-        shared.progress(f"tune {controller.name}", total) as bar,
-        started(controller, protocol, workers, total) as evaluate,
-    ):
-        tuning = _search(problem, range(1, seeds + 1), evaluations, journal, evaluate, bar, restart)
-    provenance = tune_problem.provenance(tuning, controller, protocol)
+    total, journals = evaluations * len(problem.gains) * (seeds + 1), list[Path]()
+    while True:
+        milliseconds = 1e3 * tune_problem.step_of(controller, protocol)
+        journals.append(out / f"{controller.name}.{milliseconds:g}ms.tune.jsonl")
+        with (
+            shared.progress(f"tune {controller.name}, {milliseconds:g} ms", total) as bar,
+            started(controller, protocol, workers, total) as evaluate,
+        ):
+            tuning = _search(problem, range(1, seeds + 1), evaluations, journals[-1], evaluate, bar, restart)
+        provenance = tune_problem.provenance(tuning, controller, protocol)
+        change = provenance["change_at_half_the_step"]
+        if abs(change) <= tune_problem.LARGEST_CHANGE or len(journals) > tune_problem.HALVINGS:
+            break
+        controller = tune_problem.halved(controller, protocol)
+        problem = tune_problem.problem_of(controller, protocol, gains)
     path = out / f"{controller.name}.toml"
     with ClosedLoop(controller, protocol) as loop:
         tune_problem.write(tuning, loop.parameters(), provenance, path)
-    journal.unlink()
+    for journal in journals:
+        journal.unlink()
     print_gains(tuning, controller.name)
+    print(f"Half the step of {milliseconds:g} ms changes the cost by {100 * change:.2g} %.")
     print(path)
 
 
@@ -144,16 +174,11 @@ def _controller(
 
 def print_gains(tuning: "Tuning", name: str) -> None:
     """Prints the gains of a tuning, and whether evaluations or limits keep the cost from being lower."""
-    from rich.table import Table
-
-    table = Table(title=f"{name}: cost {tuning.best.cost:.4g} cm")
-    for heading in ("Gain", "Value", "Limits", ""):
-        table.add_column(heading, justify="left" if heading in ("Gain", "") else "right")
+    print(f"{name}: cost {tuning.best.cost:.4g} cm")
     for gain in tuning.problem.gains:
         value = tuning.best.gains[gain.name]
-        limits = f"{gain.low:g} to {gain.high:g} {gain.unit}".rstrip()
-        table.add_row(gain.name, f"{value:g}", limits, "at a limit" if gain.is_at_a_limit(value) else "")
-    shared.print_table(table)
+        ending = ", at a limit" if gain.is_at_a_limit(value) else ""
+        print(f"{gain.name} = {value:g} {gain.unit}, of {gain.low:g} to {gain.high:g}{ending}")
     stopped = [gain.name for gain in tuning.problem.gains if gain.is_at_a_limit(tuning.best.gains[gain.name])]
     verdict = "flat" if tuning.is_flat else "not flat: more evaluations may lower it"
     if stopped:
@@ -161,5 +186,6 @@ def print_gains(tuning: "Tuning", name: str) -> None:
     print(
         f"The cost is {verdict}. In the last half of {len(tuning.refinement.curve)} evaluations it fell by "
         f"{100 * tuning.improvement:.2g} %; the median of {len(tuning.searches)} seeds is "
-        f"{100 * tuning.spread:.2g} % above the lowest."
+        f"{100 * tuning.spread:.2g} % above the lowest, and after each quarter of its evaluations "
+        f"{', '.join(f'{cost:.4g}' for cost in tuning.flattening)} cm."
     )

@@ -4,7 +4,7 @@ It uses Matplotlib's figure classes and a style of its own for each figure, so t
 settings of the caller are touched. The same data give the same file, byte by byte.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -24,6 +24,7 @@ from orchestration.results.recording import ERROR_ESTIMATE, Recording, points_do
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#666666"  # told apart by colour-blind readers
 _COLOURS = (BLUE, ORANGE, GREEN, "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _LINES = ("-", "--", "-.", ":")
+_MARKERS = "osD^v<>ph*PX8dHx+"  # as many as the protocol has laws
 _WIDTH_IN = 7.16  # both columns of an IEEE or IFAC page
 _DPI, _DPI_OF_RUNS = 300, 200  # in print, and to look at
 _GAP_IN = 0.24  # between panels, which holds their letters
@@ -195,3 +196,31 @@ def run_figure(
 def _roughness(values: np.ndarray) -> float:
     """Returns the sum of changes: smooth signals are drawn last, over rough ones."""
     return float(np.abs(np.diff(values)).sum())
+
+
+def front_figure(
+    title: str,
+    laws: Sequence[Mapping[str, Any]],
+    path: Path,
+    formats: Sequence[FigureFormat] = (FigureFormat.SVG,),
+) -> list[Path]:
+    """Draws the front of each law: error against total variation, the delay margin as colour.
+
+    laws: each with `title`, `spread` and `points` as `compare --fronts` writes them
+    """
+    with figure_style():
+        figure = Figure(figsize=(_WIDTH_IN, _WIDTH_IN), layout="constrained")
+        panel, margins = figure.subplots(), [p["delay_margin"] for law in laws for p in law["points"]]
+        for index, law in enumerate(law for law in laws if law["points"]):
+            names = ("total_variation", "error", "delay_margin")
+            x, y, colour = ([point[name] for point in law["points"]] for name in names)
+            spread = "" if law["spread"] is None else f", seeds {100 * law['spread']:.2g} % apart"
+            label, marker = f"{law['title']}{spread}", _MARKERS[index % len(_MARKERS)]
+            panel.plot(x, y, color=GREY, linestyle=_LINES[index % len(_LINES)], linewidth=0.5)
+            dots = panel.scatter(x, y, s=14.0, c=colour, marker=marker, label=label, cmap="viridis")
+            dots.set_clim(min(margins), max(margins))
+            if not index:
+                figure.colorbar(dots, label="Delay margin [s]", location="top", shrink=0.5)
+        panel.set(xscale="log", yscale="log", xlabel="Total variation [N]", ylabel="RMSE [cm]")
+        figure.legend(loc="outside lower center", ncols=2, title=title)
+        return write_figure(figure, path, formats)

@@ -5,6 +5,7 @@ with ClosedLoop(Controller("mine", "my.fmu"), read_protocol()) as loop:
 """
 
 import threading
+import tomllib
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -53,6 +54,7 @@ class Controller:
     mapping: name of the depth control interface -> variable that stands for it
     settings: "component.variable" -> value, of the other components
     reference_rates: whether the derivatives of the reference are connected, where it has inputs for them
+    step: communication step [s] of its runs; 0: that of the protocol's base
     """
 
     name: str
@@ -64,6 +66,7 @@ class Controller:
     settings: Mapping[str, FmiValue] = field(default_factory=dict)
     open_inputs: str = "error"
     flavour: Flavour = Flavour.NATIVE
+    step: float = 0.0
 
     def variable(self, name: str) -> str:
         """Returns "controller.variable" for a name of the depth control interface."""
@@ -78,17 +81,14 @@ def built_in(protocol: Protocol, name: str) -> Controller:
     return Controller(name, table.fmu, table.reference_rates, table.title, table.parameters)
 
 
-def tuned_gains(name: str) -> dict[str, FmiValue]:
-    """Returns variable of the controller -> value; empty if it was not tuned."""
-    path = GAINS / f"{name}.toml"
-    values = parameter_values(path) if path.is_file() else {}
-    return {variable.removeprefix(OWN): value for variable, value in values.items()}
-
-
 def tuned(protocol: Protocol, name: str) -> Controller:
-    """Returns the controller that the protocol has under that name, with its tuned gains."""
-    controller = built_in(protocol, name)
-    return replace(controller, parameters={**controller.parameters, **tuned_gains(name)})
+    """Returns the controller that the protocol has under that name, with its tuned gains and their step."""
+    controller, path = built_in(protocol, name), GAINS / f"{name}.toml"
+    if not path.is_file():
+        return controller
+    gains = {variable.removeprefix(OWN): value for variable, value in parameter_values(path).items()}
+    step = tomllib.loads(path.read_text(encoding="utf-8")).get("tuning", {}).get("step", 0.0)
+    return replace(controller, parameters={**controller.parameters, **gains}, step=step)
 
 
 class ClosedLoopRun(NamedTuple):
@@ -184,6 +184,8 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
         if of_plant := {name: own for name, own in vehicle.mapping.items() if PLANT + name in named}:
             mapping["plant"] = of_plant
         overrides: dict[str, Any] = {"experiment": {"open_inputs": controller.open_inputs}}
+        if controller.step:
+            overrides["experiment"]["step_size"] = controller.step
         if mapping:
             overrides["mapping"] = mapping
         settings = {f"{OWN}{name}": value for name, value in controller.parameters.items()}

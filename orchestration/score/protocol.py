@@ -221,7 +221,18 @@ def read_protocol(path: Path = FILE, vehicle: Vehicle | None = None) -> Protocol
 
     vehicle: in place of that of its base
     """
-    file = read_toml(path)
+    return _protocol_of(read_toml(path), vehicle)
+
+
+def with_cost(protocol: Protocol, cost: Mapping[str, Any]) -> Protocol:
+    """Returns the protocol with entries of its cost, bounds beside its own; ScenarioError for a mistake."""
+    data = protocol.file.data
+    bounds = {**data["cost"].get("bounds", {}), **cost.get("bounds", {})}
+    changed = {**data, "cost": {**data["cost"], **cost, "bounds": bounds}}
+    return _protocol_of(replace(protocol.file, data=changed), protocol.vehicle)
+
+
+def _protocol_of(file: TomlFile, vehicle: Vehicle | None) -> Protocol:
     _check_keys(file)
     tables = checked(_FILE, file.data, file.at)
     _check_name(file, ("base",), tables.base, shipped_bases())

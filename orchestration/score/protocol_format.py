@@ -58,10 +58,10 @@ class CaseTable(ChangesTable):
 
 
 class GainTable(Table):
-    """The range in which a gain may be tuned; it is searched by its logarithm."""
+    """The range in which a gain may be tuned, searched by its logarithm where both limits have one sign."""
 
-    low: Annotated[float, Field(gt=0.0)]
-    high: Annotated[float, Field(gt=0.0)]
+    low: float
+    high: float
 
 
 class ControllerTable(Table):
@@ -83,8 +83,10 @@ class CostTable(Table):
 
     metric: str
     cases: Annotated[list[str], Field(min_length=1)]
-    bounds: dict[str, float] = {}
+    bounds: dict[str, Annotated[float, Field(gt=0.0)]] = {}
     """Metric -> its largest value; of the delay margin, its smallest."""
+    plants: Annotated[int, Field(ge=0)] = 0
+    """If not 0: the cost is of so many practice plants in place of the cases, CVaR over them."""
 
 
 _DISTRIBUTION = OneOf(

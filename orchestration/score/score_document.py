@@ -115,6 +115,8 @@ class Row(Part):
     """Variable -> value of what is not at its start value."""
     unranked: list[str] = []
     """Why its numbers are not marked as the best of a column; empty if they may be."""
+    step: Number = math.nan
+    """Communication step [s] of its runs."""
     delay_margin: Number = math.nan
     """Longest additional delay [s] of the nominal case; null if that fails or is not judged."""
     microseconds: Number = math.nan

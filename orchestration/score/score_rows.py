@@ -107,6 +107,7 @@ class Scoring:
             scored=scored,
             fmu=_fmu(loop),
             parameters=loop.parameters(),
+            step=loop.experiment(nominal).step_size,
         )
         traces: dict[str, Trace] = {}
         for case, (run, trace) in zip(self.cases, self._judged(loop, self.cases, traced=True), strict=True):
@@ -154,7 +155,7 @@ def beyond_bounds(loop: ClosedLoop) -> list[str]:
     for table in loop.protocol.controllers.values():
         if table.fmu == loop.controller.fmu:
             for name, gain in table.gains.items():
-                low, high = ranges.get(name, (math.inf, 0.0))
+                low, high = ranges.get(name, (math.inf, -math.inf))
                 ranges[name] = min(low, gain.low), max(high, gain.high)
     given = {name: float(value) for name, value in loop.parameters().items() if name in ranges}
     return [

@@ -33,6 +33,7 @@ class Column:
     meaning: str
     cell: Callable[[Row], Cell]
     greatest_is_best: bool = False
+    has_best: bool = True
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,13 @@ class ScoreTable:
 
 
 _OVERVIEW = ("rmse", "total_variation")
+_STEP = Column(
+    "Communication step",
+    "ms",
+    "of the runs; half of it changes the cost of tuned gains by at most 2 %",
+    lambda row: Cell(1e3 * row.step),
+    has_best=False,
+)
 
 
 def overview(score: Score) -> ScoreTable:
@@ -61,7 +69,10 @@ def overview(score: Score) -> ScoreTable:
             columns.append(Column(f"{metric.title}, {which}", metric.unit, meaning, _mean(name, cases)))
         meaning = f"runs that failed of {', '.join(cases)}"
         columns.append(Column(f"Failed, {which}", f"of {len(cases)}", meaning, _failed(cases)))
-    return _table(score, "Means over the cases", [*columns, *_of_the_row(score)])
+    columns += _of_the_row(score)
+    if any(math.isfinite(row.step) for row in score.rows):  # earlier scores do not have it
+        columns.append(_STEP)
+    return _table(score, "Means over the cases", columns)
 
 
 def of_case(score: Score, case: str) -> ScoreTable:
@@ -164,7 +175,10 @@ def _table(score: Score, title: str, columns: Sequence[Column]) -> ScoreTable:
     marked = []
     for column in columns:
         cells = [column.cell(row) for row in score.rows]
-        ranked = [not row.unranked and not cell.failed for row, cell in zip(score.rows, cells, strict=True)]
+        ranked = [
+            column.has_best and not row.unranked and not cell.failed
+            for row, cell in zip(score.rows, cells, strict=True)
+        ]
         values = [cell.value for cell, is_ranked in zip(cells, ranked, strict=True) if is_ranked]
         best = _best(values, len(cells), column)
         marked.append(

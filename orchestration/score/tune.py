@@ -7,8 +7,10 @@ cost is flat there.
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import version
+from operator import itemgetter
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -92,6 +94,12 @@ class Tuning:
         return (median(search.cost for search in self.searches) - lowest) / lowest if lowest else 0.0
 
     @property
+    def flattening(self) -> tuple[float, ...]:
+        """The median over the seeds of the lowest cost after each quarter of the evaluations."""
+        quarters = [math.ceil(len(self.searches[0].curve) * i / 4) - 1 for i in range(1, 5)]
+        return tuple(median(search.curve[i] for search in self.searches) for i in quarters)
+
+    @property
     def is_flat(self) -> bool:
         """Whether more evaluations hardly lower the cost about the best gains."""
         return self.improvement <= LARGEST_IMPROVEMENT
@@ -119,10 +127,26 @@ def tune(
     evaluations = evaluations_per_gain * len(problem.gains)
     if evaluations < 1 or not seeds:
         raise OrchestrationError("nothing to tune: expected a gain, a seed and an evaluation or more")
-    about = {**problem.tuned, **_what_is_searched(problem, evaluations)}
+    with searching(problem, evaluations, path, evaluate, progress, restart) as run_searches:
+        results = run_searches([SeedSearch(problem, seed, evaluations) for seed in seeds])
+        best = min(results, key=lambda result: result.cost)
+        (refinement,) = run_searches([SeedSearch(problem, REFINEMENT, evaluations, best.gains)])
+    return Tuning(problem, results, refinement)
+
+
+@contextmanager
+def searching(
+    problem: Problem,
+    evaluations: int,
+    path: Path,
+    evaluate: Evaluate,
+    progress: Callable[[int, float], None] = lambda done, cost: None,
+    restart: bool = False,
+) -> Iterator[Callable[[Sequence["SeedSearch"]], tuple[SearchResult, ...]]]:
+    """Opens the journal of a tuning, for a function that runs searches, a generation of each at a time."""
     lowest = math.inf
 
-    def run_searches(searches: Sequence[_SeedSearch]) -> tuple[SearchResult, ...]:
+    def run_searches(searches: Sequence[SeedSearch]) -> tuple[SearchResult, ...]:
         nonlocal lowest
         while rows := [row for search in searches for row in search.ask()]:
             for row in _evaluated(rows, done, evaluate, journal):
@@ -132,15 +156,13 @@ def tune(
                 search.tell()
         return tuple(search.result() for search in searches)
 
+    about = {**problem.tuned, **_what_is_searched(problem, evaluations)}
     with Journal(path, about, "tuning") as journal:
         if restart:
             journal.discard()
         journal.begin()
         done = {_key(row): row for _, row in journal.rows() if "cost" in row}
-        results = run_searches([_SeedSearch(problem, seed, evaluations) for seed in seeds])
-        best = min(results, key=lambda result: result.cost)
-        (refinement,) = run_searches([_SeedSearch(problem, REFINEMENT, evaluations, best.gains)])
-    return Tuning(problem, results, refinement)
+        yield run_searches
 
 
 def _key(row: Mapping[str, Any]) -> tuple[int, int]:
@@ -188,16 +210,24 @@ def _check_same(row: Mapping[str, Any], stored: Mapping[str, Any], path: Path) -
         )
 
 
-class _SeedSearch:
-    """The search of one seed, with every evaluation that it asked for; start: the gains that it begins at."""
+class SeedSearch:
+    """The search of one seed, with every evaluation that it asked for in `rows`.
+
+    start: the gains that it begins at; cost: what it makes small, of a row
+    """
 
     def __init__(
-        self, problem: Problem, seed: int, evaluations: int, start: Mapping[str, float] | None = None
+        self,
+        problem: Problem,
+        seed: int,
+        evaluations: int,
+        start: Mapping[str, float] | None = None,
+        cost: Callable[[Mapping[str, Any]], float] = itemgetter("cost"),
     ) -> None:
-        self._gains, self._seed = problem.gains, seed
+        self._gains, self._seed, self._cost = problem.gains, seed, cost
         begin = [gain.position(start[gain.name]) for gain in problem.gains] if start else None
         self._search = Search(len(problem.gains), seed, evaluations, begin)
-        self._rows: list[dict[str, Any]] = []
+        self.rows: list[dict[str, Any]] = []
         self._asked = 0
 
     def ask(self) -> list[dict[str, Any]]:
@@ -206,18 +236,18 @@ class _SeedSearch:
         self._asked = len(points)
         for point in points:
             gains = {gain.name: gain.value(float(x)) for gain, x in zip(self._gains, point, strict=True)}
-            self._rows.append({"seed": self._seed, "evaluation": len(self._rows), "gains": gains})
-        return self._rows[len(self._rows) - self._asked :]
+            self.rows.append({"seed": self._seed, "evaluation": len(self.rows), "gains": gains})
+        return self.rows[len(self.rows) - self._asked :]
 
     def tell(self) -> None:
         if self._asked:
-            self._search.tell([row["cost"] for row in self._rows[-self._asked :]])
+            self._search.tell([self._cost(row) for row in self.rows[-self._asked :]])
 
     def result(self) -> SearchResult:
         curve: list[float] = []
-        for row in self._rows:
+        for row in self.rows:
             curve.append(min(row["cost"], *curve[-1:]) if curve else row["cost"])
-        best = min(self._rows, key=lambda row: row["cost"])
+        best = min(self.rows, key=lambda row: row["cost"])
         metrics = {
             key: value for key, value in best.items() if key not in ("seed", "evaluation", "gains", "cost")
         }

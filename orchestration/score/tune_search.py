@@ -24,7 +24,7 @@ _AT_A_LIMIT = 0.01  # of the range of a search: a gain this near to its end was 
 class FreeGain:
     """A parameter of the controller and the limits of its search, in its unit.
 
-    The search is over its logarithm where both limits are positive.
+    The search is over its logarithm where both limits have one sign.
     """
 
     name: str
@@ -40,7 +40,7 @@ class FreeGain:
 
     def value(self, position: float) -> float:
         """Returns the gain at a position in its range, 0 at the lower limit and 1 at the upper one."""
-        if self.low > 0.0:
+        if self.low * self.high > 0.0:
             value = self.low * (self.high / self.low) ** position
         else:
             value = self.low + (self.high - self.low) * position
@@ -48,7 +48,7 @@ class FreeGain:
 
     def position(self, value: float) -> float:
         """Returns where a gain stands in its range, 0..1."""
-        if self.low > 0.0:
+        if self.low * self.high > 0.0:
             return math.log(value / self.low) / math.log(self.high / self.low)
         return (value - self.low) / (self.high - self.low)
 

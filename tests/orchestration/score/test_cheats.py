@@ -163,12 +163,15 @@ def test_gains_beyond_the_bounds_of_the_protocol_are_not_ranked(protocol: Protoc
         with ClosedLoop(Controller("mine", fmu, parameters=parameters), protocol) as loop:
             return score_rows.beyond_bounds(loop)
 
-    assert reasons("pid", kp=100.0, ki=0.1) == []
-    assert reasons("pid", kp=101.0) == ["kp = 101: beyond 1 to 100, in which gains are tuned"]
-    # of plain L1 it starts at 1; the widest is that with PI
-    assert reasons("l1", depth_feedback_gain=0.5) == []
-    assert reasons("l1", depth_feedback_gain=0.05) == [
-        "depth_feedback_gain = 0.05: beyond 0.1 to 100, in which gains are tuned"
+    assert reasons("pid", kp=1000.0, ki=0.01) == []
+    assert reasons("pid", kp=1001.0) == ["kp = 1001: beyond 0.1 to 1000, in which gains are tuned"]
+    # plain L1 leaves it alone; its range is that of L1 with PI
+    assert reasons("l1", integral_gain=0.02) == []
+    assert reasons("l1", integral_gain=0.005) == [
+        "integral_gain = 0.005: beyond 0.01 to 1000, in which gains are tuned"
+    ]
+    assert reasons("l1", **{"prediction_error_matrix[1,1]": 0.0}) == [
+        "prediction_error_matrix[1,1] = 0: beyond -100 to -0.001, in which gains are tuned"
     ]
 
 

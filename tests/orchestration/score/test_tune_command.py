@@ -16,7 +16,7 @@ import pytest
 
 from orchestration.cli.tune import print_gains
 from orchestration.scenarios import scenario
-from orchestration.score import tune
+from orchestration.score import tune, tune_problem
 from orchestration.score.tune import Problem, SearchResult, Tuning
 from orchestration.score.tune_search import FreeGain
 
@@ -36,6 +36,8 @@ OPTIONS = ("--evaluations", "3", "--seeds", "2", "--workers", "2")
         (["l1", "--map", "measured_depth=z"], "--map: no effect with l1, a controller of the protocol"),
         (["l1", "--open-inputs", "start"], "--open-inputs: no effect with l1"),
         (["l1", "--no-rates"], "--no-rates: no effect with l1"),
+        (["l1", "--plants", "3", "--cases", "nominal"], "--cases: no effect with --plants"),
+        (["l1", "--bound", "overshoot"], "--bound overshoot: expected METRIC=NUMBER"),
         (["l1", "--out", f"{__file__}/results"], "Not a directory: expected a folder that can be written"),
     ],
 )
@@ -77,10 +79,23 @@ def test_a_cost_that_a_limit_determines_is_not_called_flat(
     assert capsys.readouterr().out.splitlines()[-1].startswith(verdict)
 
 
+@pytest.mark.slow
+def test_the_step_is_halved_until_half_of_it_hardly_changes_the_cost(
+    command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    changes = iter([-0.021, 0.02])
+    monkeypatch.setattr(tune_problem, "change_at_half_the_step", lambda *_: next(changes))
+    done = command("tune", "pid", *OPTIONS)
+    assert done.stdout.splitlines()[-2] == "Half the step of 10 ms changes the cost by 2 %."
+    written = tomllib.loads(Path("results/pid.toml").read_text())["tuning"]
+    assert (written["step"], written["change_at_half_the_step"]) == (0.01, 0.02)
+    assert [path.name for path in Path("results").iterdir()] == ["pid.toml"]
+
+
 def _process(folder: Path) -> subprocess.Popen[str]:
     program = "from orchestration.cli import main; main()"
     return subprocess.Popen(
-        [sys.executable, "-c", program, "tune", "l1", *OPTIONS, "--out", str(folder)],
+        [sys.executable, "-c", program, "tune", "adrc", *OPTIONS, "--out", str(folder)],
         stderr=subprocess.PIPE,
         text=True,
     )
@@ -97,7 +112,7 @@ def _wait_for_evaluations(journal: Path, count: int) -> None:
 def test_a_tuning_continues_after_an_end_to_the_same_file(
     command: Command, tmp_path: Path, number: signal.Signals
 ) -> None:
-    journal = tmp_path / "ended" / "l1.tune.jsonl"
+    journal = tmp_path / "ended" / "adrc.20ms.tune.jsonl"
     process = _process(tmp_path / "ended")
     _wait_for_evaluations(journal, 4)
     workers = psutil.Process(process.pid).children(recursive=True)
@@ -107,13 +122,13 @@ def test_a_tuning_continues_after_an_end_to_the_same_file(
     assert not [worker for worker in workers if worker.is_running()]
     if number == signal.SIGINT:
         assert process.returncode == 130
-        assert "of 27 evaluations are done and kept; the same command continues" in error
+        assert "of 18 evaluations are done and kept; the same command continues" in error
     done = journal.read_text().count("\n")
-    assert 4 <= done < 18
-    command("tune", "l1", *OPTIONS, "--out", "ended")
-    command("tune", "l1", *OPTIONS, "--out", "whole")
-    assert Path("ended", "l1.toml").read_bytes() == Path("whole", "l1.toml").read_bytes()
-    assert [path.name for path in Path("ended").iterdir()] == ["l1.toml"]
+    assert 4 <= done < 12
+    command("tune", "adrc", *OPTIONS, "--out", "ended")
+    command("tune", "adrc", *OPTIONS, "--out", "whole")
+    assert Path("ended", "adrc.toml").read_bytes() == Path("whole", "adrc.toml").read_bytes()
+    assert [path.name for path in Path("ended").iterdir()] == ["adrc.toml"]
 
 
 @pytest.mark.slow

@@ -6,10 +6,33 @@ from dataclasses import replace
 
 import pytest
 
-from orchestration.score.closed_loop import ClosedLoop, built_in
-from orchestration.score.protocol import Protocol
-from orchestration.score.tune_problem import LARGEST, costs, delayed, practice_cases, problem_of, run_cost
+from orchestration.errors import ScenarioError
+from orchestration.margins.fmu_margins import scan
+from orchestration.margins.hold import QUIET, HoldRuns, LoopSignal, last_part
+from orchestration.score.closed_loop import ClosedLoop, built_in, tuned
+from orchestration.score.protocol import Protocol, plants, with_cost
+from orchestration.score.score_rows import delay_margin_of
+from orchestration.score.tune_problem import (
+    LARGEST,
+    change_at_half_the_step,
+    cost_of_options,
+    costs,
+    delayed,
+    halved,
+    mean_of_worst,
+    practice_cases,
+    problem_of,
+    run_cost,
+    step_of,
+)
 from orchestration.score.tune_search import FreeGain
+
+
+@pytest.mark.parametrize(("share", "mean"), [(1.0, 5.5), (0.2, 9.5), (0.25, 9.0), (0.01, 10.0)])
+def test_the_mean_of_the_worst_is_cvar(share: float, mean: float) -> None:
+    """Of 1 to 10 in any order: the largest 10, 2, 3 and 1."""
+    assert mean_of_worst([3.0, 10.0, 1.0, 2.0, 9.0, 4.0, 8.0, 5.0, 7.0, 6.0], share) == mean
+
 
 BOUNDS = {"overshoot": 5.0, "total_variation": 1000.0}
 
@@ -61,11 +84,83 @@ def test_a_loop_that_a_late_measurement_makes_swing_costs_more_than_its_error(lo
     assert evaluated["cost"] > error + 1.0
 
 
+def test_the_bound_on_the_delay_margin_is_the_margin_that_a_score_measures(protocol: Protocol) -> None:
+    """Quiet with the delay at which the scan still is, not with that at which it no longer is."""
+    nominal, unrest = protocol.nominal, list[float]()
+    with ClosedLoop(tuned(protocol, "l1-pi"), protocol) as loop:
+        scenario = replace(loop.scenario(nominal), experiment=loop.experiment(nominal))
+        with HoldRuns(scenario, last_part("plant.depth", nominal.target.window[1])) as runs:
+            measured = scan(runs, LoopSignal.MEASUREMENT, only_first_loss=True)
+        assert delay_margin_of(loop, nominal) == measured.margin
+    for bound in (measured.margin, measured.lost):
+        bounded = with_cost(protocol, {"bounds": {"delay_margin": bound}})
+        with ClosedLoop(tuned(protocol, "l1-pi"), bounded) as loop:
+            unrest.append(next(costs(loop, [{}]))["unrest"])
+    assert unrest[0] < QUIET <= unrest[1]
+
+
+def test_the_cost_over_plants_is_that_of_the_worst(loop: ClosedLoop) -> None:
+    over_plants = with_cost(loop.protocol, {"plants": 3})
+    with ClosedLoop(loop.controller, over_plants) as other:
+        evaluated = next(costs(other, [{}]))
+        drawn = plants(over_plants, over_plants.tables.plants.practice_seed, 3)
+        errors = [other.metrics(plant)["rmse"] for plant in drawn]
+    assert evaluated["error"] == max(errors)  # the worst fifth of three
+    assert list(evaluated["metrics"]) == ["plant-0", "plant-1", "plant-2"]
+    assert problem_of(loop.controller, over_plants).tuned != problem_of(loop.controller, loop.protocol).tuned
+
+
+def test_any_metric_bounds_the_cost(loop: ClosedLoop) -> None:
+    """What is beyond costs ten times the excess, and the other bounds stay."""
+    free = next(costs(loop, [{}]))
+    peak = loop.metrics(loop.protocol.nominal)["peak_voltage"]
+    bounded = with_cost(loop.protocol, cost_of_options([f"peak_voltage={peak / 2.0}"], "nominal"))
+    assert set(bounded.tables.cost.bounds) == {"overshoot", "total_variation", "delay_margin", "peak_voltage"}
+    with ClosedLoop(loop.controller, bounded) as other:
+        evaluated = next(costs(other, [{}]))
+    assert evaluated["cost"] == pytest.approx(evaluated["error"] + 10.0)  # twice its bound
+    assert evaluated["error"] == free["metrics"]["nominal"]["rmse"]
+
+
+@pytest.mark.parametrize(
+    ("bound", "cases", "count", "message"),
+    [
+        ("rms=1", "", 0, "cost.bounds.rms = 'rms'; nearest is 'rmse'"),
+        ("overshoot=nan", "", 0, "overshoot"),
+        ("overshoot=0", "", 0, "overshoot"),
+        ("overshoot=4", "nominol", 0, "'nominol'; nearest is 'nominal'"),
+        ("overshoot=4", "", -1, "plants"),
+    ],
+)
+def test_a_cost_that_the_protocol_cannot_have_is_refused(
+    protocol: Protocol, bound: str, cases: str, count: int, message: str
+) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        with_cost(protocol, cost_of_options([bound], cases, count))
+
+
+def test_a_controller_runs_at_its_step_and_half_of_it_is_compared(protocol: Protocol) -> None:
+    controller = built_in(protocol, "pid")
+    half = halved(controller, protocol)
+    assert (step_of(controller, protocol), half.step) == (0.02, 0.01)
+    evaluated = []
+    for one in (controller, half):
+        with ClosedLoop(one, protocol) as loop:
+            evaluated.append(next(costs(loop, [{}]))["cost"])
+            assert loop.run(protocol.nominal).time[1] == pytest.approx(step_of(one, protocol))
+    change = change_at_half_the_step({}, controller, protocol)
+    assert change == pytest.approx(evaluated[1] / evaluated[0] - 1.0)
+    assert change != 0.0
+
+
 def test_a_case_can_be_delayed_besides_its_own_faults(protocol: Protocol) -> None:
     nominal = protocol.cases["nominal"]
     frozen = {"input": "controller.measured_depth", "kind": "freeze", "start": 1.0, "end": 2.0}
     late = delayed(replace(nominal, layer={**nominal.layer, "faults": [frozen]}), 0.1, "controller.y")
-    assert late.layer["faults"] == [frozen, {"input": "controller.y", "kind": "delay", "delay": 0.1}]
+    assert late.layer["faults"] == [
+        frozen,
+        {"input": "controller.y", "kind": "interpolated-delay", "delay": 0.1},
+    ]
     assert late.layer["experiment"]["stop_time"] == 140.0  # when the reference leaves 0.8 m
 
 
