@@ -222,5 +222,6 @@ def front_figure(
             if not index:
                 figure.colorbar(dots, label="Delay margin [s]", location="top", shrink=0.5)
         panel.set(xscale="log", yscale="log", xlabel="Total variation [N]", ylabel="RMSE [cm]")
-        figure.legend(loc="outside lower center", ncols=2, title=title)
+        if margins:
+            figure.legend(loc="outside lower center", ncols=2, title=title)
         return write_figure(figure, path, formats)

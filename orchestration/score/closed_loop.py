@@ -81,14 +81,19 @@ def built_in(protocol: Protocol, name: str) -> Controller:
     return Controller(name, table.fmu, table.reference_rates, table.title, table.parameters)
 
 
+def tuned_gains(name: str) -> dict[str, FmiValue]:
+    """Returns variable of the controller -> value; empty if it was not tuned."""
+    path = GAINS / f"{name}.toml"
+    values = parameter_values(path) if path.is_file() else {}
+    return {variable.removeprefix(OWN): value for variable, value in values.items()}
+
+
 def tuned(protocol: Protocol, name: str) -> Controller:
     """Returns the controller that the protocol has under that name, with its tuned gains and their step."""
     controller, path = built_in(protocol, name), GAINS / f"{name}.toml"
-    if not path.is_file():
-        return controller
-    gains = {variable.removeprefix(OWN): value for variable, value in parameter_values(path).items()}
-    step = tomllib.loads(path.read_text(encoding="utf-8")).get("tuning", {}).get("step", 0.0)
-    return replace(controller, parameters={**controller.parameters, **gains}, step=step)
+    written = tomllib.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    step = written.get("tuning", {}).get("step", 0.0)
+    return replace(controller, parameters={**controller.parameters, **tuned_gains(name)}, step=step)
 
 
 class ClosedLoopRun(NamedTuple):

@@ -43,6 +43,29 @@ def test_the_comparison_is_a_score_of_both(small: Protocol) -> None:
     assert tuned < 0.5 * start  # three times the gain
 
 
+def test_tuned_gains_run_at_the_step_that_they_were_tuned_at(
+    protocol: Protocol, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(closed_loop, "GAINS", tmp_path)
+    assert closed_loop.tuned(protocol, "l1-pi").step == 0.0  # that of the protocol's base
+    (tmp_path / "l1-pi.toml").write_text(f"[tuning]\nstep = 0.005\n{GAINS}")
+    tuned = closed_loop.tuned(protocol, "l1-pi")
+    assert (tuned.step, tuned.parameters["proportional_gain"]) == (0.005, 12.5)
+    with closed_loop.ClosedLoop(tuned, protocol) as loop:
+        assert loop.experiment(protocol.nominal).step_size == 0.005
+
+
+def test_the_step_is_a_column_without_a_best_where_rows_have_one(protocol: Protocol) -> None:
+    document = made_up(protocol, a=1.25, b=2.5)
+    titles = [column.title for column in score_view.overview(document).columns]
+    assert "Communication step" not in titles
+    for row, step in zip(document.rows, (0.02, 0.005), strict=True):
+        row.step = step
+    table = score_view.overview(document)
+    assert table.columns[-1].title == "Communication step"
+    assert [(cells[-1].text, cells[-1].is_best) for cells in table.cells] == [("20", False), ("5", False)]
+
+
 def made_up(protocol: Protocol, **errors: float) -> Score:
     """Rows with that error in the nominal case."""
     rows = [
