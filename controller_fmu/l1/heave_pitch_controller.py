@@ -136,11 +136,11 @@ class Outputs(axis.Outputs):
     pitch_sigma_hat: float = variable(0.0, "sigma_hat of the pitch", unit="N.m")
 
 
-def _of_pitch(declared: type) -> dict[str, str]:
-    """Returns name of the depth axis -> variable of the pitch axis that is this name behind pitch_."""
+def _of_pitch(declared: type) -> list[tuple[str, str]]:
+    """Returns names of the depth axis, each with the variable of the pitch axis: that name behind pitch_."""
     names = [field.name for field in fields(declared)]
-    own = {name: f"pitch_{name}" for name in names if f"pitch_{name}" in names}
-    return own | ({"depth_feedback_gain": "pitch_feedback_gain"} if declared is Parameters else {})
+    own = [(name, f"pitch_{name}") for name in names if f"pitch_{name}" in names]
+    return [*own, ("depth_feedback_gain", "pitch_feedback_gain")] if declared is Parameters else own
 
 
 _PARAMETERS, _MATRICES, _OUTPUTS = map(_of_pitch, (Parameters, Matrices, Outputs))
@@ -153,7 +153,7 @@ def calculate(p: Parameters) -> Matrices:
     pitch = depth_matrices(total, p.lyapunov_weight, of_pitch)
     sampled = sampled_prediction(pitch.predictor_input, p.prediction_error_matrix, p.adaptation_period)
     values = asdict(pitch) | asdict(sampled)
-    own = {of_pitch: values[name] for name, of_pitch in _MATRICES.items()}
+    own = {of_pitch: values[name] for name, of_pitch in _MATRICES}
     return Matrices(**asdict(axis.calculate(p)), **own, thruster_share=allocation.shares(p.thruster_lever))
 
 
@@ -192,7 +192,7 @@ def output(t: float, state: State, p: Parameters, matrices: Matrices) -> Outputs
     pitch = asdict(axis.output(t, state.pitch, _pitch_parameters(p), _pitch_matrices(matrices)))
     return Outputs(
         **depth,
-        **{of_pitch: pitch[name] for name, of_pitch in _OUTPUTS.items()},
+        **{of_pitch: pitch[name] for name, of_pitch in _OUTPUTS},
         demanded_moment=u_pitch.total,
         estimated_pitch_rate=pitch["estimated_depth_rate"],
     )
@@ -231,13 +231,15 @@ def _pitch_inputs(inputs: Inputs) -> DepthInputs:
 
 def _pitch_parameters(p: Parameters) -> Parameters:
     """Returns the parameters of the pitch axis by the names of the depth axis; what both share stays."""
-    own = {name: getattr(p, of_pitch) for name, of_pitch in _PARAMETERS.items()}
+    given = asdict(p)
+    own = {name: given[of_pitch] for name, of_pitch in _PARAMETERS}
     return replace(p, **own, reference_feedforward=ReferenceFeedforward.NONE)
 
 
 def _pitch_matrices(matrices: Matrices) -> axis.Matrices:
     """Returns the matrices of the pitch axis by the names of the depth axis."""
-    return replace(matrices, **{name: getattr(matrices, of_pitch) for name, of_pitch in _MATRICES.items()})
+    given = asdict(matrices)
+    return replace(matrices, **{name: given[of_pitch] for name, of_pitch in _MATRICES})
 
 
 GUIDE = Guide(

@@ -6,11 +6,13 @@ A file is laid over its base, and `overrides` over both (`layers`).
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
+from fmus.errors import FmuLoadError
 from fmus.fmi.description import describe, start_value
 from fmus.fmi.model_description import ModelDescription
 from fmus.fmi.variable_types import FmiValue
@@ -158,8 +160,9 @@ def _check_parameters(files: Sequence[TomlFile], data: Data, describe: Describe)
         for name in (name for name in file.data.get("parameters", {}) if name in data["parameters"]):
             component, _, variable = name.partition(".")
             fmu = data["components"].get(component)
-            if fmu and all(v.name != variable for v in describe(fmu).modelVariables):
-                raise ScenarioError(f"{file.at(('parameters', name))}: {other_fmu(name, fmu)}")
+            with suppress(FmuLoadError):  # what is not built yet is checked when it runs
+                if fmu and all(v.name != variable for v in describe(fmu).modelVariables):
+                    raise ScenarioError(f"{file.at(('parameters', name))}: {other_fmu(name, fmu)}")
 
 
 def _with_actuators(

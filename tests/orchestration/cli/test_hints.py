@@ -242,7 +242,7 @@ def test_actuators_are_told_of_a_vehicle_that_a_file_of_the_user_names(
     command: Command, short_scenario: Callable[..., Path]
 ) -> None:
     short_scenario(more='[components]\nplant = "RovHeavePitchPlant"\n')
-    assert "of the actuators of plant: controller.thruster_gain[1]" in command("run", "short.toml").stderr
+    assert "of the actuators of plant: controller.voltage_limit = 12" in command("run", "short.toml").stderr
 
 
 def test_inspect_takes_what_other_commands_take(command: Command, error: Callable[..., str]) -> None:

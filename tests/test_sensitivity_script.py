@@ -1,4 +1,4 @@
-"""The script of docs/explanation/sensitivity/ computes the indices that it says, of the runs of a score."""
+"""`.ci/sensitivity.py` computes the indices that it says, of the runs of a score."""
 
 import math
 import sys
@@ -12,9 +12,9 @@ from orchestration.score.closed_loop import ClosedLoop, tuned
 from orchestration.score.protocol import Case, Protocol, read_protocol
 from orchestration.score.vehicle import Vehicle
 
-FOLDER = Path(__file__).parent.parent / "docs" / "explanation" / "sensitivity"
+FOLDER = Path(__file__).parent.parent / ".ci"
 sys.path.insert(0, str(FOLDER))
-import study  # noqa: E402  # pyright: ignore[reportMissingImports]
+import sensitivity  # noqa: E402  # pyright: ignore[reportMissingImports]
 
 sys.path.pop(0)
 SAMPLES = 512
@@ -41,7 +41,7 @@ def test_indices_of_ranks_that_two_numbers_decide(
     3 1 2 where it is 10, 2 3 1 where it is 01, and 3 2 1 where it is 11. The variances are 11/16, 11/16
     and 1/4. Of them a leaves, with b known, 10/16, 10/16 and 0, and b leaves 1/8, 1/8 and 1/4.
     """
-    numbers = study.guessed(protocol)
+    numbers = sensitivity.guessed(protocol)
     (inertias, law), (lags, _) = numbers["inertia"], numbers["thruster_lag"]
     half = law.ppf(np.array([0.5]))[0]
 
@@ -49,8 +49,8 @@ def test_indices_of_ranks_that_two_numbers_decide(
         a, b = values(cases, inertias[0]) > half, values(cases, lags[-1]) > 0.05
         return np.array([np.where(a, 4.0, 2.0), np.where(a, 2.0, 4.0), np.where(b, 1.0, 3.0)])
 
-    monkeypatch.setattr(study, "errors", errors)
-    result = study.indices(protocol, SAMPLES, 2)
+    monkeypatch.setattr(sensitivity, "errors", errors)
+    result = sensitivity.indices(protocol, SAMPLES, 2)
     shares = {name: share["mean"] for name, share in result["indices"].items()}
     variance = 2 * 11 / 16 + 1 / 4
     # of 512 quasi-random vehicles; coins of so many have a standard deviation of 2 %
@@ -65,14 +65,14 @@ def test_indices_of_ranks_that_two_numbers_decide(
 
 def test_a_controller_that_fails_is_not_first(protocol: Protocol, monkeypatch: pytest.MonkeyPatch) -> None:
     """All fail above the median inertia, and pid everywhere."""
-    inertias, law = study.guessed(protocol)["inertia"]
+    inertias, law = sensitivity.guessed(protocol)["inertia"]
     half = law.ppf(np.array([0.5]))[0]
 
     def errors(_: Protocol, cases: list[Case]) -> np.ndarray:
         return np.where(values(cases, inertias[0]) > half, math.inf, np.array([[math.inf], [2.0], [1.0]]))
 
-    monkeypatch.setattr(study, "errors", errors)
-    result = study.indices(protocol, SAMPLES, 1)
+    monkeypatch.setattr(sensitivity, "errors", errors)
+    result = sensitivity.indices(protocol, SAMPLES, 1)
     assert result["all_failed"] == pytest.approx(0.5, abs=0.02)
     firsts = {name: rank["first"] for name, rank in result["ranks"].items()}
     assert firsts == {"pid": 0.0, "adrc": 0.0, "mrac": 1.0 - result["all_failed"]}
@@ -83,7 +83,7 @@ def test_errors_are_those_of_the_score(protocol: Protocol, scenario_fmus: None) 
         protocol.nominal,
         values={**protocol.nominal.values, "plant.thruster_lag[1]": 0.5, "plant.thruster_lag[2]": 0.5},
     )
-    result = study.errors(protocol, [protocol.nominal, slow])
+    result = sensitivity.errors(protocol, [protocol.nominal, slow])
     for row, name in zip(result, protocol.controllers, strict=True):
         with ClosedLoop(tuned(protocol, name), protocol) as loop:
             assert row[0] == loop.metrics(protocol.nominal)["rmse"]

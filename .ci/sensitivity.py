@@ -1,7 +1,7 @@
 """Which guessed number of a vehicle moves the ranking of the controllers, for docs/explanation/comparison.md.
 
     l1-depth build --cache
-    python docs/explanation/sensitivity/study.py sensitivity.json
+    python .ci/sensitivity.py docs/explanation/sensitivity.json
 
 Every controller of the protocol, tuned, runs the nominal case on vehicles whose guessed numbers are drawn:
 from the distributions of the vehicle's description (orchestration/scenarios/vehicles/), and the thrusters'
