@@ -70,6 +70,11 @@ def read_all(when: str = "", where: str = "") -> Action:
     return lambda script: script.observed.append((when, where, script.read_everything()))
 
 
+def read_vectors(functions: Iterable[str], when: str = "") -> Action:
+    """Reads vectors of model exchange."""
+    return lambda script: script.observed.append((when, "", script.read_vectors(functions)))
+
+
 def go_on_reading(steps: int, readings: int, when: str = "", observed: Sequence[Variable] = ()) -> Action:
     """Makes many steps, in which all variables are read a few times, and those observed after each."""
     ends = [steps * i // readings for i in range(readings + 1)]

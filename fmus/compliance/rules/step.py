@@ -78,16 +78,17 @@ def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
     (v,) = [v for v in probe.fmu.variables if v.causality == "independent"][:1]
     if not probe.states_step_size:
         raise NotJudgedError("no step size is stated, and an internal step may be longer than others")
-    for t, reading in _times(probe, v):
+    for t, where, reading in _times(probe, v):
         got = reading.values[v.name]
         if not abs(got - t) <= 1e-3 * probe.step_size + 1e-9 * abs(t):
             shown = texts(got, t)
-            yield f"{v.name} is {shown[0]} at the communication point {shown[1]} s"
+            yield f"{v.name} is {shown[0]} {where}: expected {shown[1]}"
             return
 
 
-def _times(probe: Probe, v: Variable) -> Iterator[tuple[float, Reading]]:
-    """Yields communication points with readings of a variable, up to a call that fails."""
+def _times(probe: Probe, v: Variable) -> Iterator[tuple[float, str, Reading]]:
+    """Yields times, in words too, with readings of a variable, up to a call that fails."""
+    initialised, point = "after initialisation with startTime {:g} s", "at the communication point {:g} s"
     # a slave of fixed internal steps may be behind after a fraction
     exchanged = (1.0, 2.0, 0.30901699) if probe.fmu.is_model_exchange else (1.0, 1.0, 1.0)
     factors = (1.0, 2.0, 3.0) if probe.fmu.claims(_ANY_STEP) else exchanged
@@ -100,26 +101,26 @@ def _times(probe: Probe, v: Variable) -> Iterator[tuple[float, Reading]]:
             script.begin().step().reset()
             script.set_up(start, probe.point(1000), tolerance).enter_initialization_mode()
             script.exit_initialization_mode()
-        rows = [(script.replies[-1], script.read([v]), start)]
+        rows = [(script.replies[-1], script.read([v]), start, initialised.format(start))]
         for factor in factors:
             step = script.call("do_step", t, factor * probe.step_size)
             t += factor * probe.step_size
-            rows.append((step, script.read([v]), t))
+            rows.append((step, script.read([v]), t, point.format(t)))
         script.play(keep_going=True)
-        for _, reading, t in itertools.takewhile(lambda row: row[0].ok and row[1].ok, rows):
-            yield t, reading
-    script = probe.script(do.forbidden).initialise(
-        probe.point(3)
-    )  # 4.2.4 does not list it among what is read
+        for _, reading, t, where in itertools.takewhile(lambda row: row[0].ok and row[1].ok, rows):
+            yield t, where, reading
+    # 4.2.4 does not list it among what is read
+    script = probe.script(do.forbidden).initialise(probe.point(3))
     reading = script.read([v])
     script.play(keep_going=True)
     if reading.ok:
-        yield probe.point(3), reading
+        yield probe.point(3), f"in initialization mode with startTime {probe.point(3):g} s", reading
     with suppress(NotApplicableError, NotJudgedError):  # then the times before are judged alone
         whole = do.over_the_experiment(probe)
         count = len(whole.observed)
         for i, (*_, reading) in enumerate(whole.observed if whole.succeeded else (), 1):
-            yield probe.point(probe.steps_of_experiment * i // count), reading
+            t = probe.point(probe.steps_of_experiment * i // count)
+            yield t, point.format(t), reading
 
 
 @behaviour_rule("4.2.2", interface=CO_SIMULATION)
