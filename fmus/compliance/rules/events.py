@@ -220,7 +220,7 @@ def events_come_to_an_end(probe: Probe) -> Iterator[str]:
         yield f"{ended}: expected newDiscreteStatesNeeded false"
 
 
-@_event_rule("3.2.2", again=True)
+@_event_rule("advice: an importer of several FMUs calls it as often as one of them needs", again=True)
 def ended_events_stay_ended(event: Event) -> Iterator[str]:
     """One more call of fmi2NewDiscreteStates changes nothing where newDiscreteStatesNeeded is false."""
     for name, b in event.again.items():
