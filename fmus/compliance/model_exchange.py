@@ -74,16 +74,13 @@ class ModelExchangeInstance(CalledInstance):
 
         Notes whether elements are not written, or one behind them is.
         """
-        *values, behind = self._with_guard(function)
+        count = self._counts[function == _INDICATORS]
+        array = (ctypes.c_double * (count + 1))(*[_GUARD] * (count + 1))
+        self.call(function, array, count)
+        *values, behind = array
         self.note(ARGUMENTS, behind != _GUARD)
         self.note(UNWRITTEN, self.last_status == OK and _GUARD in values)
         return values
-
-    def _with_guard(self, function: str) -> list[float]:
-        count = self._counts[function == _INDICATORS]
-        values = (ctypes.c_double * (count + 1))(*[_GUARD] * (count + 1))
-        self.call(function, values, count)
-        return list(values)
 
     def new_discrete_states(self) -> dict[str, Any]:
         """Returns the elements of fmi2EventInfo by name."""
@@ -112,11 +109,13 @@ class ModelExchangeInstance(CalledInstance):
 
     def exit_initialization_mode(self) -> str:
         """Leaves initialization mode and handles the first event; returns as `do_step`."""
-        super().exit_initialization_mode()
-        if not 0 <= self.last_status <= WARNING:
-            return ""
+
+        def start() -> None:
+            self._checked(self.call_plain, "fmi2ExitInitializationMode")
+            self._handle_event("start")
+
         self._time, self._ends = math.nan, {}
-        return self._lead(lambda: self._handle_event("start"))
+        return self._lead(start)
 
     def do_step(self, t: float, h: float, no_going_back: bool = False, roughness: float = 1.0) -> str:
         """Integrates from t to t + h seconds, with the events meanwhile; roughness: times the tolerances.
@@ -130,9 +129,7 @@ class ModelExchangeInstance(CalledInstance):
         return self._lead(lambda: self._advance(t, t + h, no_going_back))
 
     def observed_events(self) -> list[dict[str, Any]]:
-        """Returns the events since the last question."""
-        events, self._events = self._events, []
-        return events
+        return self._events
 
     def _lead(self, action: Callable[[], None]) -> str:
         try:
@@ -198,7 +195,7 @@ class ModelExchangeInstance(CalledInstance):
 
     def _read(self, function: str) -> list[float]:
         """Returns a vector; an empty one without a call."""
-        return self._checked(self._with_guard, function)[:-1] if self._counts[function == _INDICATORS] else []
+        return self._checked(self.vector, function) if self._counts[function == _INDICATORS] else []
 
     def _terminate_if(self, terminates: int) -> None:
         if terminates:

@@ -21,7 +21,7 @@ _MOST_STATES = 20  # that are moved alone
 _NO_BOOLEAN = -1234567  # of a flag that the FMU has not written
 _NOT_NEEDED = "completedIntegratorStepNotNeeded"
 _rule = partial(behaviour_rule, interface=MODEL_EXCHANGE)
-_rows = partial(differential, interface=MODEL_EXCHANGE)
+_rule_of_rows = partial(differential, interface=MODEL_EXCHANGE)
 _FOLLOWING = _DERIVATIVES, _INDICATORS  # what follows from time, states and inputs
 _read = do.read_vectors(_FOLLOWING)
 
@@ -103,7 +103,7 @@ def _row(
     return Row(when, (_enter, *varied), (_enter, *usual) if usual else (), tolerance=tolerance, **options)
 
 
-@_rows("3.2.1", condition=no_states)
+@_rule_of_rows("3.2.1", condition=no_states)
 def states_that_are_set_are_read(_: Probe) -> Iterator[Row]:
     """fmi2GetContinuousStates gives the states that fmi2SetContinuousStates has set."""
 
@@ -142,7 +142,7 @@ def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
     yield from [*first_message(probe, read_twice)] or differences(probe, rows)
 
 
-@_rows("3.2.2")
+@_rule_of_rows("3.2.2")
 def time_goes_back_in_continuous_time(probe: Probe) -> Iterator[Row]:
     """After a completed step without an event the FMU is in continuous-time mode still; time can be set back
     as far as to the completed step before, and gives the derivatives of that time.
@@ -182,7 +182,7 @@ def completed_step_without_need_has_no_effect(probe: Probe) -> Iterator[str]:
     yield from differences(probe, [_row(f"after {reply.function}", (*first, read)), called])
 
 
-@_rows("2.2.8", condition=no_states)
+@_rule_of_rows("2.2.8", condition=no_states)
 def vectors_have_the_order_of_the_description(probe: Probe) -> Iterator[Row]:
     """States and derivatives as vectors have the values and the order of the variables of Derivatives."""
     derivatives, states = probe.fmu.state_derivatives.keys(), probe.fmu.state_derivatives.values()

@@ -150,7 +150,7 @@ def changes_of_states_are_announced(event: Event) -> Iterator[str]:
     for info, words in event.changes(0, "state"):
         if words and not info["valuesOfContinuousStatesChanged"]:
             yield f"at {event.words} {words}: expected valuesOfContinuousStatesChanged true"
-    if words := change("state", event.vectors[-1][0], event.begin):
+    if words := change("state", event.vectors[-1][0], event.begin, _SOLVED):
         what = f"{words} by fmi2EnterContinuousTimeMode"
         yield f"after {event.words} {what}: expected by fmi2NewDiscreteStates"
     for before, after in event.completed:
