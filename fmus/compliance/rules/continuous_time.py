@@ -137,7 +137,8 @@ def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
         _, z, once_more = event.crossing
         scale = 1e-3 * max(map(abs, event.indicators), default=0.0)
         if words := change("event indicator", z, once_more, _SOLVED, scale):
-            yield f"{words}, read once more, at the end of the continuous-time mode after {event.words}"
+            where = f"where the continuous-time mode after {event.words} ends"
+            yield f"{words}, read once more {where}: expected the same value"
 
     yield from [*first_message(probe, read_twice)] or differences(probe, rows)
 
