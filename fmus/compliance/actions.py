@@ -75,6 +75,11 @@ def glance_all(script: Script) -> None:
     script.read(script.probe.fmu.variables)
 
 
+def read_vectors(functions: Iterable[str], when: str = "") -> Action:
+    """Reads vectors of model exchange."""
+    return lambda script: script.observed.append((when, "", script.read_vectors(functions)))
+
+
 def go_on_reading(steps: int, readings: int, when: str = "", observed: Sequence[Variable] = ()) -> Action:
     """Makes many steps, in which all variables are read a few times, and those observed after each."""
     ends = [steps * i // readings for i in range(readings + 1)]

@@ -1,10 +1,12 @@
 """Judge rules of behaviour in another process: a crash or a hang of the FMU is a finding."""
 
 import errno
+import re
 import tempfile
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -120,6 +122,10 @@ def _other_interface(rule: Rule, fmu: FmuFile) -> str:
 
 def _joined(rule: Rule, halves: Mapping[str, Result]) -> Result:
     """Returns one result on all interfaces, which messages name unless it is co-simulation alone."""
+    if len(halves) == 1:
+        (interface,) = halves
+        rule = replace(rule, clause=_clause(rule, interface))
+        halves = {interface: replace(halves[interface], rule=rule)}
     if list(halves) == [CO_SIMULATION]:
         return halves[CO_SIMULATION]
     messages = [f"{_NAMES[kind]}: {m}" for kind, result in halves.items() for m in result.messages]
@@ -129,6 +135,13 @@ def _joined(rule: Rule, halves: Mapping[str, Result]) -> Result:
     if rule.interface in halves:
         return halves[rule.interface]
     return min(halves.values(), key=lambda result: bool(result.not_applicable))
+
+
+def _clause(rule: Rule, interface: str) -> str:
+    """Returns the sections that a rule names, less those of the chapter of the other interface."""
+    sections = re.split(r", (?=\d\.)", rule.clause)
+    other = "4." if interface == MODEL_EXCHANGE else "3."
+    return ", ".join(s for s in sections if not s.startswith(other)) or rule.clause
 
 
 def _in_order(chosen: Sequence[Rule], applicable: Mapping[str, Rule]) -> list[Rule]:

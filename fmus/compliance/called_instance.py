@@ -14,7 +14,7 @@ from fmus.fmi.callbacks import AllocateMemory, Callbacks, CountingAllocator, Fre
 
 _GUARD = 0xA5  # each byte behind an array
 _CHANGES_OF_STATE = (
-    "fmi2Enter", "fmi2Exit", "fmi2DoStep", "fmi2Terminate", "fmi2Reset", "fmi2SetFMUstate",
+    "fmi2Enter", "fmi2Exit", "fmi2DoStep", "fmi2Completed", "fmi2Terminate", "fmi2Reset", "fmi2SetFMUstate",
 )  # fmt: skip
 _RETURN_ARRAYS = ("fmi2Get", "fmi2Serialize")  # by the last array among their arguments
 _STATUS_TYPES = {
@@ -43,7 +43,7 @@ class CalledInstance(binding.BoundInstance):
       overwritten: whether all arguments of fmi2Instantiate are overwritten after the call
       watched: whether settings of the process are compared before and after each call
     announce: gets each call before it is made, as a text
-    function: the latest that was called
+    function, mode: the latest that was called, and the latest that changed the state
     """
 
     interface = binding.CO_SIMULATION
@@ -54,7 +54,7 @@ class CalledInstance(binding.BoundInstance):
         options: dict[str, Any], announce: Callable[[str], None],
     ) -> None:  # fmt: skip
         self._options, self._settings, self._announce = options, settings, announce
-        self.function = self._mode = ""  # the latest function, and the latest that changes the state
+        self.function = self.mode = ""
         self._memory, self._noted = memory, set[str]()
         self._kept: list[Any] = []
         self.states = parts.SavedStates(self)
@@ -107,12 +107,12 @@ class CalledInstance(binding.BoundInstance):
 
     def _tell(self, function: str, *arguments: Any) -> None:
         """Announces a call, with the function that brought the instance where it is."""
-        after = f" after {self._mode}" if self._mode else ""
+        after = f" after {self.mode}" if self.mode else ""
         self._announce(f"{function}({', '.join(filter(None, map(parts.shown, arguments)))}){after}")
 
     def note(self, what: str, is_so: bool) -> None:
         """Notes what the FMU did wrong, if so, for `changed_settings`."""
-        self._noted |= {what} if is_so else set()
+        self._noted |= {f"{what} of {self.function}"} if is_so else set()
 
     def call(self, function: str, *arguments: Any) -> None:
         """Calls a function, and notes if one that is watched writes into an array that is constant to it."""
@@ -124,10 +124,9 @@ class CalledInstance(binding.BoundInstance):
         self.function = function
         self._tell(function, *(arguments[:-1] if is_result else arguments))
         super().call(function, *arguments)
-        self._mode = function if function.startswith(_CHANGES_OF_STATE) else self._mode
+        if function.startswith(_CHANGES_OF_STATE) and 0 <= self.last_status <= binding.WARNING:
+            self.mode = function
         self.note(ARGUMENTS, before != [bytes(array) for array in arrays])
-
-    call_plain = call  # as model exchange calls it
 
     def new_messages(self) -> list[list[Any]]:
         """Returns [status, message, instance, category, right environment or not] of each new message."""
@@ -137,8 +136,12 @@ class CalledInstance(binding.BoundInstance):
         return messages
 
     def changed_settings(self) -> list[list[str]]:
-        """Returns [setting, before, after] of those changed since the FMU was loaded, and sets them back."""
-        changed = [*self._settings.changed(), *([what, "", ""] for what in sorted(self._noted))]
+        """Returns [setting, before, after] of those changed since the FMU was loaded, and sets them back.
+
+        Of what was noted, the function is in the place of the value before.
+        """
+        noted = [what.partition(" of ") for what in sorted(self._noted)]
+        changed = [*self._settings.changed(), *([what, function, ""] for what, _, function in noted)]
         self._noted.clear()
         self._settings.restore()
         return changed

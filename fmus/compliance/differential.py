@@ -12,7 +12,7 @@ from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Check, NotApplicableError, NotJudgedError, rule_of
 from fmus.compliance.script import Action, CallError, Script
 from fmus.compliance.values import differing, steadily
-from fmus.fmi.binding import ERROR
+from fmus.fmi.binding import DISCARD, ERROR
 
 ROUNDING = 1e-9  # relative: of values that are computed again
 _SLOT = 1000  # of a saved state, which no row uses
@@ -160,7 +160,9 @@ def verdict(probe: Probe, row: Row, usual: Script, plays: Sequence[Script]) -> I
         raise NotJudgedError("no call that returns error is known")
     for play in (play for play in plays if play is plays[0] or play.observed):
         failure = play.failure
-        if failure and (row.may_fail or any(failure is reply for reply in play.attempts)):
+        # which discard is illegal `statuses-are-legal` tells
+        is_discarded = failure and failure.status == DISCARD and probe.fmu.is_model_exchange
+        if failure and (row.may_fail or is_discarded or any(failure is reply for reply in play.attempts)):
             raise NotJudgedError(f"a call fails that may: {failure.problem}")
         if failure:
             prefix = f"{_failing(row).format(state=failure.state)}{row.start.words}".removeprefix(", ")

@@ -118,8 +118,8 @@ class LoadedFmu:
         return self._observed(instance, instance.create)
 
     def play(self, number: int, calls: Sequence[Sequence[Any]], keep_going: bool) -> list[list[Any]]:
-        """Returns [status, value, messages, changed settings, bytes printed, latest function] of calls, up
-        to one that fails.
+        """Returns [status, value, messages, changed settings, bytes printed, latest function, latest that
+        changed the state] of calls, up to one that fails.
 
         keep_going: also after a call that fails; what FMI forbids then is not called, and has no answer
         """
@@ -153,7 +153,7 @@ class LoadedFmu:
 
         instance.last_status = 0
         observed = self._observed(instance, call)
-        return [instance.last_status, *observed, instance.function]
+        return [instance.last_status, *observed, instance.function, instance.mode]
 
     def _observed(self, instance: CalledInstance, action: Callable[[], Any]) -> list[Any]:
         """Returns the result of an action, the messages meanwhile, changed settings and printed bytes."""

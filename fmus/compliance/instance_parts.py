@@ -117,9 +117,12 @@ class SavedStates:
         self._instance.call("fmi2SerializedFMUstateSize", self._pointers[slot], ctypes.byref(size))
         return size.value
 
-    def serialize_fmu_state(self, slot: int) -> list[Any]:
-        """Returns [the state as hexadecimal bytes, whether nothing was written behind its size]."""
-        size = self.serialized_fmu_state_size(slot)
+    def serialize_fmu_state(self, slot: int, more: int = 0) -> list[Any]:
+        """Returns [the state as hexadecimal bytes, whether nothing was written behind its size].
+
+        more: bytes that it has beyond the size that the FMU gives
+        """
+        size = self.serialized_fmu_state_size(slot) + more
         if self._instance.last_status:
             return ["", True]
         content = ctypes.create_string_buffer(_GUARD_BYTE * (size + _GUARD), size + _GUARD)

@@ -15,17 +15,22 @@ from fmus.fmi.binding import DISCARD, MODEL_EXCHANGE, OK, WARNING
 
 _MOST_SUBSTEPS, _MOST_EVENTS, _MOST_ITERATIONS = 500, 100, 100
 _LEAST = 1e-6  # smallest part of a step that is tried
-_TOLERANCE, _ROUGHNESS = 1e-4, 300.0
+_TOLERANCE = 1e-4
 _TOO_MANY = "the explicit scheme of this checker needs more than"
 _STATES, _DERIVATIVES = "fmi2GetContinuousStates", "fmi2GetDerivatives"
 _INDICATORS = "fmi2GetEventIndicators"
 _GUARD = -1.2345678e-300  # an element that the FMU has not written
+_NO_BOOLEAN = -1234567  # a flag that the FMU has not written
+_TRIES = 8  # to find where an indicator is 0
 
 
 _INFOS = (
     "newDiscreteStatesNeeded", "terminateSimulation", "nominalsOfContinuousStatesChanged",
     "valuesOfContinuousStatesChanged", "nextEventTimeDefined", "nextEventTime",
 )  # fmt: skip
+
+
+_Trial = tuple[list[float], list[float], float]  # states, indicators, error over its tolerance
 
 
 class EventInfo(ctypes.Structure):
@@ -52,8 +57,9 @@ class ModelExchangeInstance(CalledInstance):
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self._time = self._next_event = math.nan
-        self._roughness = 1.0  # times the tolerances
+        self._ends: dict[str, float] = {}
         self._events: list[dict[str, Any]] = []
+        self._counts = self._options["states"], self._options["indicators"]
 
     # single functions
 
@@ -68,25 +74,21 @@ class ModelExchangeInstance(CalledInstance):
 
         Notes whether elements are not written, or one behind them is.
         """
-        *values, behind = self._with_guard(function)
+        count = self._counts[function == _INDICATORS]
+        array = (ctypes.c_double * (count + 1))(*[_GUARD] * (count + 1))
+        self.call(function, array, count)
+        *values, behind = array
         self.note(ARGUMENTS, behind != _GUARD)
         self.note(UNWRITTEN, self.last_status == OK and _GUARD in values)
         return values
 
-    def _with_guard(self, function: str) -> list[float]:
-        count = self._count(function)
-        values = (ctypes.c_double * (count + 1))(*[_GUARD] * (count + 1))
-        self.call(function, values, count)
-        return list(values)
-
-    def _count(self, function: str) -> int:
-        return self._options["indicators" if function == _INDICATORS else "states"]
-
     def new_discrete_states(self) -> dict[str, Any]:
         """Returns the elements of fmi2EventInfo by name."""
-        info = EventInfo()
+        info = EventInfo(*[_NO_BOOLEAN] * 5)
         self.call("fmi2NewDiscreteStates", ctypes.byref(info))
-        return {name: getattr(info, name) for name in _INFOS}
+        values = {name: getattr(info, name) for name in _INFOS}
+        self.note(UNWRITTEN, self.last_status == OK and _NO_BOOLEAN in values.values())
+        return {name: 0 if value == _NO_BOOLEAN else value for name, value in values.items()}
 
     def completed_integrator_step(self, no_going_back: bool = True, before: int = 0) -> list[int]:
         """Returns enterEventMode and terminateSimulation, which have a value before the call."""
@@ -96,37 +98,38 @@ class ModelExchangeInstance(CalledInstance):
         )
         return [enter.value, terminate.value]
 
+    def complete_step(self) -> str:
+        """Completes a step in which there is no event; returns the reason why it is discarded otherwise."""
+        if any(self.completed_integrator_step(no_going_back=False)):
+            self.last_status = DISCARD
+            return "a step event comes first"
+        return ""
+
     # steps
 
     def exit_initialization_mode(self) -> str:
         """Leaves initialization mode and handles the first event; returns as `do_step`."""
-        super().exit_initialization_mode()
-        if not 0 <= self.last_status <= WARNING:
-            return ""
-        self._time = math.nan
-        return self._lead(lambda: self._handle_event("start"))
 
-    def do_step(self, t: float, h: float, no_going_back: bool = False) -> str:
-        """Integrates from t to t + h seconds, with the events meanwhile.
+        def start() -> None:
+            self._checked(self.call, "fmi2ExitInitializationMode")
+            self._handle_event("start")
+
+        self._time, self._ends = math.nan, {}
+        return self._lead(start)
+
+    def do_step(self, t: float, h: float, no_going_back: bool = False, roughness: float = 1.0) -> str:
+        """Integrates from t to t + h seconds, with the events meanwhile; roughness: times the tolerances.
 
         Returns the reason why a step is discarded although no call failed, or nothing.
         """
-        if abs(t - self._time) < 1e-9 * max(abs(t), h):
-            t = self._time  # but for rounding
+        self._roughness = roughness
+        # the time of the instance, also where a state was set back, is the given one but for rounding
+        t = self._ends.get(f"{t:.9g}", t)
+        self._ends[f"{t + h:.9g}"] = t + h
         return self._lead(lambda: self._advance(t, t + h, no_going_back))
 
-    def leap(self, t: float, h: float) -> str:
-        """Makes a step as `do_step` does, in a rough way."""
-        self._roughness = _ROUGHNESS
-        try:
-            return self.do_step(t, h)
-        finally:
-            self._roughness = 1.0
-
     def observed_events(self) -> list[dict[str, Any]]:
-        """Returns the events since the last question."""
-        events, self._events = self._events, []
-        return events
+        return self._events
 
     def _lead(self, action: Callable[[], None]) -> str:
         try:
@@ -150,12 +153,12 @@ class ModelExchangeInstance(CalledInstance):
         self._handle_event("communication point")  # for what was set since
         self._substeps = 0
         for _ in range(_MOST_EVENTS):
-            self._checked(self.call_plain, "fmi2EnterContinuousTimeMode")
+            self._checked(self.call, "fmi2EnterContinuousTimeMode")
             until = min(end, max(t, self._next_event))
             t, cause = self._integrate(t, until, (end - t) * _LEAST * self._roughness, no_going_back)
             self._time = t
             self._note("left")
-            self._checked(self.call_plain, "fmi2EnterEventMode")
+            self._checked(self.call, "fmi2EnterEventMode")
             self._handle_event(cause)
             if t >= end:
                 return
@@ -192,7 +195,7 @@ class ModelExchangeInstance(CalledInstance):
 
     def _read(self, function: str) -> list[float]:
         """Returns a vector; an empty one without a call."""
-        return self._checked(self._with_guard, function)[:-1] if self._count(function) else []
+        return self._checked(self.vector, function) if self._counts[function == _INDICATORS] else []
 
     def _terminate_if(self, terminates: int) -> None:
         if terminates:
@@ -205,7 +208,7 @@ class ModelExchangeInstance(CalledInstance):
         """
         x, z, slopes = (self._read(function) for function in (_STATES, _INDICATORS, _DERIVATIVES))
         if self._events:
-            self._events[-1]["indicators"] = z
+            self._events[-1] |= {"begin": x, "indicators": z}
         size = end - t
         while t < end:
             self._substeps += 1
@@ -220,6 +223,8 @@ class ModelExchangeInstance(CalledInstance):
                     raise _StepEndsError("the FMU discards states, or gives no numbers, in smallest substeps")
                 size = min(size, end - t) / 2
                 continue
+            if is_crossing and self._events:
+                new_t, trial = self._on_the_limit((t, x, z), new_t, trial)
             before, t, (x, z, error) = z, new_t, trial
             size *= 2 if error < 0.2 else 1
             enter = 0
@@ -236,9 +241,7 @@ class ModelExchangeInstance(CalledInstance):
                 slopes = self._read(_DERIVATIVES)
         return t, "time event" if t == self._next_event else "communication point"
 
-    def _trial(
-        self, x: Sequence[float], slopes: Sequence[float], t: float, end: float
-    ) -> tuple[list[float], list[float], float] | None:
+    def _trial(self, x: Sequence[float], slopes: Sequence[float], t: float, end: float) -> _Trial | None:
         """Returns states, indicators and the error over its tolerance at the end of a substep.
 
         None if the FMU discards something, or what it gives is not finite.
@@ -246,14 +249,10 @@ class ModelExchangeInstance(CalledInstance):
         h = end - t
         try:
             self._checked(self.set_time, end)
-            euler = [value + h * slope for value, slope in zip(x, slopes, strict=True)]
-            others = self._slopes_at(euler)
-            new = [
-                value + h * (slope + other) / 2 for value, slope, other in zip(x, slopes, others, strict=True)
-            ]
-            if x:
-                self._checked(self.set_continuous_states, new)
-            z = self._read(_INDICATORS)
+            euler = _sum(x, h, slopes)
+            others = self._vector_at(euler, _DERIVATIVES)
+            new = _sum(_sum(x, h / 2, slopes), h / 2, others)
+            z = self._vector_at(new, _INDICATORS)
         except _StepEndsError:
             if self.last_status != DISCARD:
                 raise
@@ -265,11 +264,41 @@ class ModelExchangeInstance(CalledInstance):
         sizes = (abs(a - b) / (tolerance * max(abs(a), 1e-3)) for a, b in zip(euler, new, strict=True))
         return new, z, max(sizes, default=0.0)
 
-    def _slopes_at(self, x: Sequence[float]) -> list[float]:
-        if not x:
-            return []
-        self._checked(self.set_continuous_states, x)
-        return self._read(_DERIVATIVES)
+    def _on_the_limit(
+        self, begin: tuple[float, list[float], list[float]], end: float, trial: _Trial
+    ) -> tuple[float, _Trial]:
+        """Returns the end of a substep, and its trial, where an indicator falls from above 0 to 0 exactly,
+        as a solver may hit it; those that were given if it is not found.
+        """
+        t, x, z = begin
+        falling = [i for i, (a, b) in enumerate(zip(z, trial[1], strict=True)) if a > 0 >= b]
+        for i in falling[:1]:
+            (low, above), (high, below) = (0.0, z[i]), (1.0, trial[1][i])
+            for _ in range(_TRIES):
+                part = low + (high - low) * above / (above - below)
+                time, states = t + part * (end - t), _sum(_sum(x, -part, x), part, trial[0])
+                self._checked(self.set_time, time)
+                indicators = self._vector_at(states, _INDICATORS)
+                if indicators[i] == 0:
+                    return time, (states, indicators, trial[2])
+                if indicators[i] > 0:
+                    low, above = part, indicators[i]
+                else:
+                    high, below = part, indicators[i]
+            self._checked(self.set_time, end)
+            self._vector_at(trial[0], _INDICATORS)
+        return end, trial
+
+    def _vector_at(self, x: Sequence[float], function: str) -> list[float]:
+        """Sets states, if there are any, and returns a vector there."""
+        if x:
+            self._checked(self.set_continuous_states, x)
+        return self._read(function)
+
+
+def _sum(x: Sequence[float], factor: float, others: Sequence[float]) -> list[float]:
+    """Returns x + factor others."""
+    return [a + factor * b for a, b in zip(x, others, strict=True)]
 
 
 def _signs(indicators: Sequence[float]) -> list[bool]:

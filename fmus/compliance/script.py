@@ -11,8 +11,8 @@ from fmus.fmi.binding import WARNING, status_name
 
 USUAL_NAME = "instance"
 KINDS = ("Real", "Integer", "Boolean", "String")
-_MOST_LEAPT, _LEAPS = 100, 16  # steps
-STEPS = ("do_step", "do_steps", "leap")
+_MOST_LEAPT, _LEAPS, _ROUGHNESS = 100, 16, 300.0  # steps, and times their tolerances
+STEPS = ("do_step", "do_steps")
 VECTORS = (
     "fmi2GetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndicators",
     "fmi2GetNominalsOfContinuousStates",
@@ -26,7 +26,15 @@ _FUNCTIONS = {  # method of `CalledInstance` -> function of FMI, where their nam
     "set_input_derivatives": "fmi2SetRealInputDerivatives",
     "output_derivatives": "fmi2GetRealOutputDerivatives",
     "deserialize_fmu_state": "fmi2DeSerializeFMUstate", "copy_fmu_state": "fmi2DeSerializeFMUstate",
+    "complete_step": "fmi2CompletedIntegratorStep",
     "free": "fmi2FreeInstance", "used_traps": "asking for callbacks", "held_blocks": "asking for memory",
+}  # fmt: skip
+
+
+_MODES = {  # function -> mode of model exchange that it leads to
+    "fmi2ExitInitializationMode": "event mode", "fmi2EnterEventMode": "event mode",
+    "fmi2EnterContinuousTimeMode": "continuous-time mode",
+    "fmi2CompletedIntegratorStep": "continuous-time mode after a completed step",
 }  # fmt: skip
 
 
@@ -74,6 +82,7 @@ class Reply:
     """Reply to a call; `status` is None until it was made.
 
     reason: why a step for model exchange is discarded although no call failed
+    words: for the variables that it sets or reads, in messages
     """
 
     function: str
@@ -85,6 +94,7 @@ class Reply:
     printed: int = 0
     is_step: bool = False
     reason: str = ""
+    words: str = ""
 
     @property
     def ok(self) -> bool:
@@ -103,7 +113,7 @@ class Reply:
     @property
     def problem(self) -> str:
         """Problem of the call, or of a step of many calls none of which failed, in words."""
-        return self.reason or f"{self.function} {self.status_name}: expected ok; {self.logged}"
+        return self.reason or f"{self.function}{self.words} {self.status_name}: expected ok; {self.logged}"
 
 
 class Reading:
@@ -247,7 +257,7 @@ class Script:
             return self.go_on(min(count, _MOST_LEAPT * thirds))
         ends = [self._step + count * i // _LEAPS for i in range(_LEAPS + 1)]
         for before, end in itertools.pairwise(map(self.probe.point, ends)):
-            self.call("leap", before, end - before)
+            self.call("do_step", before, end - before, False, _ROUGHNESS)
         self._step += count
         return self
 
@@ -313,7 +323,9 @@ class Script:
 
     def set(self, variable: Variable, value: Any) -> Reply:
         content = value.encode().hex() if isinstance(value, str) else value
-        return self.call("set", variable.base_kind, [variable.reference or 0], [content])
+        reply = self.call("set", variable.base_kind, [variable.reference or 0], [content])
+        reply.words = f" of {variable.name}"
+        return reply
 
     def read(self, variables: Iterable[Variable]) -> Reading:
         groups: dict[str, list[Variable]] = {}
@@ -323,12 +335,20 @@ class Script:
         replies = {
             kind: self.call("get", kind, [v.reference for v in members]) for kind, members in groups.items()
         }
+        for kind, (first, *others) in groups.items():
+            replies[kind].words = f" of {first.name}" + (f" and {len(others)} more" if others else "")
         return Reading(groups, replies)
 
     def read_everything(self) -> Reading:
         """Adds a reading of all variables, and of the vectors that model exchange has."""
         reading = self.read(self.probe.fmu.variables)
-        for function in VECTORS if self.probe.fmu.is_model_exchange else ():
+        vectors = self.read_vectors(VECTORS if self.probe.fmu.is_model_exchange else ())
+        return Reading(reading.groups | vectors.groups, reading.replies | vectors.replies)
+
+    def read_vectors(self, functions: Iterable[str]) -> Reading:
+        """Adds a reading of the vectors of model exchange that have elements."""
+        reading = Reading({}, {})
+        for function in functions:
             if count := self.probe.fmu.vector_length(function):
                 elements = (f"element {i} of {function}" for i in range(1, count + 1))
                 reading.groups[function] = [Variable(0, {"name": name}, "", {}, {}) for name in elements]
@@ -363,9 +383,10 @@ class Script:
             if not answer:
                 continue
             try:
-                status, reply.value, messages, changed, printed, function = answer
+                status, reply.value, messages, changed, printed, function, mode = answer
                 if status and self.probe.fmu.is_model_exchange:  # a step is many calls
                     reply.function = str(function)
+                    reply.state = _MODES.get(mode, reply.state)
                     reply.reason = reply.value if isinstance(reply.value, str) else ""
                 reply.status, reply.changed, reply.printed = int(status), changed, int(printed)
                 reply.messages = [Message(*message) for message in messages]
@@ -403,4 +424,4 @@ class Script:
     @property
     def content(self) -> str:
         """The bytes of the state that was serialised, as hexadecimal digits."""
-        return self.replies_of("fmi2SerializeFMUstate")[0].value[0]
+        return self.replies_of("fmi2SerializeFMUstate")[-1].value[0]

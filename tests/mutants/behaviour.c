@@ -28,7 +28,7 @@ enum { INSTANTIATED = 1, INITIALIZATION = 2, STEPPING = 4, TERMINATED = 8, FAILE
 
 typedef struct {
     double real[N_REALS], input_rate, last_successful_time, first_step;
-    int integer[N_INTEGERS], boolean[N_BOOLEANS], steps, state, stale, resets;
+    int integer[N_INTEGERS], boolean[N_BOOLEANS], steps, state, stale, resets, is_set;
     char label[64];
 } Data;
 
@@ -48,7 +48,7 @@ static const char GUID[] = "{5ba0ed5f-5d2c-4f3d-9a0b-2f1a0a1b9a5e}";
 static char mutation[64];
 /* from the second line of the file */
 static int own_memory, asynchronous, finishes_all, one_step_size, discards_all, discards_late, warns, once, iterates, internal_steps, needs_rate,
-    unusual, refuses_others, warm;
+    unusual, refuses_others, warm, reads_after_steps;
 static Data shared;
 static int instances, created, overwritten;
 
@@ -204,6 +204,7 @@ static int read_mutation(const char *uri) {
     unusual = !!strstr(flags, "unusual");
     refuses_others = !!strstr(flags, "refuses others");
     warm = !!strstr(flags, "a warm solver");
+    reads_after_steps = !!strstr(flags, "reads after steps"); /* as 4.2.4 lets it */
     if (!IS("files stay open")) fclose(file);
     return 1;
 }
@@ -389,6 +390,7 @@ enum { READABLE = INITIALIZATION | STEPPING | TERMINATED | FAILED };
         Data *d = IS("instances share their values") ? &shared : &s->data;                             \
         NEEDS(READABLE);                                                                               \
         if (IS("empty calls fail") && !n) return error(s, "nothing to do");                            \
+        if (reads_after_steps && s->data.is_set) return error(s, "fmi2DoStep must come first");        \
         if (IS("outputs cannot be read at first") && s->data.state == INITIALIZATION)                  \
             return error(s, "not yet");                                                                \
         refresh(s);                                                                                    \
@@ -472,6 +474,7 @@ static fmi2Status not_settable(Slave *s, int constant) {
             store;                                                                                           \
         }                                                                                                    \
         if (IS("setting loses the state") && d->state == STEPPING) d->real[X] = 1;                           \
+        d->is_set = d->state == STEPPING;                                                                    \
         return fmi2OK;                                                                                       \
     }
 
@@ -533,6 +536,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_re
     if (discards_all || (discards_late && d->steps >= 6)) return discard(s, "discarded");
     if (needs_rate && d->real[RATE] < 0) abort();
     if (!d->first_step) d->first_step = h;
+    d->is_set = 0;
     if (IS("one step size") && fabs(h - d->first_step) > 1e-9) return error(s, "another step size");
     if (IS("a discarded step that tells the future") && fabs(h - d->first_step) > 1e-9) {
         d->last_successful_time = t + 2 * h;

@@ -20,8 +20,8 @@ enum { FIXED, TUNABLE, INPUT, DISCRETE_INPUT, STATE, OTHER };
 #define ORDER "the order of states is another"
 
 typedef struct {
-    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept, kept_v, kept_k, kept_time, derived_x, before;
-    int above_read, set, is_kept, is_read, up, stairs, turns, above, rising, stiff, state, set_up, iteration, evaluations, derivatives;
+    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept, kept_v, kept_k, kept_time, derived_x, before, timed, later_v;
+    int above_read, set, is_kept, is_read, up, stairs, turns, above, below, rising, stiff, state, set_up, iteration, evaluations, derivatives;
 } Data;
 typedef struct {
     unsigned reference;
@@ -79,9 +79,11 @@ static void evaluate(Data *d) {
     if (FLAG("a relation of a parameter") && (d->state == EVENT ? d->k > 4.01 : d->stiff)) d->a += 1;
     if (IS("relations follow states where continuous time begins") && d->state == CONT && d->time == d->last_event)
         d->above = d->x > 0.1;
+    if (d->state != CONT) d->timed = d->time;
+    if (IS("values stay where time is set alone")) d->a += 0.05 * d->timed;
     if (IS("derivatives have a history")) d->a += 1e-3 * d->derivatives;
     if (IS("relations are not frozen") && d->state == CONT) d->above = d->x > 0.1;
-    if (d->state == INIT || d->state == EVENT) d->above = d->x - 0.1 > 0;
+    if (d->state == INIT || d->state == EVENT) d->above = d->x - 0.1 > 0, d->below = d->x + 0.3 < 0;
 }
 static double acceleration(Data *d);
 static void start(Data *d) {
@@ -195,7 +197,7 @@ static int settable(const Model *m, const Variable *v) {
         case INST: return v->kind == FIXED || v->kind == TUNABLE || v->kind == STATE;
         case INIT: return v->kind != OTHER;
         case EVENT: return v->kind == TUNABLE || v->kind == INPUT || v->kind == DISCRETE_INPUT;
-        default: return v->kind == INPUT || v->kind == STATE;
+        default: return v->kind == INPUT || (v->kind == STATE && !IS("states cannot be set by reference"));
     }
 }
 #define ACCESS(Name, type, letter)                                                                           \
@@ -258,8 +260,11 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
     Data *d = &m->d;
     NEED(EVENT);
     d->is_read = 0;
+    const fmi2EventInfo given = *info;
     d->stiff = d->k > 4.01; /* frozen in continuous-time mode */
     memset(info, 0, sizeof *info);
+    if (IS("a flag of an event is not written"))
+        info->nominalsOfContinuousStatesChanged = given.nominalsOfContinuousStatesChanged;
     if (d->time >= d->next) {
         d->stairs++;
         d->next += PERIOD;
@@ -269,7 +274,8 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
     if (IS("an event ends too early") && d->stairs > 1 && ++d->iteration == 2) d->turns++;
     d->before = d->v;
     if (d->x < -0.3 && d->v < 0) {
-        d->v *= -d->e;
+        if (IS("states change where continuous time begins")) d->later_v = -d->e * d->v;
+        else d->v *= -d->e;
         info->valuesOfContinuousStatesChanged = !IS("a change of states is not announced");
     }
     if (IS("states that stay are announced") && d->stairs) info->valuesOfContinuousStatesChanged = fmi2True;
@@ -291,6 +297,7 @@ fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
     Model *m = c;
     NEED(EVENT);
     m->d.state = CONT;
+    if (m->d.later_v) m->d.v = m->d.later_v, m->d.later_v = 0;
     m->d.set = 0;
     m->d.derived_x = m->d.x;
     m->d.is_kept = m->d.is_read = 0;
@@ -304,6 +311,7 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set_state
     if (!IS("enterEventMode is not written")) *enter = m->d.rising != (m->d.v > 0);
     if (IS("enterEventMode is 7")) *enter = 7;
     *terminate = fmi2False;
+    if (IS("a completed step ends continuous-time mode")) m->d.state = EVENT;
     if (IS("a completed step that is not needed acts")) m->d.x += 1e-3;
     if (IS("a completed step that is not needed acts at a later event") && m->d.x < 0) m->d.e = 0.5;
     if (IS("a completed step changes a state") && m->d.x < 0) m->d.v *= 0.99;
@@ -333,6 +341,7 @@ fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n
     const int first = IS(ORDER);
     m->d.x = IS("states are limited") ? fmin(x[0], 0.5) : x[first];
     m->d.v = x[1 - first];
+    m->d.timed = m->d.time;
     evaluate(&m->d);
     return fmi2OK;
 }
@@ -371,7 +380,7 @@ static double velocity(Data *d) {
     return IS("a state is given as it was before an event") && d->state == EVENT ? d->before : d->v;
 }
 VECTOR(ContinuousStates, READ, 2, d->x, velocity(d))
-VECTOR(NominalsOfContinuousStates, READ | INST, 2, d->nominal, 1)
+VECTOR(NominalsOfContinuousStates, READ | INST, 2, d->nominal, IS("nominals change with time") ? 1 + d->time : 1)
 static double level(Data *d) {
     if (IS("an indicator of a distance")) return fabs(d->x - 0.1) + 1e-9;
     if (IS("an indicator near 0 changes with each call") && fabs(d->x - 0.1) < 1e-4) d->above_read = !d->above_read;
@@ -386,7 +395,8 @@ static double floor_level(Data *d) {
     const int time_event = d->stairs && fabs(d->next - PERIOD - d->time) < 1e-9;
     if (IS("an indicator is 0 after a time event") && d->state == CONT && time_event) return 0;
     if (IS("an indicator is 0 after an event") && d->state == CONT && d->time == d->last_event) return 0;
-    return d->x + 0.3;
+    if (IS("an indicator without hysteresis")) return d->x + 0.3;
+    return d->x + 0.3 + (d->below ? -1e-9 : 1e-9);
 }
 VECTOR(EventIndicators, READ, 2, level(d), floor_level(d))
 
@@ -410,16 +420,17 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) {
     return fmi2OK;
 }
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *n) {
-    *n = sizeof(Data);
+    *n = sizeof(Data) - 8 * IS("the size of a state is too small");
     return fmi2OK;
 }
 fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t n) {
-    memcpy(bytes, state, n);
+    if (n < sizeof(Data)) return error(c, "no room");
+    memcpy(bytes, IS("bytes are those of the present") ? &((Model *)c)->d : (Data *)state, sizeof(Data));
     return fmi2OK;
 }
 fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t n, fmi2FMUstate *state) {
     if (!*state) *state = calloc(1, sizeof(Data));
-    memcpy(*state, bytes, n);
+    memcpy(*state, bytes, sizeof(Data));
     return fmi2OK;
 }
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknowns[], size_t n,

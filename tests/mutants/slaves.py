@@ -19,6 +19,7 @@ _FOLDER = Path(__file__).parent
 _HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
 _SLAVES = tomllib.loads((_FOLDER / "slaves.toml").read_text(encoding="utf-8"))
 CHANGES: dict[str, list[tuple[str, str]]] = _SLAVES["Behaviour"]["changes"]
+EXCHANGE_CHANGES: dict[str, list[tuple[str, str]]] = _SLAVES["Exchange"]["changes"]
 
 
 @cache

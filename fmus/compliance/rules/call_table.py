@@ -140,16 +140,17 @@ class Row:
     calls: Calls
 
 
-# as the tables of 3.2.3 and 4.2.4 have it; fmi2Reset and fmi2FreeInstance are allowed in all states
+# as the tables of 3.2.3 and 4.2.4 have it; fmi2Reset and fmi2FreeInstance are allowed in all states.
+# What reads comes before what sets: by 4.2.4 a slave may refuse fmi2Get* after fmi2Set* until fmi2DoStep
 TABLE = (
     Row("IMBCFEKT", "", _log),
     Row("IMBCFEKT", "", _save),
-    Row("IMBCEK", "", _set),
-    Row("IMBC", "I", _one(do.set_derivatives(0.0))),
     Row("MBCFEKT", "", _get),
     Row("BCFT", "", output_derivatives),
     Row("MBCFEKT", "", _directional_derivatives),
     Row("IMEKT", "IMT", vectors),
+    Row("IMBCEK", "", _set),
+    Row("IMBC", "I", _one(do.set_derivatives(0.0))),
     Row("EK", "EK", _one(do.set_time)),
     Row("K", "K", _set_states),
     Row("K", "", _complete_step),
@@ -198,14 +199,14 @@ def _tour(
     """Returns the script of a tour, and the replies of each row in each state but those left out."""
     tolerance = TOLERANCE if run_with_tolerance(probe).succeeded else None
     initialise = do.set_up(1000, tolerance), do.enter_initialization_mode
-    leads = [(), initialise, (do.exit_initialization_mode,), (do.step(),), (do.step(),), (do.terminate,)]
-    states = "IMBCCT"
+    leads = [(), initialise, (do.exit_initialization_mode,), (do.step(),), (do.step(),)]
+    states, last = "IMBCCT", (do.step(), do.terminate)
     if probe.fmu.is_model_exchange:
         leads[3:3] = (do.enter_continuous_time_mode,), (do.enter_event_mode,)
-        leads[-1:-1] = [(do.enter_continuous_time_mode,)]
-        states = "IMEKEEEKT"
+        leads.append((do.enter_continuous_time_mode,))
+        states, last = "IMEKEEEKT", (do.terminate,)
     script, rows = probe.script(name=NAME, logging=True, watched=True), dict[tuple[int, str], list[Reply]]()
-    for lead, state in zip(leads, states, strict=True):
+    for lead, state in zip((*leads, last), states, strict=True):
         script.write(lead)
         for i, row in enumerate(TABLE):
             if state in row.allowed and state not in row.apart and (i, state) not in left_out:
@@ -275,8 +276,6 @@ def _unexpected(probe: Probe, expected: Expected, asks: Iterable[Ask]) -> Iterat
         wrong = (reply for reply in replies if reply.status not in (None, *expected.statuses))
         for reply in islice(wrong, 1):
             first = f"after {replies[0].function} in" if reply is not replies[0] else "in"
+            call = f"{reply.function}{ask.words or reply.words} {reply.status_name}"
             logged = "" if reply.ok else f"; {reply.logged}"
-            yield (
-                f"{first} the state {replies[0].state!r} {reply.function}{ask.words} {reply.status_name}: "
-                f"expected {expected.name}{logged}"
-            )
+            yield f"{first} the state {replies[0].state!r} {call}: expected {expected.name}{logged}"

@@ -11,10 +11,11 @@ from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.rules import call_table as table
-from fmus.compliance.script import KINDS
+from fmus.compliance.script import KINDS, Reply
 from fmus.compliance.values import INTERPOLATES, unless_claimed
 from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME, TERMINATED
 
+_MORE = 4096  # bytes than the size of a serialised state
 _NOTHING = {"Real": 0.0, "Integer": 0, "Boolean": 0, "String": ""}
 _STATUS_KINDS = {  # fmi2StatusKind -> its name, and the type of its function
     0: ("fmi2DoStepStatus", ""),
@@ -26,17 +27,27 @@ _STATUS_KINDS = {  # fmi2StatusKind -> its name, and the type of its function
 # what a state allows
 
 
-@behaviour_rule("4.2.4")
+@behaviour_rule("3.2.3, 4.2.4")
 def allowed_calls_succeed(probe: Probe) -> Iterator[str]:
     """The functions that the FMU supports succeed in the states, instantiated to terminated, that allow
     them.
     """
     for reply in table.tour(probe).failed:  # of other statuses `statuses-are-legal` tells
         probe.note_failure(reply, "allowed-calls-succeed")
-        yield f"in the state {reply.state!r}: {reply.problem}"
+        yield f"in the state {reply.state!r}: {_cause(probe, reply)}"
 
 
-@table.call_rule("4.2.4", table.SUCCESS)
+def _cause(probe: Probe, reply: Reply) -> str:
+    """Returns the problem of a call, or of the call before that is the cause."""
+    if reply.function == "fmi2SerializeFMUstate":
+        larger = probe.script(do.save(), do.call("serialize_fmu_state", 0, _MORE)).play(keep_going=True)
+        if larger.succeeded:
+            size = f"fmi2SerializedFMUstateSize is {len(larger.content) // 2 - _MORE}, which is too small"
+            return f"{size}: {reply.function} fails with it, and succeeds with {_MORE} more; {reply.logged}"
+    return reply.problem
+
+
+@table.call_rule("3.2.3, 4.2.4", table.SUCCESS)
 def reset_in_every_state(_: Probe) -> Iterator[table.Ask]:
     """fmi2Reset is allowed when instantiated, in initialization mode, while stepping, after fmi2Terminate and
     after an error.
@@ -44,7 +55,7 @@ def reset_in_every_state(_: Probe) -> Iterator[table.Ask]:
     return (table.Ask(state, (do.reset, do.begin, do.step())) for state in "IMCEKTD")
 
 
-@behaviour_rule("4.2.4")
+@behaviour_rule("3.2.3, 4.2.4")
 def frees_in_every_state(probe: Probe) -> Iterator[str]:
     """fmi2FreeInstance is allowed when instantiated, in initialization mode, while stepping and after
     fmi2Terminate.
@@ -65,6 +76,13 @@ def event_mode_is_entered_from_itself(_: Probe) -> Iterator[table.Ask]:
 def vectors_are_given_in_every_state(probe: Probe) -> Iterator[table.Ask]:
     """Vectors can be read in initialization mode and when terminated, nominal values also before."""
     return (table.Ask(state, [*table.vectors(probe, state)]) for state in "IMT")
+
+
+@table.call_rule("3.2.3", table.SUCCESS, interface=MODEL_EXCHANGE)
+def states_are_set_by_reference(probe: Probe) -> Iterator[table.Ask]:
+    """In continuous-time mode fmi2SetReal sets continuous states too, as the table of 3.2.3 has it."""
+    states = [probe.fmu.variables[index - 1] for index in probe.fmu.state_derivatives.values()]
+    return (table.Ask("K", [do.set_values([pair])]) for pair in values.start_values(states))
 
 
 @table.call_rule("4.2.4", table.SUCCESS, condition=unless_claimed(INTERPOLATES))

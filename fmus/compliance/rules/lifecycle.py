@@ -13,9 +13,10 @@ from fmus.compliance.differential import Row, differential
 from fmus.compliance.fmu_file import ONLY_ONCE, FmuFile
 from fmus.compliance.probe import Probe, refusal
 from fmus.compliance.rule import CANNOT_LOAD, RANDOM, NotJudgedError, behaviour_rule
-from fmus.compliance.script import CallError
+from fmus.compliance.script import CallError, Reply, Script
 
 _WRONG_GUID = "{00000000-0000-0000-0000-000000000000}"
+_NEW_STATES = "fmi2NewDiscreteStates"
 _STEPS, _MANY_STEPS, _INSTANCES = 5, 30, 10
 _ELSEWHERE = "install what it needs, or check it on a machine that has it"
 # what the loaders of glibc, musl, macOS and Windows tell; undefined symbols are the library's own fault
@@ -78,14 +79,28 @@ def free_of_null_is_ignored(probe: Probe) -> Iterator[str]:
     yield from ()
 
 
-@behaviour_rule("4.2.2")
+@behaviour_rule("3.2.3, 4.2.2")
 def steps_and_terminates(probe: Probe) -> Iterator[str]:
     """It is initialised; equal steps of the default experiment's size succeed, then fmi2Terminate."""
     script = probe.script(logging=True).begin().step(_STEPS)
     script.terminate()
     probe.find_discarded_step(_MANY_STEPS)
-    probe.play_usual_steps(script)
-    yield from ()
+    try:
+        probe.play_usual_steps(script)
+    except CallError:
+        if not (failure := script.failure):
+            raise
+        yield f"in the state {failure.state!r}: {_cause(probe, script, failure)}"
+
+
+def _cause(probe: Probe, script: Script, failure: Reply) -> str:
+    """Returns the problem of a call, or that initialization mode does not lead into event mode."""
+    if failure is script.replies[2] and failure.function == _NEW_STATES:
+        exited = do.initialise, do.plain("fmi2ExitInitializationMode"), do.enter_event_mode
+        if probe.script(*exited, do.call("new_discrete_states")).play(keep_going=True).succeeded:
+            words = f"{_NEW_STATES} fails before fmi2EnterEventMode, and succeeds after it"
+            return f"fmi2ExitInitializationMode does not lead into event mode: {words}; {failure.logged}"
+    return failure.problem
 
 
 @behaviour_rule("4.1.2")

@@ -121,7 +121,8 @@ def _changes(probe: Probe) -> Iterator[_Change]:
         scripts.append(do.over_the_experiment(probe))
     for reply in (reply for script in scripts for reply in script.everything):
         for setting, before, after in reply.changed:
-            yield _Change(reply.function, setting, before, after)
+            function = before if setting in (ARGUMENTS, UNWRITTEN) else reply.function
+            yield _Change(function, setting, before, after)
         if reply.printed:
             yield _Change(reply.function, _PRINTED, "", str(reply.printed))
 

@@ -77,16 +77,17 @@ def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
         if failure and failure.status == DISCARD:  # then values are read of a time within the step
             continue
         readings = zip(times, (reading for *_, reading in script.observed), strict=True)
-        for t, reading in itertools.takewhile(lambda row: row[1].ok, readings):
+        for (t, where), reading in itertools.takewhile(lambda row: row[1].ok, readings):
             got = reading.values[v.name]
             if not abs(got - t) <= 1e-3 * probe.step_size + 1e-9 * abs(t):
                 shown = values.texts(got, t)
-                yield f"{v.name} is {shown[0]} at the communication point {shown[1]} s"
+                yield f"{v.name} is {shown[0]} {where.format(t)}: expected {shown[1]}"
                 return
 
 
-def _runs(probe: Probe, v: Variable) -> Iterator[tuple[Script, Sequence[float]]]:
-    """Yields runs in which a variable is read, with the times at which it is."""
+def _runs(probe: Probe, v: Variable) -> Iterator[tuple[Script, Sequence[tuple[float, str]]]]:
+    """Yields runs in which a variable is read, with the times at which it is, also in words."""
+    initialised, point = "after initialisation with startTime {:g} s", "at the communication point {:g} s"
     # a slave of fixed internal steps may be behind after a fraction
     exchanged = (1.0, 2.0, 0.30901699) if probe.fmu.is_model_exchange else (1.0, 1.0, 1.0)
     factors = (0.0, *((1.0, 2.0, 3.0) if probe.fmu.claims(_ANY_STEP) else exchanged))
@@ -96,14 +97,16 @@ def _runs(probe: Probe, v: Variable) -> Iterator[tuple[Script, Sequence[float]]]
         times = [probe.point(start) + x * probe.step_size for x in itertools.accumulate(factors)]
         steps = (do.call("do_step", t, end - t) for t, end in itertools.pairwise(times))
         read = itertools.chain(*((step, do.read([v])) for step in steps))
-        yield do.played(probe, [*begin, do.read([v]), *read]), times
+        words = itertools.chain([initialised], itertools.repeat(point))
+        yield do.played(probe, [*begin, do.read([v]), *read]), [*zip(times, words, strict=False)]
     # 4.2.4 does not list it among what is read
     at_first = do.forbidden, do.set_up(1000, start=3), do.enter_initialization_mode, do.read([v])
-    yield do.played(probe, at_first), [probe.point(3)]
+    yield do.played(probe, at_first), [(probe.point(3), "in initialization mode with startTime {:g} s")]
     with suppress(NotApplicableError, NotJudgedError):  # then the times before are judged alone
         whole = do.over_the_experiment(probe)
         count = len(whole.observed)
-        yield whole, [probe.point(probe.steps_of_experiment * i // count) for i in range(1, count + 1)]
+        ends = (probe.point(probe.steps_of_experiment * i // count) for i in range(1, count + 1))
+        yield whole, [(t, point) for t in ends]
 
 
 @behaviour_rule("4.2.2", interface=CO_SIMULATION)

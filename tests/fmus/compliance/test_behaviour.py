@@ -106,6 +106,11 @@ def test_findings_name_their_interface_unless_it_is_co_simulation_alone() -> Non
     assert joined(rule, {co_simulation: Result(rule), model_exchange: lost}).not_judged == "it is slow"
     other = Result(rule, not_applicable="it has no interface for co-simulation")
     assert not joined(rule, {co_simulation: Result(rule), model_exchange: other}).not_applicable
+    of_both = replace(rule, clause="3.2.3 State Machine, 4.2.2 Computation, of it")
+    clauses = [
+        joined(of_both, {kind: Result(of_both)}).rule.clause for kind in (co_simulation, model_exchange)
+    ]
+    assert clauses == ["4.2.2 Computation, of it", "3.2.3 State Machine"]
     rule = replace(rule, interface=model_exchange)
     reasons = {kind: Result(rule, not_applicable=f"as {kind}") for kind in (co_simulation, model_exchange)}
     assert joined(rule, reasons).not_applicable == "as ModelExchange"

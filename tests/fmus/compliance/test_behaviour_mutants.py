@@ -18,7 +18,7 @@ from fmus.compliance.rules.lifecycle import is_of_the_machine
 from fmus.platforms import host_platform, library_name
 from tests.described_fmus import XML, members
 from tests.mutants.mutant import Mutant, broken_rules, unexpected
-from tests.mutants.slaves import CHANGES, LEGAL, RUN_MUTANTS, write_slave
+from tests.mutants.slaves import CHANGES, EXCHANGE_CHANGES, LEGAL, RUN_MUTANTS, write_slave
 
 from .archives import write
 
@@ -235,6 +235,36 @@ def test_a_call_that_fails_is_told_once_and_leaves_what_does_not_make_it_judged(
     reasons = {r.not_judged for r in results if r.not_judged}
     assert all(reason.endswith("fails, which allowed-calls-succeed tells") for reason in reasons), reasons
     assert sum(bool(r.not_judged) for r in results) <= 10
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("initialization ends in continuous-time mode",
+         "in the state 'event mode': fmi2ExitInitializationMode does not lead into event mode: "),
+        ("a completed step ends continuous-time mode",
+         "in the state 'continuous-time mode after a completed step': fmi2SetTime returned error"),
+        ("the size of a state is too small", "fmi2SerializedFMUstateSize is 216, which is too small"),
+        ("bytes are those of the present", "fmi2SerializeFMUstate gives other bytes of a saved state"),
+        ("states change where continuous time begins", "by fmi2EnterContinuousTimeMode"),
+        ("a flag of an event is not written", "fmi2NewDiscreteStates returned ok and left a value unwritten"),
+        ("states cannot be set by reference", "fmi2SetReal of x returned error"),
+        ("the start time is ignored", "time is 0 after initialisation with startTime 0.3 s: expected 0.3"),
+    ],
+)  # fmt: skip
+def test_the_first_message_names_the_cause(name: str, expected: str, tmp_path: Path) -> None:
+    mutant = next(mutant for mutant in RUN_MUTANTS if mutant.name == name)
+    messages = mutant.broken_rules(tmp_path).values()
+    assert any(expected in first for first, *_ in messages), messages
+
+
+@pytest.mark.parametrize(
+    "flags", ["", pytest.param("completed steps are not needed", marks=pytest.mark.slow)]
+)
+def test_a_legal_fmu_for_model_exchange_breaks_no_rule(flags: str, tmp_path: Path) -> None:
+    changes = EXCHANGE_CHANGES.get(flags, ())
+    assert broken_rules(write_slave(tmp_path, "", flags, changes, "Exchange"), is_static=False) == {}
 
 
 def test_another_guid_inside_the_library_is_one_finding_with_its_own_words(tmp_path: Path) -> None:

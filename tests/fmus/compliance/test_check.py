@@ -36,4 +36,5 @@ def test_garbage_is_a_finding_and_never_a_crash(tmp_path: Path, content: bytes) 
 
 
 def test_a_foreign_fmu_is_judged_to_the_end(foreign: Fmus) -> None:
-    assert [r.rule for r in examine(foreign["Lag"], timeout=10)] == list(all_rules())
+    names = [r.rule.name for r in examine(foreign["Lag"], timeout=10)]
+    assert names == [rule.name for rule in all_rules()]

@@ -46,7 +46,8 @@ def assert_complete(document: dict[str, Any], path: Path, name: str, outcome: st
     assert fmu["fmu"] == str(path)
     judged = [rule for rule in all_rules() if rule.name not in rule_table()["off"]]
     assert [rule["rule"] for rule in fmu["rules"]] == [rule.name for rule in judged]
-    assert [rule["clause"] for rule in fmu["rules"]] == [rule.clause for rule in judged]
+    # of a rule of both interfaces the result names the clause of the one that the FMU has
+    assert all(found["clause"] in rule.clause for found, rule in zip(fmu["rules"], judged, strict=True))
     rules_with_messages = {rule["rule"]: rule for rule in fmu["rules"] if rule["messages"]}
     assert rules_with_messages[name]["outcome"] == outcome
     assert {rule["outcome"] for rule in fmu["rules"]} <= set(OUTCOMES)

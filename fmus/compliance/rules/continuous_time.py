@@ -1,0 +1,227 @@
+"""Continuous-time mode of model exchange (3.1, 3.2.1): states, their derivatives, and going back in time."""
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+from itertools import chain
+from typing import Any
+
+from fmus.compliance import actions as do
+from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differential, starts
+from fmus.compliance.fmu_file import MODEL_EXCHANGE
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import NotJudgedError, behaviour_rule
+from fmus.compliance.rules.events import Event, change, discrete_variables, first_message, no_states
+from fmus.compliance.script import VECTORS, Action, Given, Reading, Script
+from fmus.compliance.values import if_not_claimed, same, unless_claimed
+from fmus.compliance.variable import Variable
+
+_STATES, _DERIVATIVES, _INDICATORS, _NOMINALS = VECTORS
+_SOLVED = 1e-5  # relative, of large values: what an iterative solver in the FMU may change
+_MOST_STATES = 20  # that are moved alone
+_NO_BOOLEAN = -1234567  # of a flag that the FMU has not written
+_NOT_NEEDED = "completedIntegratorStepNotNeeded"
+_rule = partial(behaviour_rule, interface=MODEL_EXCHANGE)
+_rule_of_rows = partial(differential, interface=MODEL_EXCHANGE)
+_FOLLOWING = _DERIVATIVES, _INDICATORS  # what follows from time, states and inputs
+_read = do.read_vectors(_FOLLOWING)
+
+
+class _Start:
+    """States at a start of rows, and the times between which there is no time event."""
+
+    def __init__(self, probe: Probe, lead: Sequence[Action]) -> None:
+        script = probe.script(do.start, lead=lead)
+        info = script.call("new_discrete_states")
+        vectors = script.read_vectors((_STATES, _NOMINALS)).replies.values()
+        script.play()
+        self.states, self._nominals = [reply.value for reply in vectors] or ([], [])
+        self._begin, end = script.time, script.time + probe.step_size
+        if info.value["nextEventTimeDefined"]:
+            end = min(end, info.value["nextEventTime"])
+        if not end > self._begin:
+            raise NotJudgedError("there is an event at the start")
+        self._size = end - self._begin
+
+    def time(self, part: float) -> float:
+        return self._begin + part * self._size
+
+    def near(self, part: float) -> list[float]:
+        """Returns states near those at the start, by less than a hundredth."""
+        pairs = zip(self.states, self._nominals, strict=True)
+        return [x + part * 1e-2 * min(abs(x) or nominal, abs(nominal)) for x, nominal in pairs]
+
+
+def _start(script: Script) -> _Start:
+    """Returns the states where the runs of a script begin."""
+    probe, lead = script.probe, script.lead
+    words = next(start.words for start in starts(probe) if start.lead == lead)
+    return probe.once("start of model exchange", lambda: _Start(probe, lead), words)
+
+
+def _enter(script: Script) -> None:
+    """Goes to where the runs of a row begin, and enters continuous-time mode there."""
+    script.start().enter_continuous_time_mode()
+
+
+def _set_time(part: float) -> Action:
+    """Sets the time to a part of the step that begins there."""
+    return lambda script: script.call("set_time", _start(script).time(part))
+
+
+def _move(part: float, alone: int | None = None) -> Action:
+    """Sets states of a part of the step, and no time.
+
+    alone: index of a state, if the others are those of the part 0.3
+    """
+
+    def action(script: Script) -> None:
+        states, others = _start(script).near(part), _start(script).near(0.3)
+        if alone is not None:
+            states = [*others[:alone], states[alone], *others[alone + 1 :]]
+        if states:
+            script.call("set_continuous_states", states)
+
+    return action
+
+
+def _go(part: float) -> Action:
+    return lambda script: script.write([_set_time(part), _move(part)])
+
+
+def _ask(script: Script) -> None:
+    script.read_vectors(_FOLLOWING)
+
+
+def _row(
+    when: str,
+    varied: Sequence[Action],
+    usual: Sequence[Action] = (),
+    tolerance: float = _SOLVED,
+    **options: Any,
+) -> Row:
+    """Returns a row whose runs are in continuous-time mode."""
+    return Row(when, (_enter, *varied), (_enter, *usual) if usual else (), tolerance=tolerance, **options)
+
+
+@_rule_of_rows("3.2.1", condition=no_states)
+def states_that_are_set_are_read(_: Probe) -> Iterator[Row]:
+    """fmi2GetContinuousStates gives the states that fmi2SetContinuousStates has set."""
+
+    def read(script: Script) -> None:
+        _, states = script.calls[-1]
+        script.write([do.read_vectors([_STATES])])
+        names = [v.name for v in script.observed[-1][2].groups[_STATES]]
+        script.expected.append(Given(dict(zip(names, states, strict=True))))
+
+    yield _row("after it was set", (_move(0.7), read, _move(-0.7), read), tolerance=0.0, again="{}")
+
+
+@_rule("3.2.1")
+def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
+    """Derivatives and event indicators follow from time, states and inputs alone: setting time and states
+    back gives them again, and another time, or other states at the same time, give those of it.
+    """
+    back = _go(0.3), do.expect(_read), _go(0.6), _ask, _go(0.3), _read, _read
+    ways = [None, *range(min(probe.fmu.vector_length(_STATES), _MOST_STATES))]
+    moved = chain(*((_move(0.3), _ask, _move(0.9, alone), _read) for alone in ways))
+    fresh = chain(*((_move(0.9, alone), do.read_vectors(_FOLLOWING[::-1])) for alone in ways))
+    later = (_go(0.3), _ask, _set_time(0.6), _read), (_set_time(0.6), _move(0.3), _read)
+    same_time = "after states were set at the same time, as in a new instance"
+    rows = [
+        _row("after time and states were set back", back),
+        _row("after fmi2SetTime alone", *later, again="{}, as where states are set after it"),
+        _row(same_time, (_go(0.3), *moved), (_set_time(0.3), *fresh)),
+    ]
+
+    def read_twice(event: Event) -> Iterator[str]:
+        _, z, once_more = event.crossing
+        scale = 1e-3 * max(map(abs, event.indicators), default=0.0)
+        if words := change("event indicator", z, once_more, _SOLVED, scale):
+            where = f"where the continuous-time mode after {event.words} ends"
+            yield f"{words}, read once more {where}: expected the same value"
+
+    yield from [*first_message(probe, read_twice)] or differences(probe, rows)
+
+
+@_rule_of_rows("3.2.2")
+def time_goes_back_in_continuous_time(probe: Probe) -> Iterator[Row]:
+    """After a completed step without an event the FMU is in continuous-time mode still; time can be set back
+    as far as to the completed step before, and gives the derivatives of that time.
+    """
+    complete = [] if probe.fmu.claims(_NOT_NEEDED) else [do.call("complete_step")]
+    first = _go(0.3), *complete, _go(0.5)
+    yield _row("after a completed step without an event, in continuous-time mode still", (*first, _ask))
+    varied = *first, do.expect(_read), _go(0.6), *complete, _go(0.5), _read
+    failing = "back in time, after the completed step before"
+    yield _row("after time was set back", varied, failing=failing)
+
+
+@_rule("3.2.2", condition=if_not_claimed(_NOT_NEEDED))
+def completed_steps_write_booleans(probe: Probe) -> Iterator[str]:
+    """fmi2CompletedIntegratorStep writes a Boolean value to enterEventMode and to terminateSimulation."""
+    script = probe.script(_enter, _go(0.5), do.call("completed_integrator_step", True, _NO_BOOLEAN))
+    script.play(keep_going=True)
+    reply = script.replies[-1]
+    for name, value in zip(("enterEventMode", "terminateSimulation"), reply.value or (), strict=False):
+        if value not in (0, 1):
+            what = "does not write" if value == _NO_BOOLEAN else f"writes {value} to"
+            yield f"{reply.function} {what} {name}: expected fmi2False or fmi2True"
+
+
+@_rule("3.3.1", condition=unless_claimed(_NOT_NEEDED))
+def completed_step_without_need_has_no_effect(probe: Probe) -> Iterator[str]:
+    """With completedIntegratorStepNotNeeded, fmi2CompletedIntegratorStep asks for nothing and changes
+    nothing.
+    """
+    read, complete = do.read_vectors(VECTORS[:3]), do.call("completed_integrator_step")
+    first = _go(0.5), do.expect(read), complete
+    reply = do.played(probe, (_enter, *first)).replies[-1]
+    if any(reply.value or ()):
+        yield f"{reply.function} asks for event mode or an end of the simulation: expected neither"
+    over, options = (do.begin, do.go_on_reading(probe.steps_of_experiment, 8)), {"needs_completed": True}
+    called = Row(f"where {reply.function} is called", over, over, tolerance=OF_EXPERIMENT, options=options)
+    yield from differences(probe, [_row(f"after {reply.function}", (*first, read)), called])
+
+
+@_rule_of_rows("2.2.8", condition=no_states)
+def vectors_have_the_order_of_the_description(probe: Probe) -> Iterator[Row]:
+    """States and derivatives as vectors have the values and the order of the variables of Derivatives."""
+    derivatives, states = probe.fmu.state_derivatives.keys(), probe.fmu.state_derivatives.values()
+    if len(states) != probe.fmu.vector_length(_STATES):
+        raise NotJudgedError("Derivatives lists variables that are derivatives of none")
+
+    def vector(function: str, variables: list[Variable]) -> Action:
+        when = f"as an element of {function}"
+        return lambda script: script.observed.append(
+            (when, "", Reading({function: variables}, {function: script.call("vector", function)}))
+        )
+
+    listed = [[probe.fmu.variables[index - 1] for index in indices] for indices in (states, derivatives)]
+    varied = (vector(*pair) for pair in zip((_STATES, _DERIVATIVES), listed, strict=True))
+    yield _row("", (_go(0.5), *varied), (_go(0.5), *map(do.read, listed)), again="{}, as read")
+
+
+@_rule("3.1")
+def discrete_variables_are_frozen(probe: Probe) -> Iterator[str]:
+    """Discrete variables do not change in continuous-time mode, whatever time and states are."""
+    chosen = discrete_variables(probe.fmu)
+    read = do.read(chosen)
+
+    def mirrored(sign: int) -> Action:
+        def action(script: Script) -> None:
+            if states := _start(script).near(0.5):
+                script.call("set_continuous_states", [sign * (x or 1e-3) for x in states])
+
+        return action
+
+    moved = mirrored(1), read, mirrored(-1), read
+    varied = do.start, do.expect(read), do.enter_continuous_time_mode, *moved, _set_time(0.5), *moved
+    row = Row("in continuous-time mode", varied, (), may_fail=True)
+
+    def left(event: Event) -> Iterator[str]:
+        for v in chosen if event.left else ():
+            if not same(a := event.values[v.name], b := event.left[v.name]):
+                mode = f"in continuous-time mode after {event.words}"
+                yield f"{v.name} changes from {a!r} to {b!r} {mode}: expected {a!r}"
+
+    yield from [*first_message(probe, left)] or differences(probe, [row])

@@ -1,0 +1,299 @@
+"""Events of model exchange (3.1, 3.2.2), as a run up to the stop time observes them."""
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial, wraps
+from typing import Any
+
+from fmus.compliance.fmu_file import MODEL_EXCHANGE, FmuFile
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import Check, Condition, NotJudgedError, always, behaviour_rule
+from fmus.compliance.script import KINDS, VECTORS
+from fmus.compliance.values import references_of, same, texts
+from fmus.compliance.variable import Variable, is_true
+
+_STEPS = 50  # of the run
+_SOLVED = 1e-6  # relative: what an iterative solver in the FMU may change
+_JUMP = 0.01  # of an indicator of the order of one, in a millionth of a step
+_HYSTERESIS = 1e-6  # of an indicator of the order of one, at most
+_NO_EVENT = "communication point"
+_rule = partial(behaviour_rule, interface=MODEL_EXCHANGE)
+
+
+def no_states(fmu: FmuFile) -> str:
+    """Returns the reason why a rule of states does not apply, if so."""
+    return "" if fmu.vector_length(VECTORS[0]) else "it has no continuous states"
+
+
+def _no_indicators(fmu: FmuFile) -> str:
+    return "" if fmu.vector_length(VECTORS[2]) else "it has no event indicators"
+
+
+def discrete_variables(fmu: FmuFile) -> list[Variable]:
+    return [v for v in fmu.variables if v.variability == "discrete" and v.causality != "input"]
+
+
+def _states(fmu: FmuFile) -> list[Variable]:
+    return [fmu.variables[index - 1] for index in fmu.state_derivatives.values()]
+
+
+@dataclass
+class Event:
+    """An event, and the continuous-time mode after it, as `ModelExchangeInstance` observes them.
+
+    words: in messages; previous: the event before; infos: fmi2EventInfo of each iteration
+    vectors: states and their nominal values, before the first iteration and after each
+    values, again, left: discrete variables and states after the last iteration, after one more, and where
+      continuous-time mode ends; begin, indicators: states and event indicators where that mode begins
+    completed: states before and after each completed step in it
+    crossing: event indicators before a change of sign and after it, and read once more
+    """
+
+    cause: str
+    time: float
+    infos: list[dict[str, Any]]
+    vectors: list[list[list[float]]]
+    words: str = ""
+    previous: "Event | None" = None
+    values: dict[str, Any] = field(default_factory=dict[str, Any])
+    again: dict[str, Any] = field(default_factory=dict[str, Any])
+    left: dict[str, Any] = field(default_factory=dict[str, Any])
+    begin: Sequence[float] = ()
+    indicators: Sequence[float] = ()
+    completed: Sequence[Sequence[Sequence[float]]] = ()
+    crossing: Sequence[Sequence[float]] = ((), (), ())
+
+    def changes(self, which: int, name: str) -> list[tuple[dict[str, Any], str]]:
+        """Returns fmi2EventInfo of each iteration with a change in words, of states (0) or nominals (1)."""
+        # nominal values stay in continuous-time mode, and where event mode is entered
+        before = self.previous.vectors[-1] if which and self.previous else self.vectors[0]
+        vectors = itertools.pairwise(v[which] for v in (before, *self.vectors[1:]))
+        return [(info, change(name, *pair)) for info, pair in zip(self.infos, vectors, strict=False)]
+
+
+def change(
+    name: str, before: Sequence[float], after: Sequence[float], tolerance: float = 0.0, scale: float = 0.0
+) -> str:
+    """Returns the first change of a vector in words, or nothing; tolerance and scale as of `same`."""
+    for i, (a, b) in enumerate(zip(before, after, strict=False), 1):
+        if not same(a, b, tolerance, scale):
+            old, new = texts(a, b)
+            return f"{name} {i} changes from {old} to {new}"
+    return ""
+
+
+def _run(probe: Probe, again: bool = False) -> tuple[list[Event], str]:
+    """Returns the events of a run up to the stop time, played once, and the reason why it ended before.
+
+    again: whether the end of each event is tried once more
+    """
+
+    def played() -> tuple[list[Event], str]:
+        end = probe.stop_time if math.isfinite(probe.stop_time) else probe.start_time + 1.0
+        size = (end - probe.start_time) / _STEPS
+        variables = *discrete_variables(probe.fmu), *_states(probe.fmu)
+        groups = {kind: [v for v in variables if v.base_kind == kind] for kind in KINDS}
+        observing = {kind: references_of(group) for kind, group in groups.items() if group}
+        script = probe.script(observed=observing, again=again, logging=True).begin()
+        for i in range(_STEPS):
+            script.call("do_step", probe.start_time + i * size, size)
+        observed = script.call("observed_events")
+        with suppress(NotJudgedError):  # a step that is discarded ends the run
+            script.play(keep_going=True)
+        events = list[Event]()
+        for fields in observed.value or []:
+            for when in {"values", "again", "left"} & fields.keys():
+                pairs = ((groups[kind], some) for kind, some in fields[when].items())
+                fields[when] = {v.name: x for group, some in pairs for v, x in zip(group, some, strict=True)}
+            t = fields["time"] if math.isfinite(fields["time"]) else probe.start_time
+            fields["words"] = f"the {fields['cause']} at {t:g} s"
+            events.append(Event(**fields, previous=events[-1] if events else None))
+        return events, next((r.reason for r in script.replies if r.reason), "")
+
+    return probe.once("run of model exchange", played, again)
+
+
+def first_message(
+    probe: Probe, about: Callable[[Event], Iterable[str]], again: bool = False
+) -> Iterator[str]:
+    """Returns the first message about an event of the run."""
+    return itertools.islice((message for event in _run(probe, again)[0] for message in about(event)), 1)
+
+
+def _event_rule(
+    clause: str, condition: Condition = always, again: bool = False
+) -> Callable[[Callable[[Event], Iterable[str]]], Check]:
+    """Makes a function that yields messages about an event a rule: its docstring is what the rule claims."""
+
+    def register(about: Callable[[Event], Iterable[str]]) -> Check:
+        @wraps(about)
+        def check(probe: Probe) -> Iterator[str]:
+            return first_message(probe, about, again)
+
+        return _rule(clause, condition=condition)(check)
+
+    return register
+
+
+# states and their nominal values
+
+
+@_event_rule("3.2.2", no_states)
+def changes_of_states_are_announced(event: Event) -> Iterator[str]:
+    """If fmi2NewDiscreteStates changes a state, valuesOfContinuousStatesChanged is true, and
+    fmi2GetContinuousStates gives the new states; neither fmi2EnterContinuousTimeMode nor
+    fmi2CompletedIntegratorStep changes one.
+    """
+    for info, words in event.changes(0, "state"):
+        if words and not info["valuesOfContinuousStatesChanged"]:
+            yield f"at {event.words} {words}: expected valuesOfContinuousStatesChanged true"
+    if words := change("state", event.vectors[-1][0], event.begin, _SOLVED):
+        what = f"{words} by fmi2EnterContinuousTimeMode"
+        yield f"after {event.words} {what}: expected by fmi2NewDiscreteStates"
+    for before, after in event.completed:
+        if words := change("state", before, after, _SOLVED):
+            what = f"{words} by fmi2CompletedIntegratorStep"
+            yield f"after {event.words} {what}: expected that in event mode alone"
+
+
+@_event_rule("3.2.2", no_states)
+def changes_of_nominals_are_announced(event: Event) -> Iterator[str]:
+    """If fmi2NewDiscreteStates changes a nominal value, nominalsOfContinuousStatesChanged is true; nothing
+    else changes one.
+    """
+    for info, words in event.changes(1, "nominal value"):
+        if words and not info["nominalsOfContinuousStatesChanged"]:
+            yield f"at {event.words} {words}: expected nominalsOfContinuousStatesChanged true"
+
+
+@_event_rule("3.2.2", no_states)
+def states_that_stay_are_not_announced(event: Event) -> Iterator[str]:
+    """If fmi2NewDiscreteStates changes no state, valuesOfContinuousStatesChanged is false."""
+    for info, words in event.changes(0, "state"):
+        if not words and info["valuesOfContinuousStatesChanged"]:
+            yield f"at {event.words} no state changes: expected valuesOfContinuousStatesChanged false"
+
+
+@_rule("3.2.2", condition=no_states)
+def states_after_events_are_read(probe: Probe) -> Iterator[str]:
+    """After an event, fmi2GetContinuousStates gives the values that the states have as variables."""
+    names = [v.name for v in _states(probe.fmu)]
+
+    def differing(event: Event) -> Iterator[str]:
+        for name, x in zip(names, event.vectors[-1][0] if event.values else (), strict=False):
+            if not same(x, event.values[name], _SOLVED):
+                got, read = texts(x, event.values[name])
+                yield f"{VECTORS[0]} gives {got} for {name} after {event.words}: expected {read}, as read"
+
+    return first_message(probe, differing)
+
+
+@_rule("2.2.7", condition=no_states)
+def states_that_change_at_events_have_reinit(probe: Probe) -> Iterator[str]:
+    """A state that changes at an event after the start has reinit."""
+    events = [event for event in _run(probe)[0] if event.cause != "start"]
+    for i, v in enumerate(_states(probe.fmu)):
+        changed = (e for e in events if len({vectors[0][i] for vectors in e.vectors}) > 1)
+        for event in itertools.islice(changed, 1 - is_true(v.get("reinit"))):
+            yield f"{v.name} changes at {event.words}: expected reinit=true"
+
+
+@_event_rule("3.2.2", no_states)
+def nominals_are_positive(event: Event) -> Iterator[str]:
+    """Nominal values of states are above 0, from initialisation on."""
+    for i, nominal in enumerate(event.vectors[-1][1], 1):
+        if not 0 < nominal < math.inf:
+            yield f"at {event.words} nominal value {i} is {nominal:g}: expected above 0"
+
+
+# iterations and times of events
+
+
+@_rule("3.2.2")
+def events_come_to_an_end(probe: Probe) -> Iterator[str]:
+    """newDiscreteStatesNeeded becomes false after some calls of fmi2NewDiscreteStates."""
+    _, ended = _run(probe)
+    if "iterations" in ended:
+        yield f"{ended}: expected newDiscreteStatesNeeded false"
+
+
+@_event_rule("advice: an importer of several FMUs calls it as often as one of them needs", again=True)
+def ended_events_stay_ended(event: Event) -> Iterator[str]:
+    """One more call of fmi2NewDiscreteStates changes nothing where newDiscreteStatesNeeded is false."""
+    for name, b in event.again.items():
+        if not same(a := event.values[name], b, _SOLVED):
+            where = f"by one more fmi2NewDiscreteStates at {event.words}"
+            yield f"{name} changes from {a!r} to {b!r} {where}: expected newDiscreteStatesNeeded before"
+
+
+@_event_rule("3.1")
+def next_events_are_ahead(event: Event) -> Iterator[str]:
+    """nextEventTime, where it is defined, lies after the present."""
+    last = event.infos[-1] if event.infos else {}
+    # at the start the time is not known
+    if last.get("nextEventTimeDefined") and last["nextEventTime"] <= event.time:
+        yield f"at {event.words} nextEventTime is {last['nextEventTime']:g} s: expected later"
+
+
+@_rule("3.1", condition=_no_indicators)
+def discrete_changes_have_an_event(probe: Probe) -> Iterator[str]:
+    """Discrete variables do not change where event mode is entered although there is no event."""
+    names = [v.name for v in discrete_variables(probe.fmu)]
+    limits: Sequence[float] = ()  # indicators where continuous-time mode begins next
+    messages = list[str]()
+    for event in reversed(_run(probe)[0]):
+        limits, before = event.indicators or limits, event.previous
+        if before is None or event.cause != _NO_EVENT or not event.time > before.time:
+            continue
+        next_event = before.infos[-1]["nextEventTime"] if before.infos else math.inf
+        is_time_event = abs(next_event - event.time) <= 1e-9 * max(1.0, abs(next_event))
+        # within a hysteresis a relation may change before its indicator does
+        is_near = any(abs(z) < _HYSTERESIS for z in limits)
+        for name in names if not is_time_event and not is_near else ():
+            a, b = before.values.get(name), event.values.get(name)
+            if None not in (a, b) and not same(a, b):
+                where = f"at {event.words}, where no event is indicated"
+                expected = "expected a state, time or step event"
+                messages.append(f"{name} changes from {a!r} to {b!r} {where}: {expected}")
+    yield from messages[-1:]
+
+
+# event indicators
+
+
+@_event_rule("3.2.2", _no_indicators)
+def event_indicators_are_finite(event: Event) -> Iterator[str]:
+    """Event indicators are numbers, neither infinite nor NaN."""
+    for i, z in enumerate(event.indicators, 1):
+        if not math.isfinite(z):
+            yield f"after {event.words} event indicator {i} is {z}: expected a number"
+
+
+@_event_rule("3.2.2", _no_indicators)
+def event_indicators_are_not_zero_at_restart(event: Event) -> Iterator[str]:
+    """After a state, time or step event, no event indicator is 0 when continuous-time mode is entered, also
+    where the event is at 0 exactly.
+    """
+    # whether the start, or a communication point without an event, is a restart is a matter of reading
+    if event.cause not in ("start", _NO_EVENT):
+        for i, z in enumerate(event.indicators, 1):
+            if z == 0.0:
+                yield f"after {event.words} event indicator {i} is 0: expected another value"
+
+
+@_rule("3.1", condition=_no_indicators)
+def event_indicators_are_continuous(probe: Probe) -> Iterator[str]:
+    """Event indicators do not jump where they change their sign."""
+    begins = [event.indicators for event in _run(probe)[0] if event.indicators]
+    sizes = [max(1.0, *map(abs, column)) for column in zip(*begins, strict=True)]
+
+    def jumps(event: Event) -> Iterator[str]:
+        for i, (a, b) in enumerate(zip(*event.crossing[:2], strict=True)):
+            if (a > 0) != (b > 0) and abs(a - b) > _JUMP * sizes[i]:
+                jump = f"event indicator {i + 1} jumps from {a:.6g} to {b:.6g}"
+                yield f"{jump} after {event.words}: expected continuous values"
+
+    return first_message(probe, jumps)
