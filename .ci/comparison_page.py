@@ -29,10 +29,11 @@ TEMPLATE = Path(__file__).with_name("comparison_page.md")
 REPEATS = 0.98  # a rank correlation above it
 FACTORS = (1.1, 2.0)  # of the least RMSE, as in the tables of a score
 _DIGITS = 5
+_OF_A_CASE = ("rmse", "total_variation")
 
 
 def reduced(document: dict[str, Any]) -> dict[str, Any]:
-    """Returns the document with rounded metrics, and run by run the RMSE of tuned controllers alone.
+    """Returns the document with the metrics of the tables, and of tuned controllers the RMSE run by run.
 
     Those as they come keep the draws of the nominal case.
     """
@@ -51,7 +52,12 @@ def _row(row: dict[str, Any]) -> dict[str, Any]:
         if is_tuned or case == next(iter(row["cases"]))
     }
     metrics = _values(row["plants"]["metrics"], row["plants"]["metrics"], keeps_values=is_tuned)
-    return _rounded({**row, "draws": draws, "plants": {**row["plants"], "metrics": metrics}})
+    cases = {
+        name: {**case, "metrics": {n: x for n, x in case["metrics"].items() if n in _OF_A_CASE}}
+        for name, case in row["cases"].items()
+    }
+    plants = {**row["plants"], "metrics": metrics}
+    return _rounded({**row, "cases": cases, "draws": draws, "plants": plants})
 
 
 def _values(metrics: dict[str, Any], names: Sequence[str], keeps_values: bool) -> dict[str, Any]:
