@@ -124,7 +124,7 @@ def test_memory_and_the_size_of_files_are_limited(tmp_path: Path) -> None:
     )
     for code in (memory, f'static const char forged[] = "x";\n    {big_file}'):
         (message,) = broken_rules(attacker(code, tmp_path))["steps-and-terminates"]
-        assert message == "fmi2DoStep returned error: expected ok; limited"
+        assert message == "in the state 'step complete': fmi2DoStep returned error: expected ok; limited"
     assert (tmp_path / "big").stat().st_size == 0
 
 
