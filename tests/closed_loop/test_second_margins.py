@@ -17,11 +17,11 @@ QUIET, MOVED = 3e-3, 0.04  # m
 UNROUNDED = {"plant.sensor_resolution": 0.0}
 
 
-def is_quiet(case: L1Case, signal: LoopSignal, delay: float) -> bool:
+def is_quiet(case: L1Case, signal: LoopSignal, delay: float, limit: float = QUIET) -> bool:
     late = {"control_delay" if signal is LoopSignal.CONTROL else "measurement_delay": delay}
     run = sampled(replace(case, **late), STEP, LawStep.BETWEEN_MEASUREMENTS)
     held = run["depth"][run["time"] >= JUDGED - 1e-9]
-    return bool(np.std(held) < QUIET and abs(np.mean(held) - 0.8) < MOVED)
+    return bool(np.std(held) < limit and abs(np.mean(held) - 0.8) < MOVED)
 
 
 @pytest.mark.slow
@@ -32,7 +32,8 @@ def is_quiet(case: L1Case, signal: LoopSignal, delay: float) -> bool:
 def test_a_second_program_loses_its_quietness_at_the_delay_that_was_measured(
     scenario_fmus: None, name: str, settings: dict[str, float], signal: LoopSignal
 ) -> None:
-    """Within the resolution of 1 ms that the margin states, and 2 ms where the sensor rounds to 2 mm.
+    """Within the resolution of 1 ms that the margin states; where the sensor rounds to 2 mm, in 2 ms and a
+    tenth of the deviation that counts as quiet.
 
     Depths that differ by micrometres are rounded differently now and then, and are different realisations
     of the noise from then on; the deviation in the hold changes by a tenth with them.
@@ -40,6 +41,6 @@ def test_a_second_program_loses_its_quietness_at_the_delay_that_was_measured(
     loaded = scenario.load(scenario.find(name), {"parameters": settings})
     measured = scan(loaded, signal, only_first_loss=True)
     case = noisy_case(replace(loaded, experiment=replace(loaded.experiment, stop_time=END)))
-    apart = DELAYS.resolution if settings else 2.0 * DELAYS.resolution
-    assert is_quiet(case, signal, measured.margin - apart)
-    assert not is_quiet(case, signal, measured.lost + apart)
+    apart, share = (DELAYS.resolution, 0.0) if settings else (2.0 * DELAYS.resolution, 0.1)
+    assert is_quiet(case, signal, measured.margin - apart, (1.0 + share) * QUIET)
+    assert not is_quiet(case, signal, measured.lost + apart, (1.0 - share) * QUIET)
