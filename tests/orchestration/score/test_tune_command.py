@@ -97,10 +97,14 @@ def test_the_step_is_halved_until_half_of_it_hardly_changes_the_cost(
     assert [path.name for path in Path("results").iterdir()] == ["pid.toml"]
 
 
+# Long enough (120 evaluations of some 10 ms) for a signal to arrive before the last of them.
+LONG = ("--evaluations", "20", "--seeds", "2", "--workers", "2")
+
+
 def _process(folder: Path) -> subprocess.Popen[str]:
     program = "from orchestration.cli import main; main()"
     return subprocess.Popen(
-        [sys.executable, "-c", program, "tune", "adrc", *OPTIONS, "--out", str(folder)],
+        [sys.executable, "-c", program, "tune", "adrc", *LONG, "--out", str(folder)],
         stderr=subprocess.PIPE,
         text=True,
     )
@@ -108,7 +112,7 @@ def _process(folder: Path) -> subprocess.Popen[str]:
 
 def _wait_for_evaluations(journal: Path, count: int) -> None:
     while not journal.exists() or journal.read_text().count("\n") < count:
-        time.sleep(0.05)
+        time.sleep(0.005)
 
 
 @pytest.mark.slow
@@ -127,11 +131,11 @@ def test_a_tuning_continues_after_an_end_to_the_same_file(
     assert not [worker for worker in workers if worker.is_running()]
     if number == signal.SIGINT:
         assert process.returncode == 130
-        assert "of 18 evaluations are done and kept; the same command continues" in error
+        assert "of 120 evaluations are done and kept; the same command continues" in error
     done = journal.read_text().count("\n")
-    assert 4 <= done < 12
-    command("tune", "adrc", *OPTIONS, "--out", "ended")
-    command("tune", "adrc", *OPTIONS, "--out", "whole")
+    assert 4 <= done < 120
+    command("tune", "adrc", *LONG, "--out", "ended")
+    command("tune", "adrc", *LONG, "--out", "whole")
     assert Path("ended", "adrc.toml").read_bytes() == Path("whole", "adrc.toml").read_bytes()
     assert [path.name for path in Path("ended").iterdir()] == ["adrc.toml"]
 
