@@ -1,10 +1,9 @@
-"""Writes docs/explanation/comparison.json, what the page reads of a comparison, and comparison.md, the page.
+"""Writes what the page of the comparison reads of results, in docs/explanation, and comparison.md, the page.
 
-    l1-depth compare --full --seed 20131
-    python .ci/comparison_page.py results/comparison.json
+    python .ci/comparison_page.py results/comparison.json results/*/fronts.json
 
-Without a file it fills the page again from the docs/explanation/comparison.json that is there. The text, with
-the places of its numbers, is comparison_page.md; `figure` draws its figure when the site is built.
+Without a file it fills the page again from comparison.json, fronts.json and sensitivity.json that are there.
+The text, with the places of its numbers, is comparison_page.md; `figures` draws when the site is built.
 """
 
 import io
@@ -12,13 +11,16 @@ import json
 import math
 import sys
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import comparison_fronts
 import numpy as np
 from jinja2 import Environment, StrictUndefined
 
+from orchestration.results.figures import front_figure
+from orchestration.results.formats import FigureFormat
 from orchestration.score.compare import PAPERS, START, TUNED, part
 from orchestration.score.score_document import ManyRuns, MetricOverRuns, Row, Score
 from orchestration.score.statistics import EQUIVALENCE, compare, profile, rank_correlation, ratios_to_best
@@ -187,7 +189,7 @@ def listed(titles: Sequence[str]) -> str:
     return " and ".join([", ".join(titles[:-1]), titles[-1]] if len(titles) > 1 else titles)
 
 
-def page(document: Score) -> str:
+def page(document: Score, fronts: comparison_fronts.Fronts) -> str:
     """Returns the page."""
     environment = Environment(
         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
@@ -196,6 +198,7 @@ def page(document: Score) -> str:
     numbers = Numbers(document)
     return template.render(
         n=numbers,
+        f=fronts,
         papers=PAPERS,
         repeats=REPEATS,
         equivalence=f"{100.0 * EQUIVALENCE:g}",
@@ -246,11 +249,22 @@ def committed() -> Score:
     return Score.model_validate_json(DATA.read_text(encoding="utf-8"))
 
 
+def figures(folder: Path) -> list[Path]:
+    """Writes the figures of the page to a folder; returns the files."""
+    runs = folder / "figure_comparison.png"
+    runs.write_bytes(figure(committed()))
+    laws = {document["vehicle"]: document["laws"] for document in comparison_fronts.committed().documents}
+    return [runs, *front_figure(laws, folder / "figure_fronts", [FigureFormat.SVG])]
+
+
 def main(arguments: Sequence[str]) -> None:
-    if arguments:
-        document: Mapping[str, Any] = json.loads(Path(arguments[0]).read_text(encoding="utf-8"))
-        DATA.write_text(written(reduced(dict(document))), encoding="utf-8")
-    DATA.with_suffix(".md").write_text(page(committed()), encoding="utf-8")
+    documents = [json.loads(Path(path).read_text(encoding="utf-8")) for path in arguments]
+    for document in documents:
+        if "rows" in document:
+            DATA.write_text(written(reduced(document)), encoding="utf-8")
+    if fronts := [document for document in documents if "laws" in document]:
+        comparison_fronts.DATA.write_text(comparison_fronts.reduced(fronts), encoding="utf-8")
+    DATA.with_suffix(".md").write_text(page(committed(), comparison_fronts.committed()), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -46,7 +46,7 @@ def _generated() -> Contents:
             **_schemas(),
             **_gallery(working),
             **_results(working),
-            "explanation/figure_comparison.png": comparison_page.figure(comparison_page.committed()),
+            **{f"explanation/{path.name}": path.read_bytes() for path in comparison_page.figures(working)},
             **_commands(working),
             **_names(),
         }

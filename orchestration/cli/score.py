@@ -296,6 +296,7 @@ def write_fronts(
         shared.fail(f"interrupted: what is done is kept in {out}; the same command continues", INTERRUPTED)
     document = {
         "vehicle": protocol.vehicle.name,
+        "settings": dict(protocol.vehicle.settings),
         "protocol": protocol.version,
         "statement": protocol.statement,
         "cost": protocol.tables.cost.model_dump(),
@@ -305,7 +306,7 @@ def write_fronts(
         "laws": laws,
     }
     write_text_atomically(out / "fronts.json", f"{json.dumps(document, indent=1)}\n")
-    figures = front_figure(protocol.vehicle.name, laws, out / "fronts")
+    figures = front_figure({protocol.vehicle.name: laws}, out / "fronts")
     for path in journals.values():
         path.unlink()
     for law in laws:

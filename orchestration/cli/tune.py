@@ -100,19 +100,20 @@ def tune(
             started(controller, protocol, workers, total) as evaluate,
         ):
             tuning = _search(problem, range(1, seeds + 1), evaluations, journals[-1], evaluate, bar, restart)
-        provenance = tune_problem.provenance(tuning, controller, protocol)
-        change = provenance["change_at_half_the_step"]
-        if abs(change) <= tune_problem.LARGEST_CHANGE or len(journals) > tune_problem.HALVINGS:
+        finer = tune_problem.at_enough_steps(tuning.best.gains, controller, protocol)
+        if finer is controller:
             break
-        controller = tune_problem.halved(controller, protocol)
+        controller = finer
         problem = tune_problem.problem_of(controller, protocol, gains)
+    provenance = tune_problem.provenance(tuning, controller, protocol)
     path = out / f"{controller.name}.toml"
     with ClosedLoop(controller, protocol) as loop:
         tune_problem.write(tuning, loop.parameters(), provenance, path)
     for journal in journals:
         journal.unlink()
     print_gains(tuning, controller.name)
-    print(f"Half the step of {milliseconds:g} ms changes the cost by {100 * change:.2g} %.")
+    change = 100.0 * provenance["change_at_half_the_step"]
+    print(f"Half the step of {milliseconds:g} ms changes the error by {change:.2g} %.")
     print(path)
 
 

@@ -199,29 +199,35 @@ def _roughness(values: np.ndarray) -> float:
 
 
 def front_figure(
-    title: str,
-    laws: Sequence[Mapping[str, Any]],
+    fronts: Mapping[str, Sequence[Mapping[str, Any]]],
     path: Path,
     formats: Sequence[FigureFormat] = (FigureFormat.SVG,),
 ) -> list[Path]:
-    """Draws the front of each law: error against total variation, the delay margin as colour.
+    """Draws the fronts of all laws on each vehicle: error against total variation, delay margin as colour.
 
-    laws: each with `title`, `spread` and `points` as `compare --fronts` writes them
+    fronts: vehicle -> laws, each as `compare --fronts` writes it
     """
+    drawn = {vehicle: [law for law in laws if law["points"]] for vehicle, laws in fronts.items()}
+    names = list(dict.fromkeys(law["name"] for laws in drawn.values() for law in laws))
+    margins = [point["delay_margin"] for laws in drawn.values() for law in laws for point in law["points"]]
     with figure_style():
         figure = Figure(figsize=(_WIDTH_IN, _WIDTH_IN), layout="constrained")
-        panel, margins = figure.subplots(), [p["delay_margin"] for law in laws for p in law["points"]]
-        for index, law in enumerate(law for law in laws if law["points"]):
-            names = ("total_variation", "error", "delay_margin")
-            x, y, colour = ([point[name] for point in law["points"]] for name in names)
-            spread = "" if law["spread"] is None else f", seeds {100 * law['spread']:.2g} % apart"
-            label, marker = f"{law['title']}{spread}", _MARKERS[index % len(_MARKERS)]
-            panel.plot(x, y, color=GREY, linestyle=_LINES[index % len(_LINES)], linewidth=0.5)
-            dots = panel.scatter(x, y, s=14.0, c=colour, marker=marker, label=label, cmap="viridis")
-            dots.set_clim(min(margins), max(margins))
-            if not index:
-                figure.colorbar(dots, label="Delay margin [s]", location="top", shrink=0.5)
-        panel.set(xscale="log", yscale="log", xlabel="Total variation [N]", ylabel="RMSE [cm]")
-        if margins:
-            figure.legend(loc="outside lower center", ncols=2, title=title)
+        panels = list(figure.subplots(1, len(fronts), squeeze=False)[0])
+        shown: dict[str, Any] = {}
+        for panel, (vehicle, laws) in zip(panels, drawn.items(), strict=True):
+            panel.set(xscale="log", yscale="log", xlabel="Total variation [N]", title=vehicle)
+            for law in laws:
+                index, columns = names.index(law["name"]), ("total_variation", "error", "delay_margin")
+                x, y, colour = ([point[column] for point in law["points"]] for column in columns)
+                panel.plot(x, y, color=GREY, linestyle=_LINES[index % len(_LINES)], linewidth=0.5)
+                dots = panel.scatter(x, y, s=14.0, c=colour, marker=_MARKERS[index % len(_MARKERS)])
+                dots.set_clim(min(margins), max(margins))
+                spread = law["spread"] if len(fronts) == 1 else None
+                apart = "" if spread is None else f", seeds {100.0 * spread:.2g} % apart"
+                shown[f"{law['title']}{apart}"] = dots
+        panels[0].set_ylabel("RMSE [cm]")
+        if shown:
+            label = "Delay margin [s]"
+            figure.colorbar(shown[next(iter(shown))], ax=panels, label=label, location="top", shrink=0.5)
+            figure.legend([*shown.values()], [*shown], loc="outside lower center", ncols=2)
         return write_figure(figure, path, formats)

@@ -163,7 +163,8 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
             # the limits are those of the run, the force that of the vehicle as controllers are told it
             ranges = vehicle.values(experiment.parameters).actuators.ranges
             actuators = replace(vehicle.actuators, ranges=ranges)
-            judged = Judged(tuple(experiment.record), actuators, first.compute)
+            stride = max(1, round(_judged_period(self.protocol.tables.base) / experiment.step_size))
+            judged = Judged(tuple(experiment.record), actuators, first.compute, stride)
             for run in (first, *others):
                 gains = {f"{OWN}{name}": value for name, value in run.gains.items()}
                 yield Run(None, with_values(experiment, gains), judged)
@@ -275,6 +276,13 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
 @cache
 def _inputs(fmu: Path) -> set[str]:
     return {v.name for v in of_causality(describe(fmu), "input")}
+
+
+@cache
+def _judged_period(base: str) -> float:
+    """Returns the communication step [s] of a base: all runs are judged at its points, also finer ones."""
+    tables = [layer.data.get("experiment", {}) for layer in file_layers(shipped_bases()[base])]
+    return next((table["step_size"] for table in reversed(tables) if "step_size" in table), 0.0)
 
 
 @cache

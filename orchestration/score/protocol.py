@@ -45,6 +45,8 @@ FILE = Path(__file__).with_name("protocol.toml")
 REFERENCE = "controller.depth_reference"
 LARGEST_SEED = 2147483397  # that a sensor takes
 _BAND = 0.05  # of the target: the paper's settling band
+_NAMING = ("parameters", "inputs", "signals", "connections")  # tables whose keys are variables
+_OF_A_SCENARIO = {*ChangesTable.model_fields, "components", "connections"}
 _FILE = TypeAdapter(ProtocolFile)
 _METRIC: TypeAdapter[Any] = TypeAdapter(Annotated[Table, METRIC])
 _VARY: TypeAdapter[dict[str, Any]] = TypeAdapter(dict[str, Annotated[Table, DRAWN]])
@@ -151,7 +153,7 @@ class Protocol:
         if vehicle.is_of_base:  # a name that it lacks is a mistake: `check_vehicle`
             return ""
         layer = self._layer(name)
-        named = [n for part in ("parameters", "inputs", "signals") for n in layer.get(part, {})]
+        named = [n for part in _NAMING for n in layer.get(part, {})]
         lacking = [n for n in named if n.startswith(PREFIX) and not vehicle.has(n)]
         return f"{vehicle.name} lacks {', '.join(lacking)}" if lacking else ""
 
@@ -164,7 +166,7 @@ class Protocol:
         """Returns what a case changes, its disturbance below it."""
         table, disturbances = self.tables.cases[name], self.vehicle.file.data.get("disturbances", {})
         changes = merge(disturbances.get(table.disturbance, {}), self.file.data["cases"][name])
-        layer = {key: value for key, value in changes.items() if key in ChangesTable.model_fields}
+        layer = {key: value for key, value in changes.items() if key in _OF_A_SCENARIO}
         if table.hold:
             layer["parameters"] = {self.vehicle.start_depth: table.hold, **layer.get("parameters", {})}
         return layer
@@ -291,8 +293,8 @@ def check_vehicle(protocol: Protocol) -> None:
     names = [
         (file, (*keys, part, name), name)
         for file, keys, table in changes
-        for part in ("parameters", "inputs", "signals")
-        for name in getattr(table, part)
+        for part in _NAMING
+        for name in getattr(table, part, {})
     ]
     file, within = (protocol.file, ("plants",)) if tables.plants.vary else (vehicle.file, ())
     for drawn, entry in protocol.vary.items():
@@ -345,7 +347,10 @@ def _with_seeds(value: Any, random: np.random.Generator) -> Any:
         return [_with_seeds(item, random) for item in value]
     if not isinstance(value, Mapping):
         return value
-    return {key: _seed(random) if key == "seed" else _with_seeds(item, random) for key, item in value.items()}
+    return {
+        key: _seed(random) if key.split(".")[-1] == "seed" else _with_seeds(item, random)
+        for key, item in value.items()
+    }
 
 
 def _seed(random: np.random.Generator) -> int:

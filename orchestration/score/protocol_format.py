@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from orchestration.scenarios.file_format import Pair
+from orchestration.scenarios.file_format import Pair, Source
 from orchestration.scenarios.file_tables import OneOf, Table, Value, table_of
 from orchestration.scenarios.vehicle import ChangesTable
 from orchestration.sweep.distributions import FUNCTIONS
@@ -57,6 +57,10 @@ class CaseTable(ChangesTable):
     """Signals and faults of the case come later than they stand here, by up to this [s]: a score draws it."""
     disturbance: str = ""
     """Name of a disturbance in the description of the vehicle, below these entries."""
+    components: dict[str, str] = {}
+    """Component -> block, of what stands beside the controller and the vehicle."""
+    connections: dict[str, Source] = {}
+    """ "component.input" -> "component.output", as in a scenario."""
 
 
 class GainTable(Table):

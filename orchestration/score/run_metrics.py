@@ -24,23 +24,27 @@ Trace = dict[str, list[float]]
 class Judged:
     """The reduction of recordings to what a function computes of the judged signals of each run.
 
-    columns, actuators: as `judged_signals` takes them
+    columns, actuators, stride: as `judged_signals` takes them
     """
 
     columns: tuple[str, ...]
     actuators: Actuators
     compute: Callable[[Recording], Any]
+    stride: int = 1
 
     def __call__(self, runs: Recording) -> list[Any]:
         rows = (runs.run(i) for i in range(len(runs.values)))
-        return [self.compute(judged_signals(run, self.columns, self.actuators)) for run in rows]
+        judged = (judged_signals(run, self.columns, self.actuators, self.stride) for run in rows)
+        return [self.compute(signals) for signals in judged]
 
 
-def judged_signals(recording: Recording, columns: Sequence[str], actuators: Actuators) -> Recording:
+def judged_signals(
+    recording: Recording, columns: Sequence[str], actuators: Actuators, stride: int = 1
+) -> Recording:
     """Returns the recording with the signals that metrics are computed of (`SIGNALS`) in place of its own.
 
     columns: names of reference, depth and actuators. Of actuators that take a force, voltage and power are
-    not a number.
+    not a number. stride: of the communication points that are judged
     """
     reference, depth, *inputs = (recording[name] for name in columns)
     given = np.column_stack(inputs)
@@ -55,7 +59,8 @@ def judged_signals(recording: Recording, columns: Sequence[str], actuators: Actu
         "saturated": 100.0 * actuators.is_saturated(given) if is_limited else unknown,
     }
     table = np.column_stack([values[name] for name in SIGNALS])
-    return Recording(tuple(SIGNALS), tuple(SIGNALS.values()), recording.time, table, recording.provenance)
+    time, table = recording.time[::stride], table[::stride]
+    return Recording(tuple(SIGNALS), tuple(SIGNALS.values()), time, table, recording.provenance)
 
 
 def all_signals(signals: Recording) -> Recording:

@@ -52,7 +52,7 @@ _FACTORS = (1.1, 2.0)  # of the least RMSE: as good but for little, and not out 
 _STEP = Column(
     "Communication step",
     "ms",
-    "of the runs; half of it changes the cost of tuned gains by at most 2 %",
+    "of the runs; half of it changes the error of tuned gains by at most 2 %",
     lambda row: Cell(1e3 * row.step),
     has_best=False,
 )

@@ -159,11 +159,14 @@ def test_the_draws_of_a_case_begin_with_the_one_of_the_score_and_go_on(protocol:
     drawn, more = repeated_cases(protocol, 7, 3), repeated_cases(protocol, 7, 4)
     assert [draws[0] for draws in drawn] == drawn_cases(protocol, 7)
     assert [draws[:3] for draws in more] == drawn
-    noise, waves = (
-        next(draws for draws in drawn if draws[0].name == name) for name in ("nominal", "hold-waves")
+    noise, waves, sea = (
+        next(draws for draws in drawn if draws[0].name == name)
+        for name in ("nominal", "hold-waves", "hold-sea")
     )
     assert len({draw.values[draw.seed_variable] for draw in noise}) == 3
     assert len({draw.layer["signals"]["plant.external_force"]["seed"] for draw in waves}) == 3
+    assert len({draw.layer["parameters"]["waves.seed"] for draw in sea}) == 3
+    assert {draw.layer["parameters"]["waves.gamma"] for draw in sea} == {3.3}
 
 
 def test_a_case_that_repeats_the_nominal_one_is_drawn_once(protocol: Protocol) -> None:

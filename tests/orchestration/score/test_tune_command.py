@@ -88,10 +88,10 @@ def test_a_cost_that_a_limit_determines_is_not_called_flat(
 def test_the_step_is_halved_until_half_of_it_hardly_changes_the_cost(
     command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    changes = iter([-0.021, 0.02])
+    changes = iter([-0.021, 0.02, 0.02, 0.02])  # after the search twice, after that at 10 ms, and written
     monkeypatch.setattr(tune_problem, "change_at_half_the_step", lambda *_: next(changes))
     done = command("tune", "pid", *OPTIONS)
-    assert done.stdout.splitlines()[-2] == "Half the step of 10 ms changes the cost by 2 %."
+    assert done.stdout.splitlines()[-2] == "Half the step of 10 ms changes the error by 2 %."
     written = tomllib.loads(Path("results/pid.toml").read_text())["tuning"]
     assert (written["step"], written["change_at_half_the_step"]) == (0.01, 0.02)
     assert [path.name for path in Path("results").iterdir()] == ["pid.toml"]

@@ -146,8 +146,9 @@ def test_a_controller_runs_at_its_step_and_half_of_it_is_compared(protocol: Prot
     evaluated = []
     for one in (controller, half):
         with ClosedLoop(one, protocol) as loop:
-            evaluated.append(next(costs(loop, [{}]))["cost"])
-            assert loop.run(protocol.nominal).time[1] == pytest.approx(step_of(one, protocol))
+            evaluated.append(next(costs(loop, [{}]))["error"])
+            assert loop.experiment(protocol.nominal).step_size == step_of(one, protocol)
+            assert loop.run(protocol.nominal).time[1] == pytest.approx(0.02)  # judged at the same points
     change = change_at_half_the_step({}, controller, protocol)
     assert change == pytest.approx(evaluated[1] / evaluated[0] - 1.0)
     assert change != 0.0

@@ -1,0 +1,130 @@
+"""What the page of the comparison takes of fronts on each vehicle, and of what moves the ranking."""
+
+import json
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from pathlib import Path
+from statistics import median
+from typing import Any, NamedTuple
+
+from orchestration.score.statistics import rank_correlation
+
+DATA = Path(__file__).parent.parent / "docs" / "explanation" / "fronts.json"
+SENSITIVITY = DATA.with_name("sensitivity.json")
+_SHOWN = ("error", "total_variation", "delay_margin", "change_at_half_the_step")
+_DIGITS = 4
+
+
+class Pair(NamedTuple):
+    """Two laws, the first with the better front on one vehicle at least."""
+
+    better: str
+    worse: str
+
+
+def reduced(documents: Sequence[Mapping[str, Any]]) -> str:
+    """Returns files of `compare --fronts` as JSON, without the gains of each point, a line for each law."""
+    parts = list[str]()
+    for document in documents:
+        laws = [json.dumps(_law(law), separators=(",", ":")) for law in document["laws"]]
+        rest = {key: value for key, value in document.items() if key != "laws"}
+        parts.append(f'{json.dumps(rest)[:-1]}, "laws": [\n' + ",\n".join(laws) + "\n]}")
+    return "[\n" + ",\n".join(parts) + "\n]\n"
+
+
+def _law(law: Mapping[str, Any]) -> dict[str, Any]:
+    points = [{name: _rounded(point[name]) for name in _SHOWN} for point in law["points"]]
+    volumes = [_rounded(volume) for volume in law["hypervolumes"]]
+    spread = None if law["spread"] is None else _rounded(law["spread"])
+    return {**law, "hypervolumes": volumes, "spread": spread, "points": points}
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}")
+
+
+class Fronts:
+    """The fronts of all laws on each vehicle.
+
+    A law is better than another one on a vehicle if the least hypervolume of its seeds is above the largest
+    of the other's.
+    """
+
+    def __init__(self, documents: Sequence[Mapping[str, Any]], sensitivity: Mapping[str, Any]) -> None:
+        self.documents, self.sensitivity = documents, sensitivity
+        self.vehicles = [document["vehicle"] for document in documents]
+        self.laws = {d["vehicle"]: {law["name"]: law for law in d["laws"]} for d in documents}
+        self.titles = {name: law["title"] for laws in self.laws.values() for name, law in laws.items()}
+
+    def volume(self, vehicle: str, law: str) -> float:
+        """Returns the median of the hypervolumes of the seeds."""
+        return median(self.laws[vehicle][law]["hypervolumes"])
+
+    def rank(self, vehicle: str, law: str) -> int:
+        """Returns 1 for the law of the largest hypervolume."""
+        return 1 + sum(self.volume(vehicle, other) > self.volume(vehicle, law) for other in self.titles)
+
+    def by_rank(self) -> list[str]:
+        """Returns the laws by the sum of their ranks."""
+        return sorted(self.titles, key=lambda law: sum(self.rank(v, law) for v in self.vehicles))
+
+    def is_better(self, vehicle: str, first: str, second: str) -> bool:
+        one, other = (self.laws[vehicle][name]["hypervolumes"] for name in (first, second))
+        return min(one) > max(other)
+
+    def _verdicts(self, first: str, second: str) -> list[int]:
+        better = self.is_better
+        return [better(v, first, second) - better(v, second, first) for v in self.vehicles]
+
+    def everywhere(self) -> list[Pair]:
+        """Returns the pairs of which one law is better on every vehicle."""
+        pairs = [*combinations(self.titles, 2)]
+        found = [Pair(a, b) for a, b in pairs if min(self._verdicts(a, b)) == 1]
+        return found + [Pair(b, a) for a, b in pairs if max(self._verdicts(a, b)) == -1]
+
+    def reversed(self) -> list[Pair]:
+        """Returns the pairs of which one law is better on one vehicle and worse on another."""
+        return [Pair(a, b) for a, b in combinations(self.titles, 2) if {1, -1} <= {*self._verdicts(a, b)}]
+
+    def verdict(self, first: str, second: str) -> str:
+        """Returns in words on which vehicles the first law has the better front."""
+        words = {1: "better", -1: "worse", 0: "open"}
+        found = [words[verdict] for verdict in self._verdicts(first, second)]
+        if len({*found}) == 1:
+            return f"{found[0]} on all"
+        return ", ".join(f"{word} on {vehicle}" for word, vehicle in zip(found, self.vehicles, strict=True))
+
+    def leaders(self, vehicle: str) -> list[str]:
+        """Returns the law of the largest hypervolume first, then those that are not worse."""
+        order = sorted(self.titles, key=lambda law: self.rank(vehicle, law))
+        return [law for law in order if not self.is_better(vehicle, order[0], law)]
+
+    def correlation(self) -> float:
+        """Returns the least rank correlation of the hypervolumes of two vehicles."""
+        columns = [[self.volume(vehicle, law) for law in self.titles] for vehicle in self.vehicles]
+        return min(rank_correlation(*pair) for pair in combinations(columns, 2))
+
+    def largest_spread(self) -> float:
+        """Returns the largest spread of the hypervolumes of the seeds of a law [%]."""
+        return 100.0 * max(law["spread"] for laws in self.laws.values() for law in laws.values())
+
+    def changed_by_the_step(self, limit: float) -> tuple[int, int]:
+        """Returns how many points half the step changes by more than a part of the cost, and of how many."""
+        points = [p for laws in self.laws.values() for law in laws.values() for p in law["points"]]
+        return sum(abs(p["change_at_half_the_step"]) > limit for p in points), len(points)
+
+    def guesses(self) -> list[str]:
+        """Returns the guessed numbers of any vehicle, those that move the ranking most first."""
+        names = dict.fromkeys(name for found in self.sensitivity.values() for name in found["indices"])
+        return sorted(names, key=lambda name: -max(self.index(v, name) or 0.0 for v in self.sensitivity))
+
+    def index(self, vehicle: str, number: str) -> float | None:
+        """Returns the total Sobol' index of a number, None where the vehicle has none."""
+        found = self.sensitivity[vehicle]["indices"].get(number)
+        return found and found["mean"]
+
+
+def committed() -> Fronts:
+    """Returns the fronts and indices that the page is of."""
+    fronts, sensitivity = (json.loads(path.read_text(encoding="utf-8")) for path in (DATA, SENSITIVITY))
+    return Fronts(fronts, sensitivity)
