@@ -28,7 +28,8 @@ from fmus.platforms import usable_processors
 from orchestration.many.job import Failure
 from orchestration.many.run_many import LocalRuns, in_order
 from orchestration.score.closed_loop import ClosedLoop, ClosedLoopRun, tuned
-from orchestration.score.protocol import Case, Protocol, distribution_of, read_protocol
+from orchestration.score.draws import distribution_of
+from orchestration.score.protocol import Case, Protocol, read_protocol
 from orchestration.score.run_metrics import declared, failures, metrics_of
 from orchestration.score.vehicle import Vehicle
 from orchestration.sweep.distributions import Distribution, uniform

@@ -14,7 +14,8 @@ import numpy as np
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.actuators import Actuators
-from orchestration.score.protocol import check_vehicle, distribution_of, read_protocol
+from orchestration.score.draws import distribution_of
+from orchestration.score.protocol import check_vehicle, read_protocol
 from orchestration.score.vehicle import PREFIX, Vehicle
 from orchestration.sweep.distributions import Distribution
 

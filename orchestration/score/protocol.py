@@ -1,21 +1,13 @@
-"""The protocol of the score: its cases, plants, metrics and controllers, from protocol.toml.
-
-A score draws what a controller could learn by heart: seeds and times of the cases, and the plants of
-`score --full`, the same for every controller. The numbers of case k come from SeedSequence(seed,
-spawn_key=(0, k)) alone, one draw after another, those of plant i from SeedSequence(seed, spawn_key=(1, i)),
-in the order of the protocol: what is varied, then way, depth and hold of each depth. Who tunes has the cases
-as the file gives them.
-"""
+"""The protocol of the score: its cases, metrics and controllers, from protocol.toml."""
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 from pydantic import TypeAdapter
 
 from fmus.errors import nearest
@@ -39,11 +31,9 @@ from orchestration.score.protocol_format import (
     ProtocolFile,
 )
 from orchestration.score.vehicle import PREFIX, Vehicle
-from orchestration.sweep.distributions import FUNCTIONS, Distribution
 
 FILE = Path(__file__).with_name("protocol.toml")
 REFERENCE = "controller.depth_reference"
-LARGEST_SEED = 2147483397  # that a sensor takes
 _BAND = 0.05  # of the target: the paper's settling band
 _NAMING = ("parameters", "inputs", "signals", "connections")  # tables whose keys are variables
 _OF_A_SCENARIO = {*ChangesTable.model_fields, "components", "connections"}
@@ -96,12 +86,6 @@ class Case:
         """Returns the case with another seed of the sensor's noise."""
         seeds = {self.seed_variable: seed} if self.seed_variable else {}
         return replace(self, values={**self.values, **seeds})
-
-    def drawn(self, random: np.random.Generator) -> "Case":
-        """Returns the case with seeds and times that are drawn."""
-        layer = _with_seeds(self.layer, random)
-        later = float(random.uniform(0.0, self.latest))
-        return replace(self, layer=layer, later=later).with_seed(_seed(random))
 
 
 @dataclass(frozen=True)
@@ -324,99 +308,3 @@ def _names(tables: ProtocolFile, ours: Vehicle) -> Iterator[tuple[KeyPath, str, 
     blocks = block_names()
     for name, controller in tables.controllers.items():
         yield ("controllers", name, "fmu"), controller.fmu, blocks
-
-
-def drawn_cases(protocol: Protocol, seed: int) -> list[Case]:
-    """Returns the cases of a score, with seeds and times that follow from its seed."""
-    return [draws[0] for draws in repeated_cases(protocol, seed, 1)]
-
-
-def repeated_cases(protocol: Protocol, seed: int, count: int) -> list[list[Case]]:
-    """Returns so many draws of each case; the first are those of `drawn_cases`."""
-    sources = (np.random.SeedSequence(seed, spawn_key=(0, number)) for number in range(len(protocol.cases)))
-    generators = map(np.random.default_rng, sources)
-    return [
-        [case.drawn(random) for _ in range(count)]
-        for random, case in zip(generators, protocol.cases.values(), strict=True)
-    ]
-
-
-def _with_seeds(value: Any, random: np.random.Generator) -> Any:
-    """Returns the entries of a layer with a drawn number for each seed."""
-    if isinstance(value, list):
-        return [_with_seeds(item, random) for item in value]
-    if not isinstance(value, Mapping):
-        return value
-    return {
-        key: _seed(random) if key.split(".")[-1] == "seed" else _with_seeds(item, random)
-        for key, item in value.items()
-    }
-
-
-def _seed(random: np.random.Generator) -> int:
-    return int(random.integers(1, LARGEST_SEED, endpoint=True))
-
-
-Quantile = Callable[[float], FmiValue]
-
-
-@dataclass(frozen=True)
-class _Draws:
-    """The draws of a plant, each a function of a uniform number in [0, 1)."""
-
-    varied: list[tuple[list[str], Quantile]]
-    way: Quantile
-    hold: Quantile
-    depths: list[Quantile]
-
-
-def plants(protocol: Protocol, seed: int, count: int | None = None) -> list[Case]:
-    """Returns the first `count` plants of a seed as cases, by default as many as the protocol has."""
-    table = protocol.tables.plants
-    draws = _Draws(
-        [(entry.variables, _quantile(entry)) for entry in protocol.vary.values()],
-        _quantile(table.trajectory.ways),
-        _quantile(table.trajectory.holds),
-        [_quantile(depth) for depth in table.trajectory.depths],
-    )
-    nominal = protocol.nominal
-    return [_plant(nominal, draws, seed, number) for number in range(count or table.count)]
-
-
-def distribution_of(table: Table) -> Distribution:
-    """Returns the distribution that a table of draws declares."""
-    arguments = table.given()
-    arguments.pop("variables", None)
-    return FUNCTIONS[arguments.pop("distribution")](**arguments)
-
-
-def _quantile(table: Table) -> Quantile:
-    law = distribution_of(table)
-    return lambda uniform: law.quantile([uniform])[0]
-
-
-def _plant(nominal: Case, draws: _Draws, seed: int, number: int) -> Case:
-    random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, number)))
-    values = dict(nominal.values)
-    for variables, quantile in draws.varied:
-        values |= dict.fromkeys(variables, quantile(random.random()))
-    points = [[0.0, 0.0]]
-    for depth in draws.depths:
-        way, level, hold = (float(draw(random.random())) for draw in (draws.way, depth, draws.hold))
-        points += [[points[-1][0] + way, level], [points[-1][0] + way + hold, level]]
-    return replace(
-        nominal,
-        name=f"plant-{number}",
-        title=f"Plant {number}",
-        values=values,
-        trajectory=_until(points, nominal.judged[1]),
-        target=first_target(points),
-        tuned_on=False,
-    )
-
-
-def _until(points: list[list[float]], end: float) -> list[list[float]]:
-    """Returns the points of a trajectory before its end, and the one at its end."""
-    times, depths = zip(*points, strict=True)
-    last = float(np.interp(end, times, depths))
-    return [*(point for point in points if point[0] < end), [end, last]]

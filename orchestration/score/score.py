@@ -16,7 +16,8 @@ from fmus.platforms import usable_processors
 from orchestration.errors import ScenarioError
 from orchestration.many.run_many import LocalRuns
 from orchestration.score.closed_loop import ClosedLoop, Controller, tuned
-from orchestration.score.protocol import LARGEST_SEED, Protocol, read_protocol
+from orchestration.score.draws import LARGEST_SEED
+from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.protocol_format import COMPARED
 from orchestration.score.run_metrics import Trace
 from orchestration.score.score_document import PairedDifference, Row, Score, protocol_info

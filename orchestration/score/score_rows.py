@@ -20,7 +20,8 @@ from orchestration.margins.fmu_margins import scan
 from orchestration.margins.hold import HoldRuns, LoopSignal, last_part
 from orchestration.results.recording import Recording
 from orchestration.score.closed_loop import OWN, ClosedLoop, ClosedLoopRun
-from orchestration.score.protocol import Case, Protocol, drawn_cases, plants, repeated_cases
+from orchestration.score.draws import drawn_cases, plants, repeated_cases
+from orchestration.score.protocol import Case, Protocol
 from orchestration.score.protocol_format import COMPARED
 from orchestration.score.run_metrics import Trace, declared, failures, traced_metrics
 from orchestration.score.score_document import CaseResult, ManyRuns, MetricOverRuns, Row

@@ -31,7 +31,8 @@ from orchestration.results.recording import Recording
 from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.score import tune
 from orchestration.score.closed_loop import ClosedLoop, ClosedLoopRun, Controller
-from orchestration.score.protocol import Case, Protocol, plants
+from orchestration.score.draws import plants
+from orchestration.score.protocol import Case, Protocol
 from orchestration.score.protocol_format import DELAY_MARGIN
 from orchestration.score.run_metrics import declared, failures, metrics_of
 from orchestration.score.tune import Evaluate, Problem, SearchResult, Tuning

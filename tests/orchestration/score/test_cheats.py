@@ -10,7 +10,8 @@ import pytest
 from fmus.build import builder
 from orchestration.score import score_rows
 from orchestration.score.closed_loop import ClosedLoop, Controller, built_in, tuned
-from orchestration.score.protocol import Protocol, drawn_cases, read_protocol
+from orchestration.score.draws import drawn_cases
+from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.score import score_controllers
 from orchestration.score.score_view import of_metric
 from orchestration.system.signals import values_at

@@ -11,15 +11,8 @@ import pytest
 from fmus.registry import block_names
 from orchestration.errors import ScenarioError
 from orchestration.scenarios import scenario
-from orchestration.score.protocol import (
-    FILE,
-    Protocol,
-    drawn_cases,
-    first_target,
-    plants,
-    read_protocol,
-    repeated_cases,
-)
+from orchestration.score.draws import drawn_cases, plants, repeated_cases
+from orchestration.score.protocol import FILE, Protocol, first_target, read_protocol
 from orchestration.score.score_rows import repeated
 
 

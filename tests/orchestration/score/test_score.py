@@ -13,7 +13,8 @@ import pytest
 from orchestration.errors import OrchestrationError, ScenarioError
 from orchestration.score import score_document
 from orchestration.score.closed_loop import ClosedLoop, Controller, tuned
-from orchestration.score.protocol import drawn_cases, plants, read_protocol, repeated_cases
+from orchestration.score.draws import drawn_cases, plants, repeated_cases
+from orchestration.score.protocol import read_protocol
 from orchestration.score.score import run_count, score_controllers
 from orchestration.score.score_document import Row, Score
 from orchestration.score.score_view import of_metric, over_draws, over_plants

@@ -11,7 +11,8 @@ from orchestration.margins.fmu_margins import scan
 from orchestration.margins.hold import QUIET, HoldRuns, LoopSignal, last_part
 from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.score.closed_loop import ClosedLoop, built_in, tuned
-from orchestration.score.protocol import Protocol, plants, with_cost
+from orchestration.score.draws import plants
+from orchestration.score.protocol import Protocol, with_cost
 from orchestration.score.score_rows import delay_margin_of
 from orchestration.score.tune_problem import (
     LARGEST,

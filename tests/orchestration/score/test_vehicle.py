@@ -14,7 +14,8 @@ from orchestration.results.recording import Recording
 from orchestration.scenarios.actuators import FORCE, Actuators
 from orchestration.scenarios.vehicle import SHIPPED
 from orchestration.score.closed_loop import ClosedLoop, built_in
-from orchestration.score.protocol import Protocol, plants, read_protocol
+from orchestration.score.draws import plants
+from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.run_metrics import judged_signals
 from orchestration.score.tune_problem import practice_cases
 from orchestration.score.vehicle import Vehicle
