@@ -78,7 +78,18 @@ def built_in(protocol: Protocol, name: str) -> Controller:
     if name not in protocol.controllers:
         raise ScenarioError(f"no controller {name!r}; {nearest(name, protocol.controllers)}")
     table = protocol.controllers[name]
-    return Controller(name, table.fmu, table.reference_rates, table.title, table.parameters)
+    parameters = {**_designed_for(protocol, table.fmu), **table.parameters}
+    return Controller(name, table.fmu, table.reference_rates, table.title, parameters)
+
+
+def _designed_for(protocol: Protocol, fmu: str) -> dict[str, FmiValue]:
+    """Returns inertia and damping of another vehicle than that of the base, for a law that assumes them."""
+    if protocol.vehicle.is_of_base:
+        return {}
+    known = {variable.name for variable in describe(built(fmu)).modelVariables}
+    inertia, damping, _ = protocol.vehicle.values().heave
+    assumed = {"model_inertia": inertia, "model_damping": damping}
+    return {name: value for name, value in assumed.items() if name in known and value > 0.0}
 
 
 def tuned_gains(name: str) -> dict[str, FmiValue]:

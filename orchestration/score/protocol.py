@@ -107,6 +107,8 @@ class Protocol:
             return self.tables.statement.strip()
         force = vehicle.actuators.largest_force
         told = f" Controllers are told that its actuators give {force:g} N." if math.isfinite(force) else ""
+        inertia = vehicle.values().heave[0]
+        told += f" Laws that assume an inertia assume its {inertia:g} kg." if inertia else ""
         return f"The vehicle is {vehicle.name}, simulated; the tuned gains beside are for {ours}.{told}"
 
     @property

@@ -16,6 +16,7 @@ from orchestration.scenarios.vehicle import description_of
 from orchestration.score.closed_loop import TOLD, ClosedLoop, built_in
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.score_rows import alone
+from orchestration.score.vehicle import Vehicle
 
 
 @pytest.mark.parametrize(
@@ -52,6 +53,16 @@ def test_a_hold_has_neither_lag_nor_overshoot_and_begins_at_its_depth(protocol: 
 def test_unknown_names_offer_the_nearest(protocol: Protocol) -> None:
     with pytest.raises(ScenarioError, match=r"no controller 'l2'; .*'l1'"):
         built_in(protocol, "l2")
+
+
+def test_laws_assume_the_inertia_and_damping_of_another_vehicle(protocol: Protocol) -> None:
+    """Those of BlueROV2 as von Benzon et al. (2022) have them; pid assumes a damping alone."""
+    other = read_protocol(vehicle=Vehicle.of("BlueRov2Plant"))
+    assumed = {name: built_in(other, name).parameters for name in ("l1", "adrc", "pid")}
+    assert assumed["l1"] == {"model_inertia": 32.18, "model_damping": 33.0, "augmentation": "none"}
+    assert assumed["adrc"] == {"model_inertia": 32.18}
+    assert assumed["pid"]["model_damping"] == 33.0
+    assert "model_inertia" not in built_in(protocol, "adrc").parameters
 
 
 @pytest.mark.parametrize(
