@@ -69,9 +69,9 @@ def errors(protocol: Protocol, cases: list[Case]) -> np.ndarray:
     names = (_ERROR, "settling_time", *protocol.tables.failure)
     compute = [partial(metrics_of, metrics=declared(case, protocol, names)) for case in cases]
     runs = [ClosedLoopRun(*pair) for pair in zip(cases, compute, strict=True)]
-    with LocalRuns(usable_processors()) as place:
+    with LocalRuns(usable_processors()) as local:
         loops = (
-            ClosedLoop(tuned(protocol, name), protocol, partial(in_order, place))
+            ClosedLoop(tuned(protocol, name), protocol, partial(in_order, local))
             for name in protocol.controllers
         )
         return np.array([[_error(result, protocol) for result in loop.results(runs)] for loop in loops])

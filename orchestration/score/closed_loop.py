@@ -122,7 +122,7 @@ class ClosedLoopRun(NamedTuple):
 class ClosedLoop(AbstractContextManager["ClosedLoop"]):
     """The closed loop of a controller and the vehicle, in any case of a protocol.
 
-    make: makes its runs, by default in a place of its own, which `close` closes; timeout: of a run [s]
+    make: makes its runs, by default in this process; timeout: of a run [s]
     """
 
     def __init__(
@@ -133,8 +133,8 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
         timeout: float | None = None,
     ) -> None:
         self.controller, self.protocol = controller, protocol
-        self._place = LocalRuns(1)
-        self.make, self.timeout = make or partial(in_order, self._place), timeout
+        self._local = LocalRuns(1)
+        self.make, self.timeout = make or partial(in_order, self._local), timeout
         self._scenarios: dict[str, Scenario] = {}
 
     def metrics(
@@ -281,7 +281,7 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
         return {name: values[f"{OWN}{name}"] for name in self.controller.parameters}
 
     def __exit__(self, *error: object) -> None:
-        self._place.__exit__()
+        self._local.__exit__()
 
 
 @cache

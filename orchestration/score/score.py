@@ -21,7 +21,7 @@ from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.protocol_format import COMPARED
 from orchestration.score.run_metrics import Trace
 from orchestration.score.score_document import PairedDifference, Row, Score, protocol_info
-from orchestration.score.score_rows import Patience, Progress, RowTraces, Scoring, repeated
+from orchestration.score.score_rows import LimitedRuns, Progress, RowTraces, Scoring, repeated
 from orchestration.score.statistics import compare, holm
 from orchestration.system.prepared_run import prepare
 
@@ -104,16 +104,16 @@ def _rows(
     workers: int,
 ) -> list[RowTraces]:
     """Returns the rows of the scored controllers, then of those beside them, and their traces."""
-    nominal, makers = scoring.protocol.nominal, list[tuple[ClosedLoop, Patience]]()
+    nominal, makers = scoring.protocol.nominal, list[tuple[ClosedLoop, LimitedRuns]]()
     for controller in (*scored, *beside):
-        patience = Patience(LocalRuns(1, isolate=True))
-        loop = ClosedLoop(controller, scoring.protocol, patience, timeout)
+        limited = LimitedRuns(LocalRuns(1, isolate=True))
+        loop = ClosedLoop(controller, scoring.protocol, limited, timeout)
         prepare(loop.scenario(nominal).system, loop.experiment(nominal))
-        makers.append((loop, patience))
+        makers.append((loop, limited))
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(workers))
-        for _, patience in makers:
-            stack.callback(patience.place.close)
+        for _, limited in makers:
+            stack.callback(limited.local.close)
         stack.callback(pool.shutdown, wait=False, cancel_futures=True)  # first: no thread takes another row
         futures = [pool.submit(scoring.row, *maker, i < len(scored)) for i, maker in enumerate(makers)]
         return [future.result() for future in futures]

@@ -42,20 +42,20 @@ RowTraces = tuple[Row, dict[str, Trace]]
 """A row, and what is drawn of its runs by case."""
 
 
-class Patience:
+class LimitedRuns:
     """Makes the runs of one controller, until one took too long or its process has ended three times.
 
     The others are failures that say so: hundreds of them might each take as long.
     """
 
-    def __init__(self, place: LocalRuns) -> None:
-        self.place = place
+    def __init__(self, local: LocalRuns) -> None:
+        self.local = local
         self._refusal = ""
         self._endings = 0
 
     def __call__(self, job: Job, runs: Sequence[Run]) -> Iterator[Done]:
         """Yields the runs of a job in their order."""
-        with closing(in_order(self.place, job, runs)) as made:
+        with closing(in_order(self.local, job, runs)) as made:
             for _ in runs:
                 yield Done(Failure(self._refusal, ENDED)) if self._refusal else self._noted(made)
 
@@ -88,9 +88,9 @@ class Scoring:
         self.plants = plants(self.protocol, self.seed) if self.full else []
         self.draws = repeated(self.protocol, self.seed) if self.full else {}
 
-    def row(self, loop: ClosedLoop, patience: Patience, scored: bool) -> RowTraces:
+    def row(self, loop: ClosedLoop, limited: LimitedRuns, scored: bool) -> RowTraces:
         """Returns the row of a controller and its traces."""
-        with patience.place:
+        with limited.local:
             try:
                 return self._run(loop, scored)
             except ValidationError as error:

@@ -157,8 +157,8 @@ def evaluations(
     count: of all evaluations. Gains whose runs fail, crash or take too long have the largest cost.
     """
     runs = count * (len(practice_cases(protocol)) + 1)
-    with LocalRuns(workers, isolate=True, expected=runs) as place:
-        loop = ClosedLoop(controller, protocol, partial(in_order, place), protocol.tables.time_limit)
+    with LocalRuns(workers, isolate=True, expected=runs) as local:
+        loop = ClosedLoop(controller, protocol, partial(in_order, local), protocol.tables.time_limit)
         yield partial(costs, loop)
 
 
