@@ -1,12 +1,14 @@
 """What the page of the comparison takes of fronts on each vehicle, and of what moves the ranking."""
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
 
+from orchestration.score.protocol import read_protocol
 from orchestration.score.statistics import rank_correlation
 
 DATA = Path(__file__).parent.parent / "docs" / "explanation" / "fronts.json"
@@ -55,6 +57,21 @@ class Fronts:
         self.vehicles = [document["vehicle"] for document in documents]
         self.laws = {d["vehicle"]: {law["name"]: law for law in d["laws"]} for d in documents}
         self.titles = {name: law["title"] for laws in self.laws.values() for name, law in laws.items()}
+
+    @property
+    def pairs(self) -> int:
+        """How many pairs of laws there are."""
+        return math.comb(len(self.titles), 2)
+
+    def options(self, document: Mapping[str, Any]) -> str:
+        """Returns the options of the command that has made a document."""
+        protocol, cost = read_protocol(), document["cost"]
+        ours = protocol.tables.cost
+        plant = "" if document["vehicle"] == protocol.vehicle.name else f" --plant {document['vehicle']}"
+        settings = "".join(f' --set "{name}={value:g}"' for name, value in document["settings"].items())
+        bounds = [(n, value) for n, value in cost["bounds"].items() if ours.bounds.get(n) != value]
+        cases = "" if cost["cases"] == ours.cases else f" --cases {','.join(cost['cases'])}"
+        return plant + settings + "".join(f" --bound {n}={value:g}" for n, value in bounds) + cases
 
     def volume(self, vehicle: str, law: str) -> float:
         """Returns the median of the hypervolumes of the seeds."""
@@ -116,12 +133,17 @@ class Fronts:
     def guesses(self) -> list[str]:
         """Returns the guessed numbers of any vehicle, those that move the ranking most first."""
         names = dict.fromkeys(name for found in self.sensitivity.values() for name in found["indices"])
-        return sorted(names, key=lambda name: -max(self.index(v, name) or 0.0 for v in self.sensitivity))
+        found = {name: [self.index(vehicle, name) for vehicle in self.sensitivity] for name in names}
+        return sorted(names, key=lambda name: -max(index["mean"] for index in found[name] if index))
 
-    def index(self, vehicle: str, number: str) -> float | None:
+    def index(self, vehicle: str, number: str) -> dict[str, float] | None:
         """Returns the total Sobol' index of a number, None where the vehicle has none."""
-        found = self.sensitivity[vehicle]["indices"].get(number)
-        return found and found["mean"]
+        return self.sensitivity[vehicle]["indices"].get(number)
+
+    def share(self, vehicle: str, number: str) -> str:
+        """Returns the index of a number and the range of its repetitions, as text."""
+        index = self.index(vehicle, number)
+        return "{mean:.2f} ({low:.2f} to {high:.2f})".format(**index) if index else ""
 
 
 def committed() -> Fronts:

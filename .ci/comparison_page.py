@@ -21,9 +21,10 @@ from jinja2 import Environment, StrictUndefined
 
 from orchestration.results.figures import front_figure
 from orchestration.results.formats import FigureFormat
-from orchestration.score.compare import PAPERS, START, TUNED, part
+from orchestration.score.compare import START, TUNED, part
 from orchestration.score.score_document import ManyRuns, MetricOverRuns, Row, Score
 from orchestration.score.statistics import EQUIVALENCE, compare, profile, rank_correlation, ratios_to_best
+from orchestration.score.tune_problem import LARGEST_CHANGE
 
 PAGES = Path(__file__).parent.parent / "docs" / "explanation"
 DATA = PAGES / "comparison.json"
@@ -155,9 +156,6 @@ class Numbers:
         words = {"lower": "different", "higher": "different"}
         return Counter(words.get(entry.verdict, entry.verdict) for entry in self.document.differences)
 
-    def difference(self, first: str, second: str) -> Any:
-        return next(e for e in self.document.differences if (e.scored, e.other) == (first, second))
-
     def failing(self) -> list[tuple[Row, str, ManyRuns]]:
         """Returns the tuned controllers that fail in draws of a case, most often first."""
         found = [(row, case, row.draws[case]) for row in self.tuned for case in self.repeated]
@@ -196,10 +194,13 @@ def page(document: Score, fronts: comparison_fronts.Fronts) -> str:
     )
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
     numbers = Numbers(document)
+    changed, points = fronts.changed_by_the_step(LARGEST_CHANGE)
     return template.render(
         n=numbers,
         f=fronts,
-        papers=PAPERS,
+        changed=changed,
+        points=points,
+        largest_change=f"{100.0 * LARGEST_CHANGE:g}",
         repeats=REPEATS,
         equivalence=f"{100.0 * EQUIVALENCE:g}",
         factors=FACTORS,

@@ -3,11 +3,12 @@
 import json
 import math
 import re
-import runpy
+import sys
 from collections.abc import Iterator
 from dataclasses import astuple
 from itertools import combinations
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import numpy as np
@@ -22,10 +23,13 @@ from orchestration.score.statistics import compare as paired
 from orchestration.score.statistics import distribution, holm, proportion_interval
 
 ROOT = Path(__file__).parent.parent
+sys.path.insert(0, str(ROOT / ".ci"))
+import comparison_fronts  # noqa: E402  # pyright: ignore[reportMissingImports]
+import comparison_page  # noqa: E402  # pyright: ignore[reportMissingImports]
+
+sys.path.pop(0)
 EXPLANATION = ROOT / "docs" / "explanation"
 PAGE = (EXPLANATION / "comparison.md").read_text(encoding="utf-8")
-CLAIMS = PAGE[PAGE.index("## What follows") : PAGE.index("## Withdrawn")]
-WITHDRAWN = ["the tuned L1 with PI is a PID", "the extension still helps a tuned law", "projection"]
 ROUNDED = 1e-4  # the file has five digits of each number
 
 
@@ -35,13 +39,13 @@ def document() -> Score:
 
 
 @pytest.fixture(scope="module")
-def program() -> dict[str, Any]:
-    return runpy.run_path(str(ROOT / ".ci" / "comparison_page.py"))
+def numbers(document: Score) -> Any:
+    return comparison_page.Numbers(document)
 
 
 @pytest.fixture(scope="module")
-def numbers(program: dict[str, Any], document: Score) -> Any:
-    return program["Numbers"](document)
+def fronts() -> Any:
+    return comparison_fronts.committed()
 
 
 def plants(row: Row) -> ManyRuns:
@@ -49,9 +53,9 @@ def plants(row: Row) -> ManyRuns:
     return row.plants
 
 
-def test_the_page_is_filled_from_the_run(program: dict[str, Any], document: Score) -> None:
+def test_the_page_is_filled_from_the_results(document: Score, fronts: Any) -> None:
     """By `python .ci/comparison_page.py`."""
-    assert program["page"](document) == PAGE
+    assert comparison_page.page(document, fronts) == PAGE
 
 
 def test_the_page_is_short_and_begins_with_what_it_does_not_show() -> None:
@@ -68,21 +72,62 @@ def test_the_headings_of_the_findings_are_those_of_the_run(document: Score, numb
     assert max(quick) < min(slow)
     identified = min(rows["start/l1"].delay_margin, rows["start/l1-pi"].delay_margin)
     assert max(row.delay_margin for row in tuned) < identified
-    (same,) = [entry for entry in document.differences if entry.other == "tuned/pid"][:1]
-    assert (same.scored, same.verdict, same.p_holm < 0.05) == (compare.PAPERS, "equal", True)
     shown = [(row, case) for row, case, runs in numbers.failing() if runs.failure_interval[0] > 0.05]
     assert any(not row.cases[case].failed for row, case in shown)
 
 
-def test_findings_stay_withdrawn_while_the_adaptation_gain_of_l1_is_not_tuned() -> None:
-    """What is found of a law with a gain held, beside laws with all gains free, is of the tuning."""
-    assert not [name for name in read_protocol().controllers if "adaptation_gain" in tuned_gains(name)]
-    assert "estimate_gain" in tuned_gains("mrac")
-    assert [words for words in WITHDRAWN if words in PAGE] == WITHDRAWN
-    assert not [words for words in WITHDRAWN if words in CLAIMS]
+def test_fronts_are_of_every_law_on_three_vehicles_within_the_bounds_of_the_search(fronts: Any) -> None:
+    protocol = read_protocol()
+    assert fronts.vehicles == ["RovDepthPlant", "RovHeavePitchPlant", "BlueRov2Plant"]
+    for document in fronts.documents:
+        assert document["protocol"] == protocol.version
+        assert [law["name"] for law in document["laws"]] == [*protocol.controllers]
+        bounds = document["cost"]["bounds"]
+        for law in document["laws"]:
+            assert len(law["hypervolumes"]) == document["effort"]["seeds"] == 5
+            for point in law["points"]:
+                assert point["delay_margin"] >= bounds["delay_margin"]
+                assert point["total_variation"] <= bounds["total_variation"] * (1.0 + ROUNDED)
+    text = comparison_fronts.DATA.read_text(encoding="utf-8")
+    assert comparison_fronts.reduced(json.loads(text)) == text
 
 
-def test_the_cases_that_repeat_the_nominal_one_are_those_that_do(document: Score, program: Any) -> None:
+def test_pairs_are_in_one_order_where_no_seed_says_otherwise(fronts: Any) -> None:
+    """Counted seed by seed."""
+
+    def ahead(first: str, second: str) -> list[bool]:
+        laws = [{law["name"]: law["hypervolumes"] for law in d["laws"]} for d in fronts.documents]
+        return [all(a > b for a in found[first] for b in found[second]) for found in laws]
+
+    everywhere, changing = set[tuple[str, str]](), 0
+    for first, second in combinations(fronts.titles, 2):
+        one, other = ahead(first, second), ahead(second, first)
+        everywhere |= {(first, second)} if all(one) else {(second, first)} if all(other) else set()
+        changing += any(one) and any(other)
+    assert {tuple(pair) for pair in fronts.everywhere()} == everywhere
+    assert len(fronts.reversed()) == changing
+    assert len(everywhere) + changing <= fronts.pairs == 136
+
+
+def test_the_ranks_of_fronts_are_those_of_the_median_seed(fronts: Any) -> None:
+    columns = list[np.ndarray]()
+    for document in fronts.documents:
+        medians = {law["name"]: median(law["hypervolumes"]) for law in document["laws"]}
+        ranks = stats.rankdata([-medians[name] for name in fronts.titles], method="min")
+        assert [fronts.rank(document["vehicle"], name) for name in fronts.titles] == ranks.tolist()
+        columns.append(np.array([medians[name] for name in fronts.titles]))
+    correlations = np.corrcoef([stats.rankdata(column) for column in columns])
+    expected = correlations[np.triu_indices(3, 1)].min()
+    assert fronts.correlation() == pytest.approx(expected)
+
+
+def test_the_indices_are_of_the_vehicles_of_the_fronts(fronts: Any) -> None:
+    assert [*fronts.sensitivity] == fronts.vehicles
+    for found in fronts.sensitivity.values():
+        assert [*found["ranks"]] == [*read_protocol().controllers]
+
+
+def test_the_cases_that_repeat_the_nominal_one_are_those_that_do(document: Score) -> None:
     """Over the tuned controllers and over those as they come; the search needs its cases all the same."""
     kinds = [compare.part(document, which).rows for which in (compare.TUNED, compare.START)]
     repeating = set[str]()
@@ -92,9 +137,11 @@ def test_the_cases_that_repeat_the_nominal_one_are_those_that_do(document: Score
             for rows in kinds
         ]
         correlations = [np.corrcoef([stats.rankdata(values) for values in pair])[0, 1] for pair in pairs]
-        assert program["Numbers"](document).correlation(case) == pytest.approx(min(correlations), abs=1e-12)
+        assert comparison_page.Numbers(document).correlation(case) == pytest.approx(
+            min(correlations), abs=1e-12
+        )
         fails = any(row.cases[case].failed for row in document.rows)
-        if min(correlations) > program["REPEATS"] and not fails and not info.tuned_on:
+        if min(correlations) > comparison_page.REPEATS and not fails and not info.tuned_on:
             repeating.add(case)
     assert {name for name, info in document.protocol.cases.items() if info.repeats_nominal} == repeating
     drawn = set(document.protocol.cases) - repeating
@@ -176,14 +223,14 @@ def test_the_best_of_a_case_has_the_least_median_and_none_beside_it_is_worse(num
     assert not math.isnan(numbers.correlation("hold-waves"))
 
 
-def test_the_figure_shows_every_tuned_controller(program: dict[str, Any], document: Score) -> None:
-    assert program["figure"](document).startswith(b"\x89PNG")
+def test_the_figure_shows_every_tuned_controller(document: Score) -> None:
+    assert comparison_page.figure(document).startswith(b"\x89PNG")
 
 
-def test_the_committed_run_is_what_the_page_reads_of_a_comparison(program: dict[str, Any]) -> None:
+def test_the_committed_run_is_what_the_page_reads_of_a_comparison() -> None:
     """Written by `python .ci/comparison_page.py results/comparison.json`."""
     text = (EXPLANATION / "comparison.json").read_text(encoding="utf-8")
-    assert program["written"](program["reduced"](json.loads(text))) == text
+    assert comparison_page.written(comparison_page.reduced(json.loads(text))) == text
     assert len(text) < 300_000  # a document of the repository, not a store of results
 
 

@@ -184,9 +184,9 @@ def print_gains(tuning: "Tuning", name: str) -> None:
     verdict = "flat" if tuning.is_flat else "not flat: more evaluations may lower it"
     if stopped:
         verdict = f"limited by the range of {', '.join(stopped)}: a wider one in --free may lower it"
-    seeds = len(tuning.searches)
+    seeds, last = len(tuning.searches), len(tuning.refinements[-1].curve)
     print(
-        f"The cost is {verdict}. In the last half of {len(tuning.refinement.curve)} evaluations it fell by "
+        f"The cost is {verdict}. In the last half of {last} evaluations it fell by "
         f"{100 * tuning.improvement:.2g} %; the {f'median of {seeds} seeds' if seeds > 1 else 'one seed'} is "
         f"{100 * tuning.spread:.2g} % above the lowest, and after each quarter of its evaluations "
         f"{', '.join(f'{cost:.4g}' for cost in tuning.flattening)} cm."

@@ -1,9 +1,9 @@
 """Pareto fronts: the error of a law against the total variation of u, within a bound on the delay margin.
 
 Each seed searches the least error under a bound on the total variation, then under half of that bound, and
-so on: the epsilon constraint (Haimes, Lasdon and Wismer, IEEE Trans. SMC 1(3), 1971). Each search begins at
-the best gains that the seed has evaluated until then. The front is of all evaluations of all seeds that keep
-the other bounds of the cost and do not fail.
+so on: the epsilon constraint (Haimes, Lasdon and Wismer, IEEE Trans. SMC 1(3), 1971). The first search begins
+at the tuned gains, each other one at the best gains that the seed has evaluated until then. The front is of
+all evaluations of all seeds that keep the other bounds of the cost and do not fail.
 """
 
 import math
@@ -18,13 +18,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from orchestration.errors import ScenarioError
+from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.score import tune_problem
-from orchestration.score.closed_loop import ClosedLoop, tuned
+from orchestration.score.closed_loop import ClosedLoop, tuned, tuned_gains
 from orchestration.score.protocol import Protocol, with_cost
 from orchestration.score.protocol_format import DELAY_MARGIN
 from orchestration.score.score_rows import delay_margin_of
 from orchestration.score.tune import Evaluate, Problem, SeedSearch, searching
 from orchestration.score.tune_problem import LARGEST, beyond
+from orchestration.score.vehicle import Vehicle
 
 LEVELS = 6
 """Bounds on the total variation, each half of the one before: from that of the protocol to a 32nd of it."""
@@ -103,24 +105,37 @@ def search_front(
     path: Path,
     evaluate: Evaluate,
     progress: Callable[[int, float], None] = lambda done, cost: None,
+    begin: Mapping[str, float] | None = None,
 ) -> list[list[Point]]:
     """Returns the front of each seed; interrupted or not, the same.
 
     largest: total variation [N] that is admitted; path: of the journal, which holds what is done
+    begin: the gains that all seeds begin at, by default anywhere
     """
     bounds = [largest * 0.5**level for level in range(LEVELS)]
     evaluations, rows = evaluations_per_gain * len(problem.gains), {seed: list[Row]() for seed in seeds}
-    problem = replace(problem, tuned={**problem.tuned, _VARIATION: bounds})
+    problem = replace(problem, tuned={**problem.tuned, _VARIATION: bounds, "begin": begin})
     with searching(problem, evaluations, path, evaluate, progress) as run_searches:
         for level, bound in enumerate(bounds):
             cost, searches = partial(bounded_cost, bound=bound), list[SeedSearch]()
             for seed, found in rows.items():
-                start = min(found, key=cost)["gains"] if found else None
+                start = min(found, key=cost)["gains"] if found else begin
                 searches.append(SeedSearch(problem, seed + _APART * level, evaluations, start, cost))
             run_searches(searches)
             for seed, search in zip(rows, searches, strict=True):
                 rows[seed] += search.rows
     return [nondominated(admitted(found, largest)) for found in rows.values()]
+
+
+def tuned_for(protocol: Protocol, name: str, gains: Sequence[FreeParameter]) -> dict[str, float] | None:
+    """Returns the tuned gains of a controller, carried to the vehicle by its inertia; None if it has none."""
+    found, table = tuned_gains(name), protocol.controllers[name].gains
+    if not all(gain.name in found for gain in gains):
+        return None
+    inertia = [v.values().heave[0] for v in (protocol.vehicle, Vehicle.of_base(protocol.tables.base))]
+    ratio = inertia[0] / inertia[1] if all(inertia) else 1.0
+    carried = {gain: float(found[gain.name]) * ratio ** table[gain.name].inertia for gain in gains}
+    return {gain.name: gain.limited(value) for gain, value in carried.items()}
 
 
 def front_of_law(
@@ -146,7 +161,8 @@ def front_of_law(
     problem = tune_problem.problem_of(controller, protocol)
     total = LEVELS * len(seeds) * evaluations_per_gain * len(problem.gains)
     with tune_problem.evaluations(controller, protocol, workers, total) as evaluate:
-        fronts = search_front(problem, seeds, evaluations_per_gain, largest, path, evaluate, progress)
+        how = largest, path, evaluate, progress, tuned_for(protocol, name, problem.gains)
+        fronts = search_front(problem, seeds, evaluations_per_gain, *how)
     volumes = [hypervolume(front, Point(LARGEST_ERROR, largest)) for front in fronts]
     front, points = nondominated(point for front in fronts for point in front), list[dict[str, Any]]()
     for i in sorted({*np.linspace(0, len(front) - 1, min(len(front), _MOST_POINTS)).round().astype(int)}):

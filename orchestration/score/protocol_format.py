@@ -68,6 +68,8 @@ class GainTable(Table):
 
     low: float
     high: float
+    inertia: float = 0.0
+    """The gain of like motion on another vehicle is in proportion to this power of the inertia."""
 
 
 class ControllerTable(Table):

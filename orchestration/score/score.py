@@ -23,6 +23,7 @@ from orchestration.score.run_metrics import Trace
 from orchestration.score.score_document import PairedDifference, Row, Score, protocol_info
 from orchestration.score.score_rows import LimitedRuns, Progress, RowTraces, Scoring, repeated
 from orchestration.score.statistics import compare, holm
+from orchestration.score.vehicle import built
 from orchestration.system.prepared_run import prepare
 
 
@@ -105,6 +106,8 @@ def _rows(
 ) -> list[RowTraces]:
     """Returns the rows of the scored controllers, then of those beside them, and their traces."""
     nominal, makers = scoring.protocol.nominal, list[tuple[ClosedLoop, LimitedRuns]]()
+    for fmu in (fmu for case in scoring.cases for fmu in case.layer.get("components", {}).values()):
+        built(fmu)  # before there are threads: a block is traced by one alone
     for controller in (*scored, *beside):
         limited = LimitedRuns(LocalRuns(1, isolate=True))
         loop = ClosedLoop(controller, scoring.protocol, limited, timeout)

@@ -2,13 +2,13 @@
 
 The searches of all seeds go on together, a generation of each at a time, so that several processes have work.
 A last search of as many evaluations begins at the best gains of them all: what it gains shows whether the
-cost is flat there.
+cost is flat there. While it is not, another one begins where that ended.
 """
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from operator import itemgetter
 from pathlib import Path
@@ -21,8 +21,8 @@ from orchestration.many.journal import Journal
 from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.score.tune_search import EvolutionSearch
 
-REFINEMENT = 0  # the seed of the last search
-LAST_PART = 0.5  # of the evaluations of the last search: what they still gain shows whether the cost is flat
+REFINEMENTS = (0, 1001, 1002, 1003)  # the seeds of the last searches
+LAST_PART = 0.5  # of the evaluations of a last search: what they still gain shows whether the cost is flat
 LARGEST_IMPROVEMENT = 0.02  # of the cost, in the last part
 LARGEST_SPREAD = 0.05  # of the lowest cost: where most of the seeds come so near to it, they agree
 
@@ -62,15 +62,15 @@ class SearchResult:
 
 @dataclass(frozen=True)
 class Tuning:
-    """The searches of all seeds, and the last one, which begins where the best of them ended."""
+    """The searches of all seeds, and the last ones, each of which begins at the best gains until then."""
 
     problem: Problem
     searches: tuple[SearchResult, ...]
-    refinement: SearchResult
+    refinements: tuple[SearchResult, ...]
 
     @property
     def best(self) -> SearchResult:
-        return min((*self.searches, self.refinement), key=lambda search: search.cost)
+        return min((*self.searches, *self.refinements), key=lambda search: search.cost)
 
     @property
     def optimiser(self) -> str:
@@ -78,14 +78,14 @@ class Tuning:
 
     @property
     def evaluations(self) -> int:
-        return sum(len(search.curve) for search in (*self.searches, self.refinement))
+        return sum(len(search.curve) for search in (*self.searches, *self.refinements))
 
     @property
     def improvement(self) -> float:
         """The relative improvement of the cost in the last part of the last search."""
-        curve = self.refinement.curve
-        first_part = curve[: int((1.0 - LAST_PART) * len(curve))]
-        before = min([*(search.cost for search in self.searches), *first_part])
+        *earlier, last = self.refinements
+        first_part = last.curve[: int((1.0 - LAST_PART) * len(last.curve))]
+        before = min([*(search.cost for search in (*self.searches, *earlier)), *first_part])
         return (before - self.best.cost) / before if before else 0.0
 
     @property
@@ -129,10 +129,13 @@ def tune(
     if evaluations < 1 or not seeds:
         raise OrchestrationError("nothing to tune: expected a gain, a seed and an evaluation or more")
     with searching(problem, evaluations, path, evaluate, progress, restart) as run_searches:
-        results = run_searches([SeedSearch(problem, seed, evaluations) for seed in seeds])
-        best = min(results, key=lambda result: result.cost)
-        (refinement,) = run_searches([SeedSearch(problem, REFINEMENT, evaluations, best.gains)])
-    return Tuning(problem, results, refinement)
+        tuning = Tuning(problem, run_searches([SeedSearch(problem, seed, evaluations) for seed in seeds]), ())
+        for seed in REFINEMENTS:
+            last = run_searches([SeedSearch(problem, seed, evaluations, tuning.best.gains)])
+            tuning = replace(tuning, refinements=(*tuning.refinements, *last))
+            if tuning.is_flat:
+                break
+    return tuning
 
 
 @contextmanager

@@ -300,12 +300,12 @@ def provenance(tuning: Tuning, controller: Controller, protocol: Protocol) -> di
         "change_at_half_the_step": change_at_half_the_step(best.gains, controller, protocol),
         "objective": f"mean {table.metric} over {of}",
         "bounds": dict(table.bounds),
-        "cost_of_every_practice_seed": every_seed["cost"],
+        "error_of_every_practice_seed": every_seed["error"],
     }
 
 
 _CRITERION = (
-    f"flat: the last {100 * tune.LAST_PART:g} % of the search that begins at the best gains of all seeds "
+    f"flat: the last {100 * tune.LAST_PART:g} % of the last search that begins at the best gains of all "
     f"lower the cost by at most {100 * tune.LARGEST_IMPROVEMENT:g} %; the seeds agree: most of them come "
     f"within {100 * tune.LARGEST_SPREAD:g} % of the lowest"
 )
@@ -336,7 +336,7 @@ def write(tuning: Tuning, fixed: Mapping[str, Any], provenance: Mapping[str, Any
             "evaluations": tuning.evaluations,
             "metrics": dict(best.metrics),
             "seeds": [_seed(search) for search in tuning.searches],
-            "refinement": _seed(tuning.refinement),
+            "refinements": [_seed(search) for search in tuning.refinements],
         },
         "parameters": {**unchanged, **_tuned_gains(tuning, str(provenance.get("protocol")))},
     }
@@ -348,7 +348,7 @@ def _tuned_gains(tuning: Tuning, protocol: str) -> dict[str, Any]:
     best = tuning.best
     source = (
         f"tuned: cost {best.cost:.4g} cm of protocol {protocol}, {len(best.curve)} evaluations of each of "
-        f"{len(tuning.searches)} seeds and from the best of them; not a published value"
+        f"{len(tuning.searches)} seeds and {len(tuning.refinements)} times from the best; not published"
     )
     return {
         f"controller.{gain.name}": {

@@ -53,7 +53,7 @@ class LawStep(Enum):
 class L1Case(Case):
     """augmentation: none, pi or nonlinear_p; feedforward: none, inside or outside the filter.
 
-    learns_from_all: whether u_w is u_ap; piecewise: A_s [1/s] times the identity and Ts [s] of the
+    learns_from_all: whether u_w is u_ap; piecewise: the diagonal of A_s [1/s] and Ts [s] of the
     piecewise-constant law, if that adapts
     pitch_augmentation, priority (heave or pitch): of the law of both axes
     """
@@ -63,7 +63,7 @@ class L1Case(Case):
     priority: str = "heave"
     feedforward: str
     learns_from_all: bool
-    piecewise: Pair | None
+    piecewise: tuple[Pair, float] | None
 
 
 class Equations:
@@ -240,23 +240,23 @@ class _PiecewiseLaw(_Law):
     """
 
     def adapted(self, x: Pair, t: float) -> float:
-        equations, (rate, period) = self.equations, self.equations.case.piecewise or (0.0, 0.0)
+        equations, (rates, period) = self.equations, self.equations.case.piecewise or ((0.0, 0.0), 0.0)
         if self.is_first:
             self.x_hat, self.s, self.due = x, (0.0, 0.0), round(period / self.step)
         else:
             u = self.before[0] + equations.k_m[0] * self.x[0] + equations.k_m[1] * self.x[1]
-            self.x_hat = advanced(lambda x_hat: self._rates(x_hat, u, rate), self.x_hat, self.step)
+            self.x_hat = advanced(lambda x_hat: self._rates(x_hat, u, rates), self.x_hat, self.step)
             self.due -= 1
         if not self.due:
-            gain = -math.exp(rate * period) * rate / (math.exp(rate * period) - 1.0)
-            self.s = (gain * (self.x_hat[0] - x[0]), gain * (self.x_hat[1] - x[1]))
+            first, second = (-math.exp(a * period) * a / (math.exp(a * period) - 1.0) for a in rates)
+            self.s = (first * (self.x_hat[0] - x[0]), second * (self.x_hat[1] - x[1]))
             self.due = round(period / self.step)
         return self.filtered(self.s[1] / equations.b, t)
 
-    def _rates(self, x_hat: State, u: float, rate: float) -> State:
+    def _rates(self, x_hat: State, u: float, rates: Pair) -> State:
         a, x = self.equations.a, self.x
         error = x_hat[0] - x[0], x_hat[1] - x[1]
         return (
-            x[1] + rate * error[0] + self.s[0],
-            a[0] * x[0] + a[1] * x[1] + rate * error[1] + self.equations.b * u + self.s[1],
+            x[1] + rates[0] * error[0] + self.s[0],
+            a[0] * x[0] + a[1] * x[1] + rates[1] * error[1] + self.equations.b * u + self.s[1],
         )

@@ -1,7 +1,7 @@
 """A scenario of the vehicle and the L1 controller as the second program takes it."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 
@@ -13,7 +13,6 @@ from tests.closed_loop.second_plane import Plane
 from tests.closed_loop.second_program import L1Case
 
 NO_OBSERVER = {"observer_period": 0.04, "observer_alpha": 0.0, "observer_beta": 0.0}  # of ours: ADRC
-PIECEWISE = (-0.1, 0.04)  # A_s [1/s] and Ts [s] of the FMU
 
 
 def shipped_case(loaded: Scenario) -> L1Case:
@@ -32,7 +31,7 @@ def shipped_case(loaded: Scenario) -> L1Case:
         priority=str(given.get("controller.priority", "heave")),
         feedforward=str(given.get("controller.reference_feedforward", "none")),
         learns_from_all=given.get("controller.input_gain_regressor") == "adaptive_control_and_extension",
-        piecewise=PIECEWISE if "controller.adaptation_law" in given else None,
+        piecewise=_piecewise(values["controller"]) if "controller.adaptation_law" in given else None,
         reference_rate=slope,
         ideal=bool(given.get("plant.sensor_ideal", False)),
         reference=cache(signals["controller.depth_reference"]),  # asked for several times at each time
@@ -44,6 +43,12 @@ def shipped_case(loaded: Scenario) -> L1Case:
         duration=experiment.stop_time,
         body=Plane if "pitch_inertia" in values["plant"] else Heave,
     )
+
+
+def _piecewise(law: Mapping[str, float]) -> tuple[tuple[float, float], float]:
+    """The diagonal of A_s and Ts; the rest of A_s is 0."""
+    first, second = (law[f"prediction_error_matrix[{i},{i}]"] for i in (1, 2))
+    return (first, second), law["adaptation_period"]
 
 
 def _water(loaded: Scenario) -> Callable[[float, float], Water]:

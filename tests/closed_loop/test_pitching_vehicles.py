@@ -37,13 +37,13 @@ def test_thrusters_that_differ_by_10_percent_cost_a_millimetre(controller: str) 
     assert equal < unequal < equal + 0.15
 
 
-@pytest.mark.parametrize(("controller", "least"), [("pid", 2.0), ("l1-pi", 2.0)])
+@pytest.mark.parametrize(("controller", "least"), [("l1", 2.0), ("super-twisting", 2.0)])
 def test_with_little_damping_of_pitch_fast_controllers_oscillate(controller: str, least: float) -> None:
     """The sensor at the bow rises where both thrusters push down, as the fore one is weaker."""
     assert rmse(controller, WEAK_FORE | LITTLE_DAMPING) > least
 
 
-@pytest.mark.parametrize("controller", ["adrc", "sliding-mode"])
+@pytest.mark.parametrize("controller", ["adrc", "sliding-mode", "mrac"])
 def test_with_little_damping_of_pitch_slower_ones_do_not(controller: str) -> None:
     assert rmse(controller, WEAK_FORE | LITTLE_DAMPING) < 0.5
 

@@ -10,6 +10,7 @@ import pytest
 
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.free_parameter import FreeParameter
+from orchestration.score.closed_loop import built_in, tuned_gains
 from orchestration.score.fronts import (
     LEVELS,
     Point,
@@ -20,10 +21,12 @@ from orchestration.score.fronts import (
     nondominated,
     search_front,
     spread,
+    tuned_for,
 )
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.tune import Problem
-from orchestration.score.tune_problem import LARGEST
+from orchestration.score.tune_problem import LARGEST, problem_of
+from orchestration.score.vehicle import Vehicle
 
 REFERENCE = Point(10.0, 1000.0)
 
@@ -111,6 +114,33 @@ def test_the_front_of_a_known_law_is_found_over_all_bounds(tmp_path: Path) -> No
     exact = width**2 / 2 + height * width
     assert 0.9 * exact < min(volumes)  # steps between points lie inside it
     assert found[0] != found[1]
+
+
+def test_all_seeds_begin_near_the_gains_that_are_given(tmp_path: Path) -> None:
+    begin = {"a": 30.0, "b": 2.0}
+    search_front(PROBLEM, (1, 2), 30, LARGEST_VARIATION, tmp_path / "j", lambda g: map(known, g), begin=begin)
+    rows = [json.loads(line) for line in (tmp_path / "j").read_text().split("\n")[1:] if line]
+    for seed in (1, 2):
+        gains = next(row["gains"] for row in rows if row["seed"] == seed)
+        for gain in PROBLEM.gains:
+            # four steps of a twentieth of the range
+            assert abs(gain.share(gains[gain.name]) - gain.share(begin[gain.name])) < 0.2
+
+
+def test_tuned_gains_are_carried_to_another_vehicle_by_its_inertia(protocol: Protocol) -> None:
+    """Forces are in proportion to it; an adaptation whose model has 1 / M, to its square."""
+    ratio = 32.18 / 5.5
+    other = read_protocol(vehicle=Vehicle.of("BlueRov2Plant"))
+    for name, factors in {
+        "pid": {"kp": ratio, "observer_alpha": 1.0},
+        "l1": {"adaptation_gain": ratio**2},
+    }.items():
+        gains, own = problem_of(built_in(protocol, name), protocol).gains, tuned_gains(name)
+        assert tuned_for(protocol, name, gains) == {gain.name: own[gain.name] for gain in gains}
+        carried = tuned_for(other, name, gains)
+        assert carried
+        for gain, factor in factors.items():
+            assert carried[gain] == pytest.approx(float(own[gain]) * factor)
 
 
 @pytest.mark.parametrize("calls", [7, 100])

@@ -13,7 +13,7 @@ from orchestration.errors import OrchestrationError
 from orchestration.scenarios import scenario
 from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.score import tune_problem
-from orchestration.score.tune import Evaluate, Problem, SearchResult, Tuning, tune
+from orchestration.score.tune import REFINEMENTS, Evaluate, Problem, SearchResult, Tuning, tune
 
 GAINS = (
     FreeParameter("kp", 0.1, 100.0, unit="N/m"),
@@ -77,7 +77,7 @@ def test_every_free_gain_has_the_same_number_of_evaluations(tmp_path: Path, free
 
     tuning = tune(Problem(GAINS[:free]), SEEDS, 7, tmp_path / "journal", at_once(cost))
     assert len(asked) == tuning.evaluations == 7 * free * (len(SEEDS) + 1)
-    assert {len(search.curve) for search in (*tuning.searches, tuning.refinement)} == {7 * free}
+    assert {len(search.curve) for search in (*tuning.searches, *tuning.refinements)} == {7 * free}
     assert all(list(gains) == [gain.name for gain in GAINS[:free]] for gains in asked)
 
 
@@ -166,7 +166,7 @@ def ends_at(cost: float, falls_at: int = 50, before: float = 8.0) -> SearchResul
 
 
 def tuning_of(*searches: SearchResult, last: SearchResult) -> Tuning:
-    return Tuning(Problem(GAINS), searches, last)
+    return Tuning(Problem(GAINS), searches, (last,))
 
 
 def test_a_last_search_begins_at_the_best_gains_in_small_steps(tmp_path: Path) -> None:
@@ -177,7 +177,20 @@ def test_a_last_search_begins_at_the_best_gains_in_small_steps(tmp_path: Path) -
     for gain in GAINS:
         away = [gain.share(gains[gain.name]) - gain.share(start.gains[gain.name]) for gains in first]
         assert 0.0 < max(map(abs, away)) < 0.25  # five of its steps
-    assert tuning.best.cost == min(start.cost, tuning.refinement.cost) < start.cost
+    assert tuning.best.cost == min(start.cost, tuning.refinements[-1].cost) < start.cost
+
+
+def test_another_last_search_begins_where_one_ends_until_the_cost_is_flat(tmp_path: Path) -> None:
+    """A cost that falls with each evaluation never is: four of them; the best of each is its last."""
+    falling = iter(range(10_000, 0, -1))
+    path = tmp_path / "journal"
+    tuning = tune(Problem(GAINS), (1,), 10, path, at_once(lambda gains: {"cost": 1.02 ** next(falling)}))
+    assert [search.seed for search in tuning.refinements] == [*REFINEMENTS]
+    assert not tuning.is_flat
+    assert len({search.cost for search in tuning.refinements}) == 4
+    assert tuning.best == tuning.refinements[-1]
+    flat = tune(Problem(GAINS), (1,), 10, tmp_path / "flat", at_once(lambda gains: {"cost": 1.0}))
+    assert len(flat.refinements) == 1
 
 
 def test_the_lowest_cost_must_not_fall_in_the_last_half_of_the_last_search() -> None:
@@ -223,8 +236,8 @@ def test_the_file_holds_gains_for_scenarios_and_says_how_far_to_trust_them(tmp_p
     assert [table["cost"] for table in written["tuning"]["seeds"]] == [s.cost for s in tuning.searches]
     entry = written["parameters"]["controller.kp"]
     assert (entry["unit"], entry["limits"]) == ("N/m", [0.1, 100.0])
-    tables = [*written["tuning"]["seeds"], written["tuning"]["refinement"]]
-    for table, search in zip(tables, (*tuning.searches, tuning.refinement), strict=True):
+    tables = [*written["tuning"]["seeds"], *written["tuning"]["refinements"]]
+    for table, search in zip(tables, (*tuning.searches, *tuning.refinements), strict=True):
         assert (table["seed"], table["cost"]) == (search.seed, search.cost)
         assert table["evaluations"] == len(search.curve) == 10 * len(GAINS)
         assert table["gains"] == search.gains

@@ -74,7 +74,7 @@ def test_a_cost_that_a_limit_determines_is_not_called_flat(
     gains = {"kp": gain, "kd": 5.0}
     search = SearchResult(1, gains, {}, (2.0,) * 4)
     free = (FreeParameter("kp", 1.0, 10.0), FreeParameter("kd", 1.0, 10.0))
-    tuning = Tuning(Problem(free), (search,), search)
+    tuning = Tuning(Problem(free), (search,), (search,))
     assert tuning.is_flat
     print_gains(tuning, "pid")
     last = capsys.readouterr().out.splitlines()[-1]
