@@ -12,6 +12,7 @@ from scipy.optimize import brentq
 
 from controller_fmu.design import FilterOrder, l1_condition
 from orchestration.design import rules
+from orchestration.design.check import DesignCheck
 from orchestration.design.rules import Conditions, L1Design, PidDesign, beta_of
 from orchestration.design.vehicle_data import VehicleData, data_of, draws_of
 from orchestration.errors import OrchestrationError
@@ -159,6 +160,15 @@ def test_ranges_for_which_there_is_no_design_are_refused(
 ) -> None:
     with pytest.raises(OrchestrationError, match=message):
         rules.design_l1(replace(data, **changed), conditions)
+
+
+@pytest.mark.parametrize("settling", [[40.0, math.nan, 50.0], [math.nan, 40.0, 50.0]])
+def test_a_run_that_does_not_settle_is_the_longest_and_the_worst(settling: list[float]) -> None:
+    checked = DesignCheck("PID", [{}] * 3, [1.0, 2.0, 3.0], settling, {})
+    assert math.isnan(checked.longest_settling)
+    assert math.isnan(settling[checked.worst])
+    settled = replace(checked, settling=[40.0, 60.0, 50.0])
+    assert (settled.longest_settling, settled.worst) == (60.0, 2)
 
 
 def test_a_pitching_vehicle_with_unequal_thrusters_has_no_design(conditions: Conditions) -> None:
