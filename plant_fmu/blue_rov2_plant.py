@@ -1,7 +1,8 @@
-"""Block BlueRov2Plant: a BlueROV2 Heavy in heave and pitch, with published numbers and none fitted here.
+"""Block BlueRov2Plant: a BlueROV2 Heavy in heave and pitch, from published numbers; none is fitted here.
 
 The equations are those of RovHeavePitchPlant. The voltages are those of the fore and the aft pair of the four
-vertical thrusters.
+vertical thrusters. A number for which no publication was found is a choice, a guess or an estimate, and its
+source says so.
 """
 
 from dataclasses import replace
@@ -14,9 +15,11 @@ _TABLE = "published: von Benzon et al. (2022), table A1"
 _GRAVITY = 9.82  # m/s2, of the source
 _MASS, _VOLUME, _DENSITY = 13.5, 0.0134, 1000.0  # kg, m3, kg/m3: table A1
 _BAR30 = "published: a Bar30, the depth sensor of this vehicle"
+_BESIDE_TABLE = "without effect beside the table"
 
 _STARTS = {
     "internal_step": (0.005, "chosen: 0.45 of the fastest pole of the thrusters, 91 rad/s"),
+    "initial_depth": (0.0, "chosen: the surface"),
     "inertia": (_MASS + 18.68, f"{_TABLE}: 13.5 kg and 18.68 kg of added mass"),
     "linear_damping": (33.0, _TABLE),
     "quadratic_damping": (190.0, _TABLE),
@@ -25,13 +28,24 @@ _STARTS = {
         (_MASS - _DENSITY * _VOLUME) * _GRAVITY,
         f"{_TABLE}: 0.0134 m3 in fresh water; it sinks",
     ),
-    "waterplane_area": (_VOLUME / 0.25, "estimate: the published volume over a height of 0.25 m"),
+    "free_surface": (True, "chosen"),
+    "water_density": (_DENSITY, f"{_TABLE}: fresh water"),
+    "waterplane_area": (
+        _VOLUME / 0.25,
+        "estimate: the published volume over a height of 0.25 m, for which Blue Robotics give 254 mm",
+    ),
+    "thruster_ideal": (False, "published: the thrusters have a dead band and dynamics"),
     "thruster_gain": (
         (2.0 * 4.07 * 9.80665 / 12.0,) * 2,
-        "chosen: a line to the table's force at 12 V; without effect beside the table",
+        f"chosen: a line to the table's force at 12 V; {_BESIDE_TABLE}",
     ),
+    "thruster_dead_zone": ((0.0, 0.0), _BESIDE_TABLE),
     "thruster_voltage_limit": ((12.0, 12.0), "chosen: the ends of the table, pulses of 1100 us and 1900 us"),
     "thruster_lag": ((0.0, 0.0), "left out: the transfer function has its place"),
+    "thruster_rate_limit": ((0.0, 0.0), "left out: none was found published"),
+    "thruster_reverse_ratio": ((1.0, 1.0), _BESIDE_TABLE),
+    "thruster_curvature": ((0.0, 0.0), _BESIDE_TABLE),
+    "thruster_curve_voltage": ((12.0, 12.0), _BESIDE_TABLE),
     "thruster_tabulated": (True, "published: the T200 has a dead band and gives more forward"),
     "thruster_scale": ((2.0, 2.0), "published: two vertical thrusters fore and two aft"),
     "thruster_transfer": (
@@ -40,14 +54,18 @@ _STARTS = {
     ),
     "thruster_lever": ((0.12, -0.12), _TABLE),
     "thruster_depth": (0.125, "guess: half of the height; without effect but for ventilation"),
+    "thruster_full_depth": (0.0, "left out: none was found published"),
     "pitch_inertia": (0.23 + 0.135, f"{_TABLE}: 0.23 kg.m2 and 0.135 kg.m2 of added inertia"),
     "metacentric_height": (0.01, _TABLE),
     "pitch_linear_damping": (0.8, _TABLE),
     "pitch_quadratic_damping": (0.47, _TABLE),
+    "sensor_ideal": (False, "published: the vehicle has a depth sensor"),
     "sensor_period": (0.04, f"{_BAR30}, reads in up to 40 ms"),
+    "sensor_noise": (0.001, "guess: half the resolution; none was found published"),
     "sensor_resolution": (0.002, f"{_BAR30}, resolves 2 mm"),
-    "sensor_forward": (0.0, "assumed: its place is not published"),
-    "sensor_below": (0.0, "assumed: its place is not published"),
+    "sensor_forward": (0.0, "assumed: no place of the sensor was found published"),
+    "sensor_below": (0.0, "assumed: no place of the sensor was found published"),
+    "pitch_noise": (0.002, "guess: 0.1 degrees; none was found published"),
 }
 
 BLOCK = heave_pitch_plant.BLOCK.with_starts(

@@ -21,9 +21,6 @@ _M_2, _A_2 = 2147483399.0, 40692.0
 _HALF = 65536.0  # a seed has 32 bits, in two halves
 _ROUNDS = 4  # of a Feistel network: a strong permutation, Luby and Rackoff (1988)
 
-# |n| of Box and Muller is at most sqrt(2 ln M_1), as the smallest uniform number is 1 / M_1
-LARGEST_NOISE = math.sqrt(2.0 * math.log(_M_1))
-
 
 @dataclass(frozen=True)
 class SensorParameters:

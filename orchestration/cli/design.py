@@ -133,5 +133,5 @@ def _print(l1: "Sequence[Gain]", pid: "Sequence[Gain]", checks: "Sequence[Design
 def _rows(checks: "Sequence[DesignCheck]") -> Iterator[tuple[str, ...]]:
     for one in checks:
         settled = f"{len(one.rmse) - len(one.failed)} of {len(one.rmse)}"
-        numbers = one.rmse[0], one.rmse[one.worst], max(one.settling)
+        numbers = one.rmse[0], one.rmse[one.worst], one.longest_settling
         yield one.title, *(f"{number:.3g}" for number in numbers), settled, one.values_text(one.worst)

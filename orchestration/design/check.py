@@ -39,6 +39,11 @@ class DesignCheck:
         return max(range(len(self.rmse)), key=lambda i: (i in self.failed, _size(self.rmse[i])))
 
     @property
+    def longest_settling(self) -> float:
+        """The longest settling time [s], not a number if a run does not settle."""
+        return max(self.settling, key=_size)
+
+    @property
     def failed(self) -> list[int]:
         """The indices of the runs that did not settle, or failed."""
         return [i for i, time in enumerate(self.settling) if math.isnan(time)]

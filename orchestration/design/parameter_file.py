@@ -143,6 +143,6 @@ def _checked(one: DesignCheck) -> Mapping[str, Any]:
         "runs": len(one.rmse),
         "rmse_cm": round(one.rmse[0], 3),
         "worst_rmse_cm": round(one.rmse[one.worst], 3),
-        "worst_settling_time_s": round(max(one.settling), 2),
+        "worst_settling_time_s": round(one.longest_settling, 2),
         "worst_values": one.values_text(one.worst),
     }

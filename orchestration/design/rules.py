@@ -80,13 +80,15 @@ class _Design:
     """Numbers that designs of both laws have.
 
     inertia, damping: M and D; bandwidth: w_m or w_0; alpha: of the observer, beta follows
-    noise: of the demand [N]; phase: the margin that is left [deg], delay: and as a delay [s]
+    norm: |G|_L1 L, which PID has not; noise: of the demand [N], not a number if no filter satisfies the norm
+    phase: the margin that is left [deg], delay: and as a delay [s]
     """
 
     inertia: float
     damping: float
     bandwidth: float
     alpha: float = 1.0
+    norm: float = math.nan
     noise: float = math.nan
     phase: float = -180.0
     delay: float = math.nan
@@ -98,7 +100,6 @@ class L1Design(_Design):
 
     filter: float = math.nan
     lipschitz: float = math.nan
-    norm: float = math.nan
     adaptation_gain: float = math.nan
 
     @property
@@ -241,41 +242,51 @@ def design_pid(data: VehicleData, conditions: Conditions, bandwidth: float = 0.0
 
 def _largest(
     law: str,
-    made: Callable[[VehicleData, Conditions, float], tuple[Design, str]],
+    made: Callable[[VehicleData, Conditions, float, float], Design],
     data: VehicleData,
     conditions: Conditions,
     bandwidth: float,
 ) -> Design:
-    """Returns the design of the largest bandwidth that fits, or of the one that is given."""
-    delay = conditions.delay(data) + data.lag
-    tried = [bandwidth] if bandwidth else [1.0 / (delay * _RATIO**i) for i in range(_STEPS)]
-    nearest: tuple[Design, str] | None = None
-    for w in tried:
-        design, reason = made(data, conditions, float(f"{w:.3g}"))
-        if not reason:
-            return design
-        if not nearest or _nearness(design) > _nearness(nearest[0]):
-            nearest = design, reason
+    """Returns the design of the largest bandwidth that fits, or of the one that is given.
+
+    made: returns the design at a bandwidth, whose margins end with the first below the last argument
+    """
+    delay, enough = conditions.delay(data) + data.lag, conditions.phase_margin
+    bandwidths = [bandwidth] if bandwidth else [1.0 / (delay * _RATIO**i) for i in range(_STEPS)]
+    tried = list[Design]()
+    for w in bandwidths:
+        tried.append(made(data, conditions, float(f"{w:.3g}"), enough))
+        if not _misfits(tried[-1], data, enough):
+            return tried[-1]
+
+    def nearness(design: Design) -> tuple[float, float]:
+        return min(design.phase, enough), -(design.norm if math.isnan(design.noise) else design.noise)
+
+    # a margin that ended early is above the smallest: the message needs that over all corners
+    nearest: Design | None = None
+    for design in sorted(tried, key=nearness, reverse=True):
+        if nearest and nearness(design) <= nearness(nearest):
+            break
+        whole = made(data, conditions, design.bandwidth, -math.inf)
+        nearest = max(nearest or whole, whole, key=nearness)
     assert nearest
+    misfits = _misfits(nearest, data, enough)
+    others = " and ".join(hint for hint in misfits.values() if hint)
+    searched = "" if bandwidth else f", the best of {bandwidths[-1]:.2g} to {bandwidths[0]:.2g} rad/s"
     raise OrchestrationError(
-        f"no {law} for {data.name}: {nearest[1]} at {nearest[0].bandwidth:.3g} rad/s"
-        f"{'' if bandwidth else f', the best of {tried[-1]:.2g} to {tried[0]:.2g} rad/s'}: expected "
-        f"narrower ranges in [vary.*] (inertia {_text(data.inertia)} kg, damping {_text(data.damping)} "
-        f"N.s/m, thrust {_text(data.gain)}), less delay ({1e3 * delay:.0f} ms) or a smaller --phase-margin"
+        f"no {law} for {data.name}: {', and '.join(misfits)}, at {nearest.bandwidth:.3g} rad/s{searched}: "
+        f"expected narrower ranges in [vary.*] (inertia {_text(data.inertia)} kg, damping "
+        f"{_text(data.damping)} N.s/m, thrust {_text(data.gain)}), less delay ({1e3 * delay:.0f} ms)"
+        f"{others and f', or {others}'}"
     )
-
-
-def _nearness(design: L1Design | PidDesign) -> tuple[float, float]:
-    """Returns a rank that grows towards a design that fits: the margin, then minus the norm."""
-    return design.phase, -getattr(design, "norm", 0.0)
 
 
 def _text(ends: Range) -> str:
     return f"{ends[0]:.3g} to {ends[1]:.3g}"
 
 
-def _l1_at(data: VehicleData, conditions: Conditions, w_m: float) -> tuple[L1Design, str]:
-    """Returns the design at a bandwidth, and why it does not fit, "" if it does."""
+def _l1_at(data: VehicleData, conditions: Conditions, w_m: float, enough: float) -> L1Design:
+    """Returns the design at a bandwidth; without noise and margin if no filter satisfies the norm."""
     inertia, middle = data.assumed
     damping = min(middle, 2.0 * inertia * w_m)  # so that k_m2 is not negative
     made = L1Design(inertia, damping, w_m)
@@ -291,10 +302,7 @@ def _l1_at(data: VehicleData, conditions: Conditions, w_m: float) -> tuple[L1Des
     lowest, highest = math.log(w_m), math.log(max(1.0 / conditions.delay(data), 1.01 * w_m))
     at_lowest = excess(lowest)
     if at_lowest > 0.0 and (at_highest := excess(highest)) > 0.0:
-        return replace(made, filter=math.exp(highest), norm=at_highest + NORM), (
-            f"|G|_L1 L of the L1-norm condition is {at_highest + NORM:.3g} with a filter of "
-            f"{math.exp(highest):.3g} rad/s, at most {NORM:g} is allowed,"
-        )
+        return replace(made, filter=math.exp(highest), norm=at_highest + NORM)
     root: Any = brentq(excess, lowest, highest, xtol=1e-3) if at_lowest > 0.0 else lowest
     w = math.exp(root)
     alpha = observer_alpha(2.0 * w_m + w, data.period)
@@ -308,30 +316,36 @@ def _l1_at(data: VehicleData, conditions: Conditions, w_m: float) -> tuple[L1Des
         for kappa in (slow * (1.0 + conditions.depth**2), slow)
         for plant in corner_plants(data)
     )
-    phase, delay = margin_left(loops, conditions.delay(data), conditions.phase_margin)
-    made = replace(made, adaptation_gain=slow, phase=phase, delay=delay)
-    return made, _misfit(data, conditions, noise, phase)
+    phase, delay = margin_left(loops, conditions.delay(data), enough)
+    return replace(made, adaptation_gain=slow, phase=phase, delay=delay)
 
 
-def _pid_at(data: VehicleData, conditions: Conditions, w_0: float) -> tuple[PidDesign, str]:
+def _pid_at(data: VehicleData, conditions: Conditions, w_0: float, enough: float) -> PidDesign:
     inertia, middle = data.assumed
     damping = min(middle, 3.0 * inertia * w_0)  # so that k_d is not negative
     alpha = observer_alpha(3.0 * w_0, data.period)
     made = PidDesign(inertia, damping, w_0, alpha)
     noise = made.gains[2] * rate_noise(alpha, data.period, data.noise)
     loops = (pid_loop(made, data.period, plant) for plant in corner_plants(data))
-    phase, delay = margin_left(loops, conditions.delay(data), conditions.phase_margin)
-    return replace(made, noise=noise, phase=phase, delay=delay), _misfit(data, conditions, noise, phase)
+    phase, delay = margin_left(loops, conditions.delay(data), enough)
+    return replace(made, noise=noise, phase=phase, delay=delay)
 
 
-def _misfit(data: VehicleData, conditions: Conditions, noise: float, phase: float) -> str:
-    """Returns why a design does not fit, "" if it does."""
-    if phase < conditions.phase_margin:
-        shown = f"leaves {phase:.3g} deg" if phase > -180.0 else "is not stable"
-        return f"the loop {shown} in a corner, {conditions.phase_margin:g} deg are asked for,"
-    largest = NOISE * data.force_limit
-    return (
-        f"the sensor's noise gives a demand of {noise:.3g} N, {largest:.3g} N are allowed,"
-        if noise > largest
-        else ""
-    )
+def _misfits(design: _Design, data: VehicleData, phase_margin: float) -> dict[str, str]:
+    """Returns what does not fit of a design -> what besides the ranges would mend it."""
+    if math.isnan(design.noise):
+        norm = (
+            f"|G|_L1 L of the L1-norm condition is {design.norm:.3g} with the fastest filter for this delay"
+        )
+        return {f"{norm}, at most {NORM:g} is allowed": ""}
+    misfits = dict[str, str]()
+    if design.phase < phase_margin:
+        shown = f"leaves {design.phase:.3g} deg" if design.phase > -180.0 else "is not stable"
+        misfits[f"the loop {shown} in a corner, {phase_margin:g} deg are asked for"] = (
+            "a smaller --phase-margin"
+        )
+    if design.noise > (largest := NOISE * data.force_limit):
+        misfits[f"the sensor's noise gives a demand of {design.noise:.3g} N, {largest:.3g} N are allowed"] = (
+            f"a sensor with less noise ({1e3 * data.noise:.3g} mm)"
+        )
+    return misfits

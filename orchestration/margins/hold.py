@@ -132,7 +132,7 @@ class _Samples:
 class HoldRuns(AbstractContextManager["HoldRuns"]):
     """Runs of a scenario until the end of its hold.
 
-    make: makes them, by default in a place of their own, which `close` closes; timeout: of a run [s]
+    make: makes them, by default runners of their own, which `close` ends; timeout: of a run [s]
     """
 
     def __init__(
@@ -152,8 +152,8 @@ class HoldRuns(AbstractContextManager["HoldRuns"]):
             record=(self.hold.signal,),
         )
         self.prepared = prepare(chosen.system, self._experiment)
-        self._place = LocalRuns(1)
-        self._make = make or partial(in_order, self._place)
+        self._local_runs = LocalRuns(1)
+        self._make = make or partial(in_order, self._local_runs)
         self._job = Job(chosen.system, self._experiment, timeout)
         self._reduce = _Samples(self.hold.signal, self.hold.start - self._experiment.time_resolution())
         self.count = 0
@@ -200,7 +200,7 @@ class HoldRuns(AbstractContextManager["HoldRuns"]):
 
     def close(self) -> None:
         """Frees the FMUs."""
-        self._place.__exit__()
+        self._local_runs.__exit__()
 
     def __exit__(self, *error: object) -> None:
         self.close()

@@ -137,7 +137,6 @@ def _margins(label: str, law: Law, plant: Plant, limit: str, frozen: bool) -> It
 
 TRANSIENT = "prediction error"
 SIZES, STEPS, DURATION = (25.0, 100.0, 400.0), (1e-3, 2e-4, 2e-5), 4.0  # of the reference; s; s
-RUNS = len(SIZES) * len(STEPS)
 _BOUND = "Hovakimyan and Cao (2010): sqrt(4 max |theta|^2 / (lambda_min(P) Gamma))"
 _ERRORS = ("prediction_error[1]", "prediction_error[2]")
 

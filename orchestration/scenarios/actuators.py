@@ -93,6 +93,7 @@ class Actuators:
         """Returns the parameters of a controller that follow, by the names of the depth control interface.
 
         voltage_limit: its own [V]; there two thrusters give the largest force of a vehicle without voltages
+        One thruster is told as two of half its gain.
         points: of its table; with none it has no table, and takes the thrusters for lines
         """
         values: dict[str, float] = {"voltage_limit": self.limit} if self.in_volts else {}
@@ -101,8 +102,9 @@ class Actuators:
             arrays = {"scale": self.gains, "table_voltage": table.voltages, "table_force": table.forces}
             values |= {"thruster_tabulated": True}
         else:
-            gains = self.lines if self.in_volts else (0.5 * self.largest_force / voltage_limit,) * 2
-            arrays = {"gain": gains}
+            arrays = {"gain": self.lines if self.in_volts else (self.largest_force / voltage_limit,)}
+        if len(self.inputs) == 1:  # a controller gives each of two thrusters half of its force
+            arrays |= {name: (0.5 * arrays[name][0],) * 2 for name in ("gain", "scale") if name in arrays}
         values |= {f"thruster_{n}[{i}]": x for n, xs in arrays.items() for i, x in enumerate(xs, 1)}
         values |= {"force_limit": self.largest_force}
         return {name: value for name, value in values.items() if math.isfinite(value)}

@@ -102,6 +102,22 @@ def test_in_sea_water_it_floats_by_the_published_difference() -> None:
     assert WEIGHT - heavier == pytest.approx(-2.6, abs=0.05)
 
 
+def test_every_number_that_is_not_published_says_so() -> None:
+    """No source is one of RovHeavePitchPlant, which are of the paper's vehicle."""
+    sources = {v.name.partition("[")[0]: v.source for v in PLANT.variables if v.causality == "parameter"}
+    published = {name for name, source in sources.items() if source.startswith("published: ")}
+    numbers = {
+        "inertia", "linear_damping", "quadratic_damping", "weight", "net_weight", "water_density",
+        "thruster_scale", "thruster_table_force", "thruster_transfer", "thruster_lever", "pitch_inertia",
+        "metacentric_height", "pitch_linear_damping", "pitch_quadratic_damping", "sensor_period",
+        "sensor_resolution",
+    }  # fmt: skip
+    assert published == numbers | {"thruster_ideal", "thruster_tabulated", "sensor_ideal"}
+    others = ("chosen", "guess: ", "estimate: ", "assumed", "left out: ", "without effect beside the table")
+    assert all(source.startswith(others) for name, source in sources.items() if name not in published)
+    assert not [name for name, source in sources.items() if "paper" in source or "(11)" in source]
+
+
 def test_only_start_values_differ_from_rov_heave_pitch_plant() -> None:
     other = builder.load_block("RovHeavePitchPlant")
     assert PLANT.step is other.step

@@ -11,7 +11,6 @@ from scipy import stats
 
 from plant_fmu.depth_sensor import (
     HISTORY,
-    LARGEST_NOISE,
     SensorParameters,
     first_sample,
     normal,
@@ -21,6 +20,8 @@ from plant_fmu.depth_sensor import (
 )
 
 SENSOR = SensorParameters(sensor_noise=0.0, sensor_resolution=0.0)
+# |n| of Box and Muller is at most sqrt(2 ln M_1), as the smallest uniform number is 1 / M_1
+LARGEST_NOISE = math.sqrt(2.0 * math.log(2147483563.0))
 
 
 def readings(sensor: SensorParameters, seed: int = 1, count: int = 200, depth: float = 1.0) -> list[float]:

@@ -12,10 +12,12 @@ from scipy.optimize import brentq
 
 from controller_fmu.design import FilterOrder, l1_condition
 from orchestration.design import rules
+from orchestration.design.check import DesignCheck
 from orchestration.design.rules import Conditions, L1Design, PidDesign, beta_of
-from orchestration.design.vehicle_data import VehicleData
+from orchestration.design.vehicle_data import VehicleData, data_of, draws_of
 from orchestration.errors import OrchestrationError
 from orchestration.margins.l1_loop import Plant, loop
+from orchestration.score.vehicle import Vehicle
 
 
 def ideal_plant(inertia: float, damping: float) -> Plant:
@@ -148,7 +150,7 @@ def test_the_fast_loop_makes_a_quarter_of_a_turn_in_a_sample(l1: L1Design, data:
         ),
         (
             {"delay": 0.6},
-            r"no L1 for RovDepthPlant: \|G\|_L1 L of the L1-norm condition is .* less delay \(700 ms",
+            r"no L1 for RovDepthPlant: \|G\|_L1 L of the L1-norm condition is .* less delay \(700 ms\)$",
         ),
         ({"noise": 0.05}, r"no L1 for RovDepthPlant: the sensor's noise gives a demand of .* N, 0.3 N are"),
     ],
@@ -158,3 +160,34 @@ def test_ranges_for_which_there_is_no_design_are_refused(
 ) -> None:
     with pytest.raises(OrchestrationError, match=message):
         rules.design_l1(replace(data, **changed), conditions)
+
+
+@pytest.mark.parametrize("settling", [[40.0, math.nan, 50.0], [math.nan, 40.0, 50.0]])
+def test_a_run_that_does_not_settle_is_the_longest_and_the_worst(settling: list[float]) -> None:
+    checked = DesignCheck("PID", [{}] * 3, [1.0, 2.0, 3.0], settling, {})
+    assert math.isnan(checked.longest_settling)
+    assert math.isnan(settling[checked.worst])
+    settled = replace(checked, settling=[40.0, 60.0, 50.0])
+    assert (settled.longest_settling, settled.worst) == (60.0, 2)
+
+
+def test_a_pitching_vehicle_with_unequal_thrusters_has_no_design(conditions: Conditions) -> None:
+    """The page on design gives these numbers; the margin is the smallest of all corners."""
+    vehicle = Vehicle.of("RovHeavePitchPlant")
+    unequal = data_of(vehicle, draws_of(vehicle))
+    quiet = replace(unequal, noise=0.0)
+    with pytest.raises(OrchestrationError) as refused:
+        rules.design_l1(unequal, conditions, 0.524)
+    assert "the loop leaves 17.9 deg in a corner, 20 deg are asked for, and the" in str(refused.value)
+    assert "noise gives a demand of 0.368 N, 0.3 N are allowed, at 0.524 rad/s: " in str(refused.value)
+    assert str(refused.value).endswith(", or a smaller --phase-margin and a sensor with less noise (2.08 mm)")
+    # of all corners, and smaller at the bandwidths that are tried before and after
+    best, *others = (
+        rules.design_l1(quiet, replace(conditions, phase_margin=15.0), w).phase for w in (0.524, 0.477, 0.577)
+    )
+    assert best == pytest.approx(17.89, abs=5e-3)
+    assert max(others) < best
+    # what the message asks for, followed; and one thruster that is at most 5 % weaker
+    lower = replace(conditions, phase_margin=17.5)
+    assert rules.design_l1(replace(unequal, noise=0.0015), lower, 0.524).phase == best
+    assert rules.design_l1(replace(unequal, gain=(0.78, 1.2)), conditions, 0.635).phase > 20.0

@@ -59,3 +59,18 @@ def test_a_vehicle_with_voltages_needs_no_input_for_faults(tmp_path: Path) -> No
     design = design_of(scenario.load(scenario.find("nominal-l1"), settings=settings), 0.8, 0.8)
     assert design is not None
     assert design.plant.gains == (0.5, 0.5)
+
+
+def test_a_vehicle_with_one_thruster_gives_the_whole_demand(tmp_path: Path) -> None:
+    """The controller is told two of half its gain; a fault of its own takes that share of the loop."""
+    inputs = "voltage[1]", "thruster_efficiency[1]"
+    fmu = described(tmp_path / "boat.fmu", inputs, ("depth", "depth_rate"), ("mass", "k", "slow"))
+    fmu.with_suffix(".vehicle.toml").write_text(
+        '[variables]\ninertia = "mass"\ngain = ["k"]\nlag = ["slow"]\n'
+    )
+    settings: dict[str, Any] = {"plant": str(fmu), "plant.mass": 32.0, "plant.k": 4.0, "plant.slow": 0.2}
+    for efficiency in (1.0, 0.75):
+        faulty = {**settings, "plant.thruster_efficiency[1]": efficiency}
+        design = design_of(scenario.load(scenario.find("nominal-l1"), settings=faulty), 0.8, 0.8)
+        assert design is not None
+        assert (design.plant.gains, design.plant.lags) == ((efficiency,), (0.2,))

@@ -8,7 +8,7 @@ import pytest
 
 from orchestration.errors import ScenarioError
 from orchestration.scenarios import scenario
-from orchestration.scenarios.actuators import Actuators
+from orchestration.scenarios.actuators import Actuators, ForceTable
 from orchestration.score.closed_loop import ClosedLoop, built_in
 from orchestration.score.protocol import read_protocol
 from orchestration.score.vehicle import Vehicle
@@ -52,6 +52,17 @@ def test_the_range_of_a_force_is_what_two_thrusters_give_at_the_limit_of_the_con
     plant = boat(tmp_path, inputs=("control_force",), limit=160.0)
     assert parameters(plant) == dict.fromkeys(GAINS, 160.0 / 24.0)
     assert parameters(plant, controller__voltage_limit=16.0) == dict.fromkeys(GAINS, 160.0 / 32.0)
+
+
+def test_one_thruster_is_told_as_two_of_half_its_gain(tmp_path: Path) -> None:
+    """So it gives the whole of a demand, of which the controller gives it half, and up to its own limit."""
+    line = boat(tmp_path, '[variables]\ngain = ["fore"]\n', VOLTAGES[:1], limit=16.0)
+    assert parameters(line, plant__fore=4.0) == dict.fromkeys(GAINS, 2.0) | {"controller.voltage_limit": 16.0}
+    table = ForceTable((-10.0, 10.0), (-40.0, 30.0))
+    told = Actuators(VOLTAGES[:1], (2.0,), ((-10.0, 10.0),), table).parameters(12.0, 2)
+    assert (told["thruster_scale[1]"], told["thruster_scale[2]"]) == (1.0, 1.0)
+    assert (told["thruster_table_force[1]"], told["thruster_table_force[2]"]) == (-40.0, 30.0)
+    assert told["force_limit"] == 60.0
 
 
 def test_a_controller_with_a_force_and_the_allocation_behind_it_are_told_both(tmp_path: Path) -> None:
