@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from fmus.compliance.findings import counted
 from fmus.compliance.fmu_file import (
     CO_SIMULATION,
     MODEL_EXCHANGE,
@@ -66,7 +67,8 @@ def judged(rule: Rule, subject: FmuFile | Probe, is_random: bool = False) -> Res
     try:
         if isinstance(subject, FmuFile) and (reason := rule.condition(subject)):
             return Result(rule, not_applicable=reason)
-        messages = messages_of(rule.check(subject))
+        messages = rule.check(subject)
+        messages = messages_of(counted(messages) if isinstance(subject, Probe) else messages)
         return Result(rule, not_judged=RANDOM) if is_random else Result(rule, messages)
     except (TimeoutError, ProcessEndedError, MissingExtraError):
         raise
@@ -255,13 +257,25 @@ class _Judge:
                 yield self._result(rule, probe)
         except TimeoutError:
             if probe.process.hangs(limit):
-                yield Result(rule, (f"{HUNG} {limit:g} s in one call{_call(probe)}",))
+                yield self._ended(rule, f"{HUNG} {limit:g} s in one call", probe)
             else:
                 yield Result(rule, not_judged=f"{SLOW} {limit:g} s")
         except ProcessEndedError as ended:
-            yield Result(rule, (f"{ENDED} {ended}{_call(probe)}",))
+            yield self._ended(rule, f"{ENDED} {ended}", probe)
         finally:
             probe.process.close()
+
+    def _ended(self, rule: Rule, what: str, probe: Probe) -> Result:
+        """Returns the finding of a call that ends the process or the time, once: of the first of the rules
+        that are as severe.
+        """
+        call, severity = probe.process.call_under_way, list(Level)
+        message = f"{what}, in {call}" if call else what
+        others = (r.rule for r in self.results.values() if message in r.messages and r.rule is not rule)
+        severe = [o.name for o in others if severity.index(o.level) <= severity.index(rule.level)]
+        if call and severe:
+            return Result(rule, not_judged=f"{call} does not return, which {severe[0]} tells")
+        return Result(rule, (message,))
 
     def _result(self, rule: Rule, probe: Probe) -> Result:
         needed = [self.results[name] for name in (*FUNDAMENTAL, *rule.needs) if name in self.results]
@@ -326,11 +340,6 @@ class _Judge:
         loads = self.results.get("library-loads")
         gates = ["library-format", *(["library-exports"] if loads and loads.messages else [])]
         return next((f"{name}{IS_BROKEN}" for name in gates if name in broken), "")
-
-
-def _call(probe: Probe) -> str:
-    call = probe.process.call_under_way
-    return f", in {call}" if call else ""
 
 
 def _has_ended(result: Result) -> bool:

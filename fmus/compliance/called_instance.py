@@ -106,8 +106,10 @@ class CalledInstance(binding.BoundInstance):
         self.last_status = status
 
     def _tell(self, function: str, *arguments: Any) -> None:
-        """Announces a call, with the function that brought the instance where it is."""
+        """Announces a call, with the function that brought the instance where it is, and its callbacks."""
         after = f" after {self.mode}" if self.mode else ""
+        if kind := self._options.get("callbacks"):
+            after += f" (callbacks: {kind})"
         self._announce(f"{function}({', '.join(filter(None, map(parts.shown, arguments)))}){after}")
 
     def note(self, what: str, is_so: bool) -> None:

@@ -10,7 +10,7 @@ from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differ
 from fmus.compliance.fmu_file import MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
-from fmus.compliance.rules.events import Event, change, discrete_variables, first_message, no_states
+from fmus.compliance.rules.events import Event, change, discrete_variables, no_states, of_events
 from fmus.compliance.script import VECTORS, Action, Given, Reading, Script
 from fmus.compliance.values import if_not_claimed, same, unless_claimed
 from fmus.compliance.variable import Variable
@@ -140,7 +140,7 @@ def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
             where = f"where the continuous-time mode after {event.words} ends"
             yield f"{words}, read once more {where}: expected the same value"
 
-    yield from [*first_message(probe, read_twice)] or differences(probe, rows)
+    yield from [*of_events(probe, read_twice)] or differences(probe, rows)
 
 
 @_rule_of_rows("3.2.2")
@@ -224,4 +224,4 @@ def discrete_variables_are_frozen(probe: Probe) -> Iterator[str]:
                 mode = f"in continuous-time mode after {event.words}"
                 yield f"{v.name} changes from {a!r} to {b!r} {mode}: expected {a!r}"
 
-    yield from [*first_message(probe, left)] or differences(probe, [row])
+    yield from [*of_events(probe, left)] or differences(probe, [row])

@@ -116,11 +116,9 @@ def _run(probe: Probe, again: bool = False) -> tuple[list[Event], str]:
     return probe.once("run of model exchange", played, again)
 
 
-def first_message(
-    probe: Probe, about: Callable[[Event], Iterable[str]], again: bool = False
-) -> Iterator[str]:
-    """Returns the first message about an event of the run."""
-    return itertools.islice((message for event in _run(probe, again)[0] for message in about(event)), 1)
+def of_events(probe: Probe, about: Callable[[Event], Iterable[str]], again: bool = False) -> Iterator[str]:
+    """Returns the messages about the events of the run."""
+    return (message for event in _run(probe, again)[0] for message in about(event))
 
 
 def _event_rule(
@@ -131,7 +129,7 @@ def _event_rule(
     def register(about: Callable[[Event], Iterable[str]]) -> Check:
         @wraps(about)
         def check(probe: Probe) -> Iterator[str]:
-            return first_message(probe, about, again)
+            return of_events(probe, about, again)
 
         return _rule(clause, condition=condition)(check)
 
@@ -188,7 +186,7 @@ def states_after_events_are_read(probe: Probe) -> Iterator[str]:
                 got, read = texts(x, event.values[name])
                 yield f"{VECTORS[0]} gives {got} for {name} after {event.words}: expected {read}, as read"
 
-    return first_message(probe, differing)
+    return of_events(probe, differing)
 
 
 @_rule("2.2.7", condition=no_states)
@@ -258,7 +256,7 @@ def discrete_changes_have_an_event(probe: Probe) -> Iterator[str]:
                 where = f"at {event.words}, where no event is indicated"
                 expected = "expected a state, time or step event"
                 messages.append(f"{name} changes from {a!r} to {b!r} {where}: {expected}")
-    yield from messages[-1:]
+    yield from reversed(messages)
 
 
 # event indicators
@@ -296,4 +294,4 @@ def event_indicators_are_continuous(probe: Probe) -> Iterator[str]:
                 jump = f"event indicator {i + 1} jumps from {a:.6g} to {b:.6g}"
                 yield f"{jump} after {event.words}: expected continuous values"
 
-    return first_message(probe, jumps)
+    return of_events(probe, jumps)
