@@ -158,15 +158,6 @@ class CalledInstance(binding.BoundInstance):
 
     # calls
 
-    def set_up_experiment_with(
-        self, tolerance: list[float], start: float, stop: list[float], undefined: float = 0.0
-    ) -> None:
-        """Calls fmi2SetupExperiment. tolerance, stop: empty if not defined, and then `undefined`."""
-        self.call(
-            "fmi2SetupExperiment", int(bool(tolerance)), *(tolerance or [undefined]), start,
-            int(bool(stop)), *(stop or [undefined]),
-        )  # fmt: skip
-
     def get(self, kind: str, references: Sequence[int]) -> list[Any]:
         """Values; Strings as hexadecimal bytes, or nothing for NULL."""
         values = self._guarded_values(kind, references)

@@ -75,23 +75,24 @@ class Variable:
     def number(self, attribute: str) -> float | None:
         return number(self.get(attribute))
 
+    def _number(self, attribute: str, default: float) -> float:
+        stated = self.number(attribute)
+        return default if stated is None else stated
+
     @property
     def low(self) -> float:
         """The attribute min; -inf without one."""
-        low = self.number("min")
-        return -math.inf if low is None else low
+        return self._number("min", -math.inf)
 
     @property
     def high(self) -> float:
         """The attribute max; inf without one."""
-        high = self.number("max")
-        return math.inf if high is None else high
+        return self._number("max", math.inf)
 
     @property
     def nominal(self) -> float:
         """The attribute nominal; 1.0 without one."""
-        nominal = self.number("nominal")
-        return 1.0 if nominal is None else nominal
+        return self._number("nominal", 1.0)
 
     @property
     def start(self) -> str | None:

@@ -18,6 +18,7 @@ from fmus.fmi.binding import DISCARD, ERROR, FATAL, OK, WARNING
 NAME = "instance of the tour"
 _MOST_FAILED = 5  # calls of a tour
 TOLERANCE, LARGE_TOLERANCE = 1e-5, 1e-3
+WITH_TOLERANCE = *do.begin_until(1000, TOLERANCE), do.step(2)
 _SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
 
 Calls = Callable[[Probe, str], Iterable[Action]]
@@ -216,7 +217,7 @@ def _tour(
 
 def run_with_tolerance(probe: Probe) -> Script:
     """Returns a run in which tolerance and stop time are defined."""
-    return do.played(probe, (*do.begin_until(1000, TOLERANCE), do.step(2)), logging=True)
+    return do.played(probe, WITH_TOLERANCE, logging=True)
 
 
 # calls that rules ask for
@@ -243,6 +244,7 @@ class Expected:
 SUCCESS = Expected("ok", frozenset({OK, WARNING, DISCARD}))
 AN_ERROR = Expected("error", frozenset({ERROR}))
 REFUSAL = Expected("error or discard", frozenset({DISCARD, ERROR, FATAL}))
+SYNCHRONOUS = Expected("no pending step", frozenset({OK, WARNING, DISCARD, ERROR, FATAL}))
 KNOWN_OR_NOT = Expected("ok or discard", frozenset({OK, WARNING, DISCARD}))
 
 
