@@ -126,8 +126,9 @@ class Probe:
         all_scripts = [script for scripts in groups for script in scripts]
         self._note_messages(all_scripts)
         self._note_refusals(all_scripts)
-        self._judge_steps(all_scripts)
-        self._judge_calls(all_scripts)
+        for script in all_scripts:
+            if failure := script.failure:
+                self._judge_failure(script, failure)
 
     def play_usual_steps(self, script: Script) -> None:
         """Plays a script of equal steps of the default experiment's size.
@@ -151,31 +152,25 @@ class Probe:
             self._shared[_REFUSED_STEPS] = reason
             raise NotJudgedError(reason) from None
 
-    def _judge_steps(self, scripts: Sequence[Script]) -> None:
-        """Raises NotJudgedError for a step that fails where the FMU may refuse it: it refuses those of the
-        usual size, discards one of them, or is used beyond the stop time of its default experiment.
-        """
-        for script in scripts:
-            failure = script.failure
-            if failure is None or not failure.is_step:
-                continue
-            if _REFUSED_STEPS in self._shared:
-                raise NotJudgedError(self._shared[_REFUSED_STEPS])
-            if failure.status == DISCARD and _DISCARDED_STEP in self._shared:
-                raise NotJudgedError(self._shared[_DISCARDED_STEP])
-            _, t, h, *_ = script.calls[script.replies.index(failure)]
-            if t + h > self.stop_time + 1e-9 * max(abs(t), h):
-                raise NotJudgedError("the FMU refuses steps beyond the stop time of its DefaultExperiment")
-
     def note_failure(self, reply: Reply, rule: str) -> None:
         """Notes, for all rules, that a function fails in a state, which a rule tells."""
         self._shared.setdefault(_KNOWN, {})[reply.function, reply.state] = rule
 
-    def _judge_calls(self, scripts: Sequence[Script]) -> None:
-        """Raises NotJudgedError for a call that is known to fail: the rule of it has told that."""
-        for failure in filter(None, (script.failure for script in scripts)):
-            if rule := self._shared.get(_KNOWN, {}).get((failure.function, failure.state)):
-                raise NotJudgedError(f"{failure.function} fails, which {rule} tells")
+    def _judge_failure(self, script: Script, failure: Reply) -> None:
+        """Raises NotJudgedError for a call that is known to fail, which the rule of it has told, and for a
+        step that the FMU may refuse: it refuses those of the usual size, discards one of them, or is used
+        beyond the stop time of its default experiment.
+        """
+        if rule := self._shared.get(_KNOWN, {}).get((failure.function, failure.state)):
+            raise NotJudgedError(f"{failure.function} fails, which {rule} tells")
+        reasons = [_REFUSED_STEPS, *([_DISCARDED_STEP] if failure.status == DISCARD else [])]
+        for reason in reasons if failure.is_step else ():
+            if reason in self._shared:
+                raise NotJudgedError(self._shared[reason])
+        if failure.is_step:
+            _, t, h, *_ = script.calls[script.replies.index(failure)]
+            if t + h > self.stop_time + 1e-9 * max(abs(t), h):
+                raise NotJudgedError("the FMU refuses steps beyond the stop time of its DefaultExperiment")
 
     @property
     def refusals(self) -> list[Reply]:

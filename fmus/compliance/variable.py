@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
+from typing import Any
 
 from fmus.fmi.variable_types import TRANSFER_TYPE
 
@@ -104,6 +105,44 @@ class Variable:
         return self.causality == "input" or (
             self.variability != "constant" and self.initial in ("exact", "approx")
         )
+
+
+_NONE = Variable(0, {}, "", {}, {})
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """An Unknown of a section of ModelStructure. variable: one with index 0 if its index is that of none."""
+
+    section: str
+    element: Any
+    variable: Variable = _NONE
+
+    @property
+    def dependencies(self) -> list[str]:
+        return self.element.get("dependencies", "").split()
+
+    @property
+    def kinds(self) -> list[str]:
+        return self.element.get("dependenciesKind", "").split()
+
+    @property
+    def is_initial(self) -> bool:
+        return self.section == "InitialUnknowns"
+
+    @property
+    def where(self) -> str:
+        v, index = self.variable, self.element.get("index")
+        return f"{self.section}, unknown {v.name} ({index})" if v.index else f"{self.section}, index {index}"
+
+    @cached_property
+    def indices(self) -> frozenset[int | None]:
+        """The dependencies as numbers."""
+        return frozenset(map(integer, self.dependencies))
+
+    def depends_on(self, known: Variable) -> bool:
+        """Whether it lists a known, or lists nothing, which means all."""
+        return "dependencies" not in self.element.attrib or known.index in self.indices
 
 
 def number(text: str | None) -> float | None:

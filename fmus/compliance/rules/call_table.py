@@ -99,9 +99,8 @@ def output_derivatives(probe: Probe, _: str, orders: Sequence[int] = ()) -> Iter
 
 def _directional_derivatives(probe: Probe, state: str) -> Iterator[Action]:
     sections = ("InitialUnknowns",) if state == "M" else ("Outputs", "Derivatives")
-    indices = dict.fromkeys(index or 1 for name in sections for index, _ in probe.fmu.unknowns(name))
-    unknowns = [probe.fmu.variables[index - 1] for index in indices]
-    references = values.references_of(v for v in unknowns if v.kind == "Real")
+    unknowns = {u.variable.index: u.variable for name in sections for u in probe.fmu.unknowns[name]}
+    references = values.references_of(v for v in unknowns.values() if v.kind == "Real")
     inputs = values.references_of(values.continuous_reals(probe, "input"))
     if references and inputs and probe.fmu.claims("providesDirectionalDerivative"):
         yield do.call("directional_derivatives", references, inputs, [1.0] * len(inputs))
