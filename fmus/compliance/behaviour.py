@@ -287,25 +287,20 @@ class _Judge:
     def _judge_without_instances_before(self, result: Result) -> None:
         """Judges a rule again where no instance was before, as 4.3.1 lets an FMU ask for, if it may matter.
 
-        A crash, or no instance, that instances before it cause is a finding of one rule.
+        An instance that is refused because of others before it is a finding of one rule.
         """
         rule, follow = result.rule, self.results.get(_AFTER_OTHERS)
-        crashes = [m for m in result.messages if m.startswith((ENDED, NO_INSTANCE))]
+        refusal = next((m for m in result.messages if m.startswith(NO_INSTANCE)), "")
         only_once = self._fmu.claims(ONLY_ONCE)
-        if not (result.messages if only_once else crashes and follow and follow.rule is not rule):
+        if not (result.messages if only_once else refusal and follow and follow.rule is not rule):
             return
-        if follow and follow.messages and _has_ended(result):
-            self.results[rule.name] = Result(rule, not_judged=f"{_AFTER_OTHERS}{IS_BROKEN}")
-            return
-        alone = next(self._results([rule], is_alone=True))
-        self.results[rule.name] = alone
-        if set(crashes) & set(alone.messages):
-            return
-        self._is_alone = any(message.startswith(NO_INSTANCE) for message in crashes)
+        alone = self.results[rule.name] = next(self._results([rule], is_alone=True))
+        self._is_alone = bool(refusal) and refusal not in alone.messages
         is_error = rule.level is Level.ERROR  # others may have made calls that FMI forbids
-        if is_error and crashes and follow and not (only_once or follow.messages):
-            message = f"{rule.name}, after other instances: {crashes[0]}"
-            self.results[_AFTER_OTHERS] = Result(follow.rule, (message,))
+        if self._is_alone and is_error and follow and not (only_once or follow.messages):
+            self.results[_AFTER_OTHERS] = Result(
+                follow.rule, (f"{rule.name}, after other instances: {refusal}",)
+            )
 
     def _judge_formats_after_a_crash(self, rules: Sequence[Rule]) -> None:
         """Judges the rule of formats if the last rule ended the process: it may be the cause."""
