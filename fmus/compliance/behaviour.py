@@ -8,7 +8,6 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from fmus.compliance.findings import counted
 from fmus.compliance.fmu_file import (
@@ -20,7 +19,7 @@ from fmus.compliance.fmu_file import (
     UnreadableMemberError,
 )
 from fmus.compliance.fmu_process import START_S
-from fmus.compliance.probe import NO_INSTANCE, Probe
+from fmus.compliance.probe import NO_INSTANCE, Probe, Shared
 from fmus.compliance.rule import (
     CANNOT_LOAD,
     IS_BROKEN,
@@ -197,7 +196,7 @@ class _Judge:
         self._fmu, self._timeout, self._of_libraries = fmu, timeout, of_libraries
         self._folder = Path()
         self._is_alone = False  # whether each instance has a process of its own from now on
-        self._shared: dict[bool, dict[str, Any]] = {False: {}, True: {}}  # by whether instances are alone
+        self._shared = {False: Shared(), True: Shared()}  # by whether instances are alone
         self.results: dict[str, Result] = {}
 
     def judge(self, chosen: Sequence[Rule]) -> None:

@@ -43,9 +43,9 @@ def _way(probe: Probe, state: str) -> Iterable[Action]:
 
 def discarded_step(probe: Probe) -> int:
     """Returns the number of equal steps before the first that the FMU discards."""
-    if probe.discarded_step is None:
+    if probe.shared.discarded_step is None:
         raise NotApplicableError("no step is discarded")
-    return probe.discarded_step
+    return probe.shared.discarded_step
 
 
 def _log(probe: Probe, _: str) -> Iterator[Action]:

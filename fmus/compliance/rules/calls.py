@@ -200,7 +200,7 @@ def unknown_statuses_are_discarded(probe: Probe) -> Iterator[table.Ask]:
     """fmi2GetXXXStatus returns ok, or discard for what it cannot retrieve; no other status."""
     kinds = [(kind, number) for number, (_, kind) in _STATUS_KINDS.items()]
     for kind, number in (*kinds, ("Integer", 0)):
-        states = "CT" if probe.discarded_step is None else "CFT"
+        states = "CT" if probe.shared.discarded_step is None else "CFT"
         yield from (table.Ask(state, [do.call("status_of", kind, number)]) for state in states)
 
 

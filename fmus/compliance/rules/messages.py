@@ -34,7 +34,7 @@ _OF_STATES = "fmi2SetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndic
 
 def _log(probe: Probe) -> list[Message]:
     """Returns the messages of all runs with logging that other rules have played."""
-    return probe.log
+    return list(probe.shared.log)
 
 
 def _refusal(probe: Probe) -> list[Message]:
@@ -124,12 +124,12 @@ def _of_the_tour(probe: Probe) -> list[Reply]:
 
 
 def _refusals(probe: Probe) -> list[Reply]:
-    return probe.refusals
+    return list(probe.shared.refusals.values())
 
 
 def _refused(probe: Probe) -> list[Reply]:
     """Returns replies with logging that are warning, discard or error; discarded steps have a rule."""
-    replies = [*probe.refusals, *tour(probe).script.replies, *tour(probe).failed]
+    replies = [*probe.shared.refusals.values(), *tour(probe).script.replies, *tour(probe).failed]
     refused = [reply for reply in replies if reply.status not in (None, OK, PENDING)]
     return [reply for reply in refused if not reply.reason and (not reply.is_step or reply.status != DISCARD)]
 
