@@ -23,6 +23,7 @@ _LINE = re.compile(r"line (\d+):")
 _NAMED = re.compile(r"'([^']+)'|(?:^|\bof )([^\s:']+?)(?=[:,]?(?:\s|$))")
 _FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:)?(?:[/\\][^/\\\s:'\"]+)+[/\\]")  # of an absolute path
 _NUMBER = re.compile(r"(?<![\w\[#.])[+-]?(?:0x[0-9a-f]+|\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)(?![\w\]])")
+_MORE = re.compile(r" \(and \d+ more like it\)")  # of `counted`
 _START = re.compile(r", (?:[\w ]+ )?in a run")  # in words of `differential.starts`
 _TYPES = {str: "a text", date: "a date, such as 2027-01-31 without quotes"}
 
@@ -169,10 +170,10 @@ def useless(waivers: Sequence[Waiver], findings: Sequence[Finding], today: date)
 
 
 def key_of(finding: Finding) -> str:
-    """Returns file name, rule and message of a finding, without folders and numbers, which vary from run to
-    run and from machine to machine.
+    """Returns file name, rule and message of a finding, without folders, numbers and count, which vary from
+    run to run and from machine to machine.
     """
-    message = _NUMBER.sub("#", _FOLDERS.sub("", finding.message))
+    message = _NUMBER.sub("#", _FOLDERS.sub("", _MORE.sub("", finding.message)))
     return f"{finding.fmu.name}: {finding.rule.name}: {message}"
 
 
