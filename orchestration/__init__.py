@@ -1,7 +1,7 @@
 """Everything that uses FMUs, through their model descriptions alone: the master algorithm and its tools.
 
 Users import from here and from `orchestration.gym`. The names stand in `__init__.pyi` alone, a line each. A
-name is imported when it is asked for: the pytest plugin of the checker must load nothing heavy.
+name is imported when it is asked for: a command loads nothing that it does not use.
 """
 
 from importlib import import_module

@@ -290,8 +290,6 @@ def third_party(path: Path) -> set[str]:
 def test_what_is_imported_is_declared_for_its_room() -> None:
     declared = project()
     for name, path in MODULES.items():
-        if name == "fmus.compliance.pytest_plugin":  # which pytest itself loads
-            continue
         allowed = declared[""].union(*(declared[extra] for extra in EXTRAS.get(room(name), set())))
         assert third_party(path) <= allowed, f"{name} imports {third_party(path) - allowed}"
 

@@ -39,7 +39,12 @@ read_bytes, glance, plain = _action(Script.read_bytes), _action(Script.read), _a
 
 def set_up(stop: int, tolerance: float | None = None, start: int = 0) -> Action:
     """Sets the experiment up, from the communication point of a number to that of another."""
-    return lambda script: script.set_up(script.probe.point(start), script.probe.point(stop), tolerance)
+
+    def action(script: Script) -> None:
+        times = script.probe.point(start), script.probe.point(stop)
+        script.call("set_up_experiment", *times, tolerance)
+
+    return action
 
 
 def begin_until(stop: int, tolerance: float | None = None, start: int = 0) -> tuple[Action, ...]:
@@ -227,29 +232,24 @@ def others_accepted(probe: Probe, variables: Sequence[Variable], *before: Action
 
 
 def accepted_together(probe: Probe, pairs: Sequence[Pair], *before: Action) -> list[Pair]:
-    """Returns variables and values with which the FMU takes a step at once after some actions: those accepted
-    alone, less those that it refuses beside others; found once for all rules that begin alike.
+    """Returns variables and values with which the FMU takes a step at once after some actions: all, or each
+    that it takes beside those before it; found once for all rules that begin alike.
     """
+
+    def chosen() -> list[Pair]:
+        if not pairs or _takes(probe, pairs, before):
+            return list(pairs)
+        together = list[Pair]()
+        for pair in pairs:
+            together += [pair] if _takes(probe, [*together, pair], before) else []
+        return together
+
     key = [(v.name, x) for v, x in pairs], probe.script(*before).calls
-    return probe.once("choice of values", lambda: _chosen(probe, pairs, before), *key)
+    return probe.once("choice of values", chosen, *key)
 
 
-def _chosen(probe: Probe, pairs: Sequence[Pair], before: Sequence[Action]) -> list[Pair]:
-    if not pairs or _takes(probe, [pairs], before)[0]:
-        return list(pairs)
-    succeeded = _takes(probe, [[pair] for pair in pairs], before)
-    alone = [pair for pair, ok in zip(pairs, succeeded, strict=True) if ok]
-    if not alone or _takes(probe, [alone], before)[0]:
-        return alone
-    together = list[Pair]()
-    for pair in alone:
-        if _takes(probe, [[*together, pair]], before)[0]:
-            together.append(pair)
-    return together
-
-
-def _takes(probe: Probe, choices: Sequence[Sequence[Pair]], before: Sequence[Action]) -> list[bool]:
-    """Whether the FMU takes a step after the values of each choice were set in a new script."""
+def _takes(probe: Probe, pairs: Sequence[Pair], before: Sequence[Action]) -> bool:
+    """Whether the FMU takes a step after values were set in a new script."""
 
     def finish(script: Script) -> None:
         if script.state == "instantiated":
@@ -258,6 +258,6 @@ def _takes(probe: Probe, choices: Sequence[Sequence[Pair]], before: Sequence[Act
             script.exit_initialization_mode()
         script.step()
 
-    scripts = [probe.script(*before, set_values(pairs), finish) for pairs in choices]
-    probe.play_each(scripts)
-    return [script.succeeded for script in scripts]
+    script = probe.script(*before, set_values(pairs), finish)
+    probe.play_each([script])
+    return script.succeeded

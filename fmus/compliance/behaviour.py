@@ -8,8 +8,8 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
+from fmus.compliance.findings import counted
 from fmus.compliance.fmu_file import (
     CO_SIMULATION,
     MODEL_EXCHANGE,
@@ -19,7 +19,7 @@ from fmus.compliance.fmu_file import (
     UnreadableMemberError,
 )
 from fmus.compliance.fmu_process import START_S
-from fmus.compliance.probe import NO_INSTANCE, Probe
+from fmus.compliance.probe import NO_INSTANCE, Probe, Shared
 from fmus.compliance.rule import (
     CANNOT_LOAD,
     IS_BROKEN,
@@ -66,7 +66,8 @@ def judged(rule: Rule, subject: FmuFile | Probe, is_random: bool = False) -> Res
     try:
         if isinstance(subject, FmuFile) and (reason := rule.condition(subject)):
             return Result(rule, not_applicable=reason)
-        messages = messages_of(rule.check(subject))
+        messages = rule.check(subject)
+        messages = messages_of(counted(messages) if isinstance(subject, Probe) else messages)
         return Result(rule, not_judged=RANDOM) if is_random else Result(rule, messages)
     except (TimeoutError, ProcessEndedError, MissingExtraError):
         raise
@@ -195,7 +196,7 @@ class _Judge:
         self._fmu, self._timeout, self._of_libraries = fmu, timeout, of_libraries
         self._folder = Path()
         self._is_alone = False  # whether each instance has a process of its own from now on
-        self._shared: dict[bool, dict[str, Any]] = {False: {}, True: {}}  # by whether instances are alone
+        self._shared = {False: Shared(), True: Shared()}  # by whether instances are alone
         self.results: dict[str, Result] = {}
 
     def judge(self, chosen: Sequence[Rule]) -> None:
@@ -255,13 +256,28 @@ class _Judge:
                 yield self._result(rule, probe)
         except TimeoutError:
             if probe.process.hangs(limit):
-                yield Result(rule, (f"{HUNG} {limit:g} s in one call{_call(probe)}",))
+                yield self._ended(rule, f"{HUNG} {limit:g} s in one call", probe)
             else:
                 yield Result(rule, not_judged=f"{SLOW} {limit:g} s")
         except ProcessEndedError as ended:
-            yield Result(rule, (f"{ENDED} {ended}{_call(probe)}",))
+            yield self._ended(rule, f"{ENDED} {ended}", probe)
         finally:
             probe.process.close()
+
+    def _ended(self, rule: Rule, what: str, probe: Probe) -> Result:
+        """Returns the finding of a call that ends the process or the time, once: of the first of the rules
+        that are as severe.
+        """
+        follow = self.results.get(_AFTER_OTHERS)
+        if what.startswith(ENDED) and follow and follow.messages and not probe.process.one_instance:
+            return Result(rule, not_judged=f"{_AFTER_OTHERS}{IS_BROKEN}")
+        call, severity = probe.process.call_under_way, list(Level)
+        message = f"{what}, in {call}" if call else what
+        others = (r.rule for r in self.results.values() if message in r.messages and r.rule is not rule)
+        severe = [o.name for o in others if severity.index(o.level) <= severity.index(rule.level)]
+        if call and severe:
+            return Result(rule, not_judged=f"{call} does not return, which {severe[0]} tells")
+        return Result(rule, (message,))
 
     def _result(self, rule: Rule, probe: Probe) -> Result:
         needed = [self.results[name] for name in (*FUNDAMENTAL, *rule.needs) if name in self.results]
@@ -273,25 +289,20 @@ class _Judge:
     def _judge_without_instances_before(self, result: Result) -> None:
         """Judges a rule again where no instance was before, as 4.3.1 lets an FMU ask for, if it may matter.
 
-        A crash, or no instance, that instances before it cause is a finding of one rule.
+        An instance that is refused because of others before it is a finding of one rule.
         """
         rule, follow = result.rule, self.results.get(_AFTER_OTHERS)
-        crashes = [m for m in result.messages if m.startswith((ENDED, NO_INSTANCE))]
+        refusal = next((m for m in result.messages if m.startswith(NO_INSTANCE)), "")
         only_once = self._fmu.claims(ONLY_ONCE)
-        if not (result.messages if only_once else crashes and follow and follow.rule is not rule):
+        if not (result.messages if only_once else refusal and follow and follow.rule is not rule):
             return
-        if follow and follow.messages and _has_ended(result):
-            self.results[rule.name] = Result(rule, not_judged=f"{_AFTER_OTHERS}{IS_BROKEN}")
-            return
-        alone = next(self._results([rule], is_alone=True))
-        self.results[rule.name] = alone
-        if set(crashes) & set(alone.messages):
-            return
-        self._is_alone = any(message.startswith(NO_INSTANCE) for message in crashes)
+        alone = self.results[rule.name] = next(self._results([rule], is_alone=True))
+        self._is_alone = bool(refusal) and refusal not in alone.messages
         is_error = rule.level is Level.ERROR  # others may have made calls that FMI forbids
-        if is_error and crashes and follow and not (only_once or follow.messages):
-            message = f"{rule.name}, after other instances: {crashes[0]}"
-            self.results[_AFTER_OTHERS] = Result(follow.rule, (message,))
+        if self._is_alone and is_error and follow and not (only_once or follow.messages):
+            self.results[_AFTER_OTHERS] = Result(
+                follow.rule, (f"{rule.name}, after other instances: {refusal}",)
+            )
 
     def _judge_formats_after_a_crash(self, rules: Sequence[Rule]) -> None:
         """Judges the rule of formats if the last rule ended the process: it may be the cause."""
@@ -326,11 +337,6 @@ class _Judge:
         loads = self.results.get("library-loads")
         gates = ["library-format", *(["library-exports"] if loads and loads.messages else [])]
         return next((f"{name}{IS_BROKEN}" for name in gates if name in broken), "")
-
-
-def _call(probe: Probe) -> str:
-    call = probe.process.call_under_way
-    return f", in {call}" if call else ""
 
 
 def _has_ended(result: Result) -> bool:

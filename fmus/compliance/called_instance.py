@@ -106,8 +106,10 @@ class CalledInstance(binding.BoundInstance):
         self.last_status = status
 
     def _tell(self, function: str, *arguments: Any) -> None:
-        """Announces a call, with the function that brought the instance where it is."""
+        """Announces a call, with the function that brought the instance where it is, and its callbacks."""
         after = f" after {self.mode}" if self.mode else ""
+        if kind := self._options.get("callbacks"):
+            after += f" (callbacks: {kind})"
         self._announce(f"{function}({', '.join(filter(None, map(parts.shown, arguments)))}){after}")
 
     def note(self, what: str, is_so: bool) -> None:
@@ -155,15 +157,6 @@ class CalledInstance(binding.BoundInstance):
         return len(self._memory.held)
 
     # calls
-
-    def set_up_experiment_with(
-        self, tolerance: list[float], start: float, stop: list[float], undefined: float = 0.0
-    ) -> None:
-        """Calls fmi2SetupExperiment. tolerance, stop: empty if not defined, and then `undefined`."""
-        self.call(
-            "fmi2SetupExperiment", int(bool(tolerance)), *(tolerance or [undefined]), start,
-            int(bool(stop)), *(stop or [undefined]),
-        )  # fmt: skip
 
     def get(self, kind: str, references: Sequence[int]) -> list[Any]:
         """Values; Strings as hexadecimal bytes, or nothing for NULL."""

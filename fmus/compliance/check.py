@@ -23,9 +23,7 @@ NO_VERDICT, NOT_JUDGED = 3, 4  # exit status
 def check(
     fmus: Annotated[
     list[Path] | None, typer.Argument(metavar="FMU...", help="FMUs of any origin.", show_default=False)
-    ] = None, json_file: Annotated[
-    str, typer.Option("--json", metavar="FILE", help="Write the results as JSON; - prints them.") ] = "",
-    format_name: Annotated[ Literal["text", "json", "sarif", "junit", "github"],
+    ] = None, format_name: Annotated[ Literal["text", "json", "sarif", "junit", "github"],
     typer.Option("--format", help="Format of what is printed, or of --out; github: annotations."), ] = "text",
     out: Annotated[
     Path | None, typer.Option(metavar="FILE", help="Write that format to a file, and print text.") ] = None,
@@ -80,7 +78,7 @@ def check(
             if baseline and write_baseline:
                 baseline.write_text(findings.baseline_text(left), encoding="utf-8")
                 _tell(f"{baseline}: written, with {len(checked.open)} findings")
-            _print(checked, format_name, out, json_file)
+            _print(checked, format_name, out)
         status = 0 if write_baseline else _status(checked, strict)
     except (ValueError, OSError, OrchestrationError, HostError) as error:
         _tell(str(error))
@@ -148,17 +146,13 @@ def _progress(quiet: bool) -> Iterator[Callable[[str], None]]:
         yield lambda text: status.update(escape(text))
 
 
-def _print(checked: "Checked", format_name: str, out: Path | None, json_file: str) -> None:
+def _print(checked: "Checked", format_name: str, out: Path | None) -> None:
     from fmus.compliance import report
 
     document = report.FORMATS[format_name](checked)
     if out is not None:
         out.write_text(document, encoding="utf-8")
         document = report.text(checked)
-    if json_file == "-":
-        document = report.json_text(checked)
-    elif json_file:
-        Path(json_file).write_text(report.json_text(checked), encoding="utf-8")
     print(document, end="")
 
 

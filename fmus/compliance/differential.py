@@ -85,16 +85,13 @@ def differences(probe: Probe, rows: Iterable[Row]) -> Iterator[str]:
             raise
         yield f"{_failing(written[0][0])}: {error}"
         return
-    messages: dict[str, str] = {}  # the first of each variable
     for row, usual, plays in written:
         if row.beside:
             probe.play(*plays, keep_going=True)
         try:
-            for message in verdict(probe, row, usual, plays):
-                messages.setdefault(message.split(" is ", 1)[0], message)
+            yield from verdict(probe, row, usual, plays)
         except NotJudgedError as reason:
             reasons.append(reason)
-    yield from messages.values()
     if reasons and len(reasons) == count:
         raise reasons[0]
 

@@ -1,10 +1,10 @@
-"""Findings of a check as one list, and its filters: waivers, a baseline, folding."""
+"""Findings of a check as one list, and its filters: waivers, a baseline, counting and folding."""
 
 import json
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
 from datetime import date
 from fnmatch import fnmatchcase
@@ -23,7 +23,21 @@ _LINE = re.compile(r"line (\d+):")
 _NAMED = re.compile(r"'([^']+)'|(?:^|\bof )([^\s:']+?)(?=[:,]?(?:\s|$))")
 _FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:)?(?:[/\\][^/\\\s:'\"]+)+[/\\]")  # of an absolute path
 _NUMBER = re.compile(r"(?<![\w\[#.])[+-]?(?:0x[0-9a-f]+|\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)(?![\w\]])")
+_MORE = re.compile(r" \(and \d+ more like it\)")  # of `counted`
+_START = re.compile(r", (?:[\w ]+ )?in a run")  # in words of `differential.starts`
 _TYPES = {str: "a text", date: "a date, such as 2027-01-31 without quotes"}
+
+
+def counted(messages: Iterable[str]) -> Iterator[str]:
+    """Yields the first message of each cause with the number of others: those about the same variable, or
+    that differ in numbers or in where their run begins.
+    """
+    causes: dict[str, list[str]] = {}
+    for message in messages:
+        cause = _NUMBER.sub("#", _START.sub("", message).split(" is ", 1)[0])
+        causes.setdefault(cause, []).append(message)
+    for first, *others in causes.values():
+        yield f"{first} (and {len(others)} more like it)" if others else first
 
 
 @dataclass(frozen=True)
@@ -156,10 +170,10 @@ def useless(waivers: Sequence[Waiver], findings: Sequence[Finding], today: date)
 
 
 def key_of(finding: Finding) -> str:
-    """Returns file name, rule and message of a finding, without folders and numbers, which vary from run to
-    run and from machine to machine.
+    """Returns file name, rule and message of a finding, without folders, numbers and count, which vary from
+    run to run and from machine to machine.
     """
-    message = _NUMBER.sub("#", _FOLDERS.sub("", finding.message))
+    message = _NUMBER.sub("#", _FOLDERS.sub("", _MORE.sub("", finding.message)))
     return f"{finding.fmu.name}: {finding.rule.name}: {message}"
 
 

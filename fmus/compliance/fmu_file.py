@@ -2,14 +2,14 @@
 
 import re
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from copy import copy
 from functools import cache, cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from fmus.compliance.variable import Variable, integer, is_true
+from fmus.compliance.variable import Unknown, Variable, integer, is_true
 from fmus.extras import require
 from fmus.files import extract_archive, too_large
 from fmus.fmi.binding import library_member
@@ -183,7 +183,7 @@ class FmuFile:
     @cached_property
     def state_derivatives(self) -> dict[int, int]:
         """Index of each variable in Derivatives that has the attribute derivative -> index of its state."""
-        listed = (index for index, _ in self.unknowns("Derivatives"))
+        listed = (unknown.variable.index for unknown in self.unknowns["Derivatives"])
         return {index: self.derivatives[index].index for index in listed if index in self.derivatives}
 
     @cached_property
@@ -191,25 +191,15 @@ class FmuFile:
         """Indices of the continuous-time states: those whose derivatives stand in Derivatives."""
         return frozenset(self.state_derivatives.values())
 
-    def unknowns(self, section: str) -> Iterator[tuple[int | None, Any]]:
-        """Yields (index or nothing if it is none of a variable, element) of a section of ModelStructure."""
-        for element in self.root.iterfind(f"ModelStructure/{section}/Unknown"):
-            index = integer(element.get("index"))
-            exists = index is not None and 1 <= index <= len(self.variables)
-            yield (index if exists else None), element
-
     @cached_property
-    def dependencies(self) -> dict[str, list[tuple[Variable, list[int | None] | None]]]:
-        """Section of ModelStructure -> each Unknown that is the index of a variable, with the indices of the
-        knowns that it lists; None where it lists nothing.
-        """
-
-        def listed(element: Any) -> list[int | None] | None:
-            stated = element.get("dependencies")
-            return None if stated is None else [integer(text) for text in stated.split()]
-
+    def unknowns(self) -> dict[str, list[Unknown]]:
+        """Section of ModelStructure -> its unknowns."""
+        variables = {v.index: (v,) for v in self.variables}
         return {
-            section: [(self.variables[i - 1], listed(e)) for i, e in self.unknowns(section) if i is not None]
+            section: [
+                Unknown(section, element, *variables.get(integer(element.get("index")) or 0, ()))
+                for element in self.root.iterfind(f"ModelStructure/{section}/Unknown")
+            ]
             for section in ("Outputs", "Derivatives", "InitialUnknowns")
         }
 
@@ -217,7 +207,7 @@ class FmuFile:
         """Returns the number of elements that a function of model exchange gives."""
         if function == "fmi2GetEventIndicators":
             return integer(self.root.get("numberOfEventIndicators")) or 0
-        return sum(1 for _ in self.unknowns("Derivatives"))
+        return len(self.unknowns["Derivatives"])
 
     def platforms(self) -> list[str]:
         """Returns the names of the folders below binaries that hold a file."""

@@ -86,17 +86,19 @@ class ModelExchangeInstance(CalledInstance):
         """Returns the elements of fmi2EventInfo by name."""
         info = EventInfo(*[_NO_BOOLEAN] * 5)
         self.call("fmi2NewDiscreteStates", ctypes.byref(info))
-        values = {name: getattr(info, name) for name in _INFOS}
-        self.note(UNWRITTEN, self.last_status == OK and _NO_BOOLEAN in values.values())
-        return {name: 0 if value == _NO_BOOLEAN else value for name, value in values.items()}
+        flags = self._booleans([getattr(info, name) for name in _INFOS[:-1]])
+        return dict(zip(_INFOS, [*flags, info.nextEventTime], strict=True))
 
-    def completed_integrator_step(self, no_going_back: bool = True, before: int = 0) -> list[int]:
-        """Returns enterEventMode and terminateSimulation, which have a value before the call."""
-        enter, terminate = ctypes.c_int(before), ctypes.c_int(before)
-        self.call(
-            "fmi2CompletedIntegratorStep", int(no_going_back), ctypes.byref(enter), ctypes.byref(terminate)
-        )
-        return [enter.value, terminate.value]
+    def _booleans(self, flags: list[int]) -> list[int]:
+        """Returns flags that the FMU was to write, 0 for each that is no Boolean, and notes that."""
+        self.note(UNWRITTEN, self.last_status == OK and not {*flags} <= {0, 1})
+        return [flag if flag in (0, 1) else 0 for flag in flags]
+
+    def completed_integrator_step(self, no_going_back: bool = True) -> list[int]:
+        """Returns enterEventMode and terminateSimulation."""
+        flags = [ctypes.c_int(_NO_BOOLEAN), ctypes.c_int(_NO_BOOLEAN)]
+        self.call("fmi2CompletedIntegratorStep", int(no_going_back), *map(ctypes.byref, flags))
+        return self._booleans([flag.value for flag in flags])
 
     def complete_step(self) -> str:
         """Completes a step in which there is no event; returns the reason why it is discarded otherwise."""

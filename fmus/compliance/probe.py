@@ -6,7 +6,7 @@ import re
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,10 +20,6 @@ from fmus.fmi.binding import DISCARD, ERROR
 
 T = TypeVar("T")
 _LICENCE = re.compile("licen[cs]e", re.IGNORECASE)
-_REFUSED_STEPS, _DISCARDED_STEP = "refused steps", "discarded step"  # among what the rules share
-_NUMBER_OF_IT = "number of the discarded step"
-_REFUSALS, _PLAYED, _LOG = "refusals", "answers of scripts that were played", "messages"
-_KNOWN = "calls that are known to fail"
 _MOST_MESSAGES = 10_000
 _FEWEST_STEPS, _MEASURED_STEPS, _MOST_STEPS = 10, 40, 5_000  # of a run over the default experiment
 _LONGEST_RUN_S = 1.0
@@ -35,6 +31,29 @@ _OF_CAPABILITIES = {  # capability -> functions that no importer calls without i
     "canInterpolateInputs": "SetRealInputDerivatives",
 }
 NO_INSTANCE = "fmi2Instantiate returned NULL"
+
+
+@dataclass
+class Shared:
+    """Observations that the rules share.
+
+    results: of `Probe.once`; played: scripts by their calls; failing: (function, state) -> rule that tells it
+    refusals: replies that were not ok to calls with logging, of scripts without calls that FMI forbids, one
+      of each function and status, with and without messages; those of a script that a failed call ends, and
+      after fmi2SetDebugLogging are left out
+    log: messages, each once, of all instances with logging, but of calls or arguments that FMI forbids
+    refused_steps: reason why the FMU refuses steps of the usual size, if so
+    discards, discarded_step: reason why it discards one of them, and the number of those before it
+    """
+
+    results: dict[str, Any] = field(default_factory=dict[str, Any])
+    played: dict[str, Script] = field(default_factory=dict[str, Script])
+    failing: dict[tuple[str, str], str] = field(default_factory=dict[tuple[str, str], str])
+    refusals: dict[tuple[str, int, bool], Reply] = field(default_factory=dict[tuple[str, int, bool], Reply])
+    log: dict[Message, None] = field(default_factory=dict[Message, None])
+    refused_steps: str = ""
+    discards: str = ""
+    discarded_step: int | None = None
 
 
 class DiscardedStepError(NotJudgedError):
@@ -49,16 +68,14 @@ class Probe:
     states_step_size: whether it states one; tolerance: its own, relative, or the usual one
     """
 
-    def __init__(
-        self, fmu: FmuFile, folder: Path, shared: dict[str, Any], one_instance: bool = False
-    ) -> None:
+    def __init__(self, fmu: FmuFile, folder: Path, shared: Shared, one_instance: bool = False) -> None:
         self.fmu = fmu
         library, resources = folder / fmu.host_library, folder / "resources"
         interface = binding.MODEL_EXCHANGE if fmu.is_model_exchange else binding.CO_SIMULATION
         optional = " ".join(names for flag, names in _OF_CAPABILITIES.items() if not fmu.claims(flag)).split()
         self.process = FmuProcess((library, resources, interface, optional), one_instance)
         self._instances = itertools.count(1)
-        self._shared = shared
+        self.shared = shared
         self._options = _sizes(fmu) if fmu.is_model_exchange else {}
         experiment = fmu.root.find("DefaultExperiment")
         get = experiment.get if experiment is not None else {}.get
@@ -124,10 +141,11 @@ class Probe:
                 raise _refused([Message(*message) for message in answer[1]])
             script.take(method, part, answer)
         all_scripts = [script for scripts in groups for script in scripts]
-        self._note_messages(all_scripts)
-        self._note_refusals(all_scripts)
-        self._judge_steps(all_scripts)
-        self._judge_calls(all_scripts)
+        for script in all_scripts:
+            self._note(script)
+        for script in all_scripts:
+            if failure := script.failure:
+                self._judge_failure(script, failure)
 
     def play_usual_steps(self, script: Script) -> None:
         """Plays a script of equal steps of the default experiment's size.
@@ -140,7 +158,7 @@ class Probe:
         except (CallError, DiscardedStepError) as error:
             if self.fmu.is_model_exchange:
                 if isinstance(error, DiscardedStepError):
-                    self._shared[_REFUSED_STEPS] = str(error)
+                    self.shared.refused_steps = str(error)
                 raise
             failure = script.failure
             may_refuse = (DISCARD,) if self.states_step_size else (DISCARD, ERROR)
@@ -148,68 +166,46 @@ class Probe:
                 raise
             stated = "it states in DefaultExperiment" if self.states_step_size else "is not stated by it"
             reason = f"the FMU refuses the step size {self.step_size:g} s, which {stated}"
-            self._shared[_REFUSED_STEPS] = reason
+            self.shared.refused_steps = reason
             raise NotJudgedError(reason) from None
-
-    def _judge_steps(self, scripts: Sequence[Script]) -> None:
-        """Raises NotJudgedError for a step that fails where the FMU may refuse it: it refuses those of the
-        usual size, discards one of them, or is used beyond the stop time of its default experiment.
-        """
-        for script in scripts:
-            failure = script.failure
-            if failure is None or not failure.is_step:
-                continue
-            if _REFUSED_STEPS in self._shared:
-                raise NotJudgedError(self._shared[_REFUSED_STEPS])
-            if failure.status == DISCARD and _DISCARDED_STEP in self._shared:
-                raise NotJudgedError(self._shared[_DISCARDED_STEP])
-            _, t, h, *_ = script.calls[script.replies.index(failure)]
-            if t + h > self.stop_time + 1e-9 * max(abs(t), h):
-                raise NotJudgedError("the FMU refuses steps beyond the stop time of its DefaultExperiment")
 
     def note_failure(self, reply: Reply, rule: str) -> None:
         """Notes, for all rules, that a function fails in a state, which a rule tells."""
-        self._shared.setdefault(_KNOWN, {})[reply.function, reply.state] = rule
+        self.shared.failing[reply.function, reply.state] = rule
 
-    def _judge_calls(self, scripts: Sequence[Script]) -> None:
-        """Raises NotJudgedError for a call that is known to fail: the rule of it has told that."""
-        for failure in filter(None, (script.failure for script in scripts)):
-            if rule := self._shared.get(_KNOWN, {}).get((failure.function, failure.state)):
-                raise NotJudgedError(f"{failure.function} fails, which {rule} tells")
-
-    @property
-    def refusals(self) -> list[Reply]:
-        """Replies that were not ok to calls with logging, of scripts without calls that FMI forbids: one of
-        each function and status, with and without messages.
-
-        Those of a script that a failed call ends, and after fmi2SetDebugLogging are left out.
+    def _judge_failure(self, script: Script, failure: Reply) -> None:
+        """Raises NotJudgedError for a call that is known to fail, which the rule of it has told, and for a
+        step that the FMU may refuse: it refuses those of the usual size, discards one of them, or is used
+        beyond the stop time of its default experiment.
         """
-        return list(self._shared.get(_REFUSALS, {}).values())
+        if rule := self.shared.failing.get((failure.function, failure.state)):
+            raise NotJudgedError(f"{failure.function} fails, which {rule} tells")
+        if failure.is_step:
+            _, t, h, *_ = script.calls[script.replies.index(failure)]
+            is_beyond = t + h > self.stop_time + 1e-9 * max(abs(t), h)
+            reasons = (
+                self.shared.refused_steps,
+                self.shared.discards if failure.status == DISCARD else "",
+                "the FMU refuses steps beyond the stop time of its DefaultExperiment" if is_beyond else "",
+            )
+            for reason in filter(None, reasons):
+                raise NotJudgedError(reason)
 
-    def _note_refusals(self, scripts: Sequence[Script]) -> None:
-        noted: dict[tuple[str, int, bool], Reply] = self._shared.setdefault(_REFUSALS, {})
-        for script in scripts:
-            judged = script.options.get("logging") and not script.is_forbidden
-            for reply in script.replies if judged else ():
-                if reply.status and not reply.reason:
-                    noted.setdefault((reply.function, reply.status, bool(reply.messages)), reply)
-                if reply.function == "fmi2SetDebugLogging":  # it may turn logging off
-                    break
-
-    @property
-    def log(self) -> list[Message]:
-        """Messages, each once, of all instances with logging on that were played up to now, but those with
-        calls or arguments that FMI forbids.
-        """
-        return list(self._shared.get(_LOG, ()))
-
-    def _note_messages(self, scripts: Sequence[Script]) -> None:
-        log: dict[Message, None] = self._shared.setdefault(_LOG, {})
-        for script in scripts:
-            is_usual = script.options.get("logging") and not {"callbacks", "overwritten"} & {*script.options}
-            for reply in script.everything if is_usual and not script.is_forbidden else ():
-                for message in reply.messages if len(log) < _MOST_MESSAGES else ():
-                    log[replace(message, given_name=script.options.get("name", USUAL_NAME))] = None
+    def _note(self, script: Script) -> None:
+        """Notes messages and refusals of a script with logging."""
+        if script.is_forbidden or not script.options.get("logging"):
+            return
+        for reply in script.replies:
+            if reply.status and not reply.reason:
+                key = reply.function, reply.status, bool(reply.messages)
+                self.shared.refusals.setdefault(key, reply)
+            if reply.function == "fmi2SetDebugLogging":  # it may turn logging off
+                break
+        log, name = self.shared.log, script.options.get("name", USUAL_NAME)
+        is_usual = not {"callbacks", "overwritten"} & {*script.options}
+        for message in (m for reply in script.everything for m in reply.messages) if is_usual else ():
+            if len(log) < _MOST_MESSAGES:
+                log[replace(message, given_name=name)] = None
 
     def find_discarded_step(self, steps: int) -> None:
         """Notes, for all rules, whether the FMU discards one of some equal steps of the usual size."""
@@ -218,13 +214,8 @@ class Probe:
             self.play_each([script])
         failure = script.failure
         if failure and failure.is_step and failure.status == DISCARD:
-            self._shared[_DISCARDED_STEP] = failure.reason or "the FMU discards a step of the usual size"
-            self._shared[_NUMBER_OF_IT] = sum(reply.is_step and reply.ok for reply in script.replies)
-
-    @property
-    def discarded_step(self) -> int | None:
-        """Number of usual steps before the first that the FMU discards, if it discards one."""
-        return self._shared.get(_NUMBER_OF_IT)
+            self.shared.discards = failure.reason or "the FMU discards a step of the usual size"
+            self.shared.discarded_step = sum(reply.is_step and reply.ok for reply in script.replies)
 
     @property
     def steps_of_experiment(self) -> int:
@@ -248,7 +239,7 @@ class Probe:
 
     def play_once(self, scripts: Sequence[Script]) -> None:
         """Plays scripts as `play_each`; those with the calls of one that was played so have its answers."""
-        known: dict[str, Script] = self._shared.setdefault(_PLAYED, {})
+        known = self.shared.played
         keys = [repr((script.options, script.calls)) for script in scripts]
         new = {key: script for key, script in zip(keys, scripts, strict=True) if key not in known}
         if new:
@@ -271,16 +262,16 @@ class Probe:
         What cannot be judged, or is not there, is so for every rule. of: what tells it from others of its
         name.
         """
-        key = f"{name} {of}"
-        if key not in self._shared:
-            self._shared[key] = NotJudgedError(f"the {name} fails, which another rule tells")
+        results, key = self.shared.results, f"{name} {of}"
+        if key not in results:
+            results[key] = NotJudgedError(f"the {name} fails, which another rule tells")
             try:
-                self._shared[key] = make()
+                results[key] = make()
             except (NotApplicableError, NotJudgedError) as reason:
-                self._shared[key] = reason
-        if isinstance(self._shared[key], NotApplicableError | NotJudgedError):
-            raise self._shared[key]
-        return self._shared[key]
+                results[key] = reason
+        if isinstance(results[key], NotApplicableError | NotJudgedError):
+            raise results[key]
+        return results[key]
 
     def point(self, i: int) -> float:
         """Returns the time of communication point number i [s]."""

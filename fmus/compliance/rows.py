@@ -8,9 +8,10 @@ from fmus.compliance.rule import Check, Condition, Rule, Stage, add_rule, always
 from fmus.compliance.sentences import sentences_of
 
 T = TypeVar("T")
-Case = tuple[Callable[[T, FmuFile], object], str]
+Case = tuple[Callable[[T, Any], object], str]
 """Whether something is wrong with a subject, and the message: a template of `str.format`. The names in it are
-attributes of the subject, `subject` is the subject itself, `value` what the function returned.
+attributes of the subject, `subject` is the subject itself, `value` what the function returned, given the
+subject and the FMU, or the probe that calls it.
 """
 
 
@@ -22,23 +23,28 @@ class Row(NamedTuple):
     clause: str
 
 
-def row(name: str, subjects: Callable[[FmuFile], Iterable[T]], *cases: Case[T], clause: str = "") -> Row:
+def row(name: str, subjects: Callable[[Any], Iterable[T]], *cases: Case[T], clause: str = "") -> Row:
     """Returns a rule that looks at subjects in an FMU: of each the first case that holds is told, once."""
-    return Row(name, lambda fmu: dict.fromkeys(told(fmu, subjects(fmu), *cases)), clause)
+    return Row(name, lambda source: dict.fromkeys(_told(source, subjects(source), *cases)), clause)
 
 
-def add_rows(module: str, stage: Stage, rows: Iterable[Row], condition: Condition = always) -> None:
-    """Makes rows the rules of a module, of one stage and condition; their clauses are those of sentences."""
+def add_rows(
+    module: str, stage: Stage, rows: Iterable[Row], condition: Condition = always, **options: Any
+) -> None:
+    """Makes rows the rules of a module, of one stage and condition; their clauses are those of sentences.
+
+    options: last and interface, as of `rule`
+    """
     for r in rows:
         clause = r.clause or ", ".join(dict.fromkeys(sentence.clause for sentence in sentences_of(r.name)))
-        add_rule(Rule(r.name, clause, "", stage, r.check, condition, module=module))
+        add_rule(Rule(r.name, clause, "", stage, r.check, condition, module=module, **options))
 
 
-def told(fmu: FmuFile, subjects: Iterable[T], *cases: Case[T]) -> Iterator[str]:
+def _told(source: Any, subjects: Iterable[T], *cases: Case[T]) -> Iterator[str]:
     """Yields the message of the first case that holds, for each subject."""
     for subject in subjects:
         for is_wrong, message in cases:
-            if value := is_wrong(subject, fmu):
+            if value := is_wrong(subject, source):
                 yield message.format_map(_Names(subject=subject, value=value))
                 break
 

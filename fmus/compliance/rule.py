@@ -194,7 +194,7 @@ def repeated(names: Iterable[Any]) -> dict[Any, int]:
 MODULES = (
     "archive", "files", "description", "variables", "structure",
     "lifecycle", "calls", "value", "setting", "step",
-    "environment", "messages", "state", "derivatives", "effects", "reference", "continuous_time", "events",
+    "environment", "messages", "state", "derivatives", "effects", "continuous_time", "events",
 )  # fmt: skip
 """Modules of `fmus.compliance.rules`, in the order in which their rules are judged and told."""
 

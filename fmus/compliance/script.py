@@ -19,35 +19,11 @@ VECTORS = (
 )  # fmt: skip
 UNWRITTEN = "values"  # among what a call changed: those that were asked for were not
 ARGUMENTS = "arguments"  # among what a call changed
-_FUNCTIONS = {  # method of `CalledInstance` -> function of FMI, where their names are not alike
-    "set_up_experiment": "fmi2SetupExperiment", "set_up_experiment_with": "fmi2SetupExperiment",
-    "do_steps": "fmi2DoStep",
-    "directional_derivatives": "fmi2GetDirectionalDerivative",
-    "set_input_derivatives": "fmi2SetRealInputDerivatives",
-    "output_derivatives": "fmi2GetRealOutputDerivatives",
-    "deserialize_fmu_state": "fmi2DeSerializeFMUstate", "copy_fmu_state": "fmi2DeSerializeFMUstate",
-    "complete_step": "fmi2CompletedIntegratorStep",
-    "free": "fmi2FreeInstance", "used_traps": "asking for callbacks", "held_blocks": "asking for memory",
-}  # fmt: skip
-
-
 _MODES = {  # function -> mode of model exchange that it leads to
     "fmi2ExitInitializationMode": "event mode", "fmi2EnterEventMode": "event mode",
     "fmi2EnterContinuousTimeMode": "continuous-time mode",
     "fmi2CompletedIntegratorStep": "continuous-time mode after a completed step",
 }  # fmt: skip
-
-
-def _function(method: str, arguments: Sequence[Any]) -> str:
-    """Returns the function of FMI that a method of `CalledInstance` calls."""
-    if method in ("call", "vector"):
-        return str(arguments[0])
-    if method in ("get", "set"):
-        return f"fmi2{method.title()}{arguments[0]}"
-    if method == "status_of":
-        return f"fmi2Get{arguments[0]}Status"
-    words = "".join(word.title() for word in method.split("_"))
-    return _FUNCTIONS.get(method, f"fmi2{words.replace('FmuState', 'FMUstate')}")
 
 
 class CallError(Exception):
@@ -81,6 +57,7 @@ class Message:
 class Reply:
     """Reply to a call; `status` is None until it was made.
 
+    function: of FMI, the latest that the call has called
     reason: why a step for model exchange is discarded although no call failed
     words: for the variables that it sets or reads, in messages
     """
@@ -203,10 +180,7 @@ class Script:
 
     def call(self, method: str, *arguments: Any) -> Reply:
         """Adds a call of a method of `CalledInstance`."""
-        is_step = method in STEPS
-        is_integrated = is_step and self.probe.fmu.is_model_exchange
-        function = "fmi2SetTime" if is_integrated else _function(method, arguments)
-        reply = Reply(function, self.state, is_step=is_step)
+        reply = Reply("", self.state, is_step=method in STEPS)
         self.calls.append((method, *arguments))
         self.replies.append(reply)
         return reply
@@ -214,16 +188,6 @@ class Script:
     def plain(self, function: str) -> Reply:
         """Adds a call of a function of FMI without arguments."""
         return self.call("call", function)
-
-    def set_up(
-        self, start: float | None = None, stop: float | None = None, tolerance: float | None = None
-    ) -> "Script":
-        begin = self.probe.start_time if start is None else start
-        if tolerance is None:
-            self.call("set_up_experiment", begin, stop)
-        else:
-            self.call("set_up_experiment_with", [tolerance], begin, [] if stop is None else [stop])
-        return self
 
     def enter_initialization_mode(self) -> "Script":
         self.call("enter_initialization_mode")
@@ -235,14 +199,15 @@ class Script:
         self.state = "event mode" if self.probe.fmu.is_model_exchange else "step complete"
         return self
 
-    def initialise(self, start: float | None = None) -> "Script":
+    def initialise(self) -> "Script":
         """Sets the experiment up and enters initialization mode."""
-        return self.set_up(start).enter_initialization_mode()
+        self.call("set_up_experiment", self.probe.start_time)
+        return self.enter_initialization_mode()
 
-    def begin(self, start: float | None = None) -> "Script":
+    def begin(self) -> "Script":
         """Initialises, up to where steps are allowed."""
         self._step = 0
-        return self.initialise(start).exit_initialization_mode()
+        return self.initialise().exit_initialization_mode()
 
     def start(self) -> "Script":
         """Initialises, and goes on to where the runs of a row begin."""
@@ -384,8 +349,8 @@ class Script:
                 continue
             try:
                 status, reply.value, messages, changed, printed, function, mode = answer
+                reply.function = str(function)
                 if status and self.probe.fmu.is_model_exchange:  # a step is many calls
-                    reply.function = str(function)
                     reply.state = _MODES.get(mode, reply.state)
                     reply.reason = reply.value if isinstance(reply.value, str) else ""
                 reply.status, reply.changed, reply.printed = int(status), changed, int(printed)

@@ -119,7 +119,7 @@ settable_while_stepping = _settable(
 
 def readable_in_initialization(fmu: FmuFile) -> list[Variable]:
     """Outputs and initial unknowns."""
-    indices = {index for index, _ in fmu.unknowns("InitialUnknowns")}
+    indices = {unknown.variable.index for unknown in fmu.unknowns["InitialUnknowns"]}
     return [v for v in fmu.variables if v.causality == "output" or v.index in indices]
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
+from typing import Any
 
 from fmus.fmi.variable_types import TRANSFER_TYPE
 
@@ -75,23 +76,24 @@ class Variable:
     def number(self, attribute: str) -> float | None:
         return number(self.get(attribute))
 
+    def _number(self, attribute: str, default: float) -> float:
+        stated = self.number(attribute)
+        return default if stated is None else stated
+
     @property
     def low(self) -> float:
         """The attribute min; -inf without one."""
-        low = self.number("min")
-        return -math.inf if low is None else low
+        return self._number("min", -math.inf)
 
     @property
     def high(self) -> float:
         """The attribute max; inf without one."""
-        high = self.number("max")
-        return math.inf if high is None else high
+        return self._number("max", math.inf)
 
     @property
     def nominal(self) -> float:
         """The attribute nominal; 1.0 without one."""
-        nominal = self.number("nominal")
-        return 1.0 if nominal is None else nominal
+        return self._number("nominal", 1.0)
 
     @property
     def start(self) -> str | None:
@@ -103,6 +105,44 @@ class Variable:
         return self.causality == "input" or (
             self.variability != "constant" and self.initial in ("exact", "approx")
         )
+
+
+_NONE = Variable(0, {}, "", {}, {})
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """An Unknown of a section of ModelStructure. variable: one with index 0 if its index is that of none."""
+
+    section: str
+    element: Any
+    variable: Variable = _NONE
+
+    @property
+    def dependencies(self) -> list[str]:
+        return self.element.get("dependencies", "").split()
+
+    @property
+    def kinds(self) -> list[str]:
+        return self.element.get("dependenciesKind", "").split()
+
+    @property
+    def is_initial(self) -> bool:
+        return self.section == "InitialUnknowns"
+
+    @property
+    def where(self) -> str:
+        v, index = self.variable, self.element.get("index")
+        return f"{self.section}, unknown {v.name} ({index})" if v.index else f"{self.section}, index {index}"
+
+    @cached_property
+    def indices(self) -> frozenset[int | None]:
+        """The dependencies as numbers."""
+        return frozenset(map(integer, self.dependencies))
+
+    def depends_on(self, known: Variable) -> bool:
+        """Whether it lists a known, or lists nothing, which means all."""
+        return "dependencies" not in self.element.attrib or known.index in self.indices
 
 
 def number(text: str | None) -> float | None:

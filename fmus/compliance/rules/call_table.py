@@ -18,6 +18,7 @@ from fmus.fmi.binding import DISCARD, ERROR, FATAL, OK, WARNING
 NAME = "instance of the tour"
 _MOST_FAILED = 5  # calls of a tour
 TOLERANCE, LARGE_TOLERANCE = 1e-5, 1e-3
+WITH_TOLERANCE = *do.begin_until(1000, TOLERANCE), do.step(2)
 _SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
 
 Calls = Callable[[Probe, str], Iterable[Action]]
@@ -42,9 +43,9 @@ def _way(probe: Probe, state: str) -> Iterable[Action]:
 
 def discarded_step(probe: Probe) -> int:
     """Returns the number of equal steps before the first that the FMU discards."""
-    if probe.discarded_step is None:
+    if probe.shared.discarded_step is None:
         raise NotApplicableError("no step is discarded")
-    return probe.discarded_step
+    return probe.shared.discarded_step
 
 
 def _log(probe: Probe, _: str) -> Iterator[Action]:
@@ -98,9 +99,8 @@ def output_derivatives(probe: Probe, _: str, orders: Sequence[int] = ()) -> Iter
 
 def _directional_derivatives(probe: Probe, state: str) -> Iterator[Action]:
     sections = ("InitialUnknowns",) if state == "M" else ("Outputs", "Derivatives")
-    indices = dict.fromkeys(index or 1 for name in sections for index, _ in probe.fmu.unknowns(name))
-    unknowns = [probe.fmu.variables[index - 1] for index in indices]
-    references = values.references_of(v for v in unknowns if v.kind == "Real")
+    unknowns = {u.variable.index: u.variable for name in sections for u in probe.fmu.unknowns[name]}
+    references = values.references_of(v for v in unknowns.values() if v.kind == "Real")
     inputs = values.references_of(values.continuous_reals(probe, "input"))
     if references and inputs and probe.fmu.claims("providesDirectionalDerivative"):
         yield do.call("directional_derivatives", references, inputs, [1.0] * len(inputs))
@@ -216,7 +216,7 @@ def _tour(
 
 def run_with_tolerance(probe: Probe) -> Script:
     """Returns a run in which tolerance and stop time are defined."""
-    return do.played(probe, (*do.begin_until(1000, TOLERANCE), do.step(2)), logging=True)
+    return do.played(probe, WITH_TOLERANCE, logging=True)
 
 
 # calls that rules ask for
@@ -243,6 +243,7 @@ class Expected:
 SUCCESS = Expected("ok", frozenset({OK, WARNING, DISCARD}))
 AN_ERROR = Expected("error", frozenset({ERROR}))
 REFUSAL = Expected("error or discard", frozenset({DISCARD, ERROR, FATAL}))
+SYNCHRONOUS = Expected("no pending step", frozenset({OK, WARNING, DISCARD, ERROR, FATAL}))
 KNOWN_OR_NOT = Expected("ok or discard", frozenset({OK, WARNING, DISCARD}))
 
 

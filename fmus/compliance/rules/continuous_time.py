@@ -10,15 +10,14 @@ from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differ
 from fmus.compliance.fmu_file import MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
-from fmus.compliance.rules.events import Event, change, discrete_variables, first_message, no_states
+from fmus.compliance.rules.events import Event, change, discrete_variables, no_states, of_events
 from fmus.compliance.script import VECTORS, Action, Given, Reading, Script
-from fmus.compliance.values import if_not_claimed, same, unless_claimed
+from fmus.compliance.values import same, unless_claimed
 from fmus.compliance.variable import Variable
 
 _STATES, _DERIVATIVES, _INDICATORS, _NOMINALS = VECTORS
 _SOLVED = 1e-5  # relative, of large values: what an iterative solver in the FMU may change
 _MOST_STATES = 20  # that are moved alone
-_NO_BOOLEAN = -1234567  # of a flag that the FMU has not written
 _NOT_NEEDED = "completedIntegratorStepNotNeeded"
 _rule = partial(behaviour_rule, interface=MODEL_EXCHANGE)
 _rule_of_rows = partial(differential, interface=MODEL_EXCHANGE)
@@ -140,7 +139,7 @@ def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
             where = f"where the continuous-time mode after {event.words} ends"
             yield f"{words}, read once more {where}: expected the same value"
 
-    yield from [*first_message(probe, read_twice)] or differences(probe, rows)
+    yield from [*of_events(probe, read_twice)] or differences(probe, rows)
 
 
 @_rule_of_rows("3.2.2")
@@ -154,18 +153,6 @@ def time_goes_back_in_continuous_time(probe: Probe) -> Iterator[Row]:
     varied = *first, do.expect(_read), _go(0.6), *complete, _go(0.5), _read
     failing = "back in time, after the completed step before"
     yield _row("after time was set back", varied, failing=failing)
-
-
-@_rule("3.2.2", condition=if_not_claimed(_NOT_NEEDED))
-def completed_steps_write_booleans(probe: Probe) -> Iterator[str]:
-    """fmi2CompletedIntegratorStep writes a Boolean value to enterEventMode and to terminateSimulation."""
-    script = probe.script(_enter, _go(0.5), do.call("completed_integrator_step", True, _NO_BOOLEAN))
-    script.play(keep_going=True)
-    reply = script.replies[-1]
-    for name, value in zip(("enterEventMode", "terminateSimulation"), reply.value or (), strict=False):
-        if value not in (0, 1):
-            what = "does not write" if value == _NO_BOOLEAN else f"writes {value} to"
-            yield f"{reply.function} {what} {name}: expected fmi2False or fmi2True"
 
 
 @_rule("3.3.1", condition=unless_claimed(_NOT_NEEDED))
@@ -224,4 +211,4 @@ def discrete_variables_are_frozen(probe: Probe) -> Iterator[str]:
                 mode = f"in continuous-time mode after {event.words}"
                 yield f"{v.name} changes from {a!r} to {b!r} {mode}: expected {a!r}"
 
-    yield from [*first_message(probe, left)] or differences(probe, [row])
+    yield from [*of_events(probe, left)] or differences(probe, [row])

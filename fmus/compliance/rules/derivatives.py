@@ -1,4 +1,4 @@
-"""Derivatives in time, of variables that others name, of outputs and of inputs, beside finite differences."""
+"""Derivatives of outputs and of inputs in time, beside finite differences."""
 
 import itertools
 import math
@@ -12,40 +12,13 @@ from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, behaviour_rule
 from fmus.compliance.rules import finite_differences as finite
-from fmus.compliance.variable import Variable, is_true
+from fmus.compliance.variable import Variable
 
 _TRANSFER = "4.2.1"
 _INTERPOLATES = values.unless_claimed(values.INTERPOLATES)
-_STEPS, _STEPS_OF_OUTPUTS = 30, 8
+_STEPS = 8
 _SHORT = 0.30901699  # of a step: no simple fraction, so that nothing that repeats with it stands still
 _BACKWARDS = 0.1  # of the effect of the input, at least
-
-
-# the attribute derivative
-
-
-@behaviour_rule("2.2.7")
-def derivatives_integrate_to_their_variables(probe: Probe) -> Iterator[str]:
-    """A continuous variable changes by the integral of the variable that names it with the attribute
-    derivative; states that events change are left out.
-    """
-    stated = ((probe.fmu.variables[index - 1], v) for index, v in probe.fmu.derivatives.items())
-    pairs = [
-        (derivative, v)
-        for derivative, v in stated
-        if derivative.kind == v.kind == "Real"
-        and derivative.variability == v.variability == "continuous"
-        and not is_true(v.get("reinit"))
-    ]
-    if not pairs:
-        raise NotApplicableError("no continuous variable without reinit has another as its derivative")
-    table = finite.series(probe, list(itertools.chain(*pairs)), _STEPS)
-    for derivative, v in pairs:
-        series = table[v.name][0], table[derivative.name][0]
-        difference = finite.Slopes(*series, probe.step_size).difference_of_integral(v.nominal)
-        if difference and all(map(math.isfinite, itertools.chain(*series))):
-            shown = values.texts(*difference)
-            yield f"{v.name} changes by {shown[0]} where the integral of {derivative.name} is {shown[1]}"
 
 
 # derivatives of outputs
@@ -61,7 +34,7 @@ _rule_of_outputs = partial(behaviour_rule, condition=_orders)
 def _outputs(probe: Probe, part: float = 1.0) -> dict[str, list[list[float]]]:
     """Returns the values of continuous outputs, and their derivatives of each order that is claimed."""
     chosen = values.continuous_reals(probe, "output")
-    return finite.series(probe, chosen, _STEPS_OF_OUTPUTS, part, probe.fmu.output_derivative_order)
+    return finite.series(probe, chosen, _STEPS, part, probe.fmu.output_derivative_order)
 
 
 def _output_slopes(probe: Probe, part: float = 1.0) -> dict[str, finite.Slopes]:

@@ -40,15 +40,11 @@ def _by_known(
     """Returns each Real known with the Real unknowns that depend on it and are judged, each once; an unknown
     that lists nothing depends on all knowns.
     """
-    chosen = [
-        (unknown, listed)
-        for section in sections
-        for unknown, listed in fmu.dependencies[section]
-        if unknown.kind == "Real" and is_judged(unknown)
-    ]
+    unknowns = (unknown for section in sections for unknown in fmu.unknowns[section])
+    chosen = [u for u in unknowns if u.variable.kind == "Real" and is_judged(u.variable)]
     groups: list[_Group] = []
     for known in (v for v in knowns if v.kind == "Real"):
-        depending = (v for v, listed in chosen if listed is None or known.index in listed)
+        depending = (u.variable for u in chosen if u.depends_on(known))
         groups.append((known, list({v.index: v for v in depending if v is not known}.values())))
     return [(known, unknowns) for known, unknowns in groups if unknowns][:_MOST_DERIVED]
 
@@ -75,11 +71,8 @@ def dependencies_are_declared(probe: Probe) -> Iterator[str]:
         modes += [(mode, begin, section, inputs) for section in _STEPPING]
     for mode, actions, section, knowns in modes:
         for known, value in values.other_values(knowns[:_MOST_KNOWNS]):
-            unlisted = [
-                unknown
-                for unknown, listed in probe.fmu.dependencies[section]
-                if listed is not None and known.index not in listed and unknown.name != known.name
-            ]
+            independent = (u.variable for u in probe.fmu.unknowns[section] if not u.depends_on(known))
+            unlisted = [v for v in independent if v.name != known.name]
             read = [do.read(unlisted)]
             for name in sorted(followers(probe, actions, known, value, read) if unlisted else ()):
                 yield f"{name} changes with {known.name} in {mode}: {_TO_BE_LISTED}"
@@ -130,7 +123,7 @@ def directional_derivatives(probe: Probe) -> Iterator[str]:
 
 
 def _groups_at_first(fmu: FmuFile) -> Sequence[_Group]:
-    derivatives = {index for index, _ in fmu.unknowns("Derivatives")}
+    derivatives = {unknown.variable.index for unknown in fmu.unknowns["Derivatives"]}
 
     def is_judged(v: Variable) -> bool:
         return v.causality in ("output", "calculatedParameter") or v.index in derivatives
@@ -188,7 +181,7 @@ def _beside_quotients(
 @_partial_rule()
 def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
     """A directional derivative is the sum of the partial derivatives, each times its seed, in every mode."""
-    initial = [v for v, *_ in probe.fmu.dependencies["InitialUnknowns"] if v.kind == "Real"]
+    initial = [u.variable for u in probe.fmu.unknowns[_AT_FIRST[0]] if u.variable.kind == "Real"]
     inputs, at_first = values.continuous_reals(probe, "input"), _groups_at_first(probe.fmu)
     modes = (
         (_INITIALIZATION, initial, [*inputs, *(known for known, _ in at_first)]),
@@ -232,10 +225,11 @@ def directional_derivatives_are_zero_without_dependency(probe: Probe) -> Iterato
 
 def _unlisted(fmu: FmuFile, section: str, knowns: Sequence[Variable]) -> Iterator[_Group]:
     """Yields knowns, each with an output or state derivative that lists others and not this one."""
-    for unknown, stated in fmu.dependencies[section]:
-        is_observed = unknown.causality == "output" or section == "Derivatives"
-        if stated is not None and unknown.kind == "Real" and is_observed:
-            indices = {*stated, unknown.index}
-            listed = {(v.base_kind, v.reference) for v in fmu.variables if v.index in indices}
-            others = [v for v in knowns if (v.base_kind, v.reference) not in listed]
-            yield from ((known, [unknown]) for known in others[:_MOST_DERIVED])
+    for unknown in fmu.unknowns[section]:
+        v = unknown.variable
+        is_observed = v.causality == "output" or section == "Derivatives"
+        if v.kind == "Real" and is_observed:
+            own = [known for known in fmu.variables if known is v or unknown.depends_on(known)]
+            listed = {(known.base_kind, known.reference) for known in own}
+            others = [known for known in knowns if (known.base_kind, known.reference) not in listed]
+            yield from ((known, [v]) for known in others[:_MOST_DERIVED])

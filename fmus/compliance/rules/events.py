@@ -5,12 +5,12 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial, wraps
+from functools import partial
 from typing import Any
 
 from fmus.compliance.fmu_file import MODEL_EXCHANGE, FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Check, Condition, NotJudgedError, always, behaviour_rule
+from fmus.compliance.rule import NotJudgedError, behaviour_rule, rule_of
 from fmus.compliance.script import KINDS, VECTORS
 from fmus.compliance.values import references_of, same, texts
 from fmus.compliance.variable import Variable, is_true
@@ -116,32 +116,18 @@ def _run(probe: Probe, again: bool = False) -> tuple[list[Event], str]:
     return probe.once("run of model exchange", played, again)
 
 
-def first_message(
-    probe: Probe, about: Callable[[Event], Iterable[str]], again: bool = False
-) -> Iterator[str]:
-    """Returns the first message about an event of the run."""
-    return itertools.islice((message for event in _run(probe, again)[0] for message in about(event)), 1)
+def of_events(probe: Probe, about: Callable[[Event], Iterable[str]]) -> Iterator[str]:
+    """Returns the messages about the events of the run."""
+    return (message for event in _run(probe)[0] for message in about(event))
 
 
-def _event_rule(
-    clause: str, condition: Condition = always, again: bool = False
-) -> Callable[[Callable[[Event], Iterable[str]]], Check]:
-    """Makes a function that yields messages about an event a rule: its docstring is what the rule claims."""
-
-    def register(about: Callable[[Event], Iterable[str]]) -> Check:
-        @wraps(about)
-        def check(probe: Probe) -> Iterator[str]:
-            return first_message(probe, about, again)
-
-        return _rule(clause, condition=condition)(check)
-
-    return register
+_event_rule = partial(rule_of, of_events, interface=MODEL_EXCHANGE)
 
 
 # states and their nominal values
 
 
-@_event_rule("3.2.2", no_states)
+@_event_rule("3.2.2", condition=no_states)
 def changes_of_states_are_announced(event: Event) -> Iterator[str]:
     """If fmi2NewDiscreteStates changes a state, valuesOfContinuousStatesChanged is true, and
     fmi2GetContinuousStates gives the new states; neither fmi2EnterContinuousTimeMode nor
@@ -159,7 +145,7 @@ def changes_of_states_are_announced(event: Event) -> Iterator[str]:
             yield f"after {event.words} {what}: expected that in event mode alone"
 
 
-@_event_rule("3.2.2", no_states)
+@_event_rule("3.2.2", condition=no_states)
 def changes_of_nominals_are_announced(event: Event) -> Iterator[str]:
     """If fmi2NewDiscreteStates changes a nominal value, nominalsOfContinuousStatesChanged is true; nothing
     else changes one.
@@ -169,7 +155,7 @@ def changes_of_nominals_are_announced(event: Event) -> Iterator[str]:
             yield f"at {event.words} {words}: expected nominalsOfContinuousStatesChanged true"
 
 
-@_event_rule("3.2.2", no_states)
+@_event_rule("3.2.2", condition=no_states)
 def states_that_stay_are_not_announced(event: Event) -> Iterator[str]:
     """If fmi2NewDiscreteStates changes no state, valuesOfContinuousStatesChanged is false."""
     for info, words in event.changes(0, "state"):
@@ -188,7 +174,7 @@ def states_after_events_are_read(probe: Probe) -> Iterator[str]:
                 got, read = texts(x, event.values[name])
                 yield f"{VECTORS[0]} gives {got} for {name} after {event.words}: expected {read}, as read"
 
-    return first_message(probe, differing)
+    return of_events(probe, differing)
 
 
 @_rule("2.2.7", condition=no_states)
@@ -201,7 +187,7 @@ def states_that_change_at_events_have_reinit(probe: Probe) -> Iterator[str]:
             yield f"{v.name} changes at {event.words}: expected reinit=true"
 
 
-@_event_rule("3.2.2", no_states)
+@_event_rule("3.2.2", condition=no_states)
 def nominals_are_positive(event: Event) -> Iterator[str]:
     """Nominal values of states are above 0, from initialisation on."""
     for i, nominal in enumerate(event.vectors[-1][1], 1):
@@ -220,13 +206,14 @@ def events_come_to_an_end(probe: Probe) -> Iterator[str]:
         yield f"{ended}: expected newDiscreteStatesNeeded false"
 
 
-@_event_rule("advice: an importer of several FMUs calls it as often as one of them needs", again=True)
-def ended_events_stay_ended(event: Event) -> Iterator[str]:
+@_rule("advice: an importer of several FMUs calls it as often as one of them needs")
+def ended_events_stay_ended(probe: Probe) -> Iterator[str]:
     """One more call of fmi2NewDiscreteStates changes nothing where newDiscreteStatesNeeded is false."""
-    for name, b in event.again.items():
-        if not same(a := event.values[name], b, _SOLVED):
-            where = f"by one more fmi2NewDiscreteStates at {event.words}"
-            yield f"{name} changes from {a!r} to {b!r} {where}: expected newDiscreteStatesNeeded before"
+    for event in _run(probe, again=True)[0]:
+        for name, b in event.again.items():
+            if not same(a := event.values[name], b, _SOLVED):
+                where = f"by one more fmi2NewDiscreteStates at {event.words}"
+                yield f"{name} changes from {a!r} to {b!r} {where}: expected newDiscreteStatesNeeded before"
 
 
 @_event_rule("3.1")
@@ -258,13 +245,13 @@ def discrete_changes_have_an_event(probe: Probe) -> Iterator[str]:
                 where = f"at {event.words}, where no event is indicated"
                 expected = "expected a state, time or step event"
                 messages.append(f"{name} changes from {a!r} to {b!r} {where}: {expected}")
-    yield from messages[-1:]
+    yield from reversed(messages)
 
 
 # event indicators
 
 
-@_event_rule("3.2.2", _no_indicators)
+@_event_rule("3.2.2", condition=_no_indicators)
 def event_indicators_are_finite(event: Event) -> Iterator[str]:
     """Event indicators are numbers, neither infinite nor NaN."""
     for i, z in enumerate(event.indicators, 1):
@@ -272,7 +259,7 @@ def event_indicators_are_finite(event: Event) -> Iterator[str]:
             yield f"after {event.words} event indicator {i} is {z}: expected a number"
 
 
-@_event_rule("3.2.2", _no_indicators)
+@_event_rule("3.2.2", condition=_no_indicators)
 def event_indicators_are_not_zero_at_restart(event: Event) -> Iterator[str]:
     """After a state, time or step event, no event indicator is 0 when continuous-time mode is entered, also
     where the event is at 0 exactly.
@@ -296,4 +283,4 @@ def event_indicators_are_continuous(probe: Probe) -> Iterator[str]:
                 jump = f"event indicator {i + 1} jumps from {a:.6g} to {b:.6g}"
                 yield f"{jump} after {event.words}: expected continuous values"
 
-    return first_message(probe, jumps)
+    return of_events(probe, jumps)

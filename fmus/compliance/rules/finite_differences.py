@@ -20,7 +20,6 @@ _ROUNDING = 1e-12  # relative to a value: some thousand roundings of it
 _CLOSE, _SHARE = 1e-6, 0.1  # of a change: two values that are as close give changes that are as equal
 _ROUGH = 0.1  # relative: of slopes over a step, which is no limit
 _FAR = 10.0  # times: a derivative of one communication point, and not of the next
-_INTEGRATED = 0.02  # relative: of an integral, beside the error of a coarse solver
 
 
 def values_of(probe: Probe, runs: Iterable[Iterable[Action]]) -> list[list[Values]]:
@@ -151,15 +150,3 @@ class Slopes:
         own = [abs(x - mean) for x, mean in zip(self._derivatives[2:-1], means[1:], strict=True)]
         late = [abs(x - mean) for x, mean in zip(self._derivatives[2:-1], means, strict=False)]
         return bool(own) and min(own) > _FAR * max([self._rounding, *late])
-
-    def difference_of_integral(self, nominal: float) -> tuple[float, float] | None:
-        """Returns the change of the variable and the integral of its derivative, unless they are about the
-        same.
-        """
-        slopes, size = self._derivatives, self._step_size
-        integral = size * (sum(slopes) - (slopes[0] + slopes[-1]) / 2)
-        variation = sum(abs(b - a) for a, b in itertools.pairwise(slopes))
-        margin = size * (variation + _INTEGRATED * sum(map(abs, slopes)))
-        change = self._values[-1] - self._values[0]
-        differ = abs(change - integral) > margin + NOISE * max(map(abs, [nominal, *self._values]))
-        return (change, integral) if differ else None

@@ -1,25 +1,21 @@
 """Messages, which an FMU sends to the logger, statuses of its functions, and settings of its process."""
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence, Set
+from collections.abc import Iterator, Sequence, Set
 from contextlib import suppress
-from itertools import islice
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from fmus.compliance import actions as do
 from fmus.compliance import rule
 from fmus.compliance.differential import Row, differential
 from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
-from fmus.compliance.rows import told
+from fmus.compliance.rows import add_rows, row
 from fmus.compliance.rules.call_table import NAME, tour
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, Action, CallError, Message, Reply, Script
 from fmus.compliance.values import refused_reference, unknown_reference
 from fmus.fmi.binding import DISCARD, ERROR, OK, PENDING, WARNING, status_name
 
-_CREATION = "2.1.5"
-_GENERAL = "2.1"
-_VALUES = "2.1.7"
 _REFERENCE = re.compile(r"#([ribs])(\d+)#")
 _KINDS = {"r": "Real", "i": "Integer", "b": "Boolean", "s": "String"}
 _ALL = "logAll"  # of 2.2.4: all messages, whatever their category
@@ -31,18 +27,14 @@ _CONVERSION = re.compile(  # of C, POSIX, glibc and Microsoft, without %n, which
 _NAME_WITH_A_PERCENT_SIGN = "tank at 5%d"
 _BLANK_OF_TEXT = re.compile(r"%[-+#0]* [-+#0 ]*[scp](?=[a-zA-Z])")  # as in "100 % sure"; C gives it no effect
 _PRINTED = "printed"
-_MOST_FINDINGS = 3  # of a rule
 _CALLS_THAT_LOG = do.begin, do.step(2), do.glance_all, do.terminate
 _SETTERS = "fmi2SetReal", "fmi2SetInteger", "fmi2SetBoolean", "fmi2SetString"
 _OF_STATES = "fmi2SetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndicators", "fmi2GetReal"
-_FORMATS_ARE_LEGAL = "formats-of-messages-are-legal"
-Case = tuple[Callable[[Any, Any], object], str]
-"""Whether a message or a change is wrong, and the words if it is: see `rows.told`."""
 
 
 def _log(probe: Probe) -> list[Message]:
     """Returns the messages of all runs with logging that other rules have played."""
-    return probe.log
+    return list(probe.shared.log)
 
 
 def _refusal(probe: Probe) -> list[Message]:
@@ -132,12 +124,12 @@ def _of_the_tour(probe: Probe) -> list[Reply]:
 
 
 def _refusals(probe: Probe) -> list[Reply]:
-    return probe.refusals
+    return list(probe.shared.refusals.values())
 
 
 def _refused(probe: Probe) -> list[Reply]:
     """Returns replies with logging that are warning, discard or error; discarded steps have a rule."""
-    replies = [*probe.refusals, *tour(probe).script.replies, *tour(probe).failed]
+    replies = [*probe.shared.refusals.values(), *tour(probe).script.replies, *tour(probe).failed]
     refused = [reply for reply in replies if reply.status not in (None, OK, PENDING)]
     return [reply for reply in refused if not reply.reason and (not reply.is_step or reply.status != DISCARD)]
 
@@ -157,38 +149,15 @@ def _illegal(reply: Reply, probe: Probe) -> str:
 
 _WRONG_STATUS = (_illegal, "{function} {status_name}{value}")
 _WRONG_CATEGORY = (_undeclared, "a message has the category {category!r}: expected {value}")
-# name, clause, what it looks at, and cases: what is wrong, and the words for it
-_TABLE: tuple[tuple[str, str, Callable[[Probe], Iterable[Any]], *tuple[Case, ...]], ...] = (
-    ("messages-have-the-instance-name", _CREATION, _log,
-     (lambda m, _: not m.right_environment,
-      "the logger was called without the componentEnvironment of its instance"),
-     (lambda m, _: m.instance != m.given_name and ("NULL" if m.instance is None else repr(m.instance)),
-      "a message carries the instance name {value}: expected {given_name!r}, its instance")),
-    ("log-categories-are-declared", _CREATION, _log,
+add_rows(__name__, rule.Stage.BEHAVIOUR, rows=(
+    row("log-category-of-a-refusal-is-declared", _refusal,
      _WRONG_CATEGORY),
-    ("messages-have-a-category", _CREATION, _log,
-     (lambda m, probe: m.category is None and ", ".join(_declared(probe)),
-      "a message has no category: expected one of {value}")),
-    ("log-category-of-a-refusal-is-declared", _CREATION, _refusal,
-     _WRONG_CATEGORY),
-    ("messages-have-no-trailing-line-break", _CREATION, _log,
-     (lambda m, _: m.text.endswith(("\n", "\r")), "a message ends with a line break: {text!r:.80}")),
-    ("variables-in-messages-exist", _CREATION, _log,
-     (_unknown_variable, "a message refers to {value}, which is no variable: {text!r:.80}"),
-     (lambda m, _: "#" in _REFERENCE.sub("", m.text.replace("##", "")),
-      "a message has a single #: expected ## or the reference of a variable: {text!r:.80}")),
-    ("status-of-messages-is-legal", _CREATION, _log, (lambda m, _: not OK <= m.status <= PENDING,
-      "a message has the status {status}: expected an fmi2Status")),
-    ("messages-are-utf-8", _CREATION, _log,
-     (lambda m, _: "\ufffd" in m.text, "a message is not UTF-8: {text!r:.80}")),
-    ("messages-have-a-text", "advice: a message is read for its text", _log,
-     (lambda m, _: not m.text.strip(), "a message has no text")),
-    (_FORMATS_ARE_LEGAL, _CREATION, _formats,
+    row("formats-of-messages-are-legal", _formats,
      (lambda m, _: _NAME_WITH_A_PERCENT_SIGN in m.text,
       f"the format {{text!r:.80}} holds the name {_NAME_WITH_A_PERCENT_SIGN!r}: expected its % doubled"),
      (_has_a_single_percent_sign,
       "the format {text!r:.80} of a message has a single %: expected %% or a conversion")),
-    ("messages-of-a-refusal-are-complete", _CREATION, _refusal,
+    row("messages-of-a-refusal-are-complete", _refusal,
      (lambda m, _: not m.text,
       "fmi2Instantiate{given_name} returned NULL and logged nothing: expected the reason"),
      (lambda m, _: m.instance != NAME,
@@ -197,44 +166,57 @@ _TABLE: tuple[tuple[str, str, Callable[[Probe], Iterable[Any]], *tuple[Case, ...
       "the message of a refused instantiation comes without the componentEnvironment"),
      (lambda _, probe: all(m.status == OK for m in _refusal(probe)),
       "the messages of a refused instantiation have the status ok: expected error")),
-    ("floating-point-control-is-restored", _GENERAL, _changes,
+    row("floating-point-control-is-restored", _changes,
      (_is_of_floating_point, "{function} changes the {value}: expected it restored")),
-    ("process-settings-are-restored", _GENERAL, _changes,
+    row("process-settings-are-restored", _changes,
      (lambda c, probe: not _is_of_floating_point(c, probe)
       and c.setting not in (ARGUMENTS, UNWRITTEN, _PRINTED)
       and (c.after or "as at first", c.before or "no change"),
       "{function} changes the {setting}: {value[0]}, expected {value[1]}")),
-    ("arguments-are-not-written", _VALUES, _changes,
+    row("arguments-are-not-written", _changes,
      (lambda c, _: c.setting == ARGUMENTS,
       "{function} writes into an array that is constant, or behind one: expected that unchanged")),
-    ("values-are-written", _VALUES, _changes, (lambda c, _: c.setting == UNWRITTEN,
-      "{function} returned ok and left a value unwritten: expected each written")),
-    ("statuses-are-legal", "2.1.3", _of_the_tour, _WRONG_STATUS),
-    ("refusals-have-legal-statuses", "2.1.3", _refusals, _WRONG_STATUS),
-    ("refusals-are-logged", "2.1.3", _refused,
+    row("values-are-written", _changes, (lambda c, _: c.setting == UNWRITTEN,
+      "{function} returned ok and left a value unwritten, or wrote no Boolean: expected each written")),
+    row("statuses-are-legal", _of_the_tour, _WRONG_STATUS),
+    row("nothing-is-printed", _changes,
+     (lambda c, _: c.setting == _PRINTED,
+      "{function} prints {after} bytes to standard output or standard error: expected none"),
+     clause="advice: messages belong to the logger"),
+))  # fmt: skip
+add_rows(__name__, rule.Stage.BEHAVIOUR, last=True, rows=(
+    row("messages-have-the-instance-name", _log,
+     (lambda m, _: not m.right_environment,
+      "the logger was called without the componentEnvironment of its instance"),
+     (lambda m, _: m.instance != m.given_name and ("NULL" if m.instance is None else repr(m.instance)),
+      "a message carries the instance name {value}: expected {given_name!r}, its instance")),
+    row("log-categories-are-declared", _log,
+     _WRONG_CATEGORY),
+    row("messages-have-a-category", _log,
+     (lambda m, probe: m.category is None and ", ".join(_declared(probe)),
+      "a message has no category: expected one of {value}")),
+    row("messages-have-no-trailing-line-break", _log,
+     (lambda m, _: m.text.endswith(("\n", "\r")), "a message ends with a line break: {text!r:.80}")),
+    row("variables-in-messages-exist", _log,
+     (_unknown_variable, "a message refers to {value}, which is no variable: {text!r:.80}"),
+     (lambda m, _: "#" in _REFERENCE.sub("", m.text.replace("##", "")),
+      "a message has a single #: expected ## or the reference of a variable: {text!r:.80}")),
+    row("status-of-messages-is-legal", _log, (lambda m, _: not OK <= m.status <= PENDING,
+      "a message has the status {status}: expected an fmi2Status")),
+    row("messages-are-utf-8", _log,
+     (lambda m, _: "\ufffd" in m.text, "a message is not UTF-8: {text!r:.80}")),
+    row("messages-have-a-text", _log,
+     (lambda m, _: not m.text.strip(), "a message has no text"),
+     clause="advice: a message is read for its text"),
+    row("refusals-have-legal-statuses", _refusals, _WRONG_STATUS),
+    row("refusals-are-logged", _refused,
      # fmi2SetDebugLogging may have turned logging off
      (lambda reply, _: not reply.messages and reply.function != "fmi2SetDebugLogging",
       "{function} {status_name} and logged nothing: expected the reason")),
-    ("messages-of-refusals-are-no-information", "2.1.3", _refused,
-     (lambda r, _: r.messages and all(m.status == OK for m in r.messages) and status_name(r.status),
+    row("messages-of-refusals-are-no-information", _refused,
+     (lambda r, _: r.messages and all(m.status == OK for m in r.messages) and status_name(r.status or OK),
       "{function} {status_name} and logged {subject.logged!r:.60} with the status ok: expected {value}")),
-    ("nothing-is-printed", "advice: messages belong to the logger", _changes,
-     (lambda c, _: c.setting == _PRINTED,
-      "{function} prints {after} bytes to standard output or standard error: expected none")),
-)  # fmt: skip
-
-
-def _check(subjects: Callable[[Probe], Iterable[Any]], cases: Sequence[Case]) -> rule.Check:
-    return lambda probe: islice(dict.fromkeys(told(probe, subjects(probe), *cases)), _MOST_FINDINGS)
-
-
-for _name, _clause, _subjects, *_cases in _TABLE:
-    _judged = rule.Stage.BEHAVIOUR, _check(_subjects, _cases), rule.always
-    rule.add_rule(
-        rule.Rule(
-            _name, _clause, "", *_judged, last=_subjects in (_log, _refusals, _refused), module=__name__
-        )
-    )
+))  # fmt: skip
 
 
 # logging that is turned on and off

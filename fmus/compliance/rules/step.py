@@ -16,7 +16,7 @@ from fmus.compliance.rules.finite_differences import ANY_STEP as _ANY_STEP
 from fmus.compliance.rules.finite_differences import values_of
 from fmus.compliance.script import Script
 from fmus.compliance.variable import Variable
-from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME, PENDING
+from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME
 
 _ASYNCHRONOUS = "canRunAsynchronuously"
 _LAST_TIME = "status_of", "Real", LAST_SUCCESSFUL_TIME
@@ -46,17 +46,17 @@ def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[Row]:
 @differential("2.1.6")
 def undefined_arguments_are_ignored(probe: Probe) -> Iterator[Row]:
     """A tolerance or a stop time that is not defined is not looked at."""
-    set_up = do.call("set_up_experiment_with", [], probe.start_time, [], probe.start_time - 1.0)
+    arguments = 0, 0.0, probe.start_time, 0, probe.start_time - 1.0
+    set_up = do.call("call", "fmi2SetupExperiment", *arguments)
     varied = set_up, do.enter_initialization_mode, do.exit_initialization_mode, do.run(2)
     failing = "with neither tolerance nor stop time defined"
     yield Row("where an undefined stop time lies before the start time", varied, failing=failing)
 
 
-@behaviour_rule("2.1.6")
-def tolerance_is_accepted(probe: Probe) -> Iterator[str]:
+@differential("2.1.6")
+def tolerance_is_accepted(_: Probe) -> Iterator[Row]:
     """A tolerance that is defined is accepted."""
-    if failure := table.run_with_tolerance(probe).failure:
-        yield f"with the tolerance {table.TOLERANCE:g}: {failure.problem}"
+    yield Row(f"with the tolerance {table.TOLERANCE:g}", table.WITH_TOLERANCE, ())
 
 
 def _without_independent(fmu: FmuFile) -> str:
@@ -112,14 +112,12 @@ def _runs(probe: Probe, v: Variable) -> Iterator[tuple[Script, Sequence[tuple[fl
 @behaviour_rule("4.2.2", interface=CO_SIMULATION)
 def communication_points_may_be_rounded(probe: Probe) -> Iterator[str]:
     """Communication points may be sums of step sizes or multiples of one: their rounding is no error."""
-    script = probe.script(logging=True).begin()
-    t, h = probe.start_time, probe.step_size
-    for i in range(30):
-        script.call("do_step", t if i % 2 else probe.point(i), h)
-        t += h
-    script.play(keep_going=True)
-    if script.failure and script.failure.status != DISCARD:
-        yield script.failure.problem
+    sums = itertools.accumulate([probe.step_size] * 29, initial=probe.start_time)
+    points = (t if i % 2 else probe.point(i) for i, t in enumerate(sums))
+    steps = (do.call("do_step", t, probe.step_size) for t in points)
+    failure = do.played(probe, [do.begin, *steps], logging=True).failure
+    if failure and failure.status != DISCARD:
+        yield failure.problem
 
 
 @differential("4.2.2")
@@ -190,11 +188,9 @@ def default_experiment_runs(probe: Probe) -> Iterator[str]:
 # steps that are pending
 
 
-@behaviour_rule("4.2.2", condition=values.if_not_claimed(_ASYNCHRONOUS), interface=CO_SIMULATION)
-def steps_are_not_pending(probe: Probe) -> Iterator[str]:
+@table.call_rule(
+    "4.2.2", table.SYNCHRONOUS, condition=values.if_not_claimed(_ASYNCHRONOUS), interface=CO_SIMULATION
+)
+def steps_are_not_pending(probe: Probe) -> Iterator[table.Ask]:
     """Without canRunAsynchronuously, fmi2DoStep does not return pending."""
-    script = probe.script(logging=True).begin()
-    step = script.call("call", "fmi2DoStep", probe.start_time, probe.step_size, 0)
-    script.play(keep_going=True)
-    if step.status == PENDING:
-        yield "fmi2DoStep returned pending: expected that only with canRunAsynchronuously"
+    yield table.Ask("B", [do.call("call", "fmi2DoStep", probe.start_time, probe.step_size, 0)])

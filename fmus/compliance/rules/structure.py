@@ -3,12 +3,11 @@
 import itertools
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
 
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rows import add_rows, row
 from fmus.compliance.rule import Stage, repeated, rule
-from fmus.compliance.variable import Variable, integer
+from fmus.compliance.variable import Unknown, Variable, integer
 
 _FACTORS = {"constant", "fixed", "tunable", "discrete"}
 _COMPUTED = ("approx", "calculated")
@@ -16,44 +15,24 @@ _LATER = "an input, a continuous-time state or the independent variable"
 _DEPENDS = "{subject[0].where} depends on {subject[1].name} ({subject[1].causality})"
 
 
-class _Unknown(NamedTuple):
-    """An Unknown. variable: None for no index of one. knowns: what it depends on, of `dependencies`."""
-
-    section: str
-    variable: Variable | None
-    element: Any
-    dependencies: Sequence[str]
-    kinds: Sequence[str]
-    knowns: Sequence[Variable]
-
-    @property
-    def where(self) -> str:
-        v, index = self.variable, self.element.get("index")
-        return f"{self.section}, unknown {v.name} ({index})" if v else f"{self.section}, index {index}"
-
-    @property
-    def factors(self) -> set[str]:
-        """The kinds but dependent."""
-        return _FACTORS & {*self.kinds}
-
-    @property
-    def is_initial(self) -> bool:
-        return self.section == "InitialUnknowns"
+def _unknowns(fmu: FmuFile) -> list[Unknown]:
+    return [unknown for unknowns in fmu.unknowns.values() for unknown in unknowns]
 
 
-@lru_cache(maxsize=1)
-def _unknowns(fmu: FmuFile) -> list[_Unknown]:
-    variables, unknowns = {v.index: v for v in fmu.variables}, []
-    for section in ("Outputs", "Derivatives", "InitialUnknowns"):
-        for index, element in fmu.unknowns(section):
-            listed, kinds = (element.get(name, "").split() for name in ("dependencies", "dependenciesKind"))
-            knowns = [variables[i] for i in map(integer, listed) if i in variables]
-            unknowns.append(_Unknown(section, variables.get(index or 0), element, listed, kinds, knowns))
-    return unknowns
+def _knowns(unknown: Unknown, fmu: FmuFile) -> list[Variable]:
+    """Returns the variables that an unknown lists as its dependencies."""
+    count = len(fmu.variables)
+    return [fmu.variables[i - 1] for i in map(integer, unknown.dependencies) if i and 1 <= i <= count]
+
+
+def _factors(unknown: Unknown) -> set[str]:
+    """Returns the kinds of dependencies but dependent."""
+    return _FACTORS & {*unknown.kinds}
 
 
 def _indices(fmu: FmuFile, section: str) -> list[int]:
-    return [index for index, _ in fmu.unknowns(section) if index is not None]
+    indices = (unknown.variable.index for unknown in fmu.unknowns[section])
+    return [index for index in indices if index]
 
 
 def _listed(fmu: FmuFile, indices: set[int]) -> str:
@@ -69,7 +48,7 @@ def _derivatives_are_ignored(fmu: FmuFile) -> bool:
 def structure_indices(fmu: FmuFile) -> Iterator[str]:
     """Each Unknown is the index of a variable, once in its section."""
     for unknown in _unknowns(fmu):
-        if unknown.variable is None:
+        if not unknown.variable.index:
             yield f"{unknown.where}: expected 1..{len(fmu.variables)}"
     for where, count in repeated(unknown.where for unknown in _unknowns(fmu)).items():
         yield f"{where} is listed {count} times: expected once"
@@ -126,18 +105,18 @@ def derivatives_are_there(fmu: FmuFile) -> Iterator[str]:
                 yield f"no Derivatives: expected {name} there, the derivative of {state.name}"
 
 
-def _unknown_dependencies(fmu: FmuFile) -> Iterator[tuple[_Unknown, Variable]]:
+def _unknown_dependencies(fmu: FmuFile) -> Iterator[tuple[Unknown, Variable]]:
     """Yields unknowns, each with a variable that it depends on and that is none of the Knowns."""
     states = _possible_states(fmu)
     for unknown in _unknowns(fmu):
-        for known in unknown.knowns:
+        for known in _knowns(unknown, fmu):
             is_given = known.initial == "exact" or known.causality == "parameter" or not known.is_legal_pair
             is_known = is_given if unknown.is_initial else known.index in states
             if known.causality not in ("input", "independent") and not is_known:
                 yield unknown, known
 
 
-def _is_parameter(dependency: tuple[_Unknown, Variable], _: FmuFile) -> bool:
+def _is_parameter(dependency: tuple[Unknown, Variable], _: FmuFile) -> bool:
     """Whether Outputs or Derivatives depend on a parameter."""
     unknown, known = dependency
     return not unknown.is_initial and known.causality in ("parameter", "calculatedParameter")
@@ -150,12 +129,12 @@ def _possible_states(fmu: FmuFile) -> frozenset[int]:
     return fmu.states if is_exchanged else fmu.states | {v.index for v in fmu.derivatives.values()}
 
 
-def _states_among(unknown: _Unknown, fmu: FmuFile) -> str:
-    known = [v.name for v in unknown.knowns if v.index in _possible_states(fmu)]
+def _states_among(unknown: Unknown, fmu: FmuFile) -> str:
+    known = [v.name for v in _knowns(unknown, fmu) if v.index in _possible_states(fmu)]
     return "" if unknown.is_initial else ", ".join(known)
 
 
-def _no_index(unknown: _Unknown, fmu: FmuFile) -> str:
+def _no_index(unknown: Unknown, fmu: FmuFile) -> str:
     indices = [(text, integer(text)) for text in unknown.dependencies]
     others = [t for t, index in indices if index is not None and not 1 <= index <= len(fmu.variables)]
     return f"{', '.join(others)}: expected 1..{len(fmu.variables)}" if others else ""
@@ -190,10 +169,10 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
          "{where} has dependenciesKind: expected dependencies too"),
         (lambda u, _: len(u.kinds) != len(u.dependencies) and (len(u.kinds), len(u.dependencies)),
          "{where}: {value[0]} kinds of dependency: expected {value[1]}, one each"),
-        (lambda unknown, _: unknown.is_initial and ", ".join(sorted(unknown.factors - {"constant"})),
+        (lambda unknown, _: unknown.is_initial and ", ".join(sorted(_factors(unknown) - {"constant"})),
          "{where}: kind {value!r}: expected dependent or constant")),
     row("dependencies-of-reals-have-factors",
-        lambda fmu: [u for u in _unknowns(fmu) if u.variable and u.variable.kind not in ("Real", "")],
-        (lambda unknown, _: ", ".join(sorted(unknown.factors)),
+        lambda fmu: [u for u in _unknowns(fmu) if u.variable.kind not in ("Real", "")],
+        (lambda unknown, _: ", ".join(sorted(_factors(unknown))),
          "{where} is {variable.kind} and has kind {value!r}: expected dependent")),
 ))  # fmt: skip

@@ -60,12 +60,10 @@ def _values_in_runs(probe: Probe) -> Iterator[tuple[str, str, Any]]:
 
 
 def _wrong_values(probe: Probe, expected: Callable[[Variable, Any], str]) -> Iterator[str]:
-    """Yields the first value of each variable that is wrong. expected: what is expected of one, if it is."""
-    wrong, variables = set[str](), {v.name: v for v in probe.fmu.variables}
+    """Yields values of variables that are wrong. expected: what is expected of one, if it is."""
+    variables = {v.name: v for v in probe.fmu.variables}
     for when, name, value in _values_in_runs(probe):
-        text = expected(variables[name], value) if name in variables.keys() - wrong else ""
-        if text:
-            wrong.add(name)
+        if text := expected(variables[name], value) if name in variables else "":
             yield f"{name} is {values.texts(value)[0]} {when}: expected {text}"
 
 

@@ -41,7 +41,7 @@ def test_python_modules_inside_an_fmu_are_not_imported(built: Fmus, tmp_path: Pa
     names = {*sys.stdlib_module_names, "numpy", "fmpy", "lief", "lxml", "sitecustomize", "usercustomize"}
     modules = {f"{folder}{name}.py": code for folder in ("", "resources/") for name in names}
     path = write(members(built[NAME]) | modules, tmp_path / "modules.fmu")
-    command = f"from fmus.compliance.check import main; exit(main([{str(path)!r}, '--json', '-']))"
+    command = f"from fmus.compliance.check import main; exit(main([{str(path)!r}, '--format', 'json']))"
     done = subprocess.run([sys.executable, "-c", command], capture_output=True, check=False, timeout=120)
     assert not marker.exists()
     verdict = json.loads(done.stdout)
@@ -60,7 +60,7 @@ def test_answers_that_an_fmu_writes_itself_are_findings_and_what_it_prints_is_dr
         "        if (write(d, forged, sizeof forged - 1) < 0) continue;"
     )
     verdict = tmp_path / "verdict.json"
-    assert main([str(attacker(code, tmp_path)), "--json", str(verdict)]) == 1
+    assert main([str(attacker(code, tmp_path)), "--format", "json", "--out", str(verdict)]) == 1
     assert "0 error" not in capfd.readouterr().out
     (fmu,) = json.loads(verdict.read_text(encoding="utf-8"))["fmus"]
     ((message,),) = [rule["messages"] for rule in fmu["rules"] if rule["rule"] == "steps-and-terminates"]

@@ -13,8 +13,10 @@ from fmus.compliance.behaviour import FUNDAMENTAL, behaviour
 from fmus.compliance.check import NO_VERDICT, main
 from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Rule, Stage, registered
 from fmus.compliance.rules.lifecycle import is_of_the_machine
+from fmus.compliance.sentences import levels
 from fmus.platforms import host_platform, library_name
 from tests.described_fmus import XML, members
 from tests.mutants.mutant import Mutant, broken_rules, unexpected
@@ -199,6 +201,25 @@ def test_a_rule_that_fails_by_itself_is_not_judged_and_no_finding_of_the_fmu(
     results = examine(write_slave(tmp_path))
     assert {result.outcome for result in results} == {"not judged"}
     assert all("by a defect of this checker (TypeError: " in result.not_judged for result in results)
+
+
+def test_a_call_that_ends_the_process_is_told_by_the_first_of_the_rules_that_are_as_severe(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def check(probe: Probe) -> Iterator[str]:
+        probe.creates()
+        probe.ask("free_of_null")
+        yield from ()
+
+    names = ("free-of-null-is-ignored", "wrong-guid-is-refused", "state-restores")
+    assert [levels()[name][0] for name in names] == ["deviation", "deviation", "error"]
+    rules = tuple(Rule(name, "", "", Stage.BEHAVIOUR, check, lambda _: "") for name in names)
+    monkeypatch.setattr("fmus.compliance.behaviour.registered", lambda _: rules)
+    first, second, severe = behaviour(FmuFile(write_slave(tmp_path, "free of NULL crashes")), 30.0)
+    call = "fmi2FreeInstance(NULL)"
+    assert first.messages[0].endswith(f", in {call}")
+    assert severe.messages == first.messages
+    assert second.not_judged == f"{call} does not return, which free-of-null-is-ignored tells"
 
 
 def test_an_fmu_that_gives_one_instance_in_each_process_is_judged(

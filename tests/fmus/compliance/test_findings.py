@@ -160,3 +160,29 @@ LINES = {"depth": 12, "a[1,2]": 13, "my name": 14, "the": 15}
 )
 def test_the_line_is_that_of_the_element_that_a_message_names(message: str, line: int) -> None:
     assert findings.line_of(message, LINES) == line
+
+
+@pytest.mark.parametrize(
+    ("messages", "expected"),
+    [
+        # of one variable the first value counts
+        (["x is 3 after a step: expected 2", "x is 4 after the end: expected 2"],
+         ["x is 3 after a step: expected 2 (and 1 more like it)"]),
+        (["x[1] is 3: expected 2", "x[2] is 3: expected 2", "x2 is 3: expected 2", "x3 is 3: expected 2"],
+         ["x[1] is 3: expected 2", "x[2] is 3: expected 2", "x2 is 3: expected 2", "x3 is 3: expected 2"]),
+        # numbers and where a run begins do not tell causes apart
+        (["from bytes: a step fails", "from bytes, in a run: a step fails",
+          "from bytes, after fmi2Reset late in a run: a step fails", "after a reset: a step fails"],
+         ["from bytes: a step fails (and 2 more like it)", "after a reset: a step fails"]),
+        (["state 1 changes at 0.3 s", "y changes at 0.3 s", "state 2 changes at 1e-3 s"],
+         ["state 1 changes at 0.3 s (and 1 more like it)", "y changes at 0.3 s"]),
+    ],
+)  # fmt: skip
+def test_messages_of_one_cause_are_one_with_their_count(messages: list[str], expected: list[str]) -> None:
+    assert list(findings.counted(messages)) == expected
+
+
+@pytest.mark.parametrize("count", ["", " (and 1 more like it)", " (and 20 more like it)"])
+def test_a_finding_of_a_baseline_may_be_counted_otherwise(count: str) -> None:
+    known = {findings.key_of(finding("x is 3 (and 2 more like it)")): 1}
+    assert accepted(findings.without_known([finding(f"x is 4{count}")], known)) == [IN_BASELINE]

@@ -85,18 +85,6 @@ def check_failure(results: list[Result], message: str) -> None:
     assert {result.not_judged for result in of_libraries.values()} == {"library-format is broken"}
 
 
-def run_pytest(
-    fmu: Path, paths: str = os.pathsep.join(filter(None, sys.path))
-) -> subprocess.CompletedProcess[str]:
-    """pytest in the folder of an FMU that it judges, with this plugin and no other."""
-    plugin = ["-p", "fmus.compliance.pytest_plugin", "-p", "no:cacheprovider"]
-    return subprocess.run(
-        [sys.executable, "-m", "pytest", *plugin, "-s", "--fmu", str(fmu)], cwd=fmu.parent,
-        env={**os.environ, "PYTHONPATH": paths, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_ADDOPTS": ""},
-        capture_output=True, text=True, check=False, timeout=120,
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize(
     "command", [["-m", "fmus.compliance"], ["-c", "from orchestration.cli import main; main()", "check"]]
 )
@@ -111,15 +99,6 @@ def test_a_lief_that_cannot_be_imported_ends_the_check_with_its_text(
     assert (done.returncode, done.stdout) == (1, "")
     assert "does not start: exit status 1: ImportError: libstdc++.so.6: cannot open" in done.stderr
     assert done.stderr.count("\n") == 1
-
-
-def test_a_lief_that_cannot_be_imported_ends_a_check_in_pytest(
-    lief_is: Callable[[str], Path], elsewhere: Path
-) -> None:
-    paths = os.pathsep.join([str(lief_is(IMPORT_FAILS)), *filter(None, sys.path)])
-    done = run_pytest(elsewhere, paths)
-    assert done.returncode == pytest.ExitCode.USAGE_ERROR
-    assert "--fmu: a check of FMUs needs lief, which does not start" in done.stdout + done.stderr
 
 
 def test_a_library_that_lief_crashes_on_is_one_error(lief_is: Callable[[str], Path], elsewhere: Path) -> None:
@@ -168,16 +147,3 @@ def test_libraries_that_nobody_asked_for_are_not_those_of_the_next_fmu(elsewhere
     expected = libraries_results(examine(elsewhere))
     Reading([("binaries/linux64/none.so", b"no library")], timeout=30.0)
     assert libraries_results(examine(elsewhere)) == expected
-
-
-def test_the_process_of_lief_ends_with_a_check_in_pytest(elsewhere: Path) -> None:
-    (elsewhere.parent / "conftest.py").write_text(
-        "import psutil\n\n"
-        "def pytest_runtest_teardown():\n"
-        "    print('processes:', len(psutil.Process().children()))\n\n"
-        "def pytest_unconfigure():\n"
-        "    print('processes at the end:', len(psutil.Process().children()))\n"
-    )
-    done = run_pytest(elsewhere)
-    assert "processes: 1\n" in done.stdout
-    assert "processes at the end: 0\n" in done.stdout

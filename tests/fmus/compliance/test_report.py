@@ -58,7 +58,7 @@ def test_json_in_a_file_names_each_rule_with_clause_outcome_and_messages(
     deviating: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "found.json"
-    assert main([str(deviating), "--json", str(file)]) == 0
+    assert main([str(deviating), "--format", "json", "--out", str(file)]) == 0
     document = json.loads(file.read_text(encoding="utf-8"))
     assert document["counts"] == {"error": 0, "deviation": 1, "advice": 0}
     assert_complete(document, deviating, "archive-layout", "deviation")
@@ -66,7 +66,7 @@ def test_json_in_a_file_names_each_rule_with_clause_outcome_and_messages(
 
 
 def test_json_on_standard_output_is_all_that_is_there(wrong: Path) -> None:
-    command = [sys.executable, "-m", "fmus.compliance", str(wrong), "--json", "-"]
+    command = [sys.executable, "-m", "fmus.compliance", str(wrong), "--format", "json"]
     done = subprocess.run(command, capture_output=True, check=False, timeout=120)
     assert done.returncode == 1
     document = json.loads(done.stdout)
@@ -217,7 +217,7 @@ def test_an_fmu_in_a_folder_of_any_name_breaks_no_rule(
     path = folder / f"{name}.fmu"
     path.write_bytes(built[NAME].read_bytes())
     file = folder / f"{name}.json"
-    assert main([str(path), "--json", str(file)]) == 0
+    assert main([str(path), "--format", "json", "--out", str(file)]) == 0
     assert json.loads(file.read_text(encoding="utf-8"))["fmus"][0]["fmu"] == str(path)
     assert " error" not in capsys.readouterr().out.removeprefix(str(path))
 
