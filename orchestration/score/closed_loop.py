@@ -100,11 +100,20 @@ def tuned_gains(name: str) -> dict[str, FmiValue]:
 
 
 def tuned(protocol: Protocol, name: str) -> Controller:
-    """Returns the controller that the protocol has under that name, with its tuned gains and their step."""
+    """Returns the controller that the protocol has under that name, with its tuned gains and their step.
+
+    To another vehicle gains are carried by its inertia: forces are in proportion to it, for like motion.
+    """
     controller, path = built_in(protocol, name), GAINS / f"{name}.toml"
     written = tomllib.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    table, ratio = protocol.controllers[name].gains, protocol.inertia_ratio
+    powers = {gain: entry.inertia for gain, entry in table.items() if entry.inertia and ratio != 1.0}
+    found: dict[str, Any] = tuned_gains(name)
+    gains = {
+        gain: value * ratio ** powers[gain] if gain in powers else value for gain, value in found.items()
+    }
     step = written.get("tuning", {}).get("step", 0.0)
-    return replace(controller, parameters={**controller.parameters, **tuned_gains(name)}, step=step)
+    return replace(controller, parameters={**controller.parameters, **gains}, step=step)
 
 
 class ClosedLoopRun(NamedTuple):

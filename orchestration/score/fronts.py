@@ -20,13 +20,12 @@ import numpy as np
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.score import tune_problem
-from orchestration.score.closed_loop import ClosedLoop, tuned, tuned_gains
+from orchestration.score.closed_loop import ClosedLoop, tuned
 from orchestration.score.protocol import Protocol, with_cost
 from orchestration.score.protocol_format import DELAY_MARGIN
 from orchestration.score.score_rows import delay_margin_of
 from orchestration.score.tune import Evaluate, Problem, SeedSearch, searching
 from orchestration.score.tune_problem import LARGEST, beyond
-from orchestration.score.vehicle import Vehicle
 
 LEVELS = 6
 """Bounds on the total variation, each half of the one before: from that of the protocol to a 32nd of it."""
@@ -128,14 +127,11 @@ def search_front(
 
 
 def tuned_for(protocol: Protocol, name: str, gains: Sequence[FreeParameter]) -> dict[str, float] | None:
-    """Returns the tuned gains of a controller, carried to the vehicle by its inertia; None if it has none."""
-    found, table = tuned_gains(name), protocol.controllers[name].gains
+    """Returns the tuned gains of a controller for the vehicle, within their ranges; None if it has none."""
+    found: Mapping[str, Any] = tuned(protocol, name).parameters
     if not all(gain.name in found for gain in gains):
         return None
-    inertia = [v.values().heave[0] for v in (protocol.vehicle, Vehicle.of_base(protocol.tables.base))]
-    ratio = inertia[0] / inertia[1] if all(inertia) else 1.0
-    carried = {gain: float(found[gain.name]) * ratio ** table[gain.name].inertia for gain in gains}
-    return {gain.name: gain.limited(value) for gain, value in carried.items()}
+    return {gain.name: gain.limited(float(found[gain.name])) for gain in gains}
 
 
 def front_of_law(

@@ -108,8 +108,16 @@ class Protocol:
         force = vehicle.actuators.largest_force
         told = f" Controllers are told that its actuators give {force:g} N." if math.isfinite(force) else ""
         inertia = vehicle.values().heave[0]
-        told += f" Laws that assume an inertia assume its {inertia:g} kg." if inertia else ""
-        return f"The vehicle is {vehicle.name}, simulated; the tuned gains beside are for {ours}.{told}"
+        carried = f", carried to its inertia of {inertia:.3g} kg" if inertia else ""
+        return (
+            f"The vehicle is {vehicle.name}, simulated; the tuned gains beside are for {ours}{carried}.{told}"
+        )
+
+    @cached_property
+    def inertia_ratio(self) -> float:
+        """The inertia of the vehicle by that of the base's; 1 if its description names none."""
+        inertia, ours = (v.values().heave[0] for v in (self.vehicle, Vehicle.of_base(self.tables.base)))
+        return inertia / ours if inertia and ours else 1.0
 
     @property
     def metrics(self) -> Mapping[str, MetricTable]:

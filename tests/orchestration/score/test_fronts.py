@@ -10,7 +10,7 @@ import pytest
 
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.free_parameter import FreeParameter
-from orchestration.score.closed_loop import built_in, tuned_gains
+from orchestration.score.closed_loop import built_in, tuned, tuned_gains
 from orchestration.score.fronts import (
     LEVELS,
     Point,
@@ -136,6 +136,7 @@ def test_tuned_gains_are_carried_to_another_vehicle_by_its_inertia(protocol: Pro
         "l1": {"adaptation_gain": ratio**2},
     }.items():
         gains, own = problem_of(built_in(protocol, name), protocol).gains, tuned_gains(name)
+        assert tuned(protocol, name).parameters == {**protocol.controllers[name].parameters, **own}
         assert tuned_for(protocol, name, gains) == {gain.name: own[gain.name] for gain in gains}
         carried = tuned_for(other, name, gains)
         assert carried
