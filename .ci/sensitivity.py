@@ -36,7 +36,7 @@ from orchestration.sweep.distributions import Distribution, uniform
 
 VEHICLES = ("RovDepthPlant", "RovHeavePitchPlant", "BlueRov2Plant")
 SAMPLES = 64  # a power of 2, of each of the two sets of vehicles that Saltelli's method mixes
-REPETITIONS = 5  # with other samples; their spread is that of the indices
+REPETITIONS = 3  # with other samples; their spread is that of the indices
 _ERROR = "rmse"
 _LARGEST_LAG_S = 0.1
 
