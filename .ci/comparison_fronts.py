@@ -130,11 +130,14 @@ class Fronts:
         points = [p for laws in self.laws.values() for law in laws.values() for p in law["points"]]
         return sum(abs(p["change_at_half_the_step"]) > limit for p in points), len(points)
 
-    def guesses(self) -> list[str]:
-        """Returns the guessed numbers of any vehicle, those that move the ranking most first."""
+    def guesses(self, least: float) -> list[str]:
+        """Returns the guessed numbers with a larger index than that on any vehicle, the largest first."""
         names = dict.fromkeys(name for found in self.sensitivity.values() for name in found["indices"])
-        found = {name: [self.index(vehicle, name) for vehicle in self.sensitivity] for name in names}
-        return sorted(names, key=lambda name: -max(index["mean"] for index in found[name] if index))
+        largest = {
+            name: max(index["mean"] for v in self.sensitivity if (index := self.index(v, name)))
+            for name in names
+        }
+        return sorted((name for name in names if largest[name] > least), key=lambda name: -largest[name])
 
     def index(self, vehicle: str, number: str) -> dict[str, float] | None:
         """Returns the total Sobol' index of a number, None where the vehicle has none."""

@@ -10,6 +10,7 @@ import io
 import json
 import math
 import sys
+import tomllib
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,6 +22,7 @@ from jinja2 import Environment, StrictUndefined
 
 from orchestration.results.figures import front_figure
 from orchestration.results.formats import FigureFormat
+from orchestration.score.closed_loop import GAINS
 from orchestration.score.compare import START, TUNED, part
 from orchestration.score.score_document import ManyRuns, MetricOverRuns, Row, Score
 from orchestration.score.statistics import EQUIVALENCE, compare, profile, rank_correlation, ratios_to_best
@@ -30,7 +32,7 @@ PAGES = Path(__file__).parent.parent / "docs" / "explanation"
 DATA = PAGES / "comparison.json"
 TEMPLATE = Path(__file__).with_name("comparison_page.md")
 REPEATS = 0.98  # a rank correlation above it
-FACTORS = (1.1, 2.0)  # of the least RMSE, as in the tables of a score
+FACTOR = 2.0  # of the least RMSE
 _DIGITS = 5
 _OF_A_CASE = ("rmse", "total_variation")
 
@@ -156,10 +158,23 @@ class Numbers:
         words = {"lower": "different", "higher": "different"}
         return Counter(words.get(entry.verdict, entry.verdict) for entry in self.document.differences)
 
-    def failing(self) -> list[tuple[Row, str, ManyRuns]]:
-        """Returns the tuned controllers that fail in draws of a case, most often first."""
-        found = [(row, case, row.draws[case]) for row in self.tuned for case in self.repeated]
-        return sorted((entry for entry in found if entry[2].failed), key=lambda entry: -len(entry[2].failed))
+    def failing_in(self, least: float) -> dict[str, list[Row]]:
+        """Returns case -> tuned controllers whose interval of the failure rate is wholly above `least`."""
+        found = {
+            case: [row for row in self.tuned if row.draws[case].failure_interval[0] > least]
+            for case in self.repeated
+        }
+        return {case: rows for case, rows in found.items() if rows}
+
+    def limited(self) -> list[Row]:
+        """Returns the tuned controllers a gain of which ended at a limit of its range."""
+        files = {
+            row.name: tomllib.loads((GAINS / f"{row.name.partition('/')[2]}.toml").read_text())
+            for row in self.tuned
+        }
+        return [
+            r for r in self.tuned if any(e.get("at_a_limit") for e in files[r.name]["parameters"].values())
+        ]
 
     def never_failing(self) -> list[Row]:
         return [row for row in self.tuned if not self.plants_of(row).failed]
@@ -187,6 +202,10 @@ def listed(titles: Sequence[str]) -> str:
     return " and ".join([", ".join(titles[:-1]), titles[-1]] if len(titles) > 1 else titles)
 
 
+def _titles(rows: Sequence[Row]) -> str:
+    return listed([row.title for row in rows])
+
+
 def page(document: Score, fronts: comparison_fronts.Fronts) -> str:
     """Returns the page."""
     environment = Environment(
@@ -203,11 +222,11 @@ def page(document: Score, fronts: comparison_fronts.Fronts) -> str:
         largest_change=f"{100.0 * LARGEST_CHANGE:g}",
         repeats=REPEATS,
         equivalence=f"{100.0 * EQUIVALENCE:g}",
-        factors=FACTORS,
-        profiles=numbers.profiles(numbers.tests, FACTORS),
+        factor=FACTOR,
+        profiles=numbers.profiles(numbers.tests, [FACTOR]),
         share=share,
-        listed=listed,
-        titles=lambda rows: listed([row.title for row in rows]),
+        titles=_titles,
+        limited=_titles(numbers.limited()),
     )
 
 

@@ -59,7 +59,7 @@ def test_the_page_is_filled_from_the_results(document: Score, fronts: Any) -> No
 
 
 def test_the_page_is_short_and_begins_with_what_it_does_not_show() -> None:
-    assert len(PAGE.split()) <= 1500
+    assert sum(bool(re.search(r"\w", word)) for word in PAGE.split()) <= 1500  # not the rules of tables
     assert re.findall(r"^## (.*)$", PAGE, re.M)[0] == "What this does not show"
     assert max(map(len, re.findall(r"[^|\n]+", "\n".join(re.findall(r"^\|.*$", PAGE, re.M))))) <= 120
 
@@ -72,8 +72,10 @@ def test_the_headings_of_the_findings_are_those_of_the_run(document: Score, numb
     assert max(quick) < min(slow)
     identified = min(rows["start/l1"].delay_margin, rows["start/l1-pi"].delay_margin)
     assert max(row.delay_margin for row in tuned) < identified
-    shown = [(row, case) for row, case, runs in numbers.failing() if runs.failure_interval[0] > 0.05]
-    assert any(not row.cases[case].failed for row, case in shown)
+    for case in numbers.repeated:
+        often = [row.title for row in tuned if row.draws[case].failure_interval[0] > 0.05]
+        assert [row.title for row in numbers.failing_in(0.05).get(case, [])] == often
+    assert numbers.failing_in(0.05)
 
 
 def test_fronts_are_of_every_law_on_three_vehicles_within_the_bounds_of_the_search(fronts: Any) -> None:
