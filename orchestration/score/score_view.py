@@ -50,9 +50,9 @@ class ScoreTable:
 _OVERVIEW = ("rmse", "total_variation")
 _FACTORS = (1.1, 2.0)  # of the least RMSE: as good but for little, and not out of the question
 _STEP = Column(
-    "Communication step",
+    "Run step",
     "ms",
-    "of the runs; half of it changes the error of tuned gains by at most 2 %",
+    "of communication in the runs; half of it changes the error of tuned gains by at most 2 %",
     lambda row: Cell(1e3 * row.step),
     has_best=False,
 )

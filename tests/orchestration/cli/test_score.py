@@ -133,7 +133,8 @@ def test_compare_prints_tables_and_writes_the_scores(
     titles = {f"Summary of the cases: {kind} overview" for kind in ("tuned", "start")}
     assert titles <= {line.strip() for line in lines}
     # of the 136 pairs those of the paper's controller, each in one line
-    assert len([line for line in lines if "equal" in line or "lower" in line]) >= 10
+    verdicts = [line for line in lines if re.search(r" (equal|lower|higher|open) ", line)]
+    assert len([line for line in verdicts if "RMSE" in line]) == 16
     assert (
         Score.model_validate_json(Path("results", "comparison.json").read_text(encoding="utf-8")) == document
     )

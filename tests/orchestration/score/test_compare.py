@@ -58,11 +58,11 @@ def test_tuned_gains_run_at_the_step_that_they_were_tuned_at(
 def test_the_step_is_a_column_without_a_best_where_rows_have_one(protocol: Protocol) -> None:
     document = made_up(protocol, a=1.25, b=2.5)
     titles = [column.title for column in score_view.overview(document).columns]
-    assert "Communication step" not in titles
+    assert "Run step" not in titles
     for row, step in zip(document.rows, (0.02, 0.005), strict=True):
         row.step = step
     table = score_view.overview(document)
-    assert table.columns[-1].title == "Communication step"
+    assert table.columns[-1].title == "Run step"
     assert [(cells[-1].text, cells[-1].is_best) for cells in table.cells] == [("20", False), ("5", False)]
 
 
