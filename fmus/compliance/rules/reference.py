@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fmus.build.documentation.reference_results import LS_REF
-from fmus.compliance.fmu_file import BrokenMemberError, FmuFile
+from fmus.compliance.fmu_file import CO_SIMULATION, BrokenMemberError, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import behaviour_rule
 from fmus.compliance.script import Reading
@@ -29,6 +29,8 @@ Columns = dict[str, np.ndarray]
 
 
 def _no_references(fmu: FmuFile) -> str:
+    if fmu.is_model_exchange and CO_SIMULATION in fmu.interfaces:
+        return "the experiments are replayed by co-simulation, whose step size they state"
     return "" if _files(fmu) else "no experiment with reference results is inside"
 
 
