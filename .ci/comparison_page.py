@@ -197,13 +197,8 @@ def share(runs: ManyRuns) -> str:
     return f"{rate} % ({low} to {high} %)"
 
 
-def listed(titles: Sequence[str]) -> str:
-    """Returns words as a list in a sentence."""
-    return " and ".join([", ".join(titles[:-1]), titles[-1]] if len(titles) > 1 else titles)
-
-
 def _titles(rows: Sequence[Row]) -> str:
-    return listed([row.title for row in rows])
+    return "; ".join(row.title for row in rows)  # some have commas
 
 
 def page(document: Score, fronts: comparison_fronts.Fronts) -> str:

@@ -76,6 +76,8 @@ def test_the_headings_of_the_findings_are_those_of_the_run(document: Score, numb
         often = [row.title for row in tuned if row.draws[case].failure_interval[0] > 0.05]
         assert [row.title for row in numbers.failing_in(0.05).get(case, [])] == often
     assert numbers.failing_in(0.05)
+    assert len(numbers.leaders("hold-sea")[1]) > len(tuned) / 2
+    assert all(len(numbers.leaders(case)[1]) < len(tuned) / 2 for case in ("", "nominal", "hold-sine"))
 
 
 def test_fronts_are_of_every_law_on_three_vehicles_within_the_bounds_of_the_search(fronts: Any) -> None:
