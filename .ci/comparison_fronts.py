@@ -68,7 +68,7 @@ class Fronts:
         protocol, cost = read_protocol(), document["cost"]
         ours = protocol.tables.cost
         plant = "" if document["vehicle"] == protocol.vehicle.name else f" --plant {document['vehicle']}"
-        settings = "".join(f' --set "{name}={value:g}"' for name, value in document["settings"].items())
+        settings = "".join(f' --set "{name}={value}"' for name, value in document["settings"].items())
         bounds = [(n, value) for n, value in cost["bounds"].items() if ours.bounds.get(n) != value]
         cases = "" if cost["cases"] == ours.cases else f" --cases {','.join(cost['cases'])}"
         return plant + settings + "".join(f" --bound {n}={value:g}" for n, value in bounds) + cases

@@ -1,6 +1,6 @@
 """Writes what the page of the comparison reads of results, in docs/explanation, and comparison.md, the page.
 
-    python .ci/comparison_page.py results/comparison.json results/*/fronts.json
+    python .ci/comparison_page.py results/comparison.json results/VEHICLE/fronts.json ...
 
 Without a file it fills the page again from comparison.json, fronts.json and sensitivity.json that are there.
 The text, with the places of its numbers, is comparison_page.md; `figures` draws when the site is built.
