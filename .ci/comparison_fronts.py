@@ -3,10 +3,10 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
-from itertools import combinations
+from itertools import combinations, permutations
 from pathlib import Path
 from statistics import median
-from typing import Any, NamedTuple
+from typing import Any
 
 from orchestration.score.protocol import read_protocol
 from orchestration.score.statistics import rank_correlation
@@ -15,13 +15,6 @@ DATA = Path(__file__).parent.parent / "docs" / "explanation" / "fronts.json"
 SENSITIVITY = DATA.with_name("sensitivity.json")
 _SHOWN = ("error", "total_variation", "delay_margin", "change_at_half_the_step")
 _DIGITS = 4
-
-
-class Pair(NamedTuple):
-    """Two laws, the first with the better front on one vehicle at least."""
-
-    better: str
-    worse: str
 
 
 def reduced(documents: Sequence[Mapping[str, Any]]) -> str:
@@ -93,15 +86,13 @@ class Fronts:
         better = self.is_better
         return [better(v, first, second) - better(v, second, first) for v in self.vehicles]
 
-    def everywhere(self) -> list[Pair]:
-        """Returns the pairs of which one law is better on every vehicle."""
-        pairs = [*combinations(self.titles, 2)]
-        found = [Pair(a, b) for a, b in pairs if min(self._verdicts(a, b)) == 1]
-        return found + [Pair(b, a) for a, b in pairs if max(self._verdicts(a, b)) == -1]
+    def everywhere(self) -> list[tuple[str, str]]:
+        """Returns the pairs of which the first law is better on every vehicle."""
+        return [pair for pair in permutations(self.titles, 2) if min(self._verdicts(*pair)) == 1]
 
-    def reversed(self) -> list[Pair]:
+    def reversed(self) -> list[tuple[str, str]]:
         """Returns the pairs of which one law is better on one vehicle and worse on another."""
-        return [Pair(a, b) for a, b in combinations(self.titles, 2) if {1, -1} <= {*self._verdicts(a, b)}]
+        return [pair for pair in combinations(self.titles, 2) if {1, -1} <= {*self._verdicts(*pair)}]
 
     def verdict(self, first: str, second: str) -> str:
         """Returns in words on which vehicles the first law has the better front."""
@@ -120,10 +111,6 @@ class Fronts:
         """Returns the least rank correlation of the hypervolumes of two vehicles."""
         columns = [[self.volume(vehicle, law) for law in self.titles] for vehicle in self.vehicles]
         return min(rank_correlation(*pair) for pair in combinations(columns, 2))
-
-    def largest_spread(self) -> float:
-        """Returns the largest spread of the hypervolumes of the seeds of a law [%]."""
-        return 100.0 * max(law["spread"] for laws in self.laws.values() for law in laws.values())
 
     def changed_by_the_step(self, limit: float) -> tuple[int, int]:
         """Returns how many points half the step changes by more than a part of the cost, and of how many."""

@@ -98,7 +98,10 @@ def step_of(controller: Controller, protocol: Protocol) -> float:
 
 
 def at_enough_steps(gains: Gains, controller: Controller, protocol: Protocol) -> Controller:
-    """Returns the controller with its step halved until half of it changes the error of gains by 2 %."""
+    """Returns the controller with its step halved until half of it changes the error of gains little.
+
+    That is by at most `LARGEST_CHANGE`, or the step is `SHORTEST_STEP`.
+    """
     while (
         step_of(controller, protocol) > SHORTEST_STEP
         and not abs(change_at_half_the_step(gains, controller, protocol)) <= LARGEST_CHANGE
