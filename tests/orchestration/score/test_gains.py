@@ -8,7 +8,7 @@ import pytest
 from orchestration.score.closed_loop import GAINS, OWN, ClosedLoop, tuned
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.tune import REFINEMENTS
-from orchestration.score.tune_problem import costs
+from orchestration.score.tune_problem import LARGEST_CHANGE, SHORTEST_STEP, costs
 
 NAMES = list(read_protocol().controllers)
 
@@ -43,6 +43,7 @@ def test_a_file_is_of_the_protocol(name: str, protocol: Protocol) -> None:
     tuning, parameters = document["tuning"], document["parameters"]
     assert (tuning["controller"], tuning["fmu"]) == (name, table.fmu)
     assert tuning["reference_rates"] == table.reference_rates
+    assert abs(tuning["change_at_half_the_step"]) <= LARGEST_CHANGE or tuning["step"] <= SHORTEST_STEP
     assert (tuning["protocol"], tuning["bounds"]) == (protocol.version, protocol.tables.cost.bounds)
     limits = {key: entry["limits"] for key, entry in parameters.items() if "limits" in entry}
     ranges = {f"{OWN}{gain}": (range.low, range.high) for gain, range in table.gains.items()}
