@@ -5,7 +5,7 @@ guess and says so. Depth is positive down and zero when the vehicle's top is at 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from fmus.block import Block, NoValues, variable
 from fmus.numerics import rk4_step, where
@@ -91,10 +91,17 @@ class Inputs(Surroundings):
 
 
 @dataclass(frozen=True)
-class State:
-    depth: float = 0.0
-    heave_velocity: float = 0.0
-    thruster_force: Pair = (0.0, 0.0)
+class Continuous:
+    depth: float = variable(0.0, "Depth z, positive down", unit="m")
+    heave_velocity: float = variable(0.0, "Heave velocity w in the body frame", unit="m/s")
+    thruster_force: Pair = variable((0.0, 0.0), "Force of each thruster if submerged", unit="N")
+
+
+@dataclass(frozen=True)
+class State(Continuous):
+    """Continuous states, and what follows from the inputs and the sensor."""
+
+    steady_force: Pair = (0.0, 0.0)
     j: float = 1.0
     pressure_head: float = 0.0
     sensor: SensorState = SensorState()
@@ -129,27 +136,63 @@ def initial_state(t: float, inputs: Inputs, p: Parameters, calculated: NoValues)
     head = inputs.wave_pressure_head
     first = depth_sensor.first_sample(p, t, p.initial_depth + head, p.sensor_seed)
     j = heave.body_to_earth(inputs.roll, inputs.pitch)
-    return State(p.initial_depth, p.initial_heave_velocity, (0.0, 0.0), j, head, first)
+    return State(p.initial_depth, p.initial_heave_velocity, (0.0, 0.0), (0.0, 0.0), j, head, first)
+
+
+def derivative(t: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> Continuous:
+    forces = thruster.present_forces(p, state.thruster_force, state.steady_force)
+    rates = _motion((state.depth, state.heave_velocity), forces, inputs, p)
+    return Continuous(*rates, thruster.force_rates(p, state.thruster_force, state.steady_force))
+
+
+def integrate(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
+    """Returns the state after h seconds: the exact forces of the thrusters, and Runge-Kutta under these."""
+    forces = forces_from(state.thruster_force, inputs, p)
+    depth, velocity = rk4_step(
+        lambda elapsed, x: _motion(x, forces(elapsed), inputs, p), 0.0, (state.depth, state.heave_velocity), h
+    )
+    return replace(state, depth=depth, heave_velocity=velocity, thruster_force=forces(h))
+
+
+def _motion(x: tuple, forces: Pair, inputs: Inputs, p: Parameters) -> tuple[float, float]:
+    """Returns z' and w' under forces of the submerged thrusters [N]; x: z [m], w [m/s]."""
+    (z, w), j = x, heave.body_to_earth(inputs.roll, inputs.pitch)
+    thrust = thruster.submerged_share(z, p) * sum(forces)
+    return j * w, heave_acceleration(z, w, thrust, j, inputs, p)
 
 
 def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
-    j = heave.body_to_earth(inputs.roll, inputs.pitch)
-    forces = forces_from(state.thruster_force, inputs, p)
-
-    def derivative(elapsed: float, x: tuple) -> tuple:
-        z, w = x
-        thrust = thruster.submerged_share(z, p) * sum(forces(elapsed))
-        return j * w, heave_acceleration(z, w, thrust, j, inputs, p)
-
-    depth, velocity = rk4_step(derivative, 0.0, (state.depth, state.heave_velocity), h)
     head = inputs.wave_pressure_head
-    sensor = depth_sensor.sample_when_due(p, state.sensor, t + h, depth + head)
-    return State(depth, velocity, forces(h), j, head, sensor)
+    return replace(
+        state,
+        steady_force=steady_forces(inputs, p),
+        j=heave.body_to_earth(inputs.roll, inputs.pitch),
+        pressure_head=head,
+        sensor=depth_sensor.sample_when_due(p, state.sensor, t + h, state.depth + head),
+    )
+
+
+def crossings(t: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> tuple:
+    return (*surface_crossings(state.depth, inputs, p), *thruster.ventilation_crossings(state.depth, p))
+
+
+def surface_crossings(z: float, inputs: Surroundings, p: Parameters) -> tuple[float, float]:
+    """Returns the height [m] that is left until the vehicle begins to leave the water, and until it has."""
+    submerged_buoyancy = p.weight - p.net_weight + inputs.buoyancy_change
+    return z, z + heave.height(submerged_buoyancy, p.water_density, p.waterplane_area)
+
+
+def steady_forces(inputs: Surroundings, p: Parameters) -> Pair:
+    """Returns the forces [N] at which the submerged thrusters settle."""
+    first, second = (
+        thruster.steady_force(p, i, inputs.voltage[i], inputs.thruster_efficiency[i]) for i in (0, 1)
+    )
+    return first, second
 
 
 def forces_from(force: Pair, inputs: Surroundings, p: Parameters) -> Callable[[float], Pair]:
     """Returns a function of time [s]: the force of each submerged thruster [N] so long after `force`."""
-    steady = [thruster.steady_force(p, i, inputs.voltage[i], inputs.thruster_efficiency[i]) for i in (0, 1)]
+    steady = steady_forces(inputs, p)
 
     def forces(elapsed: float) -> Pair:
         first, second = (thruster.force_after(p, i, force[i], steady[i], elapsed) for i in (0, 1))
@@ -177,7 +220,8 @@ def heave_acceleration(
 
 def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:
     submerged = thruster.submerged_share(state.depth, p)
-    first, second = (submerged * force for force in state.thruster_force)
+    forces = thruster.present_forces(p, state.thruster_force, state.steady_force)
+    first, second = (submerged * force for force in forces)
     return Outputs(
         depth=state.depth,
         depth_rate=state.j * state.heave_velocity,

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 from fmus.block import Block, NoValues, variable
 from fmus.block.guide import Experiment, Guide, Source
-from fmus.numerics import rk4_step
 
 Vector = tuple[float, float]
 _BOOK = "Hovakimyan and Cao (2010), page 29, and public MATLAB programs; not printed in the paper"
@@ -37,8 +36,8 @@ class Inputs:
 
 
 @dataclass(frozen=True)
-class State:
-    x: Vector = (0.0, 0.0)
+class Continuous:
+    x: Vector = variable((0.0, 0.0), "State x")
 
 
 @dataclass(frozen=True)
@@ -47,26 +46,27 @@ class Outputs:
     output: float = variable(0.0, "Output y = C x")
 
 
-def derivative(x: Vector, inputs: Inputs, p: Parameters) -> Vector:
+def derivative(
+    t: float, state: Continuous, inputs: Inputs, p: Parameters, calculated: NoValues
+) -> Continuous:
     """Returns x'."""
+    x = state.x
     (a_11, a_12), (a_21, a_22) = p.state_matrix
     uncertainty = p.theta[0] * x[0] + p.theta[1] * x[1] + inputs.disturbance
     forcing = p.omega * inputs.control + uncertainty
-    return (
-        a_11 * x[0] + a_12 * x[1] + p.input_vector[0] * forcing,
-        a_21 * x[0] + a_22 * x[1] + p.input_vector[1] * forcing,
+    return Continuous(
+        (
+            a_11 * x[0] + a_12 * x[1] + p.input_vector[0] * forcing,
+            a_21 * x[0] + a_22 * x[1] + p.input_vector[1] * forcing,
+        )
     )
 
 
-def initial_state(t: float, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
-    return State(p.initial_state)
+def initial_state(t: float, inputs: Inputs, p: Parameters, calculated: NoValues) -> Continuous:
+    return Continuous(p.initial_state)
 
 
-def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
-    return State(rk4_step(lambda _, x: derivative(x, inputs, p), t, state.x, h))
-
-
-def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:
+def output(t: float, state: Continuous, p: Parameters, calculated: NoValues) -> Outputs:
     x, c = state.x, p.output_vector
     return Outputs(state=x, output=c[0] * x[0] + c[1] * x[1])
 

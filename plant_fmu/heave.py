@@ -25,8 +25,13 @@ def buoyancy(z: float, submerged: float, density: float, waterplane_area: float)
 
     Vertical-sided approximation: the vehicle emerges by -z when its top is above the surface.
     """
-    emerged = clip(-z, 0.0, submerged / (density * GRAVITY * waterplane_area))
+    emerged = clip(-z, 0.0, height(submerged, density, waterplane_area))
     return submerged - density * GRAVITY * waterplane_area * emerged
+
+
+def height(submerged: float, density: float, waterplane_area: float) -> float:
+    """Returns the height [m] of a vehicle with vertical sides, of this buoyancy under water."""
+    return submerged / (density * GRAVITY * waterplane_area)
 
 
 def damping(relative_velocity: float, linear: float, quadratic: float) -> float:

@@ -69,13 +69,24 @@ class Inputs(Surroundings):
 
 
 @dataclass(frozen=True)
-class State:
-    depth: float = 0.0
-    depth_rate: float = 0.0
-    pitch: float = 0.0
-    pitch_rate: float = 0.0
-    transfer: tuple[Triple, Triple] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    lagged_force: Pair = (0.0, 0.0)
+class Continuous:
+    depth: float = variable(0.0, "Depth z, positive down", unit="m")
+    depth_rate: float = variable(0.0, "Depth rate z'", unit="m/s")
+    pitch: float = variable(0.0, "Pitch angle theta, positive bow up", unit="rad")
+    pitch_rate: float = variable(0.0, "Pitch rate q", unit="rad/s")
+    transfer: tuple[Triple, Triple] = variable(
+        ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        "State of each thruster's transfer function",
+        unit=(("N", "N/s", "N/s2"), ("N", "N/s", "N/s2")),
+    )
+    lagged_force: Pair = variable((0.0, 0.0), "Force of each thruster behind limit and lag", unit="N")
+
+
+@dataclass(frozen=True)
+class State(Continuous):
+    """Continuous states, and what follows from the inputs and the sensors."""
+
+    steady_force: Pair = (0.0, 0.0)
     pressure_head: float = 0.0
     sensor: SensorState = SensorState()
     pitch_sensor: SensorState = SensorState()
@@ -118,46 +129,74 @@ def initial_state(t: float, inputs: Inputs, p: Parameters, calculated: NoValues)
     )
 
 
-def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
-    transfer, lagged = _transfer_of(p), depth_plant.forces_from(state.lagged_force, inputs, p)
+def derivative(t: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> Continuous:
+    asked = thruster.present_forces(p, state.lagged_force, state.steady_force)
+    v, acceleration, q, angular, transfer = _in_parts(_motion(_moving(state), asked, inputs, p))
+    lagged = thruster.force_rates(p, state.lagged_force, state.steady_force)
+    return Continuous(v, acceleration, q, angular, transfer, lagged)
 
-    def derivative(elapsed: float, x: tuple) -> tuple:
-        z, v, theta, q, *rest = x
-        asked, turning = lagged(elapsed), ((*rest[:3],), (*rest[3:],))
-        forces = _forces(z, theta, turning, asked, p)
-        thrust = heave_pitch.vertical_thrust(forces, theta)
-        moment = heave_pitch.thrust_moment(forces, p.thruster_lever) + inputs.external_moment
-        righting = heave_pitch.righting_moment(theta, p.weight, p.metacentric_height)
-        damping = heave.damping(q, p.pitch_linear_damping, p.pitch_quadratic_damping)
-        return (
-            v,
-            depth_plant.heave_acceleration(z, v, thrust, 1.0, inputs, p),
-            q,
-            heave_pitch.angular_acceleration(moment, righting, damping, p.pitch_inertia),
-            *transfer.rates(turning[0], asked[0]),
-            *transfer.rates(turning[1], asked[1]),
-        )
 
+def integrate(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
+    """Returns the state after h seconds: exact forces of limit and lag, and Runge-Kutta under these."""
+    lagged = depth_plant.forces_from(state.lagged_force, inputs, p)
+    x = rk4_step(lambda elapsed, x: _motion(x, lagged(elapsed), inputs, p), 0.0, _moving(state), h)
+    depth, rate, pitch, pitch_rate, transfer = _in_parts(x)
+    return replace(
+        state, depth=depth, depth_rate=rate, pitch=pitch, pitch_rate=pitch_rate, transfer=transfer,
+        lagged_force=lagged(h),
+    )  # fmt: skip
+
+
+def _moving(state: Continuous) -> tuple:
     first, second = state.transfer
-    moving = state.depth, state.depth_rate, state.pitch, state.pitch_rate
-    depth, rate, pitch, pitch_rate, *rest = rk4_step(derivative, 0.0, (*moving, *first, *second), h)
-    head = inputs.wave_pressure_head
-    sensed = _sensed_depth(depth, pitch, p) + head
-    return State(
-        depth,
-        rate,
-        pitch,
-        pitch_rate,
-        (tuple(rest[:3]), tuple(rest[3:])),
-        lagged(h),
-        head,
-        depth_sensor.sample_when_due(p, state.sensor, t + h, sensed),
-        depth_sensor.sample_when_due(_pitch_sensor(p), state.pitch_sensor, t + h, pitch),
+    return (state.depth, state.depth_rate, state.pitch, state.pitch_rate, *first, *second)
+
+
+def _in_parts(x: tuple) -> tuple:
+    """Returns the numbers of `_moving` in the shape of the state."""
+    return (*x[:4], (tuple(x[4:7]), tuple(x[7:])))
+
+
+def _motion(x: tuple, asked: Pair, inputs: Inputs, p: Parameters) -> tuple:
+    """Returns the derivatives of x, the numbers of `_moving`, under forces of limit and lag [N]."""
+    z, v, theta, q, *rest = x
+    transfer, turning = _transfer_of(p), ((*rest[:3],), (*rest[3:],))
+    forces = _forces(z, theta, turning, asked, p)
+    thrust = heave_pitch.vertical_thrust(forces, theta)
+    moment = heave_pitch.thrust_moment(forces, p.thruster_lever) + inputs.external_moment
+    righting = heave_pitch.righting_moment(theta, p.weight, p.metacentric_height)
+    damping = heave.damping(q, p.pitch_linear_damping, p.pitch_quadratic_damping)
+    return (
+        v,
+        depth_plant.heave_acceleration(z, v, thrust, 1.0, inputs, p),
+        q,
+        heave_pitch.angular_acceleration(moment, righting, damping, p.pitch_inertia),
+        *transfer.rates(turning[0], asked[0]),
+        *transfer.rates(turning[1], asked[1]),
     )
 
 
+def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
+    head = inputs.wave_pressure_head
+    sensed = _sensed_depth(state.depth, state.pitch, p) + head
+    return replace(
+        state,
+        steady_force=depth_plant.steady_forces(inputs, p),
+        pressure_head=head,
+        sensor=depth_sensor.sample_when_due(p, state.sensor, t + h, sensed),
+        pitch_sensor=depth_sensor.sample_when_due(_pitch_sensor(p), state.pitch_sensor, t + h, state.pitch),
+    )
+
+
+def crossings(t: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> tuple:
+    depths = (heave_pitch.depth_at(state.depth, state.pitch, lever) for lever in p.thruster_lever)
+    of_propellers = [crossing for depth in depths for crossing in thruster.ventilation_crossings(depth, p)]
+    return (*depth_plant.surface_crossings(state.depth, inputs, p), *of_propellers)
+
+
 def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:
-    first, second = _forces(state.depth, state.pitch, state.transfer, state.lagged_force, p)
+    asked = thruster.present_forces(p, state.lagged_force, state.steady_force)
+    first, second = _forces(state.depth, state.pitch, state.transfer, asked, p)
     sensed = _sensed_depth(state.depth, state.pitch, p) + state.pressure_head
     return Outputs(
         depth=state.depth,

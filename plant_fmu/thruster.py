@@ -175,6 +175,31 @@ def force_after(p: ThrusterParameters, i: int, force: float, steady: float, elap
     return where(elapsed < limited, force - sign(away) * rate * elapsed, steady + begins * left)
 
 
+def present_forces(p: ThrusterParameters, forces: Pair, steady: Pair) -> Pair:
+    """Returns the forces [N]: those of limit and lag, or where there is neither those of the voltages."""
+    first, second = (where(is_moving(p, i), forces[i], steady[i]) for i in (0, 1))
+    return first, second
+
+
+def force_rates(p: ThrusterParameters, forces: Pair, steady: Pair) -> Pair:
+    """Returns F' [N/s] of each thruster by limit and lag; 0 where there is neither."""
+    first, second = (_force_rate(p, i, forces[i], steady[i]) for i in (0, 1))
+    return first, second
+
+
+def _force_rate(p: ThrusterParameters, i: int, force: float, steady: float) -> float:
+    away, limit = force - steady, maximum(p.thruster_rate_limit[i], _LEAST_RATE)
+    rate = -away / maximum(p.thruster_lag[i], _SHORTEST_LAG)
+    is_limited = p.thruster_rate_limit[i] > _LEAST_RATE
+    return where(is_moving(p, i), where(is_limited, clip(rate, -limit, limit), rate), 0.0)
+
+
+def is_moving(p: ThrusterParameters, i: int) -> bool:
+    """Whether the force moves towards that which the voltage asks for, and does not follow it at once."""
+    has_rate = logical_or(p.thruster_lag[i] > _SHORTEST_LAG, p.thruster_rate_limit[i] > _LEAST_RATE)
+    return logical_and(logical_not(p.thruster_ideal), has_rate)
+
+
 def _left(lag: float, elapsed: float) -> float:
     """Returns the share that is left of a difference after some time [s], 1 at its start."""
     return where(lag > _SHORTEST_LAG, exp(-elapsed / maximum(lag, _SHORTEST_LAG)), 0.0)
@@ -213,6 +238,16 @@ class Transfer:
                 "internal_step at most 1 / a_2, 1 / sqrt(a_1) and 1 / cbrt(a_0) of thruster_transfer",
             ),
         )
+
+
+def ventilation_crossings(depth: float, p: ThrusterParameters) -> tuple[float, float]:
+    """Returns how far propellers at a depth are below where their thrust begins, and is full [m]."""
+    is_ventilated = logical_and(logical_not(p.thruster_ideal), p.thruster_full_depth > _LEAST_DEPTH)
+    of_propeller = depth + p.thruster_depth
+    return (
+        where(is_ventilated, of_propeller, 1.0),
+        where(is_ventilated, of_propeller - p.thruster_full_depth, 1.0),
+    )
 
 
 def submerged_share(depth: float, p: ThrusterParameters) -> float:

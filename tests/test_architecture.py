@@ -336,6 +336,7 @@ def test_what_is_declared_is_imported() -> None:
             "casadi",
             {
                 "fmus.numerics.symbols",
+                "fmus.build.exchange",
                 "fmus.build.right_derivative",
                 *(f"fmus.build.{name}" for name in ("guard", "symbolic", "operations", "c_functions")),
             },

@@ -16,6 +16,8 @@ from types import FunctionType
 from typing import Any, Literal, TypeVar
 
 from fmus.block.guide import NO_GUIDE, Guide
+from fmus.block.integration import between_events, rk4_step
+from fmus.block.units import per_second
 from fmus.errors import nearest
 
 Value = float | int | bool
@@ -92,6 +94,21 @@ class BlockVariable:
             return "Enumeration"
         return {float: "Real", int: "Integer", bool: "Boolean"}[type(self.start)]
 
+    def derivative(self, value_reference: int) -> "BlockVariable":
+        """Returns the derivative by time of a continuous state, as a variable."""
+        return replace(
+            self,
+            name=f"der({self.name})",
+            value_reference=value_reference,
+            description=f"Derivative of: {self.description}",
+            unit=per_second(self.unit or "1"),
+            display_unit=None,
+            minimum=None,
+            maximum=None,
+            nominal=None,
+            source="",
+        )
+
     @property
     def settable(self) -> bool:
         return self.causality in ("parameter", "input")
@@ -131,6 +148,7 @@ ROLES = {
     "inputs": ("input", "continuous", None),
     "outputs": ("output", "continuous", "calculated"),
 }
+_OF_STATES = ("local", "continuous", "calculated")
 
 
 @dataclass(frozen=True)
@@ -144,6 +162,8 @@ _NAMES = {
     "parameters": "Parameters", "calculated": "Calculated", "inputs": "Inputs", "state": "State",
     "outputs": "Outputs", "initial_state": "initial_state", "step": "step", "output": "output",
     "calculate": "calculate", "requirements": "requirements", "guide": "GUIDE",
+    "continuous": "Continuous", "derivative": "derivative", "integrate": "integrate",
+    "crossings": "crossings",
 }  # fmt: skip
 _LIKE = 0.85  # of letters in common: a name that is misspelt
 
@@ -160,6 +180,20 @@ class Block:
     calculate(parameters) -> Calculated, what follows from parameters alone
     requirements(parameters, calculated) -> ((condition, what is expected), ...)
 
+    A block with continuous states declares them with `variable` in a class `Continuous`, the base class of
+    `State`, and
+
+    derivative(t, state, inputs, parameters, calculated) -> Continuous, the derivatives by time
+    integrate(t, h, state, inputs, parameters, calculated) -> State, its continuous states h s later;
+        by default the classical fourth-order Runge-Kutta method, inputs held
+    crossings(t, state, inputs, parameters, calculated) -> (number, ...), event indicators: each changes its
+        sign where the derivative has a corner or a jump
+
+    `step` is then called after `integrate`, for what is sampled at t + h and for what the state copies from
+    inputs; for model exchange with h = 0. What is sampled, and all else that changes at events alone, goes
+    through `sampled` and `at_events` of `fmus.numerics`: `derivative` and `crossings` get the state with what
+    `step` makes of the inputs besides.
+
     `Parameters` has an `internal_step` [s], the longest step that `step` may be asked for; a block that
     declares none is given one that starts at `step_size`.
     stop_time, step_size: of the experiment that the FMU suggests, in s.
@@ -174,7 +208,11 @@ class Block:
     inputs: type = NoValues
     state: type = NoValues
     outputs: type
+    continuous: type = NoValues
     initial_state: Callable[..., Any] = _STATE_AS_DECLARED
+    derivative: Callable[..., Any] | None = None
+    integrate: Callable[..., Any] | None = None
+    crossings: Callable[..., tuple[Any, ...]] = lambda t, state, inputs, parameters, calculated: ()
     step: Callable[..., Any] = lambda t, h, state, inputs, parameters, calculated: state
     output: Callable[..., Any]
     calculated: type = NoValues
@@ -192,7 +230,9 @@ class Block:
             object.__setattr__(self, name, _plain(getattr(self, name)))
         for mistake in self._mistakes():
             raise TypeError(f"block {self.name!r}: {mistake}")
-        for role in ("parameters", "calculated", "inputs", "state", "outputs"):
+        if self.state is NoValues:
+            object.__setattr__(self, "state", self.continuous)
+        for role in ("parameters", "calculated", "inputs", "continuous", "state", "outputs"):
             if not is_frozen(getattr(self, role)):
                 raise TypeError(f"block {self.name!r}: {role}: expected a class with @dataclass(frozen=True)")
         if "internal_step" not in {declared.name for declared in fields(self.parameters)}:
@@ -208,8 +248,9 @@ class Block:
     def of_module(cls, module: str, name: str, description: str, **given: Any) -> "Block":
         """Returns the block of a module, at whose end it stands: BLOCK = Block.of_module(__name__, ...).
 
-        Its parts are what the module defines as Parameters, Calculated, Inputs, State, Outputs,
-        initial_state, step, output, calculate, requirements and GUIDE, as many of these as there are.
+        Its parts are what the module defines as Parameters, Calculated, Inputs, Continuous, State, Outputs,
+        initial_state, step, output, calculate, requirements, derivative, integrate, crossings and GUIDE, as
+        many of these as there are.
 
         given: the other fields of a block, stop_time=60.0, and parts that are imported or named otherwise
         Raises TypeError where a part is missing or imported, and for a name that is nearly that of a part.
@@ -255,6 +296,15 @@ class Block:
                 yield f"{name} {number!r}: expected a number of seconds"
             elif not 0.0 < number < math.inf:
                 yield f"{name} {number!r}: expected a finite number of seconds above 0"
+        if (self.continuous is NoValues) != (self.derivative is None):
+            yield "expected both a class Continuous and a function derivative, or neither"
+        if self.integrate and not self.derivative:
+            yield "expected a function derivative beside integrate"
+        if self.continuous is not NoValues and self.state not in (NoValues, self.continuous):
+            # the continuous states stand before all others
+            bases = getattr(self.state, "__bases__", ())
+            if bases[-1:] != (self.continuous,):
+                yield "expected class State(Continuous): the continuous states are a part of the state"
 
     @cached_property
     def variables(self) -> tuple[BlockVariable, ...]:
@@ -264,6 +314,51 @@ class Block:
             for declared in fields(getattr(self, role)):
                 scalars.extend(scalar_variables(declared, role, len(scalars)))
         return tuple(scalars)
+
+    @cached_property
+    def states(self) -> tuple[BlockVariable, ...]:
+        """Continuous states and then their derivatives, with the value references after `variables`."""
+        states: list[BlockVariable] = []
+        first = len(self.variables)
+        for declared in fields(self.continuous):
+            states.extend(scalar_variables(declared, "continuous", first + len(states), "state."))
+        rates = [v.derivative(v.value_reference + len(states)) for v in states]
+        return (*states, *rates)
+
+    @cached_property
+    def advance(self) -> Callable[..., Any]:
+        """Function of a whole step, with the arguments of `step`: `integrate`, then `step`."""
+        if self.derivative is None:
+            return self.step
+        integrate = self.integrate or self._rk4
+
+        def advance(t: float, h: float, state: Any, *others: Any) -> Any:
+            return self.step(t, h, integrate(t, h, state, *others), *others)
+
+        return advance
+
+    def held(self, t: float, state: Any, *others: Any) -> Any:
+        """Returns the state between events: what `step` copies from inputs is up to date, all else as it was.
+
+        others: inputs, parameters and calculated parameters
+        """
+        with between_events():
+            stepped = self.step(t, 0.0, state, *others)
+        count = len(flatten(self.continuous))
+        return unflatten(state, [*flatten(state)[:count], *flatten(stepped)[count:]])
+
+    def _rk4(self, t: float, h: float, state: Any, *others: Any) -> Any:
+        """Integrates the continuous states over h seconds; what else the state has is held."""
+        derivative, count = self.derivative, len(flatten(self.continuous))
+        if derivative is None:
+            return state
+        scalars = flatten(state)
+
+        def rates(time: float, x: tuple) -> tuple:
+            reached = unflatten(state, [*x, *scalars[count:]])
+            return tuple(flatten(derivative(time, self.held(time, reached, *others), *others)))
+
+        return unflatten(state, [*rk4_step(rates, t, tuple(scalars[:count]), h), *scalars[count:]])
 
     def of_causality(self, causality: str) -> tuple[BlockVariable, ...]:
         return tuple(v for v in self.variables if v.causality == causality)
@@ -307,14 +402,16 @@ def _with_internal_step(parameters: type, start: float) -> type:
     )
 
 
-def scalar_variables(declared: Field, role: str, first_reference: int) -> Iterator[BlockVariable]:
+def scalar_variables(
+    declared: Field, role: str, first_reference: int, prefix: str = ""
+) -> Iterator[BlockVariable]:
     said = declared.metadata
-    causality, variability, initial = ROLES[role]
+    causality, variability, initial = ROLES.get(role, _OF_STATES)
     for offset, (index, start) in enumerate(_elements(declared.default)):
         is_real = isinstance(start, float)
         discrete = "discrete" if variability == "continuous" and not is_real else variability
         yield BlockVariable(
-            name=declared.name + (f"[{','.join(str(i + 1) for i in index)}]" if index else ""),
+            name=prefix + declared.name + (f"[{','.join(str(i + 1) for i in index)}]" if index else ""),
             value_reference=first_reference + offset,
             causality=causality,
             variability=said["variability"] or discrete,

@@ -140,7 +140,7 @@ class BlockInstance:
                 f"communication step size {h!r} s: expected at most {_MOST_INTERNAL_STEPS:.0e} internal steps"
             )
         count = max(1, math.ceil(quotient))
-        internal, state, step = h / count, self._state, self.block.step
+        internal, state, step = h / count, self._state, self.block.advance
         held = self._inputs, self._parameters, self._calculated
         try:
             for i in range(count):

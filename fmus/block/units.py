@@ -23,6 +23,7 @@ BASE_UNITS: dict[str, dict[str, int]] = {
     "kg": {"kg": 1}, "s/kg": {"s": 1, "kg": -1}, "1/kg": {"kg": -1}, "kg/m3": {"kg": 1, "m": -3},
     "kg.m2": {"kg": 1, "m": 2},
     "N": {"kg": 1, "m": 1, "s": -2}, "N.m": {"kg": 1, "m": 2, "s": -2}, "N/s": {"kg": 1, "m": 1, "s": -3},
+    "N/s2": {"kg": 1, "m": 1, "s": -4},
     "N/m": {"kg": 1, "s": -2}, "N/(m.s)": {"kg": 1, "s": -3}, "N.s/m": {"kg": 1, "s": -1},
     "N.s2/m2": {"kg": 1, "m": -1}, "N.m.s": {"kg": 1, "m": 2, "s": -1}, "N.m.s2": {"kg": 1, "m": 2},
     "Pa": {"kg": 1, "m": -1, "s": -2}, "J": {"kg": 1, "m": 2, "s": -2}, "W": {"kg": 1, "m": 2, "s": -3},
@@ -66,6 +67,21 @@ def display(unit_name: str, display_name: str) -> tuple[float, float]:
     if exponents != others:
         raise ExportError(f"display unit {display_name!r}: expected one of the dimension of {unit_name!r}")
     return float(factor / divisor), float((offset - shift) / divisor)
+
+
+def per_second(name: str) -> str:
+    """Returns the name of a unit divided by the second."""
+    base, slash, power = name.rpartition("/s")
+    if not slash or (power and not power.isdecimal()):
+        return f"{name}/s"
+    return f"{base}/s{int(power or 1) + 1}"
+
+
+def rate(name: str) -> UnitDefinition:
+    """Returns the unit of a derivative by time, named `per_second(name)`, of a variable of this unit."""
+    of_variable = unit(name)
+    exponents = {**of_variable.exponents, "s": of_variable.exponents.get("s", 0) - 1}
+    return UnitDefinition({base: power for base, power in exponents.items() if power}, of_variable.factor)
 
 
 @cache

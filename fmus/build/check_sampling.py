@@ -20,7 +20,7 @@ def check_sampling(block: Block) -> None:
         state = block.initial_state(t, u, p, c)
         for i in range(_STEPS if any(True for _ in _clocks(state)) else 0):
             t, before = i * p.internal_step, state
-            state = block.step(t, p.internal_step, before, u, p, c)
+            state = block.advance(t, p.internal_step, before, u, p, c)
             _check_step(block, t, p.internal_step, before, state)
     except ExportError:
         raise

@@ -6,14 +6,15 @@ units in the last place. Any other difference refuses the block.
 
 import math
 import random
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from typing import Any
 
 import numpy as np
 
 from fmus.block import Block, flatten, unflatten
+from fmus.build.declaration import scalar_names
+from fmus.build.exchange import held_function
 from fmus.build.guard import NO_MEMORY, location, own_line
 from fmus.build.random_points import disturbed, drawn, rounded
 from fmus.build.shipped import ShippedLibrary
@@ -31,6 +32,9 @@ _AT_TWO_CALLS = f"at one call and {{}} at another, same arguments; {NO_MEMORY}"
 _TRACED = "when it is traced"
 _COMPILED = "when it is compiled; set ZIG_GLOBAL_CACHE_DIR to an empty folder, and build again"
 _FUNCTIONS = ("calculate", "requirements", "initial_state", "output", "step")
+_OF_CONTINUOUS = ("derivative", "crossings")
+_INTEGRATED = "as the function integrate has it in a short step"
+_NEARLY_EQUAL = 1e-9  # relative: two ways to the same derivative
 
 
 def check_trace(block: Block) -> dict[str, "_Comparison"]:
@@ -40,12 +44,16 @@ def check_trace(block: Block) -> dict[str, "_Comparison"]:
     """
     # The points follow from the variables alone: a block under another name is compared at the same ones.
     rng = random.Random(0)
-    compare = {name: _Comparison(block, name) for name in _FUNCTIONS}
+    names = (*_FUNCTIONS, *(_OF_CONTINUOUS if block.derivative else ()))
+    compare = {name: _Comparison(block, name) for name in names}
     for point in range(_POINTS):
         _compare_at_a_point(block, compare, rng, at_start=point == 0)
     _compare_at_zeros(block, compare)
     for comparison in compare.values():
         comparison.check(rng)
+    if block.integrate:
+        integrated = traced(block).between_events(traced(block).integrated_rate)
+        compare["derivative"].check_traced(integrated, _INTEGRATED, rng, _NEARLY_EQUAL)
     return compare
 
 
@@ -90,6 +98,8 @@ def _compare_at_a_point(
         if x is None:
             return
         y = compare["output"](t, x, p, c, is_reached=is_reached)
+        for name in _OF_CONTINUOUS if block.derivative else ():
+            compare[name](t, x, u, p, c, is_reached=is_reached)
         x, t = compare["step"](t, h, x, u, p, c, is_reached=is_reached), t + h
         if x is not None:
             _check_whole(block, "step", block.state, x)
@@ -113,7 +123,7 @@ def _compare_at_zeros(block: Block, compare: dict[str, "_Comparison"]) -> None:
 
 def _check_whole(block: Block, name: str, declared: type, result: Any) -> None:
     """Raises ExportError if a function gives a number that its Integer, Boolean or Enumeration cannot be."""
-    for path, start, x in zip(_names(result), flatten(declared), flatten(result), strict=False):
+    for path, start, x in zip(scalar_names(result), flatten(declared), flatten(result), strict=False):
         if isinstance(start, int) and x not in _items(start, x):
             raise ExportError(
                 f"block {block.name!r}: {location(getattr(block, name))}{name} gives {path} = {x!r}: "
@@ -140,11 +150,19 @@ class _Comparison:
 
     def __init__(self, block: Block, name: str) -> None:
         self._python: Callable[..., Any] = getattr(block, name)
-        self._traced = getattr(traced(block), name)
         self._where = f"block {block.name!r}: {location(self._python)}{name}"
+        self._traced = getattr(traced(block), name)
+        if name in _OF_CONTINUOUS:
+            self._python, self._traced = (
+                held_function(block, name),
+                traced(block).between_events(self._traced),
+            )
+        elif name == "step":
+            self._python = block.advance
         self.calls: list[tuple[Sequence[Any], Any, list[float]]] = []  # arguments, result, its numbers
         self._errors: list[tuple[Sequence[Any], Exception]] = []  # arguments without a result
         self._attempts = 0
+        self._are_requirements = name == "requirements"
 
     def __call__(self, *arguments: Any, is_reached: bool = True) -> Any:
         """Returns the result of the Python function; None where that is no finite number.
@@ -163,7 +181,7 @@ class _Comparison:
     def _evaluate(self, arguments: Sequence[Any]) -> tuple[Any, list[float] | None]:
         try:
             result = self._python(*arguments)
-            values = flatten(result) if is_dataclass(result) else [holds for holds, _ in result]
+            values = [holds for holds, _ in result] if self._are_requirements else flatten(result)
             if not all(isinstance(value, complex) or are_numbers(value) for value in values):
                 raise ExportError(f"{self._where} gives what an earlier call has kept; {NO_MEMORY}")
             if any(isinstance(value, complex) or not math.isfinite(value) for value in values):
@@ -189,13 +207,22 @@ class _Comparison:
             again = self._evaluate(arguments)[1] or [math.nan] * len(numbers)
             exactly = [0.0] * len(numbers)
             self._compare(result, numbers, again, exactly, _AT_TWO_CALLS)
-        self.check_numbers(self._traced_numbers([a for a, _, _ in self.calls]), _TRACED, rng)
+        self.check_traced(self._traced, _TRACED, rng)
 
-    def check_numbers(self, given: Sequence[list[float] | None], how: str, rng: random.Random) -> None:
-        """Checks the numbers of each call, None where there are none; raises ExportError for a difference."""
+    def check_traced(self, function: Any, how: str, rng: random.Random, equal: float = _EQUAL) -> None:
+        """Checks the numbers of each call beside those of a traced function; raises ExportError likewise."""
+        self.check_numbers(_numbers_of(function, [a for a, _, _ in self.calls]), how, rng, equal)
+
+    def check_numbers(
+        self, given: Sequence[list[float] | None], how: str, rng: random.Random, equal: float = _EQUAL
+    ) -> None:
+        """Checks the numbers of each call, None where there are none; raises ExportError for a difference.
+
+        equal: relative difference of numbers that count as equal
+        """
         amplified = 0
         for (arguments, result, numbers), others in zip(self.calls, given, strict=True):
-            rounding = [_EQUAL * abs(x) for x in numbers]
+            rounding = [equal * abs(x) for x in numbers]
             if others is not None and not all(map(_are_near, numbers, others, rounding)):
                 amplified += 1
                 moved = self._moved(arguments, numbers, rng)
@@ -210,7 +237,7 @@ class _Comparison:
         A number that is too large for Python is no such error: compiled code takes it for infinite.
         """
         errors = [(a, error) for a, error in self._errors if not isinstance(error, OverflowError)]
-        results = self._traced_numbers([arguments for arguments, _ in errors])
+        results = _numbers_of(self._traced, [arguments for arguments, _ in errors])
         for (_, error), numbers in zip(errors, results, strict=True):
             if all(map(math.isfinite, numbers)):
                 raise ExportError(
@@ -218,14 +245,6 @@ class _Comparison:
                     "such values with min, max or requirements, or give an alternative of "
                     "fmus.numerics.where that is not always legal as a function: lambda: ..."
                 )
-
-    def _traced_numbers(self, calls: list[Sequence[Any]]) -> list[list[float]]:
-        """Returns the results of the traced function for all arguments, in one call."""
-        if not calls:
-            return []
-        columns = zip(*(map(flatten, arguments) for arguments in calls), strict=True)
-        matrices = [np.array(scalars, float).reshape(len(calls), -1).T for scalars in columns]
-        return self._traced.map(len(calls))(*matrices).full().T.tolist()
 
     def _moved(self, arguments: Sequence[Any], numbers: Sequence[float], rng: random.Random) -> list[float]:
         """Returns the distances that the numbers move when the arguments change by roundings."""
@@ -241,10 +260,19 @@ class _Comparison:
         """Raises ExportError for the first number that is not near the other, whose origin `how` states."""
         if all(map(_are_near, numbers, others, allowed)):
             return
-        names = _names(result) if is_dataclass(result) else (f"({text})" for _, text in result)
+        names = [f"({text})" for _, text in result] if self._are_requirements else scalar_names(result)
         for name, x, y, difference in zip(names, numbers, others, allowed, strict=True):
             if not _are_near(x, y, difference):
                 raise ExportError(f"{self._where} gives {name} = {x!r} {how.format(repr(y))}")
+
+
+def _numbers_of(function: Any, calls: list[Sequence[Any]]) -> list[list[float]]:
+    """Returns the results of a traced function for all arguments, in one call."""
+    if not calls:
+        return []
+    columns = zip(*(map(flatten, arguments) for arguments in calls), strict=True)
+    matrices = [np.array(scalars, float).reshape(len(calls), -1).T for scalars in columns]
+    return function.map(len(calls))(*matrices).full().T.tolist()
 
 
 def _described(error: Exception) -> str:
@@ -255,15 +283,3 @@ def _described(error: Exception) -> str:
 
 def _are_near(x: float, y: float, allowed: float) -> bool:
     return abs(x - y) <= allowed  # False for NaN
-
-
-def _names(value: Any, name: str = "") -> Iterator[str]:
-    """Yields the names of the scalars of a dataclass, in the order of `flatten`."""
-    if isinstance(value, tuple):
-        for i, element in enumerate(value):
-            yield from _names(element, f"{name}[{i + 1}]")
-    elif is_dataclass(value):
-        for field in fields(value):
-            yield from _names(getattr(value, field.name), f"{name}.{field.name}".lstrip("."))
-    else:
-        yield name

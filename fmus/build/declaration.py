@@ -17,6 +17,7 @@ from fmus.fmi.variable_types import INTEGER_RANGE
 _VARIABILITIES = {
     "parameters": ("fixed", "tunable"), "calculated": ("fixed", "tunable"),
     "inputs": ("continuous", "discrete"), "outputs": ("continuous", "discrete"),
+    "continuous": ("continuous",),
 }  # fmt: skip
 _ARGUMENTS = {
     "calculate": ("parameters",),
@@ -24,8 +25,14 @@ _ARGUMENTS = {
     "initial_state": ("t", "inputs", "parameters", "calculated"),
     "step": ("t", "h", "state", "inputs", "parameters", "calculated"),
     "output": ("t", "state", "parameters", "calculated"),
+    "derivative": ("t", "state", "inputs", "parameters", "calculated"),
+    "integrate": ("t", "h", "state", "inputs", "parameters", "calculated"),
+    "crossings": ("t", "state", "inputs", "parameters", "calculated"),
 }
-_RESULTS = {"calculate": "calculated", "initial_state": "state", "step": "state", "output": "outputs"}
+_RESULTS = {
+    "calculate": "calculated", "initial_state": "state", "step": "state", "output": "outputs",
+    "derivative": "continuous", "integrate": "state",
+}  # fmt: skip
 _TYPES = "a float, an int, a bool, an IntEnum member, or a tuple of these"
 
 _EXACT = {kind: cls.__name__ for cls in (float, int, bool) for kind in (cls, cls.__name__)}  # of annotations
@@ -44,16 +51,19 @@ def check_declaration(block: Block) -> None:
             if other := owners.get(declared.name):
                 raise _refusal(block, cls, declared.name, f"expected another name, {other} has it too")
             owners[declared.name] = cls.__name__
-    for declared in fields(block.state):
-        for reason in _state_mistakes(declared):
+    count = len(fields(block.continuous))
+    for i, declared in enumerate(fields(block.state)):
+        for reason in _continuous_mistakes(declared) if i < count else _state_mistakes(declared):
             raise _refusal(block, block.state, declared.name, reason)
     for cls, name, reason in _shape_mistakes([*classes.values(), block.state]):
         raise _refusal(block, cls, name, reason)
-    for v in block.variables:
+    classes["local"] = block.continuous
+    for v in (*block.variables, *block.states):
         for reason in _value_mistakes(v):
-            raise _refusal(block, classes[v.causality], v.name, reason)
+            raise _refusal(block, classes[v.causality], v.name.removeprefix("state."), reason)
     for name in _ARGUMENTS:
-        _check_arguments(block, name)
+        if getattr(block, name) is not None:
+            _check_arguments(block, name)
 
 
 def check_result(block: Block, name: str, result: Any) -> None:
@@ -126,6 +136,16 @@ def _state_mistakes(declared: Field) -> Iterator[str]:
         yield f"expected a plain value, {declared.name}: float = 0.0; a state is no variable of the FMU"
     else:
         yield from _type_mistakes(declared)
+
+
+def _continuous_mistakes(declared: Field) -> Iterator[str]:
+    yield from _mistakes(declared, "continuous")
+    for scalar in flatten(declared.default):
+        if not isinstance(scalar, float):
+            yield f"start {scalar!r}: expected a float, a continuous state is a Real"
+    for nominal in flatten(declared.metadata["ranges"]["nominal"]):
+        if nominal is not None and not nominal > 0.0:
+            yield f"nominal {nominal!r}: expected more than 0"
 
 
 def _shape_mistakes(classes: list[type]) -> Iterator[tuple[type, str, str]]:
@@ -244,3 +264,15 @@ def _is_one_number(value: Any) -> bool:
         return True
     count = getattr(value, "numel", None)
     return count() == 1 if count else getattr(value, "ndim", None) == 0
+
+
+def scalar_names(value: Any, name: str = "") -> Iterator[str]:
+    """Yields the names of the scalars of a dataclass, in the order of `flatten`."""
+    if isinstance(value, tuple):
+        for i, element in enumerate(value):
+            yield from scalar_names(element, f"{name}[{i + 1}]")
+    elif is_dataclass(value):
+        for field in fields(value):
+            yield from scalar_names(getattr(value, field.name), f"{name}.{field.name}".lstrip("."))
+    else:
+        yield name

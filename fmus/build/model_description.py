@@ -1,20 +1,22 @@
-"""Block -> modelDescription.xml of FMI 2.0.5 for co-simulation.
+"""Block -> modelDescription.xml of FMI 2.0.5, for co-simulation and, in the native flavour, model exchange.
 
 Everything explicit: causality, variability, initial, units, ranges, enumerations, dependencies. In
-step mode no output depends directly on an input; in initialisation mode outputs follow the inputs.
+step mode no output depends directly on an input; in initialisation mode outputs follow the inputs. One list
+of dependencies serves both interfaces: it has the inputs that outputs follow in model exchange alone too.
 """
 
 import hashlib
 import os
 import uuid
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
 from xml.etree import ElementTree
 
 from fmus.block import Block, BlockVariable
-from fmus.block.units import display, unit
+from fmus.block.units import display, per_second, rate, unit
 from fmus.build.symbolic import initial_dependencies
 from fmus.errors import ExportError
 from fmus.files import xml_document
@@ -31,23 +33,38 @@ LOG_CATEGORIES = {
 
 _CAPABILITIES = {
     "needsExecutionTool": "false",
-    "canHandleVariableCommunicationStepSize": "true",
-    "canRunAsynchronuously": "false",
     "canBeInstantiatedOnlyOncePerProcess": "false",
     "canGetAndSetFMUstate": "true",
     "canSerializeFMUstate": "true",
 }
+_OF_CO_SIMULATION = {"canHandleVariableCommunicationStepSize": "true", "canRunAsynchronuously": "false"}
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """Interface of model exchange, beside that of co-simulation.
+
+    capabilities: the attributes of `ModelExchange` that the flavour decides
+    dependencies: value reference of each output and derivative -> those of the inputs and states behind it
+    indicators: how many event indicators there are
+    """
+
+    capabilities: dict[str, str]
+    dependencies: Mapping[int, Sequence[int]]
+    indicators: int
 
 
 def model_description(
     block: Block,
     guid: str,
     capabilities: dict[str, str],
+    exchange: Exchange | None = None,
     source_files: Sequence[str] = (),
     dependencies: Mapping[int, Sequence[int]] | None = None,
 ) -> bytes:
     """Returns the XML of a block; capabilities: the attributes of `CoSimulation` that the flavour decides.
 
+    exchange: what an FMU for model exchange has besides; None for one of co-simulation alone
     source_files: what an importer must compile to rebuild the FMU, inside the folder `sources`.
     dependencies: as `initial_dependencies`, which traces the block, returns them by default
 
@@ -65,13 +82,18 @@ def model_description(
         "generationTool": f"l1-depth {release}",
         "generationDateAndTime": _generation_date(),
         "variableNamingConvention": "structured",
+        "numberOfEventIndicators": str(exchange.indicators) if exchange and exchange.indicators else None,
     }
     root = ElementTree.Element("fmiModelDescription", _without_none(attributes))
-    interface = _add(root, "CoSimulation", modelIdentifier=block.name, **(_CAPABILITIES | capabilities))
-    listed = _add(interface, "SourceFiles") if source_files else interface
-    for file in source_files:
-        _add(listed, "File", name=file)
-    _units(root, block)
+    interfaces = {"ModelExchange": exchange.capabilities} if exchange else {}
+    interfaces["CoSimulation"] = _OF_CO_SIMULATION | capabilities
+    for name, own in interfaces.items():
+        interface = _add(root, name, modelIdentifier=block.name, **(_CAPABILITIES | own))
+        listed = _add(interface, "SourceFiles") if source_files else interface
+        for file in source_files:
+            _add(listed, "File", name=file)
+    states = block.states if exchange else ()
+    _units(root, block, states)
     _enumerations(root, block)
     categories = _add(root, "LogCategories")
     for name, description in LOG_CATEGORIES.items():
@@ -79,9 +101,14 @@ def model_description(
     times = {"startTime": "0", "stopTime": repr(block.stop_time), "stepSize": repr(block.step_size)}
     _add(root, "DefaultExperiment", **times)
     variables = _add(root, "ModelVariables")
-    for variable in block.variables:
-        _variable(variables, variable)
-    _structure(root, block, initial_dependencies(block) if dependencies is None else dependencies)
+    for variable in (*block.variables, *states):
+        of_state = variable.value_reference - len(states) // 2
+        is_rate = of_state >= len(block.variables) and variable.causality == "local"
+        _variable(variables, variable, str(of_state + 1) if is_rate else None)
+    initial = initial_dependencies(block) if dependencies is None else dependencies
+    described = len(block.variables) + len(states)
+    initial = {unknown: known for unknown, known in initial.items() if unknown < described}
+    _structure(root, block, exchange.dependencies if exchange else {}, initial)
     text = xml_document(root)
     try:
         ElementTree.fromstring(text)
@@ -104,13 +131,21 @@ def _generation_date() -> str | None:
     return datetime.fromtimestamp(int(epoch), UTC).strftime("%Y-%m-%dT%H:%M:%SZ") if epoch else None
 
 
-def _units(root: Any, block: Block) -> None:
+def _units(root: Any, block: Block, states: Sequence[BlockVariable]) -> None:
     definitions = _add(root, "UnitDefinitions")
-    for name in sorted({v.unit for v in block.variables if v.unit is not None}):
-        definition, base = _add(definitions, "Unit", name=name), unit(name)
+    of_states = [v.unit for v in states[: len(states) // 2] if v.unit is not None]
+    units = {per_second(name): rate(name) for name in of_states}
+    units |= {name: unit(name) for name in of_states}
+    units |= {v.unit: unit(v.unit) for v in block.variables if v.unit is not None}
+    for name, base in sorted(units.items()):
+        definition = _add(definitions, "Unit", name=name)
         exponents = {symbol: str(exponent) for symbol, exponent in base.exponents.items()}
         _add(definition, "BaseUnit", **exponents, **_linear(base.factor, base.offset))
-        shown = {v.display_unit for v in block.variables if v.unit == name and v.display_unit is not None}
+        shown = {
+            v.display_unit
+            for v in (*block.variables, *states)
+            if v.unit == name and v.display_unit is not None
+        }
         for other in sorted(shown):
             _add(definition, "DisplayUnit", name=other, **_linear(*display(name, other)))
 
@@ -132,7 +167,8 @@ def _enumerations(root: Any, block: Block) -> None:
             _add(items, "Item", name=member.name.lower(), value=str(member.value))
 
 
-def _variable(parent: Any, v: BlockVariable) -> None:
+def _variable(parent: Any, v: BlockVariable, derivative: str | None) -> None:
+    """Adds a variable; derivative: the index of the state that it is the derivative of."""
     source = f" ({v.source})" if v.source else ""
     scalar = _add(
         parent,
@@ -148,7 +184,16 @@ def _variable(parent: Any, v: BlockVariable) -> None:
     start, nominal = _text(v.start) if v.settable else None, _text(v.nominal)
     declared = v.enumeration.__name__ if v.enumeration else None
     units = {"unit": v.unit, "displayUnit": v.display_unit}
-    _add(scalar, v.type, declaredType=declared, **limits, nominal=nominal, **units, start=start)
+    _add(
+        scalar,
+        v.type,
+        declaredType=declared,
+        **limits,
+        nominal=nominal,
+        **units,
+        start=start,
+        derivative=derivative,
+    )
 
 
 def _text(value: Any) -> str | None:
@@ -159,15 +204,17 @@ def _text(value: Any) -> str | None:
     return repr(value) if isinstance(value, float) else str(int(value))
 
 
-def _structure(root: Any, block: Block, dependencies: Mapping[int, Sequence[int]]) -> None:
+def _structure(
+    root: Any, block: Block, present: Mapping[int, Sequence[int]], initial: Mapping[int, Sequence[int]]
+) -> None:
+    outputs = {v.value_reference: present.get(v.value_reference, ()) for v in block.of_causality("output")}
+    rates = {unknown: known for unknown, known in present.items() if unknown not in outputs}
     structure = _add(root, "ModelStructure")
-    outputs = _add(structure, "Outputs")
-    for v in block.of_causality("output"):
-        _add(outputs, "Unknown", index=str(v.value_reference + 1), dependencies="")
-    initial = _add(structure, "InitialUnknowns")
-    for unknown, known in sorted(dependencies.items()):
-        indices = " ".join(str(reference + 1) for reference in known)
-        _add(initial, "Unknown", index=str(unknown + 1), dependencies=indices)
+    for name, dependencies in (("Outputs", outputs), ("Derivatives", rates), ("InitialUnknowns", initial)):
+        section = _add(structure, name) if dependencies or name != "Derivatives" else structure
+        for unknown, known in sorted(dependencies.items()):
+            indices = " ".join(str(reference + 1) for reference in known)
+            _add(section, "Unknown", index=str(unknown + 1), dependencies=indices)
 
 
 def with_guid(members: dict[str, bytes], recipe: str = "") -> tuple[str, dict[str, bytes]]:

@@ -18,8 +18,8 @@ from xml.etree import ElementTree
 
 from fmus.block import Block, BlockVariable
 from fmus.build.documentation.page import documentation, licenses
-from fmus.build.model_description import GUID, model_description, with_guid
-from fmus.build.symbolic import Traced, traced
+from fmus.build.model_description import GUID, Exchange, model_description, with_guid
+from fmus.build.symbolic import Traced, present_dependencies, traced
 from fmus.errors import ExportError
 from fmus.files import xml_document
 from fmus.fmi.integer_enumerations import REALS_ONLY, with_other_types
@@ -29,12 +29,11 @@ from fmus.platforms import check_platforms, host_platform, library_name
 
 COMPILED = ("fmi2.c",)
 _WORD = 32  # bits of the set of items
-_CAPABILITIES = {
-    "canInterpolateInputs": "true",
-    "maxOutputDerivativeOrder": "1",
-    "canNotUseMemoryManagementFunctions": "true",
-    "providesDirectionalDerivative": "true",
-}
+_SETTABLE = {"fixed": "BEFORE_STEPPING", "continuous": "ALWAYS"} | dict.fromkeys(
+    ("tunable", "discrete"), "AT_POINTS"
+)
+_OF_BOTH = {"canNotUseMemoryManagementFunctions": "true", "providesDirectionalDerivative": "true"}
+_CAPABILITIES = {"canInterpolateInputs": "true", "maxOutputDerivativeOrder": "1", **_OF_BOTH}
 
 
 def content(block: Block, reals_only: bool = False) -> tuple[str, dict[str, bytes]]:
@@ -42,7 +41,10 @@ def content(block: Block, reals_only: bool = False) -> tuple[str, dict[str, byte
 
     reals_only: whether every variable is a Real, for importers that know no other type
     """
-    description = model_description(block, GUID, _CAPABILITIES, COMPILED)
+    functions = traced(block)
+    of_exchange = {"completedIntegratorStepNotNeeded": "true", **_OF_BOTH}
+    exchange = Exchange(of_exchange, present_dependencies(block), _indicators(functions))
+    description = model_description(block, GUID, _CAPABILITIES, exchange, COMPILED)
     members = {
         **{f"sources/{name}": text.encode() for name, text in c_sources(block, GUID, reals_only).items()},
         **documentation(block, *COMPILED, reals_only=reals_only),
@@ -119,10 +121,19 @@ def _tables(functions: Traced, reals_only: bool) -> dict[str, object]:
         "whole": ", ".join(map(str, (*not_real, 0))),  # never empty, which C99 has not
         "requirements": len(functions.required),
         "internal_step": next(v.value_reference for v in block.variables if v.name == "internal_step"),
-        "variables": ",\n".join(_row(v, reals_only) for v in block.variables),
-        "access": ", ".join(_access(v, reals_only) for v in block.variables),
+        "continuous": len(block.states) // 2,
+        "indicators": _indicators(functions),
+        "step_size": repr(float(block.step_size)),
+        "has_derivative": int(block.derivative is not None),
+        "nominals": ", ".join(repr(float(v.nominal or 1.0)) for v in block.states) or "0",
+        "variables": ",\n".join(_row(v, reals_only) for v in (*block.variables, *block.states)),
+        "access": ", ".join(_access(v, reals_only) for v in (*block.variables, *block.states)),
         "required": ",\n".join(f"    {_string(text)}" for text in (*functions.required, "")),
     }
+
+
+def _indicators(functions: Traced) -> int:
+    return functions.crossings.numel_out(0) if functions.block.derivative else 0
 
 
 def _row(v: BlockVariable, reals_only: bool) -> str:
@@ -134,7 +145,7 @@ def _row(v: BlockVariable, reals_only: bool) -> str:
 
 
 def _access(v: BlockVariable, reals_only: bool) -> str:
-    settable = "NEVER" if not v.settable else "BEFORE_STEPPING" if v.variability == "fixed" else "ALWAYS"
+    settable = _SETTABLE[v.variability] if v.settable else "NEVER"
     return f"{{{'REAL' if reals_only else TRANSFER_TYPE[v.type].upper()}, {settable}}}"
 
 

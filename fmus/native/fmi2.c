@@ -1,4 +1,4 @@
-/* FMI 2.0.5 for co-simulation: checks of calls and arguments around an instance of the model.
+/* FMI 2.0.5 for co-simulation and model exchange: checks of calls and arguments around an instance of the model.
  *
  * Statuses (2.1.3):
  *   ok        done
@@ -14,12 +14,13 @@
  * table, which binds the importer: values can be read and inputs set also in 'instantiated', as some importers do;
  * and 'step failed' is 'step complete', because a step that is discarded has changed nothing.
  *
- * This is the one file to compile: functions of FMI stand here and in values.h, steps.h, derivatives.h and states.h.
+ * This is the one file to compile: functions of FMI stand here and in values.h, steps.h, exchange.h, derivatives.h and states.h.
  *
  * 2.1: an instance is one block of memory, there are no globals, no setting of the process or thread is changed.
  */
 
 #include "derivatives.h"
+#include "exchange.h"
 #include "refusals.h"
 #include "states.h"
 #include "steps.h"
@@ -59,7 +60,9 @@ static void cannot_instantiate(const fmi2CallbackFunctions *functions, fmi2Strin
 }
 
 static void instance_reset(Instance *instance) {
+    const int64_t face = instance->data.face;
     data_reset(&instance->data);
+    instance->data.face = face == CO_SIMULATION ? CO_SIMULATION : INITIAL_EXCHANGE;
     instance->step_cache.is_stale = 1;
     instance->stop_time = DBL_MAX;
 }
@@ -77,8 +80,9 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
         cannot_instantiate(functions, instanceName, "fmi2Instantiate: expected an instance name");
         return NULL;
     }
-    if (fmuType != fmi2CoSimulation) {
-        cannot_instantiate(functions, instanceName, "fmi2Instantiate: fmuType %d: expected fmi2CoSimulation", fmuType);
+    if (fmuType != fmi2CoSimulation && fmuType != fmi2ModelExchange) {
+        cannot_instantiate(functions, instanceName,
+                           "fmi2Instantiate: fmuType %d: expected fmi2CoSimulation or fmi2ModelExchange", fmuType);
         return NULL;
     }
     if (!fmuGUID || strcmp(fmuGUID, MODEL_GUID)) {
@@ -94,6 +98,7 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     name = strcpy((char *)(instance + 1), instanceName);
     instance->log = (Log){functions->logger, functions->componentEnvironment, name, log_mask(loggingOn)};
     instance->step_finished = functions->stepFinished;
+    instance->data.face = fmuType == fmi2CoSimulation ? CO_SIMULATION : INITIAL_EXCHANGE;
     instance_reset(instance);
     return instance;
 }
@@ -128,6 +133,12 @@ fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
     return fmi2OK;
 }
 
+static void begin(Data *d) {
+    d->mode = d->face == CO_SIMULATION ? STEPPING : EVENT;
+    if (d->face != CO_SIMULATION) d->face = EXCHANGE;
+    d->start_time = d->time;
+}
+
 /* 2.1.6; 4.2.4: in initialization mode. 4.1.2: the state and outputs of the start are computed here at the latest. */
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     Instance *instance = c;
@@ -135,14 +146,14 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     int broken = 0;
     if (!is_allowed(instance, INITIALIZATION, "fmi2ExitInitializationMode")) return fmi2Error;
     status = report(instance, data_refresh(&instance->data, &broken), &broken, "fmi2ExitInitializationMode", 0);
-    if (status == fmi2OK) instance->data.mode = STEPPING;
+    if (status == fmi2OK) begin(&instance->data);
     return status;
 }
 
-/* 2.1.6; 4.2.4: when a step is complete. */
+/* 2.1.6; 3.2.3, 4.2.4: when a step is complete; in event mode and in continuous-time mode. */
 fmi2Status fmi2Terminate(fmi2Component c) {
     Instance *instance = c;
-    if (!is_allowed(instance, STEPPING, "fmi2Terminate")) return fmi2Error;
+    if (!is_allowed(instance, STEPPING | EVENT | CONTINUOUS_TIME, "fmi2Terminate")) return fmi2Error;
     instance->data.mode = TERMINATED;
     return fmi2OK;
 }

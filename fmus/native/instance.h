@@ -22,10 +22,16 @@
 typedef struct {
     int64_t mode, parameters_are_stale, outputs_are_stale, inputs_have_rates;
     double time;
-    double value[N_VARIABLES];
+    double value[N_VALUES];
     double input_rate[N_INPUTS + 1];
     double state[N_STATES + 1];
+    int64_t face, n_steps; /* Face; steps of a model that has no derivative, as an instance for model exchange makes them */
+    double start_time;
+    double held[N_INPUTS + 1]; /* its inputs in the present step */
 } Data;
+
+/* Of an instance for model exchange, also whether its initialization is over, in whatever mode it is. */
+typedef enum { CO_SIMULATION, INITIAL_EXCHANGE, EXCHANGE } Face;
 
 /* What internal steps need of their size h and the parameters alone, and calls that follow from inputs, as
  * `remembered` has them. Importers take the size of a communication step as the difference of two times, so it is
@@ -47,7 +53,7 @@ static void data_reset(Data *d) {
     memset(d, 0, sizeof *d);
     d->mode = INSTANTIATED;
     d->parameters_are_stale = d->outputs_are_stale = 1;
-    for (int i = 0; i < N_VARIABLES; i++) d->value[i] = VARIABLES[i].start;
+    for (int i = 0; i < N_VALUES; i++) d->value[i] = VARIABLES[i].start;
 }
 
 static void data_set(Data *d, StepCache *cache, int reference, double value) {
@@ -60,7 +66,7 @@ static void data_set(Data *d, StepCache *cache, int reference, double value) {
 /* The calculated parameters, computed into `fresh` after a change. NULL if parameters contradict each other:
  * `broken` is then the first requirement that does not hold; or, counted on from these, the first calculated
  * parameter that is none of its items. */
-static const double *data_calculated(const Data *d, double *fresh, int *broken) {
+static INLINED const double *data_calculated(const Data *d, double *fresh, int *broken) {
     double holds[N_REQUIREMENTS + 1];
     if (!d->parameters_are_stale) return d->value + FIRST_CALCULATED;
     model_calculate(d->value, fresh);
@@ -81,7 +87,7 @@ static const double *data_calculated(const Data *d, double *fresh, int *broken) 
 }
 
 /* The numbers for steps of size h: those of N_STEP_SIZES sizes are kept, others are computed. */
-static double *step_numbers(StepCache *cache, double h, const double *p, const double *c) {
+static INLINED double *step_numbers(StepCache *cache, double h, const double *p, const double *c) {
     if (cache->is_stale) memset(cache, 0, sizeof *cache); /* no step has the size 0 */
     for (int i = 0; i < N_STEP_SIZES; i++) {
         const int at = (cache->last + i) % N_STEP_SIZES;
@@ -111,7 +117,7 @@ static int can_be_read(const double *outputs) {
 }
 
 /* Whether state and outputs are finite, and outputs items where they must be: `broken` is then the first that is none. */
-static Outcome checked(const double *state, const double *outputs, int *broken) {
+static INLINED Outcome checked(const double *state, const double *outputs, int *broken) {
     if (!are_finite(state, N_STATES) || !can_be_read(outputs)) return NOT_FINITE;
     for (int i = 0; i < N_WHOLE_OUTPUTS; i++) {
         *broken = FIRST_OUTPUT + WHOLE_OUTPUTS[i];
@@ -121,7 +127,7 @@ static Outcome checked(const double *state, const double *outputs, int *broken) 
 }
 
 /* The state at time t with its outputs, and the calculated parameters that they were made with. */
-static void data_become(Data *d, double t, const double *state, const double *outputs, const double *calculated) {
+static INLINED void data_become(Data *d, double t, const double *state, const double *outputs, const double *calculated) {
     memcpy(d->state, state, N_STATES * sizeof *state);
     memcpy(d->value + FIRST_OUTPUT, outputs, N_OUTPUTS * sizeof *outputs);
     if (d->parameters_are_stale) memcpy(d->value + FIRST_CALCULATED, calculated, N_CALCULATED * sizeof *calculated);
@@ -129,7 +135,27 @@ static void data_become(Data *d, double t, const double *state, const double *ou
     d->time = t;
 }
 
-/* Initial state and outputs, which follow parameters and inputs until stepping begins. */
+/* The tolerance of a point in time: far less than a step, but more than the rounding of the importer. */
+static double tolerance_at(double t, double h) {
+    return fmin(1e-9 * fmax(1, fabs(t)), 1e-3 * h) + 8 * DBL_EPSILON * fabs(t);
+}
+
+/* A state between events of model exchange: what it copies from inputs is up to date. */
+static void data_hold(const Data *d, const double *state, const double *c, double *held) {
+#if MODEL_HAS_DERIVATIVE
+    model_held(d->time, state, d->value + FIRST_INPUT, d->value, c, held);
+#else
+    (void)d, (void)c;
+    memcpy(held, state, N_STATES * sizeof *held);
+#endif
+}
+
+/* Outputs where no step has just been made: one copy of the equations beside that of a step. */
+static void data_outputs(const Data *d, const double *state, const double *c, double *outputs) {
+    model_output(d->time, state, d->value, c, outputs);
+}
+
+/* Outputs, and until stepping begins the initial state, which follow parameters and inputs. */
 static Outcome data_refresh(Data *d, int *broken) {
     double fresh[N_CALCULATED + 1], state[N_STATES + 1], outputs[N_OUTPUTS + 1];
     const double *p = d->value, *c;
@@ -137,8 +163,12 @@ static Outcome data_refresh(Data *d, int *broken) {
     if (!d->outputs_are_stale) return DONE;
     c = data_calculated(d, fresh, broken);
     if (!c) return CONTRADICTORY;
-    model_initial_state(d->time, p + FIRST_INPUT, p, c, state);
-    model_output(d->time, state, p, c, outputs);
+    if (d->face == EXCHANGE) {
+        data_hold(d, d->state, c, state);
+    } else {
+        model_initial_state(d->time, p + FIRST_INPUT, p, c, state);
+    }
+    data_outputs(d, state, c, outputs);
     outcome = checked(state, outputs, broken);
     if (outcome == DONE) data_become(d, d->time, state, outputs, c);
     return outcome;
@@ -183,6 +213,63 @@ static Outcome data_step(Data *d, StepCache *cache, double t, double h, int *bro
     if (d->inputs_have_rates) memset(d->input_rate, 0, sizeof d->input_rate);
     d->inputs_have_rates = 0;
     return DONE;
+}
+
+/* Of a model without derivative, for model exchange [s]: the suggested step size, in equal internal steps. */
+static double sample_time(const Data *d) {
+    return MODEL_STEP_SIZE / fmax(1, ceil(MODEL_STEP_SIZE / d->value[INTERNAL_STEP] * (1 - 1e-9)));
+}
+
+/* An event of model exchange: samples that are due are taken. `next`: the time of the next [s], infinite if none
+ * is known; `jumped`: whether continuous states have changed. A model without derivative steps: each internal step, with
+ * the inputs that were there at its beginning, is one sample. */
+static Outcome data_event(Data *d, StepCache *cache, int *jumped, double *next, int *broken) {
+    double fresh[N_CALCULATED + 1], held[N_STATES + 1], state[N_STATES + 1], outputs[N_OUTPUTS + 1];
+    const double *p = d->value, *c = data_calculated(d, fresh, broken);
+    int64_t n_steps = d->n_steps;
+    *jumped = 0;
+    if (!c) return CONTRADICTORY;
+#if MODEL_HAS_DERIVATIVE
+    (void)cache;
+    data_hold(d, d->state, c, held);
+    model_event(d->time, held, p + FIRST_INPUT, p, c, state);
+    model_next_event(d->time, state, p + FIRST_INPUT, p, c, next);
+    for (int i = 0; i < N_CONTINUOUS; i++) *jumped |= !is_same(state[i], d->state[i]);
+#else
+    const double h = sample_time(d), reached = (d->time - d->start_time + tolerance_at(d->time, h)) / h;
+    double *numbers = step_numbers(cache, h, p, c);
+    if (!(reached - (double)n_steps <= MOST_INTERNAL_STEPS)) return TOO_MANY_STEPS;
+    memcpy(state, d->state, sizeof state);
+    for (; (double)(n_steps + 1) <= reached; n_steps++) {
+        memcpy(held, state, sizeof state);
+        model_step(d->start_time + (double)n_steps * h, h, held, d->held, p, c, numbers, state);
+    }
+    *next = d->start_time + (double)(n_steps + 1) * h;
+#endif
+    data_outputs(d, state, c, outputs);
+    const Outcome outcome = checked(state, outputs, broken);
+    if (outcome != DONE) return outcome;
+    data_become(d, d->time, state, outputs, c);
+    d->n_steps = n_steps;
+    return DONE;
+}
+
+/* What an event leaves behind: a step that begins now takes the present inputs. */
+static void data_leave_event(Data *d) {
+    const double h = sample_time(d), begins = d->start_time + (double)d->n_steps * h;
+    if (fabs(d->time - begins) <= tolerance_at(d->time, h))
+        memcpy(d->held, d->value + FIRST_INPUT, N_INPUTS * sizeof *d->held);
+}
+
+/* Derivatives of the continuous states. */
+static void data_derivatives(const Data *d, const double *c, double *rates) {
+#if MODEL_HAS_DERIVATIVE
+    double held[N_STATES];
+    data_hold(d, d->state, c, held);
+    model_derivative(d->time, held, d->value + FIRST_INPUT, d->value, c, rates);
+#else
+    (void)d, (void)c, (void)rates;
+#endif
 }
 
 #endif

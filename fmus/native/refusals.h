@@ -32,6 +32,8 @@ static const char *mode_name(int mode) {
            : mode == INITIALIZATION ? "initialization mode"
            : mode == STEPPING       ? "step complete"
            : mode == TERMINATED     ? "terminated"
+           : mode == EVENT          ? "event mode"
+           : mode == CONTINUOUS_TIME ? "continuous-time mode"
                                     : "error";
 }
 
@@ -39,6 +41,13 @@ static int is_allowed(Instance *instance, int modes, const char *function) {
     if (!instance) return 0;
     if (instance->data.mode & modes) return 1;
     refuse(instance, fmi2Error, "%s is not allowed in the state '%s'", function, mode_name((int)instance->data.mode));
+    return 0;
+}
+
+/* Whether the instance is one for this interface, whatever its state. */
+static int is_of(Instance *instance, int face, const char *function) {
+    if (!instance || !instance->data.face == !face) return instance != NULL;
+    refuse(instance, fmi2Error, "%s: expected an instance for %s", function, face ? "model exchange" : "co-simulation");
     return 0;
 }
 
@@ -60,7 +69,7 @@ static fmi2Status contradictory(Instance *instance, int broken, const char *func
 /* 4.2.2: a step that cannot begin is an error, one that does not reach its end is discarded.
  * broken: a pointer, because the outcome, which sets it, may be evaluated after the other arguments. */
 static fmi2Status report(Instance *instance, Outcome outcome, const int *broken, const char *function, double h) {
-    const int is_stepping = instance->data.mode == STEPPING;
+    const int is_stepping = (instance->data.mode & (STEPPING | EVENT | CONTINUOUS_TIME)) != 0;
     if (outcome == DONE) return fmi2OK;
     if (outcome == CONTRADICTORY) return contradictory(instance, *broken, function);
     if (outcome == NO_ITEM) return no_item(instance, is_stepping ? fmi2Discard : fmi2Error, *broken, function);

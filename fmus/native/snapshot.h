@@ -16,7 +16,7 @@ typedef struct {
 } Snapshot;
 
 enum {
-    FORMAT = 2,
+    FORMAT = 3,
     N_WORDS = sizeof(Data) / 8,
     MAGIC_SIZE = 8,
     GUID_PLACE = MAGIC_SIZE + 8,
@@ -62,13 +62,18 @@ static int is_flag(int64_t word) { return word == 0 || word == 1; }
 
 /* Whether an instance could have this state. */
 static int is_consistent(const Data *d) {
-    int good = d->mode >= INSTANTIATED && d->mode <= IN_ERROR && (d->mode & (d->mode - 1)) == 0;
+    int good = d->mode >= INSTANTIATED && d->mode <= CONTINUOUS_TIME && (d->mode & (d->mode - 1)) == 0;
+    good = good && d->face >= CO_SIMULATION && d->face <= EXCHANGE;
+    good = good && (d->mode & (EVENT | CONTINUOUS_TIME) ? d->face == EXCHANGE
+                    : d->mode == STEPPING               ? d->face == CO_SIMULATION
+                                                        : 1);
+    good = good && d->n_steps >= 0 && isfinite(d->start_time) && are_finite(d->held, N_INPUTS);
     good = good && isfinite(d->time);
     good = good && is_flag(d->parameters_are_stale) && is_flag(d->outputs_are_stale);
     good = good && is_flag(d->inputs_have_rates);
     good = good && are_finite(d->input_rate, N_INPUTS) && are_finite(d->state, N_STATES);
     good = good && can_be_read(d->value + FIRST_OUTPUT);
-    for (int i = 0; i < N_VARIABLES; i++)
+    for (int i = 0; i < N_VALUES; i++)
         good = good && (is_settable(i) ? is_acceptable(i, d->value[i]) : is_item(i, d->value[i]));
     return good;
 }

@@ -31,6 +31,8 @@ fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate) {
     const Snapshot *snapshot = own_snapshot(c, FMUstate, "fmi2SetFMUstate");
     if (!snapshot) return fmi2Error;
+    if (!snapshot->data.face != !((Instance *)c)->data.face)
+        return refuse(c, fmi2Error, "fmi2SetFMUstate: the state is of the other interface");
     ((Instance *)c)->data = snapshot->data;
     ((Instance *)c)->step_cache.is_stale = 1;
     return fmi2OK;

@@ -5,11 +5,6 @@
 
 #include "refusals.h"
 
-/* The tolerance of a communication point: far less than a step, but more than the rounding of the importer. */
-static double tolerance_at(double t, double h) {
-    return fmin(1e-9 * fmax(1, fabs(t)), 1e-3 * h) + 8 * DBL_EPSILON * fabs(t);
-}
-
 /* Exactly to the current communication point plus the step size, which is greater than 0; 2.1.6: past the stop time is
  * an error; 2.1.5: stepFinished, if it is given, is called after a completed step; 4.2.4: when a step is complete. */
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2Real communicationStepSize,
@@ -44,6 +39,7 @@ fmi2Status fmi2CancelStep(fmi2Component c) {
  * and the end are available; a status that cannot be given is discarded. */
 
 static fmi2Status no_status(Instance *instance, fmi2StatusKind kind, const char *function) {
+    if (!is_of(instance, CO_SIMULATION, function)) return fmi2Error;
     if (!is_allowed(instance, STEPPING | TERMINATED, function)) return fmi2Error;
     return refuse(instance, fmi2Discard,
                   "%s: status kind %d: not available, steps are never asynchronous", function, kind);

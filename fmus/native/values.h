@@ -7,7 +7,7 @@
 
 /* 4.2.4: what can be inquired; after an error for debugging only. */
 enum {
-    HAS_STEPPED = STEPPING | TERMINATED | IN_ERROR,
+    HAS_STEPPED = STEPPING | EVENT | CONTINUOUS_TIME | TERMINATED | IN_ERROR,
     IS_INITIALIZED = INITIALIZATION | HAS_STEPPED,
     READABLE = INSTANTIATED | IS_INITIALIZED
 };
@@ -74,9 +74,26 @@ static fmi2Status cannot_be_set(Instance *instance, Type type, const fmi2ValueRe
     const Variable *v = VARIABLES + references[index];
     if (!is_settable((int)references[index]))
         return refuse(instance, fmi2Error, "%s: %s can not be set, it is calculated", function, v->name);
+    if (instance->data.mode == CONTINUOUS_TIME && ACCESS[references[index]].settable == AT_POINTS)
+        return refuse(instance, fmi2Error, "%s: %s can not be set in continuous-time mode", function, v->name);
     if (!(instance->data.mode & ACCESS[references[index]].settable))
         return refuse(instance, fmi2Error, "%s: %s is fixed, set it before the initialization ends", function, v->name);
     return refuse(instance, fmi2Discard, "%s: %s = %s: expected %s", function, v->name, DECIMAL(value), v->expected);
+}
+
+/* Continuous states and their derivatives, which are calculated when they are read. */
+static fmi2Status get_with_locals(Instance *instance, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[]) {
+    double fresh[N_CALCULATED + 1], rates[N_CONTINUOUS + 1];
+    const Data *d = &instance->data;
+    int broken = 0;
+    const double *c = data_calculated(d, fresh, &broken);
+    if (!c) return contradictory(instance, broken, "fmi2GetReal");
+    data_derivatives(d, c, rates);
+    for (size_t i = 0; i < nvr; i++)
+        value[i] = vr[i] >= FIRST_DERIVATIVE ? rates[vr[i] - FIRST_DERIVATIVE]
+                   : vr[i] >= N_VALUES       ? d->state[vr[i] - N_VALUES]
+                                             : d->value[vr[i]];
+    return fmi2OK;
 }
 
 /* 2.1.7; 4.2.4: from initialization mode on; here also when instantiated. */
@@ -89,8 +106,12 @@ static fmi2Status cannot_be_set(Instance *instance, Type type, const fmi2ValueRe
             const fmi2Status status = refreshed(instance, TYPE, vr, nvr, "fmi2Get" #Name);                      \
             if (status != fmi2OK) return status;                                                                \
         }                                                                                                       \
-        for (size_t i = 0; i < nvr; i++)                                                                        \
+        int are_local = 0;                                                                                      \
+        for (size_t i = 0; i < nvr; i++) {                                                                      \
             if (!has_type(vr[i], TYPE)) return not_of_type(instance, TYPE, vr[i], "fmi2Get" #Name);             \
+            are_local |= vr[i] >= N_VALUES;                                                                     \
+        }                                                                                                       \
+        if (are_local) return get_with_locals(instance, vr, nvr, (fmi2Real *)value);                            \
         for (size_t i = 0; i < nvr; i++) value[i] = (CType)instance->data.value[vr[i]];                         \
         return fmi2OK;                                                                                          \
     }

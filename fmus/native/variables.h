@@ -9,11 +9,26 @@
 /* Types of a variable, as the importer's functions distinguish them. */
 typedef enum { REAL, INTEGER, BOOLEAN } Type;
 
-/* States of FMI 2.0.5, figure 11; one bit each. A step is never in progress when the importer calls. */
-typedef enum { INSTANTIATED = 1, INITIALIZATION = 2, STEPPING = 4, TERMINATED = 8, IN_ERROR = 16 } Mode;
+/* States of FMI 2.0.5, one bit each: of co-simulation (figure 11), in which a step is never in progress when the
+ * importer calls, and of model exchange (figure 5), which has two in place of STEPPING. */
+typedef enum {
+    INSTANTIATED = 1,
+    INITIALIZATION = 2,
+    STEPPING = 4,
+    TERMINATED = 8,
+    IN_ERROR = 16,
+    EVENT = 32,
+    CONTINUOUS_TIME = 64
+} Mode;
 
-/* In which of them a variable can be set: never what is calculated, fixed parameters until stepping begins. */
-enum { NEVER = 0, BEFORE_STEPPING = INSTANTIATED | INITIALIZATION, ALWAYS = BEFORE_STEPPING | STEPPING };
+/* In which of them a variable can be set: never what is calculated, fixed parameters until stepping begins, tunable
+ * parameters and discrete inputs not in continuous-time mode. */
+enum {
+    NEVER = 0,
+    BEFORE_STEPPING = INSTANTIATED | INITIALIZATION,
+    AT_POINTS = BEFORE_STEPPING | STEPPING | EVENT,
+    ALWAYS = AT_POINTS | CONTINUOUS_TIME
+};
 
 typedef struct {
     const char *name;
@@ -25,17 +40,20 @@ typedef struct {
 
 /* What each call asks of each variable: in a table of its own, which is small and stays in the processor's cache. */
 typedef struct {
-    unsigned char type, settable; /* NEVER, BEFORE_STEPPING or ALWAYS */
+    unsigned char type, settable; /* NEVER, BEFORE_STEPPING, AT_POINTS or ALWAYS */
 } Access;
 
 #include "model.h"
 
-/* Value references: parameters, calculated parameters, inputs, outputs. */
+/* Value references: parameters, calculated parameters, inputs, outputs; then, without a value of their own, continuous
+ * states and their derivatives. */
 enum {
     FIRST_CALCULATED = N_PARAMETERS,
     FIRST_INPUT = FIRST_CALCULATED + N_CALCULATED,
     FIRST_OUTPUT = FIRST_INPUT + N_INPUTS,
-    N_VARIABLES = FIRST_OUTPUT + N_OUTPUTS
+    N_VALUES = FIRST_OUTPUT + N_OUTPUTS,
+    FIRST_DERIVATIVE = N_VALUES + N_CONTINUOUS,
+    N_VARIABLES = FIRST_DERIVATIVE + N_CONTINUOUS
 };
 
 /* Read from memory: of a model without inputs, a compiler would call the comparison below always false. */

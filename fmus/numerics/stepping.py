@@ -1,12 +1,12 @@
 """Parts of a step: integration, and states that change only at sampling instants."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
+from fmus.block.integration import DUE, rk4_step
 from fmus.numerics.choice import where
 
-__all__ = ["Clock", "rk4_step", "sampled"]
+__all__ = ["Clock", "at_events", "rk4_step", "sampled"]
 
 _EARLY = 1e-6  # of a period: t and the clock round differently
 _LATE = 0.5  # of a period
@@ -35,6 +35,14 @@ class Clock:
 Part = TypeVar("Part")
 
 
+def at_events(state: Part, new: Part) -> Part:
+    """Returns `new`; between the events of model exchange, `state` as it was.
+
+    For what `step` changes besides samples: the state of a switch, a count, or a continuous state that jumps.
+    """
+    return new if DUE.get() is None else state
+
+
 def sampled(t: float, period: float, state: Part, new: Part) -> Part:
     """Returns `new` if a sample is due at time t, else `state` as it was.
 
@@ -49,21 +57,9 @@ def sampled(t: float, period: float, state: Part, new: Part) -> Part:
     """
     clock: Clock = state.clock  # type: ignore[attr-defined]
     due = clock.next_sample(period)
+    if (noted := DUE.get()) is not None:
+        noted.append(due)
+        return state
     is_late = t > due + _LATE * period
     ticked = where(is_late, Clock(t + _LATE * period, 0), Clock(clock.start, clock.count + 1))
     return where(t >= due - _EARLY * period, replace(new, clock=ticked), state)  # type: ignore[type-var]
-
-
-def rk4_step(derivative: Callable[[Any, tuple], tuple], t: float, x: tuple, h: float) -> tuple:
-    """Returns x after one step of the classical fourth-order Runge-Kutta method.
-
-    `derivative(t, x)` returns dx/dt in the order of `x`; global error O(h^4).
-    """
-    half = 0.5 * h
-    k1 = derivative(t, x)
-    k2 = derivative(t + half, tuple(xi + half * ki for xi, ki in zip(x, k1, strict=True)))
-    k3 = derivative(t + half, tuple(xi + half * ki for xi, ki in zip(x, k2, strict=True)))
-    k4 = derivative(t + h, tuple(xi + h * ki for xi, ki in zip(x, k3, strict=True)))
-    return tuple(
-        xi + h / 6.0 * (a + 2.0 * b + 2.0 * c + d) for xi, a, b, c, d in zip(x, k1, k2, k3, k4, strict=True)
-    )

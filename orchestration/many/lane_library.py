@@ -24,7 +24,7 @@ LANES = 8
 """Instances of a group: a vector of as many doubles is one register of some processors, two of others."""
 _SOURCE, _HEADERS = "lanes.c", ("lane_functions.h", "lane_sine.h")
 _OF_FMU = ("variables.h", "model.h", "model_lanes.h")
-_MAGIC, _FORMAT, _GUID, _HEAD = b"L1-STATE", 2, 16, 52  # snapshot.h: magic, format, then the GUID
+_MAGIC, _FORMAT, _GUID, _HEAD = b"L1-STATE", 3, 16, 52  # snapshot.h: magic, format, then the GUID
 _FIRST_VALUE = 5  # word of `Data` in instance.h
 _MOST_LIBRARIES = 64
 

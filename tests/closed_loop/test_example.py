@@ -156,7 +156,7 @@ def _extended_example(law: ModuleType, feedforward: ReferenceFeedforward) -> tup
         u = law.control(state, p.feedback_gain, p)
         now = law.Measurement(x, x[0], r, f)
         inputs = example_plant.Inputs(control=u.total)
-        x = example_plant.step(i * h, h, example_plant.State(x), inputs, plant, None).x  # type: ignore[arg-type]
+        x = example_plant.BLOCK.advance(i * h, h, example_plant.Continuous(x), inputs, plant, None).x
         state = law.law_step(h, state, now, u, u.total, 0.0, p.feedback_gain, p, matrices)
     late = time >= duration - PERIOD
     angle = 0.2 * time[late]

@@ -35,7 +35,7 @@ typedef struct {
 /* value: by value reference, as in `Data` of instance.h; state: the present one and the next, by turns;
  * steps: of some sizes, since those of a time grid differ by rounding. */
 typedef struct {
-    Lanes value[N_VARIABLES];
+    Lanes value[N_VALUES];
     Lanes state[2][N_STATES + 1];
     Lanes memory[N_MEMORY + 1];
     Steps steps[N_STEP_SIZES];
@@ -47,8 +47,8 @@ static const double MOST_INTERNAL_STEPS = 1e9;
 /* What the caller has to know: how many variables, states, and bytes of a group; its internal step; how many Reals take
  * whole numbers alone. */
 EXPORT void lanes_sizes(int64_t sizes[5]) {
-    int64_t known[] = {N_VARIABLES, N_STATES, sizeof(Group), INTERNAL_STEP, 0};
-    for (int i = 0; i < N_VARIABLES; i++) known[4] += VARIABLES[i].whole;
+    int64_t known[] = {N_VALUES, N_STATES, sizeof(Group), INTERNAL_STEP, 0};
+    for (int i = 0; i < N_VALUES; i++) known[4] += VARIABLES[i].whole;
     memcpy(sizes, known, sizeof known);
 }
 

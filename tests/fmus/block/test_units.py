@@ -1,11 +1,12 @@
 """What the name of a unit means over the base units of FMI 2.0 and which names mean nothing."""
 
+import math
 import re
 import sys
 
 import pytest
 
-from fmus.block.units import BASE_UNITS, UnitDefinition, display, unit
+from fmus.block.units import BASE_UNITS, UnitDefinition, display, per_second, rate, unit
 from fmus.errors import ExportError, MissingExtraError
 
 
@@ -86,3 +87,22 @@ def test_a_unit_besides_those_of_the_table_names_the_extra_that_knows_it(
         MissingExtraError, match=re.escape("unit 'grad' needs pint: pip install 'l1-depth[units]'")
     ):
         display("rad", "grad")
+
+
+@pytest.mark.parametrize(
+    ("name", "rate_name", "exponents", "factor"),
+    [
+        ("1", "1/s", {"s": -1}, 1.0), ("m", "m/s", {"m": 1, "s": -1}, 1.0),
+        ("m/s", "m/s2", {"m": 1, "s": -2}, 1.0), ("N/s2", "N/s3", {"kg": 1, "m": 1, "s": -5}, 1.0),
+        ("N.s/m", "N.s/m/s", {"kg": 1, "s": -2}, 1.0), ("s", "s/s", {}, 1.0),
+        ("rev/min", "rev/min/s", {"rad": 1, "s": -2}, 2.0 * math.pi / 60.0),
+        ("degC", "degC/s", {"K": 1, "s": -1}, 1.0),
+    ],
+)  # fmt: skip
+def test_a_derivative_has_the_unit_by_second(
+    name: str, rate_name: str, exponents: dict[str, int], factor: float
+) -> None:
+    assert per_second(name) == rate_name
+    of_rate = rate(name)
+    assert (of_rate.exponents, of_rate.offset) == (exponents, 0.0)
+    assert of_rate.factor == pytest.approx(factor, rel=1e-15)

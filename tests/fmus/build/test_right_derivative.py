@@ -96,7 +96,7 @@ def test_the_rates_of_a_block_are_the_slopes_of_its_steps(name: str) -> None:
     for x, u, p, c in points(block, POINTS):
 
         def reached(h: float) -> np.ndarray:
-            return np.array(flatten(block.output(START + h, block.step(START, h, x, u, p, c), p, c)))  # noqa: B023
+            return np.array(flatten(block.output(START + h, block.advance(START, h, x, u, p, c), p, c)))  # noqa: B023
 
         rates = np.array(traced(block).output_rate(START, *map(flatten, (x, u, p, c)))).ravel()
         with suppress(ArithmeticError, ValueError):  # a state that the block does not have

@@ -27,7 +27,7 @@ class Calls(Beside):
         for wrong in (
             (None, 1, GUID, "all"),
             ("", 1, GUID, "all"),
-            (name, 0, GUID, "all"),
+            (name, 2, GUID, "all"),
             (name, 1, "{%n}", "all"),
         ):
             answer = self.send("instantiate", slot, *wrong, logging)

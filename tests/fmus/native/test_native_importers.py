@@ -71,11 +71,12 @@ def test_only_enabled_categories_are_logged(built: Fmus, load: Any) -> None:
 def test_two_versions_in_one_process_do_not_see_each_other(built: Fmus, load: Any, tmp_path: Path) -> None:
     """A plant that feels twice the control, beside the original."""
     block = builder.load_block("ExamplePlant")
+    derivative: Any = block.derivative
 
-    def twice(t: float, h: float, x: Any, u: Any, p: Any, c: Any) -> Any:
-        return block.step(t, h, x, replace(u, control=2.0 * u.control), p, c)
+    def twice(t: float, x: Any, u: Any, p: Any, c: Any) -> Any:
+        return derivative(t, x, replace(u, control=2.0 * u.control), p, c)
 
-    changed = replace(block, step=twice)
+    changed = replace(block, derivative=twice)
     _, members = native_flavour.content(changed)
     compiled = native_flavour.libraries(changed.name, members, ())
     path = write_archive(tmp_path / "changed" / "ExamplePlant.fmu", members | compiled)

@@ -76,7 +76,6 @@ def test_a_refused_instance_is_explained_whatever_its_name_and_guid(open_session
         ("%n" * 3000, 1, "{}", "GUID {}"),
         ("it", 1, None, "GUID NULL"),
         ("it", 1, "", "GUID : expected"),
-        ("it", 0, GUID, "expected fmi2CoSimulation"),
         ("it", 7, GUID, "expected fmi2CoSimulation"),
         (None, 1, GUID, "expected an instance name"),
         ("", 1, GUID, "expected an instance name"),

@@ -53,7 +53,7 @@ def test_a_diverging_step_is_discarded_and_leaves_the_state(built: Fmus, load: A
         ("doStep", (0.0, -0.1), "communication step size -0.1 s: expected more than 0"),
         ("doStep", (0.0, math.nan), "expected more than 0"),
         ("doStep", (0.0, 1.1), "step to 1.1 s: expected at most the stop time 1 s"),
-        ("setReal", ([99], [0.0]), "value reference 99: expected 0..18 of ExamplePlant"),
+        ("setReal", ([99], [0.0]), "value reference 99: expected 0..22 of ExamplePlant"),
         ("setReal", ([18], [0.0]), "output can not be set, it is calculated"),
         ("setReal", ([0], [0.1]), "internal_step is fixed, set it before the initialization ends"),
         ("getInteger", ([18],), "output is Real: expected Integer or Enumeration"),

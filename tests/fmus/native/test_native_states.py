@@ -34,7 +34,8 @@ print(json.dumps(slave.getReal([v.valueReference for v in description.modelVaria
     command = [sys.executable, "-c", script, *map(str, files)]
     done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)
     fmu.slave.doStep(0.02, 0.02)
-    real = [v.value_reference for v in builder.load_block("RovDepthPlant").variables if v.type == "Real"]
+    block = builder.load_block("RovDepthPlant")
+    real = [v.value_reference for v in (*block.variables, *block.states) if v.type == "Real"]
     assert json.loads(done.stdout) == fmu.slave.getReal(real)
 
 

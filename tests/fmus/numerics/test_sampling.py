@@ -7,7 +7,8 @@ import casadi
 import pytest
 
 from fmus.block import flatten, unflatten
-from fmus.numerics import Clock, sampled
+from fmus.block.integration import between_events
+from fmus.numerics import Clock, at_events, sampled
 
 PERIOD = 0.1
 
@@ -68,3 +69,13 @@ def test_symbols_sample_when_numbers_do() -> None:
     for part in (Part(), Part(Clock(0.5, 1)), Part(Clock(0.2, 3), 0.4, (3.0, True))):
         for time in (0.0, 0.1, 0.3, 0.5 - 2e-7, 0.6, 0.7):
             assert function(time, flatten(part)).full().ravel().tolist() == flatten(sample(time, part))
+
+
+def test_between_events_samples_and_what_is_guarded_are_held_and_the_times_of_samples_noted() -> None:
+    part = Part(Clock(2.0, 3), 0.0, (1.0, False))
+    with between_events() as due:
+        assert sample(99.0, part) is part
+        assert at_events(1.0, 2.0) == 1.0
+    assert due == [2.0 + 3 * PERIOD]
+    assert sample(99.0, part) is not part
+    assert at_events(1.0, 2.0) == 2.0

@@ -25,7 +25,7 @@ NAMES = {name: getattr(numerics, name) for name in numerics.__all__}
 # no numbers, or functions of other functions; and those without a value at 0
 NOT_IN_THE_TABLE = {
     "Clock", "all", "any", "logical_and", "logical_not", "logical_or", "logical_xor", "ramp_rates",
-    "rk4_step", "sampled", "solve", "transpose", "acosh", "log", "log2", "log10",
+    "at_events", "rk4_step", "sampled", "solve", "transpose", "acosh", "log", "log2", "log10",
 }  # fmt: skip
 # what blocks compose of them
 OTHERS = (

@@ -1,0 +1,35 @@
+"""Integration over a step, and what is held meanwhile."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any
+
+# times of samples, where functions of a block are evaluated between events
+DUE: ContextVar[list[float] | None] = ContextVar("DUE", default=None)
+
+
+@contextmanager
+def between_events() -> Iterator[list[float]]:
+    """Makes `at_events` and `sampled` hold their state; yields a list that fills with times of samples."""
+    due: list[float] = []
+    token = DUE.set(due)
+    try:
+        yield due
+    finally:
+        DUE.reset(token)
+
+
+def rk4_step(derivative: Callable[[Any, tuple], tuple], t: float, x: tuple, h: float) -> tuple:
+    """Returns x after one step of the classical fourth-order Runge-Kutta method.
+
+    `derivative(t, x)` returns dx/dt in the order of `x`; global error O(h^4).
+    """
+    half = 0.5 * h
+    k1 = derivative(t, x)
+    k2 = derivative(t + half, tuple(xi + half * ki for xi, ki in zip(x, k1, strict=True)))
+    k3 = derivative(t + half, tuple(xi + half * ki for xi, ki in zip(x, k2, strict=True)))
+    k4 = derivative(t + h, tuple(xi + h * ki for xi, ki in zip(x, k3, strict=True)))
+    return tuple(
+        xi + h / 6.0 * (a + 2.0 * b + 2.0 * c + d) for xi, a, b, c, d in zip(x, k1, k2, k3, k4, strict=True)
+    )
