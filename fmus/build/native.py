@@ -8,10 +8,12 @@ The GUID is derived from everything that decides what the libraries do: model de
 compiler and its flags. It does not depend on which platforms were built.
 """
 
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from string import Template
 from xml.etree import ElementTree
@@ -97,12 +99,21 @@ def c_sources(block: Block, guid: str, reals_only: bool = False) -> dict[str, st
     Raises ExportError for a block that cannot be traced.
     """
     layer = resources.files("fmus") / "native"
-    files = [file for file in layer.iterdir() if file.name.endswith((".c", ".h"))]
-    texts = {file.name: file.read_text("utf-8") for file in files}
+    texts = dict(_included(layer, COMPILED[0]))
     template = Template((layer / "model.h.in").read_text("utf-8"))
     functions = traced(block)
     model = template.substitute(_tables(functions, reals_only), guid=guid)
     return texts | {"model.h": model} | functions.c_code()
+
+
+def _included(layer: Traversable, name: str) -> Iterator[tuple[str, str]]:
+    """Yields names and texts of a hand-written file and of those that it includes; some more than once."""
+    file = layer / name
+    if file.is_file():
+        text = file.read_text("utf-8")
+        yield name, text
+        for included in re.findall(r'^#include "(.+)"', text, re.MULTILINE):
+            yield from _included(layer, included)
 
 
 def _tables(functions: Traced, reals_only: bool) -> dict[str, object]:
@@ -124,6 +135,9 @@ def _tables(functions: Traced, reals_only: bool) -> dict[str, object]:
         "continuous": len(block.states) // 2,
         "indicators": _indicators(functions),
         "step_size": repr(float(block.step_size)),
+        "fmi": 2,
+        "others": 0,
+        "extents": "",
         "has_derivative": int(block.derivative is not None),
         "nominals": ", ".join(repr(float(v.nominal or 1.0)) for v in block.states) or "0",
         "variables": ",\n".join(_row(v, reals_only) for v in (*block.variables, *block.states)),

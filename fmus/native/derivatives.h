@@ -3,6 +3,7 @@
 #ifndef DERIVATIVES_H
 #define DERIVATIVES_H
 
+#include "steps.h"
 #include "values.h"
 
 /* 4.2.1: order 0 is not allowed. */
@@ -52,19 +53,14 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
                                         const fmi2Integer order[], fmi2Real value[]) {
     static const char *const function = "fmi2GetRealOutputDerivatives";
     Instance *instance = c;
-    const double *v, *calculated;
-    double fresh[N_CALCULATED + 1], rate[N_OUTPUTS + 1];
-    int broken = 0;
+    double rate[N_OUTPUTS + 1];
     if (!is_of(instance, CO_SIMULATION, function)) return fmi2Error;
     if (!are_allowed(instance, HAS_STEPPED, REAL, vr, nvr, value, function)) return fmi2Error;
     if (!are_orders(instance, vr, order, nvr, function)) return fmi2Error;
     for (size_t i = 0; i < nvr; i++)
         if (vr[i] < FIRST_OUTPUT || vr[i] >= N_VALUES)
             return refuse(instance, fmi2Error, "%s: %s: expected an output", function, VARIABLES[vr[i]].name);
-    v = instance->data.value;
-    calculated = data_calculated(&instance->data, fresh, &broken);
-    if (!calculated) return contradictory(instance, broken, function);
-    model_output_rate(instance->data.time, instance->data.state, v + FIRST_INPUT, v, calculated, rate);
+    if (output_rates(instance, rate, function) != fmi2OK) return fmi2Error;
     for (size_t i = 0; i < nvr; i++) value[i] = order[i] == 1 ? rate[vr[i] - FIRST_OUTPUT] : 0;
     return fmi2OK;
 }
@@ -76,8 +72,6 @@ static void outputs_derivative(const Data *d, const double *state, const double 
     if (of_state) memcpy(seed + FIRST_INPUT, of_state, N_STATES * sizeof *seed);
     model_output_derivative(d->time, state, d->value, calculated, seed, result);
 }
-
-static int is_state(fmi2ValueReference reference) { return reference >= N_VALUES && reference < FIRST_DERIVATIVE; }
 
 /* Directional derivatives of all that is calculated but the calculated parameters, along those of all that is known. */
 static void known_derivatives(const Data *d, const double *calculated, double *along) {

@@ -272,4 +272,15 @@ static void data_derivatives(const Data *d, const double *c, double *rates) {
 #endif
 }
 
+/* Event indicators: their signs change where a derivative has a corner or a jump. */
+static void data_indicators(const Data *d, const double *c, double *indicators) {
+#if MODEL_HAS_DERIVATIVE
+    double held[N_STATES];
+    data_hold(d, d->state, c, held);
+    model_crossings(d->time, held, d->value + FIRST_INPUT, d->value, c, indicators);
+#else
+    (void)d, (void)c, (void)indicators;
+#endif
+}
+
 #endif
