@@ -6,19 +6,6 @@
 #include "steps.h"
 #include "values.h"
 
-/* 4.2.1: order 0 is not allowed. */
-static int are_orders(Instance *instance, const fmi2ValueReference references[], const fmi2Integer order[],
-                      size_t count, const char *function) {
-    if (count && !order) return missing(instance, function, "order"), 0;
-    for (size_t i = 0; i < count; i++) {
-        if (order[i] >= 1) continue;
-        refuse(instance, fmi2Error, "%s: %s: order %d: expected at least 1", function, VARIABLES[references[i]].name,
-               order[i]);
-        return 0;
-    }
-    return 1;
-}
-
 /* 4.2.1: allowed when fmi2SetReal is, valid for the next step. Inputs move in straight lines: a derivative of higher
  * order is left out, with a warning. */
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
@@ -57,9 +44,7 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
     if (!is_of(instance, CO_SIMULATION, function)) return fmi2Error;
     if (!are_allowed(instance, HAS_STEPPED, REAL, vr, nvr, value, function)) return fmi2Error;
     if (!are_orders(instance, vr, order, nvr, function)) return fmi2Error;
-    for (size_t i = 0; i < nvr; i++)
-        if (vr[i] < FIRST_OUTPUT || vr[i] >= N_VALUES)
-            return refuse(instance, fmi2Error, "%s: %s: expected an output", function, VARIABLES[vr[i]].name);
+    if (!are_outputs(instance, vr, nvr, function)) return fmi2Error;
     if (output_rates(instance, rate, function) != fmi2OK) return fmi2Error;
     for (size_t i = 0; i < nvr; i++) value[i] = order[i] == 1 ? rate[vr[i] - FIRST_OUTPUT] : 0;
     return fmi2OK;

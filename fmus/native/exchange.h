@@ -33,9 +33,9 @@ static Status to_mode(Instance *instance, int modes, Mode mode, const char *func
     return OK;
 }
 
-/* 3.2.2; 3.2.3: in continuous-time mode, and without effect in event mode. */
+/* 3.2.2; 3.2.3: in continuous-time mode, and without effect in event mode of FMI 2.0. */
 Status FMI(EnterEventMode)(void *c) {
-    return to_mode(c, EVENT | CONTINUOUS_TIME, EVENT, NAME(EnterEventMode));
+    return to_mode(c, EVENT_TOO | CONTINUOUS_TIME, EVENT, NAME(EnterEventMode));
 }
 
 /* 3.2.2; 3.2.3: in event mode. */
@@ -72,11 +72,11 @@ Status FMI(CompletedIntegratorStep)(void *c, FMI(Boolean) noSetFMUStatePriorToCu
     return OK;
 }
 
-/* 3.2.1; 3.2.3: in event mode and continuous-time mode. Solvers try times past the stop time. */
+/* 3.2.1; 3.2.3: in continuous-time mode, and event mode of FMI 2.0. Solvers try times past the stop time. */
 Status FMI(SetTime)(void *c, double time) {
     Instance *instance = c;
     if (!is_of(instance, EXCHANGE, NAME(SetTime))) return ERROR;
-    if (!is_allowed(instance, EVENT | CONTINUOUS_TIME, NAME(SetTime))) return ERROR;
+    if (!is_allowed(instance, EVENT_TOO | CONTINUOUS_TIME, NAME(SetTime))) return ERROR;
     if (!isfinite(time))
         return refuse(instance, ERROR, NAME(SetTime) ": time %s s: expected a finite number", DECIMAL(time));
     instance->data.time = time;

@@ -23,6 +23,28 @@ static Status do_step(Instance *instance, double t, double h) {
     return report(instance, outcome, &broken, NAME(DoStep), h);
 }
 
+/* 4.2.1: order 0 is not allowed. */
+static int are_orders(Instance *instance, const unsigned references[], const int order[], size_t count,
+                      const char *function) {
+    if (count && !order) return missing(instance, function, "order"), 0;
+    for (size_t i = 0; i < count; i++) {
+        if (order[i] >= 1) continue;
+        refuse(instance, ERROR, "%s: %s: order %d: expected at least 1", function, VARIABLES[references[i]].name,
+               order[i]);
+        return 0;
+    }
+    return 1;
+}
+
+static int are_outputs(Instance *instance, const unsigned references[], size_t count, const char *function) {
+    for (size_t i = 0; i < count; i++) {
+        if (references[i] >= FIRST_OUTPUT && references[i] < N_VALUES) continue;
+        refuse(instance, ERROR, "%s: %s: expected an output", function, VARIABLES[references[i]].name);
+        return 0;
+    }
+    return 1;
+}
+
 /* 4.2.1: the first derivatives of all outputs at the current time of the instance. */
 static Status output_rates(Instance *instance, double rate[], const char *function) {
     double fresh[N_CALCULATED + 1];
