@@ -2,7 +2,6 @@
 
 import ctypes
 import tempfile
-from collections.abc import Callable
 from ctypes import c_bool, c_double, c_size_t, c_void_p
 from pathlib import Path
 from typing import Any, ClassVar
@@ -20,7 +19,7 @@ _UNKNOWN_PARAMETERS, _AT_START, _IN_STEPS = (2, 1, 1, 0), (2, 0, 1, 0), (4, 0, 0
 class ShippedLibrary(BoundInstance):
     """An instance of the library whose saved state is written in memory, as fmus/native/snapshot.h has it."""
 
-    library_class: ClassVar[Callable[[Path], Library]] = Library
+    library_class: ClassVar[type[Library]] = Library
 
     def __init__(self, block: Block, guid: str, content: bytes) -> None:
         # Windows does not remove a library that is loaded

@@ -5,7 +5,7 @@ parameters `c`, inputs `u`, state `x`, outputs `y`, times `t` and `h` in s.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache, partial, reduce
 from typing import Any
 
@@ -154,7 +154,7 @@ class Traced:
         own = {name: value for name, value in vars(self).items() if isinstance(value, casadi.Function)}
         return {name: value for name, value in own.items() if name != "integrated_rate"}
 
-    def c_code(self, derivatives: Mapping[str, casadi.Function] | None = None) -> dict[str, str]:
+    def c_code(self, derivatives: dict[str, casadi.Function] | None = None) -> dict[str, str]:
         """Returns file name -> C functions called model_FUNCTION, with the arguments of this class.
 
         derivatives: these in place of the directional derivatives that FMI 2.0 has
