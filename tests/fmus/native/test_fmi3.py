@@ -182,7 +182,11 @@ def test_a_call_that_is_not_allowed_is_an_error_with_its_reason(
 ) -> None:
     """After it, only what reads, restores or resets is allowed."""
     plant = open_fmi3("ExamplePlant")
-    for one in (("enterInitializationMode", None, 0.0, 2.0), ("exitInitializationMode",))[:calls]:
+    led: tuple[tuple[Any, ...], ...] = (
+        ("enterInitializationMode", None, 0.0, 2.0),
+        ("exitInitializationMode",),
+    )
+    for one in led[:calls]:
         assert plant.status(*one) == "ok"
     assert reason in plant.refused(*call)
     assert plant.status("doStep", 0.0, 0.1) == "error"

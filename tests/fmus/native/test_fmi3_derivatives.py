@@ -23,7 +23,7 @@ Open = Callable[..., Fmi3Instance]
 
 
 class Reference(NamedTuple):
-    """Derivatives of all unknowns by all knowns in one mode: functions of (t, x, u, p), and a seed of adjoints.
+    """Derivatives of all unknowns by all knowns in one mode: functions of (t, x, u, p), and a seed.
 
     CasADi makes them of the traced functions, without what makes the FMU's own derivatives.
     """
@@ -106,7 +106,7 @@ def test_derivatives_are_those_of_casadi(open_fmi3: Open, name: str, mode: str) 
     point = (*_led(fmu, block, mode), [float(v.start) for v in block.of_causality("parameter")])
     jacobian = np.array(reference.jacobian(*point))
     rows, columns = references(name, mode)
-    is_finite = np.isfinite(jacobian).all(axis=0)
+    is_finite: np.ndarray = np.isfinite(jacobian).all(axis=0)
     without = {array_name(block.variables[columns[i]]) for i in np.nonzero(~is_finite)[0]}
     assert without <= {"thruster_table_force", "thruster_table_voltage"}
     jacobian[:, ~is_finite] = 0.0
@@ -191,9 +191,9 @@ def test_what_is_no_dependency_has_no_derivative(open_fmi3: Open, name: str) -> 
     """FMI 3.0.2, 2.4.8, where parameters and the time are knowns too."""
     block = block_named(name)
     description = open_fmi3(name).description
-    first = {
-        v.value_reference: group[0].value_reference for *_, group in arrays(all_variables) for v in group
-    }
+    described = *block.variables, *block.states, other_variables(block)[0]
+    groups = [[v.value_reference for v in group] for *_, group in arrays(described)]
+    first = {reference: group[0] for group in groups for reference in group}
     f = traced(block)
     u, p = ([float(v.start) for v in block.of_causality(role)] for role in ("input", "parameter"))
     x = np.array(f.initial_state(0.5, u, p, f.calculate(p))).ravel() + 0.125
