@@ -17,7 +17,7 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
 from fmus.block import Block
 from fmus.build import builder
-from fmus.build.fmi3_description import arrays
+from fmus.build.fmi3 import arrays
 from fmus.errors import ExportError
 from fmus.native import toolchain
 from fmus.registry import Flavour
