@@ -1,7 +1,7 @@
 """What FMI 3.0.2 has besides FMI 2.0: arrays, directional and adjoint derivatives, modelDescription.xml.
 
-Scalars of one array are one variable, with the value reference of the first. The time and the event indicators
-are variables, with the last value references.
+Scalars of one array are one variable, with the value reference of the first. Time and event indicators are
+variables, with the last value references.
 """
 
 import math

@@ -41,12 +41,6 @@ static int are_of_type(Instance *instance, Type type, const unsigned references[
     return 1;
 }
 
-static int are_allowed(Instance *instance, int modes, Type type, const unsigned references[], size_t count,
-                       const void *values, const char *function) {
-    return is_allowed(instance, modes, function) && are_given(instance, references, count, values, function) &&
-           are_of_type(instance, type, references, count, function);
-}
-
 /* 2.1.7: until stepping begins, calculated values follow the values that are set, also after an error; later they
  * are those of the last step, and nothing is stale (4.2.4: no fmi2GetXXX after fmi2SetXXX without a step). Called
  * when something is stale. */

@@ -302,6 +302,22 @@ def test_model_exchange_has_the_states_derivatives_and_events_of_fmi_2(
     assert "not allowed in the state 'event mode'" in new.refused("setTime", 1.0)
 
 
+def test_continuous_states_are_set_one_by_one_in_continuous_time_mode(open_fmi3: Open) -> None:
+    """FMI 3.0.2, 3.2.1; what follows from them is of the new values."""
+    ball = open_fmi3(BALL.name, "ModelExchange").begin()
+    height, velocity = ball.reference("state.height"), ball.reference("state.velocity")
+    ball.fmu.updateDiscreteStates()
+    ball.fmu.enterContinuousTimeMode()
+    ball.fmu.setFloat64([velocity], [3.0])
+    text = ball.refused("setFloat64", [height, velocity], [0.5, math.nan], status="discard")
+    assert text == "fmi3SetFloat64: state.velocity = nan: expected a finite number"
+    assert ball.fmu.getFloat64([height, velocity]) == [1.0, 3.0]
+    ball.fmu.setFloat64([height], [0.25])
+    assert (ball["height"], ball["der(state.height)"]) == ([0.25], [3.0])
+    ball.fmu.enterEventMode()
+    assert "can not be set" in ball.refused("setFloat64", [height], [0.5])
+
+
 def test_fmi_3_is_for_native_fmus_with_their_types(tmp_path: Path) -> None:
     with pytest.raises(
         ExportError, match=r"FMI 3.0 in the python flavour: expected FMI 2.0, or 3.0 in native"
