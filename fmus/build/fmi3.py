@@ -6,7 +6,7 @@ variables, with the last value references.
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from itertools import groupby
 from typing import Any, NamedTuple
@@ -158,22 +158,25 @@ class Sensitivities:
         time = {self._count - 1: t}
         outputs = block.of_causality("output")
 
-        def calculated(x: casadi.SX, held: Callable[[casadi.SX], casadi.SX]) -> dict[int, casadi.SX]:
-            rates = functions.derivative(t, functions.held(t, x, u, p, c), u, p, c) if count else casadi.SX()
-            return _at(outputs, functions.output(t, held(x), p, c)) | _at(block.states[count:], rates)
+        def held(x: casadi.SX) -> casadi.SX:
+            return functions.held(t, x, u, p, c)
 
-        def between_events(x: casadi.SX) -> casadi.SX:
-            return functions.held(t, x, u, p, c) if count else x
+        def calculated(x: casadi.SX, of_outputs: casadi.SX) -> dict[int, casadi.SX]:
+            rates = functions.derivative(t, held(x), u, p, c) if count else casadi.SX()
+            return _at(outputs, functions.output(t, of_outputs, p, c)) | _at(block.states[count:], rates)
 
         known = inputs | _at(block.states[:count], x) | time
         first = _at(block.of_causality("calculatedParameter"), c) | _at(block.states[:count], start)
-        self.initial = Mode(arguments, inputs | time, first | calculated(start, lambda x: x))
-        self.step = Mode(arguments, known, calculated(x, lambda x: x))
-        self.exchange = Mode(arguments, known, calculated(x, between_events))
+        self.initial = Mode(arguments, inputs | time, first | calculated(start, start))
+        self.step = Mode(arguments, known, calculated(x, x))
+        # without continuous states outputs are the same at all times
+        self.exchange = Mode(arguments, known, calculated(x, held(x))) if count else self.step
 
     def functions(self) -> dict[str, casadi.Function]:
         """Returns the functions of an FMU, by name."""
-        modes = {"initial": self.initial, "step": self.step, "exchange": self.exchange}
+        modes = {"initial": self.initial, "step": self.step}
+        if self.exchange is not self.step:
+            modes["exchange"] = self.exchange
         named = [mode.derivatives(name, self._count) for name, mode in modes.items()]
         return {name: function for functions in named for name, function in functions.items()}
 
