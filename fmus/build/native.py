@@ -56,7 +56,7 @@ def content(block: Block, reals_only: bool = False, fmi: int = 2) -> tuple[str, 
             f"sources/{name}": text.encode() for name, text in c_sources(block, GUID, reals_only, fmi).items()
         },
         **documentation(block, *files, reals_only=reals_only, fmi=fmi),
-        **licenses("l1-depth", "fmi-headers", "zig", "mingw-w64"),
+        **licenses("l1-depth", "fmi-headers", "zig", "mingw-w64", fmi=fmi),
         "sources/buildDescription.xml": _build_description(block.name, fmi),
         "modelDescription.xml": with_other_types(description, REALS_ONLY) if reals_only else description,
     }

@@ -128,14 +128,17 @@ def _table(caption: str, headings: tuple[str, ...], rows: Iterable[tuple[str, ..
     )
 
 
-def licenses(*names: str) -> dict[str, bytes]:
-    """Returns path inside the FMU -> licence, and the file of FMI 2.0 that says what each is for."""
+def licenses(*names: str, fmi: int = 2) -> dict[str, bytes]:
+    """Returns path inside the FMU -> licence, and the file of FMI that says what each is for.
+
+    fmi: the version of the standard, of whose headers the licence is
+    """
     entry_point = "".join(f"{name}.txt: {_LICENSES[name][2]}\n" for name in names)
-    texts = {"license": entry_point} | {name: _license(*_LICENSES[name][:2]) for name in names}
+    texts = {"license": entry_point} | {name: _license(*_LICENSES[name][:2], fmi) for name in names}
     return {f"documentation/licenses/{name}.txt": text.encode() for name, text in texts.items()}
 
 
-def _license(project: str, file: str) -> str:
+def _license(project: str, file: str, fmi: int) -> str:
     if file:  # a clone's own .egg-info, found first where it is the working directory, has no licence
         texts = (distribution.read_text(f"licenses/{file}") for distribution in distributions(name=project))
         text = next(filter(None, texts), "")
@@ -145,5 +148,5 @@ def _license(project: str, file: str) -> str:
                 f"expected it as pip installs it (pip install --force-reinstall {project})"
             )
         return text
-    header = (FMI_HEADERS / "fmi2Functions.h").read_text("utf-8")
+    header = (FMI_HEADERS / f"fmi{fmi}Functions.h").read_text("utf-8")
     return "".join(re.findall(r"Copyright.*?(?=\*/)", header, re.DOTALL)[:1])
