@@ -16,7 +16,8 @@ from pathlib import Path
 from string import Template
 from xml.etree import ElementTree
 
-from fmus.block import Block, BlockVariable
+from fmus.block import Block
+from fmus.block.variables import BlockVariable
 from fmus.build.documentation.page import documentation, licenses
 from fmus.build.model_description import GUID, Exchange, model_description, with_guid
 from fmus.build.symbolic import Traced, present_dependencies, traced

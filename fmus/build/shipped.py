@@ -5,7 +5,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from fmus.block import Block, flatten
+from fmus.block import Block
+from fmus.block.scalars import flatten
 from fmus.build.symbolic import traced
 from fmus.errors import ExportError
 from fmus.fmi.binding import OK, BoundInstance, Library, status_name

@@ -15,7 +15,8 @@ import pytest
 from fmpy.validation import validate_fmu
 from scipy.linalg import expm
 
-from fmus.block import Block, NoValues, flatten, unflatten, variable
+from fmus.block import Block, NoValues, variable
+from fmus.block.scalars import flatten, unflatten
 from fmus.build import builder
 from fmus.build.random_points import drawn
 from fmus.errors import ExportError
