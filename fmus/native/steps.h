@@ -23,7 +23,8 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2R
     if (!(t + h <= instance->stop_time + tolerance_at(t, h)))
         return refuse(instance, fmi2Error, "fmi2DoStep: step to %s s: expected at most the stop time %s s",
                       DECIMAL(t + h), DECIMAL(instance->stop_time));
-    const Outcome outcome = data_step(&instance->data, &instance->step_cache, t, h, &broken);
+    Data *data = &instance->data;
+    const Outcome outcome = data_step(data, &instance->step_cache, t, h, data->value + FIRST_INPUT, &broken);
     if (outcome != DONE) return report(instance, outcome, &broken, "fmi2DoStep", h);
     if (instance->step_finished) instance->step_finished(instance->log.environment, fmi2OK);
     return fmi2OK;

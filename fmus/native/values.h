@@ -81,13 +81,20 @@ static fmi2Status cannot_be_set(Instance *instance, Type type, const fmi2ValueRe
     return refuse(instance, fmi2Discard, "%s: %s = %s: expected %s", function, v->name, DECIMAL(value), v->expected);
 }
 
-/* Continuous states and their derivatives, which are calculated when they are read. */
-static fmi2Status get_with_locals(Instance *instance, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[]) {
+/* Whether the variable has this type and a value of its own. */
+static int is_value(fmi2ValueReference reference, Type type) {
+    return reference < N_VALUES && ACCESS[reference].type == type;
+}
+
+/* Also continuous states and their derivatives, which are Reals and calculated when they are read. */
+static fmi2Status get_with_locals(Instance *instance, Type type, const fmi2ValueReference vr[], size_t nvr,
+                                  fmi2Real value[], const char *function) {
+    if (!are_of_type(instance, type, vr, nvr, function)) return fmi2Error;
     double fresh[N_CALCULATED + 1], rates[N_CONTINUOUS + 1];
     const Data *d = &instance->data;
     int broken = 0;
     const double *c = data_calculated(d, fresh, &broken);
-    if (!c) return contradictory(instance, broken, "fmi2GetReal");
+    if (!c) return contradictory(instance, broken, function);
     data_derivatives(d, c, rates);
     for (size_t i = 0; i < nvr; i++)
         value[i] = vr[i] >= FIRST_DERIVATIVE ? rates[vr[i] - FIRST_DERIVATIVE]
@@ -106,12 +113,9 @@ static fmi2Status get_with_locals(Instance *instance, const fmi2ValueReference v
             const fmi2Status status = refreshed(instance, TYPE, vr, nvr, "fmi2Get" #Name);                      \
             if (status != fmi2OK) return status;                                                                \
         }                                                                                                       \
-        int are_local = 0;                                                                                      \
-        for (size_t i = 0; i < nvr; i++) {                                                                      \
-            if (!has_type(vr[i], TYPE)) return not_of_type(instance, TYPE, vr[i], "fmi2Get" #Name);             \
-            are_local |= vr[i] >= N_VALUES;                                                                     \
-        }                                                                                                       \
-        if (are_local) return get_with_locals(instance, vr, nvr, (fmi2Real *)value);                            \
+        for (size_t i = 0; i < nvr; i++)                                                                        \
+            if (!is_value(vr[i], TYPE))                                                                         \
+                return get_with_locals(instance, TYPE, vr, nvr, (fmi2Real *)value, "fmi2Get" #Name);            \
         for (size_t i = 0; i < nvr; i++) value[i] = (CType)instance->data.value[vr[i]];                         \
         return fmi2OK;                                                                                          \
     }
