@@ -77,8 +77,6 @@ static void outputs_derivative(const Data *d, const double *state, const double 
     model_output_derivative(d->time, state, d->value, calculated, seed, result);
 }
 
-static int is_state(fmi2ValueReference reference) { return reference >= N_VALUES && reference < FIRST_DERIVATIVE; }
-
 /* Directional derivatives of all that is calculated but the calculated parameters, along those of all that is known. */
 static void known_derivatives(const Data *d, const double *calculated, double *along) {
     const double *u = d->value + FIRST_INPUT, *p = d->value;

@@ -61,6 +61,10 @@ static const int INPUTS_FROM_TO[] = {FIRST_INPUT, FIRST_OUTPUT};
 
 static int is_input(int64_t reference) { return reference >= INPUTS_FROM_TO[0] && reference < INPUTS_FROM_TO[1]; }
 
+static const unsigned STATES_FROM_TO[] = {N_VALUES, FIRST_DERIVATIVE};
+
+static int is_state(unsigned reference) { return reference >= STATES_FROM_TO[0] && reference < STATES_FROM_TO[1]; }
+
 static int is_settable(int reference) { return ACCESS[reference].settable != NEVER; }
 
 /* Within range, which for whole numbers is one of int; false for what is not finite, as a variable without range has
