@@ -23,6 +23,8 @@ TARGETS = {
     "aarch64-darwin": (("aarch64-macos.11.0",), "dylib"),
 }
 PLATFORMS = tuple(TARGETS)
+# FMI 3.0.2, 2.5.1.4: names of the same platforms
+_PLATFORM_TUPLES = {"linux64": "x86_64-linux", "win64": "x86_64-windows", "darwin64": "x86_64-darwin"}
 
 _SYSTEM = {"win32": "win", "darwin": "darwin"}.get(sys.platform, "linux")
 SYSTEM_PLATFORM = f"{_SYSTEM}{64 if sys.maxsize > 2**32 else 32}"
@@ -82,6 +84,7 @@ def check_platforms(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def library_name(model: str, fmi_platform: str) -> str:
-    """Returns the path of a library inside the FMU."""
-    return f"binaries/{fmi_platform}/{model}.{TARGETS[fmi_platform][1]}"
+def library_name(model: str, fmi_platform: str, fmi: int = 2) -> str:
+    """Returns the path of a library inside the FMU; fmi: the version of the standard."""
+    folder = fmi_platform if fmi == 2 else _PLATFORM_TUPLES.get(fmi_platform, fmi_platform)
+    return f"binaries/{folder}/{model}.{TARGETS[fmi_platform][1]}"

@@ -24,7 +24,7 @@ from fmus.build.documentation import reference_results
 from fmus.build.documentation.reference_results import ReferenceRun, reference_run
 from fmus.build.documentation.terminals_and_icon import icon, terminals
 from fmus.build.guard import location, own_line
-from fmus.build.shipped import ShippedLibrary
+from fmus.build.shipped import ShippedFmi3Library, ShippedLibrary
 from fmus.build.stamp import BuildCache, BuildRequest, order_of_file
 from fmus.build.symbolic import traced
 from fmus.errors import ExportError, nearest
@@ -34,6 +34,7 @@ from fmus.platforms import host_platform, library_name, usable_processors
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_entry_points, block_fmus, block_names, fmu_folder
 
 _AT_ONCE = usable_processors()  # orders that are compiled
+_ICONS = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
 _EXPORTS = {Flavour.NATIVE: native_flavour, Flavour.PYTHON: python_flavour}
 
 
@@ -106,15 +107,17 @@ def build_block(
     *,
     with_terminals: bool = False,
     reals_only: bool = False,
+    fmi: int = 2,
 ) -> Path:
     """Writes `folder/NAME.fmu` of a block, or of the installed block of a name, whatever stands there.
 
     platforms: of the libraries in a native FMU, by default this one; those in a python one are PythonFMU's.
     with_terminals: with terminalsAndIcons.xml, which some importers of FMI 2.0 cannot read
     reals_only: a native FMU whose every variable is a Real, for importers that know no other type
+    fmi: the version of the standard, 2 or 3; 3 in the native flavour alone
     """
     block = load_block(block) if isinstance(block, str) else block
-    order = BuildRequest(block.name, folder, flavour, tuple(platforms), with_terminals, reals_only)
+    order = BuildRequest(block.name, folder, flavour, tuple(platforms), with_terminals, reals_only, fmi=fmi)
     with _building(block, order) as write:
         return next(iter(write()))
 
@@ -125,22 +128,28 @@ def _building(block: Block, order: BuildRequest) -> Iterator[Callable[[], dict[P
 
     The function returns the files that it wrote: the FMU, then what belongs to it.
     """
-    if order.reals_only and order.flavour is not Flavour.NATIVE:
-        raise ExportError("an FMU of Reals only: expected the native flavour")
+    if order.reals_only and (order.flavour is not Flavour.NATIVE or order.fmi != 2):
+        raise ExportError("an FMU of Reals only: expected the native flavour and FMI 2.0")
+    if order.fmi not in native_flavour.COMPILED or (order.fmi == 3 and order.flavour is not Flavour.NATIVE):
+        raise ExportError(
+            f"FMI {order.fmi}.0 in the {order.flavour} flavour: expected FMI 2.0, or 3.0 in native"
+        )
     export = _EXPORTS[order.flavour]
-    guid, members = native_flavour.content(block, True) if order.reals_only else export.content(block)
-    with export.compiled_libraries(block.name, members, order.platforms) as libraries:
+    options = (order.reals_only, order.fmi) if export is native_flavour else ()
+    guid, members = export.content(block, *options)
+    with export.compiled_libraries(block.name, members, order.platforms, order.fmi) as libraries:
         compared = check_trace(block)
         check_sampling(block)
         reference = _reference_run(block)
-        shown = {"model.png": icon(block)} | reference_results.members(reference, block.name)
-        shown |= terminals(block) if order.with_terminals else {}
+        shown = {_ICONS[order.fmi]: icon(block)} | reference_results.members(reference, block.name)
+        shown |= terminals(block, order.fmi) if order.with_terminals or order.fmi == 3 else {}
 
         def write() -> dict[Path, bytes]:
             built = libraries()
-            if path := library_member(built, block.name):
+            if path := library_member(built, block.name, order.fmi):
+                shipped = ShippedFmi3Library if order.fmi == 3 else ShippedLibrary
                 # OSError: no library can be loaded from where temporary files are
-                with suppress(OSError), closing(ShippedLibrary(block, guid, built[path])) as library:
+                with suppress(OSError), closing(shipped(block, guid, built[path])) as library:
                     check_shipped(compared, library)
             files = {order.folder / f"{block.name}.fmu": packed(members | built | shown)}
             if order.with_cross_check:

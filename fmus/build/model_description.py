@@ -8,7 +8,7 @@ of dependencies serves both interfaces: it has the inputs that outputs follow in
 import hashlib
 import os
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -71,37 +71,22 @@ def model_description(
 
     Raises ExportError for a unit that `fmus.block.units` does not know.
     """
-    release = version("l1-depth")
-    attributes = {
-        "fmiVersion": "2.0",
-        "modelName": block.name,
-        "guid": guid,
-        "description": block.description,
-        "author": block.author,
-        "version": block.version,
-        "license": block.license,
-        "generationTool": f"l1-depth {release}",
-        "generationDateAndTime": _generation_date(),
-        "variableNamingConvention": "structured",
-        "numberOfEventIndicators": str(exchange.indicators) if exchange and exchange.indicators else None,
-    }
-    root = ElementTree.Element("fmiModelDescription", _without_none(attributes))
+    attributes = {"fmiVersion": "2.0", "guid": guid, **model_attributes(block)}
+    if exchange and exchange.indicators:
+        attributes["numberOfEventIndicators"] = str(exchange.indicators)
+    root = ElementTree.Element("fmiModelDescription", attributes)
     interfaces = {"ModelExchange": exchange.capabilities} if exchange else {}
     interfaces["CoSimulation"] = _OF_CO_SIMULATION | capabilities
     for name, own in interfaces.items():
-        interface = _add(root, name, modelIdentifier=block.name, **(_CAPABILITIES | own))
-        listed = _add(interface, "SourceFiles") if source_files else interface
+        interface = add(root, name, modelIdentifier=block.name, **(_CAPABILITIES | own))
+        listed = add(interface, "SourceFiles") if source_files else interface
         for file in source_files:
-            _add(listed, "File", name=file)
+            add(listed, "File", name=file)
     states = block.states if exchange else ()
-    _units(root, block, states)
-    _enumerations(root, block)
-    categories = _add(root, "LogCategories")
-    for name, description in LOG_CATEGORIES.items():
-        _add(categories, "Category", name=name, description=description)
-    times = {"startTime": "0", "stopTime": repr(block.stop_time), "stepSize": repr(block.step_size)}
-    _add(root, "DefaultExperiment", **times)
-    variables = _add(root, "ModelVariables")
+    add_units(root, block.variables, states)
+    add_enumerations(root, block)
+    add_experiment(root, block)
+    variables = add(root, "ModelVariables")
     for variable in (*block.variables, *states):
         of_state = variable.value_reference - len(states) // 2
         is_rate = of_state >= len(block.variables) and variable.causality == "local"
@@ -110,6 +95,35 @@ def model_description(
     described = len(block.variables) + len(states)
     initial = {unknown: known for unknown, known in initial.items() if unknown < described}
     _structure(root, block, exchange.dependencies if exchange else {}, initial)
+    return parsable(root, block)
+
+
+def model_attributes(block: Block) -> dict[str, str]:
+    """Returns the attributes of a model that all versions of FMI have."""
+    attributes = {
+        "modelName": block.name,
+        "description": block.description,
+        "author": block.author,
+        "version": block.version,
+        "license": block.license,
+        "generationTool": f"l1-depth {version('l1-depth')}",
+        "generationDateAndTime": _generation_date(),
+        "variableNamingConvention": "structured",
+    }
+    return _without_none(attributes)
+
+
+def add_experiment(root: Any, block: Block) -> None:
+    """Adds the log categories and the experiment that the FMU suggests."""
+    categories = add(root, "LogCategories")
+    for name, description in LOG_CATEGORIES.items():
+        add(categories, "Category", name=name, description=description)
+    times = {"startTime": "0", "stopTime": repr(block.stop_time), "stepSize": repr(block.step_size)}
+    add(root, "DefaultExperiment", **times)
+
+
+def parsable(root: Any, block: Block) -> bytes:
+    """Returns the XML of a tree; ExportError for texts of the block that XML cannot hold."""
     text = xml_document(root)
     try:
         ElementTree.fromstring(text)
@@ -118,7 +132,8 @@ def model_description(
     return text
 
 
-def _add(parent: Any, tag: str, **attributes: str | None) -> Any:
+def add(parent: Any, tag: str, **attributes: str | None) -> Any:
+    """Adds an element with the attributes that are not None."""
     return ElementTree.SubElement(parent, tag, _without_none(attributes))
 
 
@@ -132,23 +147,22 @@ def _generation_date() -> str | None:
     return datetime.fromtimestamp(int(epoch), UTC).strftime("%Y-%m-%dT%H:%M:%SZ") if epoch else None
 
 
-def _units(root: Any, block: Block, states: Sequence[BlockVariable]) -> None:
-    definitions = _add(root, "UnitDefinitions")
+def add_units(root: Any, variables: Sequence[BlockVariable], states: Sequence[BlockVariable]) -> None:
+    """Adds the units of variables, continuous states and derivatives."""
+    definitions = add(root, "UnitDefinitions")
     of_states = [v.unit for v in states[: len(states) // 2] if v.unit is not None]
     units = {per_second(name): rate(name) for name in of_states}
     units |= {name: unit(name) for name in of_states}
-    units |= {v.unit: unit(v.unit) for v in block.variables if v.unit is not None}
+    units |= {v.unit: unit(v.unit) for v in variables if v.unit is not None}
     for name, base in sorted(units.items()):
-        definition = _add(definitions, "Unit", name=name)
+        definition = add(definitions, "Unit", name=name)
         exponents = {symbol: str(exponent) for symbol, exponent in base.exponents.items()}
-        _add(definition, "BaseUnit", **exponents, **_linear(base.factor, base.offset))
+        add(definition, "BaseUnit", **exponents, **_linear(base.factor, base.offset))
         shown = {
-            v.display_unit
-            for v in (*block.variables, *states)
-            if v.unit == name and v.display_unit is not None
+            v.display_unit for v in (*variables, *states) if v.unit == name and v.display_unit is not None
         }
         for other in sorted(shown):
-            _add(definition, "DisplayUnit", name=other, **_linear(*display(name, other)))
+            add(definition, "DisplayUnit", name=other, **_linear(*display(name, other)))
 
 
 def _linear(factor: float, offset: float) -> dict[str, str]:
@@ -157,21 +171,25 @@ def _linear(factor: float, offset: float) -> dict[str, str]:
     return {name: repr(value) for name, (value, default) in values.items() if value != default}
 
 
-def _enumerations(root: Any, block: Block) -> None:
+def _enumeration(parent: Any, **named: str) -> Any:
+    return add(add(parent, "SimpleType", **named), "Enumeration")
+
+
+def add_enumerations(root: Any, block: Block, add_type: Callable[..., Any] = _enumeration) -> None:
+    """Adds the enumerations of a block; add_type: adds one of a name and description, without its items."""
     enumerations = {v.enumeration.__name__: v.enumeration for v in block.variables if v.enumeration}
-    definitions = _add(root, "TypeDefinitions") if enumerations else root
+    definitions = add(root, "TypeDefinitions") if enumerations else root
     for name, enumeration in sorted(enumerations.items()):
         description = (enumeration.__doc__ or "").partition("\n")[0]
-        simple = _add(definitions, "SimpleType", name=name, description=description)
-        items = _add(simple, "Enumeration")
+        items = add_type(definitions, name=name, description=description)
         for member in enumeration:
-            _add(items, "Item", name=member.name.lower(), value=str(member.value))
+            add(items, "Item", name=member.name.lower(), value=str(member.value))
 
 
 def _variable(parent: Any, v: BlockVariable, derivative: str | None) -> None:
     """Adds a variable; derivative: the index of the state that it is the derivative of."""
     source = f" ({v.source})" if v.source else ""
-    scalar = _add(
+    scalar = add(
         parent,
         "ScalarVariable",
         name=v.name,
@@ -181,11 +199,13 @@ def _variable(parent: Any, v: BlockVariable, derivative: str | None) -> None:
         variability=v.variability,
         initial=v.initial,
     )
-    limits = {"min": _text(v.minimum), "max": _text(v.maximum)} if v.type in ("Real", "Integer") else {}
-    start, nominal = _text(v.start) if v.settable else None, _text(v.nominal)
+    limits = (
+        {"min": attribute(v.minimum), "max": attribute(v.maximum)} if v.type in ("Real", "Integer") else {}
+    )
+    start, nominal = attribute(v.start) if v.settable else None, attribute(v.nominal)
     declared = v.enumeration.__name__ if v.enumeration else None
     units = {"unit": v.unit, "displayUnit": v.display_unit}
-    _add(
+    add(
         scalar,
         v.type,
         declaredType=declared,
@@ -197,7 +217,8 @@ def _variable(parent: Any, v: BlockVariable, derivative: str | None) -> None:
     )
 
 
-def _text(value: Any) -> str | None:
+def attribute(value: Any) -> str | None:
+    """Returns a value as XML has it."""
     if value is None:
         return None
     if isinstance(value, bool):
@@ -210,12 +231,12 @@ def _structure(
 ) -> None:
     outputs = {v.value_reference: present.get(v.value_reference, ()) for v in block.of_causality("output")}
     rates = {unknown: known for unknown, known in present.items() if unknown not in outputs}
-    structure = _add(root, "ModelStructure")
+    structure = add(root, "ModelStructure")
     for name, dependencies in (("Outputs", outputs), ("Derivatives", rates), ("InitialUnknowns", initial)):
-        section = _add(structure, name) if dependencies or name != "Derivatives" else structure
+        section = add(structure, name) if dependencies or name != "Derivatives" else structure
         for unknown, known in sorted(dependencies.items()):
             indices = " ".join(str(reference + 1) for reference in known)
-            _add(section, "Unknown", index=str(unknown + 1), dependencies=indices)
+            add(section, "Unknown", index=str(unknown + 1), dependencies=indices)
 
 
 def with_guid(members: dict[str, bytes], recipe: str = "") -> tuple[str, dict[str, bytes]]:

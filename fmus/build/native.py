@@ -1,25 +1,30 @@
 """Block -> FMU of compiled C that needs nothing on the host.
 
-`fmi2.c` is the only file to compile. It includes the others of the hand-written layer, and of the block the
-tables in `model.h` and the equations in `model_code.h`; but `model_lanes.h` has the equations for groups of
-instances, which an ensemble compiles.
+`fmi2.c`, in an FMU of FMI 3.0 `fmi3.c`, is the only file to compile. It includes others of the hand-written
+layer, and of the block the tables in `model.h` and the equations in `model_code.h`; but `model_lanes.h` has
+the equations for groups of instances, which an ensemble compiles.
 
 The GUID is derived from everything that decides what the libraries do: model description, C sources,
 compiler and its flags. It does not depend on which platforms were built.
 """
 
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from string import Template
 from xml.etree import ElementTree
 
 from fmus.block import Block
 from fmus.block.variables import BlockVariable
+from fmus.build import fmi3_description
 from fmus.build.documentation.page import documentation, licenses
+from fmus.build.fmi3_description import extents
 from fmus.build.model_description import GUID, Exchange, model_description, with_guid
+from fmus.build.sensitivities import sensitivities
 from fmus.build.symbolic import Traced, present_dependencies, traced
 from fmus.errors import ExportError
 from fmus.files import xml_document
@@ -28,87 +33,114 @@ from fmus.fmi.variable_types import INTEGER_RANGE, TRANSFER_TYPE
 from fmus.native.toolchain import COMPILER, FLAGS, compiling
 from fmus.platforms import check_platforms, host_platform, library_name
 
-COMPILED = ("fmi2.c",)
+COMPILED = {2: ("fmi2.c",), 3: ("fmi3.c",)}
 _WORD = 32  # bits of the set of items
 _SETTABLE = {"fixed": "BEFORE_STEPPING", "continuous": "ALWAYS"} | dict.fromkeys(
     ("tunable", "discrete"), "AT_POINTS"
 )
+_EXTENTS = """
+/* By value reference: how many elements the variable has that begins there, 0 inside an array. */
+static const unsigned EXTENTS[] = {{{}}};
+"""
 _OF_BOTH = {"canNotUseMemoryManagementFunctions": "true", "providesDirectionalDerivative": "true"}
 _CAPABILITIES = {"canInterpolateInputs": "true", "maxOutputDerivativeOrder": "1", **_OF_BOTH}
 
 
-def content(block: Block, reals_only: bool = False) -> tuple[str, dict[str, bytes]]:
+def content(block: Block, reals_only: bool = False, fmi: int = 2) -> tuple[str, dict[str, bytes]]:
     """Returns (GUID, path -> content) of the FMU without its libraries.
 
     reals_only: whether every variable is a Real, for importers that know no other type
+    fmi: the version of the standard, 2 or 3
     """
-    functions = traced(block)
-    of_exchange = {"completedIntegratorStepNotNeeded": "true", **_OF_BOTH}
-    exchange = Exchange(of_exchange, present_dependencies(block), _indicators(functions))
-    description = model_description(block, GUID, _CAPABILITIES, exchange, COMPILED)
+    files = COMPILED[fmi]
+    description = fmi3_description.model_description(block, GUID) if fmi == 3 else _description(block)
     members = {
-        **{f"sources/{name}": text.encode() for name, text in c_sources(block, GUID, reals_only).items()},
-        **documentation(block, *COMPILED, reals_only=reals_only),
+        **{
+            f"sources/{name}": text.encode() for name, text in c_sources(block, GUID, reals_only, fmi).items()
+        },
+        **documentation(block, *files, reals_only=reals_only, fmi=fmi),
         **licenses("l1-depth", "fmi-headers", "zig", "mingw-w64"),
-        "sources/buildDescription.xml": _build_description(block.name),
+        "sources/buildDescription.xml": _build_description(block.name, fmi),
         "modelDescription.xml": with_other_types(description, REALS_ONLY) if reals_only else description,
     }
     return with_guid(members, recipe=" ".join((*COMPILER, *FLAGS)))
 
 
-def _build_description(name: str) -> bytes:
+def _description(block: Block) -> bytes:
+    of_exchange = {"completedIntegratorStepNotNeeded": "true", **_OF_BOTH}
+    exchange = Exchange(of_exchange, present_dependencies(block), _indicators(traced(block)))
+    return model_description(block, GUID, _CAPABILITIES, exchange, COMPILED[2])
+
+
+def _build_description(name: str, fmi: int) -> bytes:
     root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=name)
     files = ElementTree.SubElement(configuration, "SourceFileSet", language="C99")
-    for file in COMPILED:
+    for file in COMPILED[fmi]:
         ElementTree.SubElement(files, "SourceFile", name=file)
-    unprefixed = {"name": "FMI2_OVERRIDE_FUNCTION_PREFIX", "optional": "true"}
+    unprefixed = {"name": f"FMI{fmi}_OVERRIDE_FUNCTION_PREFIX", "optional": "true"}
     unprefixed["description"] = "for a shared library: functions without the prefix of a static one"
     ElementTree.SubElement(files, "PreprocessorDefinition", unprefixed)
     return xml_document(root)
 
 
-def libraries(name: str, members: dict[str, bytes], platforms: Sequence[str]) -> dict[str, bytes]:
+def libraries(
+    name: str, members: dict[str, bytes], platforms: Sequence[str], fmi: int = 2
+) -> dict[str, bytes]:
     """Returns path inside the FMU -> library, made from its sources; by default for this platform.
 
     Raises ExportError for an unknown platform.
     """
-    with compiled_libraries(name, members, platforms) as compiled:
+    with compiled_libraries(name, members, platforms, fmi) as compiled:
         return compiled()
 
 
 @contextmanager
 def compiled_libraries(
-    name: str, members: dict[str, bytes], platforms: Sequence[str]
+    name: str, members: dict[str, bytes], platforms: Sequence[str], fmi: int = 2
 ) -> Iterator[Callable[[], dict[str, bytes]]]:
     """Starts compiling `libraries` beside this process; the returned function waits for them."""
     sources = {Path(path).name: members[path].decode() for path in members if path.startswith("sources/")}
     with ExitStack() as stack:
         ends = {
-            library_name(name, platform): stack.enter_context(compiling(name, sources, COMPILED, platform))
+            library_name(name, platform, fmi): stack.enter_context(
+                compiling(name, sources, COMPILED[fmi], platform)
+            )
             for platform in check_platforms(platforms) or (host_platform(),)
         }
         yield lambda: {path: end() for path, end in ends.items()}
 
 
-def c_sources(block: Block, guid: str, reals_only: bool = False) -> dict[str, str]:
+def c_sources(block: Block, guid: str, reals_only: bool = False, fmi: int = 2) -> dict[str, str]:
     """Returns file name -> text of the FMU's folder `sources`: all but FMI's own headers (2.3).
 
     reals_only: every variable is a Real, what is an item, truth value or Integer one that is a whole number
     Raises ExportError for a block that cannot be traced.
     """
     layer = resources.files("fmus") / "native"
-    files = [file for file in layer.iterdir() if file.name.endswith((".c", ".h"))]
-    texts = {file.name: file.read_text("utf-8") for file in files}
+    texts = dict(_included(layer, COMPILED[fmi][0]))
     template = Template((layer / "model.h.in").read_text("utf-8"))
     functions = traced(block)
-    model = template.substitute(_tables(functions, reals_only), guid=guid)
-    return texts | {"model.h": model} | functions.c_code()
+    model = template.substitute(_tables(functions, reals_only, fmi), guid=guid)
+    of_fmi3 = sensitivities(block).functions() if fmi == 3 else None
+    return texts | {"model.h": model} | functions.c_code(of_fmi3)
 
 
-def _tables(functions: Traced, reals_only: bool) -> dict[str, object]:
+def _included(layer: Traversable, name: str) -> Iterator[tuple[str, str]]:
+    """Yields names and texts of a hand-written file and of those that it includes; some more than once."""
+    file = layer / name
+    if file.is_file():
+        text = file.read_text("utf-8")
+        yield name, text
+        for included in re.findall(r'^#include "(.+)"', text, re.MULTILINE):
+            yield from _included(layer, included)
+
+
+def _tables(functions: Traced, reals_only: bool, fmi: int) -> dict[str, object]:
     """Returns the values for the placeholders of `model.h.in`."""
     block = functions.block
+    others = fmi3_description.other_variables(block) if fmi == 3 else ()
+    described = (*block.variables, *block.states, *others)
     not_real = [index for index, v in enumerate(block.of_causality("output")) if v.type != "Real"]
     return {
         "name": block.name,
@@ -125,10 +157,13 @@ def _tables(functions: Traced, reals_only: bool) -> dict[str, object]:
         "continuous": len(block.states) // 2,
         "indicators": _indicators(functions),
         "step_size": repr(float(block.step_size)),
+        "fmi": fmi,
+        "others": len(others),
+        "extents": _EXTENTS.format(", ".join(map(str, extents(block)))) if fmi == 3 else "",
         "has_derivative": int(block.derivative is not None),
         "nominals": ", ".join(repr(float(v.nominal or 1.0)) for v in block.states) or "0",
-        "variables": ",\n".join(_row(v, reals_only) for v in (*block.variables, *block.states)),
-        "access": ", ".join(_access(v, reals_only) for v in (*block.variables, *block.states)),
+        "variables": ",\n".join(_row(v, reals_only) for v in described),
+        "access": ", ".join(_access(v, reals_only, fmi) for v in described),
         "required": ",\n".join(f"    {_string(text)}" for text in (*functions.required, "")),
     }
 
@@ -145,9 +180,10 @@ def _row(v: BlockVariable, reals_only: bool) -> str:
     return f"    {{{', '.join(map(str, cells))}}}"
 
 
-def _access(v: BlockVariable, reals_only: bool) -> str:
+def _access(v: BlockVariable, reals_only: bool, fmi: int) -> str:
     settable = _SETTABLE[v.variability] if v.settable else "NEVER"
-    return f"{{{'REAL' if reals_only else TRANSFER_TYPE[v.type].upper()}, {settable}}}"
+    kind = v.type if fmi == 3 else TRANSFER_TYPE[v.type]
+    return f"{{{'REAL' if reals_only else kind.upper()}, {settable}}}"
 
 
 def _range(v: BlockVariable) -> tuple[float, float]:

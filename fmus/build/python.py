@@ -105,7 +105,7 @@ def _check_import(block: Block, text: dict[str, str], entry: str) -> None:
 
 @contextmanager
 def compiled_libraries(
-    name: str, members: dict[str, bytes], platforms: Sequence[str]
+    name: str, members: dict[str, bytes], platforms: Sequence[str], fmi: int
 ) -> Iterator[Callable[[], dict[str, bytes]]]:
     """Yields a function that returns no libraries: PythonFMU's are among the members.
 

@@ -36,6 +36,7 @@ class BuildRequest:
 
     source: name of an installed block, or path of a Python file; platforms: by default this one
     with_cross_check: with the files of the FMI cross-check beside each FMU
+    fmi: the version of the standard, 2 or 3
     """
 
     source: str
@@ -45,6 +46,7 @@ class BuildRequest:
     with_terminals: bool = False
     reals_only: bool = False
     with_cross_check: bool = False
+    fmi: int = 2
 
     @property
     def file(self) -> str:
@@ -144,7 +146,7 @@ class BuildCache:
 
     def _key(self, order: BuildRequest) -> str:
         """Returns the digest of the folder, and of all but modules that decides about the FMUs in it."""
-        options = order.flavour, order.platforms, order.with_terminals, order.reals_only
+        options = order.flavour, order.platforms, order.with_terminals, order.reals_only, order.fmi
         host = sys.version, sys.flags.optimize, sys.platform, platform.machine()
         date = os.environ.get("SOURCE_DATE_EPOCH")
         parts = str(order.folder.absolute()), self._origin(order), *options, *host, date

@@ -155,14 +155,18 @@ class Traced:
         own = {name: value for name, value in vars(self).items() if isinstance(value, casadi.Function)}
         return {name: value for name, value in own.items() if name != "integrated_rate"}
 
-    def c_code(self) -> dict[str, str]:
+    def c_code(self, derivatives: dict[str, casadi.Function] | None = None) -> dict[str, str]:
         """Returns file name -> C functions called model_FUNCTION, with the arguments of this class.
+
+        derivatives: these in place of the directional derivatives that FMI 2.0 has
 
         model_code.h has all of them, model_lanes.h those of a run for groups of instances. What a step needs
         of its size and the parameters alone is computed apart, by model_step_constants.
         """
         step, constants = c_functions(self.step, "model_step", held=("h", "p", "c"), inputs="u")
         others = {name: function for name, function in self.functions().items() if name != "step"}
+        if derivatives is not None:
+            others = {name: f for name, f in others.items() if not name.endswith("_derivative")} | derivatives
         code = {name: c_function(f, f"model_{name}", name == "output") for name, f in others.items()}
         of_runs = [*step, *(code[name] for name in ("calculate", "requirements", "initial_state", "output"))]
         size, scalar, vector = f"enum {{ N_STEP_CONSTANTS = {constants} }};\n", ScalarC(), VectorC()

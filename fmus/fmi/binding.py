@@ -39,15 +39,15 @@ def platform_name() -> str:
         return SYSTEM_PLATFORM
 
 
-def library_member(members: Collection[str], model_identifier: str) -> str | None:
+def library_member(members: Collection[str], model_identifier: str, fmi: int = 2) -> str | None:
     """Returns the path inside an FMU of the library that this machine loads; None if there is none.
 
     members: the paths in the FMU. The folder of the FMI platform comes first, then the folder that FMPy uses,
-    which tells no processor.
+    which tells no processor. fmi: the version of the standard.
     """
     candidates = [f"binaries/{SYSTEM_PLATFORM}/{model_identifier}{SHARED_LIBRARY_SUFFIX}"]
     with contextlib.suppress(ExportError):
-        candidates.insert(0, library_name(model_identifier, host_platform()))
+        candidates.insert(0, library_name(model_identifier, host_platform(), fmi))
     return next((path for path in candidates if path in members), None)
 
 

@@ -3,20 +3,8 @@
 #ifndef DERIVATIVES_H
 #define DERIVATIVES_H
 
+#include "steps.h"
 #include "values.h"
-
-/* 4.2.1: order 0 is not allowed. */
-static int are_orders(Instance *instance, const fmi2ValueReference references[], const fmi2Integer order[],
-                      size_t count, const char *function) {
-    if (count && !order) return missing(instance, function, "order"), 0;
-    for (size_t i = 0; i < count; i++) {
-        if (order[i] >= 1) continue;
-        refuse(instance, fmi2Error, "%s: %s: order %d: expected at least 1", function, VARIABLES[references[i]].name,
-               order[i]);
-        return 0;
-    }
-    return 1;
-}
 
 /* 4.2.1: allowed when fmi2SetReal is, valid for the next step. Inputs move in straight lines: a derivative of higher
  * order is left out, with a warning. */
@@ -52,19 +40,12 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
                                         const fmi2Integer order[], fmi2Real value[]) {
     static const char *const function = "fmi2GetRealOutputDerivatives";
     Instance *instance = c;
-    const double *v, *calculated;
-    double fresh[N_CALCULATED + 1], rate[N_OUTPUTS + 1];
-    int broken = 0;
+    double rate[N_OUTPUTS + 1];
     if (!is_of(instance, CO_SIMULATION, function)) return fmi2Error;
     if (!are_allowed(instance, HAS_STEPPED, REAL, vr, nvr, value, function)) return fmi2Error;
     if (!are_orders(instance, vr, order, nvr, function)) return fmi2Error;
-    for (size_t i = 0; i < nvr; i++)
-        if (vr[i] < FIRST_OUTPUT || vr[i] >= N_VALUES)
-            return refuse(instance, fmi2Error, "%s: %s: expected an output", function, VARIABLES[vr[i]].name);
-    v = instance->data.value;
-    calculated = data_calculated(&instance->data, fresh, &broken);
-    if (!calculated) return contradictory(instance, broken, function);
-    model_output_rate(instance->data.time, instance->data.state, v + FIRST_INPUT, v, calculated, rate);
+    if (!are_outputs(instance, vr, nvr, function)) return fmi2Error;
+    if (output_rates(instance, rate, function) != fmi2OK) return fmi2Error;
     for (size_t i = 0; i < nvr; i++) value[i] = order[i] == 1 ? rate[vr[i] - FIRST_OUTPUT] : 0;
     return fmi2OK;
 }

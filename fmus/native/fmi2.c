@@ -14,14 +14,29 @@
  * table, which binds the importer: values can be read and inputs set also in 'instantiated', as some importers do;
  * and 'step failed' is 'step complete', because a step that is discarded has changed nothing.
  *
- * This is the one file to compile: functions of FMI stand here and in values.h, steps.h, exchange.h, derivatives.h and states.h.
+ * This is the one file to compile. Functions that FMI 3.0 has too stand in lifecycle.h, states.h and exchange.h.
  *
  * 2.1: an instance is one block of memory, there are no globals, no setting of the process or thread is changed.
  */
 
+#define STANDARD fmi2
+#define TYPE_NAMES "Real", "Integer or Enumeration", "Boolean"
+#define GUID_NAME "GUID"
+#define EVENT_TOO EVENT /* functions of continuous-time mode that event mode allows too */
+#define LOG_ESCAPED "%#" /* 2.1.5: the message is a format of printf, in which #r1# is a variable */
+/* Names of FMI 3.0 that are others in FMI 2.0. */
+#define FMUState FMUstate
+#define GetFMUState GetFMUstate
+#define SetFMUState SetFMUstate
+#define FreeFMUState FreeFMUstate
+#define SerializedFMUStateSize SerializedFMUstateSize
+#define SerializeFMUState SerializeFMUstate
+#define DeserializeFMUState DeSerializeFMUstate
+#define GetContinuousStateDerivatives GetDerivatives
+
 #include "derivatives.h"
 #include "exchange.h"
-#include "refusals.h"
+#include "lifecycle.h"
 #include "states.h"
 #include "steps.h"
 #include "values.h"
@@ -30,6 +45,13 @@
 const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
 
 const char *fmi2GetVersion(void) { return fmi2Version; }
+
+/* 2.1.3: errors are always for the user; discards are shown in debug mode. */
+static unsigned log_mask(fmi2Boolean logging_on) { return logging_on ? LOG_ALL : LOG_ALL & ~LOG_DISCARD; }
+
+static void log_deliver(const Log *log, fmi2Status status, const char *category, const char *text) {
+    ((fmi2CallbackLogger)log->logger)(log->environment, log->instance, status, category, text);
+}
 
 /* 2.1.5: the named categories are switched on, and no others; or off; without names all. The warning of an unknown
  * one is sent before that. */
@@ -51,78 +73,29 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nC
     return status;
 }
 
-static void cannot_instantiate(const fmi2CallbackFunctions *functions, fmi2String name, const char *format, ...) {
-    const Log log = {functions->logger, functions->componentEnvironment, name ? name : "", LOG_ALL};
-    va_list arguments;
-    va_start(arguments, format);
-    log_send(&log, fmi2Error, format, arguments);
-    va_end(arguments);
-}
-
-static void instance_reset(Instance *instance) {
-    const int64_t face = instance->data.face;
-    data_reset(&instance->data);
-    instance->data.face = face == CO_SIMULATION ? CO_SIMULATION : INITIAL_EXCHANGE;
-    instance->step_cache.is_stale = 1;
-    instance->stop_time = DBL_MAX;
-}
-
-/* 2.1.5. The resource location is not used: the model needs no file. What the pointers point to is copied: it is valid
- * during the call only. canNotUseMemoryManagementFunctions is true: the importer's memory functions are not used. */
+/* 2.1.5. canNotUseMemoryManagementFunctions is true: the importer's memory functions are not used. */
 fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
                               fmi2String fmuResourceLocation, const fmi2CallbackFunctions *functions,
                               fmi2Boolean visible, fmi2Boolean loggingOn) {
-    Instance *instance;
-    char *name;
     (void)fmuResourceLocation, (void)visible;
     if (!functions) return NULL;
-    if (!instanceName || !instanceName[strspn(instanceName, " \t\n\v\f\r")]) {
-        cannot_instantiate(functions, instanceName, "fmi2Instantiate: expected an instance name");
-        return NULL;
-    }
-    if (fmuType != fmi2CoSimulation && fmuType != fmi2ModelExchange) {
-        cannot_instantiate(functions, instanceName,
-                           "fmi2Instantiate: fmuType %d: expected fmi2CoSimulation or fmi2ModelExchange", fmuType);
-        return NULL;
-    }
-    if (!fmuGUID || strcmp(fmuGUID, MODEL_GUID)) {
-        cannot_instantiate(functions, instanceName, "fmi2Instantiate: GUID %s: expected %s", fmuGUID ? fmuGUID : "NULL",
-                           MODEL_GUID);
-        return NULL;
-    }
-    instance = calloc(1, sizeof *instance + strlen(instanceName) + 1);
-    if (!instance) {
-        cannot_instantiate(functions, instanceName, "fmi2Instantiate: no memory");
-        return NULL;
-    }
-    name = strcpy((char *)(instance + 1), instanceName);
-    instance->log = (Log){functions->logger, functions->componentEnvironment, name, log_mask(loggingOn)};
-    instance->step_finished = functions->stepFinished;
-    instance->data.face = fmuType == fmi2CoSimulation ? CO_SIMULATION : INITIAL_EXCHANGE;
-    instance_reset(instance);
+    const Log log = {(Callback)functions->logger, functions->componentEnvironment, instanceName ? instanceName : "",
+                     LOG_ALL};
+    if (fmuType != fmi2CoSimulation && fmuType != fmi2ModelExchange)
+        return cannot_instantiate(
+            &log, "fmi2Instantiate: fmuType %d: expected fmi2CoSimulation or fmi2ModelExchange", fmuType);
+    Instance *instance = instantiate(log, (Callback)functions->stepFinished,
+                                     fmuType == fmi2CoSimulation ? CO_SIMULATION : INITIAL_EXCHANGE, instanceName,
+                                     fmuGUID, "fmi2Instantiate");
+    if (instance) instance->log.enabled = log_mask(loggingOn);
     return instance;
 }
 
-/* 2.1.5; 4.2.4: in every state. NULL is ignored. */
-void fmi2FreeInstance(fmi2Component c) { free(c); }
-
-/* 2.1.6; 4.2.4: when instantiated. The stop time must be after the start time, if it is defined. */
+/* 2.1.6; 4.2.4: when instantiated. */
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance, fmi2Real startTime,
                                fmi2Boolean stopTimeDefined, fmi2Real stopTime) {
-    Instance *instance = c;
-    (void)toleranceDefined, (void)tolerance; /* may be ignored: no solver with error control inside */
-    if (!is_allowed(instance, INSTANTIATED, "fmi2SetupExperiment")) return fmi2Error;
-    if (!isfinite(startTime))
-        return refuse(instance, fmi2Error, "fmi2SetupExperiment: start time %s s: expected a finite number",
-                      DECIMAL(startTime));
-    if (stopTimeDefined && !(stopTime > startTime))
-        return refuse(instance, fmi2Error,
-                      "fmi2SetupExperiment: stop time %s s: expected more than the start time %s s",
-                      DECIMAL(stopTime), DECIMAL(startTime));
-    instance->data.time = startTime;
-    instance->stop_time = stopTimeDefined ? stopTime : DBL_MAX;
-    instance->data.outputs_are_stale = 1;
-    return fmi2OK;
+    (void)toleranceDefined, (void)tolerance;
+    return set_up(c, startTime, stopTimeDefined, stopTime, "fmi2SetupExperiment");
 }
 
 /* 2.1.6; 4.2.4: when instantiated. Without a setup before, the start time is 0. */
@@ -133,35 +106,142 @@ fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
     return fmi2OK;
 }
 
-static void begin(Data *d) {
-    d->mode = d->face == CO_SIMULATION ? STEPPING : EVENT;
-    if (d->face != CO_SIMULATION) d->face = EXCHANGE;
-    d->start_time = d->time;
-}
-
-/* 2.1.6; 4.2.4: in initialization mode. 4.1.2: the state and outputs of the start are computed here at the latest. */
-fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
-    Instance *instance = c;
-    fmi2Status status;
-    int broken = 0;
-    if (!is_allowed(instance, INITIALIZATION, "fmi2ExitInitializationMode")) return fmi2Error;
-    status = report(instance, data_refresh(&instance->data, &broken), &broken, "fmi2ExitInitializationMode", 0);
-    if (status == fmi2OK) begin(&instance->data);
-    return status;
-}
-
-/* 2.1.6; 3.2.3, 4.2.4: when a step is complete; in event mode and in continuous-time mode. */
-fmi2Status fmi2Terminate(fmi2Component c) {
-    Instance *instance = c;
-    if (!is_allowed(instance, STEPPING | EVENT | CONTINUOUS_TIME, "fmi2Terminate")) return fmi2Error;
-    instance->data.mode = TERMINATED;
+/* Also continuous states and their derivatives, which are Reals and calculated when they are read. */
+static fmi2Status get_with_locals(Instance *instance, Type type, const fmi2ValueReference vr[], size_t nvr,
+                                  fmi2Real value[], const char *function) {
+    double locals[N_VARIABLES - N_VALUES + 1];
+    if (!are_of_type(instance, type, vr, nvr, function)) return fmi2Error;
+    const fmi2Status status = get_locals(instance, locals, function);
+    if (status != fmi2OK) return status;
+    for (size_t i = 0; i < nvr; i++)
+        value[i] = vr[i] < N_VALUES ? instance->data.value[vr[i]] : locals[vr[i] - N_VALUES];
     return fmi2OK;
 }
 
-/* 2.1.6; 4.2.4: in every state. As after fmi2Instantiate, also from an error; the log categories stay. */
-fmi2Status fmi2Reset(fmi2Component c) {
+/* 2.1.7; 4.2.4: from initialization mode on; here also when instantiated. */
+#define DEFINE_GET(Name, CType, TYPE)                                                                           \
+    fmi2Status fmi2Get##Name(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, CType value[]) {       \
+        Instance *instance = c;                                                                                 \
+        if (!is_allowed(instance, READABLE, "fmi2Get" #Name)) return fmi2Error;                                 \
+        if (!are_given(instance, vr, nvr, value, "fmi2Get" #Name)) return fmi2Error;                            \
+        if (instance->data.outputs_are_stale) {                                                                 \
+            const fmi2Status status = refreshed(instance, TYPE, vr, nvr, "fmi2Get" #Name);                      \
+            if (status != fmi2OK) return status;                                                                \
+        }                                                                                                       \
+        for (size_t i = 0; i < nvr; i++)                                                                        \
+            if (!is_value(vr[i], TYPE))                                                                         \
+                return get_with_locals(instance, TYPE, vr, nvr, (fmi2Real *)value, "fmi2Get" #Name);            \
+        for (size_t i = 0; i < nvr; i++) value[i] = (CType)instance->data.value[vr[i]];                         \
+        return fmi2OK;                                                                                          \
+    }
+
+/* 2.1.7. Sets all values or none: a refused value leaves every variable as it was. 4.2.4: until the end of the
+ * initialization, and in 'step complete' only inputs and tunable parameters, which `settable` of a variable says. */
+#define DEFINE_SET(Name, CType, TYPE)                                                                           \
+    fmi2Status fmi2Set##Name(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const CType value[]) { \
+        Instance *instance = c;                                                                                 \
+        if (!is_allowed(instance, ALWAYS, "fmi2Set" #Name)) return fmi2Error;                                   \
+        if (!are_given(instance, vr, nvr, value, "fmi2Set" #Name)) return fmi2Error;                            \
+        for (size_t i = 0; i < nvr; i++)                                                                        \
+            if (!can_be_set(&instance->data, vr[i], TYPE, (double)value[i]))                                    \
+                return cannot_be_set(instance, TYPE, vr, nvr, i, (double)value[i], "fmi2Set" #Name);            \
+        for (size_t i = 0; i < nvr; i++)                                                                        \
+            data_set(&instance->data, &instance->step_cache, (int)vr[i], (double)value[i]);                     \
+        return fmi2OK;                                                                                          \
+    }
+
+DEFINE_GET(Real, fmi2Real, REAL)
+DEFINE_GET(Integer, fmi2Integer, INTEGER)
+DEFINE_GET(Boolean, fmi2Boolean, BOOLEAN)
+DEFINE_SET(Real, fmi2Real, REAL)
+DEFINE_SET(Integer, fmi2Integer, INTEGER)
+DEFINE_SET(Boolean, fmi2Boolean, BOOLEAN)
+
+/* 2.1.7: there are no variables of this type, so that only an empty list is accepted. */
+static fmi2Status no_strings(Instance *instance, int modes, size_t count, const char *function) {
+    if (!is_allowed(instance, modes, function)) return fmi2Error;
+    return count ? refuse(instance, fmi2Error, "%s: " MODEL_NAME " has no String variables", function) : fmi2OK;
+}
+
+fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2String value[]) {
+    (void)vr, (void)value;
+    return no_strings(c, READABLE, nvr, "fmi2GetString");
+}
+
+fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2String value[]) {
+    (void)vr, (void)value;
+    return no_strings(c, ALWAYS, nvr, "fmi2SetString");
+}
+
+/* 4.2.2. 2.1.5: stepFinished, if it is given, is called after a completed step. */
+fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2Real communicationStepSize,
+                      fmi2Boolean noSetFMUStatePriorToCurrentPoint) {
     Instance *instance = c;
-    if (!instance) return fmi2Error;
-    instance_reset(instance);
+    (void)noSetFMUStatePriorToCurrentPoint; /* a state is never kept by the FMU itself */
+    const fmi2Status status = do_step(instance, currentCommunicationPoint, communicationStepSize);
+    if (status == fmi2OK && instance->after_step)
+        ((fmi2StepFinished)instance->after_step)(instance->log.environment, fmi2OK);
+    return status;
+}
+
+/* 4.2.2; 4.2.4: never, as no step is in progress when the importer calls. */
+fmi2Status fmi2CancelStep(fmi2Component c) {
+    return c ? refuse(c, fmi2Error, "fmi2CancelStep: expected a step in progress; steps are never asynchronous")
+             : fmi2Error;
+}
+
+/* 4.2.3; 4.2.4: when a step is complete, and after the end. No step is ever pending: only the last successful time
+ * and the end are available; a status that cannot be given is discarded. */
+
+static fmi2Status no_status(Instance *instance, fmi2StatusKind kind, const char *function) {
+    if (!is_of(instance, CO_SIMULATION, function)) return fmi2Error;
+    if (!is_allowed(instance, STEPPING | TERMINATED, function)) return fmi2Error;
+    return refuse(instance, fmi2Discard,
+                  "%s: status kind %d: not available, steps are never asynchronous", function, kind);
+}
+
+fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind s, fmi2Status *value) {
+    (void)value;
+    return no_status(c, s, "fmi2GetStatus");
+}
+
+fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *value) {
+    Instance *instance = c;
+    if (s != fmi2LastSuccessfulTime) return no_status(instance, s, "fmi2GetRealStatus");
+    if (!is_allowed(instance, STEPPING | TERMINATED, "fmi2GetRealStatus")) return fmi2Error;
+    if (!value) return missing(instance, "fmi2GetRealStatus", "value");
+    *value = instance->data.time;
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind s, fmi2Integer *value) {
+    (void)value;
+    return no_status(c, s, "fmi2GetIntegerStatus");
+}
+
+fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boolean *value) {
+    Instance *instance = c;
+    if (s != fmi2Terminated) return no_status(instance, s, "fmi2GetBooleanStatus");
+    if (!is_allowed(instance, STEPPING | TERMINATED, "fmi2GetBooleanStatus")) return fmi2Error;
+    if (!value) return missing(instance, "fmi2GetBooleanStatus", "value");
+    *value = fmi2False; /* the model never wants the simulation to end */
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind s, fmi2String *value) {
+    (void)value;
+    return no_status(c, s, "fmi2GetStringStatus");
+}
+
+/* 3.2.2; 3.2.3: in event mode. */
+fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *fmi2eventInfo) {
+    double next = 0;
+    int jumped = 0;
+    const fmi2Status status =
+        update_discrete_states(c, fmi2eventInfo ? NULL : "fmi2eventInfo", &jumped, &next, "fmi2NewDiscreteStates");
+    if (status != fmi2OK) return status;
+    *fmi2eventInfo = (fmi2EventInfo){.valuesOfContinuousStatesChanged = jumped,
+                                     .nextEventTimeDefined = isfinite(next),
+                                     .nextEventTime = isfinite(next) ? next : 0};
     return fmi2OK;
 }

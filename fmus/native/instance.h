@@ -56,7 +56,13 @@ static void data_reset(Data *d) {
     for (int i = 0; i < N_VALUES; i++) d->value[i] = VARIABLES[i].start;
 }
 
+/* A continuous state is marked as changed, whatever it was. */
 static void data_set(Data *d, StepCache *cache, int reference, double value) {
+    if (N_CONTINUOUS && reference >= N_VALUES) {
+        d->state[reference - N_VALUES] = value;
+        d->outputs_are_stale = 1;
+        return;
+    }
     if (is_same(d->value[reference], value)) return;
     d->value[reference] = value;
     if (reference < FIRST_CALCULATED) d->parameters_are_stale = cache->is_stale = 1;
@@ -260,6 +266,17 @@ static void data_derivatives(const Data *d, const double *c, double *rates) {
     model_derivative(d->time, held, d->value + FIRST_INPUT, d->value, c, rates);
 #else
     (void)d, (void)c, (void)rates;
+#endif
+}
+
+/* Event indicators: their signs change where a derivative has a corner or a jump. */
+static void data_indicators(const Data *d, const double *c, double *indicators) {
+#if MODEL_HAS_DERIVATIVE
+    double held[N_STATES];
+    data_hold(d, d->state, c, held);
+    model_crossings(d->time, held, d->value + FIRST_INPUT, d->value, c, indicators);
+#else
+    (void)d, (void)c, (void)indicators;
 #endif
 }
 

@@ -8,7 +8,19 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "fmi2Functions.h"
+/* Names of the standard that the including file implements: FMI(Reset) is fmi2Reset where STANDARD is fmi2, and
+ * NAME(Reset) is its text. Names that differ are those of FMI 3.0, which fmi2.c translates. */
+#define PASTED(prefix, name) prefix##name
+#define JOINED(prefix, name) PASTED(prefix, name)
+#define QUOTED(name) #name
+#define TEXT(name) QUOTED(name)
+#define FMI(name) JOINED(STANDARD, name)
+#define NAME(name) TEXT(STANDARD) TEXT(name)
+
+typedef FMI(Status) Status;
+enum { OK = FMI(OK), WARNING = FMI(Warning), DISCARD = FMI(Discard), ERROR = FMI(Error) };
+
+typedef void (*Callback)(void); /* of any type: converted back before it is called */
 
 enum { LOG_WARNING = 1, LOG_DISCARD = 2, LOG_ERROR = 4, LOG_FATAL = 8, LOG_ALL = 15, MESSAGE_SIZE = 1024 };
 
@@ -24,16 +36,11 @@ enum { N_LOG_CATEGORIES = sizeof LOG_CATEGORIES / sizeof LOG_CATEGORIES[0] };
 
 /* What logging needs of the importer's callbacks: a copy, because they need not outlive the call. */
 typedef struct {
-    fmi2CallbackLogger logger;
-    fmi2ComponentEnvironment environment;
+    Callback logger;
+    void *environment;
     const char *instance;
     unsigned enabled;
 } Log;
-
-/* FMI 2.0.5, 2.1.3: errors are always for the user; discards are shown in debug mode. */
-static unsigned log_mask(fmi2Boolean logging_on) {
-    return logging_on ? LOG_ALL : LOG_ALL & ~LOG_DISCARD;
-}
 
 /* The mask of a category's name, 0 if there is none of this name. */
 static unsigned log_category(const char *name) {
@@ -42,25 +49,28 @@ static unsigned log_category(const char *name) {
     return 0;
 }
 
-/* The logger takes a printf format in which #r1# names a variable: '%' and '#' are doubled, so the result can be
- * twice as long. */
-static void log_escape(const char *text, char *escaped) {
+/* The importer replaces #1# or #r1# by the name of a variable, in FMI 2.0 also what printf does: such characters are
+ * doubled, so the result can be twice as long. */
+static void log_escape(const char *text, const char *doubled, char *escaped) {
     size_t length = 0;
     for (; *text; text++) {
-        if (*text == '%' || *text == '#') escaped[length++] = *text;
+        if (strchr(doubled, *text)) escaped[length++] = *text;
         escaped[length++] = *text;
     }
     escaped[length] = '\0';
 }
 
-static void log_send(const Log *log, fmi2Status status, const char *format, va_list arguments) {
+/* Calls the importer's function; `text` is escaped. */
+static void log_deliver(const Log *log, Status status, const char *category, const char *text);
+
+static void log_send(const Log *log, Status status, const char *format, va_list arguments) {
     static const int place[] = {0, 0, 1, 2, 3, 0}; /* of a status among the categories */
     char text[MESSAGE_SIZE], escaped[2 * MESSAGE_SIZE];
     int i = place[status];
     if (!log->logger || !(log->enabled & LOG_CATEGORIES[i].mask)) return;
     vsnprintf(text, sizeof text, format, arguments);
-    log_escape(text, escaped);
-    log->logger(log->environment, log->instance, status, LOG_CATEGORIES[i].name, escaped);
+    log_escape(text, LOG_ESCAPED, escaped);
+    log_deliver(log, status, LOG_CATEGORIES[i].name, escaped);
 }
 
 /* The shortest decimal that is this number again, also where the host's locale has a decimal comma. */

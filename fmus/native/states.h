@@ -6,80 +6,80 @@
 #include "refusals.h"
 #include "snapshot.h"
 
-static const Snapshot *own_snapshot(Instance *instance, fmi2FMUstate FMUstate, const char *function) {
-    const Snapshot *snapshot = FMUstate;
+static const Snapshot *own_snapshot(Instance *instance, void *FMUState, const char *function) {
+    const Snapshot *snapshot = FMUState;
     if (!instance) return NULL;
     if (snapshot && !strcmp(snapshot->guid, MODEL_GUID)) return snapshot;
-    refuse(instance, fmi2Error, snapshot ? "%s: the state is another FMU's" : "%s: FMUstate is NULL", function);
+    refuse(instance, ERROR, snapshot ? "%s: the state is another FMU's" : "%s: " TEXT(FMUState) " is NULL", function);
     return NULL;
 }
 
-fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
+Status FMI(GetFMUState)(void *c, void **FMUState) {
     Instance *instance = c;
     Snapshot *snapshot;
-    if (!instance) return fmi2Error;
-    if (!FMUstate) return missing(instance, "fmi2GetFMUstate", "FMUstate");
-    if (*FMUstate && !own_snapshot(instance, *FMUstate, "fmi2GetFMUstate")) return fmi2Error;
-    snapshot = *FMUstate ? *FMUstate : calloc(1, sizeof *snapshot);
-    if (!snapshot) return refuse(instance, fmi2Error, "fmi2GetFMUstate: no memory");
+    if (!instance) return ERROR;
+    if (!FMUState) return missing(instance, NAME(GetFMUState), TEXT(FMUState));
+    if (*FMUState && !own_snapshot(instance, *FMUState, NAME(GetFMUState))) return ERROR;
+    snapshot = *FMUState ? *FMUState : calloc(1, sizeof *snapshot);
+    if (!snapshot) return refuse(instance, ERROR, NAME(GetFMUState) ": no memory");
     memcpy(snapshot->guid, MODEL_GUID, sizeof snapshot->guid);
     snapshot->data = instance->data;
-    *FMUstate = snapshot;
-    return fmi2OK;
+    *FMUState = snapshot;
+    return OK;
 }
 
-fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate) {
-    const Snapshot *snapshot = own_snapshot(c, FMUstate, "fmi2SetFMUstate");
-    if (!snapshot) return fmi2Error;
+Status FMI(SetFMUState)(void *c, void *FMUState) {
+    const Snapshot *snapshot = own_snapshot(c, FMUState, NAME(SetFMUState));
+    if (!snapshot) return ERROR;
     if (!snapshot->data.face != !((Instance *)c)->data.face)
-        return refuse(c, fmi2Error, "fmi2SetFMUstate: the state is of the other interface");
+        return refuse(c, ERROR, NAME(SetFMUState) ": the state is of the other interface");
     ((Instance *)c)->data = snapshot->data;
     ((Instance *)c)->step_cache.is_stale = 1;
-    return fmi2OK;
+    return OK;
 }
 
-fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
+Status FMI(FreeFMUState)(void *c, void **FMUState) {
     Instance *instance = c;
-    if (!instance) return fmi2Error;
-    if (!FMUstate || !*FMUstate) return fmi2OK; /* 2.1.8: ignored */
-    free(*FMUstate);
-    *FMUstate = NULL;
-    return fmi2OK;
+    if (!instance) return ERROR;
+    if (!FMUState || !*FMUState) return OK; /* 2.1.8: ignored */
+    free(*FMUState);
+    *FMUState = NULL;
+    return OK;
 }
 
-fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate FMUstate, size_t *size) {
-    if (!own_snapshot(c, FMUstate, "fmi2SerializedFMUstateSize")) return fmi2Error;
-    if (!size) return missing(c, "fmi2SerializedFMUstateSize", "size");
+Status FMI(SerializedFMUStateSize)(void *c, void *FMUState, size_t *size) {
+    if (!own_snapshot(c, FMUState, NAME(SerializedFMUStateSize))) return ERROR;
+    if (!size) return missing(c, NAME(SerializedFMUStateSize), "size");
     *size = SERIALIZED_SIZE;
-    return fmi2OK;
+    return OK;
 }
 
-fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byte serializedState[], size_t size) {
-    const Snapshot *snapshot = own_snapshot(c, FMUstate, "fmi2SerializeFMUstate");
-    if (!snapshot) return fmi2Error;
-    if (!serializedState) return missing(c, "fmi2SerializeFMUstate", "serializedState");
+Status FMI(SerializeFMUState)(void *c, void *FMUState, FMI(Byte) serializedState[], size_t size) {
+    const Snapshot *snapshot = own_snapshot(c, FMUState, NAME(SerializeFMUState));
+    if (!snapshot) return ERROR;
+    if (!serializedState) return missing(c, NAME(SerializeFMUState), "serializedState");
     if (size < SERIALIZED_SIZE)
-        return refuse(c, fmi2Error, "fmi2SerializeFMUstate: size %lu: expected %d", (unsigned long)size,
+        return refuse(c, ERROR, NAME(SerializeFMUState) ": size %lu: expected %d", (unsigned long)size,
                       (int)SERIALIZED_SIZE);
     serialize(snapshot, (unsigned char *)serializedState);
-    return fmi2OK;
+    return OK;
 }
 
-fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedState[], size_t size,
-                                   fmi2FMUstate *FMUstate) {
+Status FMI(DeserializeFMUState)(void *c, const FMI(Byte) serializedState[], size_t size,
+                                   void **FMUState) {
     Instance *instance = c;
     Snapshot restored;
     const char *reason;
-    if (!instance) return fmi2Error;
-    if (!serializedState) return missing(instance, "fmi2DeSerializeFMUstate", "serializedState");
-    if (!FMUstate) return missing(instance, "fmi2DeSerializeFMUstate", "FMUstate");
-    if (*FMUstate && !own_snapshot(instance, *FMUstate, "fmi2DeSerializeFMUstate")) return fmi2Error;
+    if (!instance) return ERROR;
+    if (!serializedState) return missing(instance, NAME(DeserializeFMUState), "serializedState");
+    if (!FMUState) return missing(instance, NAME(DeserializeFMUState), TEXT(FMUState));
+    if (*FMUState && !own_snapshot(instance, *FMUState, NAME(DeserializeFMUState))) return ERROR;
     reason = deserialize((const unsigned char *)serializedState, size, &restored);
-    if (reason) return refuse(instance, fmi2Error, "fmi2DeSerializeFMUstate: %s", reason);
-    if (!*FMUstate) *FMUstate = calloc(1, sizeof restored);
-    if (!*FMUstate) return refuse(instance, fmi2Error, "fmi2DeSerializeFMUstate: no memory");
-    *(Snapshot *)*FMUstate = restored;
-    return fmi2OK;
+    if (reason) return refuse(instance, ERROR, NAME(DeserializeFMUState) ": %s", reason);
+    if (!*FMUState) *FMUState = calloc(1, sizeof restored);
+    if (!*FMUState) return refuse(instance, ERROR, NAME(DeserializeFMUState) ": no memory");
+    *(Snapshot *)*FMUState = restored;
+    return OK;
 }
 
 #endif

@@ -1,82 +1,60 @@
-/* Functions of FMI that step, and that tell how far a step came (4.2.2, 4.2.3). */
+/* Steps of co-simulation, and the derivatives of outputs by time. */
 
 #ifndef STEPS_H
 #define STEPS_H
 
 #include "refusals.h"
 
-/* Exactly to the current communication point plus the step size, which is greater than 0; 2.1.6: past the stop time is
- * an error; 2.1.5: stepFinished, if it is given, is called after a completed step; 4.2.4: when a step is complete. */
-fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2Real communicationStepSize,
-                      fmi2Boolean noSetFMUStatePriorToCurrentPoint) {
-    Instance *instance = c;
-    const double t = currentCommunicationPoint, h = communicationStepSize;
+/* 4.2.2: exactly to the current communication point t plus the step size h, which is greater than 0; 2.1.6: past the
+ * stop time is an error; 4.2.4: when a step is complete. */
+static Status do_step(Instance *instance, double t, double h) {
     int broken = 0;
-    (void)noSetFMUStatePriorToCurrentPoint; /* a state is never kept by the FMU itself */
-    if (!is_allowed(instance, STEPPING, "fmi2DoStep")) return fmi2Error;
+    if (!is_allowed(instance, STEPPING, NAME(DoStep))) return ERROR;
     if (!(h > 0 && h <= DBL_MAX))
-        return refuse(instance, fmi2Error,
-                      "fmi2DoStep: communication step size %s s: expected more than 0", DECIMAL(h));
+        return refuse(instance, ERROR,
+                      NAME(DoStep) ": communication step size %s s: expected more than 0", DECIMAL(h));
     if (!isfinite(t) || !(fabs(t - instance->data.time) <= tolerance_at(t, h)))
-        return refuse(instance, fmi2Error, "fmi2DoStep: communication point %s s: expected %s s, the current time",
+        return refuse(instance, ERROR, NAME(DoStep) ": communication point %s s: expected %s s, the current time",
                       DECIMAL(t), DECIMAL(instance->data.time));
     if (!(t + h <= instance->stop_time + tolerance_at(t, h)))
-        return refuse(instance, fmi2Error, "fmi2DoStep: step to %s s: expected at most the stop time %s s",
+        return refuse(instance, ERROR, NAME(DoStep) ": step to %s s: expected at most the stop time %s s",
                       DECIMAL(t + h), DECIMAL(instance->stop_time));
     Data *data = &instance->data;
     const Outcome outcome = data_step(data, &instance->step_cache, t, h, data->value + FIRST_INPUT, &broken);
-    if (outcome != DONE) return report(instance, outcome, &broken, "fmi2DoStep", h);
-    if (instance->step_finished) instance->step_finished(instance->log.environment, fmi2OK);
-    return fmi2OK;
+    return report(instance, outcome, &broken, NAME(DoStep), h);
 }
 
-/* 4.2.2; 4.2.4: never, as no step is in progress when the importer calls. */
-fmi2Status fmi2CancelStep(fmi2Component c) {
-    return c ? refuse(c, fmi2Error, "fmi2CancelStep: expected a step in progress; steps are never asynchronous")
-             : fmi2Error;
+/* 4.2.1: order 0 is not allowed. */
+static int are_orders(Instance *instance, const unsigned references[], const int order[], size_t count,
+                      const char *function) {
+    if (count && !order) return missing(instance, function, "order"), 0;
+    for (size_t i = 0; i < count; i++) {
+        if (order[i] >= 1) continue;
+        refuse(instance, ERROR, "%s: %s: order %d: expected at least 1", function, VARIABLES[references[i]].name,
+               order[i]);
+        return 0;
+    }
+    return 1;
 }
 
-/* 4.2.3; 4.2.4: when a step is complete, and after the end. No step is ever pending: only the last successful time
- * and the end are available; a status that cannot be given is discarded. */
-
-static fmi2Status no_status(Instance *instance, fmi2StatusKind kind, const char *function) {
-    if (!is_of(instance, CO_SIMULATION, function)) return fmi2Error;
-    if (!is_allowed(instance, STEPPING | TERMINATED, function)) return fmi2Error;
-    return refuse(instance, fmi2Discard,
-                  "%s: status kind %d: not available, steps are never asynchronous", function, kind);
+static int are_outputs(Instance *instance, const unsigned references[], size_t count, const char *function) {
+    for (size_t i = 0; i < count; i++) {
+        if (references[i] >= FIRST_OUTPUT && references[i] < N_VALUES) continue;
+        refuse(instance, ERROR, "%s: %s: expected an output", function, VARIABLES[references[i]].name);
+        return 0;
+    }
+    return 1;
 }
 
-fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind s, fmi2Status *value) {
-    (void)value;
-    return no_status(c, s, "fmi2GetStatus");
-}
-
-fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *value) {
-    Instance *instance = c;
-    if (s != fmi2LastSuccessfulTime) return no_status(instance, s, "fmi2GetRealStatus");
-    if (!is_allowed(instance, STEPPING | TERMINATED, "fmi2GetRealStatus")) return fmi2Error;
-    if (!value) return missing(instance, "fmi2GetRealStatus", "value");
-    *value = instance->data.time;
-    return fmi2OK;
-}
-
-fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind s, fmi2Integer *value) {
-    (void)value;
-    return no_status(c, s, "fmi2GetIntegerStatus");
-}
-
-fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boolean *value) {
-    Instance *instance = c;
-    if (s != fmi2Terminated) return no_status(instance, s, "fmi2GetBooleanStatus");
-    if (!is_allowed(instance, STEPPING | TERMINATED, "fmi2GetBooleanStatus")) return fmi2Error;
-    if (!value) return missing(instance, "fmi2GetBooleanStatus", "value");
-    *value = fmi2False; /* the model never wants the simulation to end */
-    return fmi2OK;
-}
-
-fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind s, fmi2String *value) {
-    (void)value;
-    return no_status(c, s, "fmi2GetStringStatus");
+/* 4.2.1: the first derivatives of all outputs at the current time of the instance. */
+static Status output_rates(Instance *instance, double rate[], const char *function) {
+    double fresh[N_CALCULATED + 1];
+    const double *v = instance->data.value;
+    int broken = 0;
+    const double *c = data_calculated(&instance->data, fresh, &broken);
+    if (!c) return contradictory(instance, broken, function);
+    model_output_rate(instance->data.time, instance->data.state, v + FIRST_INPUT, v, c, rate);
+    return OK;
 }
 
 #endif

@@ -25,6 +25,7 @@ from fmus.platforms import FMPY, TARGETS
 
 FLAGS = (
     "-DFMI2_OVERRIDE_FUNCTION_PREFIX",
+    "-DFMI3_OVERRIDE_FUNCTION_PREFIX",
     "-std=c99",
     "-O2",
     "-ffp-contract=off",
@@ -33,7 +34,7 @@ FLAGS = (
     "-g0",
     "-s",
 )
-FMI_HEADERS = FMPY / "c-code"  # of FMI 2.0, which no FMU carries
+FMI_HEADERS = FMPY / "c-code"  # of FMI 2.0 and 3.0, which no FMU carries
 _PATIENCE_S = 600  # the first build for Windows takes a minute: its C library is compiled too
 COMPILER = ("ziglang", version("ziglang"))
 _SILENT_S = 10  # after which a wait for the compiler is announced

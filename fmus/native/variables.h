@@ -7,7 +7,7 @@
 #include <stdint.h>
 
 /* Types of a variable, as the importer's functions distinguish them. */
-typedef enum { REAL, INTEGER, BOOLEAN } Type;
+typedef enum { REAL, INTEGER, BOOLEAN, ENUMERATION } Type; /* FMI 2.0 has enumerations as integers */
 
 /* States of FMI 2.0.5, one bit each: of co-simulation (figure 11), in which a step is never in progress when the
  * importer calls, and of model exchange (figure 5), which has two in place of STEPPING. */
@@ -53,7 +53,8 @@ enum {
     FIRST_OUTPUT = FIRST_INPUT + N_INPUTS,
     N_VALUES = FIRST_OUTPUT + N_OUTPUTS,
     FIRST_DERIVATIVE = N_VALUES + N_CONTINUOUS,
-    N_VARIABLES = FIRST_DERIVATIVE + N_CONTINUOUS
+    TIME = FIRST_DERIVATIVE + N_CONTINUOUS, /* then event indicators */
+    N_VARIABLES = TIME + N_OTHERS
 };
 
 /* Read from memory: of a model without inputs, a compiler would call the comparison below always false. */

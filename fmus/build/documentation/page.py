@@ -31,29 +31,33 @@ _TABLES = (
     ("parameter", "Parameters"),
     ("calculatedParameter", "Calculated parameters, which follow from the parameters"),
 )
-_BUILDING = """<li>For another platform compile sources/{file} with the headers of FMI 2.0, which belong to
-the importer; FMI2_OVERRIDE_FUNCTION_PREFIX gives functions the names that a shared library has:
-<code>cc -std=c99 -O2 -shared -fPIC -DFMI2_OVERRIDE_FUNCTION_PREFIX -I HEADERS -o {name}.so
+_BUILDING = """<li>For another platform compile sources/{file} with the headers of FMI {fmi}.0, which belong
+to the importer; FMI{fmi}_OVERRIDE_FUNCTION_PREFIX gives functions the names that a shared library has:
+<code>cc -std=c99 -O2 -shared -fPIC -DFMI{fmi}_OVERRIDE_FUNCTION_PREFIX -I HEADERS -o {name}.so
 sources/{file} -lm</code></li>"""
 _HEADINGS = ("Name", "Unit or type", "Start", "Permitted", "Variability", "Meaning", "Source")
 
 
-def documentation(block: Block, compiled: str = "", reals_only: bool = False) -> dict[str, bytes]:
+def documentation(
+    block: Block, compiled: str = "", reals_only: bool = False, fmi: int = 2
+) -> dict[str, bytes]:
     """Returns path inside the FMU -> content of the page and of the note on the reference results.
 
     compiled: the file of the folder sources that an importer compiles, if there is one
     reals_only: whether every variable is a Real
+    fmi: the version of the standard
     """
     templates, experiment = resources.files("fmus.build.documentation"), block.guide.experiment
     files = {"index.html": "page.html", "fmi-ls-ref.txt": "fmi-ls-ref.txt"}
     values = {
+        "fmi": fmi,
         "name": escape(block.name),
         "description": escape(block.description),
         "release": escape(version("l1-depth")),
         "stop_time": block.stop_time,
         "step_size": block.step_size,
         "guide": _guide(block),
-        "building": _BUILDING.format(file=compiled, name=block.name) if compiled else "",
+        "building": _BUILDING.format(file=compiled, name=block.name, fmi=fmi) if compiled else "",
         "variables": "\n".join(_tables(block, reals_only)),
         "reference_stop_time": experiment.stop_time or block.stop_time,
         "reference_step_size": experiment.step_size or block.step_size,

@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 from PIL import Image, ImageDraw, ImageFont
 
 from fmus.block import Block
+from fmus.build.fmi3_description import arrays
 from fmus.files import xml_document
 
 SIZE = 512  # pixels, both ways
@@ -82,15 +83,19 @@ PATH = "terminalsAndIcons/terminalsAndIcons.xml"
 _TERMINALS = (("inputs", "input", "Every input"), ("outputs", "output", "Every output"))
 
 
-def terminals(block: Block) -> dict[str, bytes]:
-    """Returns path inside the FMU -> content; nothing for a block without ports."""
+def terminals(block: Block, fmi: int = 2) -> dict[str, bytes]:
+    """Returns path inside the FMU -> content; nothing for a block without ports.
+
+    fmi: the version of the standard; in FMI 3.0 an array is one member
+    """
     root = ElementTree.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     listed = ElementTree.SubElement(root, "Terminals")
     for name, causality, description in _TERMINALS:
         if variables := block.of_causality(causality):
             attributes = {"name": name, "matchingRule": "bus", "description": description}
             terminal = ElementTree.SubElement(listed, "Terminal", attributes)
-            for v in variables:
-                member = {"variableName": v.name, "memberName": v.name, "variableKind": "signal"}
+            names = [name for name, *_ in arrays(variables)] if fmi == 3 else [v.name for v in variables]
+            for member_name in names:
+                member = {"variableName": member_name, "memberName": member_name, "variableKind": "signal"}
                 ElementTree.SubElement(terminal, "TerminalMemberVariable", member)
     return {PATH: xml_document(root)} if len(listed) else {}

@@ -8,6 +8,8 @@ from fmus.block import Block, variable
 from fmus.build import builder
 from fmus.numerics import floor, where
 
+from .exchanged import BALL
+
 
 class Mode(IntEnum):
     """With a gap between its items."""
@@ -120,6 +122,6 @@ ITEMS = Block(
 
 
 def block_named(name: str) -> Block:
-    """A block of this file, or one that is installed."""
-    own = {block.name: block for block in (EVERYTHING, ITEMS)}
+    """A block of this file, the ball of `exchanged`, or one that is installed."""
+    own = {block.name: block for block in (EVERYTHING, ITEMS, BALL)}
     return own[name] if name in own else builder.load_block(name)

@@ -33,6 +33,9 @@ static double read(const char *text, char **end) {
 
 #define snprintf print
 #define strtod read
+#define STANDARD fmi2
+#define LOG_ESCAPED "%#"
+#include "fmi2Functions.h"
 #include "log.h"
 
 int main(int count, char **texts) {

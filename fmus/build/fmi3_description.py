@@ -1,0 +1,197 @@
+"""Block -> modelDescription.xml of FMI 3.0.2, for co-simulation and model exchange.
+
+What FMI 3.0 writes otherwise than FMI 2.0: scalars of one array are one variable, with the value reference of
+the first; the time and the event indicators are variables, with the last value references; enumerations have
+a type of their own; dependencies name parameters and the time too.
+"""
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import groupby
+from typing import Any
+from xml.etree import ElementTree
+
+import casadi
+
+from fmus.block import Block, BlockVariable
+from fmus.build.model_description import (
+    add,
+    add_enumerations,
+    add_experiment,
+    add_units,
+    attribute,
+    model_attributes,
+    parsable,
+)
+from fmus.build.sensitivities import Mode, sensitivities
+from fmus.build.symbolic import traced
+
+TYPES = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "Enumeration": "Enumeration"}
+_CAPABILITIES = {
+    "canGetAndSetFMUState": "true",
+    "canSerializeFMUState": "true",
+    "providesDirectionalDerivatives": "true",
+    "providesAdjointDerivatives": "true",
+}
+_OF_CO_SIMULATION = {"canHandleVariableCommunicationStepSize": "true", "maxOutputDerivativeOrder": "1"}
+_INDICES = re.compile(r"\[[\d,]+\]")
+_TIME = "time"
+
+
+def other_variables(block: Block) -> tuple[BlockVariable, ...]:
+    """Returns the variables that FMI 3.0 alone has: the time and, as an array, the event indicators."""
+    reference = len(block.variables) + len(block.states)
+    is_taken = _TIME in {array_name(v) for v in block.variables}
+    time = "independent.time" if is_taken else _TIME  # no variable of a block has a point in its name
+    count = traced(block).crossings.numel_out(0) if block.derivative else 0
+    indicators = (f"event.indicators[{i + 1}]" for i in range(count))
+    about = "Changes its sign where a derivative has a corner or a jump"
+    return (
+        _variable(time, reference, "independent", "Time", "s"),
+        *(_variable(name, reference + 1 + i, "local", about) for i, name in enumerate(indicators)),
+    )
+
+
+def _variable(
+    name: str, reference: int, causality: str, description: str, unit: str | None = None
+) -> BlockVariable:
+    initial = "calculated" if causality == "local" else None
+    nothing = (None, None, None, None)  # display unit, limits, nominal value
+    return BlockVariable(
+        name, reference, causality, "continuous", initial, 0.0, description, unit, *nothing, "", None
+    )
+
+
+def array_name(v: BlockVariable) -> str:
+    """Returns the name of the array that a scalar belongs to; of any other, its own."""
+    return _INDICES.sub("", v.name)
+
+
+def arrays(variables: Iterable[BlockVariable]) -> Iterator[tuple[str, list[int], list[BlockVariable]]]:
+    """Yields name, dimensions and scalars of each variable; no dimensions for one that is no array.
+
+    Scalars that differ in more than their start values are no array, and neither are rows of several lengths.
+    """
+    for name, group in groupby(variables, array_name):
+        scalars = list(group)
+        indices = _INDICES.search(scalars[-1].name)
+        shape = [int(index) for index in indices[0][1:-1].split(",")] if indices else []
+        is_array = len(scalars) == math.prod(shape) and len({*map(_common, scalars)}) == 1
+        if shape and is_array:
+            yield name, shape, scalars
+        else:
+            yield from ((v.name, [], [v]) for v in scalars)
+
+
+def _common(v: BlockVariable) -> tuple[Any, ...]:
+    """Returns what the scalars of an array have in common."""
+    return (
+        v.type, v.variability, v.unit, v.display_unit, v.minimum, v.maximum, v.nominal, v.enumeration,
+    )  # fmt: skip
+
+
+def extents(block: Block) -> list[int]:
+    """Returns by value reference how many scalars the variable has that begins there: 0 inside an array."""
+    scalars = [group for *_, group in arrays((*block.variables, *block.states, *other_variables(block)))]
+    return [extent for group in scalars for extent in (len(group), *[0] * (len(group) - 1))]
+
+
+def model_description(block: Block, token: str) -> bytes:
+    """Returns the XML of a block; token: the instantiation token.
+
+    Raises ExportError for a unit that `fmus.block.units` does not know.
+    """
+    others, count = other_variables(block), len(block.states) // 2
+    attributes = {"fmiVersion": "3.0", "instantiationToken": token, **model_attributes(block)}
+    root = ElementTree.Element("fmiModelDescription", attributes)
+    for name, own in (("ModelExchange", {}), ("CoSimulation", _OF_CO_SIMULATION)):
+        add(root, name, modelIdentifier=block.name, **_CAPABILITIES, **own)
+    add_units(root, (*block.variables, *others), block.states)
+    add_enumerations(root, block, lambda parent, **named: add(parent, "EnumerationType", **named))
+    add_experiment(root, block)
+    variables = add(root, "ModelVariables")
+    groups = [*arrays((*block.variables, *block.states, *others))]
+    restarted = _restarted(block)
+    for name, shape, (v, *rest) in groups:
+        of_state = v.value_reference - len(block.variables)
+        more = {}
+        if 0 <= of_state < count:
+            more["reinit"] = (
+                "true" if restarted.intersection(range(of_state, of_state + 1 + len(rest))) else None
+            )
+        elif count <= of_state < 2 * count:
+            more["derivative"] = str(v.value_reference - count)
+        _add_variable(variables, name, shape, [v, *rest], more)
+    _add_structure(add(root, "ModelStructure"), block, groups)
+    return parsable(root, block)
+
+
+def _restarted(block: Block) -> set[int]:
+    """Returns the places of the continuous states that an event may change."""
+    if not block.derivative:
+        return set()
+    functions = traced(block)
+    _, x, *_ = arguments = functions.event.sx_in()
+    after = functions.event(*arguments)
+    return {i for i in range(len(block.states) // 2) if not casadi.is_equal(after[i], x[i])}
+
+
+def _add_variable(
+    parent: Any, name: str, shape: Sequence[int], scalars: list[BlockVariable], more: dict[str, str | None]
+) -> None:
+    v = scalars[0]
+    limits = {"min": attribute(v.minimum), "max": attribute(v.maximum)}
+    starts = " ".join(str(attribute(scalar.start)) for scalar in scalars) if v.settable else None
+    texts = dict.fromkeys(
+        scalar.description + (f" ({scalar.source})" if scalar.source else "") for scalar in scalars
+    )
+    variable = add(
+        parent,
+        TYPES[v.type],
+        name=name,
+        valueReference=str(v.value_reference),
+        description="; ".join(texts),
+        causality=v.causality,
+        variability=v.variability,
+        initial=v.initial,
+        declaredType=v.enumeration.__name__ if v.enumeration else None,
+        **(limits if v.type in ("Real", "Integer") else {}),
+        nominal=attribute(v.nominal),
+        unit=v.unit,
+        displayUnit=v.display_unit,
+        start=starts,
+        **more,
+    )
+    for size in shape:
+        add(variable, "Dimension", start=str(size))
+
+
+def _add_structure(
+    structure: Any, block: Block, groups: Sequence[tuple[str, list[int], list[BlockVariable]]]
+) -> None:
+    first = {v.value_reference: scalars[0].value_reference for *_, scalars in groups for v in scalars}
+    modes = sensitivities(block)
+    present, initial = (_of_arrays(mode, first) for mode in ((modes.step, modes.exchange), (modes.initial,)))
+    outputs = {first[v.value_reference] for v in block.of_causality("output")}
+    indicators = [v for v in other_variables(block) if v.causality == "local"]
+    for tag, known in (
+        ("Output", {r: known for r, known in present.items() if r in outputs}),
+        ("ContinuousStateDerivative", {r: known for r, known in present.items() if r not in outputs}),
+        ("InitialUnknown", initial),
+    ):
+        for reference, behind in sorted(known.items()):
+            add(
+                structure, tag, valueReference=str(reference), dependencies=" ".join(map(str, sorted(behind)))
+            )
+    for v in indicators[:1]:
+        add(structure, "EventIndicator", valueReference=str(v.value_reference))
+
+
+def _of_arrays(modes: Iterable[Mode], first: Mapping[int, int]) -> dict[int, set[int]]:
+    """Returns the dependencies between whole variables that hold in one of the modes."""
+    found: dict[int, set[int]] = {}
+    for mode in modes:
+        for unknown, known in mode.dependencies().items():
+            found.setdefault(first[unknown], set()).update(first[reference] for reference in known)
+    return found

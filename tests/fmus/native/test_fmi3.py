@@ -1,0 +1,314 @@
+"""Native FMUs of FMI 3.0, led through FMPy: the numbers of FMI 2.0, arrays as arrays, and what is refused."""
+
+import ctypes
+import math
+import re
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
+
+from fmus.block import Block
+from fmus.build import builder
+from fmus.build.fmi3_description import arrays
+from fmus.errors import ExportError
+from fmus.native import toolchain
+from fmus.registry import Flavour
+from tests.shared_builds import Fmus
+
+from .exchanged import BALL, Exchanged
+from .fmi3_instance import Fmi3Instance
+from .native_block import EVERYTHING, Mode, block_named
+
+NAMES = builder.block_names()
+Open = Callable[..., Fmi3Instance]
+
+
+def scalars(fmu: Fmi3Instance, block: Block, causality: str) -> list[Any]:
+    names = [name for name, *_ in arrays(block.of_causality(causality))]
+    return [value for name in names for value in fmu[name]]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_trajectories_are_those_of_fmi_2_bit_for_bit(
+    built: Fmus, load: Any, open_fmi3: Open, name: str
+) -> None:
+    block = block_named(name)
+    old, new = load(built[name]).begin(), open_fmi3(name).begin()
+    moved = [v for v in block.of_causality("input") if v.minimum is None and v.type == "Real"]
+    groups = [(group, members) for group, _, members in arrays(block.of_causality("input"))]
+    h = block.step_size
+    recorded = []
+    for i in range(200):
+        values = {v.name: math.cos(5.0 * i * h * (k + 1)) for k, v in enumerate(moved)}
+        for variable, value in values.items():
+            old[variable] = value
+        for group, members in groups:
+            if {v.name for v in members} <= {*values}:
+                new[group] = [values[v.name] for v in members]
+        old.slave.doStep(i * h, h)
+        assert new.fmu.doStep(i * h, h) == (False, False, False, (i * h) + h)
+        recorded.append(scalars(new, block, "output"))
+        assert recorded[-1] == outputs(old, block)
+    assert name == "ThrustAllocation" or np.ptp(np.array(recorded, float), axis=0).max() > 0.0
+
+
+def outputs(fmu: Any, block: Block) -> list[Any]:
+    read = {"Real": fmu.slave.getReal, "Boolean": fmu.slave.getBoolean}
+    return [
+        read.get(v.type, fmu.slave.getInteger)([v.value_reference])[0] for v in block.of_causality("output")
+    ]
+
+
+@pytest.mark.parametrize("name", [*NAMES, EVERYTHING.name, BALL.name])
+def test_fmpy_finds_no_problem_and_simulates_both_interfaces(fmi3_built: Fmus, name: str) -> None:
+    path = str(fmi3_built[name])
+    assert validate_fmu(path) == []
+    for interface in ("CoSimulation", "ModelExchange"):
+        result: Any = fmpy.simulate_fmu(path, fmi_type=interface, stop_time=0.5)
+        assert result["time"][-1] == pytest.approx(0.5, abs=1e-9)
+        assert all(np.isfinite(result[variable]).all() for variable in result.dtype.names)
+
+
+@pytest.mark.parametrize("name", ["L1DepthController", EVERYTHING.name, BALL.name])
+def test_the_descriptions_fit_the_schemas_and_the_library(fmi3_built: Fmus, name: str) -> None:
+    """FMI 3.0.2, 2.5: every function of the standard is there; files are where it says."""
+    with zipfile.ZipFile(fmi3_built[name]) as archive:
+        members = {member: archive.read(member) for member in archive.namelist()}
+    for path, schema in {
+        "modelDescription.xml": "fmi3ModelDescription",
+        "sources/buildDescription.xml": "fmi3BuildDescription",
+        "terminalsAndIcons/terminalsAndIcons.xml": "fmi3TerminalsAndIcons",
+    }.items():
+        file = Path(fmpy.__file__).parent / "schema" / "fmi3" / f"{schema}.xsd"
+        etree.XMLSchema(etree.parse(file)).assertValid(etree.fromstring(members[path]))
+    assert {"terminalsAndIcons/icon.png", "documentation/index.html"} <= {*members}
+    assert "extra/org.fmi-standard.fmi-ls-ref/fmi-ls-manifest.xml" in members
+    assert b"fmi3.c" in members["sources/buildDescription.xml"]
+    assert {"sources/fmi2.c", "model.png"}.isdisjoint(members)
+    terminals = ElementTree.fromstring(members["terminalsAndIcons/terminalsAndIcons.xml"])
+    variables = {v.get("name") for v in ElementTree.fromstring(members["modelDescription.xml"])[-2]}
+    assert {m.get("variableName") for m in terminals.iter("TerminalMemberVariable")} <= variables
+
+
+def test_every_function_of_the_standard_is_exported(open_fmi3: Open) -> None:
+    header = (toolchain.FMI_HEADERS / "fmi3Functions.h").read_text("utf-8")
+    names = re.findall(r"^FMI3_Export \w+ +(\w+);", header, re.MULTILINE)
+    library = open_fmi3("ExamplePlant").fmu.dll
+    assert len(names) == 75
+    assert [name for name in names if not hasattr(library, name)] == []
+
+
+def test_what_is_one_array_in_the_block_is_one_variable(open_fmi3: Open) -> None:
+    """Row by row; scalars that differ in more than their start values stay scalars."""
+    plant = open_fmi3("ExamplePlant")
+    assert [d.start for d in plant.variables["state_matrix"].dimensions] == [2, 2]
+    assert plant["state_matrix"] == [0.0, 1.0, -1.0, -1.4]
+    plant["state_matrix"] = [0.0, 1.0, -1.0, -2.0]
+    plant["initial_state"] = [0.5, 0.25]
+    plant.begin()
+    assert plant["state"] == [0.5, 0.25]
+    assert plant["der(state.x)"][0] == 0.25
+    assert plant["time"] == [0.0]
+    voltage = open_fmi3("RovDepthPlant").variables["voltage"]
+    assert ([d.start for d in voltage.dimensions], voltage.causality) == ([2], "input")
+
+
+def test_every_type_is_read_and_set_by_its_own_functions(open_fmi3: Open) -> None:
+    fmu = open_fmi3(EVERYTHING.name)
+    kinds = {v.name: v.type for v in fmu.description.modelVariables}
+    assert (kinds["mode"], kinds["count"], kinds["enabled"]) == ("Enumeration", "Int32", "Boolean")
+    fmu["mode"], fmu["count"], fmu["enabled"] = [Mode.REST], [7], [False]
+    fmu["force"] = [2.0]
+    fmu.begin()
+    assert (fmu["mode"], fmu["count"], fmu["enabled"]) == ([0], [7], [False])
+    assert (fmu["steps"], fmu["high"], fmu["y"]) == ([7], [True], [8.0 * 3.0])
+    for kind in ("Int32", "Boolean", "Float64", "UInt8"):
+        text = open_fmi3(EVERYTHING.name).begin().refused(f"set{kind}", [fmu.reference("mode")], [0])
+        expected = "no UInt8 variables" if kind == "UInt8" else "mode is Int64 or Enumeration: expected"
+        assert expected in text
+
+
+def test_a_value_that_is_refused_leaves_all_as_they_were(open_fmi3: Open) -> None:
+    fmu = open_fmi3(EVERYTHING.name).begin()
+    valve, force, mode = (fmu.reference(name) for name in ("valve", "force", "mode"))
+    text = fmu.refused("setFloat64", [force, valve], [3.0, 1.5], status="discard")
+    assert text == "fmi3SetFloat64: valve = 1.5: expected 0.0..1.0"
+    assert fmu["force"] == [0.0]
+    assert "expected one of 0 (rest), 3 (run)" in fmu.refused("setInt64", [mode], [2], status="discard")
+    assert fmu.status("doStep", 0.0, 0.1) == "ok"
+
+
+@pytest.mark.parametrize(
+    ("calls", "call", "reason"),
+    [
+        (0, ("doStep", 0.0, 0.1), "fmi3DoStep is not allowed in the state 'instantiated'"),
+        (0, ("exitInitializationMode",), "not allowed in the state 'instantiated'"),
+        (1, ("enterInitializationMode",), "not allowed in the state 'initialization mode'"),
+        (2, ("enterInitializationMode",), "not allowed in the state 'step complete'"),
+        (2, ("doStep", 1.0, 0.1), "communication point 1 s: expected 0 s, the current time"),
+        (2, ("doStep", 0.0, 0.0), "communication step size 0 s: expected more than 0"),
+        (2, ("doStep", 0.0, 3.0), "step to 3 s: expected at most the stop time 2 s"),
+        (2, ("enterEventMode",), "expected an instance for model exchange"),
+        (2, ("updateDiscreteStates",), "expected an instance for model exchange"),
+        (2, ("enterStepMode",), "has no event mode of co-simulation"),
+        (2, ("enterConfigurationMode",), "has no structural parameters"),
+        (2, ("getClock", [0]), "has no clocks"),
+        (2, ("getFloat64", [0, 99]), "value reference 99: expected 0.."),
+        (2, ("getFloat64", [2]), "expected the first element of an array, not state_matrix[1,2]"),
+        (2, ("getFloat64", [1], 3), "fmi3GetFloat64: 3 values: expected 4"),
+        (2, ("setFloat64", [1], [1.0]), "fmi3SetFloat64: 1 values: expected 4"),
+        (2, ("setFloat64", [16], [0.0, 0.0]), "state[1] can not be set, it is calculated"),
+        (2, ("setFloat64", [23], [0.0]), "time can not be set, it is calculated"),
+        (2, ("setFloat64", [12], [0.0, 0.0]), "initial_state[1] is fixed"),
+        (2, ("getOutputDerivatives", [14], [1]), "control: expected an output"),
+        (2, ("getOutputDerivatives", [18], [0]), "order 0: expected at least 1"),
+        (2, ("getDirectionalDerivative", [14], [14], [1.0]), "control is no unknown in this mode"),
+        (2, ("getAdjointDerivative", [18], [18], [1.0]), "output is no known in this mode"),
+        (2, ("getAdjointDerivative", [18], [14], [1.0, 2.0]), "2 values: expected 1"),
+        (1, ("getDirectionalDerivative", [18], [19], [1.0, 1.0]), "state.x[1] is no known in this mode"),
+        (2, ("setDebugLogging", True, ["logNothing"]), "log category 'logNothing'"),
+    ],
+)
+def test_a_call_that_is_not_allowed_is_an_error_with_its_reason(
+    open_fmi3: Open, calls: int, call: tuple[Any, ...], reason: str
+) -> None:
+    """After it, only what reads, restores or resets is allowed."""
+    plant = open_fmi3("ExamplePlant")
+    led: tuple[tuple[Any, ...], ...] = (
+        ("enterInitializationMode", None, 0.0, 2.0),
+        ("exitInitializationMode",),
+    )
+    for one in led[:calls]:
+        assert plant.status(*one) == "ok"
+    assert reason in plant.refused(*call)
+    assert plant.status("doStep", 0.0, 0.1) == "error"
+    assert plant.status("reset") == "ok"
+    plant.begin()
+    assert plant.status("doStep", 0.0, 0.1) == "ok"
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"instanceName": " "}, "expected an instance name"),
+        ({"guid": "other"}, "instantiation token other: expected"),
+    ],
+)
+def test_an_instance_that_cannot_be_is_refused_with_the_reason(
+    open_fmi3: Open, changes: dict[str, str], reason: str
+) -> None:
+    plant = open_fmi3("ExamplePlant")
+    for name, value in changes.items():
+        setattr(plant.fmu, name, value)
+    with pytest.raises(Exception, match="Failed to instantiate"):
+        plant.fmu.instantiate(loggingOn=True, logMessage=plant._message)
+    assert reason in plant.log[-1][2]
+    with pytest.raises(Exception, match="Failed to instantiate"):
+        plant.fmu.instantiate(loggingOn=False, logMessage=plant._message)
+    assert len(plant.log) == 1
+
+
+def test_event_mode_and_intermediate_variables_of_co_simulation_are_refused(open_fmi3: Open) -> None:
+    """FMI 3.0.2, 2.3.1: hasEventMode and providesIntermediateUpdate are false."""
+    plant = open_fmi3("ExamplePlant")
+    interface = plant.description.coSimulation
+    assert not interface.hasEventMode
+    assert not interface.providesIntermediateUpdate
+    for options in ({"eventModeUsed": True}, {"requiredIntermediateVariables": [14]}):
+        with pytest.raises(Exception, match="Failed to instantiate"):
+            plant.fmu.instantiate(loggingOn=True, logMessage=plant._message, **options)
+    assert ["eventModeUsed" in text for *_, text in plant.log] == [True, False]
+
+
+def test_categories_are_switched_on_and_off_one_by_one(open_fmi3: Open) -> None:
+    """FMI 3.0.2, 2.3.1: naming one does not switch off another; without `loggingOn` there is no message."""
+    quiet = open_fmi3("ExamplePlant", logging=False).begin()
+    control, nothing = quiet.reference("control"), [math.inf]
+    assert quiet.status("setFloat64", [control], nothing) == "discard"
+    assert quiet.log == []
+    quiet.fmu.setDebugLogging(True, ["logStatusDiscard"])
+    quiet.fmu.setDebugLogging(True, ["logStatusError"])
+    assert "control = inf" in quiet.refused("setFloat64", [control], nothing, status="discard")
+    quiet.fmu.setDebugLogging(False, ["logStatusDiscard"])
+    quiet.log.clear()
+    assert quiet.status("setFloat64", [control], nothing) == "discard"
+    assert quiet.log == []
+    assert "clocks" in quiet.refused("getClock", [0])
+
+
+def test_a_saved_state_is_all_of_it_and_crosses_instances_as_bytes(open_fmi3: Open) -> None:
+    one, other = open_fmi3("RovDepthPlant").begin(), open_fmi3("RovDepthPlant").begin()
+    one["voltage"] = [2.0, 1.0]
+    one.fmu.doStep(0.0, 0.02)
+    state = one.fmu.getFMUState()
+    content = one.fmu.serializeFMUState(state)
+    one.fmu.doStep(0.02, 0.02)
+    block = block_named("RovDepthPlant")
+    reached = scalars(one, block, "output")
+    one.fmu.setFMUState(state)
+    assert one["time"] == [0.02]
+    one.fmu.doStep(0.02, 0.02)
+    assert scalars(one, block, "output") == reached
+    other.fmu.setFMUState(other.fmu.deserializeFMUState(content))
+    other.fmu.doStep(0.02, 0.02)
+    assert scalars(other, block, "output") == reached
+    damaged = bytes([*content[:300], content[300] ^ 1, *content[301:]])
+    assert "the state is damaged" in other.refused("deserializeFMUState", damaged)
+    exchange = open_fmi3("RovDepthPlant", "ModelExchange")
+    foreign = exchange.fmu.deserializeFMUState(content)
+    assert "the state is of the other interface" in exchange.refused("setFMUState", foreign)
+
+
+@pytest.mark.parametrize("name", ["ExamplePlant", BALL.name])
+def test_model_exchange_has_the_states_derivatives_and_events_of_fmi_2(
+    fmi3_built: Fmus, open_fmi3: Open, tmp_path: Path, name: str
+) -> None:
+    block = block_named(name)
+    old = Exchanged(builder.build_block(block, tmp_path / "fmi2"), tmp_path / "old").begin()
+    new = open_fmi3(name, "ModelExchange").begin()
+    count = new.fmu.getNumberOfContinuousStates()
+    x = np.linspace(0.5, -0.25, count)
+    assert old.event() == new.fmu.updateDiscreteStates()
+    for fmu in (old.model, new.fmu):
+        fmu.enterContinuousTimeMode()
+        fmu.setTime(0.125)
+        fmu.setContinuousStates(x.ctypes.data_as(ctypes.POINTER(ctypes.c_double)), count)
+    for method, reference, number in (
+        ("getContinuousStateDerivatives", old.rates, count),
+        ("getNominalsOfContinuousStates", old.nominals, count),
+        ("getContinuousStates", old.states, count),
+        ("getEventIndicators", old.indicators, new.fmu.getNumberOfEventIndicators()),
+    ):
+        values = np.full(number, np.nan)
+        getattr(new.fmu, method)(values.ctypes.data_as(ctypes.POINTER(ctypes.c_double)), number)
+        assert np.array_equal(values, reference), method
+    if number := new.fmu.getNumberOfEventIndicators():
+        assert new["event.indicators"] == [*old.indicators]
+        description = ElementTree.parse(tmp_path / "fmi3 0" / "modelDescription.xml")
+        restarted = [v.get("name") for v in description.iterfind(".//Float64[@reinit='true']")]
+        assert restarted == ["state.velocity"]
+    assert new["time"] == [0.125]
+    old.model.enterEventMode()
+    new.fmu.enterEventMode()
+    assert old.event() == new.fmu.updateDiscreteStates()
+    assert "not allowed in the state 'event mode'" in new.refused("setTime", 1.0)
+
+
+def test_fmi_3_is_for_native_fmus_with_their_types(tmp_path: Path) -> None:
+    with pytest.raises(
+        ExportError, match=r"FMI 3.0 in the python flavour: expected FMI 2.0, or 3.0 in native"
+    ):
+        builder.build_block("ExamplePlant", tmp_path, Flavour.PYTHON, fmi=3)
+    with pytest.raises(ExportError, match=r"Reals only: expected the native flavour and FMI 2.0"):
+        builder.build_block("ExamplePlant", tmp_path, reals_only=True, fmi=3)
+    with pytest.raises(ExportError, match=r"FMI 4.0 in the native flavour: expected FMI 2.0"):
+        builder.build_block("ExamplePlant", tmp_path, fmi=4)
+    assert not [*tmp_path.iterdir()]
