@@ -20,11 +20,9 @@ from xml.etree import ElementTree
 
 from fmus.block import Block
 from fmus.block.variables import BlockVariable
-from fmus.build import fmi3_description
+from fmus.build import fmi3
 from fmus.build.documentation.page import documentation, licenses
-from fmus.build.fmi3_description import extents
 from fmus.build.model_description import GUID, Exchange, model_description, with_guid
-from fmus.build.sensitivities import sensitivities
 from fmus.build.symbolic import Traced, present_dependencies, traced
 from fmus.errors import ExportError
 from fmus.files import xml_document
@@ -52,12 +50,10 @@ def content(block: Block, reals_only: bool = False, fmi: int = 2) -> tuple[str, 
     reals_only: whether every variable is a Real, for importers that know no other type
     fmi: the version of the standard, 2 or 3
     """
-    files = COMPILED[fmi]
-    description = fmi3_description.model_description(block, GUID) if fmi == 3 else _description(block)
+    files, sources = COMPILED[fmi], c_sources(block, GUID, reals_only, fmi)  # which checks the declaration
+    description = fmi3.model_description(block, GUID) if fmi == 3 else _description(block)
     members = {
-        **{
-            f"sources/{name}": text.encode() for name, text in c_sources(block, GUID, reals_only, fmi).items()
-        },
+        **{f"sources/{name}": text.encode() for name, text in sources.items()},
         **documentation(block, *files, reals_only=reals_only, fmi=fmi),
         **licenses("l1-depth", "fmi-headers", "zig", "mingw-w64"),
         "sources/buildDescription.xml": _build_description(block.name, fmi),
@@ -122,7 +118,7 @@ def c_sources(block: Block, guid: str, reals_only: bool = False, fmi: int = 2) -
     template = Template((layer / "model.h.in").read_text("utf-8"))
     functions = traced(block)
     model = template.substitute(_tables(functions, reals_only, fmi), guid=guid)
-    of_fmi3 = sensitivities(block).functions() if fmi == 3 else None
+    of_fmi3 = fmi3.sensitivities(block).functions() if fmi == 3 else None
     return texts | {"model.h": model} | functions.c_code(of_fmi3)
 
 
@@ -139,7 +135,7 @@ def _included(layer: Traversable, name: str) -> Iterator[tuple[str, str]]:
 def _tables(functions: Traced, reals_only: bool, fmi: int) -> dict[str, object]:
     """Returns the values for the placeholders of `model.h.in`."""
     block = functions.block
-    others = fmi3_description.other_variables(block) if fmi == 3 else ()
+    others = fmi3.other_variables(block) if fmi == 3 else ()
     described = (*block.variables, *block.states, *others)
     not_real = [index for index, v in enumerate(block.of_causality("output")) if v.type != "Real"]
     return {
@@ -159,7 +155,7 @@ def _tables(functions: Traced, reals_only: bool, fmi: int) -> dict[str, object]:
         "step_size": repr(float(block.step_size)),
         "fmi": fmi,
         "others": len(others),
-        "extents": _EXTENTS.format(", ".join(map(str, extents(block)))) if fmi == 3 else "",
+        "extents": _EXTENTS.format(", ".join(map(str, fmi3.extents(block)))) if fmi == 3 else "",
         "has_derivative": int(block.derivative is not None),
         "nominals": ", ".join(repr(float(v.nominal or 1.0)) for v in block.states) or "0",
         "variables": ",\n".join(_row(v, reals_only) for v in described),

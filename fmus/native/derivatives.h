@@ -6,6 +6,17 @@
 #include "steps.h"
 #include "values.h"
 
+/* Read from memory: of a model without inputs, a compiler would call the comparison below always false. */
+static const int INPUTS_FROM_TO[] = {FIRST_INPUT, FIRST_OUTPUT};
+
+static int is_input(int64_t reference) { return reference >= INPUTS_FROM_TO[0] && reference < INPUTS_FROM_TO[1]; }
+
+static int are_allowed(Instance *instance, int modes, Type type, const fmi2ValueReference references[], size_t count,
+                       const void *values, const char *function) {
+    return is_allowed(instance, modes, function) && are_given(instance, references, count, values, function) &&
+           are_of_type(instance, type, references, count, function);
+}
+
 /* 4.2.1: allowed when fmi2SetReal is, valid for the next step. Inputs move in straight lines: a derivative of higher
  * order is left out, with a warning. */
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,

@@ -186,6 +186,11 @@ fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t 
 /* 2.2.12. In initialization mode of what is calculated, by parameters and inputs; later, the rest of the state held, of
  * outputs and derivatives, by continuous states too; always by the time. */
 
+#if !MODEL_HAS_DERIVATIVE /* outputs are the same at all times */
+#define model_exchange_forward model_step_forward
+#define model_exchange_adjoint model_step_adjoint
+#endif
+
 typedef void Derivatives(double t, const double *x, const double *u, const double *p, const double *v, double *along);
 
 static int is_known(unsigned reference, int is_initial) {

@@ -44,12 +44,6 @@ static int are_of_type(Instance *instance, Type type, const unsigned references[
     return 1;
 }
 
-static int are_allowed(Instance *instance, int modes, Type type, const unsigned references[], size_t count,
-                       const void *values, const char *function) {
-    return is_allowed(instance, modes, function) && are_given(instance, references, count, values, function) &&
-           are_of_type(instance, type, references, count, function);
-}
-
 /* 2.1.7: until stepping begins, calculated values follow the values that are set, also after an error; later they
  * are those of the last step, and nothing is stale (4.2.4: no fmi2GetXXX after fmi2SetXXX without a step). Called
  * when something is stale. */
@@ -79,7 +73,7 @@ static Status cannot_be_set(Instance *instance, Type type, const unsigned refere
     if (!are_of_type(instance, type, references, count, function)) return ERROR;
     const Variable *v = VARIABLES + references[index];
     if (is_state(references[index]) && instance->data.mode == CONTINUOUS_TIME)
-        return refuse(instance, DISCARD, "%s: %s is not finite", function, v->name);
+        return refuse(instance, DISCARD, "%s: %s = %s: expected a finite number", function, v->name, DECIMAL(value));
     if (!is_settable((int)references[index]))
         return refuse(instance, ERROR, "%s: %s can not be set, it is calculated", function, v->name);
     if (instance->data.mode == CONTINUOUS_TIME && ACCESS[references[index]].settable == AT_POINTS)

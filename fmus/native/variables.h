@@ -57,11 +57,7 @@ enum {
     N_VARIABLES = TIME + N_OTHERS
 };
 
-/* Read from memory: of a model without inputs, a compiler would call the comparison below always false. */
-static const int INPUTS_FROM_TO[] = {FIRST_INPUT, FIRST_OUTPUT};
-
-static int is_input(int64_t reference) { return reference >= INPUTS_FROM_TO[0] && reference < INPUTS_FROM_TO[1]; }
-
+/* Read from memory: of a model without states, a compiler would call the comparison below always false. */
 static const unsigned STATES_FROM_TO[] = {N_VALUES, FIRST_DERIVATIVE};
 
 static int is_state(unsigned reference) { return reference >= STATES_FROM_TO[0] && reference < STATES_FROM_TO[1]; }

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 from PIL import Image, ImageDraw, ImageFont
 
 from fmus.block import Block
-from fmus.build.fmi3_description import arrays
+from fmus.build.fmi3 import arrays
 from fmus.files import xml_document
 
 SIZE = 512  # pixels, both ways

@@ -152,6 +152,7 @@ def test_a_file_that_comes_or_goes_makes_it_stale(
         {"flavour": Flavour.PYTHON},
         {"with_terminals": True},
         {"reals_only": True},
+        {"fmi": 3},
     ],
 )
 def test_other_options_make_it_stale(order: BuildRequest, options: dict) -> None:

@@ -3,6 +3,8 @@
 import ctypes
 import math
 import re
+import subprocess
+import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +19,7 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
 from fmus.block import Block
 from fmus.build import builder
-from fmus.build.fmi3_description import arrays
+from fmus.build.fmi3 import arrays
 from fmus.errors import ExportError
 from fmus.native import toolchain
 from fmus.registry import Flavour
@@ -300,6 +302,49 @@ def test_model_exchange_has_the_states_derivatives_and_events_of_fmi_2(
     new.fmu.enterEventMode()
     assert old.event() == new.fmu.updateDiscreteStates()
     assert "not allowed in the state 'event mode'" in new.refused("setTime", 1.0)
+
+
+def test_continuous_states_are_set_one_by_one_in_continuous_time_mode(open_fmi3: Open) -> None:
+    """FMI 3.0.2, 3.2.1; what follows from them is of the new values."""
+    ball = open_fmi3(BALL.name, "ModelExchange").begin()
+    height, velocity = ball.reference("state.height"), ball.reference("state.velocity")
+    ball.fmu.updateDiscreteStates()
+    ball.fmu.enterContinuousTimeMode()
+    ball.fmu.setFloat64([velocity], [3.0])
+    text = ball.refused("setFloat64", [height, velocity], [0.5, math.nan], status="discard")
+    assert text == "fmi3SetFloat64: state.velocity = nan: expected a finite number"
+    assert ball.fmu.getFloat64([height, velocity]) == [1.0, 3.0]
+    ball.fmu.setFloat64([height], [0.25])
+    assert (ball["height"], ball["der(state.height)"]) == ([0.25], [3.0])
+    ball.fmu.enterEventMode()
+    assert "can not be set" in ball.refused("setFloat64", [height], [0.5])
+
+
+_ECOS = """
+import sys
+from ecospy.EcosSimulation import EcosSimulation
+from ecospy.EcosSimulationStructure import EcosSimulationStructure
+with EcosSimulationStructure() as structure:
+    structure.add_model("it", sys.argv[1])
+    structure.add_parameter_set("set", {"it::gain": 3.0, "it::enabled": False})
+    with EcosSimulation(structure=structure, step_size=0.01) as simulation:
+        assert simulation.init(0, "set")
+        for _ in range(3):
+            simulation.step(10)
+            print("=", simulation.get_real("it::y").hex(), simulation.get_integer("it::steps"))
+"""
+
+
+def test_ecos_gives_the_numbers_of_fmi_2(fmi3_built: Fmus, tmp_path: Path) -> None:
+    """It reads FMUs with FMI Library, which is no relative of FMPy."""
+    paths = fmi3_built[EVERYTHING.name], builder.build_block(EVERYTHING, tmp_path)
+    new, old = (
+        subprocess.run([sys.executable, "-c", _ECOS, str(path)], capture_output=True, text=True, check=True)
+        for path in paths
+    )
+    numbers = [[line for line in run.stdout.splitlines() if line.startswith("=")] for run in (new, old)]
+    assert numbers[0] == numbers[1]
+    assert len(numbers[0]) == len(set(numbers[0])) == 3
 
 
 def test_fmi_3_is_for_native_fmus_with_their_types(tmp_path: Path) -> None:

@@ -30,13 +30,14 @@ ALLOWED = """
 """
 
 
+@pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("block", ["RovDepthPlant", "L1DepthController"])
 def test_a_library_has_no_memory_of_its_own_and_calls_what_has_none(
-    built: Mapping[str, Path], block: str
+    built: Mapping[str, Path], fmi3_built: Mapping[str, Path], block: str, fmi: int
 ) -> None:
     """FMI 2.0.5, 2.1: so instances may share it, and run in threads side by side."""
-    with zipfile.ZipFile(built[block]) as archive:
-        library = lief.ELF.parse(io.BytesIO(archive.read(library_name(block, "linux64"))))
+    with zipfile.ZipFile((built if fmi == 2 else fmi3_built)[block]) as archive:
+        library = lief.ELF.parse(io.BytesIO(archive.read(library_name(block, "linux64", fmi))))
     assert library
     writable = lief.ELF.Section.FLAGS.WRITE
     assert {section.name for section in library.sections if writable in section.flags_list} <= OF_THE_LOADER
