@@ -86,7 +86,8 @@ class Scoring:
     def __post_init__(self) -> None:
         self.cases = drawn_cases(self.protocol, self.seed)
         self.plants = plants(self.protocol, self.seed) if self.full else []
-        self.draws = repeated(self.protocol, self.seed) if self.full else {}
+        draws = repeated(self.protocol, self.seed)
+        self.nominals, self.draws = next(iter(draws.values())), draws if self.full else {}
 
     def row(self, loop: ClosedLoop, limited: LimitedRuns, scored: bool) -> RowTraces:
         """Returns the row of a controller and its traces."""
@@ -119,7 +120,8 @@ class Scoring:
             row.unranked += [f"{nominal.title}: {reason}" for reason in row.cases[nominal.name].failed]
         else:
             row.unranked += _value_or([], not_repeated, loop, nominal)
-            row.delay_margin = _value_or(math.nan, delay_margin_of, loop, nominal)
+            row.delay_margins = [_value_or(math.nan, delay_margin_of, loop, draw) for draw in self.nominals]
+            row.delay_margin = float(np.median(row.delay_margins))
         row.microseconds = _value_or(math.nan, microseconds, loop, nominal)
         if self.plants:
             names = [name for name in OVER_PLANTS if name in self.protocol.metrics]
