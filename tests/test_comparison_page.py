@@ -24,6 +24,8 @@ from orchestration.score.statistics import compare as paired
 from orchestration.score.statistics import distribution, holm, proportion_interval
 from orchestration.score.tune import LARGEST_IMPROVEMENT
 from orchestration.score.vehicle import built
+from orchestration.system.system import Port
+from orchestration.system.values import value_range
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / ".ci"))
@@ -102,12 +104,9 @@ def test_wider_ranges_lower_no_cost_of_a_law_that_ended_at_a_limit(numbers: Any)
     assert [row.name for row in numbers.limited()] == [f"{compare.TUNED}/{law}" for law in numbers.widened]
     for law, entry in numbers.widened.items():
         table = protocol.controllers[law]
-        known = {v.name: v for v in describe(built(table.fmu)).modelVariables}
+        known = {v.name: value_range(Port("", v)) for v in describe(built(table.fmu)).modelVariables}
         assert entry["ranges"] == {
-            gain: [
-                max(limits.low / 10.0, float(known[gain].min)),
-                min(limits.high * 10.0, float(known[gain].max)),
-            ]
+            gain: [max(limits.low / 10.0, known[gain][0]), min(limits.high * 10.0, known[gain][1])]
             for gain, limits in table.gains.items()
         }
     assert min(numbers.changes_in_wider_ranges()) > -LARGEST_IMPROVEMENT
