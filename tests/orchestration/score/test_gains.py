@@ -52,6 +52,17 @@ def test_every_tunable_number_of_a_law_is_free_but_those_that_the_how_to_names(p
     assert all(f"`{name.partition('[')[0]}`" in page for names in FIXED.values() for name in names)
 
 
+def test_a_gain_has_one_range_in_all_laws_and_is_free_also_where_rates_are_known(protocol: Protocol) -> None:
+    tables = protocol.controllers
+    ranges = {
+        (gain, limits.low, limits.high) for table in tables.values() for gain, limits in table.gains.items()
+    }
+    assert len({gain for gain, *_ in ranges}) == len(ranges)
+    known = [name for name in tables if f"{name}-rates" in tables]
+    assert known
+    assert all(tables[name].gains.keys() <= tables[f"{name}-rates"].gains.keys() for name in known)
+
+
 def test_all_have_the_same_evaluations_for_each_free_gain_and_search() -> None:
     """Five seeds, and as often from the best gains as it takes for the cost to be flat."""
     for name in NAMES:
