@@ -85,9 +85,9 @@ class Scoring:
 
     def __post_init__(self) -> None:
         self.cases = drawn_cases(self.protocol, self.seed)
+        self.nominals, *_ = repeated_cases(self.protocol, self.seed, self.protocol.tables.repetitions)
         self.plants = plants(self.protocol, self.seed) if self.full else []
-        draws = repeated(self.protocol, self.seed)
-        self.nominals, self.draws = next(iter(draws.values())), draws if self.full else {}
+        self.draws = repeated(self.protocol, self.seed) if self.full else {}
 
     def row(self, loop: ClosedLoop, limited: LimitedRuns, scored: bool) -> RowTraces:
         """Returns the row of a controller and its traces."""
