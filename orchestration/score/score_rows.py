@@ -85,7 +85,6 @@ class Scoring:
 
     def __post_init__(self) -> None:
         self.cases = drawn_cases(self.protocol, self.seed)
-        self.nominals, *_ = repeated_cases(self.protocol, self.seed, self.protocol.tables.repetitions)
         self.plants = plants(self.protocol, self.seed) if self.full else []
         self.draws = repeated(self.protocol, self.seed) if self.full else {}
 
@@ -120,7 +119,8 @@ class Scoring:
             row.unranked += [f"{nominal.title}: {reason}" for reason in row.cases[nominal.name].failed]
         else:
             row.unranked += _value_or([], not_repeated, loop, nominal)
-            row.delay_margins = [_value_or(math.nan, delay_margin_of, loop, draw) for draw in self.nominals]
+            draws = self.draws.get(nominal.name, [nominal])
+            row.delay_margins = [_value_or(math.nan, delay_margin_of, loop, draw) for draw in draws]
             row.delay_margin = float(np.median(row.delay_margins))
         row.microseconds = _value_or(math.nan, microseconds, loop, nominal)
         if self.plants:
