@@ -107,8 +107,8 @@ def test_a_copy_of_the_process_that_returns_as_well_is_a_finding(tmp_path: Path)
     once = "static int copied;\n    if (!copied++ && fork()) sleep(1);"  # the copy returns first
     (message,) = broken_rules(attacker(once, tmp_path), timeout=5)["steps-and-terminates"]
     assert message == (
-        "co-simulation: the FMU ended the process with SIGKILL, since an FMU forked it and the child returned "
-        "from the call; expected a child that calls _exit or exec"
+        "co-simulation: the FMU ended the process with SIGKILL, since an FMU forked it and the child "
+        "returned from the call; expected a child that calls _exit or exec"
     )
 
 

@@ -81,7 +81,7 @@ def output(t: float, state: State, p: Parameters, c: NoValues) -> Outputs:
 
 
 def crossings(t: float, state: State, u: Inputs, p: Parameters, c: NoValues) -> tuple:
-    return (state.height,)
+    return (state.height, state.lift - 2.0)
 
 
 BALL = Block.of_module(__name__, "Ball", "A ball that bounces, and its height at times", step_size=0.01)

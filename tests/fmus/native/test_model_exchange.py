@@ -89,7 +89,7 @@ def test_states_and_their_derivatives_are_variables(ball: Path, exchange: Load) 
     assert list(fmu.states) == [fmu["state.height"], fmu["state.velocity"]] == [1.0, 0.0]
     assert list(fmu.rates) == [fmu["der(state.height)"], fmu["der(state.velocity)"]] == [0.0, -8.0]
     assert list(fmu.nominals) == [2.0, 1.0]
-    assert list(fmu.indicators) == [1.0]
+    assert list(fmu.indicators) == [1.0, -2.0]
 
 
 def test_dependencies_are_those_of_the_equations(ball: Path, exchange: Load) -> None:
@@ -311,6 +311,12 @@ def test_an_event_that_fails_changes_nothing(growth: Path, exchange: Load) -> No
     fmu.model.setTime(0.1)
     assert fmu.event()[4:] == (True, 0.2)
     assert (fmu["value"], fmu["time"]) == (1e200, 0.1)
+    fmu["factor"] = 0.5
+    fmu.model.setTime(0.25)
+    assert fmu.status(fmu.model.newDiscreteStates) == "discard"  # the step began with the factor of before
+    fmu.model.setTime(0.15)
+    assert fmu.event()[4:] == (True, 0.2)
+    assert fmu["time"] == 0.15
 
 
 @pytest.mark.parametrize(("t", "next_sample"), [(0.3, 0.5), (0.45, 0.575)])
@@ -336,7 +342,7 @@ def test_inputs_are_there_at_once_and_states_jump_at_events_alone(ball: Path, ex
     fmu.at(0.1, [-0.01, -2.0])
     assert fmu["bounces"] == 0.0
     assert list(fmu.states) == [-0.01, -2.0]
-    assert list(fmu.indicators) == [-0.01]
+    assert list(fmu.indicators) == [-0.01, 1.0]  # of the present input too
     fmu.model.enterEventMode()
     assert fmu.event()[3]
     assert list(fmu.states) == [-0.01, 1.0]
@@ -462,6 +468,21 @@ def test_states_and_derivatives_of_the_start_follow_parameters(built: Fmus, exch
     assert fmu.states[0] == 3.0
     fmu["initial_heave_velocity"] = 0.25
     assert fmu.rates[0] == 0.25
+
+
+def test_derivatives_need_an_initialization_and_parameters_that_agree(built: Fmus, exchange: Load) -> None:
+    fmu = exchange(built["RovDepthPlant"])
+    assert _vector(fmu, "GetDerivatives") == "error"
+    assert fmu.log[-1] == "fmi2GetDerivatives is not allowed in the state 'instantiated'"
+    for read in (
+        lambda: _vector(fmu, "GetDerivatives"),
+        lambda: fmu.status(fmu.__getitem__, "der(state.depth)"),
+    ):
+        fmu.model.reset()
+        fmu.begin()
+        fmu["net_weight"] = 30.0  # above the weight
+        assert read() == "error"
+        assert "expected net_weight below weight" in fmu.log[-1]
 
 
 def test_derivatives_that_are_not_finite_are_discarded(built: Fmus, exchange: Load) -> None:
