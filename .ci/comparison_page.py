@@ -1,9 +1,10 @@
 """Writes what the page of the comparison reads of results, in docs/explanation, and comparison.md, the page.
 
-    python .ci/comparison_page.py results/comparison.json results/VEHICLE/fronts.json ...
+    python .ci/comparison_page.py results/comparison.json results/VEHICLE/fronts.json results/wide/LAW.toml
 
-Without a file it fills the page again from comparison.json, fronts.json and sensitivity.json that are there.
-The text, with the places of its numbers, is comparison_page.md; `figures` draws when the site is built.
+Without a file it fills the page again from comparison.json, fronts.json, sensitivity.json and widened.json.
+The last has tunings in wider ranges, of the laws that ended with a gain at a limit. The text, with the places
+of its numbers, is comparison_page.md; `figures` draws when the site is built.
 """
 
 import io
@@ -24,12 +25,16 @@ from orchestration.results.figures import front_figure
 from orchestration.results.formats import FigureFormat
 from orchestration.score.closed_loop import GAINS
 from orchestration.score.compare import START, TUNED, part
+from orchestration.score.protocol import read_protocol
+from orchestration.score.protocol_format import DELAY_MARGIN
 from orchestration.score.score_document import ManyRuns, MetricOverRuns, Row, Score
 from orchestration.score.statistics import EQUIVALENCE, compare, profile, rank_correlation, ratios_to_best
+from orchestration.score.tune import LARGEST_SPREAD
 from orchestration.score.tune_problem import LARGEST_CHANGE
 
 PAGES = Path(__file__).parent.parent / "docs" / "explanation"
 DATA = PAGES / "comparison.json"
+WIDENED = PAGES / "widened.json"
 TEMPLATE = Path(__file__).with_name("comparison_page.md")
 REPEATS = 0.98  # a rank correlation above it
 FACTOR = 2.0  # of the least RMSE
@@ -80,6 +85,14 @@ def _rounded(value: Any) -> Any:
     return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
 
 
+def tuning(text: str) -> dict[str, Any]:
+    """Returns cost and ranges of a file that `l1-depth tune` wrote."""
+    file = tomllib.loads(text)
+    gains = {name.partition(".")[2]: table for name, table in file["parameters"].items()}
+    ranges = {gain: table["limits"] for gain, table in gains.items() if "limits" in table}
+    return {"cost": file["tuning"]["cost"], "ranges": ranges}
+
+
 def written(document: dict[str, Any]) -> str:
     """Returns the document as JSON, with a line for each row and each difference."""
     parts = [f"{json.dumps(key)}: {_part(value)}" for key, value in document.items()]
@@ -97,6 +110,7 @@ class Numbers:
 
     def __init__(self, document: Score) -> None:
         self.document = document
+        self.widened: dict[str, Any] = json.loads(WIDENED.read_text(encoding="utf-8"))
         self.rows = {row.name: row for row in document.rows}
         self.tuned = part(document, TUNED).rows
         self.start = part(document, START).rows
@@ -166,15 +180,33 @@ class Numbers:
         }
         return {case: rows for case, rows in found.items() if rows}
 
+    def keeping(self, bound: float) -> list[list[Row]]:
+        """Returns who keeps a bound [s] on the delay margin in all draws, and who in their median."""
+        in_all = [row for row in self.tuned if min(row.delay_margins) >= bound]
+        return [in_all, [row for row in self.tuned if row.delay_margin >= bound]]
+
     def limited(self) -> list[Row]:
         """Returns the tuned controllers a gain of which ended at a limit of its range."""
-        files = {
-            row.name: tomllib.loads((GAINS / f"{row.name.partition('/')[2]}.toml").read_text())
-            for row in self.tuned
-        }
         return [
-            r for r in self.tuned if any(e.get("at_a_limit") for e in files[r.name]["parameters"].values())
+            row
+            for row, file in self.tunings()
+            if any(gain.get("at_a_limit") for gain in file["parameters"].values())
         ]
+
+    def agreeing(self) -> list[Row]:
+        """Returns the tuned controllers the seeds of whose search agree."""
+        return [row for row, file in self.tunings() if file["tuning"]["seeds_agree"]]
+
+    def tunings(self) -> list[tuple[Row, dict[str, Any]]]:
+        """Returns the tuned controllers, each with the file of its gains."""
+        paths = (GAINS / f"{row.name.partition('/')[2]}.toml" for row in self.tuned)
+        files = (tomllib.loads(path.read_text(encoding="utf-8")) for path in paths)
+        return list(zip(self.tuned, files, strict=True))
+
+    def changes_in_wider_ranges(self) -> list[float]:
+        """Returns the relative change of the least cost of each controller of `widened`."""
+        costs = {row.name.partition("/")[2]: file["tuning"]["cost"] for row, file in self.tunings()}
+        return [entry["cost"] / costs[law] - 1.0 for law, entry in self.widened.items()]
 
     def never_failing(self) -> list[Row]:
         return [row for row in self.tuned if not self.plants_of(row).failed]
@@ -195,6 +227,14 @@ def share(runs: ManyRuns) -> str:
     """Returns a failure rate [%] and its 95 % interval, as text."""
     rate, low, high = (f"{100.0 * part:.3g}" for part in (runs.failure_rate, *runs.failure_interval))
     return f"{rate} % ({low} to {high} %)"
+
+
+def margin(row: Row) -> str:
+    """Returns the median of the delay margins [s] over the noise, and their range, as text."""
+    low, middle, high = (
+        f"{1e3 * value:.0f}" for value in (min(row.delay_margins), row.delay_margin, max(row.delay_margins))
+    )
+    return f"{middle} ({low} to {high})"
 
 
 def _titles(rows: Sequence[Row]) -> str:
@@ -220,8 +260,11 @@ def page(document: Score, fronts: comparison_fronts.Fronts) -> str:
         factor=FACTOR,
         profiles=numbers.profiles(numbers.tests, [FACTOR]),
         share=share,
+        margin=margin,
+        bound=read_protocol().tables.cost.bounds[DELAY_MARGIN],
         titles=_titles,
         limited=_titles(numbers.limited()),
+        agreed=f"{100.0 * LARGEST_SPREAD:g}",
     )
 
 
@@ -241,7 +284,7 @@ def figure(document: Score) -> bytes:
     drawn = error.scatter([m.median for m in spread], heights, c=margins, cmap="viridis", zorder=2)
     error.set(xscale="log", xlabel="RMSE on the plants [cm]:\nmedian, and line to the 95th percentile")
     error.set_yticks(heights, [row.title for row in rows])
-    picture.colorbar(drawn, ax=error, location="top", label="Delay margin [s]")
+    picture.colorbar(drawn, ax=error, location="top", label="Delay margin [s], median over the noise")
     ends = 100.0 * np.array([runs.failure_interval for runs in plants])
     failed.hlines(heights, ends[:, 0], ends[:, 1], color="0.6")
     failed.plot([100.0 * runs.failure_rate for runs in plants], heights, "ko", markersize=4)
@@ -273,7 +316,10 @@ def figures(folder: Path) -> list[Path]:
 
 
 def main(arguments: Sequence[str]) -> None:
-    documents = [json.loads(Path(path).read_text(encoding="utf-8")) for path in arguments]
+    texts = {path: path.read_text(encoding="utf-8") for path in map(Path, arguments)}
+    documents = [json.loads(text) for path, text in texts.items() if path.suffix == ".json"]
+    if tunings := {path.stem: tuning(text) for path, text in texts.items() if path.suffix == ".toml"}:
+        WIDENED.write_text(json.dumps(tunings, indent=1) + "\n", encoding="utf-8")
     for document in documents:
         if "rows" in document:
             DATA.write_text(written(reduced(document)), encoding="utf-8")

@@ -2,7 +2,6 @@
 
 FOLDER/fmus/NAME.fmu                  every block, for all platforms
 FOLDER/ssp/SCENARIO.ssp               the closed loop as an SSP 1.0 package
-FOLDER/modelica/L1Depth/              the same as a Modelica package
 FOLDER/simulink/import_l1_depth.m     the same as a script for Simulink, the FMUs beside it
 """
 
@@ -15,7 +14,7 @@ import tempfile
 from pathlib import Path
 
 SCENARIO = "nominal-extended"
-KINDS = ("fmus", "ssp", "modelica", "simulink")
+KINDS = ("fmus", "ssp", "simulink")
 PROGRAMS = Path(sys.executable).parent
 
 
@@ -41,5 +40,4 @@ def make(folder: Path) -> None:
         l1_depth("build", "--cache", "--all-platforms")
         shutil.copytree(Path(cache, "native"), fmus)
         l1_depth("package", SCENARIO, "--out", str(ssp / f"{SCENARIO}.ssp"))
-        for tool in ("modelica", "simulink"):
-            l1_depth("export", tool, SCENARIO, "--out", tool)
+        l1_depth("export", "simulink", SCENARIO, "--out", "simulink")

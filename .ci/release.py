@@ -1,6 +1,6 @@
 """One archive for users without Python: python .ci/release.py [--out FILE.zip]
 
-fmus/ ssp/ modelica/ simulink/      as downloads.py writes them, for all platforms
+fmus/ ssp/ simulink/                as downloads.py writes them, for all platforms
 documentation/index.html            the site of docs/
 README.txt LICENSE SHA256SUMS       what is where, the licence, `sha256sum --check SHA256SUMS`
 
@@ -20,12 +20,11 @@ ROOT = Path(__file__).parent.parent
 README = """l1-depth {version}
 
 Extended L1 adaptive depth control of an underwater vehicle (Maalouf, Chemori and Creuze, NOLCOS 2013)
-as FMI 2.0 co-simulation FMUs for 64-bit Windows, Linux (x86_64, ARM) and macOS (x86_64, ARM).
+as FMI 2.0 FMUs for 64-bit Windows, Linux (x86_64, ARM) and macOS (x86_64, ARM).
 
 documentation/index.html   start here: a page on importing for each tool, theory, reference
 fmus/                      all FMUs; each holds its own documentation and C sources
 simulink/                  run import_l1_depth.m in MATLAB to build the closed loop in Simulink
-modelica/L1Depth/          the closed loop as a Modelica package for OpenModelica and Dymola
 ssp/                       the closed loop as an SSP 1.0 package
 SHA256SUMS                 checksums of all files: sha256sum --check SHA256SUMS
 LICENSE                    MIT

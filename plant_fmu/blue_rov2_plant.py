@@ -1,8 +1,8 @@
 """Block BlueRov2Plant: a BlueROV2 Heavy in heave and pitch, from published numbers; none is fitted here.
 
 The equations are those of RovHeavePitchPlant. The voltages are those of the fore and the aft pair of the four
-vertical thrusters. A number for which no publication was found is a choice, a guess or an estimate, and its
-source says so.
+vertical thrusters. A number that is not published for this vehicle is a choice, a guess or an estimate, and
+its source says so.
 """
 
 from dataclasses import replace
@@ -15,6 +15,7 @@ _TABLE = "published: von Benzon et al. (2022), table A1"
 _GRAVITY = 9.82  # m/s2, of the source
 _MASS, _VOLUME, _DENSITY = 13.5, 0.0134, 1000.0  # kg, m3, kg/m3: table A1
 _BAR30 = "published: a Bar30, the depth sensor of this vehicle"
+_PLACE = "assumed: at the centre of gravity; no place was found published for a Heavy"
 _BESIDE_TABLE = "without effect beside the table"
 
 _STARTS = {
@@ -61,10 +62,13 @@ _STARTS = {
     "pitch_quadratic_damping": (0.47, _TABLE),
     "sensor_ideal": (False, "published: the vehicle has a depth sensor"),
     "sensor_period": (0.04, f"{_BAR30}, reads in up to 40 ms"),
-    "sensor_noise": (0.001, "guess: half the resolution; none was found published"),
+    "sensor_noise": (
+        0.001,
+        "guess: half the resolution; simulated ArduSub has 20 mm, from logs (ArduPilot, pull request 9165)",
+    ),
     "sensor_resolution": (0.002, f"{_BAR30}, resolves 2 mm"),
-    "sensor_forward": (0.0, "assumed: no place of the sensor was found published"),
-    "sensor_below": (0.0, "assumed: no place of the sensor was found published"),
+    "sensor_forward": (0.0, f"{_PLACE}; orca2, orca.urdf.xacro, has it 0.16 m aft in a BlueROV2"),
+    "sensor_below": (0.0, _PLACE),
     "pitch_noise": (0.002, "guess: 0.1 degrees; none was found published"),
 }
 

@@ -7,7 +7,7 @@ import fmpy
 from fmus.native import toolchain
 
 _ROOT = Path(__file__).parents[1]
-_HEADERS = (_ROOT / "orchestration" / "exchange", Path(fmpy.__file__).parent / "c-code")
+_HEADERS = (_ROOT / "tests" / "c", Path(fmpy.__file__).parent / "c-code")
 _TARGETS = {
     "linux64": ("x86_64-linux-gnu.2.17", ("-ldl", "-lm", "-lpthread")),
     "aarch64-linux": ("aarch64-linux-gnu.2.17", ("-ldl", "-lm", "-lpthread")),

@@ -15,12 +15,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from fmus.fmi.description import describe
 from orchestration.score import compare
 from orchestration.score.closed_loop import tuned_gains
 from orchestration.score.protocol import read_protocol
 from orchestration.score.score_document import ManyRuns, Row, Score
 from orchestration.score.statistics import compare as paired
 from orchestration.score.statistics import distribution, holm, proportion_interval
+from orchestration.score.tune import LARGEST_IMPROVEMENT
+from orchestration.score.vehicle import built
+from orchestration.system.system import Port
+from orchestration.system.values import value_range
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / ".ci"))
@@ -70,14 +75,41 @@ def test_the_headings_of_the_findings_are_those_of_the_run(document: Score, numb
     tuned = [row for row in document.rows if row.name.startswith(f"{compare.TUNED}/")]
     slow, quick = (rows[name].draws["nominal"].metrics["rmse"].values for name in ("start/l1-pi", "tuned/l1"))
     assert max(quick) < min(slow)
-    identified = min(rows["start/l1"].delay_margin, rows["start/l1-pi"].delay_margin)
-    assert max(row.delay_margin for row in tuned) < identified
+    identified = min(*rows["start/l1"].delay_margins, *rows["start/l1-pi"].delay_margins)
+    assert max(max(row.delay_margins) for row in tuned) < identified
     for case in numbers.repeated:
         often = [row.title for row in tuned if row.draws[case].failure_interval[0] > 0.05]
         assert [row.title for row in numbers.failing_in(0.05).get(case, [])] == often
     assert numbers.failing_in(0.05)
     assert len(numbers.leaders("hold-sea")[1]) > len(tuned) / 2
     assert all(len(numbers.leaders(case)[1]) < len(tuned) / 2 for case in ("", "nominal", "hold-sine"))
+
+
+def test_delay_margins_are_over_the_noise_of_every_draw(document: Score, numbers: Any) -> None:
+    for row in document.rows:
+        assert len(row.delay_margins) == read_protocol().tables.repetitions
+        assert row.delay_margin == pytest.approx(median(row.delay_margins), rel=ROUNDED)
+        middle, low, high = map(float, re.findall(r"\d+", comparison_page.margin(row)))
+        shown = 1e-3 * np.array([low, middle, high])
+        assert shown == pytest.approx(np.quantile(row.delay_margins, [0.0, 0.5, 1.0]), abs=0.51e-3)
+    bound = read_protocol().tables.cost.bounds["delay_margin"]
+    in_all, in_median = ([row.name for row in rows] for rows in numbers.keeping(bound))
+    assert in_all == [row.name for row in numbers.tuned if all(m >= bound for m in row.delay_margins)]
+    assert in_median == [row.name for row in numbers.tuned if median(row.delay_margins) >= bound]
+
+
+def test_wider_ranges_lower_no_cost_of_a_law_that_ended_at_a_limit(numbers: Any) -> None:
+    """By more than a search may where its cost is flat; each limit is ten times as far, or the FMU's."""
+    protocol = read_protocol()
+    assert [row.name for row in numbers.limited()] == [f"{compare.TUNED}/{law}" for law in numbers.widened]
+    for law, entry in numbers.widened.items():
+        table = protocol.controllers[law]
+        known = {v.name: value_range(Port("", v)) for v in describe(built(table.fmu)).modelVariables}
+        assert entry["ranges"] == {
+            gain: [max(limits.low / 10.0, known[gain][0]), min(limits.high * 10.0, known[gain][1])]
+            for gain, limits in table.gains.items()
+        }
+    assert min(numbers.changes_in_wider_ranges()) > -LARGEST_IMPROVEMENT
 
 
 def test_fronts_are_of_every_law_on_three_vehicles_within_the_bounds_of_the_search(fronts: Any) -> None:

@@ -8,147 +8,21 @@ checks, the documentation table and the FMU are all derived from a `Block`.
 import math
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import KW_ONLY, Field, dataclass, field, fields, is_dataclass, make_dataclass, replace
+from dataclasses import KW_ONLY, dataclass, fields, make_dataclass, replace
 from difflib import get_close_matches
-from enum import IntEnum
-from functools import cache, cached_property
+from functools import cached_property
 from types import FunctionType
-from typing import Any, Literal, TypeVar
+from typing import Any
 
 from fmus.block.guide import NO_GUIDE, Guide
 from fmus.block.integration import between_events, rk4_step
-from fmus.block.units import per_second
+from fmus.block.scalars import flatten, unflatten
+from fmus.block.variables import ROLES, BlockVariable, plain, scalar_variables, variable, with_start
 from fmus.errors import nearest
 
-Value = float | int | bool
-Numbers = float | tuple["Numbers", ...]
-Texts = str | None | tuple["Texts", ...]
-Start = TypeVar("Start")
+__all__ = ["Block", "NoValues", "variable"]
+
 _SHORTEST, _LONGEST = 1e-7, 1e6  # internal step of a block that declares none, in s
-
-
-def variable(
-    start: Start,
-    description: str,
-    *,
-    unit: Texts = "1",
-    display_unit: Texts = None,
-    min: Numbers | None = None,
-    max: Numbers | None = None,
-    nominal: Numbers | None = None,
-    variability: Literal["fixed", "tunable"] | None = None,
-    source: str = "",
-) -> Start:
-    """Declares one variable of a block.
-
-    start: float, int, bool or IntEnum member; a tuple declares a vector `name[1], name[2]`, a
-        tuple of tuples a matrix `name[1,1]`, row by row.
-    unit: one that `fmus.block.units` knows, such as "m", "N.s/m", "deg", "rev/min" or "degC"; "1" for
-        a number.
-    display_unit: in which tools may show the value, such as "deg" beside the unit "rad".
-    unit, display_unit, min, max, nominal: one value, or a tuple of the shape of `start`.
-    variability: "fixed" or "tunable" for a parameter; otherwise the class decides.
-    source: where a number comes from: published, estimate or guess.
-    """
-    start = _plain(start)
-    # a dataclass refuses a list with a message about its own functions
-    if isinstance(start, list):
-        raise TypeError(f"start {start!r}: expected a tuple")
-    ranges = {"minimum": _plain(min), "maximum": _plain(max), "nominal": _plain(nominal)}
-    texts = {"description": description, "source": source}
-    units = {"unit": unit, "display_unit": display_unit}
-    metadata = {"units": units, "variability": variability, "ranges": ranges, "texts": texts}
-    return field(default=start, metadata=metadata)
-
-
-def _plain(value: Any) -> Any:
-    """Returns a value with Python's numbers in place of NumPy's, and a list in place of an array."""
-    if isinstance(value, tuple):
-        return tuple(map(_plain, value))
-    return value.tolist() if hasattr(value, "tolist") else value
-
-
-@dataclass(frozen=True)
-class BlockVariable:
-    """One scalar of a block's interface, in the terms of FMI 2.0 (2.2.7)."""
-
-    name: str
-    value_reference: int
-    causality: str
-    variability: str
-    initial: str | None
-    start: Value
-    description: str
-    unit: str | None
-    display_unit: str | None
-    minimum: Value | None
-    maximum: Value | None
-    nominal: float | None
-    source: str
-    enumeration: type[IntEnum] | None
-
-    @cached_property
-    def type(self) -> str:
-        """FMI type: Real, Integer, Boolean or Enumeration."""
-        if self.enumeration:
-            return "Enumeration"
-        return {float: "Real", int: "Integer", bool: "Boolean"}[type(self.start)]
-
-    def derivative(self, value_reference: int) -> "BlockVariable":
-        """Returns the derivative by time of a continuous state, as a variable."""
-        return replace(
-            self,
-            name=f"der({self.name})",
-            value_reference=value_reference,
-            description=f"Derivative of: {self.description}",
-            unit=per_second(self.unit or "1"),
-            display_unit=None,
-            minimum=None,
-            maximum=None,
-            nominal=None,
-            source="",
-        )
-
-    @property
-    def settable(self) -> bool:
-        return self.causality in ("parameter", "input")
-
-    def cast(self, value: Value) -> Value:
-        """Returns the value in the Python type of the start value, or as enumeration member."""
-        return (self.enumeration or type(self.start))(value)
-
-    def refuse(self, value: Value) -> str | None:
-        """Returns the reason why a value is not acceptable, or None if it is."""
-        low, high = self.minimum, self.maximum
-        if not math.isfinite(value):
-            return f"{self.name} = {value!r}: expected a finite number"
-        unknown = self.enumeration and value not in list(self.enumeration)
-        outside = (low is not None and value < low) or (high is not None and value > high)
-        return f"{self.name} = {value!r}: expected {self.expected}" if unknown or outside else None
-
-    @property
-    def expected(self) -> str:
-        """Values that are acceptable, in words."""
-        if self.enumeration:
-            return "one of " + ", ".join(f"{m.value} ({m.name.lower()})" for m in self.enumeration)
-        unit = f" {self.unit}" if self.unit not in (None, "1") else ""
-        if self.type == "Boolean":
-            return "0 (false) or 1 (true)"
-        if self.minimum is None and self.maximum is None:
-            return f"a finite number{unit}"
-        low = "-inf" if self.minimum is None else self.minimum
-        high = "inf" if self.maximum is None else self.maximum
-        return f"{low}..{high}{unit}"
-
-
-# causality, FMI variability, initial of each of a block's interface classes
-ROLES = {
-    "parameters": ("parameter", "tunable", "exact"),
-    "calculated": ("calculatedParameter", "tunable", "calculated"),
-    "inputs": ("input", "continuous", None),
-    "outputs": ("output", "continuous", "calculated"),
-}
-_OF_STATES = ("local", "continuous", "calculated")
 
 
 @dataclass(frozen=True)
@@ -227,7 +101,7 @@ class Block:
 
     def __post_init__(self) -> None:
         for name in ("stop_time", "step_size"):
-            object.__setattr__(self, name, _plain(getattr(self, name)))
+            object.__setattr__(self, name, plain(getattr(self, name)))
         for mistake in self._mistakes():
             raise TypeError(f"block {self.name!r}: {mistake}")
         if self.state is NoValues:
@@ -275,7 +149,7 @@ class Block:
         if unknown := [own for own in starts if own not in declared]:
             raise TypeError(f"block {name!r}: no parameter {unknown[0]!r}; {nearest(unknown[0], declared)}")
         restarted = [
-            (own, declared[own].type, _restarted(declared[own], start, source))
+            (own, declared[own].type, with_start(declared[own], start, source))
             for own, (start, source) in starts.items()
         ]
         parameters = make_dataclass(
@@ -386,12 +260,6 @@ def is_frozen(cls: Any) -> bool:
     return is_own and cls.__dataclass_params__.frozen
 
 
-def _restarted(declared: Field, start: Any, source: str) -> Any:
-    """Returns the declaration of a variable with another start value and its source."""
-    texts = {**declared.metadata["texts"], "source": source}
-    return field(default=_plain(start), metadata={**declared.metadata, "texts": texts})
-
-
 def _with_internal_step(parameters: type, start: float) -> type:
     """Returns the class with one more parameter, which its functions need not know."""
     internal_step = variable(
@@ -400,102 +268,3 @@ def _with_internal_step(parameters: type, start: float) -> type:
     return make_dataclass(
         parameters.__name__, [("internal_step", float, internal_step)], bases=(parameters,), frozen=True
     )
-
-
-def scalar_variables(
-    declared: Field, role: str, first_reference: int, prefix: str = ""
-) -> Iterator[BlockVariable]:
-    said = declared.metadata
-    causality, variability, initial = ROLES.get(role, _OF_STATES)
-    for offset, (index, start) in enumerate(_elements(declared.default)):
-        is_real = isinstance(start, float)
-        discrete = "discrete" if variability == "continuous" and not is_real else variability
-        yield BlockVariable(
-            name=prefix + declared.name + (f"[{','.join(str(i + 1) for i in index)}]" if index else ""),
-            value_reference=first_reference + offset,
-            causality=causality,
-            variability=said["variability"] or discrete,
-            initial=initial,
-            start=start,
-            enumeration=type(start) if isinstance(start, IntEnum) else None,
-            **said["texts"],
-            **{name: _at(value, index) if is_real else None for name, value in said["units"].items()},
-            **{name: _at(value, index) for name, value in said["ranges"].items()},
-        )
-
-
-def _elements(value: Any, index: tuple[int, ...] = ()) -> Iterator[tuple[tuple[int, ...], Any]]:
-    if isinstance(value, tuple):
-        for i, element in enumerate(value):
-            yield from _elements(element, (*index, i))
-    else:
-        yield index, value
-
-
-def _at(value: Any, index: tuple[int, ...]) -> Any:
-    for i in index:
-        if isinstance(value, tuple):
-            value = value[i]
-    return value
-
-
-def flatten(value: Any) -> list[Any]:
-    """Returns the scalars of a dataclass instance or nested tuple, in the order of declaration."""
-    scalars: list[Any] = []
-    _collect(value, scalars)
-    return scalars
-
-
-def _collect(value: Any, scalars: list[Any]) -> None:
-    if isinstance(value, tuple):
-        members = value
-    elif (names := _member_names(value if isinstance(value, type) else type(value))) is not None:
-        members = [getattr(value, name) for name in names]
-    else:
-        scalars.append(value)
-        return
-    for member in members:
-        if member.__class__ is float:  # as most are: no call for each
-            scalars.append(member)
-        else:
-            _collect(member, scalars)
-
-
-@cache
-def _member_names(cls: type) -> tuple[str, ...] | None:
-    """Returns the names of a dataclass' members; None for any other class."""
-    return tuple(member.name for member in fields(cls)) if is_dataclass(cls) else None
-
-
-def unflatten(template: Any, scalars: list[Any]) -> Any:
-    """Returns scalars in the shape of `template`, a class or an instance: the inverse of `flatten`.
-
-    Raises ValueError when the number of scalars does not fit.
-    """
-    remaining = iter(scalars)
-    try:
-        value = _fill(template, remaining)
-    except StopIteration:
-        raise ValueError(f"{len(scalars)} scalars are too few") from None
-    if next(remaining, None) is not None:
-        raise ValueError(f"{len(scalars)} scalars are too many")
-    return value
-
-
-def _fill(template: Any, scalars: Iterator[Any]) -> Any:
-    if template.__class__ is float:
-        return next(scalars)
-    if isinstance(template, tuple):
-        return tuple([_fill(element, scalars) for element in template])
-    cls = template if isinstance(template, type) else type(template)
-    if (names := _member_names(cls)) is None:
-        return next(scalars)
-    if template is cls:
-        return cls(*[_fill(member, scalars) for member in _defaults(cls)])
-    return cls(*[_fill(getattr(template, name), scalars) for name in names])
-
-
-@cache
-def _defaults(cls: type) -> tuple[Any, ...]:
-    """Returns the defaults of a dataclass' members."""
-    return tuple(member.default for member in fields(cls))

@@ -10,7 +10,9 @@ import sys
 from itertools import accumulate
 from typing import Any
 
-from fmus.block import Block, BlockVariable, Value, flatten, unflatten
+from fmus.block import Block
+from fmus.block.scalars import flatten, unflatten
+from fmus.block.variables import BlockVariable, Value
 
 _FORMAT = 1  # of the serialised snapshot
 _MOST_INTERNAL_STEPS = 1e9

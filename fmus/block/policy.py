@@ -25,8 +25,10 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from fmus.block import Block, BlockVariable, NoValues, scalar_variables, unflatten, variable
+from fmus.block import Block, NoValues, variable
 from fmus.block.instance import BlockError, BlockInstance, step_tolerance
+from fmus.block.scalars import unflatten
+from fmus.block.variables import BlockVariable, scalar_variables
 from fmus.errors import ExportError, nearest
 
 INPUTS = {

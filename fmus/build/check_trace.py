@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from fmus.block import Block, flatten, unflatten
+from fmus.block import Block
+from fmus.block.scalars import flatten, unflatten
 from fmus.build.declaration import scalar_names
 from fmus.build.exchange import held_function
 from fmus.build.guard import NO_MEMORY, location, own_line

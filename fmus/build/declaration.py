@@ -8,8 +8,10 @@ from collections.abc import Iterator
 from dataclasses import MISSING, Field, fields, is_dataclass
 from typing import Any, get_args, get_origin
 
-from fmus.block import ROLES, Block, BlockVariable, NoValues, flatten
+from fmus.block import Block, NoValues
+from fmus.block.scalars import flatten
 from fmus.block.units import display, unit
+from fmus.block.variables import ROLES, BlockVariable
 from fmus.build.guard import location
 from fmus.errors import ExportError
 from fmus.fmi.variable_types import INTEGER_RANGE

@@ -14,7 +14,8 @@ from xml.etree import ElementTree
 
 import casadi
 
-from fmus.block import Block, BlockVariable
+from fmus.block import Block
+from fmus.block.variables import BlockVariable
 from fmus.build.model_description import (
     add,
     add_enumerations,

@@ -15,8 +15,9 @@ from importlib.metadata import version
 from typing import Any
 from xml.etree import ElementTree
 
-from fmus.block import Block, BlockVariable
+from fmus.block import Block
 from fmus.block.units import display, per_second, rate, unit
+from fmus.block.variables import BlockVariable
 from fmus.build.symbolic import initial_dependencies
 from fmus.errors import ExportError
 from fmus.files import xml_document

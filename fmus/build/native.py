@@ -18,7 +18,8 @@ from pathlib import Path
 from string import Template
 from xml.etree import ElementTree
 
-from fmus.block import Block, BlockVariable
+from fmus.block import Block
+from fmus.block.variables import BlockVariable
 from fmus.build import fmi3
 from fmus.build.documentation.page import documentation, licenses
 from fmus.build.model_description import GUID, Exchange, model_description, with_guid
@@ -49,12 +50,10 @@ def content(block: Block, reals_only: bool = False, fmi: int = 2) -> tuple[str, 
     reals_only: whether every variable is a Real, for importers that know no other type
     fmi: the version of the standard, 2 or 3
     """
-    functions, files = traced(block), COMPILED[fmi]
-    description = fmi3.model_description(block, GUID) if fmi == 3 else _description(functions)
+    files, sources = COMPILED[fmi], c_sources(block, GUID, reals_only, fmi)  # which checks the declaration
+    description = fmi3.model_description(block, GUID) if fmi == 3 else _description(block)
     members = {
-        **{
-            f"sources/{name}": text.encode() for name, text in c_sources(block, GUID, reals_only, fmi).items()
-        },
+        **{f"sources/{name}": text.encode() for name, text in sources.items()},
         **documentation(block, *files, reals_only=reals_only, fmi=fmi),
         **licenses("l1-depth", "fmi-headers", "zig", "mingw-w64", fmi=fmi),
         "sources/buildDescription.xml": _build_description(block.name, fmi),
@@ -63,10 +62,10 @@ def content(block: Block, reals_only: bool = False, fmi: int = 2) -> tuple[str, 
     return with_guid(members, recipe=" ".join((*COMPILER, *FLAGS)))
 
 
-def _description(functions: Traced) -> bytes:
+def _description(block: Block) -> bytes:
     of_exchange = {"completedIntegratorStepNotNeeded": "true", **_OF_BOTH}
-    exchange = Exchange(of_exchange, present_dependencies(functions.block), _indicators(functions))
-    return model_description(functions.block, GUID, _CAPABILITIES, exchange, COMPILED[2])
+    exchange = Exchange(of_exchange, present_dependencies(block), _indicators(traced(block)))
+    return model_description(block, GUID, _CAPABILITIES, exchange, COMPILED[2])
 
 
 def _build_description(name: str, fmi: int) -> bytes:

@@ -3,8 +3,10 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, make_dataclass, replace
 
-from fmus.block import Block, NoValues, Value, flatten, unflatten, variable
+from fmus.block import Block, NoValues, variable
 from fmus.block.guide import Experiment, Guide
+from fmus.block.scalars import flatten, unflatten
+from fmus.block.variables import Value
 from fmus.errors import ExportError, nearest
 from fmus.numerics import ramps
 

@@ -6,7 +6,9 @@ from collections import Counter
 from enum import IntEnum
 from typing import Any
 
-from fmus.block import Block, BlockVariable, flatten, unflatten
+from fmus.block import Block
+from fmus.block.scalars import flatten, unflatten
+from fmus.block.variables import BlockVariable
 
 _SPECIAL = (0.0, 0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, 2.5, -2.5)  # signs, and halves, which are rounded
 _ULP = 2.0**-52

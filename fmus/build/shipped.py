@@ -6,7 +6,8 @@ from ctypes import c_bool, c_double, c_size_t, c_void_p
 from pathlib import Path
 from typing import Any, ClassVar
 
-from fmus.block import Block, flatten
+from fmus.block import Block
+from fmus.block.scalars import flatten
 from fmus.build.symbolic import traced
 from fmus.errors import ExportError
 from fmus.fmi.binding import OK, BoundInstance, Library, status_name

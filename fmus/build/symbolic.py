@@ -11,7 +11,8 @@ from typing import Any
 
 import casadi
 
-from fmus.block import Block, flatten, unflatten
+from fmus.block import Block
+from fmus.block.scalars import flatten, unflatten
 from fmus.build import guard
 from fmus.build.c_functions import ScalarC, VectorC, c_function, c_functions
 from fmus.build.declaration import check_declaration, check_requirements, check_result

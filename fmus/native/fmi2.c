@@ -106,10 +106,12 @@ fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
     return fmi2OK;
 }
 
-/* Continuous states and their derivatives, which are calculated when they are read. */
-static fmi2Status get_with_locals(Instance *instance, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[]) {
+/* Also continuous states and their derivatives, which are Reals and calculated when they are read. */
+static fmi2Status get_with_locals(Instance *instance, Type type, const fmi2ValueReference vr[], size_t nvr,
+                                  fmi2Real value[], const char *function) {
     double locals[N_VARIABLES - N_VALUES + 1];
-    const fmi2Status status = get_locals(instance, locals, "fmi2GetReal");
+    if (!are_of_type(instance, type, vr, nvr, function)) return fmi2Error;
+    const fmi2Status status = get_locals(instance, locals, function);
     if (status != fmi2OK) return status;
     for (size_t i = 0; i < nvr; i++)
         value[i] = vr[i] < N_VALUES ? instance->data.value[vr[i]] : locals[vr[i] - N_VALUES];
@@ -126,12 +128,9 @@ static fmi2Status get_with_locals(Instance *instance, const fmi2ValueReference v
             const fmi2Status status = refreshed(instance, TYPE, vr, nvr, "fmi2Get" #Name);                      \
             if (status != fmi2OK) return status;                                                                \
         }                                                                                                       \
-        int are_local = 0;                                                                                      \
-        for (size_t i = 0; i < nvr; i++) {                                                                      \
-            if (!has_type(vr[i], TYPE)) return not_of_type(instance, TYPE, vr[i], "fmi2Get" #Name);             \
-            are_local |= vr[i] >= N_VALUES;                                                                     \
-        }                                                                                                       \
-        if (are_local) return get_with_locals(instance, vr, nvr, (fmi2Real *)value);                            \
+        for (size_t i = 0; i < nvr; i++)                                                                        \
+            if (!is_value(vr[i], TYPE))                                                                         \
+                return get_with_locals(instance, TYPE, vr, nvr, (fmi2Real *)value, "fmi2Get" #Name);            \
         for (size_t i = 0; i < nvr; i++) value[i] = (CType)instance->data.value[vr[i]];                         \
         return fmi2OK;                                                                                          \
     }

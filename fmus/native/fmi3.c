@@ -139,30 +139,6 @@ static fmi3Status check_get(Instance *instance, Type type, const fmi3ValueRefere
         return fmi3OK;                                                                                         \
     }
 
-/* 3.2.1: in continuous-time mode continuous states can be set one by one too. */
-static int is_free(const Data *d, unsigned reference) { return d->mode == CONTINUOUS_TIME && is_state(reference); }
-
-static int can_set(const Data *d, unsigned reference, Type type, double value) {
-    return is_free(d, reference) ? isfinite(value) : can_be_set(d, reference, type, value);
-}
-
-static fmi3Status cannot_set(Instance *instance, unsigned reference, Type type, double value, const char *function) {
-    if (!is_free(&instance->data, reference))
-        return cannot_be_set(instance, type, &reference, 1, 0, value, function);
-    return refuse(instance, fmi3Discard, "%s: %s = %s: expected a finite number", function, VARIABLES[reference].name,
-                  DECIMAL(value));
-}
-
-static void set_number(Instance *instance, unsigned reference, double value) {
-    Data *d = &instance->data;
-    if (!is_free(d, reference)) {
-        data_set(d, &instance->step_cache, (int)reference, value);
-        return;
-    }
-    d->state[reference - N_VALUES] = value;
-    d->outputs_are_stale = 1;
-}
-
 /* 2.2.7.2. Sets all values or none: a refused value leaves every variable as it was. 2.3, 4.2.1: until the end of the
  * initialization, and in step mode only inputs and tunable parameters, which `settable` of a variable says. */
 #define DEFINE_SET(Name, TYPE)                                                                                 \
@@ -174,11 +150,11 @@ static void set_number(Instance *instance, unsigned reference, double value) {
         if (!are_elements(instance, ALWAYS, TYPE, vr, nvr, values, nValues, function)) return fmi3Error;       \
         for (size_t i = 0; i < nvr; i++)                                                                       \
             for (unsigned r = vr[i]; r < vr[i] + EXTENTS[vr[i]]; r++, value++)                                 \
-                if (!can_set(&instance->data, r, TYPE, (double)*value))                                        \
-                    return cannot_set(instance, r, TYPE, (double)*value, function);                            \
+                if (!can_be_set(&instance->data, r, TYPE, (double)*value))                                     \
+                    return cannot_be_set(instance, TYPE, &r, 1, 0, (double)*value, function);                  \
         for (size_t i = 0; i < nvr; i++)                                                                       \
             for (unsigned r = vr[i]; r < vr[i] + EXTENTS[vr[i]]; r++)                                          \
-                set_number(instance, r, (double)*values++);                                                    \
+                data_set(&instance->data, &instance->step_cache, (int)r, (double)*values++);                   \
         return fmi3OK;                                                                                         \
     }
 

@@ -56,7 +56,13 @@ static void data_reset(Data *d) {
     for (int i = 0; i < N_VALUES; i++) d->value[i] = VARIABLES[i].start;
 }
 
+/* A continuous state is marked as changed, whatever it was. */
 static void data_set(Data *d, StepCache *cache, int reference, double value) {
+    if (N_CONTINUOUS && reference >= N_VALUES) {
+        d->state[reference - N_VALUES] = value;
+        d->outputs_are_stale = 1;
+        return;
+    }
     if (is_same(d->value[reference], value)) return;
     d->value[reference] = value;
     if (reference < FIRST_CALCULATED) d->parameters_are_stale = cache->is_stale = 1;
@@ -136,7 +142,7 @@ static INLINED void data_become(Data *d, double t, const double *state, const do
 }
 
 /* The tolerance of a point in time: far less than a step, but more than the rounding of the importer. */
-static double tolerance_at(double t, double h) {
+static INLINED double tolerance_at(double t, double h) {
     return fmin(1e-9 * fmax(1, fabs(t)), 1e-3 * h) + 8 * DBL_EPSILON * fabs(t);
 }
 
@@ -148,11 +154,6 @@ static void data_hold(const Data *d, const double *state, const double *c, doubl
     (void)d, (void)c;
     memcpy(held, state, N_STATES * sizeof *held);
 #endif
-}
-
-/* Outputs where no step has just been made: one copy of the equations beside that of a step. */
-static void data_outputs(const Data *d, const double *state, const double *c, double *outputs) {
-    model_output(d->time, state, d->value, c, outputs);
 }
 
 /* Outputs, and until stepping begins the initial state, which follow parameters and inputs. */
@@ -168,7 +169,7 @@ static Outcome data_refresh(Data *d, int *broken) {
     } else {
         model_initial_state(d->time, p + FIRST_INPUT, p, c, state);
     }
-    data_outputs(d, state, c, outputs);
+    model_output(d->time, state, p, c, outputs);
     outcome = checked(state, outputs, broken);
     if (outcome == DONE) data_become(d, d->time, state, outputs, c);
     return outcome;
@@ -183,13 +184,13 @@ static void data_inputs_at(const Data *d, double elapsed, double *inputs) {
     }
 }
 
-/* From t to t + h in equal internal steps. Inputs are held over an internal step; those with a rate
+/* From t to t + h in equal internal steps with the inputs u. They are held over an internal step; those with a rate
  * at what they are in its middle. Outputs follow the last step at once, so that a compiler computes once what
  * both need. */
-static Outcome data_step(Data *d, StepCache *cache, double t, double h, int *broken) {
+static Outcome data_step(Data *d, StepCache *cache, double t, double h, const double *u, int *broken) {
     double fresh[N_CALCULATED + 1], moving[N_INPUTS + 1], reached[N_STATES + 1], next[N_STATES + 1];
     double outputs[N_OUTPUTS + 1];
-    const double *p = d->value, *u = d->value + FIRST_INPUT, *x = d->state;
+    const double *p = d->value, *x = d->state;
     const double *c = data_calculated(d, fresh, broken);
     const double steps = h / p[INTERNAL_STEP] * (1 - 1e-9);
     if (!c) return CONTRADICTORY;
@@ -224,34 +225,30 @@ static double sample_time(const Data *d) {
  * is known; `jumped`: whether continuous states have changed. A model without derivative steps: each internal step, with
  * the inputs that were there at its beginning, is one sample. */
 static Outcome data_event(Data *d, StepCache *cache, int *jumped, double *next, int *broken) {
-    double fresh[N_CALCULATED + 1], held[N_STATES + 1], state[N_STATES + 1], outputs[N_OUTPUTS + 1];
-    const double *p = d->value, *c = data_calculated(d, fresh, broken);
-    int64_t n_steps = d->n_steps;
+    const Data before = *d;
+    Outcome outcome = DONE;
     *jumped = 0;
-    if (!c) return CONTRADICTORY;
 #if MODEL_HAS_DERIVATIVE
+    double fresh[N_CALCULATED + 1], held[N_STATES + 1];
+    const double *p = d->value, *u = d->value + FIRST_INPUT, *c = data_calculated(d, fresh, broken);
     (void)cache;
+    if (!c) return CONTRADICTORY;
     data_hold(d, d->state, c, held);
-    model_event(d->time, held, p + FIRST_INPUT, p, c, state);
-    model_next_event(d->time, state, p + FIRST_INPUT, p, c, next);
-    for (int i = 0; i < N_CONTINUOUS; i++) *jumped |= !is_same(state[i], d->state[i]);
+    model_event(d->time, held, u, p, c, d->state);
+    model_next_event(d->time, d->state, u, p, c, next);
+    for (int i = 0; i < N_CONTINUOUS; i++) *jumped |= !is_same(d->state[i], before.state[i]);
 #else
     const double h = sample_time(d), reached = (d->time - d->start_time + tolerance_at(d->time, h)) / h;
-    double *numbers = step_numbers(cache, h, p, c);
-    if (!(reached - (double)n_steps <= MOST_INTERNAL_STEPS)) return TOO_MANY_STEPS;
-    memcpy(state, d->state, sizeof state);
-    for (; (double)(n_steps + 1) <= reached; n_steps++) {
-        memcpy(held, state, sizeof state);
-        model_step(d->start_time + (double)n_steps * h, h, held, d->held, p, c, numbers, state);
-    }
-    *next = d->start_time + (double)(n_steps + 1) * h;
+    if (!(reached - (double)d->n_steps <= MOST_INTERNAL_STEPS)) return TOO_MANY_STEPS;
+    for (; outcome == DONE && (double)(d->n_steps + 1) <= reached; d->n_steps++)
+        outcome = data_step(d, cache, d->start_time + (double)d->n_steps * h, h, d->held, broken);
+    *next = d->start_time + (double)(d->n_steps + 1) * h;
+    d->time = before.time;
 #endif
-    data_outputs(d, state, c, outputs);
-    const Outcome outcome = checked(state, outputs, broken);
-    if (outcome != DONE) return outcome;
-    data_become(d, d->time, state, outputs, c);
-    d->n_steps = n_steps;
-    return DONE;
+    d->outputs_are_stale = 1;
+    if (outcome == DONE) outcome = data_refresh(d, broken);
+    if (outcome != DONE) *d = before;
+    return outcome;
 }
 
 /* What an event leaves behind: a step that begins now takes the present inputs. */

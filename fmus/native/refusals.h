@@ -37,11 +37,13 @@ static const char *mode_name(int mode) {
                                     : "error";
 }
 
-static int is_allowed(Instance *instance, int modes, const char *function) {
-    if (!instance) return 0;
-    if (instance->data.mode & modes) return 1;
+static int not_allowed(Instance *instance, const char *function) {
     refuse(instance, ERROR, "%s is not allowed in the state '%s'", function, mode_name((int)instance->data.mode));
     return 0;
+}
+
+static INLINED int is_allowed(Instance *instance, int modes, const char *function) {
+    return instance && ((instance->data.mode & modes) || not_allowed(instance, function));
 }
 
 /* Whether the instance is one for this interface, whatever its state. */

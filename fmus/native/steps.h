@@ -7,7 +7,7 @@
 
 /* 4.2.2: exactly to the current communication point t plus the step size h, which is greater than 0; 2.1.6: past the
  * stop time is an error; 4.2.4: when a step is complete. */
-static Status do_step(Instance *instance, double t, double h) {
+static INLINED Status do_step(Instance *instance, double t, double h) {
     int broken = 0;
     if (!is_allowed(instance, STEPPING, NAME(DoStep))) return ERROR;
     if (!(h > 0 && h <= DBL_MAX))
@@ -19,8 +19,9 @@ static Status do_step(Instance *instance, double t, double h) {
     if (!(t + h <= instance->stop_time + tolerance_at(t, h)))
         return refuse(instance, ERROR, NAME(DoStep) ": step to %s s: expected at most the stop time %s s",
                       DECIMAL(t + h), DECIMAL(instance->stop_time));
-    const Outcome outcome = data_step(&instance->data, &instance->step_cache, t, h, &broken);
-    return report(instance, outcome, &broken, NAME(DoStep), h);
+    Data *data = &instance->data;
+    const Outcome outcome = data_step(data, &instance->step_cache, t, h, data->value + FIRST_INPUT, &broken);
+    return outcome == DONE ? OK : report(instance, outcome, &broken, NAME(DoStep), h);
 }
 
 /* 4.2.1: order 0 is not allowed. */

@@ -16,6 +16,9 @@ static int has_type(unsigned reference, Type type) {
     return reference < N_VARIABLES && ACCESS[reference].type == type;
 }
 
+/* Whether it has this type and a value that is held. */
+static int is_value(unsigned reference, Type type) { return reference < N_VALUES && ACCESS[reference].type == type; }
+
 static Status not_of_type(Instance *instance, Type type, unsigned reference, const char *function) {
     if (reference >= N_VARIABLES)
         return refuse(instance, ERROR, "%s: value reference %u: expected 0..%d of " MODEL_NAME, function, reference,
@@ -54,10 +57,13 @@ static Status refreshed(Instance *instance, Type type, const unsigned references
     return OK;
 }
 
-/* What a variable has already, it can have. */
+/* What a variable has already, it can have. Continuous states, in the solver's mode, as FMI 3.0.2 allows (3.2.1) and
+ * importers of FMI 2.0 do too. */
 static int can_be_set(const Data *d, unsigned reference, Type type, double value) {
-    return has_type(reference, type) && (d->mode & ACCESS[reference].settable) &&
-           (is_same(d->value[reference], value) || is_acceptable((int)reference, value));
+    if (!has_type(reference, type)) return 0;
+    if (d->mode & ACCESS[reference].settable)
+        return is_same(d->value[reference], value) || is_acceptable((int)reference, value);
+    return is_state(reference) && d->mode == CONTINUOUS_TIME && isfinite(value);
 }
 
 /* Refuses the first wrong type, or else the value at `index`, which is the first refused value.
@@ -66,6 +72,8 @@ static Status cannot_be_set(Instance *instance, Type type, const unsigned refere
                                 size_t index, double value, const char *function) {
     if (!are_of_type(instance, type, references, count, function)) return ERROR;
     const Variable *v = VARIABLES + references[index];
+    if (is_state(references[index]) && instance->data.mode == CONTINUOUS_TIME)
+        return refuse(instance, DISCARD, "%s: %s = %s: expected a finite number", function, v->name, DECIMAL(value));
     if (!is_settable((int)references[index]))
         return refuse(instance, ERROR, "%s: %s can not be set, it is calculated", function, v->name);
     if (instance->data.mode == CONTINUOUS_TIME && ACCESS[references[index]].settable == AT_POINTS)

@@ -13,7 +13,7 @@ from functools import partial, reduce
 from operator import add
 from typing import Any, TypeVar
 
-from fmus.block import flatten, unflatten
+from fmus.block.scalars import flatten, unflatten
 from fmus.numerics.symbols import are_numbers, casadi, unsimplified
 
 __all__ = [

@@ -12,9 +12,8 @@ from orchestration.exchange.ssp_xml import SspVersion
 
 
 class Tool(StrEnum):
-    """A tool that does not read scenarios or SSP packages."""
+    """A tool that reads neither scenarios nor SSP packages."""
 
-    MODELICA = "modelica"
     SIMULINK = "simulink"
 
 
@@ -47,9 +46,9 @@ def export(
     out: OutFolder = Path(),
     changes: Changes = NO_CHANGES,
 ) -> None:
-    """Write the closed loop of a scenario as a Modelica package or a Simulink script, with its FMUs."""
+    """Write the closed loop of a scenario as a script that builds it in another tool, with its FMUs."""
     from orchestration.cli import chosen_scenario
-    from orchestration.exchange import modelica, simulink
+    from orchestration.exchange import simulink
 
-    write = {Tool.MODELICA: modelica.write, Tool.SIMULINK: simulink.write}[tool]
+    write = {Tool.SIMULINK: simulink.write}[tool]
     print(write(chosen_scenario.load(name, changes=changes), out))

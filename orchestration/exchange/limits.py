@@ -1,8 +1,8 @@
 """Parts of all exporters: refusals, before anything is written, and the texts that are filled in.
 
 Every exporter carries a system whose components exchange values at communication points, in the order of
-Jacobi, and whose signals are lines through points; this is what an SSP package, a block diagram and a
-Modelica model have in common.
+Jacobi, and whose signals are lines through points; this is what an SSP package and a block
+diagram have in common.
 """
 
 from collections.abc import Iterable
@@ -25,7 +25,7 @@ _OTHERS = "a constant or a table"  # signals that ramps can give
 def check_plain_exchange(experiment: Experiment, target: str) -> None:
     """Raises ScenarioError for all that is more than an exchange at every communication point.
 
-    target: subject of the message, such as "a Modelica package"
+    target: subject of the message, such as "a Simulink model"
     """
     features = {
         f"algorithm {experiment.algorithm}": experiment.algorithm is not Algorithm.JACOBI,

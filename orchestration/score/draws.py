@@ -6,8 +6,8 @@ SeedSequence(seed, spawn_key=(1, i)), in the order of the protocol: what is vari
 of each depth. Who tunes has the cases as the file gives them.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -58,30 +58,9 @@ def _seed(random: np.random.Generator) -> int:
     return int(random.integers(1, LARGEST_SEED, endpoint=True))
 
 
-Quantile = Callable[[float], FmiValue]
-
-
-@dataclass(frozen=True)
-class _Draws:
-    """The draws of a plant, each a function of a uniform number in [0, 1)."""
-
-    varied: list[tuple[list[str], Quantile]]
-    way: Quantile
-    hold: Quantile
-    depths: list[Quantile]
-
-
 def plants(protocol: Protocol, seed: int, count: int | None = None) -> list[Case]:
     """Returns the first `count` plants of a seed as cases, by default as many as the protocol has."""
-    table = protocol.tables.plants
-    draws = _Draws(
-        [(entry.variables, _quantile(entry)) for entry in protocol.vary.values()],
-        _quantile(table.trajectory.ways),
-        _quantile(table.trajectory.holds),
-        [_quantile(depth) for depth in table.trajectory.depths],
-    )
-    nominal = protocol.nominal
-    return [_plant(nominal, draws, seed, number) for number in range(count or table.count)]
+    return [_plant(protocol, seed, number) for number in range(count or protocol.tables.plants.count)]
 
 
 def distribution_of(table: Table) -> Distribution:
@@ -91,19 +70,19 @@ def distribution_of(table: Table) -> Distribution:
     return FUNCTIONS[arguments.pop("distribution")](**arguments)
 
 
-def _quantile(table: Table) -> Quantile:
-    law = distribution_of(table)
-    return lambda uniform: law.quantile([uniform])[0]
-
-
-def _plant(nominal: Case, draws: _Draws, seed: int, number: int) -> Case:
+def _plant(protocol: Protocol, seed: int, number: int) -> Case:
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, number)))
+    nominal, trajectory = protocol.nominal, protocol.tables.plants.trajectory
+
+    def drawn(table: Table) -> FmiValue:
+        return distribution_of(table).quantile([random.random()])[0]
+
     values = dict(nominal.values)
-    for variables, quantile in draws.varied:
-        values |= dict.fromkeys(variables, quantile(random.random()))
+    for entry in protocol.vary.values():
+        values |= dict.fromkeys(entry.variables, drawn(entry))
     points = [[0.0, 0.0]]
-    for depth in draws.depths:
-        way, level, hold = (float(draw(random.random())) for draw in (draws.way, depth, draws.hold))
+    for depth in trajectory.depths:
+        way, level, hold = (float(drawn(table)) for table in (trajectory.ways, depth, trajectory.holds))
         points += [[points[-1][0] + way, level], [points[-1][0] + way + hold, level]]
     return replace(
         nominal,

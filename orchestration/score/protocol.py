@@ -240,7 +240,6 @@ def with_cost(protocol: Protocol, cost: Mapping[str, Any]) -> Protocol:
 
 
 def _protocol_of(file: TomlFile, vehicle: Vehicle | None) -> Protocol:
-    _check_keys(file)
     tables = checked(_FILE, file.data, file.at)
     _check_name(file, ("base",), tables.base, shipped_bases())
     ours = Vehicle.of_base(tables.base)
@@ -259,17 +258,6 @@ def _check_name(file: TomlFile, keys: KeyPath, name: str, known: Collection[str]
     if name not in known:
         shown = ".".join(map(str, keys))
         raise ScenarioError(f"{file.at(keys)}: {shown} = {name!r}; {nearest(name, known)}")
-
-
-def _check_keys(file: TomlFile) -> None:
-    """Refuses a file with the keys of protocol 1.x, and names the change that it needs."""
-    cost = file.data.get("cost")
-    for keys, table in ((("figures",), file.data), (("cost", "figure"), cost)):
-        if isinstance(table, dict) and keys[-1] in table:
-            raise ScenarioError(
-                f"{file.at(keys)}: {'.'.join(keys)} is a key of protocol 1.x: expected the keys of 2.0; "
-                "rename figures to metrics and cost.figure to cost.metric"
-            )
 
 
 def check_vehicle(protocol: Protocol) -> None:

@@ -10,8 +10,6 @@ from orchestration.scenarios.file_tables import OneOf, Table, Value, table_of
 from orchestration.scenarios.vehicle import ChangesTable
 from orchestration.sweep.distributions import FUNCTIONS
 
-CONTINUOUS = {name: function for name, function in FUNCTIONS.items() if name not in ("seed", "choice")}
-"""Distributions of numbers by name."""
 SIGNALS = {"depth": "m", "reference": "m", "u": "N", "voltage": "V", "power": "V2", "saturated": "%"}
 """What metrics are computed of -> its unit."""
 COMPARED = ("rmse", "peak_error", "total_variation")
@@ -97,17 +95,14 @@ class CostTable(Table):
     """If not 0: the cost is of so many practice plants in place of the cases, CVaR over them."""
 
 
-_DISTRIBUTION = OneOf(
-    "distribution",
-    {name: table_of("distribution", name, function) for name, function in CONTINUOUS.items()},
-)
-DRAWN = OneOf(
-    "distribution",
-    {
-        name: table_of("distribution", name, function, also={"variables": (list[str], ...)})
-        for name, function in CONTINUOUS.items()
-    },
-)
+def _distribution(**also: Any) -> OneOf:
+    """Returns the tables of a distribution of numbers, by its name, with entries besides its arguments."""
+    laws = {name: law for name, law in FUNCTIONS.items() if name not in ("seed", "choice")}
+    key = "distribution"
+    return OneOf(key, {name: table_of(key, name, law, also=also) for name, law in laws.items()})
+
+
+_DISTRIBUTION, DRAWN = _distribution(), _distribution(variables=(list[str], ...))
 
 
 class TrajectoryTable(Table):

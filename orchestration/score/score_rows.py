@@ -119,7 +119,9 @@ class Scoring:
             row.unranked += [f"{nominal.title}: {reason}" for reason in row.cases[nominal.name].failed]
         else:
             row.unranked += _value_or([], not_repeated, loop, nominal)
-            row.delay_margin = _value_or(math.nan, delay_margin_of, loop, nominal)
+            draws = self.draws.get(nominal.name, [nominal])
+            row.delay_margins = [_value_or(math.nan, delay_margin_of, loop, draw) for draw in draws]
+            row.delay_margin = float(np.median(row.delay_margins))
         row.microseconds = _value_or(math.nan, microseconds, loop, nominal)
         if self.plants:
             names = [name for name in OVER_PLANTS if name in self.protocol.metrics]

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
+from itertools import accumulate
 from operator import itemgetter
 from pathlib import Path
 from statistics import median
@@ -71,10 +72,6 @@ class Tuning:
     @property
     def best(self) -> SearchResult:
         return min((*self.searches, *self.refinements), key=lambda search: search.cost)
-
-    @property
-    def optimiser(self) -> str:
-        return _optimiser()
 
     @property
     def evaluations(self) -> int:
@@ -197,11 +194,12 @@ def _what_is_searched(problem: Problem, evaluations: int) -> dict[str, Any]:
     return {
         "gains": {gain.name: [gain.low, gain.high] for gain in problem.gains},
         "evaluations": evaluations,
-        "optimiser": _optimiser(),
+        "optimiser": optimiser(),
     }
 
 
-def _optimiser() -> str:
+def optimiser() -> str:
+    """Returns the name of the search and the version of its library."""
     with imports_of("study", "tuning"):
         return f"CMA-ES (cmaes {version('cmaes')})"
 
@@ -248,11 +246,9 @@ class SeedSearch:
             self._search.tell([self._cost(row) for row in self.rows[-self._asked :]])
 
     def result(self) -> SearchResult:
-        curve: list[float] = []
-        for row in self.rows:
-            curve.append(min(row["cost"], *curve[-1:]) if curve else row["cost"])
+        curve = tuple(accumulate((row["cost"] for row in self.rows), min))
         best = min(self.rows, key=lambda row: row["cost"])
         metrics = {
             key: value for key, value in best.items() if key not in ("seed", "evaluation", "gains", "cost")
         }
-        return SearchResult(self._seed, best["gains"], metrics, tuple(curve))
+        return SearchResult(self._seed, best["gains"], metrics, curve)

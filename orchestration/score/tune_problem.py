@@ -335,7 +335,7 @@ def write(tuning: Tuning, fixed: Mapping[str, Any], provenance: Mapping[str, Any
             "flattening": list(tuning.flattening),
             "improvement_in_the_last_part": tuning.improvement,
             "median_seed_above_the_lowest": tuning.spread,
-            "optimiser": tuning.optimiser,
+            "optimiser": tune.optimiser(),
             "evaluations": tuning.evaluations,
             "metrics": dict(best.metrics),
             "seeds": [_seed(search) for search in tuning.searches],

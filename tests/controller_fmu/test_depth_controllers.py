@@ -8,7 +8,8 @@ import pytest
 from controller_fmu import adrc, mrac, pid, sliding_mode, super_twisting
 from controller_fmu.depth_interface import DepthInputs, DepthOutputs
 from controller_fmu.l1 import depth_controller
-from fmus.block import Block, NoValues, flatten
+from fmus.block import Block, NoValues
+from fmus.block.scalars import flatten
 
 OTHERS = [pid.BLOCK, mrac.BLOCK, sliding_mode.BLOCK, super_twisting.BLOCK, adrc.BLOCK]
 BLOCKS = [depth_controller.BLOCK, *OTHERS]

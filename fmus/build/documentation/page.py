@@ -7,8 +7,9 @@ from importlib import resources
 from importlib.metadata import distributions, version
 from string import Template
 
-from fmus.block import Block, BlockVariable
+from fmus.block import Block
 from fmus.block.guide import Source
+from fmus.block.variables import BlockVariable
 from fmus.errors import ExportError
 from fmus.native.toolchain import COMPILER, FMI_HEADERS
 

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 from xml.etree import ElementTree
 
-from fmus.block import Block, BlockVariable, Value
+from fmus.block import Block
 from fmus.block.instance import BlockInstance
+from fmus.block.variables import BlockVariable, Value
 from fmus.errors import ExportError, nearest
 from fmus.files import xml_document
 from fmus.numerics import ramps

@@ -9,7 +9,8 @@ from typing import Any
 import numpy
 import pytest
 
-from fmus.block import Block, NoValues, flatten, unflatten, variable
+from fmus.block import Block, NoValues, variable
+from fmus.block.scalars import flatten, unflatten
 
 
 class Mode(IntEnum):

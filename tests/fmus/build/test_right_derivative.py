@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from fmus import numerics as n
-from fmus.block import Block, flatten
+from fmus.block import Block
+from fmus.block.scalars import flatten
 from fmus.build import builder
 from fmus.build.random_points import disturbed, drawn
 from fmus.build.right_derivative import right_derivative

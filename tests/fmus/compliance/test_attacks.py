@@ -73,7 +73,7 @@ def test_answers_that_an_fmu_writes_itself_are_findings_and_what_it_prints_is_dr
 def test_an_end_of_the_process_without_an_error_is_a_finding(tmp_path: Path) -> None:
     broken = broken_rules(attacker("exit(0);", tmp_path))
     (message,) = broken["steps-and-terminates"]
-    assert message.startswith("the FMU ended the process with exit status 0, in fmi2DoStep(")
+    assert message.startswith("co-simulation: the FMU ended the process with exit status 0, in fmi2DoStep(")
 
 
 @pytest.mark.slow
@@ -107,8 +107,8 @@ def test_a_copy_of_the_process_that_returns_as_well_is_a_finding(tmp_path: Path)
     once = "static int copied;\n    if (!copied++ && fork()) sleep(1);"  # the copy returns first
     (message,) = broken_rules(attacker(once, tmp_path), timeout=5)["steps-and-terminates"]
     assert message == (
-        "the FMU ended the process with SIGKILL, since an FMU forked it and the child returned from the "
-        "call; expected a child that calls _exit or exec"
+        "co-simulation: the FMU ended the process with SIGKILL, since an FMU forked it and the child "
+        "returned from the call; expected a child that calls _exit or exec"
     )
 
 
@@ -124,7 +124,10 @@ def test_memory_and_the_size_of_files_are_limited(tmp_path: Path) -> None:
     )
     for code in (memory, f'static const char forged[] = "x";\n    {big_file}'):
         (message,) = broken_rules(attacker(code, tmp_path))["steps-and-terminates"]
-        assert message == "in the state 'step complete': fmi2DoStep returned error: expected ok; limited"
+        assert (
+            message
+            == "co-simulation: in the state 'step complete': fmi2DoStep returned error: expected ok; limited"
+        )
     assert (tmp_path / "big").stat().st_size == 0
 
 

@@ -38,7 +38,7 @@ def test_a_crash_is_one_finding_and_what_needs_steps_is_not_judged(tmp_path: Pat
     assert [name for name, result in results.items() if result.messages] == ["steps-and-terminates"]
     (message,) = results["steps-and-terminates"].messages
     assert re.fullmatch(
-        r"the FMU ended the process with (SIGSEGV|SIGILL), in fmi2DoStep\(0, 0.0\d+, 0\) "
+        r"co-simulation: the FMU ended the process with (SIGSEGV|SIGILL), in fmi2DoStep\(0, 0.0\d+, 0\) "
         "after fmi2ExitInitializationMode",
         message,
     )
@@ -55,7 +55,7 @@ def test_a_hang_is_a_finding_of_the_rule_that_it_stops(tmp_path: Path) -> None:
     )
     (message,) = broken.pop("variable-step-size")
     call = "fmi2DoStep(0.07, 0.005, 0) after fmi2DoStep"
-    assert message == f"the FMU took more than 2 s in one call, in {call}"
+    assert message == f"co-simulation: the FMU took more than 2 s in one call, in {call}"
     assert not broken
 
 

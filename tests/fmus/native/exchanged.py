@@ -81,10 +81,34 @@ def output(t: float, state: State, p: Parameters, c: NoValues) -> Outputs:
 
 
 def crossings(t: float, state: State, u: Inputs, p: Parameters, c: NoValues) -> tuple:
-    return (state.height,)
+    return (state.height, state.lift - 2.0)
 
 
 BALL = Block.of_module(__name__, "Ball", "A ball that bounces, and its height at times", step_size=0.01)
+
+
+@dataclass(frozen=True)
+class Factor:
+    factor: float = variable(1.0, "Factor of each step")
+
+
+@dataclass(frozen=True)
+class Grown:
+    value: float = 1.0
+
+
+@dataclass(frozen=True)
+class Seen:
+    value: float = variable(0.0, "The product")
+    time: float = variable(0.0, "Time", unit="s")
+
+
+GROWTH = Block(
+    "Growth", "A number that is multiplied in each step, and the time",
+    inputs=Factor, state=Grown, outputs=Seen, step_size=0.1,
+    step=lambda t, h, state, u, p, c: Grown(state.value * u.factor),
+    output=lambda t, state, p, c: Seen(state.value, t),
+)  # fmt: skip
 
 
 class Exchanged:

@@ -7,7 +7,8 @@ from typing import Any, ClassVar
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize
 
-from fmus.block import Block, BlockVariable
+from fmus.block import Block
+from fmus.block.variables import BlockVariable
 
 from .native_model import (
     DISCARD,

@@ -281,9 +281,11 @@ class Model:
         along[self.calculated] = self._calculate("calculate_derivative", p, along[: len(p)])
         if d.mode == INITIALIZATION:
             seeds = along[: self.outputs.start]
-            along[self.outputs] = self._calculate("initial_derivative", d.time, u, p, c, seeds)
+            derivatives = self._calculate("initial_derivative", d.time, u, p, c, seeds)
+            along[self.outputs] = derivatives[: len(d.values[self.outputs])]  # states follow
         else:
-            seeds = along[: self.inputs.start]
+            of_state = [0.0] * len(d.state) * (self.block.derivative is not None)
+            seeds = along[: self.inputs.start] + of_state
             along[self.outputs] = self._calculate("output_derivative", d.time, d.state, p, c, seeds)
         return OK, [along[r] for r in unknown]
 

@@ -6,7 +6,7 @@ from typing import Any
 from hypothesis import strategies as st
 from hypothesis.stateful import rule
 
-from fmus.block import BlockVariable
+from fmus.block.variables import BlockVariable
 
 from .native_beside import NAMES, SELDOM, TINY, Beside
 from .native_model import ALL, ERROR, INITIALIZATION, INSTANTIATED, OK, STEPPING, TERMINATED, WRITABLE

@@ -9,7 +9,8 @@ import casadi
 import numpy as np
 import pytest
 
-from fmus.block import Block, BlockVariable
+from fmus.block import Block
+from fmus.block.variables import BlockVariable
 from fmus.build import builder
 from fmus.build.fmi3 import array_name, arrays, other_variables
 from fmus.build.symbolic import traced

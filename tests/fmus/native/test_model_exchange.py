@@ -5,7 +5,7 @@ import math
 import random
 import re
 from collections.abc import Callable, Iterator, Mapping
-from ctypes import POINTER, c_double, c_int, c_size_t, c_uint, c_void_p
+from ctypes import POINTER, byref, c_double, c_int, c_size_t, c_uint, c_void_p
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +15,14 @@ import pytest
 from fmpy.validation import validate_fmu
 from scipy.linalg import expm
 
-from fmus.block import Block, NoValues, flatten, unflatten, variable
+from fmus.block import Block, NoValues, variable
+from fmus.block.scalars import flatten, unflatten
 from fmus.build import builder
 from fmus.build.random_points import drawn
 from fmus.errors import ExportError
 from tests.shared_builds import Fmus
 
-from .exchanged import BALL, Exchanged, Outputs, Reading, State, euler, heun, rk4
+from .exchanged import BALL, GROWTH, Exchanged, Outputs, Reading, State, euler, heun, rk4
 
 CONTINUOUS = ("ExamplePlant", "RovDepthPlant", "RovHeavePitchPlant", "BlueRov2Plant")
 Load = Callable[[Path], Exchanged]
@@ -30,6 +31,11 @@ Load = Callable[[Path], Exchanged]
 @pytest.fixture(scope="module")
 def ball(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return builder.build_block(BALL, tmp_path_factory.mktemp("ball"))
+
+
+@pytest.fixture(scope="module")
+def growth(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return builder.build_block(GROWTH, tmp_path_factory.mktemp("growth"))
 
 
 @pytest.fixture
@@ -83,7 +89,7 @@ def test_states_and_their_derivatives_are_variables(ball: Path, exchange: Load) 
     assert list(fmu.states) == [fmu["state.height"], fmu["state.velocity"]] == [1.0, 0.0]
     assert list(fmu.rates) == [fmu["der(state.height)"], fmu["der(state.velocity)"]] == [0.0, -8.0]
     assert list(fmu.nominals) == [2.0, 1.0]
-    assert list(fmu.indicators) == [1.0]
+    assert list(fmu.indicators) == [1.0, -2.0]
 
 
 def test_dependencies_are_those_of_the_equations(ball: Path, exchange: Load) -> None:
@@ -273,6 +279,46 @@ def test_samples_are_taken_at_events_alone(ball: Path, exchange: Load) -> None:
     assert fmu["reading"] == 3.7
 
 
+def test_outputs_follow_time_alone_and_states_alone(ball: Path, growth: Path, exchange: Load) -> None:
+    fmu = exchange(growth).begin()
+    assert fmu.event()[4:] == (True, 0.1)
+    fmu.model.enterContinuousTimeMode()
+    assert fmu["time"] == 0.0
+    fmu.model.setTime(0.05)
+    assert fmu["time"] == 0.05
+    fmu = exchange(ball).begin()
+    fmu.event()
+    fmu.model.enterContinuousTimeMode()
+    assert fmu["height"] == 1.0
+    assert _vector(fmu, "SetContinuousStates", 2, (c_double * 2)(0.5, 0.0)) == "ok"
+    assert fmu["height"] == 0.5
+
+
+def test_without_samples_no_event_is_announced(built: Fmus, exchange: Load) -> None:
+    assert exchange(built["ExamplePlant"]).begin().event() == (False, False, False, False, False, 0.0)
+
+
+def test_an_event_that_fails_changes_nothing(growth: Path, exchange: Load) -> None:
+    """The second of two samples that are due overflows; with one alone the instance goes on."""
+    fmu = exchange(growth).begin()
+    fmu["factor"] = 1e200
+    fmu.event()
+    fmu.model.enterContinuousTimeMode()
+    fmu.model.setTime(0.2)
+    fmu.model.enterEventMode()
+    assert fmu.status(fmu.model.newDiscreteStates) == "discard"
+    assert (fmu["value"], fmu["time"]) == (1.0, 0.2)
+    fmu.model.setTime(0.1)
+    assert fmu.event()[4:] == (True, 0.2)
+    assert (fmu["value"], fmu["time"]) == (1e200, 0.1)
+    fmu["factor"] = 0.5
+    fmu.model.setTime(0.25)
+    assert fmu.status(fmu.model.newDiscreteStates) == "discard"  # the step began with the factor of before
+    fmu.model.setTime(0.15)
+    assert fmu.event()[4:] == (True, 0.2)
+    assert fmu["time"] == 0.15
+
+
 @pytest.mark.parametrize(("t", "next_sample"), [(0.3, 0.5), (0.45, 0.575)])
 def test_a_sample_that_was_missed_is_taken_late(
     ball: Path, exchange: Load, t: float, next_sample: float
@@ -296,7 +342,7 @@ def test_inputs_are_there_at_once_and_states_jump_at_events_alone(ball: Path, ex
     fmu.at(0.1, [-0.01, -2.0])
     assert fmu["bounces"] == 0.0
     assert list(fmu.states) == [-0.01, -2.0]
-    assert list(fmu.indicators) == [-0.01]
+    assert list(fmu.indicators) == [-0.01, 1.0]  # of the present input too
     fmu.model.enterEventMode()
     assert fmu.event()[3]
     assert list(fmu.states) == [-0.01, 1.0]
@@ -403,6 +449,50 @@ def test_what_is_no_continuous_input_is_set_at_events_alone(ball: Path, exchange
         fmu.model.enterContinuousTimeMode()
         assert fmu.status(setter, *arguments) == "error"
         assert fmu.log[-1] == f"fmi2Set{kind}: {name} can not be set in continuous-time mode"
+
+
+def test_a_step_of_the_solver_asks_for_nothing(ball: Path, exchange: Load) -> None:
+    fmu = exchange(ball).begin()
+    fmu.model.enterContinuousTimeMode()
+    asked = c_int(7), c_int(7)
+    arguments = c_void_p(fmu.model.component), c_int(1), *map(byref, asked)
+    assert fmu.model.dll.fmi2CompletedIntegratorStep(*arguments) == 0
+    assert [flag.value for flag in asked] == [0, 0]
+
+
+def test_states_and_derivatives_of_the_start_follow_parameters(built: Fmus, exchange: Load) -> None:
+    fmu = exchange(built["RovDepthPlant"])
+    fmu.model.setupExperiment()
+    fmu.model.enterInitializationMode()
+    fmu["initial_depth"] = 3.0
+    assert fmu.states[0] == 3.0
+    fmu["initial_heave_velocity"] = 0.25
+    assert fmu.rates[0] == 0.25
+
+
+def test_derivatives_need_an_initialization_and_parameters_that_agree(built: Fmus, exchange: Load) -> None:
+    fmu = exchange(built["RovDepthPlant"])
+    assert _vector(fmu, "GetDerivatives") == "error"
+    assert fmu.log[-1] == "fmi2GetDerivatives is not allowed in the state 'instantiated'"
+    for read in (
+        lambda: _vector(fmu, "GetDerivatives"),
+        lambda: fmu.status(fmu.__getitem__, "der(state.depth)"),
+    ):
+        fmu.model.reset()
+        fmu.begin()
+        fmu["net_weight"] = 30.0  # above the weight
+        assert read() == "error"
+        assert "expected net_weight below weight" in fmu.log[-1]
+
+
+def test_derivatives_that_are_not_finite_are_discarded(built: Fmus, exchange: Load) -> None:
+    fmu = exchange(built["RovDepthPlant"]).begin()
+    fmu.event()
+    fmu.model.enterContinuousTimeMode()
+    x = fmu.states
+    fmu.at(0.0, np.where(np.arange(len(x)) == 1, 1e200, x))
+    assert _vector(fmu, "GetDerivatives") == "discard"
+    assert fmu.log[-1] == "fmi2GetDerivatives at 0 s: not finite; take shorter steps"
 
 
 def test_what_is_not_finite_is_refused(ball: Path, exchange: Load) -> None:

@@ -33,6 +33,15 @@ EXPORTS = {
     *("fmi2Terminate", "fmi2Reset", "fmi2GetFMUstate", "fmi2SetFMUstate", "fmi2FreeFMUstate"),
     *("fmi2SerializedFMUstateSize", "fmi2SerializeFMUstate", "fmi2DeSerializeFMUstate"),
     *("fmi2GetDirectionalDerivative", *(f"fmi2{way}{kind}" for way in ("Get", "Set") for kind in TYPES)),
+    # 3.2: model exchange
+    *(
+        "fmi2EnterEventMode",
+        "fmi2NewDiscreteStates",
+        "fmi2EnterContinuousTimeMode",
+        "fmi2CompletedIntegratorStep",
+    ),
+    *("fmi2SetTime", "fmi2SetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndicators"),
+    *("fmi2GetContinuousStates", "fmi2GetNominalsOfContinuousStates"),
     # 4.2: co-simulation
     *("fmi2SetRealInputDerivatives", "fmi2GetRealOutputDerivatives", "fmi2DoStep", "fmi2CancelStep"),
     *("fmi2GetStatus", *(f"fmi2Get{kind}Status" for kind in TYPES)),

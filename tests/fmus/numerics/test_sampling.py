@@ -6,8 +6,8 @@ from typing import Any
 import casadi
 import pytest
 
-from fmus.block import flatten, unflatten
 from fmus.block.integration import between_events
+from fmus.block.scalars import flatten, unflatten
 from fmus.numerics import Clock, at_events, sampled
 
 PERIOD = 0.1

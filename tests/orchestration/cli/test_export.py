@@ -9,29 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orchestration.cli.exchange import Tool
 from orchestration.exchange import ssp_write
 from orchestration.results.recording import Recording
 
 Command = Callable[..., Any]
 
 
-@pytest.mark.parametrize(
-    ("tool", "written"),
-    [(Tool.MODELICA, "L1Depth/package.mo"), (Tool.SIMULINK, "import_l1_depth.m")],
-)
-def test_the_command_names_the_file_to_open(
-    command: Command, tool: Tool, written: str, tmp_path: Path
-) -> None:
-    assert command("export", tool, "--out", "here").stdout == f"here/{written}\n"
-    assert (tmp_path / "here" / written).is_file()
+def test_the_command_names_the_file_to_open(command: Command, tmp_path: Path) -> None:
+    assert command("export", "simulink", "--out", "here").stdout == "here/import_l1_depth.m\n"
+    assert (tmp_path / "here" / "import_l1_depth.m").is_file()
 
 
-@pytest.mark.parametrize("tool", Tool)
-def test_a_scenario_that_cannot_be_expressed_ends_with_one_line(
-    refused: Command, tool: Tool, tmp_path: Path
-) -> None:
-    message = refused("export", tool, "example-extended", "--out", "here")
+def test_a_scenario_that_cannot_be_expressed_ends_with_one_line(refused: Command, tmp_path: Path) -> None:
+    message = refused("export", "simulink", "example-extended", "--out", "here")
     assert message.strip().endswith("which an interpolated table gives; got a cosine")
     assert not (tmp_path / "here").exists()
 
@@ -88,7 +78,7 @@ def test_what_options_change_is_packaged_and_exported(
         Recording.read(tmp_path / folder / "short-my.csv") for folder in ("from package", "results")
     )
     np.testing.assert_array_equal(packaged["plant.depth"], own["plant.depth"])
-    command("export", Tool.SIMULINK, "short.toml", *options, "--out", "here")
+    command("export", "simulink", "short.toml", *options, "--out", "here")
     script = (tmp_path / "here" / "import_l1_depth.m").read_text()
     assert "my.fmu" in script
     assert re.search(r"'plant_buoyancy_change', .*\n.*'Value', '0\.2'", script)

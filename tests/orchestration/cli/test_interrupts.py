@@ -41,7 +41,7 @@ AT_WORK = {
     "fit RovDepthPlant --free inertia --data {fmu} --out .": "orchestration.fit.dive.read_dive",
     "identify": "orchestration.fit.identify.metric_units",
     "package nominal-l1": "orchestration.exchange.ssp_write.ramp_sources",
-    "export modelica": "orchestration.exchange.modelica.texts",
+    "export simulink": "orchestration.exchange.simulink.text",
 }
 
 

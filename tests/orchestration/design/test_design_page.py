@@ -40,3 +40,13 @@ def test_the_table_has_the_errors_of_the_check(
         measured[title] = [f"{checked.rmse[0]:.3g}", f"{checked.rmse[checked.worst]:.3g}"]
     assert rows(vehicle) == measured
     assert float(measured["L1 with PI"][1]) < 2.0
+
+
+def test_noise_beyond_the_ranges_costs_what_the_page_states(
+    designed: Callable[[str], Any], conditions: Conditions
+) -> None:
+    made = designed("BlueRov2Plant")
+    chosen = scenario.load(scenario.find("nominal-extended"), settings={"plant": "BlueRov2Plant"})
+    noisy = [{"plant.sensor_noise": 0.02}]
+    rmse = check("L1 with PI", chosen, l1_gains(made.l1, made.data, conditions), noisy).rmse
+    assert f"has {rmse[1]:.1f} cm on `BlueRov2Plant` in place of {rmse[0]:.2f} cm" in PAGE.read_text("utf-8")

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from fmus import numerics as n
-from fmus.block import Block, flatten, variable
+from fmus.block import Block, variable
+from fmus.block.scalars import flatten
 from fmus.build import native
 from fmus.build.builder import load_block
 from fmus.build.random_points import drawn

@@ -184,5 +184,6 @@ def test_who_fails_the_nominal_case_has_no_delay_margin_and_no_mark(small: Proto
     assert all(reason.startswith("Nominal: ") for reason in row.unranked)
     assert np.isnan(row.delay_margin)
     assert other.delay_margin > 0.0
+    assert other.delay_margins == [other.delay_margin]  # one noise, without --full
     for table in (of_metric(document, "total_variation"), of_metric(document, "effort")):
         assert not any(cell.is_best for cell in table.cells[0])

@@ -1,16 +1,31 @@
 """The tuned gains that ship: all are of the same search, and have the cost that is claimed."""
 
 import tomllib
+from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from controller_fmu.depth_interface import ActuatorParameters, DampingParameter, InertiaParameter
+from fmus.fmi.description import describe, of_causality
 from orchestration.score.closed_loop import GAINS, OWN, ClosedLoop, tuned
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.tune import REFINEMENTS
 from orchestration.score.tune_problem import LARGEST_CHANGE, SHORTEST_STEP, costs
+from orchestration.score.vehicle import built
 
 NAMES = list(read_protocol().controllers)
+_OF_ADAPTATION = {"projection_tolerance", "lyapunov_weight[1]", "sigma_bound"}
+FIXED = {
+    "MracDepthController": {*_OF_ADAPTATION, "theta_bound"},
+    "L1DepthController": {
+        *_OF_ADAPTATION,
+        *("theta_bound[1]", "theta_bound[2]", "input_gain_uncertainty"),
+        *("nonlinear_exponent", "threshold_floor"),
+        *("prediction_error_matrix[1,2]", "prediction_error_matrix[2,1]"),
+    },
+}
 
 
 def written(name: str) -> dict[str, Any]:
@@ -19,6 +34,33 @@ def written(name: str) -> dict[str, Any]:
 
 def test_the_controllers_that_are_tuned_are_those_of_the_protocol() -> None:
     assert {path.stem for path in GAINS.glob("*.toml")} == set(NAMES)
+
+
+def test_every_tunable_number_of_a_law_is_free_but_those_that_the_how_to_names(protocol: Protocol) -> None:
+    """And but those that all controllers are told of the vehicle."""
+    told = {f.name for c in (ActuatorParameters, InertiaParameter, DampingParameter) for f in fields(c)}
+    page = (Path(__file__).parents[3] / "docs" / "how-to" / "tuning.md").read_text(encoding="utf-8")
+    for fmu in {table.fmu for table in protocol.controllers.values()}:
+        free = {gain for table in protocol.controllers.values() if table.fmu == fmu for gain in table.gains}
+        tunable = {
+            variable.name
+            for variable in of_causality(describe(built(fmu)), "parameter")
+            if variable.type == "Real" and variable.variability == "tunable"
+        }
+        others = {name for name in tunable - free if name.partition("[")[0] not in told}
+        assert others == FIXED.get(fmu, set())
+    assert all(f"`{name.partition('[')[0]}`" in page for names in FIXED.values() for name in names)
+
+
+def test_a_gain_has_one_range_in_all_laws_and_is_free_also_where_rates_are_known(protocol: Protocol) -> None:
+    tables = protocol.controllers
+    ranges = {
+        (gain, limits.low, limits.high) for table in tables.values() for gain, limits in table.gains.items()
+    }
+    assert len({gain for gain, *_ in ranges}) == len(ranges)
+    known = [name for name in tables if f"{name}-rates" in tables]
+    assert known
+    assert all(tables[name].gains.keys() <= tables[f"{name}-rates"].gains.keys() for name in known)
 
 
 def test_all_have_the_same_evaluations_for_each_free_gain_and_search() -> None:

@@ -90,12 +90,6 @@ def test_a_target_is_the_first_depth_that_is_held() -> None:
             r":\d+: metrics.energy.arguments.flow = 'dept'; nearest is 'depth'",
         ),
         (
-            "[metrics.rmse]",
-            "[figures.rmse]",
-            r"wrong.toml: figures is a key of protocol 1.x: .* rename figures",
-        ),
-        ('metric = "rmse"', 'figure = "rmse"', r":\d+: cost.figure is a key of protocol 1.x"),
-        (
             'disturbance = "noise"',
             'disturbance = "nose"',
             r":\d+: cases.noise.disturbance = 'nose'; nearest is 'noise'",

@@ -17,6 +17,7 @@ from orchestration.score.draws import drawn_cases, plants, repeated_cases
 from orchestration.score.protocol import read_protocol
 from orchestration.score.score import run_count, score_controllers
 from orchestration.score.score_document import Row, Score
+from orchestration.score.score_rows import delay_margin_of
 from orchestration.score.score_view import of_metric, over_draws, over_plants
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.report.made_up_score import made_up_score
@@ -74,6 +75,15 @@ def test_a_full_row_has_many_draws_of_each_case(document: Score, path: Path) -> 
             assert runs.failure_interval == (0.0, pytest.approx(1.0 - 0.025**0.5))
     crashed = row(document, "segfault").draws["nominal"]
     assert (crashed.failure_rate, list(crashed.failed)) == (1.0, ["0", "1"])
+
+
+def test_a_row_has_the_delay_margin_of_each_draw_of_the_noise(document: Score, path: Path) -> None:
+    mine, protocol = row(document, "mine"), read_protocol(path)
+    with ClosedLoop(MINE, protocol) as loop:
+        margins = [delay_margin_of(loop, draw) for draw in repeated_cases(protocol, SEED, 2)[0]]
+    assert mine.delay_margins == margins
+    assert min(margins) < mine.delay_margin == sum(margins) / 2.0
+    assert math.isnan(row(document, "segfault").delay_margin)
 
 
 def test_failure_rates_over_plants_stand_between_the_ends_of_their_intervals(document: Score) -> None:

@@ -43,17 +43,20 @@ def boat(folder: Path, inputs: tuple[str, ...] = (), parameters: tuple[str, ...]
 
 
 def test_no_parameter_of_our_vehicle_stands_in_score_tune_or_margins() -> None:
-    """Names that controllers have too count where they are the plant's."""
-    names = {v.name for v in of_causality(describe(fmu_path("RovDepthPlant")), "parameter")}
-    shared = {v.name for v in of_causality(describe(fmu_path("L1DepthController")), "parameter")}
-    folders = [ROOT / "orchestration" / name for name in ("score", "margins")]
-    files = [path for folder in folders for kind in ("*.py", "*.toml") for path in folder.glob(kind)]
-    assert len(files) > 20
-    for path in files:
-        text = path.read_text(encoding="utf-8")
-        for name in {name.partition("[")[0] for name in names}:
-            own = "" if any(other.partition("[")[0] == name for other in shared) else "|[\"']"
-            assert not re.search(rf"(plant\.{own}){name}(\[\d\])?[\"']", text), (path, name)
+    """Names that controllers have too count where they are the plant's, also as `{PLANT}.NAME`."""
+    ours, shared = (
+        {v.name.partition("[")[0] for v in of_causality(describe(fmu_path(block)), "parameter")}
+        for block in ("RovDepthPlant", "L1DepthController")
+    )
+    found = re.compile(
+        rf"\bplant\W?\.({'|'.join(ours)})\b|[\"']({'|'.join(ours - shared)})(\[\d\])?[\"']", re.IGNORECASE
+    )
+    rooms = [ROOT / "orchestration" / name for name in ("score", "margins", "cli")]
+    files = [path for room in rooms for path in room.glob("*.*") if path.suffix in {".py", ".toml"}]
+    assert len(files) > 40
+    assert not {
+        path.name: found.findall(text) for path in files if found.search(text := path.read_text("utf-8"))
+    }
 
 
 def test_a_case_that_a_vehicle_cannot_play_is_left_out_and_named(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from orchestration.cli.package_fmus import build_ramp_source
 from orchestration.errors import OrchestrationError, SystemDefinitionError
-from orchestration.exchange import modelica, simulink, ssp_write
+from orchestration.exchange import simulink, ssp_write
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.system.experiment import Algorithm, Experiment
@@ -289,11 +289,10 @@ def test_every_kind_is_documented() -> None:
 
 
 @pytest.mark.usefixtures("scenario_fmus")
-@pytest.mark.parametrize("name", ["ssp_write", "modelica", "simulink"])
+@pytest.mark.parametrize("name", ["ssp_write", "simulink"])
 def test_what_cannot_carry_faults_refuses_them(name: str, tmp_path: Path) -> None:
     writers: dict[str, Callable[[Any], Any]] = {
         "ssp_write": lambda chosen: ssp_write.package(chosen, tmp_path / "x.ssp", build_ramp_source),
-        "modelica": modelica.texts,
         "simulink": simulink.text,
     }
     chosen = scenario.load(scenario.find("nominal-l1"))

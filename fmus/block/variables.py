@@ -1,0 +1,182 @@
+"""Variables of a block: how they are declared, and the scalars of its interface that follow."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import Field, dataclass, field, replace
+from enum import IntEnum
+from functools import cached_property
+from typing import Any, Literal, TypeVar
+
+from fmus.block.units import per_second
+
+Value = float | int | bool
+Numbers = float | tuple["Numbers", ...]
+Texts = str | None | tuple["Texts", ...]
+Start = TypeVar("Start")
+
+
+def variable(
+    start: Start,
+    description: str,
+    *,
+    unit: Texts = "1",
+    display_unit: Texts = None,
+    min: Numbers | None = None,
+    max: Numbers | None = None,
+    nominal: Numbers | None = None,
+    variability: Literal["fixed", "tunable"] | None = None,
+    source: str = "",
+) -> Start:
+    """Declares one variable of a block.
+
+    start: float, int, bool or IntEnum member; a tuple declares a vector `name[1], name[2]`, a
+        tuple of tuples a matrix `name[1,1]`, row by row.
+    unit: one that `fmus.block.units` knows, such as "m", "N.s/m", "deg", "rev/min" or "degC"; "1" for
+        a number.
+    display_unit: in which tools may show the value, such as "deg" beside the unit "rad".
+    unit, display_unit, min, max, nominal: one value, or a tuple of the shape of `start`.
+    variability: "fixed" or "tunable" for a parameter; otherwise the class decides.
+    source: where a number comes from: published, estimate or guess.
+    """
+    start = plain(start)
+    # a dataclass refuses a list with a message about its own functions
+    if isinstance(start, list):
+        raise TypeError(f"start {start!r}: expected a tuple")
+    ranges = {"minimum": plain(min), "maximum": plain(max), "nominal": plain(nominal)}
+    texts = {"description": description, "source": source}
+    units = {"unit": unit, "display_unit": display_unit}
+    metadata = {"units": units, "variability": variability, "ranges": ranges, "texts": texts}
+    return field(default=start, metadata=metadata)
+
+
+def plain(value: Any) -> Any:
+    """Returns a value with Python's numbers in place of NumPy's, and a list in place of an array."""
+    if isinstance(value, tuple):
+        return tuple(map(plain, value))
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def with_start(declared: Field, start: Any, source: str) -> Any:
+    """Returns the declaration of a variable with another start value and its source."""
+    texts = {**declared.metadata["texts"], "source": source}
+    return field(default=plain(start), metadata={**declared.metadata, "texts": texts})
+
+
+@dataclass(frozen=True)
+class BlockVariable:
+    """One scalar of a block's interface, in the terms of FMI 2.0 (2.2.7)."""
+
+    name: str
+    value_reference: int
+    causality: str
+    variability: str
+    initial: str | None
+    start: Value
+    description: str
+    unit: str | None
+    display_unit: str | None
+    minimum: Value | None
+    maximum: Value | None
+    nominal: float | None
+    source: str
+    enumeration: type[IntEnum] | None
+
+    @cached_property
+    def type(self) -> str:
+        """FMI type: Real, Integer, Boolean or Enumeration."""
+        if self.enumeration:
+            return "Enumeration"
+        return {float: "Real", int: "Integer", bool: "Boolean"}[type(self.start)]
+
+    def derivative(self, value_reference: int) -> "BlockVariable":
+        """Returns the derivative by time of a continuous state, as a variable."""
+        return replace(
+            self,
+            name=f"der({self.name})",
+            value_reference=value_reference,
+            description=f"Derivative of: {self.description}",
+            unit=per_second(self.unit or "1"),
+            display_unit=None,
+            minimum=None,
+            maximum=None,
+            nominal=None,
+            source="",
+        )
+
+    @property
+    def settable(self) -> bool:
+        return self.causality in ("parameter", "input")
+
+    def cast(self, value: Value) -> Value:
+        """Returns the value in the Python type of the start value, or as enumeration member."""
+        return (self.enumeration or type(self.start))(value)
+
+    def refuse(self, value: Value) -> str | None:
+        """Returns the reason why a value is not acceptable, or None if it is."""
+        low, high = self.minimum, self.maximum
+        if not math.isfinite(value):
+            return f"{self.name} = {value!r}: expected a finite number"
+        unknown = self.enumeration and value not in list(self.enumeration)
+        outside = (low is not None and value < low) or (high is not None and value > high)
+        return f"{self.name} = {value!r}: expected {self.expected}" if unknown or outside else None
+
+    @property
+    def expected(self) -> str:
+        """Values that are acceptable, in words."""
+        if self.enumeration:
+            return "one of " + ", ".join(f"{m.value} ({m.name.lower()})" for m in self.enumeration)
+        unit = f" {self.unit}" if self.unit not in (None, "1") else ""
+        if self.type == "Boolean":
+            return "0 (false) or 1 (true)"
+        if self.minimum is None and self.maximum is None:
+            return f"a finite number{unit}"
+        low = "-inf" if self.minimum is None else self.minimum
+        high = "inf" if self.maximum is None else self.maximum
+        return f"{low}..{high}{unit}"
+
+
+# causality, FMI variability, initial of each of a block's interface classes
+ROLES = {
+    "parameters": ("parameter", "tunable", "exact"),
+    "calculated": ("calculatedParameter", "tunable", "calculated"),
+    "inputs": ("input", "continuous", None),
+    "outputs": ("output", "continuous", "calculated"),
+}
+_OF_STATES = ("local", "continuous", "calculated")
+
+
+def scalar_variables(
+    declared: Field, role: str, first_reference: int, prefix: str = ""
+) -> Iterator[BlockVariable]:
+    said = declared.metadata
+    causality, variability, initial = ROLES.get(role, _OF_STATES)
+    for offset, (index, start) in enumerate(_elements(declared.default)):
+        is_real = isinstance(start, float)
+        discrete = "discrete" if variability == "continuous" and not is_real else variability
+        yield BlockVariable(
+            name=prefix + declared.name + (f"[{','.join(str(i + 1) for i in index)}]" if index else ""),
+            value_reference=first_reference + offset,
+            causality=causality,
+            variability=said["variability"] or discrete,
+            initial=initial,
+            start=start,
+            enumeration=type(start) if isinstance(start, IntEnum) else None,
+            **said["texts"],
+            **{name: _at(value, index) if is_real else None for name, value in said["units"].items()},
+            **{name: _at(value, index) for name, value in said["ranges"].items()},
+        )
+
+
+def _elements(value: Any, index: tuple[int, ...] = ()) -> Iterator[tuple[tuple[int, ...], Any]]:
+    if isinstance(value, tuple):
+        for i, element in enumerate(value):
+            yield from _elements(element, (*index, i))
+    else:
+        yield index, value
+
+
+def _at(value: Any, index: tuple[int, ...]) -> Any:
+    for i in index:
+        if isinstance(value, tuple):
+            value = value[i]
+    return value
