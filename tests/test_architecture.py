@@ -338,7 +338,10 @@ def test_what_is_declared_is_imported() -> None:
                 "fmus.numerics.symbols",
                 "fmus.build.exchange",
                 "fmus.build.right_derivative",
-                *(f"fmus.build.{name}" for name in ("guard", "symbolic", "operations", "c_functions")),
+                *(
+                    f"fmus.build.{name}"
+                    for name in ("guard", "symbolic", "fmi3", "operations", "c_functions")
+                ),
             },
         ),
         ("matplotlib", {"orchestration.results.figures"}),

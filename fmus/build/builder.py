@@ -23,6 +23,7 @@ from fmus.build.check_trace import check_shipped, check_trace
 from fmus.build.documentation import reference_results
 from fmus.build.documentation.reference_results import ReferenceRun, reference_run
 from fmus.build.documentation.terminals_and_icon import icon, terminals
+from fmus.build.fmi3 import variable_names
 from fmus.build.guard import location, own_line
 from fmus.build.shipped import ShippedFmi3Library, ShippedLibrary
 from fmus.build.stamp import BuildCache, BuildRequest, order_of_file
@@ -142,7 +143,8 @@ def _building(block: Block, order: BuildRequest) -> Iterator[Callable[[], dict[P
         check_sampling(block)
         reference = _reference_run(block)
         shown = {_ICONS[order.fmi]: icon(block)} | reference_results.members(reference, block.name)
-        shown |= terminals(block, order.fmi) if order.with_terminals or order.fmi == 3 else {}
+        if order.with_terminals or order.fmi == 3:
+            shown |= terminals(block, variable_names) if order.fmi == 3 else terminals(block)
 
         def write() -> dict[Path, bytes]:
             built = libraries()

@@ -1,4 +1,4 @@
-"""What FMI 3.0.2 has besides FMI 2.0: arrays, directional and adjoint derivatives, modelDescription.xml.
+"""FMI 3.0.2, where it has more than FMI 2.0: arrays, adjoint derivatives, and its modelDescription.xml.
 
 Scalars of one array are one variable, with the value reference of the first. Time and event indicators are
 variables, with the last value references.
@@ -68,6 +68,11 @@ def array_name(v: BlockVariable) -> str:
     return _INDICES.sub("", v.name)
 
 
+def variable_names(variables: Iterable[BlockVariable]) -> list[str]:
+    """Returns the names of the variables that some scalars become."""
+    return [name for name, *_ in arrays(variables)]
+
+
 def arrays(variables: Iterable[BlockVariable]) -> Iterator[tuple[str, list[int], list[BlockVariable]]]:
     """Yields name, dimensions and scalars of each variable; no dimensions for one that is no array.
 
@@ -98,7 +103,7 @@ def extents(block: Block) -> list[int]:
 
 
 class Mode(NamedTuple):
-    """What is calculated in one mode: expressions by value reference, and the symbols that they follow from.
+    """Mode of an FMU: expressions of what is calculated in it, and the symbols that they follow from.
 
     arguments: symbols t, x, u, p
     known, unknown: value reference -> symbol of what is set, expression of what is calculated

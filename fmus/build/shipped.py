@@ -113,7 +113,7 @@ class _Fmi3Functions(Library):
 
 
 class ShippedFmi3Library(ShippedLibrary):
-    """The same with a library of FMI 3.0."""
+    """An instance of a library of FMI 3.0, likewise."""
 
     library_class = _Fmi3Functions
 

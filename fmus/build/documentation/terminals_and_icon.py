@@ -9,13 +9,14 @@ root for the terminals.
 """
 
 import io
+from collections.abc import Callable, Iterable
 from dataclasses import fields
 from xml.etree import ElementTree
 
 from PIL import Image, ImageDraw, ImageFont
 
 from fmus.block import Block
-from fmus.build.fmi3 import arrays
+from fmus.block.variables import BlockVariable
 from fmus.files import xml_document
 
 SIZE = 512  # pixels, both ways
@@ -79,14 +80,19 @@ def _font(
     return ImageFont.load_default(_px(largest * min(1.0, width / max(length, 1.0))))
 
 
+Names = Callable[[Iterable[BlockVariable]], list[str]]
 PATH = "terminalsAndIcons/terminalsAndIcons.xml"
 _TERMINALS = (("inputs", "input", "Every input"), ("outputs", "output", "Every output"))
 
 
-def terminals(block: Block, fmi: int = 2) -> dict[str, bytes]:
+def _scalars(variables: Iterable[BlockVariable]) -> list[str]:
+    return [v.name for v in variables]
+
+
+def terminals(block: Block, names_of: Names = _scalars) -> dict[str, bytes]:
     """Returns path inside the FMU -> content; nothing for a block without ports.
 
-    fmi: the version of the standard; in FMI 3.0 an array is one member
+    names_of: the names in the FMU of the variables that some scalars of the block become
     """
     root = ElementTree.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     listed = ElementTree.SubElement(root, "Terminals")
@@ -94,8 +100,8 @@ def terminals(block: Block, fmi: int = 2) -> dict[str, bytes]:
         if variables := block.of_causality(causality):
             attributes = {"name": name, "matchingRule": "bus", "description": description}
             terminal = ElementTree.SubElement(listed, "Terminal", attributes)
-            names = [name for name, *_ in arrays(variables)] if fmi == 3 else [v.name for v in variables]
-            for member_name in names:
-                member = {"variableName": member_name, "memberName": member_name, "variableKind": "signal"}
+            for name_of_member in names_of(variables):
+                names = {"variableName": name_of_member, "memberName": name_of_member}
+                member = {**names, "variableKind": "signal"}
                 ElementTree.SubElement(terminal, "TerminalMemberVariable", member)
     return {PATH: xml_document(root)} if len(listed) else {}

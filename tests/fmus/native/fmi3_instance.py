@@ -48,7 +48,7 @@ class Fmi3Instance:
         self._function("set", name)([self.reference(name)], values)
 
     def _function(self, verb: str, name: str) -> Callable[..., Any]:
-        kind = self.variables[name].type
+        kind: str = self.variables[name].type
         return getattr(self.fmu, verb + _FUNCTIONS.get(kind, kind))
 
     def status(self, call: str, *arguments: Any) -> str:

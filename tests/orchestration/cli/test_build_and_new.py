@@ -1,6 +1,7 @@
 """What the commands build and new write, and which blocks they refuse."""
 
 import re
+import zipfile
 from collections.abc import Callable, Mapping
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -33,6 +34,19 @@ def test_build_with_reference_writes_the_files_of_the_cross_check(command: Comma
     files = sorted(f"ExamplePlant{end}" for end in (".fmu", "_in.csv", "_ref.csv", "_ref.opt"))
     assert sorted(printed) == [str(Path("out") / file) for file in files]
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == files
+
+
+def test_build_writes_fmus_of_fmi_3_to_a_folder_of_their_own(command: Command, refused: Command) -> None:
+    assert command("build", "ExamplePlant", "--fmi", "3").stdout == "fmus-built/fmi3/ExamplePlant.fmu\n"
+    description = zipfile.ZipFile("fmus-built/fmi3/ExamplePlant.fmu").read("modelDescription.xml")
+    assert b'<fmiModelDescription fmiVersion="3.0"' in description
+    assert "--fmi: no effect with --cache" in refused("build", "ExamplePlant", "--fmi", "3", "--cache")
+    assert "expected FMI 2.0, or 3.0 in native" in refused(
+        "build", "ExamplePlant", "--fmi", "3", "--flavour", "python"
+    )
+    assert "expected the native flavour and FMI 2.0" in refused(
+        "build", "ExamplePlant", "--fmi", "3", "--reals-only"
+    )
 
 
 def test_new_and_build_make_the_fmu_of_a_file_beside_that_of_an_installed_block(command: Command) -> None:
