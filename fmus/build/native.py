@@ -50,8 +50,9 @@ def content(block: Block, reals_only: bool = False, fmi: int = 2) -> tuple[str, 
     reals_only: whether every variable is a Real, for importers that know no other type
     fmi: the version of the standard, 2 or 3
     """
-    files, sources = COMPILED[fmi], c_sources(block, GUID, reals_only, fmi)  # which checks the declaration
-    description = fmi3.model_description(block, GUID) if fmi == 3 else _description(block)
+    functions, files = traced(block), COMPILED[fmi]
+    sources = c_sources(block, GUID, reals_only, fmi)
+    description = fmi3.model_description(block, GUID) if fmi == 3 else _description(functions)
     members = {
         **{f"sources/{name}": text.encode() for name, text in sources.items()},
         **documentation(block, *files, reals_only=reals_only, fmi=fmi),
@@ -62,10 +63,10 @@ def content(block: Block, reals_only: bool = False, fmi: int = 2) -> tuple[str, 
     return with_guid(members, recipe=" ".join((*COMPILER, *FLAGS)))
 
 
-def _description(block: Block) -> bytes:
+def _description(functions: Traced) -> bytes:
     of_exchange = {"completedIntegratorStepNotNeeded": "true", **_OF_BOTH}
-    exchange = Exchange(of_exchange, present_dependencies(block), _indicators(traced(block)))
-    return model_description(block, GUID, _CAPABILITIES, exchange, COMPILED[2])
+    exchange = Exchange(of_exchange, present_dependencies(functions.block), _indicators(functions))
+    return model_description(functions.block, GUID, _CAPABILITIES, exchange, COMPILED[2])
 
 
 def _build_description(name: str, fmi: int) -> bytes:

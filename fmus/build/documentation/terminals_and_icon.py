@@ -15,7 +15,8 @@ from xml.etree import ElementTree
 
 from PIL import Image, ImageDraw, ImageFont
 
-from fmus.block import Block, BlockVariable
+from fmus.block import Block
+from fmus.block.variables import BlockVariable
 from fmus.files import xml_document
 
 SIZE = 512  # pixels, both ways

@@ -294,6 +294,21 @@ def test_outputs_follow_time_alone_and_states_alone(ball: Path, growth: Path, ex
     assert fmu["height"] == 0.5
 
 
+def test_the_solver_may_set_states_one_by_one(ball: Path, exchange: Load) -> None:
+    fmu = exchange(ball).begin()
+    fmu.event()
+    fmu.model.enterContinuousTimeMode()
+    assert fmu["height"] == 1.0
+    fmu["state.height"] = 0.25
+    assert fmu["height"] == 0.25
+    assert list(fmu.states) == [0.25, 0.0]
+    assert fmu.status(fmu.__setitem__, "state.velocity", math.inf) == "discard"
+    assert fmu.log[-1] == "fmi2SetReal: state.velocity = inf: expected a finite number"
+    fmu.model.enterEventMode()
+    assert fmu.status(fmu.__setitem__, "state.height", 0.5) == "error"
+    assert fmu.log[-1] == "fmi2SetReal: state.height can not be set, it is calculated"
+
+
 def test_without_samples_no_event_is_announced(built: Fmus, exchange: Load) -> None:
     assert exchange(built["ExamplePlant"]).begin().event() == (False, False, False, False, False, 0.0)
 
