@@ -106,6 +106,9 @@ fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
     return fmi2OK;
 }
 
+/* Whether it has this type and a value that is held. */
+static int is_value(unsigned reference, Type type) { return reference < N_VALUES && ACCESS[reference].type == type; }
+
 /* Also continuous states and their derivatives, which are Reals and calculated when they are read. */
 static fmi2Status get_with_locals(Instance *instance, Type type, const fmi2ValueReference vr[], size_t nvr,
                                   fmi2Real value[], const char *function) {

@@ -58,7 +58,7 @@ static void data_reset(Data *d) {
 
 /* A continuous state is marked as changed, whatever it was. */
 static void data_set(Data *d, StepCache *cache, int reference, double value) {
-    if (N_CONTINUOUS && reference >= N_VALUES) {
+    if (N_CONTINUOUS > 0 && reference >= N_VALUES) {
         d->state[reference - N_VALUES] = value;
         d->outputs_are_stale = 1;
         return;

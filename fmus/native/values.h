@@ -16,9 +16,6 @@ static int has_type(unsigned reference, Type type) {
     return reference < N_VARIABLES && ACCESS[reference].type == type;
 }
 
-/* Whether it has this type and a value that is held. */
-static int is_value(unsigned reference, Type type) { return reference < N_VALUES && ACCESS[reference].type == type; }
-
 static Status not_of_type(Instance *instance, Type type, unsigned reference, const char *function) {
     if (reference >= N_VARIABLES)
         return refuse(instance, ERROR, "%s: value reference %u: expected 0..%d of " MODEL_NAME, function, reference,
