@@ -10,8 +10,8 @@ from fmus.compliance.examine import examine
 
 Members = dict[str, bytes]
 # places in the sources of a native FMU
-STEP = 'if (!is_allowed(instance, STEPPING, "fmi2DoStep")) return fmi2Error;'
-GLOBALS = "static const char *const TYPE_NAMES[]"
+STEP = "if (!is_allowed(instance, STEPPING, NAME(DoStep))) return ERROR;"
+GLOBALS = "static const char *const TYPE_TEXTS[]"
 # rule, what our python FMUs declare, and what they might claim
 FALSE_CLAIMS = [
     ("input-derivatives", 'canInterpolateInputs="false"', 'canInterpolateInputs="true"'),
