@@ -57,7 +57,7 @@ static Status update_discrete_states(Instance *instance, const char *null_argume
         return refuse(instance, ERROR, "%s: event at %s s: expected at most the stop time %s s", function,
                       DECIMAL(t), DECIMAL(instance->stop_time));
     const Outcome outcome = data_event(&instance->data, &instance->step_cache, jumped, next, &broken);
-    return report(instance, outcome, &broken, function, 0);
+    return report(instance, outcome, &broken, function, t - instance->data.start_time);
 }
 
 /* 3.2.2; 3.2.3: in continuous-time mode. Without effect: completedIntegratorStepNotNeeded is true. */

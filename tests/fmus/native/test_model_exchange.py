@@ -294,6 +294,36 @@ def test_outputs_follow_time_alone_and_states_alone(ball: Path, growth: Path, ex
     assert fmu["height"] == 0.5
 
 
+def test_a_step_of_a_block_takes_the_inputs_of_its_beginning(growth: Path, exchange: Load) -> None:
+    """An event between two samples changes no input of the step, and keeps its time."""
+    fmu = exchange(growth).begin()
+    fmu.event()
+    fmu.model.enterContinuousTimeMode()
+    for t, value in ((0.05, 1.0), (0.1, 1.0), (0.25, 2.0)):
+        fmu.model.setTime(t)
+        fmu.model.enterEventMode()
+        fmu["factor"] = 2.0
+        fmu.event()
+        assert (fmu["time"], fmu["value"]) == (t, value)
+        fmu.model.enterContinuousTimeMode()
+
+
+def test_samples_of_a_block_are_its_internal_steps(growth: Path, exchange: Load) -> None:
+    fmu = exchange(growth).begin(internal_step=0.03)
+    assert fmu.event()[4:] == (True, 0.025)
+    fmu.model.setTime(1e8)
+    assert fmu.status(fmu.model.newDiscreteStates) == "error"
+    assert fmu.log[-1].endswith("size 1e+08 s: expected at most 1e+09 internal steps")
+
+
+def test_indicators_follow_inputs_at_once(ball: Path, exchange: Load) -> None:
+    fmu = exchange(ball).begin()
+    fmu.event()
+    fmu.model.enterContinuousTimeMode()
+    fmu["lift"] = 5.0
+    assert list(fmu.indicators) == [1.0, 3.0]
+
+
 def test_the_solver_may_set_states_one_by_one(ball: Path, exchange: Load) -> None:
     fmu = exchange(ball).begin()
     fmu.event()

@@ -105,6 +105,23 @@ def test_forged_flags_values_and_outputs_that_no_instance_has_are_refused(sessio
             assert is_taken is (number in good), (name, number)
 
 
+def test_forged_words_of_model_exchange_that_no_instance_has_are_refused(session: Session) -> None:
+    """The last words: interface, number of steps, start time, inputs of the present step and one to spare."""
+    content = bytes(saved(stepping(session)))
+    n_words = 3 + len(EVERYTHING.of_causality("input")) + 1
+    first = len(content) - 8 - 8 * n_words  # before the checksum
+    assert struct.unpack_from("<2q", content, first) == (0, 0)
+    for word, kind, good, bad in (
+        (0, "q", (0,), (1, 2, 3, -1)),  # of model exchange no instance is in step mode
+        (1, "q", (0, 5), (-1,)),
+        (2, "d", (0.0, -2.5), NEVER_FINITE),
+        (3, "d", (0.0, 1e300), NEVER_FINITE),
+    ):
+        for number in (*good, *bad):
+            is_taken = _forged(session, content, first + 8 * word, struct.pack(f"<{kind}", number))
+            assert is_taken is (number in good), (word, number)
+
+
 def _forged(session: Session, content: bytes, position: int, word: bytes) -> bool:
     """Whether the bytes are taken with another word at a place; the instance is as before then."""
     session("get_state", 0, 1)
