@@ -1,0 +1,75 @@
+"""Other people's importers run FMUs of FMI 3.0 for co-simulation as our master runs those of FMI 2.0."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmus.build import builder
+from fmus.fmi.process import Worker
+from orchestration import Experiment, System, simulate
+from tests.importers.fmi3_loops import STEP, Link, Loop, run_in_container, run_in_ecos
+from tests.isolated import answer_of
+from tests.shared_builds import Fmus
+
+pytestmark = pytest.mark.importers
+
+STEPS = 1000
+PLANT, CONTROLLER, REFERENCE, ALLOCATION = NAMES = (
+    "RovDepthPlant", "PidDepthController", "DepthReference", "ThrustAllocation",
+)  # fmt: skip
+OUTPUT = f"{PLANT}.depth"
+DEPTHS = (
+    (f"{REFERENCE}.depth_reference", f"{CONTROLLER}.depth_reference"),
+    (f"{PLANT}.measured_depth", f"{CONTROLLER}.measured_depth"),
+    (f"{CONTROLLER}.demanded_force", f"{ALLOCATION}.control_force"),
+)
+ELEMENTS = tuple((f"{ALLOCATION}.voltage[{i}]", f"{PLANT}.voltage[{i}]") for i in (1, 2))
+ARRAY = ((f"{ALLOCATION}.voltage", f"{PLANT}.voltage"),)
+
+# Ecos adds up its steps, which moves the depth by 6e-13 m in 20 s
+ROUNDING_OF_TIME = 1e-11
+
+
+@pytest.fixture(scope="module")
+def fmi3(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("fmi 3")
+    return {name: builder.build_block(builder.load_block(name), folder, fmi=3) for name in NAMES}
+
+
+@pytest.fixture(scope="module")
+def ours(built: Fmus) -> np.ndarray:
+    system = System({name: built[name] for name in NAMES}, [*DEPTHS, *ELEMENTS])
+    experiment = Experiment(stop_time=STEPS * STEP, step_size=STEP, open_inputs="start")
+    return simulate(system, experiment)[OUTPUT]
+
+
+def answer(worker: Worker, loop: Loop, *others: object) -> np.ndarray:
+    result = answer_of(worker, (loop, *others) if others else loop, 120.0)
+    assert isinstance(result, np.ndarray), result
+    return result
+
+
+def loop(fmus: dict[str, Path], *links: Link) -> Loop:
+    return Loop(fmus, (*DEPTHS, *links), OUTPUT, STEPS)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_fmucontainer_connects_arrays(fmi3: dict[str, Path], ours: np.ndarray, version: int) -> None:
+    """In containers that are FMUs of FMI 2.0 and 3.0."""
+    values = answer(run_in_container, loop(fmi3, *ARRAY), version)
+    assert np.ptp(values) > 0.1
+    np.testing.assert_allclose(values, ours, rtol=0.0, atol=ROUNDING_OF_TIME)
+
+
+def test_ecos_mixes_both_standards(built: Fmus, fmi3: dict[str, Path], ours: np.ndarray) -> None:
+    """FMUs of FMI 3.0 take and give scalars."""
+    mixed = {name: (fmi3 if name in (CONTROLLER, REFERENCE) else built)[name] for name in NAMES}
+    values = answer(run_in_ecos, loop(mixed, *ELEMENTS))
+    assert np.ptp(values) > 0.1
+    np.testing.assert_allclose(values, ours, rtol=0.0, atol=ROUNDING_OF_TIME)
+
+
+def test_ecos_does_not_connect_arrays(fmi3: dict[str, Path]) -> None:
+    """Ecos 0.7.2 reports no error, and nothing moves; its page must change when this fails."""
+    assert not np.any(answer(run_in_ecos, loop(fmi3, *ARRAY)))
