@@ -34,7 +34,12 @@ _CAPABILITIES = {
     "providesDirectionalDerivatives": "true",
     "providesAdjointDerivatives": "true",
 }
-_OF_CO_SIMULATION = {"canHandleVariableCommunicationStepSize": "true", "maxOutputDerivativeOrder": "1"}
+_OF_CO_SIMULATION = {
+    "canHandleVariableCommunicationStepSize": "true",
+    "maxOutputDerivativeOrder": "1",
+    "providesIntermediateUpdate": "true",
+    "canReturnEarlyAfterIntermediateUpdate": "true",
+}
 _INDICES = re.compile(r"\[[\d,]+\]")
 _TIME = "time"
 
@@ -220,6 +225,8 @@ def model_description(block: Block, token: str) -> bytes:
             more["reinit"] = "true"
         elif count <= of_state < 2 * count:
             more["derivative"] = str(v.value_reference - count)
+        elif v.causality in ("input", "output") and v.variability == "continuous":
+            more["intermediateUpdate"] = "true"
         _add_variable(variables, name, shape, [v, *rest], more)
     _add_structure(add(root, "ModelStructure"), block, groups)
     return parsable(root, block)
