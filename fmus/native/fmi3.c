@@ -74,12 +74,10 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
     if (eventModeUsed) return cannot_instantiate(&log, "%s: eventModeUsed: expected false, there is none", function);
     if (nRequiredIntermediateVariables && !requiredIntermediateVariables)
         return cannot_instantiate(&log, "%s: requiredIntermediateVariables is NULL", function);
-    for (size_t i = 0; i < nRequiredIntermediateVariables; i++) {
-        const fmi3ValueReference reference = requiredIntermediateVariables[i];
-        if (!is_intermediate(reference) || !EXTENTS[reference])
+    for (size_t i = 0; i < nRequiredIntermediateVariables; i++)
+        if (!is_intermediate(requiredIntermediateVariables[i]))
             return cannot_instantiate(&log, "%s: value reference %u: expected a variable with intermediateUpdate",
-                                      function, reference);
-    }
+                                      function, requiredIntermediateVariables[i]);
     Instance *instance =
         instantiate(log, (Callback)intermediateUpdate, CO_SIMULATION, instanceName, instantiationToken, function);
     if (instance) instance->can_return_early = earlyReturnAllowed;
@@ -123,11 +121,9 @@ static int are_elements(Instance *instance, int modes, Type type, const fmi3Valu
                    function, vr[i], VARIABLES[vr[i]].name);
             return 0;
         }
-        if (instance->data.mode & INSIDE_STEPS && !is_intermediate(vr[i])) {
-            refuse(instance, fmi3Error, "%s: %s: expected a variable with intermediateUpdate", function,
-                   VARIABLES[vr[i]].name);
-            return 0;
-        }
+        if (instance->data.mode & INSIDE_STEPS && !is_intermediate(vr[i]))
+            return refuse(instance, fmi3Error, "%s: %s: expected a variable with intermediateUpdate", function,
+                          VARIABLES[vr[i]].name), 0;
         expected += EXTENTS[vr[i]];
     }
     if (n == expected) return 1;
@@ -270,27 +266,6 @@ fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference unk
                                     size_t nSeed, fmi3Float64 sensitivity[], size_t nSensitivity) {
     return derive(c, 1, unknowns, nUnknowns, seed, nSeed, knowns, nKnowns, sensitivity, nSensitivity,
                   "fmi3GetAdjointDerivative");
-}
-
-/* 4.2.1: a step ends exactly at its end, unless the importer wants it to end early; no event is needed there, and the
- * simulation goes on. */
-fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 currentCommunicationPoint, fmi3Float64 communicationStepSize,
-                      fmi3Boolean noSetFMUStatePriorToCurrentPoint, fmi3Boolean *eventHandlingNeeded,
-                      fmi3Boolean *terminateSimulation, fmi3Boolean *earlyReturn, fmi3Float64 *lastSuccessfulTime) {
-    Instance *instance = c;
-    (void)noSetFMUStatePriorToCurrentPoint; /* a state is never kept by the FMU itself */
-    if (!instance) return fmi3Error;
-    if (!eventHandlingNeeded || !terminateSimulation || !earlyReturn || !lastSuccessfulTime)
-        return missing(instance, "fmi3DoStep", "a result");
-    fmi3Boolean is_early = fmi3False;
-    const double t = currentCommunicationPoint, h = communicationStepSize;
-    const fmi3Status status =
-        instance->after_step ? do_step_with_updates(instance, t, h, &is_early) : do_step(instance, t, h);
-    if (status != fmi3OK) return status;
-    *eventHandlingNeeded = *terminateSimulation = fmi3False;
-    *earlyReturn = is_early;
-    *lastSuccessfulTime = instance->data.time;
-    return fmi3OK;
 }
 
 /* 4.2.1: at the current time of the instance; a derivative of an order above maxOutputDerivativeOrder is 0. */

@@ -7,7 +7,7 @@
 
 /* The variables with the attribute intermediateUpdate: continuous inputs and outputs. */
 static int is_intermediate(unsigned reference) {
-    return reference >= FIRST_INPUT && reference < N_VALUES && ACCESS[reference].type == REAL;
+    return reference >= FIRST_INPUT && reference < N_VALUES && ACCESS[reference].type == REAL && EXTENTS[reference];
 }
 
 /* One internal step of `data_step`, with the outputs at its end. */
@@ -45,24 +45,39 @@ static Status do_step_with_updates(Instance *instance, double t, double h, fmi3B
     const Data before = *d;
     const double count = internal_steps(d, h), internal = h / count;
     double until = t + h;
-    int broken = 0;
+    int broken = 0, is_good = 1;
     Outcome outcome = count <= MOST_INTERNAL_STEPS ? DONE : TOO_MANY_STEPS;
-    for (double i = 0; outcome == DONE && i < count && !*is_early; i++) {
+    for (double i = 0; is_good && outcome == DONE && i < count && !*is_early; i++) {
         const int is_last = i + 1 == count;
         const double end = is_last ? t + h : t + (i + 1) * internal;
-        int is_good = update(instance, UPDATE_OF_INPUTS, t + (i + 0.5) * internal, 0, &until);
+        is_good = update(instance, UPDATE_OF_INPUTS, t + (i + 0.5) * internal, 0, &until);
         if (is_good) outcome = internal_step(d, &instance->step_cache, t + i * internal, internal, end, &broken);
         if (is_good && outcome == DONE)
             is_good = update(instance, UPDATE_OF_OUTPUTS, end, !is_last && instance->can_return_early, &until);
-        if (!is_good) {
-            *d = before;
-            return refuse(instance, ERROR, NAME(DoStep) ": a call in the intermediate update was an error");
-        }
         *is_early = !is_last && end + internal > until + tolerance_at(t, internal);
     }
-    if (outcome == DONE) return OK;
+    if (is_good && outcome == DONE) return OK;
     *d = before;
-    return report(instance, outcome, &broken, NAME(DoStep), h);
+    return is_good ? report(instance, outcome, &broken, NAME(DoStep), h)
+                   : refuse(instance, ERROR, NAME(DoStep) ": a call in the intermediate update was an error");
+}
+
+/* 4.2.1: a step ends exactly at its end, unless the importer wants it to end early; no event is needed there, and the
+ * simulation goes on. */
+fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 currentCommunicationPoint, fmi3Float64 communicationStepSize,
+                      fmi3Boolean noSetFMUStatePriorToCurrentPoint, fmi3Boolean *eventHandlingNeeded,
+                      fmi3Boolean *terminateSimulation, fmi3Boolean *earlyReturn, fmi3Float64 *lastSuccessfulTime) {
+    Instance *instance = c;
+    (void)noSetFMUStatePriorToCurrentPoint; /* a state is never kept by the FMU itself */
+    if (!instance) return fmi3Error;
+    if (!eventHandlingNeeded || !terminateSimulation || !earlyReturn || !lastSuccessfulTime)
+        return missing(instance, "fmi3DoStep", "a result");
+    const double t = currentCommunicationPoint, h = communicationStepSize;
+    *eventHandlingNeeded = *terminateSimulation = *earlyReturn = fmi3False;
+    const fmi3Status status =
+        instance->after_step ? do_step_with_updates(instance, t, h, earlyReturn) : do_step(instance, t, h);
+    if (status == fmi3OK) *lastSuccessfulTime = instance->data.time;
+    return status;
 }
 
 #endif
