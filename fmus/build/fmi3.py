@@ -25,7 +25,7 @@ from fmus.build.model_description import (
     model_attributes,
     parsable,
 )
-from fmus.build.symbolic import Traced, traced
+from fmus.build.symbolic import Traced, restarted_states, traced
 
 TYPES = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "Enumeration": "Enumeration"}
 _CAPABILITIES = {
@@ -34,7 +34,12 @@ _CAPABILITIES = {
     "providesDirectionalDerivatives": "true",
     "providesAdjointDerivatives": "true",
 }
-_OF_CO_SIMULATION = {"canHandleVariableCommunicationStepSize": "true", "maxOutputDerivativeOrder": "1"}
+_OF_CO_SIMULATION = {
+    "canHandleVariableCommunicationStepSize": "true",
+    "maxOutputDerivativeOrder": "1",
+    "providesIntermediateUpdate": "true",
+    "canReturnEarlyAfterIntermediateUpdate": "true",
+}
 _INDICES = re.compile(r"\[[\d,]+\]")
 _TIME = "time"
 
@@ -212,29 +217,19 @@ def model_description(block: Block, token: str) -> bytes:
     add_experiment(root, block)
     variables = add(root, "ModelVariables")
     groups = [*arrays((*block.variables, *block.states, *others))]
-    restarted = _restarted(block)
+    restarted = restarted_states(block)
     for name, shape, (v, *rest) in groups:
         of_state = v.value_reference - len(block.variables)
         more = {}
-        if 0 <= of_state < count:
-            more["reinit"] = (
-                "true" if restarted.intersection(range(of_state, of_state + 1 + len(rest))) else None
-            )
+        if restarted.intersection(scalar.value_reference for scalar in (v, *rest)):
+            more["reinit"] = "true"
         elif count <= of_state < 2 * count:
             more["derivative"] = str(v.value_reference - count)
+        elif v.causality in ("input", "output") and v.variability == "continuous":
+            more["intermediateUpdate"] = "true"
         _add_variable(variables, name, shape, [v, *rest], more)
     _add_structure(add(root, "ModelStructure"), block, groups)
     return parsable(root, block)
-
-
-def _restarted(block: Block) -> set[int]:
-    """Returns the places of the continuous states that an event may change."""
-    if not block.derivative:
-        return set()
-    functions = traced(block)
-    _, x, *_ = arguments = functions.event.sx_in()
-    after = functions.event(*arguments)
-    return {i for i in range(len(block.states) // 2) if not casadi.is_equal(after[i], x[i])}
 
 
 def _add_variable(

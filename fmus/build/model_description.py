@@ -48,11 +48,13 @@ class Exchange:
     capabilities: the attributes of `ModelExchange` that the flavour decides
     dependencies: value reference of each output and derivative -> those of the inputs and states behind it
     indicators: how many event indicators there are
+    restarted: value references of the states that an event may change
     """
 
     capabilities: dict[str, str]
     dependencies: Mapping[int, Sequence[int]]
     indicators: int
+    restarted: set[int]
 
 
 def model_description(
@@ -90,7 +92,8 @@ def model_description(
     for variable in (*block.variables, *states):
         of_state = variable.value_reference - len(states) // 2
         is_rate = of_state >= len(block.variables) and variable.causality == "local"
-        _variable(variables, variable, str(of_state + 1) if is_rate else None)
+        is_restarted = exchange is not None and variable.value_reference in exchange.restarted
+        _variable(variables, variable, str(of_state + 1) if is_rate else None, is_restarted)
     initial = initial_dependencies(block) if dependencies is None else dependencies
     described = len(block.variables) + len(states)
     initial = {unknown: known for unknown, known in initial.items() if unknown < described}
@@ -186,8 +189,12 @@ def add_enumerations(root: Any, block: Block, add_type: Callable[..., Any] = _en
             add(items, "Item", name=member.name.lower(), value=str(member.value))
 
 
-def _variable(parent: Any, v: BlockVariable, derivative: str | None) -> None:
-    """Adds a variable; derivative: the index of the state that it is the derivative of."""
+def _variable(parent: Any, v: BlockVariable, derivative: str | None, is_restarted: bool) -> None:
+    """Adds a variable.
+
+    derivative: the index of the state that it is the derivative of
+    is_restarted: whether it is a state that an event may change
+    """
     source = f" ({v.source})" if v.source else ""
     scalar = add(
         parent,
@@ -214,6 +221,7 @@ def _variable(parent: Any, v: BlockVariable, derivative: str | None) -> None:
         **units,
         start=start,
         derivative=derivative,
+        reinit="true" if is_restarted else None,
     )
 
 

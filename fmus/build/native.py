@@ -23,7 +23,7 @@ from fmus.block.variables import BlockVariable
 from fmus.build import fmi3
 from fmus.build.documentation.page import documentation, licenses
 from fmus.build.model_description import GUID, Exchange, model_description, with_guid
-from fmus.build.symbolic import Traced, present_dependencies, traced
+from fmus.build.symbolic import Traced, present_dependencies, restarted_states, traced
 from fmus.errors import ExportError
 from fmus.files import xml_document
 from fmus.fmi.integer_enumerations import REALS_ONLY, with_other_types
@@ -65,8 +65,11 @@ def content(block: Block, reals_only: bool = False, fmi: int = 2) -> tuple[str, 
 
 def _description(functions: Traced) -> bytes:
     of_exchange = {"completedIntegratorStepNotNeeded": "true", **_OF_BOTH}
-    exchange = Exchange(of_exchange, present_dependencies(functions.block), _indicators(functions))
-    return model_description(functions.block, GUID, _CAPABILITIES, exchange, COMPILED[2])
+    block = functions.block
+    exchange = Exchange(
+        of_exchange, present_dependencies(block), _indicators(functions), restarted_states(block)
+    )
+    return model_description(block, GUID, _CAPABILITIES, exchange, COMPILED[2])
 
 
 def _build_description(name: str, fmi: int) -> bytes:

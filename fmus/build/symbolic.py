@@ -242,3 +242,14 @@ def present_dependencies(block: Block) -> dict[int, tuple[int, ...]]:
     for row, column in zip(*triplets, strict=True):
         dependencies[unknowns[row].value_reference].append(knowns[column].value_reference)
     return {unknown: tuple(sorted(known)) for unknown, known in dependencies.items()}
+
+
+def restarted_states(block: Block) -> set[int]:
+    """Returns the value references of the continuous states that an event may change."""
+    if not block.derivative:
+        return set()
+    functions = traced(block)
+    _, x, *_ = arguments = functions.event.sx_in()
+    after = functions.event(*arguments)
+    states = block.states[: len(block.states) // 2]
+    return {v.value_reference for i, v in enumerate(states) if not casadi.is_equal(after[i], x[i])}

@@ -23,6 +23,7 @@
 #define TYPE_NAMES "Real", "Integer or Enumeration", "Boolean"
 #define GUID_NAME "GUID"
 #define EVENT_TOO EVENT /* functions of continuous-time mode that event mode allows too */
+#define INSIDE_STEPS 0 /* modes of callbacks in a step */
 #define LOG_ESCAPED "%#" /* 2.1.5: the message is a format of printf, in which #r1# is a variable */
 /* Names of FMI 3.0 that are others in FMI 2.0. */
 #define FMUState FMUstate

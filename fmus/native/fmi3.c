@@ -13,13 +13,14 @@
 #define TYPE_NAMES "Float64", "Int32", "Boolean", "Int64 or Enumeration"
 #define GUID_NAME "instantiation token"
 #define EVENT_TOO 0
+#define INSIDE_STEPS (UPDATE_OF_INPUTS | UPDATE_OF_OUTPUTS | UPDATE_IN_ERROR)
 #define LOG_ESCAPED "#" /* 2.3.1: #1# is a variable */
 
 #include "absent.h"
 #include "exchange.h"
 #include "lifecycle.h"
 #include "states.h"
-#include "steps.h"
+#include "updates.h"
 #include "values.h"
 
 /* 2.2.5: in every state, also without an instance. */
@@ -57,7 +58,8 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String in
     return instantiate(log, NULL, INITIAL_EXCHANGE, instanceName, instantiationToken, "fmi3InstantiateModelExchange");
 }
 
-/* 2.3.1: hasEventMode is false, so that `eventModeUsed` is an error; steps never return early. */
+/* 2.3.1: hasEventMode is false, so that `eventModeUsed` is an error. Which variables the importer will get and set in
+ * intermediate updates makes no difference, but they must be of those that can be. */
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String instantiationToken,
                                          fmi3String resourcePath, fmi3Boolean visible, fmi3Boolean loggingOn,
                                          fmi3Boolean eventModeUsed, fmi3Boolean earlyReturnAllowed,
@@ -68,13 +70,18 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
                                          fmi3IntermediateUpdateCallback intermediateUpdate) {
     static const char *const function = "fmi3InstantiateCoSimulation";
     const Log log = {(Callback)logMessage, instanceEnvironment, "", loggingOn ? LOG_ALL : 0};
-    (void)resourcePath, (void)visible, (void)earlyReturnAllowed;
-    (void)requiredIntermediateVariables, (void)intermediateUpdate;
+    (void)resourcePath, (void)visible;
     if (eventModeUsed) return cannot_instantiate(&log, "%s: eventModeUsed: expected false, there is none", function);
-    if (nRequiredIntermediateVariables)
-        return cannot_instantiate(&log, "%s: %lu required intermediate variables: expected none", function,
-                                  (unsigned long)nRequiredIntermediateVariables);
-    return instantiate(log, NULL, CO_SIMULATION, instanceName, instantiationToken, function);
+    if (nRequiredIntermediateVariables && !requiredIntermediateVariables)
+        return cannot_instantiate(&log, "%s: requiredIntermediateVariables is NULL", function);
+    for (size_t i = 0; i < nRequiredIntermediateVariables; i++)
+        if (!is_intermediate(requiredIntermediateVariables[i]))
+            return cannot_instantiate(&log, "%s: value reference %u: expected a variable with intermediateUpdate",
+                                      function, requiredIntermediateVariables[i]);
+    Instance *instance =
+        instantiate(log, (Callback)intermediateUpdate, CO_SIMULATION, instanceName, instantiationToken, function);
+    if (instance) instance->can_return_early = earlyReturnAllowed;
+    return instance;
 }
 
 /* 2.3.1. */
@@ -114,6 +121,9 @@ static int are_elements(Instance *instance, int modes, Type type, const fmi3Valu
                    function, vr[i], VARIABLES[vr[i]].name);
             return 0;
         }
+        if (instance->data.mode & INSIDE_STEPS && !is_intermediate(vr[i]))
+            return refuse(instance, fmi3Error, "%s: %s: expected a variable with intermediateUpdate", function,
+                          VARIABLES[vr[i]].name), 0;
         expected += EXTENTS[vr[i]];
     }
     if (n == expected) return 1;
@@ -123,7 +133,7 @@ static int are_elements(Instance *instance, int modes, Type type, const fmi3Valu
 
 static fmi3Status check_get(Instance *instance, Type type, const fmi3ValueReference vr[], size_t nvr,
                             const void *values, size_t n, const char *function) {
-    if (!are_elements(instance, READABLE, type, vr, nvr, values, n, function)) return fmi3Error;
+    if (!are_elements(instance, READABLE | UPDATE_OF_OUTPUTS, type, vr, nvr, values, n, function)) return fmi3Error;
     return instance->data.outputs_are_stale ? refreshed(instance, type, vr, nvr, function) : fmi3OK;
 }
 
@@ -258,22 +268,6 @@ fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference unk
                   "fmi3GetAdjointDerivative");
 }
 
-/* 4.2.1: a step ends exactly at its end, which needs no event and does not end the simulation. */
-fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 currentCommunicationPoint, fmi3Float64 communicationStepSize,
-                      fmi3Boolean noSetFMUStatePriorToCurrentPoint, fmi3Boolean *eventHandlingNeeded,
-                      fmi3Boolean *terminateSimulation, fmi3Boolean *earlyReturn, fmi3Float64 *lastSuccessfulTime) {
-    Instance *instance = c;
-    (void)noSetFMUStatePriorToCurrentPoint; /* a state is never kept by the FMU itself */
-    if (!instance) return fmi3Error;
-    if (!eventHandlingNeeded || !terminateSimulation || !earlyReturn || !lastSuccessfulTime)
-        return missing(instance, "fmi3DoStep", "a result");
-    const fmi3Status status = do_step(instance, currentCommunicationPoint, communicationStepSize);
-    if (status != fmi3OK) return status;
-    *eventHandlingNeeded = *terminateSimulation = *earlyReturn = fmi3False;
-    *lastSuccessfulTime = instance->data.time;
-    return fmi3OK;
-}
-
 /* 4.2.1: at the current time of the instance; a derivative of an order above maxOutputDerivativeOrder is 0. */
 fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference vr[], size_t nvr,
                                     const fmi3Int32 orders[], fmi3Float64 values[], size_t nValues) {
@@ -281,7 +275,8 @@ fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference vr[
     Instance *instance = c;
     double rate[N_OUTPUTS + 1];
     if (!is_of(instance, CO_SIMULATION, function)) return fmi3Error;
-    if (!are_elements(instance, HAS_STEPPED, REAL, vr, nvr, values, nValues, function)) return fmi3Error;
+    if (!are_elements(instance, HAS_STEPPED | UPDATE_OF_OUTPUTS, REAL, vr, nvr, values, nValues, function))
+        return fmi3Error;
     if (!are_orders(instance, vr, orders, nvr, function)) return fmi3Error;
     if (!are_outputs(instance, vr, nvr, function)) return fmi3Error;
     if (output_rates(instance, rate, function) != fmi3OK) return fmi3Error;

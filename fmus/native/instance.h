@@ -216,10 +216,13 @@ static Outcome data_step(Data *d, StepCache *cache, double t, double h, const do
     return DONE;
 }
 
-/* Of a model without derivative, for model exchange [s]: the suggested step size, in equal internal steps. */
-static double sample_time(const Data *d) {
-    return MODEL_STEP_SIZE / fmax(1, ceil(MODEL_STEP_SIZE / d->value[INTERNAL_STEP] * (1 - 1e-9)));
+/* In how many internal steps `data_step` takes a step of size h. */
+static INLINED double internal_steps(const Data *d, double h) {
+    return fmax(1, ceil(h / d->value[INTERNAL_STEP] * (1 - 1e-9)));
 }
+
+/* Of a model without derivative, for model exchange [s]: the suggested step size, in equal internal steps. */
+static double sample_time(const Data *d) { return MODEL_STEP_SIZE / internal_steps(d, MODEL_STEP_SIZE); }
 
 /* An event of model exchange: samples that are due are taken. `next`: the time of the next [s], infinite if none
  * is known; `jumped`: whether continuous states have changed. A model without derivative steps: each internal step, with

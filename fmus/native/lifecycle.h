@@ -42,8 +42,10 @@ static void *instantiate(Log log, Callback after_step, Face face, const char *na
     return instance;
 }
 
-/* 2.1.5; 4.2.4: in every state. NULL is ignored. */
-void FMI(FreeInstance)(void *c) { free(c); }
+/* 2.1.5; 4.2.4: in every state but inside a step. NULL is ignored. */
+void FMI(FreeInstance)(void *c) {
+    if (is_allowed(c, OUTSIDE_STEPS, NAME(FreeInstance))) free(c);
+}
 
 /* 2.1.6; 4.2.4: when instantiated. The stop time must be after the start time, if it is defined. A tolerance is not
  * used: there is no solver with error control inside. */
@@ -85,10 +87,11 @@ Status FMI(Terminate)(void *c) {
     return OK;
 }
 
-/* 2.1.6; 4.2.4: in every state. As after the instantiation, also from an error; the log categories stay. */
+/* 2.1.6; 4.2.4: in every state but inside a step. As after the instantiation, also from an error; the log categories
+ * stay. */
 Status FMI(Reset)(void *c) {
     Instance *instance = c;
-    if (!instance) return ERROR;
+    if (!is_allowed(instance, OUTSIDE_STEPS, NAME(Reset))) return ERROR;
     instance_reset(instance);
     return OK;
 }

@@ -1,4 +1,4 @@
-/* Functions of FMI for saved states (2.1.8), in every state of the instance. */
+/* Functions of FMI for saved states (2.1.8), in every state of the instance but inside a step. */
 
 #ifndef STATES_H
 #define STATES_H
@@ -8,7 +8,7 @@
 
 static const Snapshot *own_snapshot(Instance *instance, void *FMUState, const char *function) {
     const Snapshot *snapshot = FMUState;
-    if (!instance) return NULL;
+    if (!is_allowed(instance, OUTSIDE_STEPS, function)) return NULL;
     if (snapshot && !strcmp(snapshot->guid, MODEL_GUID)) return snapshot;
     refuse(instance, ERROR, snapshot ? "%s: the state is another FMU's" : "%s: " TEXT(FMUState) " is NULL", function);
     return NULL;
@@ -17,7 +17,7 @@ static const Snapshot *own_snapshot(Instance *instance, void *FMUState, const ch
 Status FMI(GetFMUState)(void *c, void **FMUState) {
     Instance *instance = c;
     Snapshot *snapshot;
-    if (!instance) return ERROR;
+    if (!is_allowed(instance, OUTSIDE_STEPS, NAME(GetFMUState))) return ERROR;
     if (!FMUState) return missing(instance, NAME(GetFMUState), TEXT(FMUState));
     if (*FMUState && !own_snapshot(instance, *FMUState, NAME(GetFMUState))) return ERROR;
     snapshot = *FMUState ? *FMUState : calloc(1, sizeof *snapshot);
@@ -40,7 +40,7 @@ Status FMI(SetFMUState)(void *c, void *FMUState) {
 
 Status FMI(FreeFMUState)(void *c, void **FMUState) {
     Instance *instance = c;
-    if (!instance) return ERROR;
+    if (!is_allowed(instance, OUTSIDE_STEPS, NAME(FreeFMUState))) return ERROR;
     if (!FMUState || !*FMUState) return OK; /* 2.1.8: ignored */
     free(*FMUState);
     *FMUState = NULL;
@@ -70,7 +70,7 @@ Status FMI(DeserializeFMUState)(void *c, const FMI(Byte) serializedState[], size
     Instance *instance = c;
     Snapshot restored;
     const char *reason;
-    if (!instance) return ERROR;
+    if (!is_allowed(instance, OUTSIDE_STEPS, NAME(DeserializeFMUState))) return ERROR;
     if (!serializedState) return missing(instance, NAME(DeserializeFMUState), "serializedState");
     if (!FMUState) return missing(instance, NAME(DeserializeFMUState), TEXT(FMUState));
     if (*FMUState && !own_snapshot(instance, *FMUState, NAME(DeserializeFMUState))) return ERROR;

@@ -10,7 +10,9 @@
 typedef enum { REAL, INTEGER, BOOLEAN, ENUMERATION } Type; /* FMI 2.0 has enumerations as integers */
 
 /* States of FMI 2.0.5, one bit each: of co-simulation (figure 11), in which a step is never in progress when the
- * importer calls, and of model exchange (figure 5), which has two in place of STEPPING. */
+ * importer calls, and of model exchange (figure 5), which has two in place of STEPPING. Of FMI 3.0.2 (4.2.2), in the
+ * callback of a step, the intermediate update mode: in two halves, which allow no call in common, and after an error,
+ * where none is allowed. */
 typedef enum {
     INSTANTIATED = 1,
     INITIALIZATION = 2,
@@ -18,16 +20,19 @@ typedef enum {
     TERMINATED = 8,
     IN_ERROR = 16,
     EVENT = 32,
-    CONTINUOUS_TIME = 64
+    CONTINUOUS_TIME = 64,
+    UPDATE_OF_INPUTS = 128,
+    UPDATE_OF_OUTPUTS = 256,
+    UPDATE_IN_ERROR = 512
 } Mode;
 
 /* In which of them a variable can be set: never what is calculated, fixed parameters until stepping begins, tunable
- * parameters and discrete inputs not in continuous-time mode. */
+ * parameters and discrete inputs not in continuous-time mode, nor inside a step. */
 enum {
     NEVER = 0,
     BEFORE_STEPPING = INSTANTIATED | INITIALIZATION,
     AT_POINTS = BEFORE_STEPPING | STEPPING | EVENT,
-    ALWAYS = AT_POINTS | CONTINUOUS_TIME
+    ALWAYS = AT_POINTS | CONTINUOUS_TIME | UPDATE_OF_INPUTS
 };
 
 typedef struct {

@@ -4,10 +4,12 @@ import dataclasses
 import math
 import random
 import re
+import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from ctypes import POINTER, byref, c_double, c_int, c_size_t, c_uint, c_void_p
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import fmpy
 import numpy as np
@@ -90,6 +92,15 @@ def test_states_and_their_derivatives_are_variables(ball: Path, exchange: Load) 
     assert list(fmu.rates) == [fmu["der(state.height)"], fmu["der(state.velocity)"]] == [0.0, -8.0]
     assert list(fmu.nominals) == [2.0, 1.0]
     assert list(fmu.indicators) == [1.0, -2.0]
+
+
+def test_a_state_that_an_event_may_change_has_reinit(ball: Path, growth: Path) -> None:
+    """FMI 2.0.5, 2.2.7: a bounce changes the velocity, nothing changes another state."""
+    for path, expected in ((ball, ["state.velocity"]), (growth, [])):
+        with zipfile.ZipFile(path) as archive:
+            description = ElementTree.fromstring(archive.read("modelDescription.xml"))
+        variables = description.iterfind("ModelVariables/ScalarVariable[Real]")
+        assert [v.get("name") for v in variables if v.find("Real[@reinit]") is not None] == expected
 
 
 def test_dependencies_are_those_of_the_equations(ball: Path, exchange: Load) -> None:

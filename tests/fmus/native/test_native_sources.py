@@ -34,7 +34,7 @@ OUR_OWN = (
     "exchange.h", "instance.h", "lifecycle.h", "log.h", "model.h", "refusals.h", "snapshot.h", "states.h",
     "steps.h", "values.h",
 )  # fmt: skip
-OF_STANDARD = {2: ("derivatives.h", "fmi2.c"), 3: ("absent.h", "fmi3.c")}
+OF_STANDARD = {2: ("derivatives.h", "fmi2.c"), 3: ("absent.h", "fmi3.c", "updates.h")}
 
 
 # FMI 2.0 has 44 functions, of which two macros make six; FMI 3.0 has 75, of which macros make 40
