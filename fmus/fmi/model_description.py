@@ -109,6 +109,15 @@ class CoSimulation:
 
 
 @dataclass(eq=False)
+class ModelExchange:
+    """Numbers of continuous states and event indicators, and whether steps of the solver are completed."""
+
+    states: int
+    eventIndicators: int
+    needsCompletedIntegratorStep: bool
+
+
+@dataclass(eq=False)
 class DefaultExperiment:
     startTime: str | None
     stopTime: str | None
@@ -119,7 +128,8 @@ class DefaultExperiment:
 class ModelDescription:
     """The description of an FMU.
 
-    coSimulation: None for an FMU of model exchange alone
+    coSimulation: of an FMU for model exchange alone what a solver makes of its capabilities
+    modelExchange: None for an FMU for co-simulation, also of one that has both interfaces
     is_own_build: whether a build of this user wrote the file, which the description itself cannot prove
     """
 
@@ -128,7 +138,8 @@ class ModelDescription:
     guid: str
     description: str | None
     generationTool: str | None
-    coSimulation: CoSimulation | None
+    coSimulation: CoSimulation
+    modelExchange: ModelExchange | None
     defaultExperiment: DefaultExperiment | None
     unitDefinitions: list[Unit]
     modelVariables: list[ScalarVariable]
@@ -143,14 +154,17 @@ def model_description(root: Element) -> ModelDescription:
         definition.name: definition for definition in map(_simple_type, root.findall("TypeDefinitions/*"))
     }
     variables = [_variable(element, types) for element in root.findall("ModelVariables/ScalarVariable")]
-    interface, experiment = root.find("CoSimulation"), root.find("DefaultExperiment")
+    exchange, experiment = None, root.find("DefaultExperiment")
+    if (interface := root.find("CoSimulation")) is None:
+        interface, exchange = _model_exchange(root)
     return ModelDescription(
         fmiVersion=_required(root, "fmiVersion"),
         modelName=root.get("modelName", ""),
         guid=root.get("guid", ""),
         description=root.get("description"),
         generationTool=root.get("generationTool"),
-        coSimulation=None if interface is None else _co_simulation(interface),
+        coSimulation=_co_simulation(interface),
+        modelExchange=exchange,
         defaultExperiment=None
         if experiment is None
         else DefaultExperiment(*map(experiment.get, ("startTime", "stopTime", "stepSize"))),
@@ -172,6 +186,20 @@ def _required(element: Element, attribute: str) -> str:
 def _co_simulation(element: Element) -> CoSimulation:
     capabilities = {f.name: element.get(f.name) in ("true", "1") for f in fields(CoSimulation)[1:]}
     return CoSimulation(element.get("modelIdentifier", ""), **capabilities)
+
+
+def _model_exchange(root: Element) -> tuple[Element, ModelExchange]:
+    """Returns the interface of an FMU for model exchange as if it were that of co-simulation, and its own."""
+    interface = root.find("ModelExchange")
+    if interface is None:
+        raise ValueError("neither CoSimulation nor ModelExchange: expected one of them at least")
+    exchange = ModelExchange(
+        len(root.findall("ModelStructure/Derivatives/Unknown")),
+        int(root.get("numberOfEventIndicators", "0")),
+        interface.get("completedIntegratorStepNotNeeded") not in ("true", "1"),
+    )
+    # a solver makes steps of any size
+    return Element("CoSimulation", interface.attrib, canHandleVariableCommunicationStepSize="true"), exchange
 
 
 def _simple_type(element: Element) -> SimpleType:

@@ -79,8 +79,12 @@ class LoadedSystem:
                 self._instances, self._loaded = instances, loading.pop_all()
 
     def _load(self, name: str, loading: ExitStack) -> FmuInstance:
-        instance = FmuInstance(name, self.system.components[name], self._descriptions[name])
-        return loading.enter_context(instance)
+        path, description = self.system.components[name], self._descriptions[name]
+        if description.modelExchange is None:
+            return loading.enter_context(FmuInstance(name, path, description))
+        from fmus.fmi.model_exchange import ModelExchangeInstance  # FMPy takes time to import
+
+        return loading.enter_context(ModelExchangeInstance(name, path, description))
 
     def close(self) -> None:
         """Frees every instance; the next run loads them again."""
@@ -184,8 +188,7 @@ class Simulator(LoadedSystem):
 
     def _check_can_load_twice(self) -> None:
         for name, description in self._descriptions.items():
-            interface = description.coSimulation
-            if interface and interface.canBeInstantiatedOnlyOncePerProcess:
+            if description.coSimulation.canBeInstantiatedOnlyOncePerProcess:
                 raise SystemDefinitionError(
                     f"error_estimate: {name} can be instantiated only once in a process: "
                     "expected run(experiment), which makes the second run after the first"
