@@ -110,11 +110,10 @@ class CoSimulation:
 
 @dataclass(eq=False)
 class ModelExchange:
-    """Numbers of continuous states and event indicators, and whether steps of the solver are completed."""
+    """Numbers of continuous states and event indicators."""
 
     states: int
     eventIndicators: int
-    needsCompletedIntegratorStep: bool
 
 
 @dataclass(eq=False)
@@ -196,7 +195,6 @@ def _model_exchange(root: Element) -> tuple[Element, ModelExchange]:
     exchange = ModelExchange(
         len(root.findall("ModelStructure/Derivatives/Unknown")),
         int(root.get("numberOfEventIndicators", "0")),
-        interface.get("completedIntegratorStepNotNeeded") not in ("true", "1"),
     )
     # a solver makes steps of any size
     return Element("CoSimulation", interface.attrib, canHandleVariableCommunicationStepSize="true"), exchange

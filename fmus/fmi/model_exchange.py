@@ -133,12 +133,11 @@ class ModelExchangeInstance(FmuInstance):
                 self._reached = end
             else:
                 self._reached, is_event = self._solver.advance(end)
-            if self._exchange.needsCompletedIntegratorStep:
-                enters, terminates = ctypes.c_int(), ctypes.c_int()
-                flags = ctypes.byref(enters), ctypes.byref(terminates)
-                self._checked("fmi2CompletedIntegratorStep", no_going_back, *flags)
-                self._end_if(terminates.value)
-                is_event = is_event or bool(enters.value)
+            enters, terminates = ctypes.c_int(), ctypes.c_int()
+            flags = ctypes.byref(enters), ctypes.byref(terminates)
+            self._checked("fmi2CompletedIntegratorStep", no_going_back, *flags)
+            self._end_if(terminates.value)
+            is_event = is_event or bool(enters.value)
 
     def _handle_event(self) -> None:
         """Calls fmi2NewDiscreteStates until no new discrete states are needed."""

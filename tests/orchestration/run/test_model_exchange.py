@@ -15,11 +15,13 @@ from fmus.errors import FmuWarning
 from fmus.fmi.binding import DISCARD, ERROR, OK, WARNING
 from fmus.fmi.description import describe
 from fmus.fmi.model_exchange import ModelExchangeInstance
+from orchestration.cli.package_fmus import build_ramp_source
 from orchestration.errors import FmuLoadError, SimulationError
+from orchestration.exchange import ssp_read, ssp_write
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator, simulate
 from orchestration.run.checkpoint import Checkpoints, read_checkpoint
-from orchestration.scenarios.scenario import load_scenario
+from orchestration.scenarios.scenario import load, load_scenario
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.system import System
 from tests.described_fmus import XML, members
@@ -202,6 +204,22 @@ def test_a_call_that_fails_ends_the_run_with_its_name(
     assert capfd.readouterr().err == ""
 
 
+def test_a_run_with_a_time_limit_and_an_ssp_package_take_it(tmp_path: Path) -> None:
+    system = exchange(tmp_path)
+    (tmp_path / "mine.toml").write_text(
+        '[components]\nm = "Exchange.fmu"\n[inputs]\n"m.u" = 0.2\n[experiment]\nopen_inputs = "start"\n'
+        "start_time = 0.5\nstop_time = 4.5\nstep_size = 0.04\n"
+    )
+    written = load(tmp_path / "mine.toml")
+    expected = simulate(system, written.experiment)
+    assert np.array_equal(simulate(system, written.experiment, timeout=60.0).values, expected.values)
+    package = ssp_write.package(written, tmp_path / "mine.ssp", build_ramp_source)
+    assert b'implementation="ModelExchange"' in members(package)["SystemStructure.ssd"]
+    with ssp_read.opened(package) as read:
+        recording = simulate(read.system, read.experiment)
+    assert np.array_equal(recording["m.x"], expected["m.x"])
+
+
 @pytest.fixture
 def instance(tmp_path: Path) -> Iterator[ModelExchangeInstance]:
     path = exchange(tmp_path).components["m"]
@@ -236,6 +254,43 @@ def test_a_discard_shortens_steps_of_the_solver_and_a_warning_is_returned(
     assert instance.last_successful_time() == (0.5 if expected == DISCARD else 0.54)
     assert not instance.terminates()
     assert instance.status("fmi2DoStep", 0.54, 0.04, 1) == (ERROR if expected == DISCARD else OK)
+
+
+def completing(instance: ModelExchangeInstance, enters: int, terminates: int) -> list[str]:
+    """Lets the first completed step ask for an event or the end; returns the calls, which follow."""
+    calls = list[str]()
+
+    def completed(handle: Any, no_going_back: int, enter_event_mode: Any, terminate: Any) -> int:
+        calls.append("completed")
+        is_first = len(calls) == 1
+        enter_event_mode._obj.value, terminate._obj.value = is_first * enters, is_first * terminates
+        return OK
+
+    enter = instance.library.fmi2EnterEventMode
+    entered = lambda handle: calls.append("event") or enter(handle)  # noqa: E731
+    vars(instance.library).update(fmi2CompletedIntegratorStep=completed, fmi2EnterEventMode=entered)
+    return calls
+
+
+def test_each_step_of_the_solver_is_completed_and_may_be_followed_by_an_event(
+    instance: ModelExchangeInstance,
+) -> None:
+    calls = completing(instance, enters=1, terminates=0)
+    initialised(instance)
+    assert instance.status("fmi2DoStep", 0.5, 0.04, 1) == OK
+    assert calls == ["completed", "event", *["completed"] * (len(calls) - 3), "event"]
+    assert len(calls) > 10
+
+
+def test_a_completed_step_may_end_the_simulation(instance: ModelExchangeInstance) -> None:
+    calls = completing(instance, enters=0, terminates=1)
+    initialised(instance)
+    assert instance.status("fmi2DoStep", 0.5, 0.04, 1) == DISCARD
+    assert calls == ["completed"]
+    assert instance.terminates()
+    reached = instance.last_successful_time()
+    assert reached is not None
+    assert 0.5 < reached < 0.54
 
 
 def test_a_warning_of_the_first_event_is_a_warning(instance: ModelExchangeInstance) -> None:
