@@ -8,8 +8,7 @@ from pathlib import Path
 from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, behaviour, judged
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.library_reader import check_lief, close_reader, no_library, start_reading
-from fmus.compliance.rule import Result, Stage, registered
-from fmus.compliance.rules.description import SCHEMA
+from fmus.compliance.rule import SCHEMA, Result, Stage, registered
 
 _STATIC = (Stage.FILE, Stage.DESCRIPTION, Stage.LIBRARY)
 

@@ -277,5 +277,5 @@ def _library(path: Path, description: ModelDescription, folder: Path) -> Library
         raise FmuLoadError(f"{path} has no binary for {platform_name()}{named}: it has {available}{hint}")
     needed = [name for name in names if name == member or name.startswith("resources/")]
     extract_archive(path, folder, needed if is_independent(description) else None)
-    interface = binding.MODEL_EXCHANGE if description.modelExchange else binding.CO_SIMULATION
+    interface = binding.MODEL_EXCHANGE if description.is_model_exchange else binding.CO_SIMULATION
     return Library(folder / member, interface)

@@ -6,7 +6,7 @@ import than a run takes.
 # ruff: noqa: N815  (names of the standard)
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from xml.etree.ElementTree import Element
 
 from fmus.fmi.variable_types import INTEGER_RANGE, TRANSFER_TYPE, TYPES
@@ -109,14 +109,6 @@ class CoSimulation:
 
 
 @dataclass(eq=False)
-class ModelExchange:
-    """Numbers of continuous states and event indicators."""
-
-    states: int
-    eventIndicators: int
-
-
-@dataclass(eq=False)
 class DefaultExperiment:
     startTime: str | None
     stopTime: str | None
@@ -128,7 +120,7 @@ class ModelDescription:
     """The description of an FMU.
 
     coSimulation: of an FMU for model exchange alone what a solver makes of its capabilities
-    modelExchange: None for an FMU for co-simulation, also of one that has both interfaces
+    is_model_exchange: whether it is for model exchange alone
     is_own_build: whether a build of this user wrote the file, which the description itself cannot prove
     """
 
@@ -138,12 +130,14 @@ class ModelDescription:
     description: str | None
     generationTool: str | None
     coSimulation: CoSimulation
-    modelExchange: ModelExchange | None
     defaultExperiment: DefaultExperiment | None
     unitDefinitions: list[Unit]
     modelVariables: list[ScalarVariable]
     outputs: list[Unknown]
     initialUnknowns: list[Unknown]
+    numberOfContinuousStates: int
+    numberOfEventIndicators: int
+    is_model_exchange: bool
     is_own_build: bool = False
 
 
@@ -153,17 +147,14 @@ def model_description(root: Element) -> ModelDescription:
         definition.name: definition for definition in map(_simple_type, root.findall("TypeDefinitions/*"))
     }
     variables = [_variable(element, types) for element in root.findall("ModelVariables/ScalarVariable")]
-    exchange, experiment = None, root.find("DefaultExperiment")
-    if (interface := root.find("CoSimulation")) is None:
-        interface, exchange = _model_exchange(root)
+    interface, experiment = root.find("CoSimulation"), root.find("DefaultExperiment")
     return ModelDescription(
         fmiVersion=_required(root, "fmiVersion"),
         modelName=root.get("modelName", ""),
         guid=root.get("guid", ""),
         description=root.get("description"),
         generationTool=root.get("generationTool"),
-        coSimulation=_co_simulation(interface),
-        modelExchange=exchange,
+        coSimulation=_model_exchange(root) if interface is None else _co_simulation(interface),
         defaultExperiment=None
         if experiment is None
         else DefaultExperiment(*map(experiment.get, ("startTime", "stopTime", "stepSize"))),
@@ -171,6 +162,9 @@ def model_description(root: Element) -> ModelDescription:
         modelVariables=variables,
         outputs=_unknowns(root, "Outputs", variables),
         initialUnknowns=_unknowns(root, "InitialUnknowns", variables),
+        numberOfContinuousStates=len(root.findall("ModelStructure/Derivatives/Unknown")),
+        numberOfEventIndicators=int(root.get("numberOfEventIndicators", "0")),
+        is_model_exchange=interface is None,
     )
 
 
@@ -187,17 +181,12 @@ def _co_simulation(element: Element) -> CoSimulation:
     return CoSimulation(element.get("modelIdentifier", ""), **capabilities)
 
 
-def _model_exchange(root: Element) -> tuple[Element, ModelExchange]:
-    """Returns the interface of an FMU for model exchange as if it were that of co-simulation, and its own."""
+def _model_exchange(root: Element) -> CoSimulation:
+    """Returns the interface for model exchange as if it were for co-simulation: a solver takes any step."""
     interface = root.find("ModelExchange")
     if interface is None:
         raise ValueError("neither CoSimulation nor ModelExchange: expected one of them at least")
-    exchange = ModelExchange(
-        len(root.findall("ModelStructure/Derivatives/Unknown")),
-        int(root.get("numberOfEventIndicators", "0")),
-    )
-    # a solver makes steps of any size
-    return Element("CoSimulation", interface.attrib, canHandleVariableCommunicationStepSize="true"), exchange
+    return replace(_co_simulation(interface), canHandleVariableCommunicationStepSize=True)
 
 
 def _simple_type(element: Element) -> SimpleType:

@@ -18,7 +18,7 @@ from fmpy.sundials.cvode import CV_ROOT_RETURN, CVode
 from fmpy.sundials.libraries import sundials_core, sundials_cvode
 from fmpy.sundials.sundials_context import SUNContext_PushErrHandler
 
-from fmus.fmi.binding import DISCARD, ERROR, MODEL_EXCHANGE, OK, TERMINATED, WARNING, status_name
+from fmus.fmi.binding import DISCARD, ERROR, MODEL_EXCHANGE, OK, WARNING, status_name
 from fmus.fmi.instance import FmuInstance
 from fmus.fmi.model_description import ModelDescription
 
@@ -52,8 +52,6 @@ class ModelExchangeInstance(FmuInstance):
 
     def __init__(self, name: str, path: Path, description: ModelDescription) -> None:
         super().__init__(name, path, description)
-        assert description.modelExchange
-        self._exchange = description.modelExchange
         self._tolerance, self._worst = _TOLERANCE, OK
         self._next_event, self._reached, self._terminates = math.inf, 0.0, False
         # the library has no other user: those of FMUs that only model exchange can run are not shared
@@ -64,7 +62,7 @@ class ModelExchangeInstance(FmuInstance):
         )
 
     def initialise(self, start_time: float, stop_time: float | None, tolerance: float | None = None) -> None:
-        self._tolerance, self._reached, self._terminates = tolerance or _TOLERANCE, start_time, False
+        self._tolerance, self._reached = tolerance or _TOLERANCE, start_time
         super().initialise(start_time, stop_time, tolerance)
 
     def exit_initialization_mode(self) -> None:
@@ -73,7 +71,7 @@ class ModelExchangeInstance(FmuInstance):
         self._worst = OK
         try:
             self._handle_event()
-            self._solver = _Solver(self._checked, self._exchange, self._reached, self._tolerance)
+            self._solver = _Solver(self._checked, self.description, self._reached, self._tolerance)
         except _StepEndsError as end:
             self._worst = end.status
             self.log.append((end.status, str(end)))
@@ -99,7 +97,7 @@ class ModelExchangeInstance(FmuInstance):
 
     def _boolean_status(self, _: int, kind: int, value: int) -> int:
         """Implements fmi2GetBooleanStatus, of whether the FMU terminates the simulation."""
-        ctypes.c_int.from_address(value).value = int(kind == TERMINATED and self._terminates)
+        ctypes.c_int.from_address(value).value = int(self._terminates)
         return OK
 
     def _checked(self, function: str, *arguments: Any) -> None:
@@ -159,14 +157,16 @@ class ModelExchangeInstance(FmuInstance):
 class _Solver(CVodeSolver):
     """CVode with the vectors of an instance, whose functions `call` calls."""
 
-    def __init__(self, call: Callable[..., None], exchange: Any, start: float, tolerance: float) -> None:
+    def __init__(
+        self, call: Callable[..., None], description: ModelDescription, start: float, tolerance: float
+    ) -> None:
         def vector(function: str) -> Callable[[Any, int], None]:
             return lambda values, count: call(function, values, count)
 
         self._failure: _StepEndsError | None = None
         super().__init__(
-            nx=exchange.states,
-            nz=exchange.eventIndicators,
+            nx=description.numberOfContinuousStates,
+            nz=description.numberOfEventIndicators,
             get_x=vector("fmi2GetContinuousStates"),
             set_x=vector("fmi2SetContinuousStates"),
             get_dx=vector("fmi2GetDerivatives"),

@@ -80,7 +80,7 @@ class LoadedSystem:
 
     def _load(self, name: str, loading: ExitStack) -> FmuInstance:
         path, description = self.system.components[name], self._descriptions[name]
-        if description.modelExchange is None:
+        if not description.is_model_exchange:
             return loading.enter_context(FmuInstance(name, path, description))
         from fmus.fmi.model_exchange import ModelExchangeInstance  # FMPy takes time to import
 

@@ -6,13 +6,12 @@ from typing import Any
 
 from fmus.compliance.fmu_file import C_IDENTIFIER, DESCRIPTION, FmuFile, fmpy_problems, schema_errors
 from fmus.compliance.rows import add_rows, anything, elements, repeats, row
-from fmus.compliance.rule import Stage, repeated, rule
+from fmus.compliance.rule import SCHEMA, Stage, repeated, rule
 from fmus.compliance.rules.archive import unreadable
 from fmus.compliance.rules.files import BUILD_DESCRIPTION, TERMINALS
 from fmus.compliance.variable import Variable, integer, is_true, number
 from fmus.errors import nearest
 
-SCHEMA = "schema"  # the one rule of the description that is judged of FMI 3.0 too
 _DATE = re.compile(r"\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01])T([01]\d|2[0-3]):[0-5]\d:[0-5]\dZ")
 _UTF_8 = re.compile(
     rb"(\xef\xbb\xbf)?<\?xml[^>\r\n]*[ \t]encoding[ \t]*=[ \t]*[\"']utf-8[\"']", re.IGNORECASE
