@@ -11,7 +11,7 @@ import numpy as np
 
 from fmus.fmi.description import describe
 from fmus.fmi.instance import FmuInstance
-from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
+from orchestration.errors import FmuLoadError, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.results.recording import Recording
 from orchestration.run.checkpoint import Checkpoint, Checkpoints, check_can_save, restore
 from orchestration.run.compiled_loop import compiled_loop
@@ -82,8 +82,12 @@ class LoadedSystem:
         path, description = self.system.components[name], self._descriptions[name]
         if not description.is_model_exchange:
             return loading.enter_context(FmuInstance(name, path, description))
-        from fmus.fmi.model_exchange import ModelExchangeInstance  # FMPy takes time to import
-
+        try:
+            from fmus.fmi.model_exchange import ModelExchangeInstance  # FMPy takes time to import
+        except (ImportError, OSError) as error:
+            raise FmuLoadError(
+                f"{path} is for model exchange alone, for which CVode lacks: {error}"
+            ) from error
         return loading.enter_context(ModelExchangeInstance(name, path, description))
 
     def close(self) -> None:

@@ -3,6 +3,7 @@
 import itertools
 import math
 import re
+import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -343,6 +344,16 @@ def test_a_warning_of_the_first_event_is_a_warning(instance: ModelExchangeInstan
     returning(instance, "fmi2NewDiscreteStates", WARNING, range(1))
     with pytest.warns(FmuWarning, match="t = 0.5 s: fmi2NewDiscreteStates"):
         initialised(instance)
+
+
+def test_a_machine_for_which_fmpy_has_no_cvode_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "fmus.fmi.model_exchange", None)
+    with pytest.raises(
+        FmuLoadError, match=r"Exchange\.fmu is for model exchange alone, for which CVode lacks"
+    ):
+        simulate(exchange(tmp_path), open_inputs="start", **TIMES)
 
 
 def test_an_fmu_without_an_interface_is_refused(built: Fmus, tmp_path: Path) -> None:
