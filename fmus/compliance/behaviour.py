@@ -175,9 +175,8 @@ def obstacle(fmu: FmuFile) -> str:
     """Returns the reason why no behaviour can be judged, if there is one."""
     if fmu.archive_problem or fmu.too_large or fmu.description_problem:
         return "the FMU cannot be read"
-    if fmu.other_version:
-        return "it is no FMU of FMI 2.0"
-    return "" if fmu.host_library else f"no library for {platform_name()}"
+    no_library = "" if fmu.host_library else f"no library for {platform_name()}"
+    return fmu.other_version or no_library
 
 
 def _unreadable_variable(fmu: FmuFile) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, behaviour, judged
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.library_reader import check_lief, close_reader, no_library, start_reading
-from fmus.compliance.rule import Result, Stage, registered
+from fmus.compliance.rule import SCHEMA, Result, Stage, registered
 
 _STATIC = (Stage.FILE, Stage.DESCRIPTION, Stage.LIBRARY)
 
@@ -47,13 +47,14 @@ def static_results(
     names: of the rules that are judged, all by default
     """
     for stage in stages:
-        reason = "" if stage is Stage.FILE else _unread(fmu)
+        unread = "" if stage is Stage.FILE else _unread(fmu)
         for rule in registered(stage):
             if names is None or rule.name in names:
+                reason = "" if fmu.is_fmi3 and rule.name == SCHEMA else unread
                 yield Result(rule, not_judged=reason) if reason else judged(rule, fmu)
 
 
 def _unread(fmu: FmuFile) -> str:
     """Returns the reason why no more than the file is judged, if so."""
     unread = fmu.description_problem and "the model description cannot be read"
-    return unread or (fmu.other_version and "it is no FMU of FMI 2.0")
+    return unread or fmu.other_version

@@ -18,7 +18,7 @@ from fmus.errors import nearest
 IN_BASELINE = "in the baseline"
 _MOST_SHOWN = 3  # messages of one rule about one FMU; more are one line
 _PYTHONFMU = "pythonfmu/__init__.py"
-_LINE = re.compile(r"line (\d+):")
+_LINE = re.compile(r"(?:^|\()line (\d+)[:)]")  # FMPy puts it into parentheses
 # what a message names: in apostrophes, at its begin or after "of", without the punctuation that follows
 _NAMED = re.compile(r"'([^']+)'|(?:^|\bof )([^\s:']+?)(?=[:,]?(?:\s|$))")
 _FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:)?(?:[/\\][^/\\\s:'\"]+)+[/\\]")  # of an absolute path
@@ -87,7 +87,7 @@ def _lines(fmu: FmuFile) -> dict[str, int]:
 
 def line_of(message: str, lines: Mapping[str, int]) -> int:
     """Returns the line that a message states, or that of the first element that it names; 0 without one."""
-    if stated := _LINE.match(message):
+    if stated := _LINE.search(message):
         return int(stated[1])
     names = (quoted or plain for quoted, plain in _NAMED.findall(message))
     return next((lines[name] for name in names if name in lines), 0)

@@ -39,6 +39,20 @@ def schema_errors(root: Any, path: str) -> list[Any]:
     return list(definition.error_log)
 
 
+def fmpy_problems(path: Path) -> list[str]:
+    """Returns what FMPy finds in the model description of an FMU, or why it cannot read it."""
+    from fmpy import read_model_description
+    from fmpy.model_description import ValidationError
+
+    try:
+        read_model_description(path, validate_variable_names=True, validate_model_structure=True)
+    except ValidationError as error:
+        return error.problems
+    except Exception as error:  # its parser expects what no schema demands, such as references that exist
+        return [f"it cannot read the description ({type(error).__name__}: {error})"]
+    return []
+
+
 class BrokenMemberError(ValueError):
     """A member has not the content that a rule needs, which is a finding of that rule."""
 
@@ -96,10 +110,19 @@ class FmuFile:
         return too_large(self.members, self.path.stat().st_size)
 
     @property
+    def version(self) -> str:
+        return self.root.get("fmiVersion", "")
+
+    @property
+    def is_fmi3(self) -> bool:
+        return self.version.startswith("3.0")
+
+    @property
     def other_version(self) -> str:
-        """Other version of FMI than 2.0, as a reason, if so."""
-        version = self.root.get("fmiVersion", "")
-        return "" if version == "2.0" else f"fmiVersion {version!r}: expected '2.0'"
+        """Reason why rules of FMI 2.0 are not judged, if the FMU is one of another version."""
+        if self.is_fmi3:
+            return "FMI 3.0: behaviour not judged, the description by schema and FMPy alone"
+        return "" if self.version == "2.0" else "it is no FMU of FMI 2.0 or 3.0"
 
     @property
     def guid(self) -> str:

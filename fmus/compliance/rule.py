@@ -68,6 +68,9 @@ CANNOT_LOAD = "this machine cannot load the library"
 """At the begin of the reason why no behaviour is judged on this machine."""
 
 
+SCHEMA = "schema"
+"""The rule of the description that is judged of FMI 3.0 too."""
+
 RANDOM = "the outputs are random"
 """Reason why no behaviour is judged, of an FMU whose runs cannot be compared."""
 

@@ -141,8 +141,11 @@ class Library:
 class BoundInstance(ABC):
     """An instance of an FMU whose functions are called by name; `check_status` decides about each status.
 
+    interface: fmi2Type
     handle: the fmi2Component, None before `instantiate` and if the FMU refused; log: its messages
     """
+
+    interface = CO_SIMULATION
 
     def __init__(self, library: Library, callbacks: Callbacks) -> None:
         self.library, self.callbacks, self.log = library, callbacks, callbacks.log
@@ -156,7 +159,7 @@ class BoundInstance(ABC):
         """Creates the instance; False if the FMU returns NULL."""
         address = self.library.fmi2Instantiate(
             name.encode(),
-            CO_SIMULATION,
+            self.interface,
             guid.encode(),
             resources.as_uri().encode(),
             ctypes.byref(self.callbacks.structure),

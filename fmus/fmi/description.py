@@ -34,15 +34,7 @@ class FileVersion(NamedTuple):
 
 
 def describe(path: Path) -> ModelDescription:
-    """Returns the model description of an FMI 2.0 co-simulation FMU; FmuLoadError says what is wrong."""
-    description = describe_any(path)
-    if description.coSimulation is None:
-        raise FmuLoadError(f"{path} is for model exchange alone: expected an FMU for co-simulation")
-    return description
-
-
-def describe_any(path: Path) -> ModelDescription:
-    """Returns the model description of an FMI 2.0 FMU, also of one for model exchange alone.
+    """Returns the model description of an FMI 2.0 FMU; FmuLoadError says what is wrong.
 
     It is read once while the file does not change: all who ask share it, and must not change it.
     """
@@ -80,7 +72,7 @@ def _read(path: Path, version: FileVersion) -> ModelDescription:
         description = model_description(root)
     except ValueError as error:
         raise _unreadable(path, error) from error
-    identifier = description.coSimulation.modelIdentifier if description.coSimulation else "none"
+    identifier = description.coSimulation.modelIdentifier
     if not identifier or set(identifier) & set("/\\:") or ".." in identifier:  # leads out of the archive
         raise FmuLoadError(f"{path}: modelIdentifier {identifier!r}: expected a C identifier")
     _take_over_declared_types(description)

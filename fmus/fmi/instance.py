@@ -261,10 +261,9 @@ def _entered(path: Path, description: ModelDescription) -> tuple[UnpackedFmu, Fi
 
 def _library(path: Path, description: ModelDescription, folder: Path) -> Library:
     """Unpacks an FMU, of an independent one its library and resources alone, and loads its library."""
-    interface = description.coSimulation
     with zipfile.ZipFile(path) as archive:
         names = archive.namelist()
-    identifier = interface.modelIdentifier if interface else ""
+    identifier = description.coSimulation.modelIdentifier
     member = library_member(names, identifier)
     if member is None:
         prefix = f"binaries/{platform_name()}/"
@@ -278,4 +277,5 @@ def _library(path: Path, description: ModelDescription, folder: Path) -> Library
         raise FmuLoadError(f"{path} has no binary for {platform_name()}{named}: it has {available}{hint}")
     needed = [name for name in names if name == member or name.startswith("resources/")]
     extract_archive(path, folder, needed if is_independent(description) else None)
-    return Library(folder / member)
+    interface = binding.MODEL_EXCHANGE if description.is_model_exchange else binding.CO_SIMULATION
+    return Library(folder / member, interface)

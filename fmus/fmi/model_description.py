@@ -6,7 +6,7 @@ import than a run takes.
 # ruff: noqa: N815  (names of the standard)
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from xml.etree.ElementTree import Element
 
 from fmus.fmi.variable_types import INTEGER_RANGE, TRANSFER_TYPE, TYPES
@@ -119,7 +119,8 @@ class DefaultExperiment:
 class ModelDescription:
     """The description of an FMU.
 
-    coSimulation: None for an FMU of model exchange alone
+    coSimulation: of an FMU for model exchange alone what a solver makes of its capabilities
+    is_model_exchange: whether it is for model exchange alone
     is_own_build: whether a build of this user wrote the file, which the description itself cannot prove
     """
 
@@ -128,12 +129,15 @@ class ModelDescription:
     guid: str
     description: str | None
     generationTool: str | None
-    coSimulation: CoSimulation | None
+    coSimulation: CoSimulation
     defaultExperiment: DefaultExperiment | None
     unitDefinitions: list[Unit]
     modelVariables: list[ScalarVariable]
     outputs: list[Unknown]
     initialUnknowns: list[Unknown]
+    numberOfContinuousStates: int
+    numberOfEventIndicators: int
+    is_model_exchange: bool
     is_own_build: bool = False
 
 
@@ -150,7 +154,7 @@ def model_description(root: Element) -> ModelDescription:
         guid=root.get("guid", ""),
         description=root.get("description"),
         generationTool=root.get("generationTool"),
-        coSimulation=None if interface is None else _co_simulation(interface),
+        coSimulation=_model_exchange(root) if interface is None else _co_simulation(interface),
         defaultExperiment=None
         if experiment is None
         else DefaultExperiment(*map(experiment.get, ("startTime", "stopTime", "stepSize"))),
@@ -158,6 +162,9 @@ def model_description(root: Element) -> ModelDescription:
         modelVariables=variables,
         outputs=_unknowns(root, "Outputs", variables),
         initialUnknowns=_unknowns(root, "InitialUnknowns", variables),
+        numberOfContinuousStates=len(root.findall("ModelStructure/Derivatives/Unknown")),
+        numberOfEventIndicators=int(root.get("numberOfEventIndicators", "0")),
+        is_model_exchange=interface is None,
     )
 
 
@@ -172,6 +179,14 @@ def _required(element: Element, attribute: str) -> str:
 def _co_simulation(element: Element) -> CoSimulation:
     capabilities = {f.name: element.get(f.name) in ("true", "1") for f in fields(CoSimulation)[1:]}
     return CoSimulation(element.get("modelIdentifier", ""), **capabilities)
+
+
+def _model_exchange(root: Element) -> CoSimulation:
+    """Returns the interface for model exchange as if it were for co-simulation: a solver takes any step."""
+    interface = root.find("ModelExchange")
+    if interface is None:
+        raise ValueError("neither CoSimulation nor ModelExchange: expected one of them at least")
+    return replace(_co_simulation(interface), canHandleVariableCommunicationStepSize=True)
 
 
 def _simple_type(element: Element) -> SimpleType:

@@ -198,14 +198,14 @@ def inspect(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
 ) -> None:
     """Show what an FMU is, and each variable with its unit, range and start value."""
-    from fmus.fmi.description import describe_any
+    from fmus.fmi.description import describe
     from orchestration.scenarios.fmu_files import build_missing, fmu_file
     from orchestration.scenarios.read_layers import named_fmu
 
     if fmu.suffix == ".py" or not (fmu.exists() or fmu.suffix == ".fmu"):
         fmu = fmu_file(named_fmu(str(fmu), Path(), lambda keys: str(fmu), ()))
         build_missing([fmu])
-    description = describe_any(fmu)
+    description = describe(fmu)
     document = {
         "name": description.modelName,
         "description": description.description or "",

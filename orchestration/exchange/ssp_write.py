@@ -186,7 +186,9 @@ def _structure(variant: _Variant, resources: Mapping[str, str]) -> bytes:
 
 
 def _component(parent: Element, name: str, source: str, variant: _Variant) -> None:
-    kind = {"type": "application/x-fmu-sharedlibrary", "implementation": "CoSimulation"}
+    exchange = variant.prepared.system.descriptions[name].is_model_exchange
+    kind = {"type": "application/x-fmu-sharedlibrary"}
+    kind |= {"implementation": "ModelExchange" if exchange else "CoSimulation"}
     component = add(parent, "ssd:Component", name=name, source=source, **kind)
     connectors = add(component, "ssd:Connectors")
     for variable in (port.variable for port in variant.connectors if port.component == name):

@@ -11,7 +11,7 @@ import numpy as np
 
 from fmus.fmi.description import describe
 from fmus.fmi.instance import FmuInstance
-from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
+from orchestration.errors import FmuLoadError, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.results.recording import Recording
 from orchestration.run.checkpoint import Checkpoint, Checkpoints, check_can_save, restore
 from orchestration.run.compiled_loop import compiled_loop
@@ -79,8 +79,16 @@ class LoadedSystem:
                 self._instances, self._loaded = instances, loading.pop_all()
 
     def _load(self, name: str, loading: ExitStack) -> FmuInstance:
-        instance = FmuInstance(name, self.system.components[name], self._descriptions[name])
-        return loading.enter_context(instance)
+        path, description = self.system.components[name], self._descriptions[name]
+        if not description.is_model_exchange:
+            return loading.enter_context(FmuInstance(name, path, description))
+        try:
+            from fmus.fmi.model_exchange import ModelExchangeInstance  # FMPy takes time to import
+        except (ImportError, OSError) as error:
+            raise FmuLoadError(
+                f"{path} is for model exchange alone, for which CVode lacks: {error}"
+            ) from error
+        return loading.enter_context(ModelExchangeInstance(name, path, description))
 
     def close(self) -> None:
         """Frees every instance; the next run loads them again."""
@@ -184,8 +192,7 @@ class Simulator(LoadedSystem):
 
     def _check_can_load_twice(self) -> None:
         for name, description in self._descriptions.items():
-            interface = description.coSimulation
-            if interface and interface.canBeInstantiatedOnlyOncePerProcess:
+            if description.coSimulation.canBeInstantiatedOnlyOncePerProcess:
                 raise SystemDefinitionError(
                     f"error_estimate: {name} can be instantiated only once in a process: "
                     "expected run(experiment), which makes the second run after the first"

@@ -4,9 +4,9 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
-from fmus.compliance.fmu_file import C_IDENTIFIER, DESCRIPTION, FmuFile, schema_errors
+from fmus.compliance.fmu_file import C_IDENTIFIER, DESCRIPTION, FmuFile, fmpy_problems, schema_errors
 from fmus.compliance.rows import add_rows, anything, elements, repeats, row
-from fmus.compliance.rule import Stage, repeated, rule
+from fmus.compliance.rule import SCHEMA, Stage, repeated, rule
 from fmus.compliance.rules.archive import unreadable
 from fmus.compliance.rules.files import BUILD_DESCRIPTION, TERMINALS
 from fmus.compliance.variable import Variable, integer, is_true, number
@@ -42,8 +42,16 @@ def description_is_readable(fmu: FmuFile) -> Iterable[str]:
     "2.2.1", Stage.FILE, condition=lambda fmu: fmu.description_problem and "there is no description to read"
 )
 def fmi_version(fmu: FmuFile) -> Iterable[str]:
-    """fmiVersion is 2.0."""
-    return {fmu.other_version} - {""}
+    """fmiVersion is 2.0, or 3.0 for an FMU of that version."""
+    is_known = fmu.version == "2.0" or fmu.is_fmi3
+    return [] if is_known else [f"fmiVersion {fmu.version!r}: expected '2.0' or '3.0'"]
+
+
+def _schema_problems(fmu: FmuFile) -> list[str]:
+    """Returns the errors by the schema; of FMI 3.0, without any, what FMPy finds."""
+    errors = schema_errors(fmu.root, f"fmi{fmu.version[:1]}/fmi{fmu.version[:1]}ModelDescription.xsd")
+    found = [f"line {error.line}: {error.message}" for error in errors]
+    return found or ([f"FMPy: {problem}" for problem in fmpy_problems(fmu.path)] if fmu.is_fmi3 else [])
 
 
 def _owner(element: Any, _: FmuFile | None = None) -> str:
@@ -128,8 +136,7 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
     row("other-xml-is-utf-8",
         lambda fmu: [(path, fmu.read(path)) for path in {BUILD_DESCRIPTION, TERMINALS} & fmu.paths],
         _NOT_UTF_8),
-    row("schema", lambda fmu: schema_errors(fmu.root, "fmi2/fmi2ModelDescription.xsd"),
-        (anything, "line {line}: {message}")),
+    row(SCHEMA, _schema_problems, (anything, "{subject}")),
     row("numbers-are-finite", lambda fmu: fmu.root.xpath(_NUMBERS),
         (lambda text, _: [text.getparent()],
          "line {value[0].sourceline}: {value[0].tag} has {attrname}={subject!r}: expected a finite number")),

@@ -59,7 +59,7 @@ def plain(value: Any, like: Any) -> Any:
         return [plain(item, other) for item, other in zip(value, like, strict=True)]
     if not hasattr(like, "__dataclass_fields__"):
         return value
-    names = [name for name in vars(like) if name != "is_own_build"]  # which no description tells
+    names = [name for name in vars(like) if not name.startswith("is_")]  # which FMPy does not tell
     if {"variable", "dependencies"} == {*names}:
         dependencies = value.dependencies
         return value.variable.name, None if dependencies is None else [v.name for v in dependencies]

@@ -20,6 +20,7 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 from fmus.block import Block
 from fmus.build import builder
 from fmus.build.fmi3 import arrays
+from fmus.compliance.examine import examine
 from fmus.errors import ExportError
 from fmus.native import toolchain
 from fmus.registry import Flavour
@@ -73,6 +74,7 @@ def outputs(fmu: Any, block: Block) -> list[Any]:
 def test_fmpy_finds_no_problem_and_simulates_both_interfaces(fmi3_built: Fmus, name: str) -> None:
     path = str(fmi3_built[name])
     assert validate_fmu(path) == []
+    assert [r.messages for r in examine(Path(path)) if r.messages] == []
     for interface in ("CoSimulation", "ModelExchange"):
         result: Any = fmpy.simulate_fmu(path, fmi_type=interface, stop_time=0.5)
         assert result["time"][-1] == pytest.approx(0.5, abs=1e-9)

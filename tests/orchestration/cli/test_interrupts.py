@@ -26,7 +26,7 @@ AT_WORK = {
     "new pid": "fmus.block.block_file.write_new_block",
     "build ExamplePlant --out out": "fmus.build.builder.build_orders",
     "check {fmu}": "fmus.compliance.examine.examine",
-    "inspect my.fmu": "fmus.fmi.description.describe_any",
+    "inspect my.fmu": "fmus.fmi.description.describe",
     "cache": "fmus.store.entries",
     "scenarios": "orchestration.scenarios.scenario.load",
     "run nominal-l1 --out .": "orchestration.system.prepared_run.prepare_checked",

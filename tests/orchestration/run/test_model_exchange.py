@@ -1,0 +1,364 @@
+"""FMUs for model exchange alone are components as others are: CVode integrates them, with their events."""
+
+import itertools
+import math
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+import pytest
+
+from fmus.build import builder
+from fmus.errors import FmuWarning
+from fmus.fmi.binding import DISCARD, ERROR, OK, WARNING
+from fmus.fmi.description import describe
+from fmus.fmi.model_exchange import ModelExchangeInstance
+from orchestration.cli.package_fmus import build_ramp_source
+from orchestration.errors import FmuLoadError, SimulationError
+from orchestration.exchange import ssp_read, ssp_write
+from orchestration.results.recording import Recording
+from orchestration.run import Simulator, simulate
+from orchestration.run.checkpoint import Checkpoints, read_checkpoint
+from orchestration.scenarios.scenario import load, load_scenario
+from orchestration.system.experiment import Event, Experiment
+from orchestration.system.system import System
+from tests.described_fmus import XML, members
+from tests.fmus.compliance.archives import write
+from tests.fmus.native.exchanged import BALL
+from tests.mutants.slaves import EXCHANGE_CHANGES, write_slave
+from tests.shared_builds import Fmus
+
+TIMES: dict[str, Any] = {"start_time": 0.5, "stop_time": 4.5, "step_size": 0.04}  # the default experiment
+COMPLETED = "completed 1"  # with noSetFMUStatePriorToCurrentPoint, as fmi2DoStep is called
+RECORDED = ("m.x", "m.v", "m.stairs", "m.turns", "m.above")
+
+
+def model_exchange_alone(path: Path, folder: Path) -> Path:
+    """The FMU without its interface for co-simulation."""
+    content = members(path)
+    xml = re.sub(rb"<CoSimulation\b.*?</CoSimulation>", b"", content[XML], flags=re.DOTALL)
+    assert xml != content[XML]
+    return write(content | {XML: xml}, folder / path.name)
+
+
+def exchange(folder: Path, mutation: str = "", flags: str = "") -> System:
+    """A foreign FMU with time, state and step events, which refuses calls in wrong states."""
+    changes = EXCHANGE_CHANGES.get(mutation or flags, ())
+    return System({"m": write_slave(folder, mutation, flags, changes, "Exchange")})
+
+
+@pytest.fixture
+def ball(tmp_path: Path) -> System:
+    return System({"ball": model_exchange_alone(builder.build_block(BALL, tmp_path), tmp_path)})
+
+
+def largest_difference(first: Recording, second: Recording) -> float:
+    return float(np.abs(first.values - second.values).max())
+
+
+@pytest.mark.parametrize(
+    ("name", "driven"),
+    [("ExamplePlant", {"plant.control": 1.0}), ("RovDepthPlant", {"plant.voltage[1]": 2.0})],
+)
+def test_a_plant_converges_to_co_simulation_with_the_tolerance_of_the_solver(
+    built: Fmus, tmp_path: Path, name: str, driven: Mapping[str, float]
+) -> None:
+    """The error of a step is some tolerances, and CVode starts anew in each of 100 steps. The scheme of
+    co-simulation has errors below 1e-8 here: from an internal step of 1 ms to 0.1 ms they change by less.
+    """
+    settings: dict[str, Any] = {"stop_time": 1.0, "step_size": 0.01, "inputs": driven, "open_inputs": "start"}
+    reference = simulate(System({"plant": built[name]}), **settings)
+    system = System({"plant": model_exchange_alone(built[name], tmp_path)})
+    errors = [
+        largest_difference(simulate(system, fmu_tolerance=tolerance, **settings), reference)
+        for tolerance in (1e-6, 1e-8, 1e-10)
+    ]
+    assert errors[0] > 5 * errors[1] > 25 * errors[2]
+    assert errors[2] < 1e-6
+    assert largest_difference(simulate(system, **settings), reference) < 1e-5  # by default 1e-9
+
+
+def test_a_scenario_runs_with_it_in_closed_loop(scenario_fmus: None, built: Fmus, tmp_path: Path) -> None:
+    """Internal steps of 1 ms of co-simulation have errors of 1e-6 m in this loop. Larger ones change which
+    step of 2 mm the sensor rounds to, after which the depths differ by 1e-3 m.
+    """
+    short = {
+        "experiment": {"stop_time": 20.0},
+        "metrics": dict.fromkeys(("holding_thrust", "settling_time", "overshoot"), False),
+        "parameters": {"plant.internal_step": 1e-3},
+    }
+    vehicle = model_exchange_alone(built["RovDepthPlant"], tmp_path)
+    own = load_scenario("nominal-l1", short)
+    other = load_scenario("nominal-l1", short | {"components": {"plant": str(vehicle)}})
+    expected, recording = (simulate(s.system, s.experiment) for s in (own, other))
+    assert np.ptp(expected["plant.depth"]) > 0.05
+    assert np.array_equal(recording["plant.measured_depth"], expected["plant.measured_depth"])
+    assert np.abs(recording["plant.depth"] - expected["plant.depth"]).max() < 5e-6
+
+
+def test_a_ball_bounces_where_the_closed_form_has_it(ball: System) -> None:
+    """From 1 m with 8 m/s2 and a restitution of a half it bounces at 0.5, 1 and 1.25 s. The height is read
+    at multiples of 0.25 s, which are time events; the tolerance is 1000 of the solver's 1e-9.
+    """
+    recording = simulate(ball, stop_time=1.3, step_size=0.1, open_inputs="start")
+    for time, height in zip(recording["time"], recording["ball.height"], strict=True):
+        begin, speed = max((t, v) for t, v in ((0.5, 2.0), (1.0, 1.0), (1.25, 0.5)) if t <= max(time, 0.5))
+        since = time - begin
+        expected = 1.0 - 4.0 * time**2 if time < 0.5 else speed * since * 1.0 - 4.0 * since**2
+        assert height == pytest.approx(expected, abs=1e-6), time
+    bounces = {0.4: 0, 0.6: 1, 0.9: 1, 1.1: 2, 1.3: 3}
+    rows = [int(np.argmin(np.abs(recording["time"] - time))) for time in bounces]
+    assert recording["ball.bounces"][rows].tolist() == [*bounces.values()]
+    assert recording["ball.reading"][3] == pytest.approx(0.75, abs=1e-6)  # of 0.25 s
+
+
+def test_a_time_event_may_be_a_rounding_error_after_a_communication_point(tmp_path: Path) -> None:
+    """The 49th point is 3e-17 s before the time event at 0.25 s, an interval that CVode refuses."""
+    step_size = 0.25 / 49
+    assert 0 < 0.25 - 49 * step_size < 1e-16
+    settings: dict[str, Any] = {"start_time": 0.0, "stop_time": 60 * step_size, "step_size": step_size}
+    recording = simulate(exchange(tmp_path), record=("m.stairs",), open_inputs="start", **settings)
+    assert recording["m.stairs"].tolist() == [0.0] * 50 + [1.0] * 11
+
+
+def test_an_event_follows_what_is_set_at_a_communication_point(tmp_path: Path) -> None:
+    """A relation of the parameter k, which an event alone evaluates, adds 1 to the acceleration."""
+    system = exchange(tmp_path, flags="a relation of a parameter")
+    settings: dict[str, Any] = TIMES | {"stop_time": 0.7, "record": ("m.v",)}
+    other = simulate(system, open_inputs="start", **settings)
+    recording = simulate(system, open_inputs="start", events=(Event(0.58, {"m.k": 4.02}),), **settings)
+    gained = recording["m.v"] - other["m.v"]
+    assert gained[:3].tolist() == [0.0, 0.0, 0.0]
+    assert gained[3] == pytest.approx(0.04, rel=0.05)  # in the first of three steps; k adds less
+
+
+@pytest.mark.parametrize("flags", ["", "completed steps are not needed"])
+def test_time_state_and_step_events_are_those_of_fmpy(tmp_path: Path, flags: str) -> None:
+    """Both take CVode at 1e-9; FMPy does not start it anew in each step. It completes steps at
+    communication points alone, so that turns, a step event, comes up to one of them later.
+    """
+    system = exchange(tmp_path, flags=flags)
+    recording = simulate(system, record=RECORDED, open_inputs="start", **TIMES)
+    expected: Any = fmpy.simulate_fmu(
+        str(system.components["m"]),
+        start_time=0.5,
+        stop_time=4.5,
+        output_interval=0.04,
+        relative_tolerance=1e-9,
+        output=[name.removeprefix("m.") for name in RECORDED],
+        record_events=False,
+        set_stop_time=False,  # FMPy integrates beyond it
+    )
+    assert np.abs(recording["time"] - expected["time"]).max() < 1e-9
+    for name, limit in (("x", 1e-6), ("v", 1e-6), ("stairs", 0), ("turns", 0), ("above", 0)):
+        assert np.abs(recording[f"m.{name}"] - expected[name]).max() <= limit, name
+    assert recording["m.stairs"][-1] == 16
+    assert recording["m.turns"][-1] == (0 if flags else 3)
+
+
+def test_the_loop_in_python_gives_the_same_and_a_second_run_too(tmp_path: Path) -> None:
+    system, experiment = exchange(tmp_path), Experiment(4.5, 0.04, 0.5, record=RECORDED, open_inputs="start")
+    with Simulator(system) as compiled, Simulator(system, compiled=False) as slow:
+        first = compiled.run(experiment)
+        assert np.array_equal(first.values, compiled.run(experiment).values)
+        assert np.array_equal(first.values, slow.run(experiment).values)
+
+
+def test_inputs_and_parameters_act_from_the_point_at_which_they_change(tmp_path: Path) -> None:
+    """With no spring the acceleration is the input: the velocity is its sum until the first time event."""
+    changes = (Event(0.58, {"m.u": 1.0}),)
+    settings: dict[str, Any] = TIMES | {"stop_time": 0.66, "parameters": {"m.k": 0.1}, "events": changes}
+    recording = simulate(exchange(tmp_path), record=("m.v",), open_inputs="start", **settings)
+    slopes = np.diff(recording["m.v"]) / 0.04
+    assert slopes == pytest.approx([0.2 - 0.05, 0.2 - 0.05, 1.0 - 0.05, 1.0 - 0.05], abs=0.01)
+
+
+def test_a_run_goes_on_from_saved_states(tmp_path: Path) -> None:
+    """The solver starts anew in each step, so that a saved state of the FMU is the whole state."""
+    system, path = exchange(tmp_path), tmp_path / "saved"
+    experiment = Experiment(4.5, 0.04, 0.5, record=RECORDED, open_inputs="start")
+    with Simulator(system) as simulator:
+        whole = simulator.run(experiment, checkpoints=Checkpoints(path, 2.0))
+        resumed = simulator.run(experiment, resume=read_checkpoint(path))
+    assert np.array_equal(whole.values, resumed.values)
+
+
+def test_the_simulation_ends_where_the_fmu_terminates_it(tmp_path: Path) -> None:
+    """The third time event, at 0.5 + 3 * 0.25 s, is within a step."""
+    recording = simulate(exchange(tmp_path, "ends without a message"), open_inputs="start", **TIMES)
+    assert recording.provenance["terminated"] == {
+        "component": "m",
+        "time_s": 1.25,
+        "messages": ["the FMU terminates the simulation at 1.25 s"],
+    }
+    assert recording["time"][-1] == 1.25
+
+
+@pytest.mark.parametrize(
+    ("mutation", "message"),
+    [
+        ("NewDiscreteStates fails in state 4", "fmi2NewDiscreteStates; fmi2NewDiscreteStates returned error"),
+        ("GetDerivatives fails in state 8", "t = 0.5 s: .*; fmi2GetDerivatives returned error"),
+        ("GetEventIndicators fails in state 8", "t = 0.5 s: .*; fmi2GetEventIndicators returned error"),
+        ("CompletedIntegratorStep fails in state 8", "; fmi2CompletedIntegratorStep returned error"),
+        ("EnterEventMode fails in state 8", "; fmi2EnterEventMode returned error"),
+        ("events never end", "t = 0.98 s: .* needs more than 100 fmi2NewDiscreteStates"),
+        ("the next event is in the past", "more than 10000 events in one step, at 1 s"),
+    ],
+)
+def test_a_call_that_fails_ends_the_run_with_its_name(
+    tmp_path: Path, mutation: str, message: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SimulationError, match=message):
+        simulate(exchange(tmp_path, mutation), open_inputs="start", **TIMES)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_run_with_a_time_limit_and_an_ssp_package_take_it(tmp_path: Path) -> None:
+    system = exchange(tmp_path)
+    (tmp_path / "mine.toml").write_text(
+        '[components]\nm = "Exchange.fmu"\n[inputs]\n"m.u" = 0.2\n[experiment]\nopen_inputs = "start"\n'
+        "start_time = 0.5\nstop_time = 4.5\nstep_size = 0.04\n"
+    )
+    written = load(tmp_path / "mine.toml")
+    expected = simulate(system, written.experiment)
+    assert np.array_equal(simulate(system, written.experiment, timeout=60.0).values, expected.values)
+    package = ssp_write.package(written, tmp_path / "mine.ssp", build_ramp_source)
+    assert b'implementation="ModelExchange"' in members(package)["SystemStructure.ssd"]
+    with ssp_read.opened(package) as read:
+        recording = simulate(read.system, read.experiment)
+    assert np.array_equal(recording["m.x"], expected["m.x"])
+
+
+@pytest.fixture
+def instance(tmp_path: Path) -> Iterator[ModelExchangeInstance]:
+    path = exchange(tmp_path).components["m"]
+    instance = ModelExchangeInstance("m", path, describe(path))
+    with instance:
+        yield instance
+
+
+def returning(instance: ModelExchangeInstance, name: str, status: int, calls: range) -> None:
+    """Lets calls of a function of the FMU, counted from 0, return a status."""
+    function, count = getattr(instance.library, name), itertools.count()
+    vars(instance.library)[name] = lambda *arguments: max(
+        function(*arguments), status if next(count) in calls else OK
+    )
+
+
+def initialised(instance: ModelExchangeInstance) -> None:
+    instance.initialise(0.5, 4.5)
+    instance.exit_initialization_mode()
+
+
+@pytest.mark.parametrize(
+    ("status", "calls", "expected"),
+    [(DISCARD, range(3, 5), OK), (DISCARD, range(10**6), DISCARD), (WARNING, range(3, 4), WARNING)],
+)
+def test_a_discard_shortens_steps_of_the_solver_and_a_warning_is_returned(
+    instance: ModelExchangeInstance, status: int, calls: range, expected: int
+) -> None:
+    returning(instance, "fmi2GetDerivatives", status, calls)
+    initialised(instance)
+    assert instance.status("fmi2DoStep", 0.5, 0.04, 1) == expected
+    assert instance.last_successful_time() == (0.5 if expected == DISCARD else 0.54)
+    assert not instance.terminates()
+    assert instance.status("fmi2DoStep", 0.54, 0.04, 1) == (ERROR if expected == DISCARD else OK)
+
+
+def completing(instance: ModelExchangeInstance, enters: int, terminates: int) -> list[str]:
+    """Lets the first completed step ask for an event or the end; returns the calls, which follow."""
+    calls, status = list[str](), instance.status
+
+    def called(function: str, *arguments: Any) -> int:
+        is_completed = function == "fmi2CompletedIntegratorStep"
+        calls.append(f"completed {arguments[0]}" if is_completed else function.removeprefix("fmi2"))
+        result = status(function, *arguments)
+        if is_completed and calls.count(COMPLETED) == 1:
+            arguments[1]._obj.value, arguments[2]._obj.value = enters, terminates
+        return result
+
+    vars(instance)["status"] = called
+    return calls
+
+
+def test_each_step_of_the_solver_is_completed_and_may_be_followed_by_an_event(
+    instance: ModelExchangeInstance,
+) -> None:
+    calls = completing(instance, enters=1, terminates=0)
+    initialised(instance)
+    assert instance.status("fmi2DoStep", 0.5, 0.04, 1) == OK
+    completed = [i for i, call in enumerate(calls) if call == COMPLETED]
+    assert len(completed) > 10
+    assert {tuple(calls[i - 2 : i]) for i in completed} == {("SetTime", "SetContinuousStates")}
+    events = [i for i, call in enumerate(calls) if call == "EnterEventMode"]
+    assert events == [completed[0] + 1, completed[-1] + 1]
+
+
+def test_nothing_is_called_after_an_error(instance: ModelExchangeInstance) -> None:
+    """FMI 2.0.5, 2.1.3: the simulation cannot be continued."""
+    calls = completing(instance, enters=0, terminates=0)
+    returning(instance, "fmi2GetDerivatives", ERROR, range(3, 10**6))
+    initialised(instance)
+    assert instance.status("fmi2DoStep", 0.5, 0.04, 1) == ERROR
+    assert (calls.count("GetDerivatives"), calls[-1]) == (4, "GetDerivatives")
+    instance.close()
+    assert calls[-1] == "FreeInstance"
+    assert "Terminate" not in calls
+
+
+def test_a_completed_step_may_end_the_simulation(instance: ModelExchangeInstance) -> None:
+    calls = completing(instance, enters=0, terminates=1)
+    initialised(instance)
+    assert instance.status("fmi2DoStep", 0.5, 0.04, 1) == DISCARD
+    assert (calls[-1], calls.count(COMPLETED)) == (COMPLETED, 1)
+    assert instance.terminates()
+    reached = instance.last_successful_time()
+    assert reached is not None
+    assert 0.5 < reached < 0.54
+    assert instance.reset()
+    initialised(instance)
+    assert instance.status("fmi2DoStep", 0.5, 0.04, 1) == OK
+    assert not instance.terminates()
+
+
+def test_a_failure_of_the_solver_has_its_message(instance: ModelExchangeInstance) -> None:
+    def no_number(handle: Any, values: Any, count: int) -> int:
+        values[0] = math.nan
+        return OK
+
+    returning(instance, "fmi2GetDerivatives", DISCARD, range(3, 5))
+    initialised(instance)
+    assert instance.status("fmi2DoStep", 0.5, 0.04, 1) == OK
+    vars(instance.library)["fmi2GetDerivatives"] = no_number
+    assert instance.status("fmi2DoStep", 0.54, 0.04, 1) == ERROR
+    (message,) = [text for status, text in instance.log if status == ERROR]
+    assert re.match(r"CVode returned -\d+: At t = 0\.54", message)
+
+
+def test_a_warning_of_the_first_event_is_a_warning(instance: ModelExchangeInstance) -> None:
+    returning(instance, "fmi2NewDiscreteStates", WARNING, range(1))
+    with pytest.warns(FmuWarning, match="t = 0.5 s: fmi2NewDiscreteStates"):
+        initialised(instance)
+
+
+def test_a_machine_for_which_fmpy_has_no_cvode_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "fmus.fmi.model_exchange", None)
+    with pytest.raises(
+        FmuLoadError, match=r"Exchange\.fmu is for model exchange alone, for which CVode lacks"
+    ):
+        simulate(exchange(tmp_path), open_inputs="start", **TIMES)
+
+
+def test_an_fmu_without_an_interface_is_refused(built: Fmus, tmp_path: Path) -> None:
+    content = members(built["ExamplePlant"])
+    xml = re.sub(rb"(CoSimulation|ModelExchange)\b", rb"Other", content[XML])
+    path = write(content | {XML: xml}, tmp_path / "none.fmu")
+    with pytest.raises(FmuLoadError, match="neither CoSimulation nor ModelExchange"):
+        simulate(System({"m": path}), stop_time=1.0, step_size=0.1)
