@@ -13,7 +13,7 @@
 #define TYPE_NAMES "Float64", "Int32", "Boolean", "Int64 or Enumeration"
 #define GUID_NAME "instantiation token"
 #define EVENT_TOO 0
-#define INSIDE_STEPS (UPDATE_OF_INPUTS | UPDATE_OF_OUTPUTS)
+#define INSIDE_STEPS (UPDATE_OF_INPUTS | UPDATE_OF_OUTPUTS | UPDATE_IN_ERROR)
 #define LOG_ESCAPED "#" /* 2.3.1: #1# is a variable */
 
 #include "absent.h"

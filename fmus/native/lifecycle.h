@@ -87,7 +87,8 @@ Status FMI(Terminate)(void *c) {
     return OK;
 }
 
-/* 2.1.6; 4.2.4: in every state but inside a step. As after the instantiation, also from an error; the log categories stay. */
+/* 2.1.6; 4.2.4: in every state but inside a step. As after the instantiation, also from an error; the log categories
+ * stay. */
 Status FMI(Reset)(void *c) {
     Instance *instance = c;
     if (!is_allowed(instance, OUTSIDE_STEPS, NAME(Reset))) return ERROR;

@@ -26,14 +26,15 @@ static Status refuse(Instance *instance, Status status, const char *format, ...)
     va_start(arguments, format);
     log_send(&instance->log, status, format, arguments);
     va_end(arguments);
-    if (status == ERROR) instance->data.mode = IN_ERROR;
+    if (status == ERROR) instance->data.mode = instance->data.mode & INSIDE_STEPS ? UPDATE_IN_ERROR : IN_ERROR;
     return status;
 }
 
 static const char *mode_name(int mode) {
     if (mode & INSIDE_STEPS)
-        return mode == UPDATE_OF_INPUTS ? "intermediate update mode, to set inputs"
-                                        : "intermediate update mode, to get outputs";
+        return mode == UPDATE_OF_INPUTS    ? "intermediate update mode, to set inputs"
+               : mode == UPDATE_OF_OUTPUTS ? "intermediate update mode, to get outputs"
+                                           : "intermediate update mode, after an error";
     return mode == INSTANTIATED     ? "instantiated"
            : mode == INITIALIZATION ? "initialization mode"
            : mode == STEPPING       ? "step complete"

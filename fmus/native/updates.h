@@ -22,7 +22,7 @@ static Outcome internal_step(Data *d, StepCache *cache, double t, double h, doub
     return outcome;
 }
 
-/* The callback at time t. Returns whether no call in it was an error. `until`: where the importer wants the step to end. */
+/* The callback at time t: whether no call in it was an error. `until`: where the importer wants the step to end. */
 static int update(Instance *instance, Mode mode, double t, int can_return_early, double *until) {
     const int is_get = mode == UPDATE_OF_OUTPUTS;
     fmi3Boolean is_requested = fmi3False;

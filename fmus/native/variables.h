@@ -11,7 +11,8 @@ typedef enum { REAL, INTEGER, BOOLEAN, ENUMERATION } Type; /* FMI 2.0 has enumer
 
 /* States of FMI 2.0.5, one bit each: of co-simulation (figure 11), in which a step is never in progress when the
  * importer calls, and of model exchange (figure 5), which has two in place of STEPPING. Of FMI 3.0.2 (4.2.2), in the
- * callback of a step, the intermediate update mode in two halves: no call is allowed in both. */
+ * callback of a step, the intermediate update mode: in two halves, which allow no call in common, and after an error,
+ * where none is allowed. */
 typedef enum {
     INSTANTIATED = 1,
     INITIALIZATION = 2,
@@ -21,7 +22,8 @@ typedef enum {
     EVENT = 32,
     CONTINUOUS_TIME = 64,
     UPDATE_OF_INPUTS = 128,
-    UPDATE_OF_OUTPUTS = 256
+    UPDATE_OF_OUTPUTS = 256,
+    UPDATE_IN_ERROR = 512
 } Mode;
 
 /* In which of them a variable can be set: never what is calculated, fixed parameters until stepping begins, tunable

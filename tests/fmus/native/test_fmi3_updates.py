@@ -284,11 +284,25 @@ def test_a_saved_state_is_not_used_in_an_update(open_fmi3: Open, call: str) -> N
     plant.fmu.fmu.freeFMUState(state)
 
 
-def test_an_instance_is_not_freed_in_an_update(open_fmi3: Open) -> None:
+def test_an_instance_is_neither_freed_nor_reset_in_an_update(open_fmi3: Open) -> None:
+    """Nor after an error in it."""
     plant = Updated(open_fmi3, "ExamplePlant")
-    plant.act = lambda update: plant.fmu.fmu.fmi3FreeInstance(plant.fmu.fmu.component)
+    statuses: list[str] = []
+
+    def act(update: Update) -> None:
+        for _ in range(2):
+            plant.fmu.fmu.fmi3FreeInstance(plant.fmu.fmu.component)
+        statuses.append(plant.fmu.status("reset"))
+
+    plant.act = act
     assert plant.fmu.status("doStep", 0.0, 1e-3) == "error"
-    assert "fmi3FreeInstance is not allowed" in plant.fmu.log[0][2]
+    assert statuses == ["error"]
+    texts = [text.partition(" is not allowed in the state ")[::2] for *_, text in plant.fmu.log]
+    assert texts[:3] == [
+        ("fmi3FreeInstance", "'intermediate update mode, to set inputs'"),
+        ("fmi3FreeInstance", "'intermediate update mode, after an error'"),
+        ("fmi3Reset", "'intermediate update mode, after an error'"),
+    ]
     assert plant.fmu["time"] == [0.0]
 
 
