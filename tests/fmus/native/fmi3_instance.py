@@ -9,6 +9,9 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 from fmpy.simulation import instantiate_fmu
 
+from fmus.block import Block
+from fmus.build.fmi3 import arrays
+
 STATUSES = ("ok", "warning", "discard", "error", "fatal")
 _FUNCTIONS = {"Enumeration": "Int64"}
 
@@ -66,3 +69,8 @@ class Fmi3Instance:
         ((logged, category, text),) = self.log
         assert (logged, category) == (status, f"logStatus{status.capitalize()}")
         return text
+
+
+def scalars(fmu: Fmi3Instance, block: Block, causality: str) -> list[Any]:
+    names = [name for name, *_ in arrays(block.of_causality(causality))]
+    return [value for name in names for value in fmu[name]]

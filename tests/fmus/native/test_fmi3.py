@@ -27,16 +27,11 @@ from fmus.registry import Flavour
 from tests.shared_builds import Fmus
 
 from .exchanged import BALL, Exchanged
-from .fmi3_instance import Fmi3Instance
+from .fmi3_instance import Fmi3Instance, scalars
 from .native_block import EVERYTHING, Mode, block_named
 
 NAMES = builder.block_names()
 Open = Callable[..., Fmi3Instance]
-
-
-def scalars(fmu: Fmi3Instance, block: Block, causality: str) -> list[Any]:
-    names = [name for name, *_ in arrays(block.of_causality(causality))]
-    return [value for name in names for value in fmu[name]]
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -13,9 +13,8 @@ from fmus.build import builder
 from tests.shared_builds import Fmus
 
 from .exchanged import BALL
-from .fmi3_instance import Fmi3Instance
+from .fmi3_instance import Fmi3Instance, scalars
 from .native_block import EVERYTHING, block_named
-from .test_fmi3 import scalars
 
 Open = Callable[..., Fmi3Instance]
 SET, GET = (True, False, False), (False, True, True)
