@@ -109,6 +109,10 @@ class Block:
         for role in ("parameters", "calculated", "inputs", "continuous", "state", "outputs"):
             if not is_frozen(getattr(self, role)):
                 raise TypeError(f"block {self.name!r}: {role}: expected a class with @dataclass(frozen=True)")
+        if self.continuous is not NoValues and not fields(self.continuous):
+            raise TypeError(
+                f"block {self.name!r}: continuous: expected a state at least, or no class Continuous"
+            )
         if "internal_step" not in {declared.name for declared in fields(self.parameters)}:
             if not _SHORTEST <= self.step_size <= _LONGEST:
                 expected = f"expected {_SHORTEST!r}..{_LONGEST!r} s, the range of the internal step"

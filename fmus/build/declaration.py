@@ -122,6 +122,9 @@ def _mistakes(declared: Field, role: str) -> Iterator[str]:
             if text not in ("1", None):
                 start = f"start {declared.default!r} is no float"
                 yield f"unit {text!r}: expected none, only a Real has a unit; {start}"
+        for nominal in flatten(declared.metadata["ranges"]["nominal"]):
+            if nominal is not None:
+                yield f"nominal {nominal!r}: expected none, only a Real has a nominal value"
     variability = declared.metadata["variability"]
     if variability is not None and variability not in _VARIABILITIES[role]:
         yield f"variability {variability!r}: expected {' or '.join(map(repr, _VARIABILITIES[role]))}"

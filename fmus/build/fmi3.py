@@ -81,13 +81,19 @@ def variable_names(variables: Iterable[BlockVariable]) -> list[str]:
 def arrays(variables: Iterable[BlockVariable]) -> Iterator[tuple[str, list[int], list[BlockVariable]]]:
     """Yields name, dimensions and scalars of each variable; no dimensions for one that is no array.
 
-    Scalars that differ in more than their start values are no array, and neither are rows of several lengths.
+    Scalars that differ in more than their start values are no array, and neither are rows of several lengths,
+    nor derivatives of states that are none.
     """
+    variables = list(variables)
+    of_states = {f"der({v.name})": _common(v) for v in variables}
     for name, group in groupby(variables, array_name):
         scalars = list(group)
         indices = _INDICES.search(scalars[-1].name)
         shape = [int(index) for index in indices[0][1:-1].split(",")] if indices else []
-        is_array = len(scalars) == math.prod(shape) and len({*map(_common, scalars)}) == 1
+        is_array = (
+            len(scalars) == math.prod(shape)
+            and len({(_common(v), of_states.get(v.name)) for v in scalars}) == 1
+        )
         if shape and is_array:
             yield name, shape, scalars
         else:

@@ -241,7 +241,7 @@ def _structure(
     rates = {unknown: known for unknown, known in present.items() if unknown not in outputs}
     structure = add(root, "ModelStructure")
     for name, dependencies in (("Outputs", outputs), ("Derivatives", rates), ("InitialUnknowns", initial)):
-        section = add(structure, name) if dependencies or name != "Derivatives" else structure
+        section = add(structure, name) if dependencies else structure
         for unknown, known in sorted(dependencies.items()):
             indices = " ".join(str(reference + 1) for reference in known)
             add(section, "Unknown", index=str(unknown + 1), dependencies=indices)

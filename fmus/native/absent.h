@@ -1,5 +1,5 @@
-/* Functions of FMI 3.0 for what the model does not have (2.5: they must be there). Only an empty list of variables of
- * a type without any is accepted. */
+/* Functions of FMI 3.0 for what the model does not have. Only an empty list of variables of a type without any is
+ * accepted. */
 
 #ifndef ABSENT_H
 #define ABSENT_H

@@ -114,11 +114,11 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
     const int is_initial = instance->data.mode == INITIALIZATION;
     for (size_t i = 0; i < nUnknown; i++)
         if (is_settable((int)vUnknown_ref[i]) || (is_state(vUnknown_ref[i]) && !is_initial))
-            return refuse(instance, fmi2Error, "%s: unknown %s: expected an output or a calculated parameter", function,
+            return refuse(instance, fmi2Error, "%s: unknown %s: expected what is calculated in this mode", function,
                           VARIABLES[vUnknown_ref[i]].name);
     for (size_t i = 0; i < nKnown; i++) {
         if (!is_settable((int)vKnown_ref[i]) && !(is_state(vKnown_ref[i]) && !is_initial))
-            return refuse(instance, fmi2Error, "%s: known %s: expected a parameter or an input", function,
+            return refuse(instance, fmi2Error, "%s: known %s: expected a parameter, an input or, later, a state", function,
                           VARIABLES[vKnown_ref[i]].name);
         along[vKnown_ref[i]] += dvKnown[i];
     }

@@ -7,7 +7,7 @@
 #include "values.h"
 
 /* Whether a call with an array of `expected` numbers can be carried out; until the initialization ends, states follow
- * parameters and inputs. */
+ * parameters and inputs, but nominal values, which are there before it, do not. */
 static int is_vector(Instance *instance, int modes, const double values[], size_t count, size_t expected,
                      const char *function) {
     int broken = 0;
@@ -18,7 +18,7 @@ static int is_vector(Instance *instance, int modes, const double values[], size_
         return 0;
     }
     if (count && !values) return missing(instance, function, "the array"), 0;
-    if (instance->data.mode != INITIALIZATION) return 1;
+    if (instance->data.mode != INITIALIZATION || modes == READABLE) return 1;
     return report(instance, data_refresh(&instance->data, &broken), &broken, function, 0) == OK;
 }
 
@@ -33,9 +33,11 @@ static Status to_mode(Instance *instance, int modes, Mode mode, const char *func
     return OK;
 }
 
-/* 3.2.2; 3.2.3: in continuous-time mode, and without effect in event mode of FMI 2.0. */
+/* 3.2.2; 3.2.3: in continuous-time mode, and without effect in event mode of FMI 2.0. Discrete outputs may change. */
 Status FMI(EnterEventMode)(void *c) {
-    return to_mode(c, EVENT_TOO | CONTINUOUS_TIME, EVENT, NAME(EnterEventMode));
+    const Status status = to_mode(c, EVENT_TOO | CONTINUOUS_TIME, EVENT, NAME(EnterEventMode));
+    if (status == OK && N_WHOLE_OUTPUTS > 0) ((Instance *)c)->data.outputs_are_stale = 1;
+    return status;
 }
 
 /* 3.2.2; 3.2.3: in event mode. */

@@ -212,6 +212,7 @@ fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind s, fmi2Status *va
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *value) {
     Instance *instance = c;
     if (s != fmi2LastSuccessfulTime) return no_status(instance, s, "fmi2GetRealStatus");
+    if (!is_of(instance, CO_SIMULATION, "fmi2GetRealStatus")) return fmi2Error;
     if (!is_allowed(instance, STEPPING | TERMINATED, "fmi2GetRealStatus")) return fmi2Error;
     if (!value) return missing(instance, "fmi2GetRealStatus", "value");
     *value = instance->data.time;
@@ -226,6 +227,7 @@ fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind s, fmi2Int
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boolean *value) {
     Instance *instance = c;
     if (s != fmi2Terminated) return no_status(instance, s, "fmi2GetBooleanStatus");
+    if (!is_of(instance, CO_SIMULATION, "fmi2GetBooleanStatus")) return fmi2Error;
     if (!is_allowed(instance, STEPPING | TERMINATED, "fmi2GetBooleanStatus")) return fmi2Error;
     if (!value) return missing(instance, "fmi2GetBooleanStatus", "value");
     *value = fmi2False; /* the model never wants the simulation to end */

@@ -56,6 +56,21 @@ static void data_reset(Data *d) {
     for (int i = 0; i < N_VALUES; i++) d->value[i] = VARIABLES[i].start;
 }
 
+/* In how many internal steps `data_step` takes a step of size h. */
+static INLINED double internal_steps(const Data *d, double h) {
+    return fmax(1, ceil(h / d->value[INTERNAL_STEP] * (1 - 1e-9)));
+}
+
+/* Of a model without derivative, for model exchange [s]: the suggested step size, in equal internal steps. */
+static double sample_time(const Data *d) { return MODEL_STEP_SIZE / internal_steps(d, MODEL_STEP_SIZE); }
+
+/* Steps of another size begin where the last one ended. */
+static void data_begin_steps(Data *d) {
+    if (!d->n_steps) return;
+    d->start_time += (double)d->n_steps * sample_time(d);
+    d->n_steps = 0;
+}
+
 /* A continuous state is marked as changed, whatever it was. */
 static void data_set(Data *d, StepCache *cache, int reference, double value) {
     if (N_CONTINUOUS > 0 && reference >= N_VALUES) {
@@ -64,6 +79,7 @@ static void data_set(Data *d, StepCache *cache, int reference, double value) {
         return;
     }
     if (is_same(d->value[reference], value)) return;
+    if (reference == INTERNAL_STEP) data_begin_steps(d);
     d->value[reference] = value;
     if (reference < FIRST_CALCULATED) d->parameters_are_stale = cache->is_stale = 1;
     if (d->mode != STEPPING) d->outputs_are_stale = 1;
@@ -156,7 +172,8 @@ static void data_hold(const Data *d, const double *state, const double *c, doubl
 #endif
 }
 
-/* Outputs, and until stepping begins the initial state, which follow parameters and inputs. */
+/* Outputs, and until stepping begins the initial state, which follow parameters and inputs. In continuous-time mode
+ * whole numbers rest: they are discrete (2.2.7). */
 static Outcome data_refresh(Data *d, int *broken) {
     double fresh[N_CALCULATED + 1], state[N_STATES + 1], outputs[N_OUTPUTS + 1];
     const double *p = d->value, *c;
@@ -170,6 +187,8 @@ static Outcome data_refresh(Data *d, int *broken) {
         model_initial_state(d->time, p + FIRST_INPUT, p, c, state);
     }
     model_output(d->time, state, p, c, outputs);
+    for (int i = 0; i < N_WHOLE_OUTPUTS && d->mode == CONTINUOUS_TIME; i++)
+        outputs[WHOLE_OUTPUTS[i]] = d->value[FIRST_OUTPUT + WHOLE_OUTPUTS[i]];
     outcome = checked(state, outputs, broken);
     if (outcome == DONE) data_become(d, d->time, state, outputs, c);
     return outcome;
@@ -215,14 +234,6 @@ static Outcome data_step(Data *d, StepCache *cache, double t, double h, const do
     d->inputs_have_rates = 0;
     return DONE;
 }
-
-/* In how many internal steps `data_step` takes a step of size h. */
-static INLINED double internal_steps(const Data *d, double h) {
-    return fmax(1, ceil(h / d->value[INTERNAL_STEP] * (1 - 1e-9)));
-}
-
-/* Of a model without derivative, for model exchange [s]: the suggested step size, in equal internal steps. */
-static double sample_time(const Data *d) { return MODEL_STEP_SIZE / internal_steps(d, MODEL_STEP_SIZE); }
 
 /* An event of model exchange: samples that are due are taken. `next`: the time of the next [s], infinite if none
  * is known; `jumped`: whether continuous states have changed. A model without derivative steps: each internal step, with

@@ -18,7 +18,10 @@
 #define NAME(name) TEXT(STANDARD) TEXT(name)
 
 typedef FMI(Status) Status;
-enum { OK = FMI(OK), WARNING = FMI(Warning), DISCARD = FMI(Discard), ERROR = FMI(Error) };
+#define OK FMI(OK)
+#define WARNING FMI(Warning)
+#define DISCARD FMI(Discard)
+#define ERROR FMI(Error)
 
 typedef void (*Callback)(void); /* of any type: converted back before it is called */
 

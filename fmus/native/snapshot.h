@@ -65,9 +65,12 @@ static int is_consistent(const Data *d) {
     int good = d->mode >= INSTANTIATED && d->mode <= CONTINUOUS_TIME && (d->mode & (d->mode - 1)) == 0;
     good = good && d->face >= CO_SIMULATION && d->face <= EXCHANGE;
     good = good && (d->mode & (EVENT | CONTINUOUS_TIME) ? d->face == EXCHANGE
-                    : d->mode == STEPPING               ? d->face == CO_SIMULATION
-                                                        : 1);
-    good = good && d->n_steps >= 0 && isfinite(d->start_time) && are_finite(d->held, N_INPUTS);
+                    : d->mode == STEPPING                        ? d->face == CO_SIMULATION
+                    : d->mode & (INSTANTIATED | INITIALIZATION) ? d->face != EXCHANGE
+                                                                 : 1);
+    good = good && d->n_steps >= 0 && d->n_steps < 1LL << 53 && isfinite(d->start_time); /* steps are counted as doubles too */
+    for (int i = 0; i < N_INPUTS; i++)
+        good = good && (d->held[i] == 0 || is_acceptable(FIRST_INPUT + i, d->held[i]));
     good = good && isfinite(d->time);
     good = good && is_flag(d->parameters_are_stale) && is_flag(d->outputs_are_stale);
     good = good && is_flag(d->inputs_have_rates);

@@ -1,11 +1,10 @@
-"""Terminals and icon of an FMU (FMI 2.0.5, 2.3): terminalsAndIcons.xml and model.png.
+"""Terminals and icon of an FMU (FMI 2.0.5, 2.3; FMI 3.0.2, 2.5): terminalsAndIcons.xml and a picture.
 
 Terminals say which ports belong together, in the file format of FMI 3.0 (2.4.9), which FMI 2.0.4 took over as
-it is, at the same place. The file is written on request alone: FMI Library 3.0.4 reads it as a file of
+it is, at the same place. There it is written on request alone: FMI Library 3.0.4 reads it as a file of
 FMI 3.0 and prints FATAL lines. Two terminals are enough: inputs and outputs. Both match as a bus: members of
 equal name are connected, so the outputs of a block plug into those inputs of the next that bear their names.
-`GraphicalRepresentation` is left out: the icon is model.png, and some readers take the first child of the
-root for the terminals.
+`GraphicalRepresentation` is left out: some readers take the first child of the root for the terminals.
 """
 
 import io

@@ -55,6 +55,7 @@ class Outputs:
     lifted: float = variable(0.0, "The input, at once", unit="m/s2")
     bounces: float = variable(0.0, "Number of bounces")
     reading: float = variable(0.0, "Height at the last multiple of 0.25 s", unit="m")
+    is_low: bool = variable(False, "Below 0.5 m")
 
 
 def initial_state(t: float, u: Inputs, p: Parameters, c: NoValues) -> State:
@@ -77,7 +78,7 @@ def step(t: float, h: float, state: State, u: Inputs, p: Parameters, c: NoValues
 
 
 def output(t: float, state: State, p: Parameters, c: NoValues) -> Outputs:
-    return Outputs(state.height, state.lift, state.bounces, state.reading.value)
+    return Outputs(state.height, state.lift, state.bounces, state.reading.value, state.height < 0.5)
 
 
 def crossings(t: float, state: State, u: Inputs, p: Parameters, c: NoValues) -> tuple:
@@ -85,6 +86,11 @@ def crossings(t: float, state: State, u: Inputs, p: Parameters, c: NoValues) -> 
 
 
 BALL = Block.of_module(__name__, "Ball", "A ball that bounces, and its height at times", step_size=0.01)
+
+
+@dataclass(frozen=True)
+class Steps:
+    internal_step: float = variable(0.1, "Longest internal step", unit="s", min=1e-6, max=1.0)
 
 
 @dataclass(frozen=True)
@@ -105,7 +111,7 @@ class Seen:
 
 GROWTH = Block(
     "Growth", "A number that is multiplied in each step, and the time",
-    inputs=Factor, state=Grown, outputs=Seen, step_size=0.1,
+    parameters=Steps, inputs=Factor, state=Grown, outputs=Seen, step_size=0.1,
     step=lambda t, h, state, u, p, c: Grown(state.value * u.factor),
     output=lambda t, state, p, c: Seen(state.value, t),
 )  # fmt: skip

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Callable
+from dataclasses import make_dataclass
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -17,9 +18,9 @@ import pytest
 from fmpy.validation import validate_fmu
 from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
-from fmus.block import Block
+from fmus.block import Block, variable
 from fmus.build import builder
-from fmus.build.fmi3 import arrays
+from fmus.build.fmi3 import arrays, variable_names
 from fmus.compliance.examine import examine
 from fmus.errors import ExportError
 from fmus.native import toolchain
@@ -46,8 +47,8 @@ def test_trajectories_are_those_of_fmi_2_bit_for_bit(
     recorded = []
     for i in range(200):
         values = {v.name: math.cos(5.0 * i * h * (k + 1)) for k, v in enumerate(moved)}
-        for variable, value in values.items():
-            old[variable] = value
+        for member, value in values.items():
+            old[member] = value
         for group, members in groups:
             if {v.name for v in members} <= {*values}:
                 new[group] = [values[v.name] for v in members]
@@ -118,6 +119,19 @@ def test_what_is_one_array_in_the_block_is_one_variable(open_fmi3: Open) -> None
     assert plant["time"] == [0.0]
     voltage = open_fmi3("RovDepthPlant").variables["voltage"]
     assert ([d.start for d in voltage.dimensions], voltage.causality) == ([2], "input")
+
+
+@pytest.mark.parametrize(("nominal", "indices"), [(2.0, [""]), ((1.0, 2.0), ["[1]", "[2]"])])
+def test_derivatives_are_an_array_where_their_states_are(nominal: Any, indices: list[str]) -> None:
+    x = variable((0.0, 0.0), "States", unit="m", nominal=nominal)
+    continuous = make_dataclass("Continuous", [("x", tuple[float, ...], x)], frozen=True)
+    output = make_dataclass("Outputs", [("y", float, variable(0.0, "Output"))], frozen=True)
+    block = Block(
+        "Two", "Two states", continuous=continuous, outputs=output,
+        derivative=lambda *_: continuous(), output=lambda *_: output(),
+    )  # fmt: skip
+    states = [f"state.x{index}" for index in indices]
+    assert variable_names(block.states) == [*states, *(f"der({state})" for state in states)]
 
 
 def test_every_type_is_read_and_set_by_its_own_functions(open_fmi3: Open) -> None:

@@ -110,7 +110,7 @@ def test_dependencies_are_those_of_the_equations(ball: Path, exchange: Load) -> 
         for unknown in (*description.outputs, *description.derivatives)
     }
     assert listed == {
-        "height": ["state.height"], "lifted": ["lift"], "bounces": [], "reading": [],
+        "height": ["state.height"], "lifted": ["lift"], "bounces": [], "reading": [], "is_low": ["state.height"],
         "der(state.height)": ["state.velocity"], "der(state.velocity)": ["lift"],
     }  # fmt: skip
 
@@ -327,6 +327,32 @@ def test_samples_of_a_block_are_its_internal_steps(growth: Path, exchange: Load)
     assert fmu.log[-1].endswith("size 1e+08 s: expected at most 1e+09 internal steps")
 
 
+@pytest.mark.parametrize(("internal_step", "next_sample"), [(0.02, 0.22), (0.1, 0.3)])
+def test_steps_of_another_size_begin_where_the_last_one_ended(
+    growth: Path, exchange: Load, internal_step: float, next_sample: float
+) -> None:
+    fmu = exchange(growth).begin(internal_step=0.05)
+    fmu["factor"] = 2.0
+    fmu.event()
+    fmu.model.enterContinuousTimeMode()
+    fmu.event(0.2)
+    assert fmu["value"] == 16.0
+    fmu["internal_step"] = internal_step
+    assert fmu.event()[4:] == (True, pytest.approx(next_sample, rel=1e-12))
+    assert fmu["value"] == 16.0
+
+
+def test_truth_values_change_at_events_alone(ball: Path, exchange: Load) -> None:
+    fmu = exchange(ball).begin()
+    reference = [fmu.references["is_low"]]
+    fmu.event()
+    fmu.model.enterContinuousTimeMode()
+    fmu.at(0.1, [0.25, -1.0])
+    assert (fmu["height"], fmu.model.getBoolean(reference)) == (0.25, [False])
+    fmu.model.enterEventMode()
+    assert fmu.model.getBoolean(reference) == [True]
+
+
 def test_indicators_follow_inputs_at_once(ball: Path, exchange: Load) -> None:
     fmu = exchange(ball).begin()
     fmu.event()
@@ -445,7 +471,7 @@ def test_a_saved_state_goes_on(ball: Path, exchange: Load, moment: str) -> None:
         instance.at(0.5, [0.25, 1.0])
         instance.event(0.5)
     for name in fmu.references:
-        if name != "level":
+        if name not in ("level", "is_low"):  # no Reals
             assert fmu[name] == other[name]
     assert fmu["reading"] == 0.25
 
@@ -524,6 +550,9 @@ def test_states_and_derivatives_of_the_start_follow_parameters(built: Fmus, exch
     assert fmu.states[0] == 3.0
     fmu["initial_heave_velocity"] = 0.25
     assert fmu.rates[0] == 0.25
+    fmu["net_weight"] = 30.0  # above the weight, of which nominal values know nothing
+    assert list(fmu.nominals) == [1.0] * 4
+    assert _vector(fmu, "GetContinuousStates") == "error"
 
 
 def test_derivatives_need_an_initialization_and_parameters_that_agree(built: Fmus, exchange: Load) -> None:
@@ -583,6 +612,9 @@ def test_calls_and_states_of_the_other_interface_are_refused(ball: Path, exchang
     call = fmu.model.dll.fmi2GetRealOutputDerivatives
     assert call(c_void_p(fmu.model.component), vr, c_size_t(1), order, value) == 3
     assert fmu.log[-1] == "fmi2GetRealOutputDerivatives: expected an instance for co-simulation"
+    call = fmu.model.dll.fmi2GetRealStatus
+    assert call(c_void_p(fmu.model.component), c_int(2), value) == 3
+    assert fmu.log[-1] == "fmi2GetRealStatus: expected an instance for co-simulation"
     slave.slave.reset()
     call = fmu.model.dll.fmi2SetTime
     assert call(c_void_p(slave.slave.component), c_double(0.0)) == 3
@@ -629,12 +661,21 @@ def test_an_integration_of_the_block_is_that_of_co_simulation(ball: Path, tmp_pa
     assert own["height"] - co_simulated(ball, 0.4, 0.1)["height"] == pytest.approx(-0.01 * 8.0 * 0.4 / 2)
 
 
+@dataclasses.dataclass(frozen=True)
+class Empty:
+    pass
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"derivative": None}, "expected both a class Continuous and a function derivative, or neither"),
         ({"continuous": NoValues}, "expected both a class Continuous and a function derivative, or neither"),
         ({"state": Reading}, "expected class State(Continuous)"),
+        (
+            {"continuous": Empty, "state": Empty},
+            "continuous: expected a state at least, or no class Continuous",
+        ),
         ({"continuous": NoValues, "derivative": None, "integrate": lambda: 0}, "derivative beside integrate"),
     ],
 )

@@ -113,7 +113,7 @@ def test_forged_words_of_model_exchange_that_no_instance_has_are_refused(session
     assert struct.unpack_from("<2q", content, first) == (0, 0)
     for word, kind, good, bad in (
         (0, "q", (0,), (1, 2, 3, -1)),  # of model exchange no instance is in step mode
-        (1, "q", (0, 5), (-1,)),
+        (1, "q", (0, 5), (-1, 2**53, 2**63 - 1)),
         (2, "d", (0.0, -2.5), NEVER_FINITE),
         (3, "d", (0.0, 1e300), NEVER_FINITE),
     ):
