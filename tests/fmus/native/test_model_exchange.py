@@ -110,7 +110,8 @@ def test_dependencies_are_those_of_the_equations(ball: Path, exchange: Load) -> 
         for unknown in (*description.outputs, *description.derivatives)
     }
     assert listed == {
-        "height": ["state.height"], "lifted": ["lift"], "bounces": [], "reading": [], "is_low": ["state.height"],
+        "height": ["state.height"], "lifted": ["lift"], "bounces": [], "reading": [],
+        "is_low": ["state.height"],
         "der(state.height)": ["state.velocity"], "der(state.velocity)": ["lift"],
     }  # fmt: skip
 
@@ -674,7 +675,7 @@ class Empty:
         ({"state": Reading}, "expected class State(Continuous)"),
         (
             {"continuous": Empty, "state": Empty},
-            "continuous: expected a state at least, or no class Continuous",
+            "expected a state at least, or no class Continuous",
         ),
         ({"continuous": NoValues, "derivative": None, "integrate": lambda: 0}, "derivative beside integrate"),
     ],
