@@ -233,8 +233,8 @@ def _use(session: Session) -> None:
 @pytest.mark.parametrize(
     ("unknown", "known", "reason"),
     [
-        ("control", "control", "unknown control: expected an output or a calculated parameter"),
-        ("output", "output", "known output: expected a parameter or an input"),
+        ("control", "control", "unknown control: expected what is calculated in this mode"),
+        ("output", "output", "known output: expected a parameter, an input or, later, a state"),
     ],
 )
 def test_a_derivative_is_of_what_follows_by_what_is_set(
