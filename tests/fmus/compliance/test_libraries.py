@@ -77,12 +77,13 @@ def test_a_library_of_macos_exports_by_its_symbol_table_too(elsewhere: Path, tmp
 
 def test_a_library_compiled_without_a_function_is_caught(tmp_path: Path) -> None:
     _, content = native_flavour.content(builder.load_block(NAME))
-    source = content["sources/fmi2.c"]
-    content["sources/fmi2.c"] = source.replace(b"fmi2Status fmi2Terminate(", b"fmi2Status fmi2End(")
+    source, name = content["sources/fmi2.c"], b"fmi2Status fmi2CancelStep("
+    assert source.count(name) == 1
+    content["sources/fmi2.c"] = source.replace(name, b"fmi2Status fmi2End(")
     content |= native_flavour.libraries(NAME, content, ())
     broken = broken_rules(files.write_archive(tmp_path / "mutant.fmu", content))
     assert broken["library-exports"] == (
-        f"{library_name(NAME, host_platform())} does not export fmi2Terminate",
+        f"{library_name(NAME, host_platform())} does not export fmi2CancelStep",
     )
     assert set(broken) == {"library-exports"}  # its cause alone
 
