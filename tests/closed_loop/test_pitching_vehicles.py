@@ -82,6 +82,13 @@ def test_noise_of_the_depth_counts(built: Mapping[str, Path], noise: float, rmse
     assert nominal({"plant.sensor_noise": noise})["rmse"] == pytest.approx(rmse, abs=0.005)
 
 
+def test_a_sensor_aft_of_the_centre_of_gravity_changes_nothing_without_pitch(
+    built: Mapping[str, Path],
+) -> None:
+    assert built["PidDepthController"].is_file()
+    assert nominal({"plant.sensor_forward": -0.16}) == nominal({})
+
+
 def test_a_score_tells_the_table_and_computes_the_force_by_it() -> None:
     """Both pairs of two thrusters have one voltage, whose sign is that of the force."""
     protocol = read_protocol(vehicle=Vehicle.of("BlueRov2Plant"))

@@ -26,6 +26,11 @@ from tests.shared_builds import Fmus
 
 from .exchanged import BALL, GROWTH, Exchanged, Outputs, Reading, State, euler, heun, rk4
 
+CONTROLLERS = [
+    name
+    for name in builder.block_names()
+    if any(v.name == "measured_depth" for v in builder.load_block(name).of_causality("input"))
+]
 CONTINUOUS = ("ExamplePlant", "RovDepthPlant", "RovHeavePitchPlant", "BlueRov2Plant")
 Load = Callable[[Path], Exchanged]
 
@@ -241,9 +246,12 @@ def test_co_simulation_of_a_vehicle_converges_to_model_exchange(
     assert math.log2(error(h) / error(h / 2)) == pytest.approx(4, abs=0.25)
 
 
-def test_a_block_without_derivative_samples_as_co_simulation_steps(built: Fmus, exchange: Load) -> None:
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_a_block_without_derivative_samples_as_co_simulation_steps(
+    built: Fmus, exchange: Load, name: str
+) -> None:
     """Bit for bit, at the suggested step size, with inputs that change at samples."""
-    path = built["PidDepthController"]
+    path = built[name]
     slave: Any = fmpy.instantiate_fmu(
         fmpy.extract(str(path)), fmpy.read_model_description(str(path)), "CoSimulation"
     )
