@@ -111,6 +111,11 @@ def score(
         )
     print_score(result.document)
     write_score(result, out)
+    scored = result.document.scored
+    if all(case.failed for row in scored for case in row.cases.values()):
+        name, case = next(iter(scored[0].cases.items()))
+        titles = " and ".join(row.title for row in scored)
+        shared.fail(f"{titles} failed every case, {name} with: {', '.join(case.failed)}")
 
 
 def compare(

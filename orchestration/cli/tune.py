@@ -181,10 +181,14 @@ def print_gains(tuning: "Tuning", name: str) -> None:
         ending = ", at a limit" if gain.is_at_a_limit(value) else ""
         print(f"{gain.name} = {value:g} {gain.unit}, of {gain.low:g} to {gain.high:g}{ending}")
     stopped = [gain.name for gain in tuning.problem.gains if gain.is_at_a_limit(tuning.best.gains[gain.name])]
+    seeds, last = len(tuning.searches), len(tuning.refinements[-1].curve)
+    if not tuning.is_long_enough:
+        expected = f"expected {tuning.fewest} or more"
+        print(f"{last} evaluations are too few to tell whether the cost is flat: {expected}.")
+        return
     verdict = "flat" if tuning.is_flat else "not flat: more evaluations may lower it"
     if stopped:
         verdict = f"limited by the range of {', '.join(stopped)}: a wider one in --free may lower it"
-    seeds, last = len(tuning.searches), len(tuning.refinements[-1].curve)
     print(
         f"The cost is {verdict}. In the last half of {last} evaluations it fell by "
         f"{100 * tuning.improvement:.2g} %; the {f'median of {seeds} seeds' if seeds > 1 else 'one seed'} is "
