@@ -10,14 +10,7 @@ import typer
 from fmus.errors import nearest
 from fmus.platforms import usable_processors
 from orchestration.cli import shared
-from orchestration.cli.changes import (
-    CONTROLLER,
-    Changes,
-    LoopMapOption,
-    LoopSetOption,
-    OpenInputsOption,
-    PlantOption,
-)
+from orchestration.cli.changes import CONTROLLER, NO_CHANGES, OF_LOOP, Changes, takes_changes
 from orchestration.cli.interrupts import INTERRUPTED
 from orchestration.cli.score import (
     BoundOption,
@@ -37,6 +30,7 @@ if TYPE_CHECKING:
     from orchestration.score.tune import Evaluate, Problem, Tuning
 
 
+@takes_changes(**OF_LOOP, open_inputs="")
 def tune(
     name: Annotated[
         str,
@@ -70,10 +64,7 @@ def tune(
     ] = 0,
     protocol_file: ProtocolOption = None,
     no_rates: RatesOption = False,
-    plant: PlantOption = "",
-    settings: LoopSetOption = [],  # noqa: B006
-    mapped: LoopMapOption = [],  # noqa: B006
-    open_inputs: OpenInputsOption = None,
+    changes: Changes = NO_CHANGES,
 ) -> None:
     """Search the gains of least cost on practice cases of the protocol; an interrupted tuning continues."""
     from orchestration.scenarios.free_parameter import parse
@@ -82,7 +73,6 @@ def tune(
     from orchestration.score.protocol import with_cost
     from orchestration.score.tune_problem import evaluations as started
 
-    changes = Changes.of_options("", settings, mapped, open_inputs, plant)
     if plants:
         shared.refuse_without_effect("--plants", {"--cases": cases})
     cost = tune_problem.cost_of_options(bounds, cases, plants)

@@ -11,7 +11,7 @@ import pytest
 from orchestration import Experiment, simulate
 from orchestration.cli import chosen_scenario
 from orchestration.cli.changes import Changes
-from orchestration.cli.fit import print_fit
+from orchestration.cli.vehicles import print_fit
 from orchestration.fit.intervals import Analysis
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
