@@ -123,10 +123,10 @@ def compare(
 ) -> None:
     """Score all controllers of the protocol, each with the gains that it comes with, and tuned.
 
-    Writes comparison.json and an interactive page. With --fronts: fronts.json and fronts.svg.
+    Writes scoring.json and an interactive page. With --fronts: fronts.json and fronts.svg.
     """
     from fmus.files import write_text_atomically
-    from orchestration.score import compare as comparison
+    from orchestration.score import score as scoring
 
     protocol = chosen_protocol(changes, protocol_file)
     scored_controllers([], False, changes)
@@ -140,17 +140,17 @@ def compare(
         return write_fronts(protocol, listed(laws), seeds, evaluations, workers, out)
     others = {"--laws": laws, "--bound": bounds, "--cases": cases, "--seeds": seeds != _SEEDS}
     shared.refuse_without_effect("compare without --fronts", others)
-    with shared.progress("compare", comparison.run_count(protocol, full)) as bar:
-        result = comparison.compare(protocol, full, seed, workers, bar.advance)
+    with shared.progress("compare", scoring.run_count(len(protocol.controllers), protocol, full)) as bar:
+        result = scoring.compare(protocol, full, seed, workers, bar.advance)
     document = result.document
-    shown = comparison.shown_tables(document).items()
+    shown = scoring.shown_tables(document).items()
     print_tables(
         [replace(table, title=f"{table.title}: {name}") for name, table in shown if table.rows],
-        comparison.with_papers_differences(document),
+        scoring.with_papers_differences(document),
     )
-    write_text_atomically(out / "comparison.json", document.model_dump_json(indent=1) + "\n")
-    print(out / "comparison.json")
-    return write_page(comparison.for_page(result), out / "comparison.html", "Comparison of the controllers")
+    write_text_atomically(out / "scoring.json", document.model_dump_json(indent=1) + "\n")
+    print(out / "scoring.json")
+    return write_page(scoring.for_page(result), out / "scoring.html", "Comparison of the controllers")
 
 
 def write_score(result: "ScoreResult", out: Path) -> None:

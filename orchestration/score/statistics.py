@@ -38,26 +38,27 @@ class OrderStatistics:
 class PairedComparison:
     """A metric of two controllers in the same runs, the first minus the second.
 
-    pairs: runs in which both have a value; low, high: interval of the median difference
+    pairs: runs in which both have a value; interval: of the median difference
     margin: a difference below it counts as none, 5 % of the lesser median
     p: of Wilcoxon's signed-rank test, that the differences are symmetric about 0
     """
 
     pairs: int
     median_difference: float
-    low: float
-    high: float
+    interval: tuple[float, float]
     margin: float
+    verdict: Verdict
     p: float
 
-    @property
-    def verdict(self) -> Verdict:
-        """Verdict of the interval: wholly within the margin, wholly beyond it, or neither."""
-        if -self.margin < self.low and self.high < self.margin:
-            return "equal"
-        if self.high < -self.margin or self.low > self.margin:
-            return "lower" if self.high < 0.0 else "higher"
-        return "open"
+
+def verdict_of(interval: tuple[float, float], margin: float) -> Verdict:
+    """Returns the verdict of an interval: wholly within the margin, wholly beyond it, or neither."""
+    low, high = interval
+    if -margin < low and high < margin:
+        return "equal"
+    if high < -margin or low > margin:
+        return "lower" if high < 0.0 else "higher"
+    return "open"
 
 
 def distribution(values: npt.ArrayLike) -> OrderStatistics:
@@ -68,7 +69,7 @@ def distribution(values: npt.ArrayLike) -> OrderStatistics:
     return OrderStatistics(float(median), float(p95), float(worst.mean()))
 
 
-def compare(first: npt.ArrayLike, second: npt.ArrayLike, comparisons: int = 1) -> PairedComparison:
+def paired(first: npt.ArrayLike, second: npt.ArrayLike, comparisons: int = 1) -> PairedComparison:
     """Returns Wilcoxon's test and the interval of the median difference between order statistics, by pairs.
 
     comparisons: so many intervals hold together with 95 % (Bonferroni)
@@ -79,14 +80,15 @@ def compare(first: npt.ArrayLike, second: npt.ArrayLike, comparisons: int = 1) -
     pairs = pairs[:, np.isfinite(pairs).all(axis=0)]
     count, differences = pairs.shape[1], pairs[0] - pairs[1]
     if count < 2:
-        return PairedComparison(count, *[math.nan] * 5)
+        return PairedComparison(count, math.nan, (math.nan, math.nan), math.nan, "open", math.nan)
     margin = EQUIVALENCE * float(np.median(pairs, axis=1).min())
     median = float(np.median(differences))
     level = 1.0 - (1.0 - CONFIDENCE) / comparisons
-    interval = stats.quantile_test(differences, q=0, p=0.5).confidence_interval(level)
+    ends = stats.quantile_test(differences, q=0, p=0.5).confidence_interval(level)
+    interval = float(ends.low), float(ends.high)
     test: Any = stats.wilcoxon(differences) if np.any(differences) else None
     p = test.pvalue if test else 1.0
-    return PairedComparison(count, median, float(interval.low), float(interval.high), margin, float(p))
+    return PairedComparison(count, median, interval, margin, verdict_of(interval, margin), float(p))
 
 
 def proportion_interval(count: int, of: int) -> tuple[float, float]:
@@ -110,14 +112,6 @@ def ratios_to_best(values: npt.ArrayLike, ranked: Sequence[bool]) -> npt.NDArray
 def profile(ratios: npt.NDArray[np.float64], limits: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """Returns the share of problems with a ratio of at most each limit, controllers x limits."""
     return (ratios[:, :, np.newaxis] <= np.asarray(limits, float)).mean(axis=1)
-
-
-def rank_correlation(first: npt.ArrayLike, second: npt.ArrayLike) -> float:
-    """Returns Spearman's correlation of two cases over the controllers that have a value in both."""
-    from scipy import stats
-
-    result: Any = stats.spearmanr(first, second, nan_policy="omit")
-    return float(result.statistic)
 
 
 def holm(p_values: Mapping[Name, float]) -> dict[Name, float]:
