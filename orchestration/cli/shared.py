@@ -161,7 +161,7 @@ class ProgressBar:
     """A bar of how much of a command is done, shown on a terminal after `delay` seconds."""
 
     def __init__(self, description: str, total: int, delay: float, stack: ExitStack) -> None:
-        self._description, self._total, self._stack = description, total, stack
+        self._description, self.total, self._stack = description, total, stack
         self._shown_from = time.monotonic() + delay
         self._bar: tuple[Progress, TaskID] | None = None
         self.done = 0
@@ -169,7 +169,7 @@ class ProgressBar:
 
     def advance(self, count: int = 1, note: str = "") -> None:
         """Counts `count` more parts as done; shows `note` beside the description."""
-        self._show(self.done + count, self._total, note)
+        self._show(self.done + count, self.total, note)
 
     def update(self, done: int, total: int) -> None:
         """Sets how many parts of `total` are done."""
@@ -197,7 +197,7 @@ class ProgressBar:
             redirect_stdout=sys.stdout.isatty(),  # what goes into a pipe must not end on the terminal
             transient=True,
         )
-        return self._stack.enter_context(bar), bar.add_task(self._description, total=self._total)
+        return self._stack.enter_context(bar), bar.add_task(self._description, total=self.total)
 
 
 @contextmanager

@@ -106,20 +106,14 @@ def _search(
     """Returns the tuning; an interruption ends the command with a message about what is done."""
     from orchestration.score.tune import tune as search
 
-    total, done = evaluations * len(problem.gains) * (len(seeds) + 1), 0
-
     def advance(count: int, cost: float) -> None:
-        nonlocal done
-        done += count
         bar.advance(count, f"best {cost:.4g} cm")
 
     try:
         return search(problem, seeds, evaluations, journal, evaluate, advance, restart)
     except KeyboardInterrupt:
-        shared.fail(
-            f"interrupted: {done} of {total} evaluations are done and kept; the same command continues",
-            INTERRUPTED,
-        )
+        kept = f"{bar.done} of {bar.total} evaluations are done and kept"
+        shared.fail(f"interrupted: {kept}; the same command continues", INTERRUPTED)
 
 
 def _controller(

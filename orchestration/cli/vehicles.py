@@ -14,7 +14,7 @@ from orchestration.cli.changes import CONTROLLER, NO_CHANGES, OF_LOOP, Changes, 
 from orchestration.errors import OrchestrationError
 
 if TYPE_CHECKING:
-    from orchestration.design.check import DesignCheck
+    from orchestration.design.parameter_file import DesignCheck
     from orchestration.design.rules import Conditions, Gain
     from orchestration.fit.vehicle_fit import VehicleFit
     from orchestration.scenarios.scenario import Scenario
@@ -46,7 +46,7 @@ def design(
     seed NUMBER: Seed of the draws.
     """
     from orchestration.cli.score import chosen_vehicle
-    from orchestration.design import check, parameter_file, rules, vehicle_data
+    from orchestration.design import parameter_file, rules, vehicle_data
 
     changes.check_of_plant()
     vehicle = chosen_vehicle(changes)
@@ -65,7 +65,7 @@ def design(
     values = [*vehicle_data.corners(vehicle, drawn), *vehicle_data.drawn(drawn, seed, draws)]
     with shared.progress("design", len(scenarios) * (len(values) + 1), 0.5) as bar:
         checks = [
-            check.check(title, scenario, gains[title], values, bar.advance)
+            parameter_file.check(title, scenario, gains[title], values, bar.advance)
             for title, scenario in scenarios.items()
         ]
     _print(l1_gains, pid_gains, checks, f"{data.name}: {len(values) - draws} corners, {draws} draws")

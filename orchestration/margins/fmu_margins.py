@@ -8,16 +8,48 @@ the step of the scan may be missed. So a result is the first loss that was measu
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import groupby
+from typing import Any
 
 import numpy as np
 
 from fmus.fmi.variable_types import FmiValue
 from orchestration.margins.hold import MOVED, Hold, HoldRuns, LoopSignal, loop_inputs
-from orchestration.margins.margin_metric import Metric
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.faults import Effect, InterpolatedDelay, Scale
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A metric of a margin.
+
+    value: not a number if it does not exist, infinite if nothing is lost; unit: "" where it has none
+    assumption: what it holds under; remark: what belongs to this metric alone
+    """
+
+    group: str
+    name: str
+    value: float
+    unit: str
+    assumption: str
+    source: str
+    remark: str = ""
+
+    @property
+    def shown(self) -> str:
+        """The value in a table."""
+        if math.isnan(self.value):
+            return "none"
+        return "not lost" if math.isinf(self.value) else f"{self.value:.4g}"
+
+    def document(self) -> dict[str, Any]:
+        """Returns the metric for JSON, which has neither infinity nor what is not a number: both are null."""
+        return {
+            **asdict(self),
+            "value": self.value if math.isfinite(self.value) else None,
+            "shown": self.shown,
+        }
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from orchestration.errors import ScenarioError
-from orchestration.margins.fmu_margins import ADAPTATION_GAINS, parameter_metrics, run_metrics
+from orchestration.margins.fmu_margins import ADAPTATION_GAINS, Metric, parameter_metrics, run_metrics
 from orchestration.margins.hold import QUIET, Hold, HoldRuns, hold_of
 from orchestration.margins.l1_design import Design, design_of
-from orchestration.margins.margin_metric import Metric
 from orchestration.margins.theory_metrics import design_metrics, step_metrics
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.signals import values_at

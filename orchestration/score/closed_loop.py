@@ -30,7 +30,7 @@ from orchestration.scenarios.layers import Layer
 from orchestration.scenarios.read_layers import file_layers, parameter_values, shipped_bases
 from orchestration.scenarios.scenario import Scenario
 from orchestration.score.protocol import REFERENCE, Case, Protocol, check_vehicle
-from orchestration.score.run_metrics import Judged, all_signals, declared, metrics_of
+from orchestration.score.run_metrics import all_signals, declared, judged, metrics_of
 from orchestration.score.vehicle import DEPTH, PREFIX, built
 from orchestration.system.experiment import Experiment
 from orchestration.system.signal_derivatives import derivative
@@ -184,10 +184,11 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
             ranges = vehicle.values(experiment.parameters).actuators.ranges
             actuators = replace(vehicle.actuators, ranges=ranges)
             stride = max(1, round(_judged_period(self.protocol.tables.base) / experiment.step_size))
-            judged = Judged(tuple(experiment.record), actuators, first.compute, stride)
+            of_signals = {"columns": tuple(experiment.record), "actuators": actuators, "stride": stride}
+            reduce = partial(judged, compute=first.compute, **of_signals)
             for run in (first, *others):
                 gains = {f"{OWN}{name}": value for name, value in run.gains.items()}
-                yield Run(None, with_values(experiment, gains), judged)
+                yield Run(None, with_values(experiment, gains), reduce)
 
     def scenario(self, case: Case) -> Scenario:
         """Returns the case as a scenario with this controller, without the values and gains of a run."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from orchestration.score.statistics import (
+from orchestration.score.run_metrics import (
     distribution,
     holm,
     paired,
