@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 from fmus.errors import nearest
 from fmus.fmi.description import describe, of_causality
 from fmus.fmi.variable_types import FmiValue
-from fmus.registry import Flavour
 from orchestration.errors import ScenarioError, ScenarioWarning, SimulationError
 from orchestration.many.job import Failure, Job, Run
 from orchestration.many.run_many import LocalRuns, Make, in_order
@@ -52,7 +51,6 @@ class Controller:
 
     fmu: an .fmu, a block or its .py file; parameters: variable -> value, of what is not at its start value
     mapping: name of the depth control interface -> variable that stands for it
-    settings: "component.variable" -> value, of the other components
     reference_rates: whether the derivatives of the reference are connected, where it has inputs for them
     step: communication step [s] of its runs; 0: that of the protocol's base
     """
@@ -63,9 +61,7 @@ class Controller:
     title: str = ""
     parameters: Mapping[str, FmiValue] = field(default_factory=dict)
     mapping: Mapping[str, str] = field(default_factory=dict)
-    settings: Mapping[str, FmiValue] = field(default_factory=dict)
     open_inputs: str = "error"
-    flavour: Flavour = Flavour.NATIVE
     step: float = 0.0
 
     def variable(self, name: str) -> str:
@@ -224,14 +220,12 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
             loaded = scenario.load(
                 shipped_bases()[self.protocol.tables.base],
                 overrides,
-                controller.flavour,
                 layers=layers,
                 settings={
                     "controller": controller.fmu,
                     "plant": vehicle.fmu,
                     **settings,
                     **{name: value for name, value in vehicle.settings.items() if name not in driven},
-                    **controller.settings,
                 },
                 build=lambda fmu: built(str(fmu)),
             )
