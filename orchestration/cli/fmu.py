@@ -11,6 +11,7 @@ import typer
 from fmus.build.stamp import BuildCache, BuildRequest
 from fmus.compliance import check as compliance
 from fmus.errors import ExportError
+from fmus.files import write_bytes_atomically
 from fmus.platforms import PLATFORMS, check_platforms
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_names, fmu_folder
 from orchestration.cli.shared import FlavourOption, fail, print_table, progress, refuse_without_effect
@@ -118,7 +119,6 @@ def build(
 def _built_class(name: str, folder: Path | None) -> Path:
     """Returns the FMU of a policy class, in a folder or, for None, in the cache."""
     from fmus.build.policy import fmu_of_class
-    from fmus.files import write_bytes_atomically
 
     path = fmu_of_class(name)
     if folder is None:

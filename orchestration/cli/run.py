@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fmus.files import write_text_atomically
 from fmus.platforms import usable_processors
 from fmus.registry import Flavour
 from orchestration.cli import shared
 from orchestration.cli.changes import NO_CHANGES, Changes, takes_changes
 from orchestration.errors import OrchestrationError
 from orchestration.results.formats import FigureFormat, RecordingFormat
+from orchestration.results.metric_units import error_table, metrics_table, values_table
 
 _SHORT_S = 0.5  # a run that takes no longer shows no progress
 
@@ -49,7 +51,6 @@ def run(
     error_estimate: Run again at twice the step to estimate the error.
     """
     from orchestration.cli import chosen_scenario
-    from orchestration.results.metric_units import metrics_table
     from orchestration.run.checkpoint import Checkpoints, read_checkpoint
     from orchestration.scenarios import run_files
 
@@ -98,8 +99,6 @@ def _with_error_estimate(chosen: "Scenario") -> "Scenario":
 
 def _print_error_estimate(recording: "Recording") -> None:
     """Prints the estimated errors of exchanging at communication points, if they were asked for."""
-    from orchestration.results.metric_units import error_table
-
     estimate = recording.provenance.get("error_estimate")
     if estimate:
         units = dict(zip(recording.names, recording.units, strict=True))
@@ -133,7 +132,6 @@ def report(
     out FILE: Write this page.
     title: Give the page this title, not the names of the results.
     """
-    from fmus.files import write_text_atomically
     from orchestration import report as page
 
     write_text_atomically(out, page.render(page.found_results(results), title))
@@ -188,7 +186,6 @@ def identify(
     """
     from orchestration.cli import chosen_scenario
     from orchestration.fit import identify as identification
-    from orchestration.results.metric_units import metrics_table, values_table
 
     shared.check_writable(out.parent)
     scenarios = {name: chosen_scenario.load(name) for name in identification.SCENARIOS}

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fmus.errors import MissingExtraError
+from fmus.files import write_text_atomically
 from fmus.platforms import usable_processors
 from orchestration.cli import shared
 from orchestration.cli.changes import CONTROLLER, NO_CHANGES, OF_LOOP, PLANT, Changes, fmu_name, takes_changes
@@ -105,7 +107,6 @@ def compare(
     seeds NUMBER: Search from so many seeds.
     evaluations NUMBER: Evaluate so many for each free gain, seed and bound of a front.
     """
-    from fmus.files import write_text_atomically
     from orchestration.score import score as scoring
 
     protocol = chosen_protocol(changes, protocol_file)
@@ -135,8 +136,6 @@ def compare(
 
 def write_score(result: "ScoreResult", out: Path) -> None:
     """Writes score.json and the page, which needs the extra `report`; prints their paths."""
-    from fmus.files import write_text_atomically
-
     file = out / "score.json"
     write_text_atomically(file, result.document.model_dump_json(indent=1) + "\n")
     print(file)
@@ -146,9 +145,6 @@ def write_score(result: "ScoreResult", out: Path) -> None:
 
 def write_page(result: "ScoreResult", page: Path, title: str) -> None:
     """Writes the page, or prints which extra it needs."""
-    from fmus.errors import MissingExtraError
-    from fmus.files import write_text_atomically
-
     try:
         from orchestration.report.score_page import score_page
     except MissingExtraError as error:
@@ -246,7 +242,6 @@ def write_fronts(
 
     Their journals are removed at the end; until then the same command continues.
     """
-    from fmus.files import write_text_atomically
     from orchestration.results.figures import front_figure
     from orchestration.score.closed_loop import built_in
     from orchestration.score.fronts import LARGEST_ERROR, LARGEST_SPREAD, LEVELS, front_of_law

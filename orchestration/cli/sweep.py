@@ -5,12 +5,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fmus.files import write_json_atomically
 from fmus.platforms import usable_processors
 from fmus.registry import Flavour
 from orchestration.cli import shared
 from orchestration.cli.changes import NO_CHANGES, Changes, takes_changes
 from orchestration.cli.interrupts import INTERRUPTED
 from orchestration.errors import OrchestrationError
+from orchestration.results.metric_units import metrics_table, values_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -109,7 +111,6 @@ def _workers(
 
 
 def _run_one(planned: "Plan", sample: int, out: Path) -> None:
-    from orchestration.results.metric_units import metrics_table, values_table
     from orchestration.scenarios import run_files
 
     drawn = planned.of_sample(sample)
@@ -143,7 +144,6 @@ def margins(
     theory: Give what follows from the design alone, without many runs.
     over NAME=V,V: Measure the delay margins at each of these values of a parameter, too.
     """
-    from fmus.files import write_json_atomically
     from orchestration.cli import chosen_scenario
     from orchestration.margins.fmu_margins import runs_needed
     from orchestration.margins.hold import Hold

@@ -9,6 +9,7 @@ import typer
 
 from fmus.errors import nearest
 from fmus.platforms import usable_processors
+from fmus.registry import block_names
 from orchestration.cli import shared
 from orchestration.cli.changes import CONTROLLER, NO_CHANGES, OF_LOOP, Changes, takes_changes
 from orchestration.cli.interrupts import INTERRUPTED
@@ -123,7 +124,6 @@ def _controller(
     protocol: "Protocol",
 ) -> "Controller":
     """Returns the controller of the protocol, or of an FMU, with what the options change."""
-    from fmus.registry import block_names
     from orchestration.score.closed_loop import built_in
 
     known = [*protocol.controllers, *block_names()]

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fmus.errors import MissingExtraError
+from fmus.files import write_text_atomically
 from fmus.platforms import usable_processors
 from orchestration.cli import shared
 from orchestration.cli.changes import CONTROLLER, NO_CHANGES, OF_LOOP, Changes, takes_changes
@@ -160,8 +162,6 @@ def fit(
     """
     import tomli_w
 
-    from fmus.errors import MissingExtraError
-    from fmus.files import write_text_atomically
     from orchestration.cli.score import chosen_vehicle
     from orchestration.fit.dive import DATA, held_over, read_dive
     from orchestration.fit.vehicle_fit import fit_vehicle, free_parameters
@@ -218,7 +218,6 @@ def print_fit(fitted: "VehicleFit") -> None:
 
 def _report(fitted: "VehicleFit", path: Path) -> Path:
     """Writes the page with the measured depth beside the simulated one."""
-    from fmus.files import write_text_atomically
     from orchestration import report as page
     from orchestration.report.result import RunResult
 
