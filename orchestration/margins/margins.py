@@ -69,15 +69,13 @@ def judge(
         metrics = [*design_metrics(design, ADAPTATION_GAINS)] if design else []
         if runs and measured:
             metrics += run_metrics(runs, progress)
-            for parameter, values in (over or _adaptation_gains(design)).items():
+            if design and design.has_gain and not over:
+                over = {f"{design.controller}.adaptation_gain": ADAPTATION_GAINS}
+            for parameter, values in over.items():
                 metrics += parameter_metrics(runs, parameter, values, progress)
         if design and measured and math.isfinite(design.adaptation_gain):
             metrics += step_metrics(chosen, progress)
     return Margins(chosen.name, tuple(metrics), tuple(not_judged))
-
-
-def _adaptation_gains(design: Design | None) -> dict[str, Sequence[float]]:
-    return {f"{design.controller}.adaptation_gain": ADAPTATION_GAINS} if design and design.has_gain else {}
 
 
 def _design(chosen: Scenario, runs: HoldRuns | None) -> Design | None:
