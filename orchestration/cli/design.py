@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from orchestration.cli import shared
-from orchestration.cli.changes import CONTROLLER, Changes
+from orchestration.cli.changes import CONTROLLER, Changes, PlantOption
 from orchestration.errors import OrchestrationError
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ _RUNS = {"L1": ("nominal-l1", ""), "L1 with PI": ("nominal-extended", ""), "PID"
 
 
 def design(
-    plant: Annotated[str, typer.Argument(metavar="PLANT", help="An .fmu, a block or its .py file.")],
+    plant: PlantOption = "RovDepthPlant",
     settings: Annotated[
         list[str],
         typer.Option("--set", metavar="NAME=VALUE", help="Set plant.variable=value: data of the vehicle."),
