@@ -1,9 +1,8 @@
 """The platforms of FMI 2.0 that native FMUs are built for, and where a library stands inside an FMU.
 
-Also what this machine has: its platform, instruction sets, processors and the user's cache.
+Also what this machine is: its platform and its instruction sets.
 """
 
-import os
 import platform
 import sys
 from collections.abc import Sequence
@@ -40,11 +39,6 @@ INSTRUCTION_SETS = {
     "x86-64-v3": _V3,
     "portable": "",
 }
-
-
-def usable_processors() -> int:
-    """Returns the number of processors that this process may use: in a container perhaps not all."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def host_platform() -> str:

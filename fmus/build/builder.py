@@ -31,7 +31,8 @@ from fmus.build.symbolic import traced
 from fmus.errors import ExportError, nearest
 from fmus.files import packed, write_bytes_atomically
 from fmus.fmi.binding import library_member
-from fmus.platforms import host_platform, library_name, usable_processors
+from fmus.operating_system import usable_processors
+from fmus.platforms import host_platform, library_name
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_entry_points, block_fmus, block_names, fmu_folder
 
 _AT_ONCE = usable_processors()  # orders that are compiled

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from fmus.platforms import usable_processors
+from fmus.operating_system import usable_processors
 from fmus.registry import Flavour
 from orchestration.cli import shared
 

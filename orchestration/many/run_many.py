@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from fmus.fmi.description import describe, is_independent
-from fmus.platforms import usable_processors
+from fmus.operating_system import usable_processors
 from orchestration.errors import FmuWarning
 from orchestration.many.isolated import Isolated
 from orchestration.many.job import Batches, Done, Finished, Job, Place, Reduce, Run

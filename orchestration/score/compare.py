@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
 
-from fmus.platforms import usable_processors
+from fmus.operating_system import usable_processors
 from orchestration.score import score_view
 from orchestration.score.closed_loop import Controller, built_in, tuned
 from orchestration.score.protocol import Protocol

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fmus.fmi.variable_types import FmiValue
-from fmus.platforms import usable_processors
+from fmus.operating_system import usable_processors
 from orchestration.errors import SweepError
 from orchestration.many.job import Batches, Failure, Finished, Job, Place, Run
 from orchestration.many.run_many import LocalRuns
