@@ -16,6 +16,7 @@ import comparison_page
 import controllers_page
 import downloads
 import fmi2_page
+import keys_page
 
 from fmus.files import write_archive
 
@@ -54,7 +55,7 @@ def _generated() -> Contents:
             **_names(),
             **{
                 f"reference/{module.__name__.removesuffix('_page')}.md": module.page()
-                for module in (blocks_page, controllers_page, fmi2_page)
+                for module in (blocks_page, controllers_page, fmi2_page, keys_page)
             },
         }
 
