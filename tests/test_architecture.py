@@ -305,10 +305,10 @@ def test_one_file_makes_runs_in_processes_and_one_chooses_vectors() -> None:
         name for name, path in MODULES.items() if "WorkerProcess(" in path.read_text(encoding="utf-8")
     }
     assert {name for name in starting if name.startswith("orchestration.")} == {
-        "orchestration.many.isolated",
+        "orchestration.many.runners",
         "orchestration.run.subprocess_run",
     }
-    assert importers("orchestration.many.isolated") == {
+    assert importers("orchestration.many.runners") == {
         "orchestration.many.run_many",
         "orchestration.many.cluster",
     }

@@ -3,10 +3,11 @@
 import inspect
 import json
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import typer
 
@@ -24,38 +25,6 @@ def _fmu_option(component: str) -> Any:
         help=f"Put this {component}, an .fmu, a block, its .py file or a class FILE.py:Class, "
         "in the place of the scenario's.",
     )
-
-
-PlantOption = Annotated[str, _fmu_option(PLANT)]
-
-LoopSetOption = Annotated[
-    list[str],
-    typer.Option(
-        "--set",
-        metavar="NAME=VALUE",
-        help="Set controller.variable=value; with --plant plant.variable=value.",
-    ),
-]
-LoopMapOption = Annotated[
-    list[str],
-    typer.Option(
-        "--map",
-        metavar="NAME=VARIABLE",
-        help="Take this variable of the controller for NAME; with --plant that of the plant for plant.NAME.",
-    ),
-]
-ParametersOption = Annotated[
-    str,
-    typer.Option(
-        metavar="FILE",
-        help="Take the values of this parameter file, .toml, below those of --set; "
-        "of an .ssp package the parameter set of this name.",
-    ),
-]
-OpenInputsOption = Annotated[
-    OpenInputs | None,
-    typer.Option(help="Let inputs that nothing drives keep the start values of their FMUs."),
-]
 
 
 @dataclass(frozen=True)
@@ -94,9 +63,19 @@ class Changes:
                 "component.NAME for others.",
             ),
         ] = [],  # noqa: B006
-        open_inputs: OpenInputsOption = None,
-        plant: PlantOption = "",
-        parameters: ParametersOption = "",
+        open_inputs: Annotated[
+            OpenInputs | None,
+            typer.Option(help="Let inputs that nothing drives keep the start values of their FMUs."),
+        ] = None,
+        plant: Annotated[str, _fmu_option(PLANT)] = "",
+        parameters: Annotated[
+            str,
+            typer.Option(
+                metavar="FILE",
+                help="Take the values of this parameter file, .toml, below those of --set; "
+                "of an .ssp package the parameter set of this name.",
+            ),
+        ] = "",
     ) -> "Changes":
         """Returns the changes that these options make; ScenarioError for an option that is wrong."""
         from orchestration.scenarios.changes import AssignedText
@@ -176,21 +155,48 @@ def fmu_name(fmu: str) -> str:
     return fmu.rpartition(":")[2] if ".py:" in fmu else Path(fmu).stem
 
 
-def takes_changes(command: Callable[..., None]) -> Callable[..., None]:
-    """Returns the command with the options of `Changes.of_options` in place of its parameter `changes`."""
-    signature, options = inspect.signature(command), inspect.signature(Changes.of_options).parameters
-    declared = {name: [parameter] for name, parameter in signature.parameters.items()}
-    declared["changes"] = [*options.values()]
-    parameters = [parameter for group in declared.values() for parameter in group]
+OF_LOOP = {
+    "plant": "",
+    "settings": "Set controller.variable=value; with --plant plant.variable=value.",
+    "mapped": "Take this variable of the controller for NAME; with --plant that of the plant for plant.NAME.",
+}
+"""The options of commands that take a controller and a vehicle, for `takes_changes`."""
 
-    @wraps(command)
-    def with_options(**arguments: Any) -> None:
-        chosen = {name: arguments.pop(name) for name in options}
-        command(**arguments, changes=Changes.of_options(**chosen))
 
-    vars(with_options)["__signature__"] = signature.replace(parameters=parameters)
-    with_options.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    return with_options
+def takes_changes(**helps: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Returns a decorator that puts options of `Changes.of_options` in place of a parameter `changes`.
+
+    helps: name of an argument -> help of its option, "" for the usual one; by default all arguments. One that
+    the command itself has is no option
+    """
+    known = inspect.signature(Changes.of_options).parameters
+    names = helps or known
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        signature = inspect.signature(command)
+        own = signature.parameters.keys()
+        declared = {name: [parameter] for name, parameter in signature.parameters.items()}
+        declared["changes"] = [_explained(known[n], helps.get(n, "")) for n in names if n not in own]
+        parameters = [parameter for group in declared.values() for parameter in group]
+
+        @wraps(command)
+        def with_options(**arguments: Any) -> None:
+            chosen = {name: arguments[name] if name in own else arguments.pop(name) for name in names}
+            command(**arguments, changes=Changes.of_options(**chosen))
+
+        vars(with_options)["__signature__"] = signature.replace(parameters=parameters)
+        with_options.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        return with_options
+
+    return decorate
+
+
+def _explained(parameter: inspect.Parameter, text: str) -> inspect.Parameter:
+    """Returns the parameter of a command with this help of its option, if it is not empty."""
+    kind, option = get_args(parameter.annotation)
+    option = copy(option)
+    option.help = text or option.help
+    return parameter.replace(annotation=Annotated[kind, option])
 
 
 def _parts(option: str, assignment: str, expected: str) -> tuple[str, str]:

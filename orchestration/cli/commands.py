@@ -19,9 +19,9 @@ from orchestration.errors import OrchestrationError
 _PANELS = {
     "FMUs": ("fmu.new", "fmu.build", "fmu.check", "fmu.inspect", "cache.cache"),
     "Scenarios": ("run.scenarios", "run.run", "sweep.sweep", "run.report"),
-    "Controllers compared": ("score.score", "tune.tune", "score.compare", "margins.margins"),
-    "Vehicles": ("design.design", "fit.fit"),
-    "The paper": ("paper.reproduce", "paper.identify"),
+    "Controllers compared": ("score.score", "tune.tune", "score.compare", "sweep.margins"),
+    "Vehicles": ("vehicles.design", "vehicles.fit"),
+    "The paper": ("run.reproduce", "run.identify"),
     "Other tools": ("exchange.package", "exchange.export"),
 }
 """Panel of the help -> module of this package, and function in it: a command of that name."""

@@ -17,7 +17,7 @@ class Tool(StrEnum):
     SIMULINK = "simulink"
 
 
-@takes_changes
+@takes_changes()
 def package(
     name: ScenarioArgument,
     out: Annotated[
@@ -39,7 +39,7 @@ def package(
     print(ssp_write.package(chosen, path, build_ramp_source, build_started, version))
 
 
-@takes_changes
+@takes_changes()
 def export(
     tool: Annotated[Tool, typer.Argument(help="Write for this tool.")],
     name: ScenarioArgument = "nominal-extended",

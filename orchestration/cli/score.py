@@ -12,17 +12,7 @@ import typer
 
 from fmus.operating_system import usable_processors
 from orchestration.cli import shared
-from orchestration.cli.changes import (
-    CONTROLLER,
-    PLANT,
-    Changes,
-    LoopMapOption,
-    LoopSetOption,
-    OpenInputsOption,
-    ParametersOption,
-    PlantOption,
-    fmu_name,
-)
+from orchestration.cli.changes import CONTROLLER, NO_CHANGES, OF_LOOP, PLANT, Changes, fmu_name, takes_changes
 from orchestration.cli.interrupts import INTERRUPTED
 from orchestration.errors import ScenarioError
 from orchestration.system.open_inputs import OpenInputs
@@ -73,6 +63,7 @@ ProtocolOption = Annotated[
 ]
 
 
+@takes_changes(**OF_LOOP, open_inputs="", parameters="")
 def score(
     controllers: Annotated[
         list[str],
@@ -85,11 +76,7 @@ def score(
     full: FullOption = False,
     seed: SeedOption = None,
     out: shared.OutFolder = Path("results"),
-    plant: PlantOption = "",
-    settings: LoopSetOption = [],  # noqa: B006  (Typer copies it)
-    mapped: LoopMapOption = [],  # noqa: B006
-    open_inputs: OpenInputsOption = None,
-    parameters: ParametersOption = "",
+    changes: Changes = NO_CHANGES,
     protocol_file: ProtocolOption = None,
     timeout: Annotated[
         float | None,
@@ -100,7 +87,6 @@ def score(
     """Score a controller on the simulated vehicle: terminal tables, score.json and an interactive page."""
     from orchestration.score import score as scoring
 
-    changes = Changes.of_options("", settings, mapped, open_inputs, plant, parameters)
     protocol = chosen_protocol(changes, protocol_file)
     chosen = scored_controllers(controllers, no_rates, changes)
     shared.check_writable(out)
@@ -111,22 +97,26 @@ def score(
         )
     print_score(result.document)
     write_score(result, out)
+    scored = result.document.scored
+    if all(case.failed for row in scored for case in row.cases.values()):
+        name, case = next(iter(scored[0].cases.items()))
+        titles = " and ".join(row.title for row in scored)
+        shared.fail(f"{titles} failed every case, {name} with: {', '.join(case.failed)}")
 
 
+@takes_changes(**OF_LOOP)
 def compare(
     full: FullOption = False,
     seed: SeedOption = None,
     workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
     out: shared.OutFolder = Path("results"),
-    plant: PlantOption = "",
-    settings: LoopSetOption = [],  # noqa: B006
-    mapped: LoopMapOption = [],  # noqa: B006
+    changes: Changes = NO_CHANGES,
     protocol_file: ProtocolOption = None,
     fronts: Annotated[
         bool, typer.Option("--fronts", help="Search the front of error and total variation of each law.")
     ] = False,
     laws: Annotated[str, typer.Option(metavar="NAME,...", help="Take the fronts of these laws alone.")] = "",
-    bounds: BoundOption = [],  # noqa: B006
+    bounds: BoundOption = [],  # noqa: B006  (Typer copies it)
     cases: CasesOption = "",
     seeds: SeedsOption = _SEEDS,
     evaluations: EvaluationsOption = 40,
@@ -138,7 +128,6 @@ def compare(
     from fmus.files import write_text_atomically
     from orchestration.score import compare as comparison
 
-    changes = Changes.of_options("", settings, mapped, None, plant)
     protocol = chosen_protocol(changes, protocol_file)
     scored_controllers([], False, changes)
     shared.check_writable(out)

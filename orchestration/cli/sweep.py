@@ -1,4 +1,4 @@
-"""Command sweep: a scenario many times, with other values each time."""
+"""Commands that run a scenario many times: sweep, with other values, and margins, with delays and gains."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,16 +10,20 @@ from fmus.registry import Flavour
 from orchestration.cli import shared
 from orchestration.cli.changes import NO_CHANGES, Changes, takes_changes
 from orchestration.cli.interrupts import INTERRUPTED
+from orchestration.errors import OrchestrationError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from contextlib import AbstractContextManager
 
+    from rich.table import Table
+
     from orchestration.many.job import Place
+    from orchestration.margins.margins import Margins
     from orchestration.sweep.plan import Plan
 
 
-@takes_changes
+@takes_changes()
 def sweep(
     name: shared.ScenarioArgument,
     out: shared.OutFolder = Path("results"),
@@ -139,3 +143,96 @@ def _run_one(planned: "Plan", sample: int, out: Path) -> None:
     print(values_table(drawn.title, "Varied", planned.values(sample), units))
     print(out / f"{drawn.name}.csv")
     print(out / f"{drawn.name}.json")
+
+
+@takes_changes()
+def margins(
+    name: shared.ScenarioArgument,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write margins.json to this folder.")
+    ] = None,
+    flavour: shared.FlavourOption = Flavour.NATIVE,
+    changes: Changes = NO_CHANGES,
+    signal: Annotated[
+        str, typer.Option(metavar="NAME", help="Judge this signal; by default that of a metric.")
+    ] = "",
+    window: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="S S", help="Judge it in this time; by default where its reference holds."),
+    ] = None,
+    quiet: Annotated[
+        float, typer.Option(help="Largest standard deviation that counts as quiet, in the signal's unit.")
+    ] = 3e-3,
+    theory: Annotated[
+        bool, typer.Option("--theory", help="Give what follows from the design alone, without many runs.")
+    ] = False,
+    over: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME=V,V", help="Measure the delay margins at each of these values of a parameter, too."
+        ),
+    ] = "",
+) -> None:
+    """Give the delay and gain margins of a scenario, by runs and, for our L1 controllers, in theory."""
+    from fmus.files import write_json_atomically
+    from orchestration.cli import chosen_scenario
+    from orchestration.margins.fmu_margins import runs_needed
+    from orchestration.margins.hold import Hold
+    from orchestration.margins.margins import judge
+
+    if bool(signal) != bool(window):
+        raise OrchestrationError("--signal and --window: expected both, or none of them")
+    repeated = _values(over)
+    if theory:
+        shared.refuse_without_effect("--theory", {"--over": over})
+    if out:
+        shared.check_writable(out)
+    chosen = chosen_scenario.load(name, flavour, changes)
+    hold = Hold(signal, *window, quiet) if window else None
+    with shared.progress("margins", runs_needed(repeated)) as bar:
+        judged = judge(chosen, hold, quiet=quiet, over=repeated, measured=not theory, progress=bar.advance)
+    _print(chosen.title, judged)
+    if out:
+        path = out / "margins.json"
+        write_json_atomically(path, judged.document())
+        print(path)
+
+
+def _values(over: str) -> dict[str, list[float]]:
+    """Returns parameter -> values."""
+    if not over:
+        return {}
+    name, _, texts = over.partition("=")
+    try:
+        return {name.strip(): [float(text) for text in texts.split(",")]}
+    except ValueError:
+        raise OrchestrationError(f"--over {over}: expected component.parameter=number,number") from None
+
+
+def _print(title: str, judged: "Margins") -> None:
+    """Prints the metrics, and below them what each assumes, once."""
+    notes = list(dict.fromkeys((metric.assumption, metric.source) for metric in judged.metrics))
+    if judged.metrics:
+        shared.print_table(_table(title, judged, notes))
+    for number, (assumption, source) in enumerate(notes, 1):
+        print(f"[{number}] {assumption} ({source})")
+    for sentence in judged.not_judged:
+        print(sentence)
+
+
+def _table(title: str, judged: "Margins", notes: list[tuple[str, str]]) -> "Table":
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title=escape(title), title_justify="left")
+    for heading in ("", "Margin", "Value", "Unit", "Remark", "Note"):
+        table.add_column(heading, justify="right" if heading in ("Value", "Note") else "left")
+    group = ""
+    for metric in judged.metrics:
+        if metric.group != group:
+            table.add_section()
+        shown_group, group = "" if metric.group == group else metric.group, metric.group
+        note = str(notes.index((metric.assumption, metric.source)) + 1)
+        cells = shown_group, metric.name, metric.shown, metric.unit, metric.remark, note
+        table.add_row(*map(escape, cells))
+    return table

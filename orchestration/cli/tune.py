@@ -10,14 +10,7 @@ import typer
 from fmus.errors import nearest
 from fmus.operating_system import usable_processors
 from orchestration.cli import shared
-from orchestration.cli.changes import (
-    CONTROLLER,
-    Changes,
-    LoopMapOption,
-    LoopSetOption,
-    OpenInputsOption,
-    PlantOption,
-)
+from orchestration.cli.changes import CONTROLLER, NO_CHANGES, OF_LOOP, Changes, takes_changes
 from orchestration.cli.interrupts import INTERRUPTED
 from orchestration.cli.score import (
     BoundOption,
@@ -37,6 +30,7 @@ if TYPE_CHECKING:
     from orchestration.score.tune import Evaluate, Problem, Tuning
 
 
+@takes_changes(**OF_LOOP, open_inputs="")
 def tune(
     name: Annotated[
         str,
@@ -70,10 +64,7 @@ def tune(
     ] = 0,
     protocol_file: ProtocolOption = None,
     no_rates: RatesOption = False,
-    plant: PlantOption = "",
-    settings: LoopSetOption = [],  # noqa: B006
-    mapped: LoopMapOption = [],  # noqa: B006
-    open_inputs: OpenInputsOption = None,
+    changes: Changes = NO_CHANGES,
 ) -> None:
     """Search the gains of least cost on practice cases of the protocol; an interrupted tuning continues."""
     from orchestration.scenarios.free_parameter import parse
@@ -82,7 +73,6 @@ def tune(
     from orchestration.score.protocol import with_cost
     from orchestration.score.tune_problem import evaluations as started
 
-    changes = Changes.of_options("", settings, mapped, open_inputs, plant)
     if plants:
         shared.refuse_without_effect("--plants", {"--cases": cases})
     cost = tune_problem.cost_of_options(bounds, cases, plants)
@@ -181,10 +171,14 @@ def print_gains(tuning: "Tuning", name: str) -> None:
         ending = ", at a limit" if gain.is_at_a_limit(value) else ""
         print(f"{gain.name} = {value:g} {gain.unit}, of {gain.low:g} to {gain.high:g}{ending}")
     stopped = [gain.name for gain in tuning.problem.gains if gain.is_at_a_limit(tuning.best.gains[gain.name])]
+    seeds, last = len(tuning.searches), len(tuning.refinements[-1].curve)
+    if not tuning.is_long_enough:
+        expected = f"expected {tuning.fewest} or more"
+        print(f"{last} evaluations are too few to tell whether the cost is flat: {expected}.")
+        return
     verdict = "flat" if tuning.is_flat else "not flat: more evaluations may lower it"
     if stopped:
         verdict = f"limited by the range of {', '.join(stopped)}: a wider one in --free may lower it"
-    seeds, last = len(tuning.searches), len(tuning.refinements[-1].curve)
     print(
         f"The cost is {verdict}. In the last half of {last} evaluations it fell by "
         f"{100 * tuning.improvement:.2g} %; the {f'median of {seeds} seeds' if seeds > 1 else 'one seed'} is "

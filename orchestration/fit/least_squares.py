@@ -6,11 +6,12 @@ Residuals are asked for at many points at once, so that the columns of a Jacobia
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from orchestration.errors import OrchestrationError
 from orchestration.scenarios.free_parameter import FreeParameter
 
 Values = Mapping[str, float]
@@ -133,3 +134,145 @@ class LeastSquares:
 
 class _OutOfEvaluations(Exception):  # noqa: N818  (a signal to stop, not an error)
     pass
+
+
+LEVEL = 0.95
+_NOT_DETERMINED = 1.0  # standard deviation over the value, of a combination that the data do not determine
+_ROUNDING = 1e-6  # of the largest singular value: below it a derivative is an error of its differences
+_SHARE = 0.01  # of the square of a direction: a parameter with less is no part of it
+_AT_A_LIMIT = 1e-6  # of the coordinate
+_ROUGH = 0.25  # of the rise of the sum of squares that the linear model predicts at the ends of an interval
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """An estimate of a parameter: value and interval of `LEVEL` in the unit of the parameter.
+
+    note: empty, or why the interval is as it is
+    """
+
+    free: FreeParameter
+    value: float
+    low: float
+    high: float
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """Estimates, the standard deviation and correlation time [readings] of the residuals, and messages.
+
+    rough: names of the parameters whose intervals are wrong by more than a few per cent of their length
+    """
+
+    estimates: tuple[ParameterEstimate, ...]
+    noise: float
+    correlation_time: float
+    undetermined: tuple[str, ...]
+    rough: tuple[str, ...]
+
+
+def correlation_time(series: Sequence[np.ndarray]) -> float:
+    """Returns 1 + 2 sum of the autocorrelations of residuals, at least 1, in readings.
+
+    series: of each dive. The sum ends where two neighbours are negative in sum: Geyer, Practical Markov chain
+    Monte Carlo, Statist. Sci. 7(4), 1992.
+    """
+    longest = max(map(len, series))
+    covariance = np.zeros(longest + 1)
+    for residuals in series:
+        spectrum = np.abs(np.fft.rfft(residuals, 2 * longest)) ** 2
+        covariance[:longest] += np.fft.irfft(spectrum, 2 * longest)[:longest]
+    if covariance[0] == 0.0:
+        return 1.0
+    pairs = (covariance[: 2 * (len(covariance) // 2)] / covariance[0]).reshape(-1, 2).sum(axis=1)
+    positive = int(np.argmax(pairs <= 0.0)) if (pairs <= 0.0).any() else len(pairs)
+    return max(1.0, 2.0 * float(pairs[:positive].sum()) - 1.0)
+
+
+def analysed(search: LeastSquares, series: Callable[[np.ndarray], Sequence[np.ndarray]]) -> Analysis:
+    """Returns the estimates at the best point of a search, with intervals.
+
+    series: splits the residuals into those of each dive
+    """
+    from scipy.stats import t as student  # slow to import
+
+    free, best, residuals, cost = search.free, search.best, search.residuals, search.cost
+    tau = correlation_time(series(residuals))
+    noise = math.sqrt(float(residuals @ residuals) / (len(residuals) - len(free)))
+    deviation = max(noise, np.finfo(float).eps) * math.sqrt(tau)
+    limits = [_limit(one, x) for one, x in zip(free, best, strict=True)]
+    inside = [i for i, limit in enumerate(limits) if not limit]
+    relative = np.array([relative_change(one) for one in free])
+    jacobian = search.jacobian(best, central=True)
+    # a step of the differences may have come lower: estimates, ends and recordings are of one point
+    search.best, search.residuals, search.cost = best, residuals, cost
+    _, singular, directions = np.linalg.svd((jacobian / relative)[:, inside] / deviation, full_matrices=False)
+    is_known = singular > max(1.0 / _NOT_DETERMINED, _ROUNDING * singular.max(initial=0.0))
+    unknown = (directions[~is_known] ** 2).sum(axis=0) > _SHARE
+    scaled = directions[is_known] / singular[is_known, None]
+    covariance = (scaled.T @ scaled) / np.outer(relative[inside], relative[inside])
+    factor = float(student.ppf(0.5 + 0.5 * LEVEL, max(1.0, len(residuals) / tau - len(free))))
+    estimates = []
+    for i, (one, x) in enumerate(zip(free, best, strict=True)):
+        estimate = ParameterEstimate(one, value_at(one, float(x)), one.low, one.high, limits[i])
+        if i in inside:
+            row = inside.index(i)
+            if unknown[row]:
+                estimate = replace(estimate, note="not determined")
+            else:
+                half = factor * math.sqrt(covariance[row, row])
+                estimate = replace(
+                    estimate, low=value_at(one, float(x) - half), high=value_at(one, float(x) + half)
+                )
+        estimates.append(estimate)
+    shares = np.array([_share(free[i], float(best[i])) for i in inside])
+    messages = [_undetermined([free[i] for i in inside], row * shares) for row in directions[~is_known]]
+    determined = [row for row in range(len(inside)) if not unknown[row] and covariance[row, row] > 0.0]
+    rough = []
+    for row in determined:
+        step = np.zeros(len(best))
+        step[inside] = factor * covariance[:, row] / math.sqrt(covariance[row, row])
+        if _is_rough(search, best, step, factor * deviation):
+            rough.append(free[inside[row]].name)
+    return Analysis(tuple(estimates), noise, tau, tuple(messages), tuple(rough))
+
+
+def _is_rough(search: LeastSquares, best: np.ndarray, step: np.ndarray, rise: float) -> bool:
+    """Whether the sum of squares at the ends of an interval is not what the linear model predicts.
+
+    step: from the best point to an end, the other parameters with it; rise: square root of that predicted
+    """
+    points = [values_at(search.free, best + sign * step) for sign in (1.0, -1.0)]
+    least = float(search.residuals @ search.residuals)
+    try:
+        rises = [float(r @ r) - least for r in search.evaluate(points)]
+    except OrchestrationError:  # of values with which nothing can run
+        return True
+    return any(abs(one / rise**2 - 1.0) > _ROUGH for one in rises)
+
+
+def _limit(one: FreeParameter, x: float) -> str:
+    for limit in (one.low, one.high):
+        if math.isfinite(limit) and abs(x - coordinate(one, limit)) < _AT_A_LIMIT * max(1.0, abs(x)):
+            return f"at the limit {limit:g}"
+    return ""
+
+
+def _share(one: FreeParameter, x: float) -> float:
+    """Returns the change of the value, relative to it, for one relative to its size at the start."""
+    return 1.0 if one.is_logarithmic or x == 0.0 else 1.0 / x
+
+
+def _undetermined(free: Sequence[FreeParameter], direction: np.ndarray) -> str:
+    """Returns a message about a direction in which the data do not determine the parameters."""
+    largest = direction[np.argmax(np.abs(direction))]
+    members = [i for i, x in enumerate(direction) if x * x > _SHARE * largest * largest]
+    names = [free[i].name for i in members]
+    if len(members) == 1:
+        return f"{names[0]}: the depth does not depend on it beyond the noise"
+    listed = f"{', '.join(names[:-1])} and {names[-1]}"
+    if np.allclose(direction[members], largest, rtol=0.05):
+        return f"{listed}: only their ratios are determined; give one of them a value by --set"
+    changes = ", ".join(f"{free[i].name} {10.0 * direction[i] / largest:+.2g} %" for i in members)
+    return f"{listed}: {changes} together leave the depth as it is; give one of them a value by --set"

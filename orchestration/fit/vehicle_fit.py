@@ -17,8 +17,16 @@ from fmus.errors import nearest
 from fmus.fmi.description import describe, start_value
 from orchestration.errors import OrchestrationError
 from orchestration.fit.dive import DATA, DEPTHS, Dive
-from orchestration.fit.intervals import LEVEL, Analysis, ParameterEstimate, analysed
-from orchestration.fit.least_squares import LeastSquares, Values, coordinate, values_at
+from orchestration.fit.least_squares import (
+    LEVEL,
+    Analysis,
+    LeastSquares,
+    ParameterEstimate,
+    Values,
+    analysed,
+    coordinate,
+    values_at,
+)
 from orchestration.many.job import Failure, Job, Run
 from orchestration.many.run_many import LocalRuns, in_order, recordings_of
 from orchestration.results.recording import Recording

@@ -19,9 +19,8 @@ import cloudpickle
 from fmus.extras import imports_of
 from fmus.store import record_build
 from orchestration.errors import SweepError
-from orchestration.many.isolated import Isolated
-from orchestration.many.job import Batches, Done, Failure, Finished, Job, Run
-from orchestration.many.runners import ClosedError, vector_limits
+from orchestration.many.job import Batches, ClosedError, Done, Failure, Finished, Job, Run
+from orchestration.many.runners import Isolated, vector_limits
 
 with imports_of("sweep", "a sweep on a cluster"):
     from distributed import (

@@ -73,6 +73,10 @@ class Finished(NamedTuple):
     done: Done
 
 
+class ClosedError(OrchestrationError):
+    """A runner was closed during a run, which another runner has to make."""
+
+
 @dataclass(frozen=True)
 class Job:
     """The data that all runs of one system share, wherever they are made.

@@ -3,7 +3,6 @@
 They run in threads with vectors or simulators, or in a process beside each thread.
 """
 
-import time
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
@@ -12,15 +11,15 @@ from itertools import chain
 from pathlib import Path
 from queue import SimpleQueue
 from tempfile import TemporaryDirectory
+from time import perf_counter
 from typing import Any
 
 from fmus.fmi.description import describe, is_independent
 from fmus.operating_system import usable_processors
 from orchestration.errors import FmuWarning
-from orchestration.many.isolated import Isolated
-from orchestration.many.job import Batches, Done, Finished, Job, Place, Reduce, Run
+from orchestration.many.job import Batches, ClosedError, Done, Finished, Job, Place, Reduce, Run
 from orchestration.many.lane_library import LANES
-from orchestration.many.runners import ClosedError, Runner, Simulated, Vectorised, vector_limits
+from orchestration.many.runners import Isolated, Runner, Simulated, Vectorised, vector_limits
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
@@ -105,7 +104,6 @@ class LocalRuns(AbstractContextManager["LocalRuns"]):
     pays; True raises EnsembleError where they cannot
     note: called with what makes the runs
     expected: runs that will follow, of which it depends whether vectors pay; by default those at hand
-    clock: gives the time [s]
     """
 
     def __init__(
@@ -115,10 +113,9 @@ class LocalRuns(AbstractContextManager["LocalRuns"]):
         vectorise: bool | None = None,
         note: Callable[[str], object] = lambda text: None,
         expected: int = 0,
-        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._workers, self._isolate, self._vectorise = workers, isolate, vectorise
-        self._note, self._expected, self._clock = note, expected, clock
+        self._note, self._expected = note, expected
         self._job: Job | None = None  # for which the runners are open
         self._loaded = ExitStack()  # holds its FMUs
         self._limits: tuple[int, ...] = ()  # of batches: runs of a group, and of a batch
@@ -166,10 +163,10 @@ class LocalRuns(AbstractContextManager["LocalRuns"]):
                 raise
 
     def _made(self, runner: Runner, batch: list[Run]) -> _Batch:
-        start = self._clock()
+        start = perf_counter()
         made = runner.run(batch)
         finished = [Finished(run.key, done) for run, done in zip(batch, made, strict=False)]
-        return finished, batch[len(made) :], self._clock() - start
+        return finished, batch[len(made) :], perf_counter() - start
 
     def _runners(self, job: Job, count: int) -> Sequence[Runner]:
         """Returns one for each thread; those that are open if they are for such a job.
@@ -193,7 +190,7 @@ class LocalRuns(AbstractContextManager["LocalRuns"]):
         if independent and not (job.timeout or self._isolate):
             self._note(f"{self._workers} threads of {makers}{reason}")
             for _ in range(self._workers):
-                runner = Vectorised(job, bool(self._vectorise)) if limits else Simulated(job, self._clock)
+                runner = Vectorised(job, bool(self._vectorise)) if limits else Simulated(job)
                 self._in_process = *self._in_process, self._loaded.enter_context(runner)
             return self._in_process
         self._note(f"{self._workers} processes of {makers}{reason}")

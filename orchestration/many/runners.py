@@ -1,15 +1,23 @@
-"""Runs in this process, with FMUs that stay loaded: one after another, or several at once in vectors."""
+"""Runs with FMUs that stay loaded: in this process, one by one or several in vectors, or in another process.
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, ExitStack
+Whatever FMUs do to the other process, there is a result or a reason.
+"""
+
+import threading
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import replace
 from itertools import groupby
+from pathlib import Path
 from time import perf_counter, thread_time
-from typing import Any, Protocol
+from typing import Any
 
-from orchestration.errors import EnsembleError, OrchestrationError
+import cloudpickle
+
+from fmus.fmi.process import Parent, ProcessEndedError, WorkerProcess
+from orchestration.errors import EnsembleError, OrchestrationError, SweepError
 from orchestration.many.ensemble import Ensemble, check_ensemble, shape
-from orchestration.many.job import BATCH_S, Done, Failure, Job, Run
+from orchestration.many.job import BATCH_S, ENDED, TOO_LONG, ClosedError, Done, Failure, Job, Run
 from orchestration.many.lane_library import LANES
 from orchestration.results.recording import Recording
 from orchestration.run.simulator import Simulator
@@ -17,28 +25,11 @@ from orchestration.run.simulator import Simulator
 _BATCH_BYTES = 2**24  # of recorded values, if a group of vectors has less
 
 
-class ClosedError(OrchestrationError):
-    """A runner was closed during a run, which another runner has to make."""
-
-
-class Runner(Protocol):
-    """Makes runs; `close` ends one from another thread."""
-
-    def run(self, runs: Sequence[Run]) -> list[Done]:
-        """Returns the first of the runs, at least one; ClosedError if the runner was closed meanwhile."""
-        ...
-
-    def close(self) -> None: ...
-
-
 class Simulated(AbstractContextManager["Simulated"]):
-    """Makes runs one after another; the FMUs are loaded anew after one that failed.
+    """Makes runs one after another; the FMUs are loaded anew after one that failed."""
 
-    clock: gives the time [s] that ends a batch
-    """
-
-    def __init__(self, job: Job, clock: Callable[[], float] = perf_counter) -> None:
-        self._job, self._clock = job, clock
+    def __init__(self, job: Job) -> None:
+        self._job = job
         self._loaded = ExitStack()  # holds a simulator, until a run fails
         self._simulator: Simulator | None = None
         self._closed = False
@@ -51,10 +42,10 @@ class Simulated(AbstractContextManager["Simulated"]):
 
     def run(self, runs: Sequence[Run]) -> list[Done]:
         """Returns the runs that begin within `BATCH_S`."""
-        end, done = self._clock() + BATCH_S, list[Done]()
+        end, done = perf_counter() + BATCH_S, list[Done]()
         for run in runs:
             done.append(self.run_one(run))
-            if self._clock() >= end:
+            if perf_counter() >= end:
                 break
         return done
 
@@ -166,3 +157,123 @@ def _reduced(recording: Recording, runs: Sequence[Run]) -> list[Any]:
             results += [None] * count
         first += count
     return results
+
+
+_ATTEMPTS = 2  # a process that ends once may have been killed by somebody, one that ends again by its run
+_START_S = 300.0  # to import, load and compile, on a machine that is busy
+
+
+class Isolated:
+    """Makes runs in a process, which is replaced when it ends or takes too long.
+
+    job: its FMUs are files; vectors: whether runs step together, in groups, in the process
+    folder: for what FMUs would leave behind when they crash, its owner removes it
+    """
+
+    def __init__(self, job: Job, folder: Path | None = None, vectors: bool = False) -> None:
+        self._folder = folder
+        self._process: WorkerProcess | None = None
+        self._lock = threading.Lock()
+        self._closed = False
+        self.use(job, vectors)
+
+    def use(self, job: Job, vectors: bool) -> None:
+        """Makes runs of this job from now on, in the same process."""
+        self._job, self._vectors, self._ready = job, vectors, False
+
+    def run(self, runs: Sequence[Run]) -> list[Done]:
+        """Returns the runs that begin within `BATCH_S`; SweepError if no process can be started."""
+        end, done = perf_counter() + BATCH_S, list[Done]()
+        while len(done) < len(runs) and (not done or perf_counter() < end):
+            done += self._made(runs[len(done) :][: LANES if self._vectors else 1])
+        return done
+
+    def _made(self, runs: Sequence[Run]) -> list[Done]:
+        """Returns runs that step together; each alone where these take too long or end the process."""
+        timeout, message = self._job.timeout, self._job.pickled(runs)
+        failure = Failure("")
+        for _ in range(_ATTEMPTS if len(runs) == 1 else 1):
+            process = self._running()
+            try:
+                self._wait_until_ready(process)
+                process.send(message)
+                return process.receive(None if timeout is None else timeout * len(runs))
+            except ProcessEndedError as ended:
+                failure = Failure(f"the worker process ended: {ended}", ENDED)
+                self._replace()
+            except TimeoutError:
+                failure = Failure(f"it took longer than the timeout of {timeout:g} s", TOO_LONG)
+                self._replace()
+                break
+        return [Done(failure)] if len(runs) == 1 else [done for run in runs for done in self._made([run])]
+
+    def close(self) -> None:
+        """Ends the process at once, also from another thread during a run."""
+        with self._lock:
+            self._closed = True
+        self._replace()
+
+    def _running(self) -> WorkerProcess:
+        with self._lock:
+            if self._closed:
+                raise ClosedError("closed during a run")
+            if self._process is None:
+                self._process, self._ready = WorkerProcess(answer, self._folder), False
+            return self._process
+
+    def _wait_until_ready(self, process: WorkerProcess) -> None:
+        """Waits until the FMUs are loaded. SweepError if that takes too long or Python cannot start."""
+        if self._ready:
+            return
+        try:
+            process.send((cloudpickle.dumps(self._job), self._vectors))
+            process.receive(_START_S)
+        except TimeoutError:
+            raise SweepError(f"the process of runs was not ready after {_START_S:g} s") from None
+        except ProcessEndedError as ended:
+            if ended.status > 0:  # not of a crash
+                reason = ended.last_error_line or str(ended)
+                raise SweepError(f"the process of runs cannot start: {reason}") from ended
+            raise
+        self._ready = True
+
+    def _replace(self) -> None:
+        """Replaces the process for the next run."""
+        with self._lock:
+            if self._process is not None:
+                self._process.close()
+            self._process = None
+
+
+def answer(parent: Parent) -> None:
+    """Serves in the process: receives a job, loads its FMUs and makes its runs, until the next job."""
+    job = parent.receive()
+    while True:
+        job = _next_job(parent, job)
+
+
+def _next_job(parent: Parent, received: tuple[bytes, bool]) -> tuple[bytes, bool]:
+    """Makes runs of a job until another one is received."""
+    pickled, vectors = received
+    job: Job = cloudpickle.loads(pickled)
+    with _runner(job, vectors) as runner:
+        parent.send("ready")
+        while True:
+            message = parent.receive()
+            if isinstance(message, tuple):
+                return message
+            parent.send(runner.run(job.unpickled(message)), cloudpickle.dumps)
+
+
+def _runner(job: Job, vectors: bool) -> Simulated | Vectorised:
+    if vectors:
+        with suppress(EnsembleError):  # here, where another machine could
+            return Vectorised(job)
+    runner = Simulated(job)
+    with suppress(OrchestrationError):  # each run will fail with it
+        runner.load()
+    return runner
+
+
+Runner = Simulated | Vectorised | Isolated
+"""`run` returns the first of the runs given, at least one; ClosedError if `close` ended it meanwhile."""

@@ -13,9 +13,8 @@ from pydantic import ValidationError
 
 from fmus.fmi.description import describe, of_causality
 from orchestration.errors import OrchestrationError, ScenarioError, SimulationError, SweepError
-from orchestration.many.job import ENDED, TOO_LONG, Done, Failure, Job, Reduce, Run
+from orchestration.many.job import ENDED, TOO_LONG, ClosedError, Done, Failure, Job, Reduce, Run
 from orchestration.many.run_many import LocalRuns, in_order, recordings_of
-from orchestration.many.runners import ClosedError
 from orchestration.margins.fmu_margins import scan
 from orchestration.margins.hold import HoldRuns, LoopSignal, last_part
 from orchestration.results.recording import Recording

@@ -3,6 +3,9 @@
 The searches of all seeds go on together, a generation of each at a time, so that several processes have work.
 A last search of as many evaluations begins at the best gains of them all: what it gains shows whether the
 cost is flat there. While it is not, another one begins where that ended.
+
+Source: Hansen, "The CMA evolution strategy: a tutorial" (arXiv 1604.00772), as the library `cmaes` has it;
+restarts with twice the population after Auger and Hansen (CEC 2005).
 """
 
 import math
@@ -16,17 +19,23 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from fmus.extras import imports_of
+import numpy as np
+
+from fmus.errors import nearest
+from fmus.extras import imports_of, require
+from fmus.fmi.description import of_causality
+from fmus.fmi.model_description import ModelDescription
 from orchestration.errors import OrchestrationError
 from orchestration.many.journal import Journal
-from orchestration.scenarios.free_parameter import FreeParameter
-from orchestration.score.tune_search import EvolutionSearch
+from orchestration.scenarios.free_parameter import FreeParameter, check_once
 
 REFINEMENTS = (0, 1001, 1002, 1003)  # the seeds of the last searches
 LAST_PART = 0.5  # of the evaluations of a last search: what they still gain shows whether the cost is flat
 LARGEST_IMPROVEMENT = 0.02  # of the cost, in the last part
 LARGEST_SPREAD = 0.05  # of the lowest cost: where most of the seeds come so near to it, they agree
-
+_BEGIN = (0.25, 0.75)  # of the unit cube: the first mean of a search is drawn from there
+_STEP = 0.25  # first standard deviation: half of the range lies within one of the mean
+_FINE_STEP = 0.05  # that of a search which begins at gains that another one has found
 
 Evaluate = Callable[[Sequence[dict[str, float]]], Iterable[Mapping[str, Any]]]
 """Several {gain: value} -> in their order {"cost": a finite number, and what else is of interest}."""
@@ -98,9 +107,19 @@ class Tuning:
         return tuple(median(search.curve[i] for search in self.searches) for i in quarters)
 
     @property
+    def fewest(self) -> int:
+        """The evaluations of a search from which its end can show something: those of two generations."""
+        return 2 * _generation(len(self.problem.gains))
+
+    @property
+    def is_long_enough(self) -> bool:
+        """Whether the last search had enough evaluations to tell whether the cost is flat."""
+        return len(self.refinements[-1].curve) >= self.fewest
+
+    @property
     def is_flat(self) -> bool:
-        """Whether more evaluations hardly lower the cost about the best gains."""
-        return self.improvement <= LARGEST_IMPROVEMENT
+        """Whether more evaluations hardly lower the cost about the best gains, as far as can be told."""
+        return self.is_long_enough and self.improvement <= LARGEST_IMPROVEMENT
 
     @property
     def seeds_agree(self) -> bool:
@@ -130,7 +149,7 @@ def tune(
         for seed in REFINEMENTS:
             last = run_searches([SeedSearch(problem, seed, evaluations, tuning.best.gains)])
             tuning = replace(tuning, refinements=(*tuning.refinements, *last))
-            if tuning.is_flat:
+            if tuning.improvement <= LARGEST_IMPROVEMENT:
                 break
     return tuning
 
@@ -213,9 +232,11 @@ def _check_same(row: Mapping[str, Any], stored: Mapping[str, Any], path: Path) -
 
 
 class SeedSearch:
-    """The search of one seed, with every evaluation that it asked for in `rows`.
+    """The search of one seed by CMA-ES, with every evaluation that it asked for in `rows`.
 
-    start: the gains that it begins at; cost: what it makes small, of a row
+    The same seed and the same costs give the same gains, so that a search continues from its costs alone.
+    start: the gains that it begins at, in small steps; by default it begins anywhere
+    cost: what it makes small, of a row
     """
 
     def __init__(
@@ -227,28 +248,76 @@ class SeedSearch:
         cost: Callable[[Mapping[str, Any]], float] = itemgetter("cost"),
     ) -> None:
         self._gains, self._seed, self._cost = problem.gains, seed, cost
-        begin = [gain.share(start[gain.name]) for gain in problem.gains] if start else None
-        self._search = EvolutionSearch(len(problem.gains), seed, evaluations, begin)
+        self._start = [gain.share(start[gain.name]) for gain in problem.gains] if start else None
+        self._random = np.random.default_rng(seed)
+        self._remaining = evaluations
+        self._points: list[np.ndarray] = []  # of the present generation, in the unit cube
         self.rows: list[dict[str, Any]] = []
-        self._asked = 0
+        self._begin(_generation(len(problem.gains)))
+
+    def _begin(self, population: int) -> None:
+        cmaes = require("cmaes", "study", "tuning")
+        size = max(len(self._gains), 2)  # CMA-ES adapts a covariance: one gain gets a second coordinate
+        anywhere = self._random.uniform(*_BEGIN, size)
+        self._strategy = cmaes.CMA(
+            mean=anywhere if self._start is None else np.array([*self._start, 0.5])[:size],
+            sigma=_STEP if self._start is None else _FINE_STEP,
+            bounds=np.tile([0.0, 1.0], (size, 1)),
+            seed=int(self._random.integers(2**31)),
+            population_size=population,
+        )
 
     def ask(self) -> list[dict[str, Any]]:
-        """Returns the evaluations of the next generation, each to be completed with its cost."""
-        points = self._search.ask()
-        self._asked = len(points)
-        for point in points:
-            gains = {gain.name: gain.rounded(float(x)) for gain, x in zip(self._gains, point, strict=True)}
+        """Returns the evaluations of the next generation, to be completed with their costs; none at last."""
+        count = min(self._strategy.population_size, self._remaining)
+        self._remaining -= count
+        self._points = [self._strategy.ask() for _ in range(count)]
+        for point in self._points:
+            gains = {gain.name: gain.rounded(float(x)) for gain, x in zip(self._gains, point, strict=False)}
             self.rows.append({"seed": self._seed, "evaluation": len(self.rows), "gains": gains})
-        return self.rows[len(self.rows) - self._asked :]
+        return self.rows[len(self.rows) - count :]
 
     def tell(self) -> None:
-        if self._asked:
-            self._search.tell([self._cost(row) for row in self.rows[-self._asked :]])
+        """Takes the costs of the generation, unless the evaluations have cut it short."""
+        if len(self._points) < self._strategy.population_size:
+            return
+        costs = [self._cost(row) for row in self.rows[-len(self._points) :]]
+        self._strategy.tell(list(zip(self._points, costs, strict=True)))
+        if self._strategy.should_stop():  # converged: what is left of the evaluations looks elsewhere
+            self._begin(2 * self._strategy.population_size)
 
     def result(self) -> SearchResult:
+        """Returns the best evaluation, and the lowest cost after each."""
         curve = tuple(accumulate((row["cost"] for row in self.rows), min))
         best = min(self.rows, key=lambda row: row["cost"])
-        metrics = {
-            key: value for key, value in best.items() if key not in ("seed", "evaluation", "gains", "cost")
-        }
+        others = ("seed", "evaluation", "gains", "cost")
+        metrics = {key: value for key, value in best.items() if key not in others}
         return SearchResult(self._seed, best["gains"], metrics, curve)
+
+
+def _generation(gains: int) -> int:
+    """Returns how many points the first generation of a search of so many gains has (Hansen, table 1)."""
+    return 4 + math.floor(3.0 * math.log(max(gains, 2)))
+
+
+def with_units(gains: Iterable[FreeParameter], description: ModelDescription) -> tuple[FreeParameter, ...]:
+    """Returns the gains with the units of an FMU; OrchestrationError for one that it cannot take.
+
+    A gain is a parameter of type Real, tunable or fixed, whose declared range holds the limits.
+    """
+    gains, parameters = list(gains), of_causality(description, "parameter")
+    known = {v.name: v for v in parameters if v.type == "Real"}
+    for gain in gains:
+        if gain.name not in known:
+            raise OrchestrationError(
+                f"--free {gain.name}: expected a parameter of type Real; {nearest(gain.name, known)}"
+            )
+        if not gain.is_limited:
+            raise OrchestrationError(f"--free {gain.name}: expected NAME=LOW:HIGH, such as {gain.name}=1:20")
+    check_once(gains)
+    if not gains:
+        tunable = [name for name, v in known.items() if v.variability == "tunable"]
+        raise OrchestrationError(
+            f"nothing to tune: expected --free NAME=LOW:HIGH; tunable are {', '.join(tunable) or 'none'}"
+        )
+    return tuple(gain.within(known[gain.name]) for gain in gains)

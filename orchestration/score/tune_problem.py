@@ -35,8 +35,7 @@ from orchestration.score.draws import plants
 from orchestration.score.protocol import Case, Protocol
 from orchestration.score.protocol_format import DELAY_MARGIN
 from orchestration.score.run_metrics import declared, failures, metrics_of
-from orchestration.score.tune import Evaluate, Problem, SearchResult, Tuning
-from orchestration.score.tune_search import with_units
+from orchestration.score.tune import Evaluate, Problem, SearchResult, Tuning, with_units
 from orchestration.system.prepared_run import prepare
 
 LARGEST = 1000.0  # cost of a run that ends early; finite, so that the search goes on

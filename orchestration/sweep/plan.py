@@ -14,6 +14,8 @@ import numpy as np
 
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
+from orchestration.results.metrics import evaluate
+from orchestration.run.run_recording import make_recording
 from orchestration.scenarios.changes import tables_of_values, with_values
 from orchestration.scenarios.file_tables import Table
 from orchestration.scenarios.scenario import Scenario
@@ -97,7 +99,10 @@ class Plan:
 
 
 def plan(scenario: Scenario) -> Plan:
-    """Returns the sweep that a scenario declares; ScenarioError or SystemDefinitionError for a wrong one."""
+    """Returns the sweep that a scenario declares; ScenarioError or SystemDefinitionError for a wrong one.
+
+    A metric that can be computed of no recording is refused here, not in each sample.
+    """
     where = f"{scenario.name}: sweep"
     table = sweep_table(scenario.sweep, where)
     for name in _COLUMNS:
@@ -106,13 +111,16 @@ def plan(scenario: Scenario) -> Plan:
                 f"{where}: metric {name}: expected another name, the table has a column of that one"
             )
     experiment = scenario.experiment
-    checked = prepare(scenario.system, experiment).system
+    prepared = prepare(scenario.system, experiment)
+    if "experiment.stop_time" not in table.vary:  # another end may be what a metric needs
+        rows = np.zeros(prepared.shape)
+        evaluate(make_recording(prepared, rows, len(rows), is_final=True), scenario.metrics)
     entries = tuple(
-        varied(target(name, checked, experiment), declared, f"{where}: {name}")
+        varied(target(name, prepared.system, experiment), declared, f"{where}: {name}")
         for name, declared in table.vary.items()
         if isinstance(declared, Table)
     )
-    plan = Plan(scenario, checked, entries, table.seed, _draws(table, entries, where), table.timeout)
+    plan = Plan(scenario, prepared.system, entries, table.seed, _draws(table, entries, where), table.timeout)
     if plan.count > MOST_VALUES:
         raise ScenarioError(
             f"{where}: {plan.count} samples, the product of samples and grids: expected at most {MOST_VALUES}"

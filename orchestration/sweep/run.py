@@ -1,6 +1,13 @@
-"""Runs of a sweep: its samples are runs of `orchestration.many`, whose results are rows of the store."""
+"""Runs of a sweep, and its files: a journal while it runs, so that nothing done is lost; one table at the end.
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+NAME.sweep.jsonl     while it runs: the journal, a row for each finished sample
+NAME.sweep.lock      while a process runs it
+NAME.recordings/     recordings of the samples, if they were asked for
+NAME.sweep.parquet   the table
+"""
+
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -10,19 +17,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fmus.files import write_bytes_atomically
 from fmus.fmi.variable_types import FmiValue
 from fmus.operating_system import usable_processors
 from orchestration.errors import SweepError
 from orchestration.many.job import Batches, Failure, Finished, Job, Place, Run
+from orchestration.many.journal import Journal
 from orchestration.many.run_many import LocalRuns
 from orchestration.results import metrics
 from orchestration.results.recording import Recording
 from orchestration.scenarios.changes import with_values
 from orchestration.scenarios.scenario import Scenario
+from orchestration.sweep import table
 from orchestration.sweep.plan import Plan
 from orchestration.sweep.plan import plan as plan_of
-from orchestration.sweep.store import Store
-from orchestration.sweep.table import ERROR, SAMPLE, WARNED, schema
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import prepare_checked
 
@@ -103,7 +111,7 @@ def sweep(
     Raises SweepError if the folder holds another sweep, if another process runs the same one, or if
     samples cannot be run at all. A sample that fails is a row, and raises nothing.
     """
-    with Store(folder, schema(plan, recorded)) as store:
+    with Store(folder, table.schema(plan, recorded)) as store:
         done = set[int]() if restart else store.begin()
         progress(len(done))
         missing = (number for number in range(plan.count) if number not in done)
@@ -116,7 +124,7 @@ def sweep(
                         store.discard()
                         store.begin()
                         restart = False
-                    store.add([_row(one) for one in finished], [_recording(one) for one in finished])
+                    store.add(*zip(*map(_row, finished), strict=True))
                     progress(len(finished))
         store.finish()
     return store.path
@@ -169,21 +177,19 @@ def _needed(plan: Plan) -> tuple[str, ...]:
     return tuple(name for name in recorded if name in used) or tuple(experiment.record)
 
 
-def _row(finished: Finished) -> dict[str, Any]:
+def _row(finished: Finished) -> tuple[dict[str, Any], bytes | None]:
+    """Returns the row of a sample, and its recording."""
     sample, (result, warned, _) = finished
     is_failure = isinstance(result, Failure)
-    return {
-        SAMPLE: sample.number,
+    measured, recording = SweepRow({}) if is_failure else result
+    row = {
+        table.SAMPLE: sample.number,
         **sample.values,
-        **({} if is_failure else result.metrics),
-        WARNED: ", ".join(warned) or None,
-        ERROR: result.reason if is_failure else None,
+        **measured,
+        table.WARNED: ", ".join(warned) or None,
+        table.ERROR: result.reason if is_failure else None,
     }
-
-
-def _recording(finished: Finished) -> bytes | None:
-    result = finished.done.result
-    return None if isinstance(result, Failure) else result.recording
+    return row, recording
 
 
 def _as_parquet(run: Recording, names: tuple[str, ...]) -> bytes:
@@ -195,3 +201,83 @@ def _as_parquet(run: Recording, names: tuple[str, ...]) -> bytes:
         path = Path(folder) / "sample.parquet"
         run.write(path)
         return path.read_bytes()
+
+
+class Store:
+    """The files of one sweep, for one process at a time: the context holds their lock until it ends.
+
+    columns: as of `table.schema`; SweepError if the files are those of another sweep
+    """
+
+    def __init__(self, folder: Path, columns: table.pa.Schema) -> None:
+        about = table.provenance_of(columns)
+        self._columns, self._count, name = columns, about["samples"], about["name"]
+        self.path = folder / f"{name}.sweep.parquet"
+        self.recordings = folder / f"{name}.recordings"
+        self._journal = Journal(folder / f"{name}.sweep.jsonl", about, "sweep", SweepError, _identity)
+
+    def __enter__(self) -> "Store":
+        self._journal.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._journal.__exit__()
+
+    def discard(self) -> None:
+        """Removes what an earlier sweep of that name has left."""
+        self.path.unlink(missing_ok=True)
+        self._journal.discard()
+        shutil.rmtree(self.recordings, ignore_errors=True)
+
+    def begin(self) -> set[int]:
+        """Returns the samples that are done already."""
+        if self.path.is_file():
+            finished, stored = table.read(self.path)
+            self._journal.check_same(stored, self.path)
+            return self._checked(finished[table.SAMPLE].to_pylist(), self.path)
+        self._journal.begin()
+        return set(np.flatnonzero(self._positions() >= 0).tolist())
+
+    def add(self, rows: Sequence[Mapping[str, Any]], recordings: Sequence[bytes | None] = ()) -> None:
+        """Stores the rows of samples that are done, and their recordings as Parquet files."""
+        digits = len(str(self._count - 1))
+        for row, recording in zip(rows, recordings, strict=False):
+            if recording:
+                number = f"{row[table.SAMPLE]:0{digits}}"
+                write_bytes_atomically(self.recordings / f"sample-{number}.parquet", recording)
+        self._journal.add(rows)
+
+    def finish(self) -> None:
+        """Writes the table; SweepError if samples are missing."""
+        if not self.path.is_file():
+            positions = self._positions()
+            if (positions < 0).any():
+                self._checked(np.flatnonzero(positions >= 0).tolist(), self._journal.path)
+            table.write(self._journal.lines_at(positions), self._columns, self.path)
+        self._journal.discard()
+
+    def _checked(self, samples: Iterable[int], path: Path) -> set[int]:
+        """Returns the samples; SweepError unless they are all, each once."""
+        numbers = sorted(samples)
+        if numbers != list(range(self._count)):
+            raise self._journal.refusal(
+                f"{path}: {len(numbers)} rows of {len(set(numbers))} samples, expected {self._count}"
+            )
+        return set(numbers)
+
+    def _positions(self) -> np.ndarray:
+        """Returns each sample's row in the journal, shape (samples,); -1 for one that was not run."""
+        positions = np.full(self._count, -1, np.int64)
+        for position, row in self._journal.rows():
+            if row.keys() >= {table.SAMPLE, table.ERROR} and row[table.SAMPLE] < self._count:
+                positions[row[table.SAMPLE]] = position
+        return positions
+
+
+def _identity(key: str, value: Any) -> Any:
+    """Returns what is compared of a value: hashes of FMUs, but neither their paths nor the command's text."""
+    if key == "arguments":
+        return None
+    if key == "scenario" and isinstance(value, dict):
+        return {**value, "components": sorted(value["components"])}
+    return value

@@ -28,6 +28,7 @@ from orchestration.sweep.plan import Plan
 with imports_of("sweep", "a sweep"):
     import pyarrow as pa
     import pyarrow.parquet as pq
+    from pyarrow.json import ParseOptions, ReadOptions, read_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -36,12 +37,6 @@ SAMPLE, WARNED, ERROR = "sample", "warned", "error"
 ROWS_OF_A_GROUP = 10_000
 _KIND, _PROVENANCE, _SWEEP = b"l1_depth.kind", b"l1_depth.provenance", b"sweep"
 _TYPES = {"Real": pa.float64(), "Integer": pa.int64(), "Boolean": pa.bool_(), "String": pa.string()}
-_VALUES = {
-    pa.float64(): (float, int, np.floating, np.integer),
-    pa.int64(): (int, np.integer),
-    pa.bool_(): (bool, np.bool_),
-    pa.string(): (str,),
-}
 
 
 def schema(plan: Plan, recorded: tuple[str, ...] | None) -> pa.Schema:
@@ -97,39 +92,20 @@ def provenance_of(columns: pa.Schema) -> dict[str, Any]:
     return json.loads(columns.metadata[_PROVENANCE])
 
 
-def write(rows: Iterable[Mapping[str, Any]], columns: pa.Schema, path: Path) -> None:
-    """Writes rows in the order of their samples, some in memory at a time; equal rows give equal bytes."""
+def write(rows: Iterable[bytes], columns: pa.Schema, path: Path) -> None:
+    """Writes rows of JSON in the order given, some in memory at a time; equal rows give equal bytes.
+
+    Raises ArrowInvalid for a value that is not of the type of its column.
+    """
     remaining = iter(rows)
+    options = ParseOptions(explicit_schema=columns, unexpected_field_behavior="ignore")
     with open_atomically(path) as stream, pq.ParquetWriter(stream, columns) as writer:
         while group := list(islice(remaining, ROWS_OF_A_GROUP)):
-            arrays = [_array([row.get(field.name) for row in group], field.type) for field in columns]
-            writer.write_table(pa.Table.from_arrays(arrays, schema=columns))
-
-
-def _array(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
-    """Returns an array of Arrow.
-
-    values: of one of the `_VALUES` of their type, or None; TypeError for another
-    """
-    # not by `pa.array`: it imports pandas if it is installed, which takes as long as hundreds of samples
-    for given in {type(value) for value in values if value is not None}:
-        if not issubclass(given, _VALUES[kind]) or (given is bool and kind != pa.bool_()):
-            raise TypeError(f"a column of type {kind}: got a value of type {given.__name__}")
-    present = np.array([value is not None for value in values])
-    if kind == pa.string():
-        texts = [(value or "").encode() for value in values]
-        content = [np.cumsum([0, *map(len, texts)], dtype=np.int32), b"".join(texts)]
-    elif kind == pa.bool_():
-        content = [_bits(values)]
-    else:
-        numbers = [0 if value is None else value for value in values]
-        content = [np.array(numbers, float if kind == pa.float64() else np.int64)]
-    validity = None if present.all() else pa.py_buffer(_bits(present))
-    return pa.Array.from_buffers(kind, len(values), [validity, *map(pa.py_buffer, content)])
-
-
-def _bits(values: Sequence[Any] | np.ndarray) -> np.ndarray:
-    return np.packbits(np.array(values, bool), bitorder="little")
+            # not by `pa.array`, which imports pandas if it is installed: as long as hundreds of samples take
+            lines = b"\n".join(group)
+            block = ReadOptions(use_threads=False, block_size=len(lines) + 1)
+            read = read_json(pa.BufferReader(lines), block, options)
+            writer.write_table(pa.Table.from_arrays(read.columns, schema=columns))
 
 
 def is_sweep(path: Path) -> bool:

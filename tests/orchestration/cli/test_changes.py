@@ -91,7 +91,11 @@ def test_a_report_has_the_command_that_runs_a_sample_again_with_its_options(
     changes = Changes.of_options("L1DepthController", ["plant.buoyancy_change=0.2"])
     swept = plan(chosen_scenario.load("short.toml", changes=changes))
     rows = [{"sample": i, **swept.values(i), "error": "not run"} for i in range(swept.count)]
-    table.write(rows, table.schema(swept, None), tmp_path / "short.sweep.parquet")
+    table.write(
+        (json.dumps(row).encode() for row in rows),
+        table.schema(swept, None),
+        tmp_path / "short.sweep.parquet",
+    )
     again = read_sweep(tmp_path / "short.sweep.parquet").command.replace("{sample}", "1")
     program, *arguments = shlex.split(again)
     assert program == "l1-depth"

@@ -11,8 +11,8 @@ import pytest
 from orchestration import Experiment, simulate
 from orchestration.cli import chosen_scenario
 from orchestration.cli.changes import Changes
-from orchestration.cli.fit import print_fit
-from orchestration.fit.intervals import Analysis
+from orchestration.cli.vehicles import print_fit
+from orchestration.fit.least_squares import Analysis
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.system.signals import Ramps

@@ -64,11 +64,13 @@ def test_score_prints_tables_and_writes_a_document_and_a_page(
     assert "not on a real vehicle" in (tmp_path / "results" / "score.html").read_text(encoding="utf-8")
 
 
-def test_a_python_class_is_scored_by_its_name(
-    command: Callable[..., object], protocol_file: Path, tmp_path: Path
+def test_a_python_class_is_scored_by_its_name_and_the_command_fails_where_it_fails_every_case(
+    command: Callable[..., Any], protocol_file: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "own.py").write_text(PROPORTIONAL)
-    command("score", "own.py:Proportional", "--set", "controller.gain=4.0", "--protocol", protocol_file)
+    arguments = "--set", "controller.gain=4.0", "--protocol", protocol_file
+    done = command("score", "own.py:Proportional", *arguments, expect=1)
+    assert done.stderr == "l1-depth: Proportional failed every case, nominal with: not settled\n"
     (row,) = json.loads((tmp_path / "results" / "score.json").read_text(encoding="utf-8"))["rows"]
     assert (row["name"], row["parameters"]) == ("Proportional", {"gain": 4.0})
     assert row["cases"]["nominal"]["metrics"]["rmse"] > 1.0  # cm, with nothing against weight

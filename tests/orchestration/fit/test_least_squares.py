@@ -7,8 +7,14 @@ import numpy as np
 import pytest
 
 from orchestration.errors import OrchestrationError
-from orchestration.fit.intervals import analysed, correlation_time
-from orchestration.fit.least_squares import LeastSquares, Values, coordinate, values_at
+from orchestration.fit.least_squares import (
+    LeastSquares,
+    Values,
+    analysed,
+    coordinate,
+    correlation_time,
+    values_at,
+)
 from orchestration.scenarios.free_parameter import FreeParameter
 
 TIMES = np.linspace(0.0, 1.0, 200)

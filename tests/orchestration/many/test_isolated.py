@@ -12,9 +12,8 @@ import psutil
 import pytest
 
 from orchestration.errors import SweepError
-from orchestration.many.isolated import Isolated
-from orchestration.many.job import Done, Failure, Job, Run
-from orchestration.many.runners import ClosedError
+from orchestration.many.job import ClosedError, Done, Failure, Job, Run
+from orchestration.many.runners import Isolated
 from orchestration.results.recording import Recording
 from orchestration.run import simulate
 from orchestration.system.experiment import Experiment

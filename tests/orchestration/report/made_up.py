@@ -1,5 +1,6 @@
 """Result files as `l1-depth run` and `l1-depth sweep` write them, of runs that nobody had to wait for."""
 
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -85,5 +86,5 @@ def write_sweep(folder: Path, samples: int = 100) -> Path:
         error = FAILED.get(sample)
         rows.append({"sample": sample, **values, **({} if error else metrics), "error": error})
     path = folder / "monte-carlo.sweep.parquet"
-    table.write(rows, columns, path)
+    table.write((json.dumps(row).encode() for row in rows), columns, path)
     return path

@@ -136,7 +136,7 @@ def test_a_sweep_counts_the_samples_that_settled_and_says_where_none_did(tmp_pat
     for row in rows:
         row["settling_time"] = math.nan
     rows[1]["rmse"] = math.nan
-    table.write(rows, columns, path)
+    table.write((json.dumps(row).encode() for row in rows), columns, path)
     text = render(found_results([path])).replace("<wbr>", "")
     cells = re.sub(r"<[^>]*>", " ", text).split()
     start = cells.index("settling_time", cells.index("largest"))

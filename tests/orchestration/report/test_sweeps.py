@@ -1,5 +1,6 @@
 """Sweeps, clicked through in a browser."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -132,7 +133,7 @@ def test_a_sweep_that_failed_altogether_lists_its_errors(opened: Open, tmp_path:
     path = write_sweep(tmp_path)
     read, _ = table.read(path)
     failed = [{"sample": 0, "error": "all is lost"}]
-    table.write(failed, read.schema, path)
+    table.write((json.dumps(row).encode() for row in failed), read.schema, path)
     page = opened(path)
     assert "1 sample of" in page.one("section.sweep").text
     assert "all is lost" in page.one("section.sweep").text

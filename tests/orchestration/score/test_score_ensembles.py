@@ -8,8 +8,8 @@ import pytest
 
 from orchestration import Ensemble
 from orchestration.many import ensemble
-from orchestration.many.isolated import Isolated
 from orchestration.many.job import Done, Run
+from orchestration.many.runners import Isolated
 from orchestration.score import score_rows
 from orchestration.score.closed_loop import ClosedLoop, Controller
 from orchestration.score.protocol import Protocol, read_protocol

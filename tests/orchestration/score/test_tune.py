@@ -205,14 +205,15 @@ def test_the_lowest_cost_must_not_fall_in_the_last_half_of_the_last_search() -> 
 
 
 def test_the_least_that_can_be_tuned_has_its_judgements(tmp_path: Path) -> None:
-    """One gain, one seed, one evaluation: no part of the last search is the first one."""
+    """One gain, one seed, one evaluation: no part of the last search is the first one; it tells nothing."""
     tuning = tune(Problem(GAINS[:1]), [1], 1, tmp_path / "journal", at_once(lambda gains: {"cost": 4.0}))
     assert (tuning.improvement, tuning.evaluations, tuning.is_flat, tuning.seeds_agree) == (
         0.0,
         2,
-        True,
+        False,
         True,
     )
+    assert (tuning.is_long_enough, tuning.fewest) == (False, 12)
 
 
 def test_seeds_agree_if_most_come_near_the_lowest_cost() -> None:

@@ -72,7 +72,7 @@ def test_a_cost_that_a_limit_determines_is_not_called_flat(
     capsys: pytest.CaptureFixture[str], gain: float, verdict: str
 ) -> None:
     gains = {"kp": gain, "kd": 5.0}
-    search = SearchResult(1, gains, {}, (2.0,) * 4)
+    search = SearchResult(1, gains, {}, (2.0,) * 12)
     free = (FreeParameter("kp", 1.0, 10.0), FreeParameter("kd", 1.0, 10.0))
     tuning = Tuning(Problem(free), (search,), (search,))
     assert tuning.is_flat
@@ -82,6 +82,19 @@ def test_a_cost_that_a_limit_determines_is_not_called_flat(
     assert "; the one seed is " in last
     print_gains(replace(tuning, searches=tuning.searches * 2), "pid")
     assert "; the median of 2 seeds is " in capsys.readouterr().out
+
+
+def test_two_evaluations_do_not_tell_whether_the_cost_is_flat(capsys: pytest.CaptureFixture[str]) -> None:
+    """Fewer than two generations of 6 evaluations each, as CMA-ES has them of two gains."""
+    free = (FreeParameter("kp", 1.0, 10.0), FreeParameter("kd", 1.0, 10.0))
+    for count in (2, 11):
+        search = SearchResult(1, {"kp": 5.0, "kd": 5.0}, {}, (2.0,) * count)
+        tuning = Tuning(Problem(free), (search,), (search,))
+        assert not tuning.is_flat
+        print_gains(tuning, "pid")
+        last = capsys.readouterr().out.splitlines()[-1]
+        message = "evaluations are too few to tell whether the cost is flat: expected 12 or more."
+        assert last == f"{count} {message}"
 
 
 @pytest.mark.slow

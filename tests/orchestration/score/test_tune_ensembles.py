@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from orchestration.many import ensemble
-from orchestration.many.isolated import Isolated
 from orchestration.many.job import Job
+from orchestration.many.runners import Isolated
 from orchestration.score.closed_loop import ClosedLoop, built_in
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.tune_problem import LARGEST, costs, evaluations

@@ -8,7 +8,7 @@ import pytest
 from fmus.fmi.description import describe
 from orchestration.errors import OrchestrationError
 from orchestration.scenarios.free_parameter import FreeParameter, parse
-from orchestration.score.tune_search import with_units
+from orchestration.score.tune import with_units
 
 
 def test_a_positive_range_is_searched_in_its_logarithm_and_another_one_is_not() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import EnsembleError, OrchestrationError
-from orchestration.many import ensemble
+from orchestration.many import ensemble, run_many, runners
 from orchestration.many.job import Batches, Failure, Finished, Run
 from orchestration.many.run_many import LocalRuns
 from orchestration.results import metrics
@@ -177,7 +177,9 @@ def test_a_file_that_is_replaced_meanwhile_changes_no_sample(
     assert first.done.result == third.done.result
 
 
-def test_a_batch_ends_after_its_time_and_the_rest_is_run_in_others(vehicle: Plan) -> None:
+def test_a_batch_ends_after_its_time_and_the_rest_is_run_in_others(
+    vehicle: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """By this clock a sample takes 1 ms, and from the third one on 0.15 s and more."""
     readings = count()
 
@@ -187,7 +189,9 @@ def test_a_batch_ends_after_its_time_and_the_rest_is_run_in_others(vehicle: Plan
 
     job, numbers, lengths = job_of(vehicle, None), list[int](), list[int]()
     batches = Batches(samples_of(vehicle, job.base, range(9)), 9)
-    with LocalRuns(1, vectorise=False, clock=clock) as place:
+    for module in (run_many, runners):
+        monkeypatch.setattr(module, "perf_counter", clock)
+    with LocalRuns(1, vectorise=False) as place:
         for finished in place.runs(job, batches):
             lengths.append(len(finished))
             numbers += [one.key.number for one in finished]

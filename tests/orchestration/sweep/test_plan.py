@@ -333,6 +333,15 @@ UNIFORM = 'distribution = "uniform"\nlow = 1.0\nhigh = 3.0'
             '[sweep.vary."r.u"]\nvalues = [1]\n[metrics.error]\nfunction = "mean"\nsignal = "r.y"',
             r"metric error",
         ),
+        (
+            '[sweep.vary."r.u"]\nvalues = [1]\n[metrics.typo]\nfunction = "mean"\nsignal = "r.z"',
+            "metric typo: 'r.z' was not recorded; nearest is 'r.y'",
+        ),
+        (
+            '[sweep.vary."r.u"]\nvalues = [1]\n[metrics.over]\nfunction = "overshoot"\nsignal = "r.y"\n'
+            "target = 0.0",
+            "metric over: overshoot: target = 0: expected another",
+        ),
     ],
 )
 def test_a_mistake_is_told_before_anything_runs(planned: Make, sweep: str, message: str) -> None:

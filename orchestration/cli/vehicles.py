@@ -1,4 +1,4 @@
-"""Command design: gains of L1, its extension and PID for a vehicle, by rules, checked over its ranges."""
+"""Commands on vehicles: design, gains by rules checked over the ranges, and fit, parameters from logs."""
 
 import sys
 from collections.abc import Iterator, Sequence
@@ -8,32 +8,33 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fmus.operating_system import usable_processors
 from orchestration.cli import shared
-from orchestration.cli.changes import CONTROLLER, Changes, PlantOption
+from orchestration.cli.changes import CONTROLLER, NO_CHANGES, Changes, takes_changes
 from orchestration.errors import OrchestrationError
 
 if TYPE_CHECKING:
     from orchestration.design.check import DesignCheck
     from orchestration.design.rules import Conditions, Gain
+    from orchestration.fit.vehicle_fit import VehicleFit
     from orchestration.scenarios.scenario import Scenario
+
 
 PID = "PidDepthController"
 _RUNS = {"L1": ("nominal-l1", ""), "L1 with PI": ("nominal-extended", ""), "PID": ("nominal-extended", PID)}
 """Title of a controller -> the scenario of its runs, and the controller in the place of the scenario's."""
 
 
+@takes_changes(
+    plant="",
+    settings="Set plant.variable=value: data of the vehicle.",
+    mapped="Take this variable of the plant for plant.NAME.",
+)
 def design(
-    plant: PlantOption = "RovDepthPlant",
-    settings: Annotated[
-        list[str],
-        typer.Option("--set", metavar="NAME=VALUE", help="Set plant.variable=value: data of the vehicle."),
-    ] = [],  # noqa: B006  (Typer copies it)
-    mapped: Annotated[
-        list[str],
-        typer.Option(
-            "--map", metavar="NAME=VARIABLE", help="Take this variable of the plant for plant.NAME."
-        ),
-    ] = [],  # noqa: B006
+    plant: Annotated[
+        str, typer.Option(metavar="FMU", help="Design for this vehicle, an .fmu, a block or its .py file.")
+    ] = "RovDepthPlant",
+    changes: Changes = NO_CHANGES,
     bandwidth: Annotated[
         float,
         typer.Option(metavar="RAD/S", help="Of A_m and of PID; by default the largest that fits.", min=0.0),
@@ -51,7 +52,6 @@ def design(
     from orchestration.cli.score import chosen_vehicle
     from orchestration.design import check, parameter_file, rules, vehicle_data
 
-    changes = Changes.of_options("", settings, mapped, None, plant)
     changes.check_of_plant()
     vehicle = chosen_vehicle(changes)
     drawn = vehicle_data.draws_of(vehicle)
@@ -135,3 +135,114 @@ def _rows(checks: "Sequence[DesignCheck]") -> Iterator[tuple[str, ...]]:
         settled = f"{len(one.rmse) - len(one.failed)} of {len(one.rmse)}"
         numbers = one.rmse[0], one.rmse[one.worst], one.longest_settling
         yield one.title, *(f"{number:.3g}" for number in numbers), settled, one.values_text(one.worst)
+
+
+_USUAL = 20  # evaluations for each free parameter, for the progress bar
+
+
+@takes_changes(
+    plant="",
+    settings="Set plant.variable=value; of a free parameter, its start.",
+    mapped="Take this column of the data for data.NAME, or this variable of the plant for plant.NAME.",
+)
+def fit(
+    plant: Annotated[str, typer.Argument(metavar="PLANT", help="An .fmu, a block or its .py file.")],
+    data: Annotated[
+        list[Path],
+        typer.Option(metavar="FILE", help="Fit to this log of a dive (CSV), or to several at once."),
+    ],
+    free: Annotated[
+        list[str],
+        typer.Option(
+            metavar="NAME,NAME=LOW:HIGH",
+            help="Fit these parameters, within these limits; by default within those of the FMU.",
+        ),
+    ],
+    changes: Changes = NO_CHANGES,
+    step_size: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Communication step; by default that of the FMU.")
+    ] = None,
+    workers: Annotated[int, typer.Option(help="Run so many dives at once.", min=1)] = usable_processors(),
+    out: shared.OutFolder = Path("results"),
+) -> None:
+    """Fit parameters of a vehicle to measured depth and commands, with intervals."""
+    import tomli_w
+
+    from fmus.errors import MissingExtraError
+    from fmus.files import write_text_atomically
+    from orchestration.cli.score import chosen_vehicle
+    from orchestration.fit.dive import DATA, held_over, read_dive
+    from orchestration.fit.vehicle_fit import fit_vehicle, free_parameters
+
+    changes.check_of_plant(DATA)
+    vehicle = chosen_vehicle(changes)
+    shared.check_writable(out)
+    parameters = free_parameters(free, vehicle)
+    dives = [read_dive(path, vehicle, changes.mapping.get(DATA)) for path in data]
+    for dive in dives:
+        for message in held_over(dive):
+            print(f"l1-depth: warning: {message}", file=sys.stderr)
+    with shared.progress(f"fit {vehicle.name}", _USUAL * len(parameters)) as bar:
+        fitted = fit_vehicle(
+            vehicle, dives, parameters, step_size, workers, lambda cost: bar.advance(note=f"{cost:.4g} m2")
+        )
+    print_fit(fitted)
+    file = out / f"{vehicle.name}-fit.toml"
+    out.mkdir(parents=True, exist_ok=True)
+    write_text_atomically(file, tomli_w.dumps(fitted.parameters()))
+    written = [file]
+    for name, recording in fitted.recordings.items():
+        written.append(out / f"{vehicle.name}-fit-{name}.csv")
+        recording.write(written[-1])
+    try:
+        written.append(_report(fitted, out / f"{vehicle.name}-fit.html"))
+    except MissingExtraError as error:
+        print(f"l1-depth: no report: {error}", file=sys.stderr)
+    print(*written, sep="\n")
+
+
+def print_fit(fitted: "VehicleFit") -> None:
+    """Prints the table of a fit, and what the data do not determine."""
+    from rich.table import Table
+
+    analysis = fitted.analysis
+    table = Table("Parameter", "Value", "95 % interval", "Unit", "", title=f"Fit of {fitted.vehicle.name}")
+    for one in analysis.estimates:
+        interval = "" if one.note else f"{one.low:.5g} .. {one.high:.5g}"
+        table.add_row(one.free.name, f"{one.value:.5g}", interval, one.free.unit, one.note)
+    shared.print_table(table)
+    for name, rmse in fitted.rmse.items():
+        print(f"{name}: RMSE {1000.0 * rmse:.3g} mm of {len(fitted.recordings[name].time)} readings")
+    count = f"{analysis.correlation_time:.3g}"
+    is_one = "1 reading counts as one: residuals are not correlated"
+    print(is_one if count == "1" else f"{count} readings count as one: residuals are correlated so long")
+    for name in analysis.rough:
+        print(f"rough interval: {name}: the depth is not linear in it over the interval")
+    for message in analysis.undetermined:
+        print(f"not determined: {message}")
+    if fitted.ended:
+        print(f"l1-depth: warning: the search has not converged: {fitted.ended}", file=sys.stderr)
+
+
+def _report(fitted: "VehicleFit", path: Path) -> Path:
+    """Writes the page with the measured depth beside the simulated one."""
+    from fmus.files import write_text_atomically
+    from orchestration import report as page
+    from orchestration.report.result import RunResult
+
+    values = {name: one.value for name, one in fitted.of_vehicle}
+    units = {name: one.free.unit for name, one in fitted.of_vehicle}
+    scenario = {**fitted.parameters(), "metrics": fitted.metrics}
+    results = [
+        RunResult(
+            name,
+            recording,
+            {**scenario, "title": f"{fitted.vehicle.name} fitted to {name}"},
+            recording.provenance,
+            {"rmse": fitted.rmse[name], **values},
+            {"rmse": "m", **units},
+        )
+        for name, recording in fitted.recordings.items()
+    ]
+    write_text_atomically(path, page.render(results, f"Fit of {fitted.vehicle.name}"))
+    return path
