@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 from fmus.block import Block
 from fmus.block.units import display, per_second, rate, unit
 from fmus.block.variables import BlockVariable
-from fmus.build.symbolic import initial_dependencies
+from fmus.build.sensitivities import sensitivities
 from fmus.errors import ExportError
 from fmus.files import xml_document
 
@@ -69,7 +69,8 @@ def model_description(
 
     exchange: what an FMU for model exchange has besides; None for one of co-simulation alone
     source_files: what an importer must compile to rebuild the FMU, inside the folder `sources`.
-    dependencies: as `initial_dependencies`, which traces the block, returns them by default
+    dependencies: value reference of each initial unknown -> those of the parameters and inputs behind it; by
+        default of the block as it is traced
 
     Raises ExportError for a unit that `fmus.block.units` does not know.
     """
@@ -94,9 +95,11 @@ def model_description(
         is_rate = of_state >= len(block.variables) and variable.causality == "local"
         is_restarted = exchange is not None and variable.value_reference in exchange.restarted
         _variable(variables, variable, str(of_state + 1) if is_rate else None, is_restarted)
-    initial = initial_dependencies(block) if dependencies is None else dependencies
+    if dependencies is None:
+        settable = (*block.of_causality("parameter"), *block.of_causality("input"))
+        dependencies = sensitivities(block).initial.dependencies(settable)
     described = len(block.variables) + len(states)
-    initial = {unknown: known for unknown, known in initial.items() if unknown < described}
+    initial = {unknown: known for unknown, known in dependencies.items() if unknown < described}
     _structure(root, block, exchange.dependencies if exchange else {}, initial)
     return parsable(root, block)
 

@@ -23,7 +23,8 @@ from fmus.block.variables import BlockVariable
 from fmus.build import fmi3
 from fmus.build.documentation.page import documentation, licenses
 from fmus.build.model_description import GUID, Exchange, model_description, with_guid
-from fmus.build.symbolic import Traced, present_dependencies, restarted_states, traced
+from fmus.build.sensitivities import sensitivities
+from fmus.build.symbolic import Traced, restarted_states, traced
 from fmus.errors import ExportError
 from fmus.files import xml_document
 from fmus.fmi.integer_enumerations import REALS_ONLY, with_other_types
@@ -66,9 +67,8 @@ def content(block: Block, reals_only: bool = False, fmi: int = 2) -> tuple[str, 
 def _description(functions: Traced) -> bytes:
     of_exchange = {"completedIntegratorStepNotNeeded": "true", **_OF_BOTH}
     block = functions.block
-    exchange = Exchange(
-        of_exchange, present_dependencies(block), _indicators(functions), restarted_states(block)
-    )
+    dependencies = sensitivities(block).exchange.dependencies((*block.of_causality("input"), *block.states))
+    exchange = Exchange(of_exchange, dependencies, _indicators(functions), restarted_states(block))
     return model_description(block, GUID, _CAPABILITIES, exchange, COMPILED[2])
 
 
@@ -122,8 +122,7 @@ def c_sources(block: Block, guid: str, reals_only: bool = False, fmi: int = 2) -
     template = Template((layer / "model.h.in").read_text("utf-8"))
     functions = traced(block)
     model = template.substitute(_tables(functions, reals_only, fmi), guid=guid)
-    of_fmi3 = fmi3.sensitivities(block).functions() if fmi == 3 else None
-    return texts | {"model.h": model} | functions.c_code(of_fmi3)
+    return texts | {"model.h": model} | functions.c_code(sensitivities(block).functions(fmi))
 
 
 def _included(layer: Traversable, name: str) -> Iterator[tuple[str, str]]:
