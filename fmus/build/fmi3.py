@@ -18,7 +18,7 @@ from fmus.build.model_description import (
     add_enumerations,
     add_experiment,
     add_units,
-    attribute,
+    attributes_of,
     model_attributes,
     parsable,
 )
@@ -129,46 +129,18 @@ def model_description(block: Block, token: str) -> bytes:
     restarted = restarted_states(block)
     for name, shape, (v, *rest) in groups:
         of_state = v.value_reference - len(block.variables)
-        more = {}
+        of_all, of_type = attributes_of(name, (v, *rest))
         if restarted.intersection(scalar.value_reference for scalar in (v, *rest)):
-            more["reinit"] = "true"
+            of_type["reinit"] = "true"
         elif count <= of_state < 2 * count:
-            more["derivative"] = str(v.value_reference - count)
+            of_type["derivative"] = str(v.value_reference - count)
         elif v.causality in ("input", "output") and v.variability == "continuous":
-            more["intermediateUpdate"] = "true"
-        _add_variable(variables, name, shape, [v, *rest], more)
+            of_type["intermediateUpdate"] = "true"
+        variable = add(variables, TYPES[v.type], **of_all, **of_type)
+        for size in shape:
+            add(variable, "Dimension", start=str(size))
     _add_structure(add(root, "ModelStructure"), block, groups)
     return parsable(root, block)
-
-
-def _add_variable(
-    parent: Any, name: str, shape: Sequence[int], scalars: list[BlockVariable], more: dict[str, str | None]
-) -> None:
-    v = scalars[0]
-    limits = {"min": attribute(v.minimum), "max": attribute(v.maximum)}
-    starts = " ".join(str(attribute(scalar.start)) for scalar in scalars) if v.settable else None
-    texts = dict.fromkeys(
-        scalar.description + (f" ({scalar.source})" if scalar.source else "") for scalar in scalars
-    )
-    variable = add(
-        parent,
-        TYPES[v.type],
-        name=name,
-        valueReference=str(v.value_reference),
-        description="; ".join(texts),
-        causality=v.causality,
-        variability=v.variability,
-        initial=v.initial,
-        declaredType=v.enumeration.__name__ if v.enumeration else None,
-        **(limits if v.type in ("Real", "Integer") else {}),
-        nominal=attribute(v.nominal),
-        unit=v.unit,
-        displayUnit=v.display_unit,
-        start=starts,
-        **more,
-    )
-    for size in shape:
-        add(variable, "Dimension", start=str(size))
 
 
 def _add_structure(

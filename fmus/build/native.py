@@ -84,22 +84,15 @@ def _build_description(name: str, fmi: int) -> bytes:
     return xml_document(root)
 
 
-def libraries(
-    name: str, members: dict[str, bytes], platforms: Sequence[str], fmi: int = 2
-) -> dict[str, bytes]:
-    """Returns path inside the FMU -> library, made from its sources; by default for this platform.
-
-    Raises ExportError for an unknown platform.
-    """
-    with compiled_libraries(name, members, platforms, fmi) as compiled:
-        return compiled()
-
-
 @contextmanager
 def compiled_libraries(
     name: str, members: dict[str, bytes], platforms: Sequence[str], fmi: int = 2
 ) -> Iterator[Callable[[], dict[str, bytes]]]:
-    """Starts compiling `libraries` beside this process; the returned function waits for them."""
+    """Starts compiling libraries beside this process; yields a function that waits for them.
+
+    It returns path inside the FMU -> library, made from the FMU's sources; by default for this platform.
+    Raises ExportError for an unknown platform.
+    """
     sources = {Path(path).name: members[path].decode() for path in members if path.startswith("sources/")}
     with ExitStack() as stack:
         ends = {
