@@ -336,11 +336,10 @@ def test_what_is_declared_is_imported() -> None:
             "casadi",
             {
                 "fmus.numerics.symbols",
-                "fmus.build.exchange",
                 "fmus.build.right_derivative",
                 *(
                     f"fmus.build.{name}"
-                    for name in ("guard", "symbolic", "fmi3", "operations", "c_functions")
+                    for name in ("guard", "symbolic", "sensitivities", "operations", "c_functions")
                 ),
             },
         ),
