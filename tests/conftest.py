@@ -222,6 +222,7 @@ motor = _built_once_for_each_option("motor")
 stair = _built_once_for_each_option("stair")
 forker = _built_once_for_each_option("forker")
 rogue = _built_once_for_each_option("rogue")
+mirror = _built_once_for_each_option("mirror")
 
 
 @pytest.fixture(params=[True, False], ids=["compiled", "plain"])

@@ -65,7 +65,7 @@ class Fmi3Library(Library):
         if missing := [name for name in names if not hasattr(self._functions, name)]:
             self.unload()
             raise AttributeError(
-                f"{path.name} lacks {', '.join(missing)}: expected every function of FMI 3.0"
+                f"{path.name} lacks {', '.join(missing)}: expected them in FMI 3.0"
             )
         functions = (getattr(self._functions, name) for name in names[1:])
         addresses = [ctypes.cast(function, _POINTER).value or 0 for function in functions]

@@ -75,7 +75,7 @@ typedef struct {
     fmi3Boolean has_tolerance, has_stop;
     double tolerance, start, stop;
     double reached;
-    int terminates;
+    int has_reached, terminates; /* of the last step */
     const char *refused; /* the last function that returned another status than ok */
 } Instance;
 
@@ -83,6 +83,8 @@ static int noted(Instance *a, fmi3Status status, const char *function) {
     if (status != fmi3OK) a->refused = function;
     return status;
 }
+
+static int is_done(int status) { return status == fmi3OK || status == fmi3Warning; }
 
 static int refuse(Instance *a, const char *function, const char *text) {
     a->log(a->environment, fmi3Error, "logStatusError", text);
@@ -190,7 +192,7 @@ static int transfer(Instance *a, int kind, int is_set, const uint32_t numbers[],
         }
         if (!is_set || size > taken) {
             status = exchange(a, e, n_arrays, size, 0);
-            if (status > fmi3Warning) return status;
+            if (!is_done(status)) return status;
             if (kind == TEXT) keep_texts(a, (size_t)e->first, size);
         }
         for (size_t k = 0; k < taken; k++) {
@@ -201,7 +203,7 @@ static int transfer(Instance *a, int kind, int is_set, const uint32_t numbers[],
         }
         if (is_set) {
             const int set = exchange(a, e, n_arrays, size, 1);
-            if (set > fmi3Warning) return set;
+            if (!is_done(set)) return set;
             status = set > status ? set : status;
         }
         worst = status > worst ? status : worst;
@@ -245,17 +247,18 @@ EXPORT int fmi2DoStep(Instance *a, double start, double size, int no_return_befo
     fmi3Float64 reached = start + size;
     const fmi3Status status = a->call->DoStep(a->instance, start, size, no_return_before_start != 0, &needs_event,
                                               &terminates, &is_early, &reached);
-    const int is_done = status <= fmi3Warning;
-    a->terminates = is_done && terminates;
-    a->reached = is_done ? reached : start;
+    a->terminates = is_done(status) && terminates;
+    a->has_reached = is_done(status);
+    a->reached = reached;
     if (a->terminates) return noted(a, fmi3Discard, function);
-    if (is_done && (is_early || needs_event))
-        return refuse(a, function, is_early ? "it returns early, which is not allowed to it" : "it needs an event mode, which is not used");
+    if (is_done(status) && is_early) return refuse(a, function, "earlyReturn is true: expected false, as it is not allowed");
+    if (is_done(status) && needs_event)
+        return refuse(a, function, "eventHandlingNeeded is true: expected false, as no event mode is used");
     return noted(a, status, function);
 }
 
 EXPORT int fmi2GetRealStatus(Instance *a, int kind, double *value) {
-    if (kind != LAST_SUCCESSFUL_TIME) return fmi3Discard;
+    if (kind != LAST_SUCCESSFUL_TIME || !a->has_reached) return fmi3Discard;
     *value = a->reached;
     return fmi3OK;
 }
