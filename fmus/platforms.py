@@ -80,5 +80,9 @@ def check_platforms(names: Sequence[str]) -> tuple[str, ...]:
 
 def library_name(model: str, fmi_platform: str, fmi: int = 2) -> str:
     """Returns the path of a library inside the FMU; fmi: the version of the standard."""
-    folder = fmi_platform if fmi == 2 else _PLATFORM_TUPLES.get(fmi_platform, fmi_platform)
-    return f"binaries/{folder}/{model}.{TARGETS[fmi_platform][1]}"
+    return f"binaries/{platform_folder(fmi_platform, fmi)}/{model}.{TARGETS[fmi_platform][1]}"
+
+
+def platform_folder(fmi_platform: str, fmi: int) -> str:
+    """Returns the name that a version of the standard has for a platform."""
+    return fmi_platform if fmi == 2 else _PLATFORM_TUPLES.get(fmi_platform, fmi_platform)

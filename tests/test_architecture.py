@@ -81,7 +81,7 @@ LEVELS = {
     "fmus": 0,
     "fmus.block": 1,
     "fmus.native": 1,
-    "fmus.fmi": 1,
+    "fmus.fmi": 2,
     "fmus.numerics": 2,
     "fmus.build.documentation": 3,
     "fmus.build": 4,
