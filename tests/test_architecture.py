@@ -209,7 +209,7 @@ def test_one_file_runs_the_compiler() -> None:
 def test_one_file_knows_the_users_cache_and_holds_locks() -> None:
     """All else stores by kind and key, so that every entry is written, trusted and cleared in one way."""
     assert {name for name, path in MODULES.items() if '"Caches"' in text(path)} == {"fmus.store"}
-    assert importers("fcntl") | importers("msvcrt") | importers("filelock") == {"fmus.store"}
+    assert {name for name, path in MODULES.items() if "operating_system.lock(" in text(path)} == {"fmus.store"}
     writers = {
         "fmus.build.builder",
         "fmus.build.policy",
@@ -220,6 +220,14 @@ def test_one_file_knows_the_users_cache_and_holds_locks() -> None:
     assert {
         name for name, path in MODULES.items() if re.search(r"\bstore\.(put|write)\(", text(path))
     } <= writers
+
+
+def test_one_file_calls_what_some_operating_systems_lack() -> None:
+    """Pyright, run for Linux, macOS and Windows, finds calls elsewhere."""
+    modules = ("fcntl", "msvcrt", "resource", "filelock")
+    assert set.union(*map(importers, modules)) == {"fmus.operating_system"}
+    guards = {name for name, path in MODULES.items() if re.search(r"hasattr\((os|signal),", text(path))}
+    assert not guards
 
 
 def test_one_file_walks_imports() -> None:
@@ -296,7 +304,7 @@ def test_what_is_imported_is_declared_for_its_room() -> None:
 
 def test_one_function_counts_the_processors() -> None:
     counting = {name for name, path in MODULES.items() if "cpu_count" in path.read_text(encoding="utf-8")}
-    assert counting == {"fmus.platforms"}
+    assert counting == {"fmus.operating_system"}
 
 
 def test_one_file_makes_runs_in_processes_and_one_chooses_vectors() -> None:
