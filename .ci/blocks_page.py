@@ -1,4 +1,4 @@
-"""Prints docs/reference/blocks.md, what a block may contain, from the code."""
+"""Prints the site's page reference/blocks.md, what a block may contain, from the code."""
 
 import inspect
 from collections.abc import Iterable
@@ -15,8 +15,8 @@ _HEAD = """\
 
 What a block may contain. Its classes and functions are checked when it is built; a mistake is one sentence
 with file, line, class and variable. [Your own controller](../tutorials/your-own-controller.md) shows a block
-at work, [build a block](../how-to/blocks.md) has recipes for each part, [Python: blocks](api/blocks.md) every
-name with its types. `python .ci/blocks_page.py` prints this page from the code, and a test compares both.
+at work. [Build a block](../how-to/blocks.md) has recipes for each part. [Python: blocks](api/blocks.md) has
+every name with its types. `python .ci/blocks_page.py` prints this page from the code.
 """
 _FURTHER = [
     "deg", "deg/s", "rev/min", "mm", "km/h", "knot", "h", "l/min", "kN", "Nm", "bar", "kPa", "kWh", "A.h",

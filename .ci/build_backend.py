@@ -1,6 +1,6 @@
-"""setuptools, and in wheels the communication loop compiled for every platform.
+"""setuptools, and in wheels what running FMUs takes of C, compiled for every platform.
 
-An editable install has no compiled loop and needs no compiler: the first run compiles it.
+An editable install has no compiled library and needs no compiler: the first run compiles them.
 """
 
 import os
@@ -18,7 +18,7 @@ from setuptools.command.build_py import build_py
 from setuptools.command.sdist import sdist
 
 _ROOT = Path(__file__).parent.parent
-_COMPILED = Path("orchestration/run/loop.c")
+_COMPILED = (Path("orchestration/run/loop.c"), Path("fmus/fmi/fmi3_calls.c"))
 
 
 def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
@@ -53,13 +53,14 @@ def _set_file_modes(wheel: Path) -> None:
             archive.writestr(info, content)
 
 
-class BuildWithLoop(build_py):
-    """Adds the compiled loop to what a wheel is made of."""
+class BuildWithLibraries(build_py):
+    """Adds the compiled libraries to what a wheel is made of."""
 
     def run(self) -> None:
         super().run()
         if not self.editable_mode:
-            self._compile(_ROOT / _COMPILED, Path(self.build_lib) / _COMPILED.parent)
+            for source in _COMPILED:
+                self._compile(_ROOT / source, Path(self.build_lib) / source.parent)
 
     def _compile(self, source: Path, folder: Path) -> None:
         sys.path.insert(0, str(_ROOT))

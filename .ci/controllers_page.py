@@ -1,4 +1,4 @@
-"""Prints docs/reference/controllers.md, the depth controllers with equations and gains, from the code."""
+"""Prints the site's page reference/controllers.md, the depth controllers with their gains, from the code."""
 
 import re
 from collections import Counter
@@ -14,15 +14,22 @@ _HEAD = """\
 The blocks that take the place of `L1DepthController` on the
 [depth control interface](depth-control-interface.md), as in
 `l1-depth run nominal-extended --controller PidDepthController`.
-They share its allocation, limit of the voltages and anti-windup, and all but ADRC its observer, so that a
-comparison is one of laws. The law of `L1DepthController` is in [theory](../explanation/theory.md).
+They share its allocation, limit of the voltages and anti-windup; all but ADRC share its observer.
+So a comparison is one of laws. The law of `L1DepthController` is in [theory](../explanation/theory.md).
 `L1HeavePitchController`, at the end of this page, has that law for the depth and again for the pitch.
-`python .ci/controllers_page.py` prints this page from the code, and a test compares both.
+`python .ci/controllers_page.py` prints this page from the code.
 
-z is the measured depth, positive down, v its rate, measured or observed, r the reference with its derivatives
-r' and r'' (0 where nothing drives these inputs), u the demanded force in N, positive down, M and D the
-inertia and the linear damping that a design assumes, sat the limit to -1 .. 1. An integrator holds where it
-would widen a saturation of the thrusters; an estimate is driven by the force that they deliver.
+| symbol | meaning |
+|---|---|
+| z | measured depth, positive down |
+| v | its rate, measured or observed |
+| r, r', r'' | reference and its derivatives; the derivatives are 0 where nothing drives these inputs |
+| u | demanded force in N, positive down |
+| M, D | inertia and linear damping that a design assumes |
+| sat | limit to -1 .. 1 |
+
+An integrator holds where it would widen a saturation of the thrusters. An estimate is driven by the force
+that they deliver.
 
 The gains are start values with their derivation in the last column. They are not tuned."""
 

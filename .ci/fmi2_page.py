@@ -1,4 +1,4 @@
-"""Prints docs/reference/fmi2.md, which rule checks which sentence of FMI 2.0.5, from the code."""
+"""Prints the site's page reference/fmi2.md, which rule checks which sentence of FMI 2.0.5, from the code."""
 
 import re
 from collections import Counter
@@ -21,7 +21,7 @@ _HEAD = """\
 Sentences of FMI 2.0.5 that bind an FMU, by clause and in our words, with the rules of `l1-depth check`
 that check them ([what the check does](compliance.md)), or the reason why they cannot be seen from outside.
 The text of the standard is public: repository `modelica/fmi-standard`, tag `v2.0.5`.
-`python .ci/fmi2_page.py` prints this page from the code, and a test compares both.
+`python .ci/fmi2_page.py` prints this page from the code.
 `python -m tests.mutants` breaks, one after the other, sentences that have a mutant, and prints which rules
 find it."""
 

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import rankdata, sobol_indices
 
-from fmus.platforms import usable_processors
+from fmus.operating_system import usable_processors
 from orchestration.many.job import Failure
 from orchestration.many.run_many import LocalRuns, in_order
 from orchestration.score.closed_loop import ClosedLoop, ClosedLoopRun, tuned

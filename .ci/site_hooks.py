@@ -11,8 +11,12 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 sys.path.insert(0, str(Path(__file__).parent))  # mkdocs loads this file alone
+import blocks_page
 import comparison_page
+import controllers_page
 import downloads
+import fmi2_page
+import keys_page
 
 from fmus.files import write_archive
 
@@ -49,6 +53,10 @@ def _generated() -> Contents:
             **{f"explanation/{path.name}": path.read_bytes() for path in comparison_page.figures(working)},
             **_commands(working),
             **_names(),
+            **{
+                f"reference/{module.__name__.removesuffix('_page')}.md": module.page()
+                for module in (blocks_page, controllers_page, fmi2_page, keys_page)
+            },
         }
 
 

@@ -1,9 +1,8 @@
 """The platforms of FMI 2.0 that native FMUs are built for, and where a library stands inside an FMU.
 
-Also what this machine has: its platform, instruction sets, processors and the user's cache.
+Also what this machine is: its platform and its instruction sets.
 """
 
-import os
 import platform
 import sys
 from collections.abc import Sequence
@@ -40,11 +39,6 @@ INSTRUCTION_SETS = {
     "x86-64-v3": _V3,
     "portable": "",
 }
-
-
-def usable_processors() -> int:
-    """Returns the number of processors that this process may use: in a container perhaps not all."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def host_platform() -> str:
@@ -86,5 +80,9 @@ def check_platforms(names: Sequence[str]) -> tuple[str, ...]:
 
 def library_name(model: str, fmi_platform: str, fmi: int = 2) -> str:
     """Returns the path of a library inside the FMU; fmi: the version of the standard."""
-    folder = fmi_platform if fmi == 2 else _PLATFORM_TUPLES.get(fmi_platform, fmi_platform)
-    return f"binaries/{folder}/{model}.{TARGETS[fmi_platform][1]}"
+    return f"binaries/{platform_folder(fmi_platform, fmi)}/{model}.{TARGETS[fmi_platform][1]}"
+
+
+def platform_folder(fmi_platform: str, fmi: int) -> str:
+    """Returns the name that a version of the standard has for a platform."""
+    return fmi_platform if fmi == 2 else _PLATFORM_TUPLES.get(fmi_platform, fmi_platform)

@@ -9,7 +9,6 @@ written. On Windows the system keeps the folders of a user from others.
 
 import hashlib
 import os
-import secrets
 import stat
 import sys
 from collections.abc import Collection, Iterator
@@ -17,12 +16,8 @@ from contextlib import contextmanager, nullcontext, suppress
 from functools import cache
 from pathlib import Path
 
+from fmus import operating_system
 from fmus.files import write_bytes_atomically
-
-if sys.platform == "win32":
-    import msvcrt
-else:
-    import fcntl
 
 FMUS, BUILDS = "fmus", "builds"
 MOST = {BUILDS: 10_000, "libraries": 300}
@@ -32,11 +27,8 @@ The files of `FMUS` are no entries: scenarios name them.
 """
 
 _IN_USE = "in-use.lock"  # which processes that run FMUs share
-_ROOT = 0  # this user can replace the program itself
-_WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 _REMEDY = "remove it, or set XDG_CACHE_HOME (for FMUs L1_DEPTH_FMUS) to a folder of your own"
 _SEAL_BYTES = hashlib.sha256().digest_size
-_MOST_READERS = 1 << 20  # bytes of a lock in Windows: a process that shares it takes one of them
 
 
 def digest(*parts: object) -> str:
@@ -118,12 +110,9 @@ def reason_for_distrust(path: Path) -> str:
 def _distrust(path: Path) -> str:
     with suppress(OSError):
         status = path.lstat()
-        reasons = {
-            "is a link": stat.S_ISLNK(status.st_mode),
-            "belongs to another user": os.name != "nt" and status.st_uid not in (_ROOT, os.geteuid()),
-            "can be written by other users": os.name != "nt" and status.st_mode & _WRITABLE_BY_OTHERS,
-        }
-        return next((f"{path} {reason}: {_REMEDY}" for reason, holds in reasons.items() if holds), "")
+        is_link = stat.S_ISLNK(status.st_mode)
+        reason = "is a link" if is_link else operating_system.reason_for_distrust(status)
+        return f"{path} {reason}: {_REMEDY}" if reason else ""
     return ""
 
 
@@ -174,16 +163,10 @@ def _lock(path: Path, shared: bool = False) -> int:
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
         try:
-            if sys.platform == "win32":
-                os.lseek(descriptor, secrets.randbelow(_MOST_READERS) if shared else 0, os.SEEK_SET)
-                mode = msvcrt.LK_LOCK if shared else msvcrt.LK_NBLCK
-                msvcrt.locking(descriptor, mode, 1 if shared else _MOST_READERS)
-            else:
-                fcntl.flock(descriptor, fcntl.LOCK_SH if shared else fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
+            operating_system.lock(descriptor, shared)
+        except OSError:
             os.close(descriptor)
-            is_held = isinstance(error, BlockingIOError | PermissionError)  # the latter in Windows
-            raise BlockingIOError(*error.args) if is_held else error from None
+            raise
         if os.fstat(descriptor).st_nlink:
             return descriptor
         os.close(descriptor)  # of a file that its last holder has removed meanwhile

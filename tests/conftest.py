@@ -130,6 +130,13 @@ def python_built() -> Mapping[str, Path]:
 
 
 @pytest.fixture(scope="session")
+def fmi3_built(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
+    """Every block's native FMU of FMI 3.0 by name."""
+    folder = session_folder(tmp_path_factory, "fmi 3")
+    return LazyFmus(block_names(), folder, lambda name, to: builder.build_block(name, to, fmi=3))
+
+
+@pytest.fixture(scope="session")
 def built_everywhere(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
     """Every block's native FMU with the libraries of all platforms, by name."""
     return LazyFmus(
@@ -215,6 +222,7 @@ motor = _built_once_for_each_option("motor")
 stair = _built_once_for_each_option("stair")
 forker = _built_once_for_each_option("forker")
 rogue = _built_once_for_each_option("rogue")
+mirror = _built_once_for_each_option("mirror")
 
 
 @pytest.fixture(params=[True, False], ids=["compiled", "plain"])

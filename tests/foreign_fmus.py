@@ -5,10 +5,12 @@ what differs between its FMUs is written into the compiled library.
 """
 
 import hashlib
+import re
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -105,7 +107,7 @@ class Variable:
     name: str
     causality: str
     variability: str
-    start: float = 0.0
+    start: Any = 0.0
     kind: str = "Real"
     follows: tuple[str, ...] = ()
     initially_follows: tuple[str, ...] = ()
@@ -126,6 +128,7 @@ def linear(
     declares_dependencies: bool = True,
     solver_error: float = 0.0,
     solver_step: float = 1e-6,
+    fmi: int = 2,
     **capabilities: Any,
 ) -> Path:
     """x' = a x + b u, y = c x + d u: parameters `a` (tunable) and `initial_state`, inputs u[j], outputs y[i].
@@ -166,7 +169,7 @@ def linear(
     shape = {"N_U": len(b), "N_Y": len(c), "N_DISCRETE": int(passes_discrete)}
     numbers = [refuses_boolean_from, solver_error, solver_step, *b, *c, *(gain for row in d for gain in row)]
     claims = Capabilities(**capabilities)
-    return _write(path, "linear", variables, claims, shape, numbers, declares_dependencies)
+    return _write(path, "linear", variables, claims, shape, numbers, declares_dependencies, fmi)
 
 
 def function(path: Path, expression: str, start: float = 0.0, nominal: float | None = None) -> Path:
@@ -178,7 +181,7 @@ def function(path: Path, expression: str, start: float = 0.0, nominal: float | N
     return _write(path, "function", variables, Capabilities(), {"EXPRESSION(u)": f"({expression})"})
 
 
-def rogue(path: Path, **capabilities: Any) -> Path:
+def rogue(path: Path, fmi: int = 2, **capabilities: Any) -> Path:
     """y' = u: parameters `misdeed`, `misdeed_time` (s) and `longest_step` (s), input u, output y."""
     variables = [
         Variable("misdeed", "parameter", "fixed", start=Misdeed.NONE, kind="Enumeration"),
@@ -187,7 +190,7 @@ def rogue(path: Path, **capabilities: Any) -> Path:
         Variable("u", "input", "continuous"),
         Variable("y", "output", "continuous"),
     ]
-    return _write(path, "rogue", variables, Capabilities(**capabilities))
+    return _write(path, "rogue", variables, Capabilities(**capabilities), fmi=fmi)
 
 
 def forker(path: Path, call: str, waits: str) -> Path:
@@ -203,10 +206,37 @@ def forker(path: Path, call: str, waits: str) -> Path:
     return _write(path, "forker", variables, Capabilities(), numbers=numbers)
 
 
-def stair(path: Path, **capabilities: Any) -> Path:
+def stair(path: Path, fmi: int = 2, **capabilities: Any) -> Path:
     """Counts the seconds in the Integer output `counter`, from 1, and terminates the simulation at 10."""
     counter = Variable("counter", "output", "discrete", start=1, kind="Integer", initial="exact")
-    return _write(path, "stair", [counter], Capabilities(**capabilities))
+    return _write(path, "stair", [counter], Capabilities(**capabilities), fmi=fmi)
+
+
+def mirror(
+    path: Path,
+    pairs: Mapping[str, tuple[str, str]],
+    macros: Mapping[str, object] = {},
+    change: tuple[str, str] = ("", ""),
+    **capabilities: Any,
+) -> Path:
+    """An FMU of FMI 3.0 whose outputs NAME_out are its inputs NAME_in of the step before.
+
+    pairs: name -> type of FMI 3.0, and start values of the scalars by their indices, "[1,1] 1.0 [1,2] 2.0"
+    macros: of fmi3.h; change: of the model description, old and new text
+    """
+    variables, texts = [], []
+    for suffix, causality in (("in", "input"), ("out", "output")):
+        for name, (kind, starts) in pairs.items():
+            words = starts.split() if starts.startswith("[") else ["", *starts.split()]
+            for index, start in zip(words[::2], words[1::2], strict=True):
+                follows = (f"{name}_in{index}",) if suffix == "out" else ()
+                variability = "continuous" if kind.startswith("Float") else "discrete"
+                given = start if kind == "String" else float(start)
+                v = Variable(f"{name}_{suffix}{index}", causality, variability, given, kind, follows, follows)
+                (texts if kind == "String" else variables).append(v)
+    shape = {"N_PAIRS": len(variables) // 2, "N_TEXTS": len(texts), **macros}
+    claims = Capabilities(**capabilities)
+    return _write(path, "mirror", variables, claims, shape, fmi=3, texts=texts, change=change)
 
 
 def motor(path: Path, solver_tolerance: float = 1e-3, **capabilities: Any) -> Path:
@@ -229,30 +259,151 @@ def _write(
     macros: Mapping[str, object] = {},
     numbers: Sequence[float] = (),
     declares_dependencies: bool = True,
+    fmi: int = 2,
+    texts: Sequence[Variable] = (),
+    change: tuple[str, str] = ("", ""),
 ) -> Path:
-    """macros: what the library is compiled for; numbers: of the model, behind the others of `Config`."""
-    library = _compiled(path.parent, model, "".join(f"#define {name} {macros[name]}\n" for name in macros))
+    """macros: what the library is compiled for; numbers: of the model, behind the others of `Config`.
+
+    fmi: the version of the standard; texts: Strings, of FMI 3.0; change: of the model description
+    """
+    if fmi == 3:
+        arrays = [*_arrays(variables), *_arrays(texts)]
+        macros = {**macros, "ARRAYS": ", ".join(array.initializer() for array in arrays)}
+        xml = _fmi3_description(model, model_description.GUID, arrays, capabilities, declares_dependencies)
+    else:
+        xml = _description(model, model_description.GUID, variables, capabilities, declares_dependencies)
+    definitions = "".join(f"#define {name} {macros[name]}\n" for name in macros)
+    library = _compiled(path.parent, model, definitions, fmi)
     content = [*capabilities.numbers(), *(v.start for v in variables), *numbers]
     config = struct.pack(f"{len(content)}d", *content)
-    xml = _description(model, model_description.GUID, variables, capabilities, declares_dependencies)
     recipe = hashlib.sha256(library + config).hexdigest()
+    xml = xml.replace(change[0].encode(), change[1].encode())
     guid, members = model_description.with_guid({"modelDescription.xml": xml}, recipe)
     reserved = _CONFIG_MARK.ljust(_GUID_SIZE + len(config), b"\0")
     assert library.count(reserved) == 1
     configured = library.replace(reserved, guid.encode().ljust(_GUID_SIZE, b"\0") + config)
-    return write_archive(path, members | {library_name(model, host_platform()): configured})
+    return write_archive(path, members | {library_name(model, host_platform(), fmi): configured})
 
 
-def _compiled(folder: Path, model: str, config: str) -> bytes:
+def _compiled(folder: Path, model: str, config: str, fmi: int) -> bytes:
     """The library of a model, compiled once for all who use the folder."""
-    sources = {name: (_SOURCES / name).read_text("utf-8") for name in (f"{model}.c", "slave.h")}
+    files = [f"{model}.c", "slave.h", *(["fmi3.h"] if fmi == 3 else [])]
+    sources = {name: (_SOURCES / name).read_text("utf-8") for name in files}
     sources["config.h"] = config
+    main = f"{model}.c"
+    if fmi == 3:
+        main = "main.c"
+        sources[main] = f'#include "config.h"\n#include "{model}.c"\n#include "fmi3.h"\n'
     key = hashlib.sha256(repr(sorted(sources.items())).encode()).hexdigest()[:16]
 
     def compile_to(path: Path) -> None:
-        path.write_bytes(compile_library(model, sources, [f"{model}.c"], host_platform()))
+        path.write_bytes(compile_library(model, sources, [main], host_platform()))
 
     return built_once(folder / f"{model}-{key}.library", compile_to).read_bytes()
+
+
+_FMI3_TYPES = {"Real": "Float64", "Integer": "Int32"}
+
+
+@dataclass(frozen=True)
+class _Array:
+    """An array of FMI 3.0, or a scalar: its value reference, first variable, scalars and dimensions."""
+
+    name: str
+    reference: int
+    first: int
+    scalars: Sequence[Variable]
+    shape: Sequence[int]
+
+    @property
+    def type(self) -> str:
+        return _FMI3_TYPES.get(self.scalars[0].kind, self.scalars[0].kind)
+
+    def initializer(self) -> str:
+        kind = "Int64" if self.type == "Enumeration" else self.type
+        return f"{{{self.reference}, {kind}, {self.first}, {len(self.scalars)}}}"
+
+
+def _arrays(variables: Sequence[Variable]) -> list[_Array]:
+    """Value references fall, and have gaps; those of Strings are others."""
+    groups = [
+        (name, list(members))
+        for name, members in groupby(enumerate(variables), lambda v: re.sub(r"\[.*\]", "", v[1].name))
+    ]
+    arrays = []
+    for k, (name, members) in enumerate(groups):
+        indices = re.search(r"\[(.*)\]", members[-1][1].name)
+        shape = [int(index) for index in indices[1].split(",")] if indices else []
+        scalars = [v for _, v in members]
+        reference = (10_000 if scalars[0].kind == "String" else 1_000) - 7 * k
+        arrays.append(_Array(name, reference, members[0][0], scalars, shape))
+    return arrays
+
+
+def _fmi3_description(
+    model: str, token: str, arrays: Sequence[_Array], capabilities: Capabilities, declares_dependencies: bool
+) -> bytes:
+    """The description of FMI 3.0; what FMI 3.0 does not claim is left out."""
+    attributes = {"fmiVersion": "3.0", "modelName": model, "instantiationToken": token}
+    root = ElementTree.Element("fmiModelDescription", attributes)
+    root.set("variableNamingConvention", "structured")
+    claims = {name.replace("FMUstate", "FMUState"): v for name, v in capabilities.attributes().items()}
+    claims.pop("canInterpolateInputs")
+    _add(root, "CoSimulation", modelIdentifier=model, **claims)
+    if any(array.type == "Enumeration" for array in arrays):
+        items = _add(_add(root, "TypeDefinitions"), "EnumerationType", name="Misdeed")
+        for misdeed in Misdeed:
+            _add(items, "Item", name=misdeed.name.lower(), value=str(misdeed.value))
+    categories = _add(root, "LogCategories")
+    for status in _STATUSES:
+        _add(categories, "Category", name=f"logStatus{status}")
+    _add(root, "DefaultExperiment", startTime="0", stopTime="1", stepSize="0.01")
+    listed = _add(root, "ModelVariables")
+    _add(listed, "Float64", name="time", valueReference="0", causality="independent")
+    for array in arrays:
+        _fmi3_variable(listed, array)
+    structure = _add(root, "ModelStructure")
+    references = {v.name: array.reference for array in arrays for v in array.scalars}
+    dependencies: dict[str, Callable[[Variable], tuple[str, ...]]] = {
+        "Output": lambda v: v.follows,
+        "InitialUnknown": lambda v: v.initially_follows,
+    }
+    for tag, of in dependencies.items():
+        for array in arrays:
+            first = array.scalars[0]
+            if first.causality == "output" and (tag == "Output" or first.initial != "exact"):
+                known = sorted({references[name] for v in array.scalars for name in of(v)})
+                unknown = _add(structure, tag, valueReference=str(array.reference))
+                if declares_dependencies:
+                    unknown.set("dependencies", " ".join(map(str, known)))
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, xml_declaration=True, encoding="UTF-8")
+
+
+def _fmi3_variable(parent: Any, array: _Array) -> None:
+    v = array.scalars[0]
+    common = {"causality": v.causality, "variability": v.variability}
+    initial = v.initial or {"parameter": "exact", "output": "calculated"}.get(v.causality)
+    if initial and v.causality != "input":
+        common["initial"] = initial
+    typed = _add(parent, array.type, name=array.name, valueReference=str(array.reference), **common)
+    if array.type == "Enumeration":
+        typed.set("declaredType", "Misdeed")
+    for size in array.shape:
+        _add(typed, "Dimension", start=str(size))
+    if v.causality != "output" or v.initial == "exact":
+        python_type = {"Boolean": bool, "Float64": float, "Float32": float, "String": str}.get(
+            array.type, int
+        )
+        starts = [python_type(scalar.start) for scalar in array.scalars]
+        if array.type == "String":
+            for start in starts:
+                _add(typed, "Start", value=start)
+        else:
+            typed.set("start", " ".join(map(_text, starts)))
+    if v.nominal is not None:
+        typed.set("nominal", _text(v.nominal))
 
 
 def _description(

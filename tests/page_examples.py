@@ -2,16 +2,17 @@
 
     ```python, ```sh      run; all Python of a page shares one namespace
     ```text               what the block before it prints; "..." stands for anything
-    first line "# NAME"   the block is written to that file instead (Python, TOML, YAML); so is a comment
-                          of another language: "// NAME", "/* NAME */", "<?xml ...?> <!-- NAME -->"
+    first line "# NAME"   the block is written to that file instead (Python, TOML, YAML)
 
-In docs/tutorials every block is an example; on other pages those below <!-- run -->.
+In docs/tutorials every block is an example; on other pages those below <!-- run -->. Files beside the page to
+which it links, but for pages, are saved first.
 """
 
 import contextlib
 import doctest
 import io
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 _BLOCK = re.compile(r"^(<!-- run -->\n)?```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-_FILE = re.compile(r"(?:#|//|/\*|<\?xml [^>]*\?> <!--) (\S+\.\w+)(?: \*/| -->)?\n")
+_FILE = re.compile(r"# (\S+\.\w+)\n")
 _OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
@@ -52,6 +53,7 @@ def run(page: Path) -> None:
     """Raises what an example raises, and AssertionError for other output than the page shows."""
     namespace: dict[str, Any] = {"__name__": "__main__"}
     printed = None
+    _save_linked_files(page)
     for example in examples(page):
         where = f"{page.name}:{example.line}"
         print(where)
@@ -69,6 +71,12 @@ def run(page: Path) -> None:
             assert example.language == "sh", f"{where}: {example.language} can neither run nor be written"
             printed = _shell(example.code, where)
             print(printed)
+
+
+def _save_linked_files(page: Path) -> None:
+    for link in re.findall(r"\]\((\w[^):#]*\.(?!md)\w+)\)", page.read_text(encoding="utf-8")):
+        Path(link).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(page.parent / link, link)
 
 
 def _python(example: Example, where: str, namespace: dict[str, Any]) -> str:

@@ -15,7 +15,8 @@ ROOT = Path(__file__).parent.parent
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
 TEXTS = [*PAGES, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 MADE_WITH_THE_SITE = re.compile(
-    r"docs/(downloads/|gallery/|explanation/figure_|reference/commands\.md|reference/api/orchestration\.md)"
+    r"docs/(downloads/|gallery/|explanation/figure_"
+    r"|reference/(commands|blocks|controllers|fmi2|keys|api/orchestration)\.md)"
 )
 TOOL_PAGES = [
     page for page in (ROOT / "docs" / "how-to" / "importing").glob("*.md") if page.name != "README.md"

@@ -60,9 +60,22 @@ def points(exact: Any) -> dict[str, np.ndarray]:
 # The page
 
 
-@pytest.mark.parametrize("name", tables.tables(DOCUMENT))
+@pytest.mark.parametrize("name", ["predictions", "gains", "fits", "effects"])
 def test_the_page_has_the_tables_of_the_study(name: str) -> None:
     assert tables.tables(DOCUMENT)[name] in PAGE
+
+
+def test_the_page_has_the_largest_errors_of_figures_that_were_left_out() -> None:
+    errors = {
+        ranges: {
+            figure: abs(both["left_out"][" ".join(figure)]["figures"][" ".join(figure)][0] / value - 1.0)
+            for figure, value in vehicle.VALUES.items()
+        }
+        for ranges, both in DOCUMENT["fits"].items()
+    }
+    rmse = [error for (_, metric), error in errors["shipped ranges"].items() if metric == "rmse"]
+    assert f"within {max(errors['wide ranges'].values()):.1%} in wide".replace("%", " %") in PAGE
+    assert f"miss the RMSE by {100 * min(rmse):.0f} to {100 * max(rmse):.0f} %" in PAGE
 
 
 def test_every_range_of_all_points_rests_on_enough_draws() -> None:

@@ -69,24 +69,25 @@ def test_a_page_that_is_wrong_does_not(page: Page, right: str, wrong: str, compl
         run(page(GOOD.replace(right, wrong)))
 
 
-FILES = """
-    '''c
-    /* deep/one.c */
-    '''
-    '''modelica
-    // one.mo
-    '''
-    '''xml
-    <?xml version="1.0"?> <!-- one.xml -->
+LINKS = """
+    [code](deep/one.c), [page](other.md), [above](../two.c), [away](https://example.org/three.c)
+
+    '''sh
+    test "$(ls deep)" = one.c
     '''
 """
 
 
-def test_a_block_whose_comment_names_a_file_is_written(page: Page) -> None:
-    run(page(FILES))
-    assert Path("deep/one.c").read_text() == "/* deep/one.c */\n"
-    assert Path("one.mo").is_file()
-    assert Path("one.xml").is_file()
+def test_a_file_to_which_the_page_links_is_saved(
+    page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = page(LINKS)
+    (path.parent / "deep").mkdir()
+    (path.parent / "deep" / "one.c").write_text("int one;\n")
+    (folder := tmp_path / "reader").mkdir()
+    monkeypatch.chdir(folder)
+    run(path)
+    assert [name.name for name in folder.iterdir()] == ["deep"]
 
 
 def test_an_error_tells_the_line_of_the_page(page: Page) -> None:

@@ -8,7 +8,7 @@ import zipfile
 import zlib
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, nullcontext, suppress
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -31,12 +31,12 @@ from fmus.build.symbolic import traced
 from fmus.errors import ExportError, nearest
 from fmus.files import packed, write_bytes_atomically
 from fmus.fmi.binding import library_member
-from fmus.platforms import host_platform, library_name, usable_processors
+from fmus.operating_system import usable_processors
+from fmus.platforms import host_platform, library_name
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_entry_points, block_fmus, block_names, fmu_folder
 
 _AT_ONCE = usable_processors()  # orders that are compiled
 _ICONS = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
-_EXPORTS = {Flavour.NATIVE: native_flavour, Flavour.PYTHON: python_flavour}
 
 
 def load_block(name: str) -> Block:
@@ -135,10 +135,16 @@ def _building(block: Block, order: BuildRequest) -> Iterator[Callable[[], dict[P
         raise ExportError(
             f"FMI {order.fmi}.0 in the {order.flavour} flavour: expected FMI 2.0, or 3.0 in native"
         )
-    export = _EXPORTS[order.flavour]
-    options = (order.reals_only, order.fmi) if export is native_flavour else ()
-    guid, members = export.content(block, *options)
-    with export.compiled_libraries(block.name, members, order.platforms, order.fmi) as libraries:
+    if order.platforms and order.flavour is not Flavour.NATIVE:
+        raise ExportError(
+            "platforms of the python flavour: expected none, its libraries are PythonFMU's; "
+            "the native flavour is compiled for each"
+        )
+    guid, members = _content(block, order)
+    compiling = nullcontext(dict[str, bytes])
+    if order.flavour is Flavour.NATIVE:
+        compiling = native_flavour.compiled_libraries(block.name, members, order.platforms, order.fmi)
+    with compiling as libraries:
         compared = check_trace(block)
         check_sampling(block)
         reference = _reference_run(block)
@@ -165,6 +171,13 @@ def _building(block: Block, order: BuildRequest) -> Iterator[Callable[[], dict[P
             return files
 
         yield write
+
+
+def _content(block: Block, order: BuildRequest) -> tuple[str, dict[str, bytes]]:
+    """Returns (GUID, path -> content) of the FMU without libraries that are compiled."""
+    if order.flavour is Flavour.NATIVE:
+        return native_flavour.content(block, order.reals_only, order.fmi)
+    return python_flavour.content(block)
 
 
 def _reference_run(block: Block) -> ReferenceRun:
@@ -245,7 +258,7 @@ def _built_if_stale(order: BuildRequest) -> Path:
                 f"{order.source} defines {names}: expected one block; build them, and choose an FMU"
             )
         path = order.folder / f"{block.name}.fmu"
-        guid, _ = _EXPORTS[order.flavour].content(block)
+        guid, _ = _content(block, order)
         native = order.flavour is Flavour.NATIVE
         needed = library_name(block.name, host_platform()) if native else None
         found = path.read_bytes() if path.is_file() else b""

@@ -15,7 +15,6 @@ import numpy as np
 from fmus.block import Block
 from fmus.block.scalars import flatten, unflatten
 from fmus.build.declaration import scalar_names
-from fmus.build.exchange import held_function
 from fmus.build.guard import NO_MEMORY, location, own_line
 from fmus.build.random_points import disturbed, drawn, rounded
 from fmus.build.shipped import ShippedLibrary
@@ -154,10 +153,8 @@ class _Comparison:
         self._where = f"block {block.name!r}: {location(self._python)}{name}"
         self._traced = getattr(traced(block), name)
         if name in _OF_CONTINUOUS:
-            self._python, self._traced = (
-                held_function(block, name),
-                traced(block).between_events(self._traced),
-            )
+            function, self._traced = self._python, traced(block).between_events(self._traced)
+            self._python = lambda t, x, *others: function(t, block.held(t, x, *others), *others)
         elif name == "step":
             self._python = block.advance
         self.calls: list[tuple[Sequence[Any], Any, list[float]]] = []  # arguments, result, its numbers

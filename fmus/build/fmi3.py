@@ -1,4 +1,4 @@
-"""FMI 3.0.2, where it has more than FMI 2.0: arrays, adjoint derivatives, and its modelDescription.xml.
+"""FMI 3.0.2, where it has more than FMI 2.0: arrays, further variables, and its modelDescription.xml.
 
 Scalars of one array are one variable, with the value reference of the first. Time and event indicators are
 variables, with the last value references.
@@ -7,12 +7,9 @@ variables, with the last value references.
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import cache
 from itertools import groupby
-from typing import Any, NamedTuple
+from typing import Any
 from xml.etree import ElementTree
-
-import casadi
 
 from fmus.block import Block
 from fmus.block.variables import BlockVariable
@@ -21,11 +18,12 @@ from fmus.build.model_description import (
     add_enumerations,
     add_experiment,
     add_units,
-    attribute,
+    attributes_of,
     model_attributes,
     parsable,
 )
-from fmus.build.symbolic import Traced, restarted_states, traced
+from fmus.build.sensitivities import Mode, sensitivities
+from fmus.build.symbolic import restarted_states, traced
 
 TYPES = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "Enumeration": "Enumeration"}
 _CAPABILITIES = {
@@ -113,101 +111,6 @@ def extents(block: Block) -> list[int]:
     return [extent for group in scalars for extent in (len(group), *[0] * (len(group) - 1))]
 
 
-class Mode(NamedTuple):
-    """Mode of an FMU: expressions of what is calculated in it, and the symbols that they follow from.
-
-    arguments: symbols t, x, u, p
-    known, unknown: value reference -> symbol of what is set, expression of what is calculated
-    """
-
-    arguments: list[casadi.SX]
-    known: dict[int, casadi.SX]
-    unknown: dict[int, casadi.SX]
-
-    def dependencies(self) -> dict[int, tuple[int, ...]]:
-        """Returns value reference of each unknown -> those of the knowns behind it."""
-        knowns, unknowns = [*self.known], [*self.unknown]
-        sparsity = casadi.jacobian_sparsity(*map(_column, (self.unknown, self.known)))
-        found: dict[int, set[int]] = {unknown: set() for unknown in unknowns}
-        for row, column in zip(*sparsity.get_triplet(), strict=True):
-            found[unknowns[row]].add(knowns[column])
-        return {unknown: tuple(sorted(references)) for unknown, references in found.items()}
-
-    def derivatives(self, name: str, count: int) -> dict[str, casadi.Function]:
-        """Returns NAME_forward and NAME_adjoint: (t, x, u, p, v) -> sensitivities along the seed v.
-
-        count: of all variables, the length of seed and result, which are 0 where there is nothing to say
-        """
-        seed, (known, unknown) = casadi.SX.sym("v", count), map(_column, (self.known, self.unknown))
-        forward = casadi.jtimes(unknown, known, seed[[*self.known]])
-        adjoint = casadi.jtimes(unknown, known, seed[[*self.unknown]], True)
-        functions = {}
-        for kind, references, result in (
-            ("forward", self.unknown, forward),
-            ("adjoint", self.known, adjoint),
-        ):
-            along = casadi.SX.zeros(count)
-            along[[*references]] = result
-            functions[f"{name}_{kind}"] = casadi.Function(
-                f"{name}_{kind}", [*self.arguments, seed], [casadi.cse(along)], [*"txupv"], ["along"]
-            )
-        return functions
-
-
-def _column(expressions: dict[int, casadi.SX]) -> casadi.SX:
-    return casadi.vertcat(*expressions.values()) if expressions else casadi.SX(0, 1)
-
-
-class Sensitivities:
-    """The modes of a block: initialization, step mode of co-simulation, and those of model exchange."""
-
-    def __init__(self, functions: Traced) -> None:
-        block = functions.block
-        self._count = len(block.variables) + len(block.states) + 1
-        t, x, u, p = arguments = [
-            casadi.SX.sym("t"),
-            *(casadi.SX.sym(name, functions.step.numel_in(i)) for name, i in (("x", 2), ("u", 3), ("p", 4))),
-        ]
-        c = functions.calculate(p)
-        start = functions.initial_state(t, u, p, c)
-        count = len(block.states) // 2
-        inputs = _at(block.of_causality("parameter"), p) | _at(block.of_causality("input"), u)
-        time = {self._count - 1: t}
-        outputs = block.of_causality("output")
-
-        def held(x: casadi.SX) -> casadi.SX:
-            return functions.held(t, x, u, p, c)
-
-        def calculated(x: casadi.SX, of_outputs: casadi.SX) -> dict[int, casadi.SX]:
-            rates = functions.derivative(t, held(x), u, p, c) if count else casadi.SX()
-            return _at(outputs, functions.output(t, of_outputs, p, c)) | _at(block.states[count:], rates)
-
-        known = inputs | _at(block.states[:count], x) | time
-        first = _at(block.of_causality("calculatedParameter"), c) | _at(block.states[:count], start)
-        self.initial = Mode(arguments, inputs | time, first | calculated(start, start))
-        self.step = Mode(arguments, known, calculated(x, x))
-        # without continuous states outputs are the same at all times
-        self.exchange = Mode(arguments, known, calculated(x, held(x))) if count else self.step
-
-    def functions(self) -> dict[str, casadi.Function]:
-        """Returns the functions of an FMU, by name."""
-        modes = {"initial": self.initial, "step": self.step}
-        if self.exchange is not self.step:
-            modes["exchange"] = self.exchange
-        named = [mode.derivatives(name, self._count) for name, mode in modes.items()]
-        return {name: function for functions in named for name, function in functions.items()}
-
-
-def _at(variables: tuple, values: casadi.SX) -> dict[int, casadi.SX]:
-    return {v.value_reference: values[i] for i, v in enumerate(variables)}
-
-
-@cache
-def sensitivities(block: Block) -> Sensitivities:
-    """Returns the modes of a block, traced once in a process."""
-    return Sensitivities(traced(block))
-
-
 def model_description(block: Block, token: str) -> bytes:
     """Returns the XML of a block; token: the instantiation token.
 
@@ -226,46 +129,18 @@ def model_description(block: Block, token: str) -> bytes:
     restarted = restarted_states(block)
     for name, shape, (v, *rest) in groups:
         of_state = v.value_reference - len(block.variables)
-        more = {}
+        of_all, of_type = attributes_of(name, (v, *rest))
         if restarted.intersection(scalar.value_reference for scalar in (v, *rest)):
-            more["reinit"] = "true"
+            of_type["reinit"] = "true"
         elif count <= of_state < 2 * count:
-            more["derivative"] = str(v.value_reference - count)
+            of_type["derivative"] = str(v.value_reference - count)
         elif v.causality in ("input", "output") and v.variability == "continuous":
-            more["intermediateUpdate"] = "true"
-        _add_variable(variables, name, shape, [v, *rest], more)
+            of_type["intermediateUpdate"] = "true"
+        variable = add(variables, TYPES[v.type], **of_all, **of_type)
+        for size in shape:
+            add(variable, "Dimension", start=str(size))
     _add_structure(add(root, "ModelStructure"), block, groups)
     return parsable(root, block)
-
-
-def _add_variable(
-    parent: Any, name: str, shape: Sequence[int], scalars: list[BlockVariable], more: dict[str, str | None]
-) -> None:
-    v = scalars[0]
-    limits = {"min": attribute(v.minimum), "max": attribute(v.maximum)}
-    starts = " ".join(str(attribute(scalar.start)) for scalar in scalars) if v.settable else None
-    texts = dict.fromkeys(
-        scalar.description + (f" ({scalar.source})" if scalar.source else "") for scalar in scalars
-    )
-    variable = add(
-        parent,
-        TYPES[v.type],
-        name=name,
-        valueReference=str(v.value_reference),
-        description="; ".join(texts),
-        causality=v.causality,
-        variability=v.variability,
-        initial=v.initial,
-        declaredType=v.enumeration.__name__ if v.enumeration else None,
-        **(limits if v.type in ("Real", "Integer") else {}),
-        nominal=attribute(v.nominal),
-        unit=v.unit,
-        displayUnit=v.display_unit,
-        start=starts,
-        **more,
-    )
-    for size in shape:
-        add(variable, "Dimension", start=str(size))
 
 
 def _add_structure(

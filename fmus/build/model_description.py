@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 from fmus.block import Block
 from fmus.block.units import display, per_second, rate, unit
 from fmus.block.variables import BlockVariable
-from fmus.build.symbolic import initial_dependencies
+from fmus.build.sensitivities import sensitivities
 from fmus.errors import ExportError
 from fmus.files import xml_document
 
@@ -69,7 +69,8 @@ def model_description(
 
     exchange: what an FMU for model exchange has besides; None for one of co-simulation alone
     source_files: what an importer must compile to rebuild the FMU, inside the folder `sources`.
-    dependencies: as `initial_dependencies`, which traces the block, returns them by default
+    dependencies: value reference of each initial unknown -> those of the parameters and inputs behind it; by
+        default of the block as it is traced
 
     Raises ExportError for a unit that `fmus.block.units` does not know.
     """
@@ -93,10 +94,15 @@ def model_description(
         of_state = variable.value_reference - len(states) // 2
         is_rate = of_state >= len(block.variables) and variable.causality == "local"
         is_restarted = exchange is not None and variable.value_reference in exchange.restarted
-        _variable(variables, variable, str(of_state + 1) if is_rate else None, is_restarted)
-    initial = initial_dependencies(block) if dependencies is None else dependencies
+        of_all, of_type = attributes_of(variable.name, [variable])
+        of_type["derivative"] = str(of_state + 1) if is_rate else None  # index of the state
+        of_type["reinit"] = "true" if is_restarted else None
+        add(add(variables, "ScalarVariable", **of_all), variable.type, **of_type)
+    if dependencies is None:
+        settable = (*block.of_causality("parameter"), *block.of_causality("input"))
+        dependencies = sensitivities(block).initial.dependencies(settable)
     described = len(block.variables) + len(states)
-    initial = {unknown: known for unknown, known in initial.items() if unknown < described}
+    initial = {unknown: known for unknown, known in dependencies.items() if unknown < described}
     _structure(root, block, exchange.dependencies if exchange else {}, initial)
     return parsable(root, block)
 
@@ -189,40 +195,32 @@ def add_enumerations(root: Any, block: Block, add_type: Callable[..., Any] = _en
             add(items, "Item", name=member.name.lower(), value=str(member.value))
 
 
-def _variable(parent: Any, v: BlockVariable, derivative: str | None, is_restarted: bool) -> None:
-    """Adds a variable.
+def attributes_of(name: str, scalars: Sequence[BlockVariable]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Returns the attributes of a variable of some scalars, alike but for start values and texts.
 
-    derivative: the index of the state that it is the derivative of
-    is_restarted: whether it is a state that an event may change
+    They are those of every variable, and those of its type.
     """
-    source = f" ({v.source})" if v.source else ""
-    scalar = add(
-        parent,
-        "ScalarVariable",
-        name=v.name,
-        valueReference=str(v.value_reference),
-        description=v.description + source,
-        causality=v.causality,
-        variability=v.variability,
-        initial=v.initial,
-    )
-    limits = (
-        {"min": attribute(v.minimum), "max": attribute(v.maximum)} if v.type in ("Real", "Integer") else {}
-    )
-    start, nominal = attribute(v.start) if v.settable else None, attribute(v.nominal)
-    declared = v.enumeration.__name__ if v.enumeration else None
-    units = {"unit": v.unit, "displayUnit": v.display_unit}
-    add(
-        scalar,
-        v.type,
-        declaredType=declared,
-        **limits,
-        nominal=nominal,
-        **units,
-        start=start,
-        derivative=derivative,
-        reinit="true" if is_restarted else None,
-    )
+    v = scalars[0]
+    texts = dict.fromkeys(s.description + (f" ({s.source})" if s.source else "") for s in scalars)
+    limits = (v.minimum, v.maximum) if v.type in ("Real", "Integer") else (None, None)
+    of_all = {
+        "name": name,
+        "valueReference": str(v.value_reference),
+        "description": "; ".join(texts),
+        "causality": v.causality,
+        "variability": v.variability,
+        "initial": v.initial,
+    }
+    of_type = {
+        "declaredType": v.enumeration.__name__ if v.enumeration else None,
+        "min": attribute(limits[0]),
+        "max": attribute(limits[1]),
+        "nominal": attribute(v.nominal),
+        "unit": v.unit,
+        "displayUnit": v.display_unit,
+        "start": " ".join(str(attribute(s.start)) for s in scalars) if v.settable else None,
+    }
+    return of_all, of_type
 
 
 def attribute(value: Any) -> str | None:

@@ -23,7 +23,8 @@ from fmus.block.variables import BlockVariable
 from fmus.build import fmi3
 from fmus.build.documentation.page import documentation, licenses
 from fmus.build.model_description import GUID, Exchange, model_description, with_guid
-from fmus.build.symbolic import Traced, present_dependencies, restarted_states, traced
+from fmus.build.sensitivities import sensitivities
+from fmus.build.symbolic import Traced, restarted_states, traced
 from fmus.errors import ExportError
 from fmus.files import xml_document
 from fmus.fmi.integer_enumerations import REALS_ONLY, with_other_types
@@ -66,9 +67,8 @@ def content(block: Block, reals_only: bool = False, fmi: int = 2) -> tuple[str, 
 def _description(functions: Traced) -> bytes:
     of_exchange = {"completedIntegratorStepNotNeeded": "true", **_OF_BOTH}
     block = functions.block
-    exchange = Exchange(
-        of_exchange, present_dependencies(block), _indicators(functions), restarted_states(block)
-    )
+    dependencies = sensitivities(block).exchange.dependencies((*block.of_causality("input"), *block.states))
+    exchange = Exchange(of_exchange, dependencies, _indicators(functions), restarted_states(block))
     return model_description(block, GUID, _CAPABILITIES, exchange, COMPILED[2])
 
 
@@ -84,22 +84,15 @@ def _build_description(name: str, fmi: int) -> bytes:
     return xml_document(root)
 
 
-def libraries(
-    name: str, members: dict[str, bytes], platforms: Sequence[str], fmi: int = 2
-) -> dict[str, bytes]:
-    """Returns path inside the FMU -> library, made from its sources; by default for this platform.
-
-    Raises ExportError for an unknown platform.
-    """
-    with compiled_libraries(name, members, platforms, fmi) as compiled:
-        return compiled()
-
-
 @contextmanager
 def compiled_libraries(
     name: str, members: dict[str, bytes], platforms: Sequence[str], fmi: int = 2
 ) -> Iterator[Callable[[], dict[str, bytes]]]:
-    """Starts compiling `libraries` beside this process; the returned function waits for them."""
+    """Starts compiling libraries beside this process; yields a function that waits for them.
+
+    It returns path inside the FMU -> library, made from the FMU's sources; by default for this platform.
+    Raises ExportError for an unknown platform.
+    """
     sources = {Path(path).name: members[path].decode() for path in members if path.startswith("sources/")}
     with ExitStack() as stack:
         ends = {
@@ -122,8 +115,7 @@ def c_sources(block: Block, guid: str, reals_only: bool = False, fmi: int = 2) -
     template = Template((layer / "model.h.in").read_text("utf-8"))
     functions = traced(block)
     model = template.substitute(_tables(functions, reals_only, fmi), guid=guid)
-    of_fmi3 = fmi3.sensitivities(block).functions() if fmi == 3 else None
-    return texts | {"model.h": model} | functions.c_code(of_fmi3)
+    return texts | {"model.h": model} | functions.c_code(sensitivities(block).functions(fmi))
 
 
 def _included(layer: Traversable, name: str) -> Iterator[tuple[str, str]]:

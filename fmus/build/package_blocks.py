@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, fields, make_dataclass, replace
 
 from fmus.block import Block, NoValues, variable
 from fmus.block.guide import Experiment, Guide
-from fmus.block.scalars import flatten, unflatten
+from fmus.block.scalars import unflatten
 from fmus.block.variables import Value
 from fmus.errors import ExportError, nearest
 from fmus.numerics import ramps
@@ -95,13 +95,9 @@ def with_start_values(block: Block, values: Mapping[str, Value]) -> Block:
 
 def _with_defaults(cls: type, starts: list[Value]) -> type:
     """Returns a class of the same fields with these scalars as defaults, row by row."""
-    declared, defaults = fields(cls), []
-    for member in declared:
-        size = len(flatten(member.default))
-        defaults.append(unflatten(member.default, starts[:size]))
-        starts = starts[size:]
+    started = unflatten(cls, starts)
     members = [
-        (member.name, member.type, field(default=default, metadata=member.metadata))
-        for member, default in zip(declared, defaults, strict=True)
+        (member.name, member.type, field(default=getattr(started, member.name), metadata=member.metadata))
+        for member in fields(cls)
     ]
     return make_dataclass(cls.__name__, members, bases=(cls,), frozen=True) if members else cls

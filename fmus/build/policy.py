@@ -30,21 +30,6 @@ _NAMED = re.compile(r"(.+\.py):([^:/\\]*)", re.DOTALL)
 _SLAVE = "fmus.build.policy_slave"
 _PATIENCE_S = 120  # for the imports of a policy and its first step
 
-_ENTRY = '''"""Entry point of the FMU {name}: the class that PythonFMU's binary instantiates."""
-
-import ctypes
-
-from {package}.fmus.build.policy_slave import PolicySlave
-
-# PythonFMU 0.7 drops one reference to this dictionary too many whenever it has run this file
-ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
-
-
-class {name}(PolicySlave):
-    module = "{package}.{module}"
-    fingerprint = "{guid}"
-'''
-
 
 def fmu_of_class(name: str, folder: Path = Path()) -> Path:
     """Returns the FMU of the class that FILE.py:Class names, made if that of the present files is missing.
@@ -122,17 +107,14 @@ def _worker(parent: Parent) -> None:
 
 def _fmu(file: Path, cls: str, sources: dict[str, str], carried: dict[str, bytes]) -> bytes:
     from fmus.build import python as python_flavour  # these load what builds FMUs
-    from fmus.build.model_description import GUID, GUID_IN_NAMES, model_description, with_guid
+    from fmus.build.model_description import GUID, model_description, with_guid
 
-    entry = f"{cls.lower()}_{GUID_IN_NAMES}"
-    package = f"{entry}_sources"
+    package = python_flavour.package_of(cls)
     own = source_closure(_SLAVE)
     # a module of the user's that hides one of Python's hides it from the user's modules alone
     text = in_package(own | sources, package) | in_package(own, package)
-    text |= {
-        f"{entry}.py": _ENTRY.format(name=cls, package=package, module=file.stem, guid=GUID),
-        "slavemodule.txt": entry,
-    }
+    imports, member = [f"from {package}.{_SLAVE} import PolicySlave"], f'module = "{package}.{file.stem}"'
+    text |= python_flavour.entry_point(cls, "PolicySlave", imports, member)
     files = {path: source.encode() for path, source in text.items()}
     files |= {f"{package}/{path}": content for path, content in carried.items()}
     block, can_save = _tried(file, cls, files, package)

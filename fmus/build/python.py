@@ -7,8 +7,7 @@ names are our own; what its binary makes impossible is listed in docs/fidelity.m
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from importlib import resources
 from pathlib import Path
 
@@ -32,15 +31,14 @@ _ENTRY = '''"""Entry point of the FMU {name}: the class that PythonFMU's binary 
 
 import ctypes
 
-from {package}.{module} import {attribute}
-from {package}.fmus.build.slave import BlockSlave
+{imports}
 
 # PythonFMU 0.7 drops one reference to this dictionary too many whenever it has run this file
 ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
 
 
-class {name}(BlockSlave):
-    block = {attribute}
+class {name}({base}):
+    {member}
     fingerprint = "{guid}"
 '''
 
@@ -48,18 +46,29 @@ class {name}(BlockSlave):
 def content(block: Block) -> tuple[str, dict[str, bytes]]:
     """Returns (GUID, path -> content) of the FMU; the GUID is derived from everything inside."""
     module, attribute = defined_as(block)
-    entry = f"{block.name.lower()}_{GUID_IN_NAMES}"
-    package = f"{entry}_sources"
-    text = in_package(source_closure(module), package) | {
-        f"{entry}.py": _ENTRY.format(
-            name=block.name, package=package, module=module, attribute=attribute, guid=GUID
-        ),
-        "slavemodule.txt": entry,
-    }
+    package = package_of(block.name)
+    imports = (
+        f"from {package}.{module} import {attribute}",
+        f"from {package}.fmus.build.slave import BlockSlave",
+    )
+    entry = entry_point(block.name, "BlockSlave", imports, f"block = {attribute}")
+    text = in_package(source_closure(module), package) | entry
     if module.partition(".")[0] not in _OURS:
-        _check_import(block, text, entry)
+        _check_import(block, text, entry["slavemodule.txt"])
     resource_files = {path: source.encode() for path, source in text.items()}
     return with_guid(archive(block, resource_files, model_description(block, GUID, CAPABILITIES)))
+
+
+def package_of(name: str) -> str:
+    """Returns the package that holds the sources of an FMU, which no other FMU shares."""
+    return f"{name.lower()}_{GUID_IN_NAMES}_sources"
+
+
+def entry_point(name: str, base: str, imports: Iterable[str], member: str) -> dict[str, str]:
+    """Returns path -> text of what PythonFMU's binary loads: a class of this name and base, with a member."""
+    entry = package_of(name).removesuffix("_sources")
+    text = _ENTRY.format(name=name, base=base, imports="\n".join(imports), member=member, guid=GUID)
+    return {f"{entry}.py": text, "slavemodule.txt": entry}
 
 
 def archive(block: Block, resource_files: Mapping[str, bytes], description: bytes) -> dict[str, bytes]:
@@ -101,22 +110,6 @@ def _check_import(block: Block, text: dict[str, str], entry: str) -> None:
             f"block {block.name!r}: an FMU of the python flavour carries Python modules alone, which cannot "
             f"be imported: {reason}; write what they need into them, or build the native flavour"
         )
-
-
-@contextmanager
-def compiled_libraries(
-    name: str, members: dict[str, bytes], platforms: Sequence[str], fmi: int
-) -> Iterator[Callable[[], dict[str, bytes]]]:
-    """Yields a function that returns no libraries: PythonFMU's are among the members.
-
-    Raises ExportError for any platform.
-    """
-    if platforms:
-        raise ExportError(
-            "platforms of the python flavour: expected none, its libraries are PythonFMU's; "
-            "the native flavour is compiled for each"
-        )
-    yield dict
 
 
 def _binaries(name: str) -> dict[str, bytes]:

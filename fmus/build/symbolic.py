@@ -12,11 +12,11 @@ from typing import Any
 import casadi
 
 from fmus.block import Block
+from fmus.block.integration import between_events
 from fmus.block.scalars import flatten, unflatten
 from fmus.build import guard
 from fmus.build.c_functions import ScalarC, VectorC, c_function, c_functions
-from fmus.build.declaration import check_declaration, check_requirements, check_result
-from fmus.build.exchange import copied, due_samples
+from fmus.build.declaration import check_declaration, check_requirements, check_result, scalar_names
 from fmus.build.right_derivative import right_derivative
 from fmus.errors import ExportError
 from fmus.numerics.symbols import unsimplified
@@ -33,21 +33,14 @@ class Traced:
     step: (t, h, x, u, p, c) -> x
     output: (t, x, p, c) -> y
     output_rate: (t, x, u, p, c) -> dy/dt just after t: outputs after a step, derived by its length
-    calculate_derivative: (p, v) -> directional derivative of c along the seed v of p
-    initial_derivative: (t, u, p, c, v) -> that of y, and of x of a block with continuous states, along the
-        seed v of (p, c, u), in initialisation mode
-    output_derivative: (t, x, p, c, v) -> that of y along the seed v of (p, c), the state held; of a block
-        with continuous states of (p, c, x)
-    initial_sparsity: which of (c, y) follow from which of (p, u) in initialisation mode
     required: what each of the requirements expects, in words
 
-    Of a block with continuous states besides, all but `held` of the state that `held` returns:
+    In model exchange `step` is evaluated with h = 0: what it copies from inputs follows them at once, what
+    `sampled` and `at_events` guard is held, and the continuous states are the solver's. Of a block with these
+    besides, all but `held` of the state that `held` returns:
     held: (t, x, u, p, c) -> x between events of model exchange
     derivative, crossings, event: (t, x, u, p, c) -> derivatives, event indicators, x after an event
     next_event: (t, x, u, p, c) -> the time at which the next sample is due [s], infinite if none is
-    held_derivative, rates_derivative: (t, x, u, p, c, v) -> directional derivative of x between events, and
-        of the derivatives, along the seed v of (p, c, u, x)
-    present_sparsity: which of y and the derivatives follow from which of u and the continuous states
     integrated_rate: (t, x, u, p, c) -> the derivatives that `integrate` of the block has, for a comparison
     """
 
@@ -82,21 +75,8 @@ class Traced:
         rate = right_derivative(_column(call(block.output, t + h, stepped, p, c)), h)
         self.output_rate = self._function("output_rate", "t x u p c", [t, xs, us, ps, cs], "rate", rate)
 
-        unknown = first = _column(call(block.output, t, initial, p, c))
-        if derivative := block.derivative:
-            self._trace_exchange(derivative, t, h, (xs, us, ps, cs), (x, u, p, c))
-            first = casadi.vertcat(first, _column(initial))
-        known = casadi.vertcat(ps, cs, us)
-        self.calculate_derivative = self._along("calculate_derivative", "p", [ps], _column(calculated), ps)
-        self.initial_derivative = self._along("initial_derivative", "t u p c", [t, us, ps, cs], first, known)
-        held = _column(outputs), casadi.vertcat(ps, cs, *([xs] if block.derivative else []))
-        self.output_derivative = self._along("output_derivative", "t x p c", [t, xs, ps, cs], *held)
-        if derivative:
-            start = call(block.held, t, initial, u, p, c)
-            continuous = _column(initial)[: len(flatten(block.continuous))]
-            unknown = casadi.vertcat(unknown, continuous, _column(call(derivative, t, start, u, p, c)))
-        unknowns = casadi.vertcat(_column(calculated), casadi.substitute(unknown, cs, _column(calculated)))
-        self.initial_sparsity = casadi.jacobian_sparsity(unknowns, casadi.vertcat(ps, us))
+        if block.derivative:
+            self._trace_exchange(block.derivative, t, h, (xs, us, ps, cs), (x, u, p, c))
 
     def _trace_exchange(
         self, derivative: Callable[..., Any], t: casadi.SX, h: casadi.SX, columns: tuple, values: tuple
@@ -109,25 +89,17 @@ class Traced:
         def function(name: str, result: Any) -> casadi.Function:
             return self._function(name, "t x u p c", arguments, name, result)
 
-        def along(name: str, result: Any) -> casadi.Function:
-            known = casadi.vertcat(ps, cs, us, xs)
-            return self._along(name, "t x u p c", arguments, _column(result), known)
-
         held, rates = call(block.held, t, x, *others), call(derivative, t, x, *others)
         check_result(block, "derivative", rates)
         event = call(block.step, t, 0.0, x, *others)
         check_result(block, "step", event)
         after = _column(event)
-        for i in copied(block, xs, _column(held)):
+        for i in _copied(block, xs, _column(held)):
             after[i] = xs[i]
-        due = reduce(casadi.fmin, call(due_samples, block, t, x, *others), casadi.SX(math.inf))
-        self.held, self.held_derivative = function("held", held), along("held_derivative", held)
-        self.derivative, self.rates_derivative = function("rates", rates), along("rates_derivative", rates)
+        due = reduce(casadi.fmin, call(_due_samples, block, t, x, *others), casadi.SX(math.inf))
+        self.held, self.derivative = function("held", held), function("rates", rates)
         self.crossings = function("crossings", tuple(call(block.crossings, t, x, *others)))
         self.event, self.next_event = function("event", after), function("next_event", due)
-        outputs, rates = call(block.output, t, held, *others[1:]), call(derivative, t, held, *others)
-        both, known = casadi.vertcat(_column(outputs), _column(rates)), casadi.vertcat(us, xs[:count])
-        self.present_sparsity = casadi.jacobian_sparsity(both, known)
         if block.integrate:
             integrated = call(block.integrate, t, h, x, *others)
             check_result(block, "integrate", integrated)
@@ -155,18 +127,18 @@ class Traced:
         own = {name: value for name, value in vars(self).items() if isinstance(value, casadi.Function)}
         return {name: value for name, value in own.items() if name != "integrated_rate"}
 
-    def c_code(self, derivatives: dict[str, casadi.Function] | None = None) -> dict[str, str]:
+    def c_code(self, derivatives: dict[str, casadi.Function]) -> dict[str, str]:
         """Returns file name -> C functions called model_FUNCTION, with the arguments of this class.
 
-        derivatives: these in place of the directional derivatives that FMI 2.0 has
+        derivatives: further functions, of directional derivatives
 
         model_code.h has all of them, model_lanes.h those of a run for groups of instances. What a step needs
         of its size and the parameters alone is computed apart, by model_step_constants.
         """
         step, constants = c_functions(self.step, "model_step", held=("h", "p", "c"), inputs="u")
-        others = {name: function for name, function in self.functions().items() if name != "step"}
-        if derivatives is not None:
-            others = {name: f for name, f in others.items() if not name.endswith("_derivative")} | derivatives
+        others = {
+            name: function for name, function in self.functions().items() if name != "step"
+        } | derivatives
         code = {name: c_function(f, f"model_{name}", name == "output") for name, f in others.items()}
         of_runs = [*step, *(code[name] for name in ("calculate", "requirements", "initial_state", "output"))]
         size, scalar, vector = f"enum {{ N_STEP_CONSTANTS = {constants} }};\n", ScalarC(), VectorC()
@@ -176,13 +148,6 @@ class Traced:
             "model_code.h": "\n".join([size, *map(scalar.function, (*step, *code.values()))]),
             "model_lanes.h": "\n".join([_ABOUT_LANES, size, memory, *lanes]),
         }
-
-    def _along(
-        self, name: str, names: str, arguments: list, result: casadi.SX, known: casadi.SX
-    ) -> casadi.Function:
-        seed = casadi.SX.sym("v", known.numel())
-        along = casadi.jtimes(result, known, seed)
-        return self._function(name, f"{names} v", [*arguments, seed], "along", along)
 
     def _function(
         self, name: str, names: str, arguments: list, result_name: str, result: Any
@@ -220,28 +185,27 @@ def _column(value: Any) -> casadi.SX:
     return casadi.vertcat(*map(casadi.SX, scalars)) if scalars else casadi.SX(0, 1)
 
 
-def initial_dependencies(block: Block) -> dict[int, tuple[int, ...]]:
-    """Returns value reference of each initial unknown -> those of the parameters and inputs behind it."""
-    unknowns = (*block.of_causality("calculatedParameter"), *block.of_causality("output"), *block.states)
-    knowns = (*block.of_causality("parameter"), *block.of_causality("input"))
-    dependencies: dict[int, list[int]] = {v.value_reference: [] for v in unknowns}
-    for row, column in zip(*traced(block).initial_sparsity.get_triplet(), strict=True):
-        dependencies[unknowns[row].value_reference].append(knowns[column].value_reference)
-    return {unknown: tuple(sorted(known)) for unknown, known in dependencies.items()}
+def _due_samples(block: Block, t: float, state: Any, *others: Any) -> list[float]:
+    """Returns the times at which samples are due [s]."""
+    with between_events() as due:
+        block.step(t, 0.0, state, *others)
+    return due
 
 
-def present_dependencies(block: Block) -> dict[int, tuple[int, ...]]:
-    """Returns value reference of each output and derivative -> those of the inputs and states behind it."""
-    outputs, count = block.of_causality("output"), len(block.states) // 2
-    unknowns, knowns = (
-        (*outputs, *block.states[count:]),
-        (*block.of_causality("input"), *block.states[:count]),
-    )
-    dependencies: dict[int, list[int]] = {v.value_reference: [] for v in unknowns}
-    triplets = traced(block).present_sparsity.get_triplet() if count else ((), ())
-    for row, column in zip(*triplets, strict=True):
-        dependencies[unknowns[row].value_reference].append(knowns[column].value_reference)
-    return {unknown: tuple(sorted(known)) for unknown, known in dependencies.items()}
+def _copied(block: Block, state: casadi.SX, held: casadi.SX) -> list[int]:
+    """Returns the numbers of the state that follow inputs at once.
+
+    state, held: the state, and as it is between events
+    Raises ExportError if `step` changes something at no event that is no copy of what is given.
+    """
+    changed = [i for i in range(state.numel()) if not casadi.is_equal(state[i], held[i])]
+    for wrong in (i for i in changed if casadi.depends_on(held[i], state[changed])):
+        name = [*scalar_names(block.state)][wrong]
+        raise ExportError(
+            f"block {block.name!r}: {guard.location(block.step)}step changes {name} by what it was: "
+            "expected at_events(state, new) or sampled(...) of fmus.numerics around it"
+        )
+    return changed
 
 
 def restarted_states(block: Block) -> set[int]:

@@ -19,6 +19,7 @@ from fmus.compliance.script import STEPS
 from fmus.fmi.binding import CO_SIMULATION, DISCARD, ERROR, FATAL, WARNING, Library
 from fmus.fmi.callbacks import CountingAllocator
 from fmus.fmi.process import Parent
+from fmus.operating_system import limit_process
 
 MOST_MEMORY = 4 << 30  # bytes
 MOST_OF_A_FILE = 1 << 30  # bytes
@@ -186,7 +187,7 @@ def call_fmu(parent: Parent) -> None:
     """
     folder, *arguments = parent.receive()
     os.chdir(folder)  # where the FMU writes files
-    _limit_resources()
+    limit_process(MOST_MEMORY, MOST_OF_A_FILE)
     printed = _print_to(Path(folder, "printed"))
     called = Path(folder, CALLED)
     called.write_bytes(bytes(_ANNOUNCED))
@@ -213,20 +214,3 @@ def _print_to(file: Path) -> Path:
         for standard in (sys.stdout, sys.stderr):
             os.dup2(stream.fileno(), standard.fileno())
     return file
-
-
-def _limit_resources() -> None:
-    """Limits memory, and the size of a file, where the operating system does that; no core is dumped."""
-    try:
-        import resource
-    except ImportError:  # of Windows
-        return
-    limits = (
-        (resource.RLIMIT_DATA, MOST_MEMORY),
-        (resource.RLIMIT_FSIZE, MOST_OF_A_FILE),
-        (resource.RLIMIT_CORE, 0),
-    )
-    for kind, limit in limits:
-        _, hard = resource.getrlimit(kind)
-        bound = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
-        resource.setrlimit(kind, (bound, bound))

@@ -4,13 +4,19 @@ import contextlib
 import ctypes
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from fmus.errors import ExportError
 from fmus.fmi.callbacks import Callbacks
-from fmus.platforms import SHARED_LIBRARY_SUFFIX, SYSTEM_PLATFORM, host_platform, library_name
+from fmus.platforms import (
+    SHARED_LIBRARY_SUFFIX,
+    SYSTEM_PLATFORM,
+    host_platform,
+    library_name,
+    platform_folder,
+)
 
 OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)  # fmi2Status
 DO_STEP_STATUS, LAST_SUCCESSFUL_TIME, TERMINATED = 0, 2, 3  # fmi2StatusKind
@@ -31,10 +37,13 @@ def status_name(status: int) -> str:
     return _STATUS_NAMES[status] if 0 <= status < len(_STATUS_NAMES) else f"status {status}"
 
 
-def platform_name() -> str:
-    """Returns the FMI name of this machine's platform, or else the name of its system and address size."""
+def platform_name(fmi: int = 2) -> str:
+    """Returns the FMI name of this machine's platform, or else the name of its system and address size.
+
+    fmi: the version of the standard
+    """
     try:
-        return host_platform()
+        return platform_folder(host_platform(), fmi)
     except ExportError:
         return SYSTEM_PLATFORM
 
@@ -96,10 +105,23 @@ _RESULTS = {
 _TYPES = {"p": ctypes.c_void_p, "s": ctypes.c_size_t, "d": ctypes.c_double, "i": ctypes.c_int}
 
 
-def signatures(interface: int) -> dict[str, str]:
+def signatures(interface: int = CO_SIMULATION) -> dict[str, str]:
     """Returns function -> types of its arguments, of those that an interface, an fmi2Type, has."""
     signatures = (*_COMMON_SIGNATURES.items(), *_SIGNATURES[interface].items())
     return {f"fmi2{name}": types for types, names in signatures for name in names.split()}
+
+
+def declare(functions: ctypes.CDLL, signatures: Mapping[str, str]) -> list[str]:
+    """Declares the types of the functions that a library has; returns the names of the others."""
+    missing = []
+    for name, types in signatures.items():
+        function = getattr(functions, name, None)
+        if function is None:
+            missing.append(name)
+            continue
+        function.argtypes = [_TYPES[letter] for letter in types]
+        function.restype = _RESULTS.get(name, ctypes.c_int)
+    return missing
 
 
 class Library:
@@ -112,17 +134,12 @@ class Library:
     interface: fmi2Type, whose functions it must have; optional: those of them that may be missing
     """
 
+    instantiates = "fmi2Instantiate"
+
     def __init__(self, path: Path, interface: int = CO_SIMULATION, optional: Collection[str] = ()) -> None:
         self._functions = ctypes.CDLL(str(path.resolve()))
-        missing = []
-        for name, types in signatures(interface).items():
-            function = getattr(self._functions, name, None)
-            if function is None:
-                missing += [name] if name.removeprefix("fmi2") not in optional else []
-                continue
-            function.argtypes = [_TYPES[letter] for letter in types]
-            function.restype = _RESULTS.get(name, ctypes.c_int)
-        if missing:
+        absent = declare(self._functions, signatures(interface))
+        if missing := [name for name in absent if name.removeprefix("fmi2") not in optional]:
             self.unload()
             raise AttributeError(
                 f"{path.name} lacks {', '.join(missing)}: expected every function of FMI 2.0"
@@ -130,6 +147,24 @@ class Library:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._functions, name)
+
+    def instantiate(
+        self, interface: int, name: str, guid: str, resources: Path, callbacks: Callbacks, logging_on: bool
+    ) -> int | None:
+        """Returns the address of a new instance; None if the FMU refuses. interface: fmi2Type"""
+        return self.fmi2Instantiate(
+            name.encode(),
+            interface,
+            guid.encode(),
+            resources.as_uri().encode(),
+            ctypes.byref(callbacks.structure),
+            _FALSE,
+            logging_on,
+        )
+
+    def function_called(self, handle: ctypes.c_void_p | None, function: str) -> str:
+        """Returns the name of the function of the FMU that a call of `function` has called."""
+        return function
 
     def unload(self) -> None:
         system = ctypes.windll.kernel32 if sys.platform == "win32" else ctypes.CDLL(None)
@@ -157,15 +192,7 @@ class BoundInstance(ABC):
 
     def instantiate(self, name: str, guid: str, resources: Path, logging_on: bool) -> bool:
         """Creates the instance; False if the FMU returns NULL."""
-        address = self.library.fmi2Instantiate(
-            name.encode(),
-            self.interface,
-            guid.encode(),
-            resources.as_uri().encode(),
-            ctypes.byref(self.callbacks.structure),
-            _FALSE,
-            logging_on,
-        )
+        address = self.library.instantiate(self.interface, name, guid, resources, self.callbacks, logging_on)
         self.handle = ctypes.c_void_p(address) if address else None
         return self.handle is not None
 

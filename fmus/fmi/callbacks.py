@@ -87,13 +87,14 @@ _logs: dict[int, Log] = {}
 _environments = itertools.count(1)
 
 
-def _log_message(
+def log_message(
     environment: int | None,
     instance: bytes | None,
     status: int,
     category: bytes | None,
     message: bytes | None,
 ) -> None:
+    """Adds a message to the log of the callbacks with this environment."""
     log = _logs.get(environment or 0, _logs.get(0))
     if log is not None:
         instance_name, category_name = (None if x is None else _text(x) for x in (instance, category))
@@ -104,12 +105,12 @@ def _text(content: bytes) -> str:
     return content.decode("utf-8", "replace")
 
 
-_python_logger = Logger(_log_message)
+_python_logger = Logger(log_message)
 
 
 @functools.cache
 def _logger() -> Any:
-    """Returns a logger that formats messages, whose arguments do not reach Python, for `_log_message`.
+    """Returns a logger that formats messages, whose arguments do not reach Python, for `log_message`.
 
     It is FMPy's, in a library copied and loaded for this module alone: FMPy's own copy serves the logger that
     was registered last in the process. Where the copy cannot be loaded, messages arrive without arguments.

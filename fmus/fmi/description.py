@@ -8,6 +8,7 @@ from typing import NamedTuple
 from xml.etree import ElementTree
 
 from fmus.errors import FmuLoadError, nearest
+from fmus.fmi.fmi3_description import fmi3_description
 from fmus.fmi.model_description import ModelDescription, ScalarVariable, model_description
 from fmus.fmi.variable_types import FmiValue
 from fmus.registry import block_fmus, block_names, is_in_cache
@@ -34,7 +35,7 @@ class FileVersion(NamedTuple):
 
 
 def describe(path: Path) -> ModelDescription:
-    """Returns the model description of an FMI 2.0 FMU; FmuLoadError says what is wrong.
+    """Returns the model description of an FMU; FmuLoadError says what is wrong.
 
     It is read once while the file does not change: all who ask share it, and must not change it.
     """
@@ -58,6 +59,7 @@ def _read(path: Path, version: FileVersion) -> ModelDescription:
     try:
         with zipfile.ZipFile(path) as archive:
             root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+            is_built = "sources/buildDescription.xml" in archive.namelist()  # as FMI 3.0 lists sources
     except (zipfile.BadZipFile, EOFError, KeyError) as error:
         raise FmuLoadError(
             f"{path} is not an FMU: expected a zip with a modelDescription.xml: {error}"
@@ -66,10 +68,11 @@ def _read(path: Path, version: FileVersion) -> ModelDescription:
         raise _unreadable(path, ValueError(f"{error}: expected XML in UTF-8 (FMI 2.0.5, 2.2)")) from error
     except Exception as error:  # whatever unpacking and parsing a damaged file raise
         raise _unreadable(path, error) from error
-    if (fmi_version := root.get("fmiVersion")) != "2.0":
-        raise FmuLoadError(f"{path} is an FMU of FMI {fmi_version}: expected FMI 2.0")
+    fmi_version = root.get("fmiVersion", "")
+    if fmi_version != "2.0" and not fmi_version.startswith("3."):
+        raise FmuLoadError(f"{path} is an FMU of FMI {fmi_version}: expected FMI 2.0 or 3.0")
     try:
-        description = model_description(root)
+        description = model_description(root) if fmi_version == "2.0" else fmi3_description(root)
     except ValueError as error:
         raise _unreadable(path, error) from error
     identifier = description.coSimulation.modelIdentifier
@@ -77,7 +80,7 @@ def _read(path: Path, version: FileVersion) -> ModelDescription:
         raise FmuLoadError(f"{path}: modelIdentifier {identifier!r}: expected a C identifier")
     _take_over_declared_types(description)
     # those of this exporter list sources: other FMUs, which may be large, need not be read
-    has_sources = root.find("CoSimulation/SourceFiles") is not None
+    has_sources = is_built or root.find("CoSimulation/SourceFiles") is not None
     description.is_own_build = has_sources and is_own_build(path.read_bytes())
     return description
 

@@ -21,6 +21,7 @@ from fmus.files import extract_archive
 from fmus.fmi import binding
 from fmus.fmi.binding import BoundInstance, Callbacks, Library, library_member, platform_name, status_name
 from fmus.fmi.description import FileVersion, is_independent
+from fmus.fmi.fmi3 import Fmi3Library
 from fmus.fmi.model_description import ModelDescription, ScalarVariable
 from fmus.fmi.variable_types import TRANSFER_TYPE, FmiValue
 
@@ -28,7 +29,7 @@ _MOST_MESSAGES = 10  # in an error or a warning
 
 
 class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"]):
-    """An instance of an FMI 2.0 co-simulation FMU, between instantiation and `close`.
+    """An instance of a co-simulation FMU, between instantiation and `close`.
 
     The library is its own, but for native FMUs that this user built, which never return fatal: so a fatal
     error, after which FMI forbids calls of any instance, ends this instance alone. Raises FmuLoadError if the
@@ -57,7 +58,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
                 super().__init__(fmu.library, callbacks)
                 guid, folder = description.guid or "", fmu.folder / "resources"
                 if not self.instantiate(name, guid, folder, logging_on=True):
-                    raise RuntimeError("fmi2Instantiate returned NULL")
+                    raise RuntimeError(f"{self.library.instantiates} returned NULL")
                 self._resources = resources.pop_all()
         except FmuLoadError:
             raise
@@ -164,6 +165,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         """
         if not status and not self.log:
             return
+        function = self.library.function_called(self.handle, function)
         log = list(self.log)
         self.log.clear()
         logged = [s for s, _ in log if s in (binding.ERROR, binding.FATAL)]
@@ -264,9 +266,10 @@ def _library(path: Path, description: ModelDescription, folder: Path) -> Library
     with zipfile.ZipFile(path) as archive:
         names = archive.namelist()
     identifier = description.coSimulation.modelIdentifier
-    member = library_member(names, identifier)
+    fmi = int(description.fmiVersion[0])
+    member, platform = library_member(names, identifier, fmi), platform_name(fmi)
     if member is None:
-        prefix = f"binaries/{platform_name()}/"
+        prefix = f"binaries/{platform}/"
         here = [name for name in names if name.startswith(prefix) and name != prefix]
         others = {name.split("/")[1] for name in names if name.startswith("binaries/") and name[-1] != "/"}
         sources = ["C sources"] if any(name.startswith("sources/") for name in names) else []
@@ -274,8 +277,10 @@ def _library(path: Path, description: ModelDescription, folder: Path) -> Library
         named = f" called {identifier}, its modelIdentifier" if here else ""
         is_python = "resources/slavemodule.txt" in names  # PythonFMU's mark
         hint = "; it runs Python: of a block, the native flavour is compiled for each" if is_python else ""
-        raise FmuLoadError(f"{path} has no binary for {platform_name()}{named}: it has {available}{hint}")
+        raise FmuLoadError(f"{path} has no binary for {platform}{named}: it has {available}{hint}")
     needed = [name for name in names if name == member or name.startswith("resources/")]
     extract_archive(path, folder, needed if is_independent(description) else None)
+    if fmi == 3:
+        return Fmi3Library(folder / member, description.elements)
     interface = binding.MODEL_EXCHANGE if description.is_model_exchange else binding.CO_SIMULATION
     return Library(folder / member, interface)

@@ -6,8 +6,9 @@ import than a run takes.
 # ruff: noqa: N815  (names of the standard)
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from xml.etree.ElementTree import Element
+from dataclasses import dataclass, field, fields, replace
+from typing import NamedTuple
+from xml.etree.ElementTree import Element as Xml
 
 from fmus.fmi.variable_types import INTEGER_RANGE, TRANSFER_TYPE, TYPES
 
@@ -15,7 +16,7 @@ _REFERENCES = 2**32  # numbers that fmi2ValueReference has
 # variability -> causality -> what `initial` is where it is not stated (2.2.7)
 _OF_PARAMETERS = {"parameter": "exact", "calculatedParameter": "calculated", "local": "calculated"}
 _OF_SIGNALS = {"input": "exact", "output": "calculated", "local": "calculated", "independent": None}
-_INITIAL = {
+INITIAL = {
     "constant": {"output": "exact", "local": "exact"},
     "fixed": _OF_PARAMETERS,
     "tunable": _OF_PARAMETERS,
@@ -115,12 +116,27 @@ class DefaultExperiment:
     stepSize: str | None
 
 
+class Element(NamedTuple):
+    """A scalar variable of FMI 3.0, or a scalar of an array.
+
+    type: index in `fmi3_description.TYPES`; reference: value reference of the array
+    first, size: number of the array's first scalar, and how many it has
+    """
+
+    type: int
+    reference: int
+    first: int
+    size: int
+
+
 @dataclass(eq=False)
 class ModelDescription:
     """The description of an FMU.
 
     coSimulation: of an FMU for model exchange alone what a solver makes of its capabilities
     is_model_exchange: whether it is for model exchange alone
+    elements: of FMI 3.0, the scalar of each value reference
+    left_out: of FMI 3.0, name -> type of the variables that are not among `modelVariables`
     is_own_build: whether a build of this user wrote the file, which the description itself cannot prove
     """
 
@@ -138,27 +154,27 @@ class ModelDescription:
     numberOfContinuousStates: int
     numberOfEventIndicators: int
     is_model_exchange: bool
+    elements: Sequence[Element] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
     is_own_build: bool = False
 
 
-def model_description(root: Element) -> ModelDescription:
+def model_description(root: Xml) -> ModelDescription:
     """Returns the content of a modelDescription.xml; ValueError says what of it cannot be read."""
     types = {
         definition.name: definition for definition in map(_simple_type, root.findall("TypeDefinitions/*"))
     }
     variables = [_variable(element, types) for element in root.findall("ModelVariables/ScalarVariable")]
-    interface, experiment = root.find("CoSimulation"), root.find("DefaultExperiment")
+    interface = root.find("CoSimulation")
     return ModelDescription(
-        fmiVersion=_required(root, "fmiVersion"),
+        fmiVersion=required(root, "fmiVersion"),
         modelName=root.get("modelName", ""),
         guid=root.get("guid", ""),
         description=root.get("description"),
         generationTool=root.get("generationTool"),
         coSimulation=_model_exchange(root) if interface is None else _co_simulation(interface),
-        defaultExperiment=None
-        if experiment is None
-        else DefaultExperiment(*map(experiment.get, ("startTime", "stopTime", "stepSize"))),
-        unitDefinitions=[_unit(element) for element in root.findall("UnitDefinitions/Unit")],
+        defaultExperiment=default_experiment(root),
+        unitDefinitions=[unit(element) for element in root.findall("UnitDefinitions/Unit")],
         modelVariables=variables,
         outputs=_unknowns(root, "Outputs", variables),
         initialUnknowns=_unknowns(root, "InitialUnknowns", variables),
@@ -168,7 +184,16 @@ def model_description(root: Element) -> ModelDescription:
     )
 
 
-def _required(element: Element, attribute: str) -> str:
+def default_experiment(root: Xml) -> DefaultExperiment | None:
+    """Returns the default experiment, None if it is not stated."""
+    experiment = root.find("DefaultExperiment")
+    if experiment is None:
+        return None
+    return DefaultExperiment(*map(experiment.get, ("startTime", "stopTime", "stepSize")))
+
+
+def required(element: Xml, attribute: str) -> str:
+    """Returns an attribute; ValueError if it is missing."""
     value = element.get(attribute)
     if value is None:
         name = element.get("name")
@@ -176,12 +201,12 @@ def _required(element: Element, attribute: str) -> str:
     return value
 
 
-def _co_simulation(element: Element) -> CoSimulation:
+def _co_simulation(element: Xml) -> CoSimulation:
     capabilities = {f.name: element.get(f.name) in ("true", "1") for f in fields(CoSimulation)[1:]}
     return CoSimulation(element.get("modelIdentifier", ""), **capabilities)
 
 
-def _model_exchange(root: Element) -> CoSimulation:
+def _model_exchange(root: Xml) -> CoSimulation:
     """Returns the interface for model exchange as if it were for co-simulation: a solver takes any step."""
     interface = root.find("ModelExchange")
     if interface is None:
@@ -189,16 +214,21 @@ def _model_exchange(root: Element) -> CoSimulation:
     return replace(_co_simulation(interface), canHandleVariableCommunicationStepSize=True)
 
 
-def _simple_type(element: Element) -> SimpleType:
-    name = _required(element, "name")
+def _simple_type(element: Xml) -> SimpleType:
+    name = required(element, "name")
     for kind in element:
-        items = [Item(_required(item, "name"), _required(item, "value")) for item in kind.findall("Item")]
-        return SimpleType(name, kind.tag, items, *map(kind.get, ("unit", "min", "max", "nominal")))
+        return SimpleType(name, kind.tag, items(kind), *map(kind.get, ("unit", "min", "max", "nominal")))
     raise ValueError(f"SimpleType {name} has no type")
 
 
-def _unit(element: Element) -> Unit:
-    name, base = _required(element, "name"), element.find("BaseUnit")
+def items(kind: Xml) -> list[Item]:
+    """Returns the items of an enumeration, none of another type."""
+    return [Item(required(item, "name"), required(item, "value")) for item in kind.findall("Item")]
+
+
+def unit(element: Xml) -> Unit:
+    """Returns a unit of UnitDefinitions."""
+    name, base = required(element, "name"), element.find("BaseUnit")
     if base is None:
         return Unit(name, None)
     exponents = (int(base.get(unit, "0")) for unit in ("kg", "m", "s", "A", "K", "mol", "cd", "rad"))
@@ -206,8 +236,8 @@ def _unit(element: Element) -> Unit:
     return Unit(name, BaseUnit(*exponents, **scale))
 
 
-def _variable(element: Element, types: Mapping[str, SimpleType]) -> ScalarVariable:
-    name = _required(element, "name")
+def _variable(element: Xml, types: Mapping[str, SimpleType]) -> ScalarVariable:
+    name = required(element, "name")
     kind = next((child for child in element if child.tag in TYPES), None)
     if kind is None:
         raise ValueError(f"variable {name} has no type: expected one of {', '.join(TYPES)}")
@@ -217,21 +247,18 @@ def _variable(element: Element, types: Mapping[str, SimpleType]) -> ScalarVariab
     causality, variability = element.get("causality", "local"), element.get("variability", "continuous")
     initial = element.get("initial")
     if not initial:
-        if causality not in _INITIAL.get(variability, {}):
+        if causality not in INITIAL.get(variability, {}):
             raise ValueError(
                 f"variable {name}: a causality {causality!r} of variability {variability!r} has no default "
                 "of initial: expected that it is stated"
             )
-        initial = _INITIAL[variability][causality]
-    reference = int(_required(element, "valueReference"))
+        initial = INITIAL[variability][causality]
     low, high = INTEGER_RANGE
-    if not 0 <= reference < _REFERENCES:
-        raise ValueError(f"variable {name}: valueReference {reference}: expected 0..{_REFERENCES - 1}")
     if TRANSFER_TYPE[kind.tag] == "Integer" and not low <= int(kind.get("start") or 0) <= high:
         raise ValueError(f"variable {name}: start {kind.get('start')}: expected {low}..{high}")
     return ScalarVariable(
         name,
-        reference,
+        value_reference(element),
         kind.tag,
         causality,
         variability,
@@ -242,7 +269,16 @@ def _variable(element: Element, types: Mapping[str, SimpleType]) -> ScalarVariab
     )
 
 
-def _unknowns(root: Element, name: str, variables: Sequence[ScalarVariable]) -> list[Unknown]:
+def value_reference(element: Xml) -> int:
+    """Returns the value reference of a variable."""
+    reference = int(required(element, "valueReference"))
+    if not 0 <= reference < _REFERENCES:
+        name = element.get("name")
+        raise ValueError(f"variable {name}: valueReference {reference}: expected 0..{_REFERENCES - 1}")
+    return reference
+
+
+def _unknowns(root: Xml, name: str, variables: Sequence[ScalarVariable]) -> list[Unknown]:
     """Returns the unknowns of a part of the model structure, which numbers variables from 1."""
 
     def variable(number: str) -> ScalarVariable:
@@ -254,5 +290,5 @@ def _unknowns(root: Element, name: str, variables: Sequence[ScalarVariable]) -> 
     for element in root.findall(f"ModelStructure/{name}/Unknown"):
         dependencies = element.get("dependencies")
         listed = None if dependencies is None else list(map(variable, dependencies.split()))
-        unknowns.append(Unknown(variable(_required(element, "index")), listed))
+        unknowns.append(Unknown(variable(required(element, "index")), listed))
     return unknowns

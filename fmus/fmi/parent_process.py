@@ -17,6 +17,8 @@ import threading
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 
+from fmus import operating_system
+
 UNEXPECTED_END = 70
 _INTERRUPTS = {signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGINT)}
 # the first byte: whether the program has ended
@@ -32,23 +34,21 @@ def run_watched(program: Callable[[], int]) -> int:
     Where the child ends before the program does, the status is not 0, and a line on standard error tells why.
     The child receives interrupts as it would without this process, and one when this process is killed.
     """
-    if not hasattr(signal, "sigwaitinfo"):
+    if not operating_system.CAN_WATCH:
         return program()
     global _page  # noqa: PLW0603
     _page = mmap.mmap(-1, _PAGE)
     lifeline, end = os.pipe()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {*_INTERRUPTS, signal.SIGCHLD})
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # where it is ignored, a child leaves no status
-    child = os.fork()
+    child, blocked = operating_system.fork(_INTERRUPTS)
     if child:
         os.close(lifeline)
-        status = _status_of(child, _page)
+        status = _exit_status(operating_system.wait_for(child, _INTERRUPTS), _page)
         _end_without_clearing_up(status)
         return status
     os.close(end)
     _thread.start_new_thread(_interrupt_without_parent, (lifeline,))
     try:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        operating_system.block_alone(blocked)
         status = program()
     finally:
         end_is_meant()
@@ -104,19 +104,6 @@ def _interrupt_without_parent(lifeline: int) -> None:
     with suppress(OSError):  # an FMU has closed it
         os.read(lifeline, 1)
         os.kill(os.getpid(), signal.SIGTERM)
-
-
-def _status_of(child: int, page: mmap.mmap) -> int:
-    """Waits for the child. Interrupts are passed on, but for those of a terminal that reach it too."""
-    while True:
-        received = signal.sigwaitinfo({*_INTERRUPTS, signal.SIGCHLD})
-        if received.si_signo == signal.SIGCHLD:
-            number, status = os.waitpid(child, os.WNOHANG)
-            if number:
-                return _exit_status(os.waitstatus_to_exitcode(status), page)
-        # those of a process, and those of the terminal where the child has left it: an FMU called setsid
-        elif received.si_code <= 0 or os.getsid(child) != os.getsid(0):
-            os.kill(child, received.si_signo)
 
 
 def _exit_status(status: int, page: mmap.mmap) -> int:

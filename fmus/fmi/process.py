@@ -20,6 +20,8 @@ from pathlib import Path
 from queue import Empty, Queue
 from typing import IO, Any, BinaryIO, cast
 
+from fmus.operating_system import kill_group
+
 _TO_END_S = 10.0  # for a process whose messages have ended
 # before a message: its length, and the number of the request that it belongs to
 _HEADER = struct.Struct("<QQ")
@@ -55,8 +57,7 @@ class Parent:
         with contextlib.suppress(EOFError):
             while True:
                 self._messages.put(_read_message(incoming))
-        if hasattr(os, "killpg"):
-            os.killpg(self._pid, signal.SIGKILL)  # also what FMUs started
+        kill_group(self._pid)  # also what FMUs started
         os._exit(1)
 
     def receive(self) -> Any:
@@ -149,10 +150,9 @@ class WorkerProcess:
     def kill(self) -> None:
         """Ends the process and those that it started at once, also from another thread."""
         self._process.kill()
-        if not self._group_ended and hasattr(os, "killpg"):
+        if not self._group_ended:
             self._group_ended = True  # its number may become another's once the process is waited for
-            with contextlib.suppress(ProcessLookupError, PermissionError):  # of macOS, for a dead one
-                os.killpg(self._process.pid, signal.SIGKILL)
+            kill_group(self._process.pid)
         self._process.wait()
 
     def close(self) -> None:

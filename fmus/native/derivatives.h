@@ -61,45 +61,6 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
     return fmi2OK;
 }
 
-static void outputs_derivative(const Data *d, const double *state, const double *calculated, const double *along,
-                               const double *of_state, double *result) {
-    double seed[FIRST_INPUT + N_STATES + 1];
-    memcpy(seed, along, FIRST_INPUT * sizeof *seed);
-    if (of_state) memcpy(seed + FIRST_INPUT, of_state, N_STATES * sizeof *seed);
-    model_output_derivative(d->time, state, d->value, calculated, seed, result);
-}
-
-/* Directional derivatives of all that is calculated but the calculated parameters, along those of all that is known. */
-static void known_derivatives(const Data *d, const double *calculated, double *along) {
-    const double *u = d->value + FIRST_INPUT, *p = d->value;
-    const int is_initial = d->mode == INITIALIZATION;
-#if MODEL_HAS_DERIVATIVE
-    double seed[FIRST_OUTPUT + N_STATES] = {0}, held[N_STATES], of_start[N_OUTPUTS + N_STATES];
-    double *of_state = seed + FIRST_OUTPUT;
-    memcpy(seed, along, FIRST_OUTPUT * sizeof *seed);
-    memcpy(of_state, along + N_VALUES, N_CONTINUOUS * sizeof *seed);
-    if (is_initial) {
-        model_initial_derivative(d->time, u, p, calculated, seed, of_start);
-        memcpy(along + FIRST_OUTPUT, of_start, N_OUTPUTS * sizeof *along);
-        memcpy(of_state, of_start + N_OUTPUTS, N_STATES * sizeof *seed);
-        memcpy(along + N_VALUES, of_state, N_CONTINUOUS * sizeof *along);
-    } else if (d->face == CO_SIMULATION) {
-        outputs_derivative(d, d->state, calculated, along, of_state, along + FIRST_OUTPUT);
-    }
-    data_hold(d, d->state, calculated, held);
-    model_held_derivative(d->time, d->state, u, p, calculated, seed, of_start);
-    memcpy(of_state, of_start, N_STATES * sizeof *seed);
-    model_rates_derivative(d->time, held, u, p, calculated, seed, along + FIRST_DERIVATIVE);
-    if (!is_initial && d->face != CO_SIMULATION)
-        outputs_derivative(d, held, calculated, along, of_state, along + FIRST_OUTPUT);
-#else
-    if (is_initial)
-        model_initial_derivative(d->time, u, p, calculated, along, along + FIRST_OUTPUT);
-    else
-        outputs_derivative(d, d->state, calculated, along, NULL, along + FIRST_OUTPUT);
-#endif
-}
-
 /* 2.1.9. In initialization mode of what is calculated by parameters and inputs. Later, the rest of the state held, by
  * parameters and continuous states; and of outputs of model exchange, and of derivatives, by inputs too: at a
  * communication point no output depends directly on an input. */
@@ -107,8 +68,9 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
                                         const fmi2ValueReference vKnown_ref[], size_t nKnown, const fmi2Real dvKnown[],
                                         fmi2Real dvUnknown[]) {
     static const char *const function = "fmi2GetDirectionalDerivative";
+    static Derivatives *const functions[] = {model_initial_forward, model_step_forward, model_exchange_forward};
     Instance *instance = c;
-    double along[N_VARIABLES] = {0}, calculated[N_CALCULATED + 1];
+    double along[N_VARIABLES + 1] = {0}, result[N_VARIABLES + 1]; /* the last ones by the time */
     if (!are_allowed(instance, IS_INITIALIZED, REAL, vUnknown_ref, nUnknown, dvUnknown, function)) return fmi2Error;
     if (!are_allowed(instance, IS_INITIALIZED, REAL, vKnown_ref, nKnown, dvKnown, function)) return fmi2Error;
     const int is_initial = instance->data.mode == INITIALIZATION;
@@ -128,10 +90,8 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
         const fmi2Status status = report(instance, data_refresh(&instance->data, &broken), &broken, function, 0);
         if (status != fmi2OK) return status;
     }
-    model_calculate(d->value, calculated);
-    model_calculate_derivative(d->value, along, along + FIRST_CALCULATED);
-    known_derivatives(d, calculated, along);
-    for (size_t i = 0; i < nUnknown; i++) dvUnknown[i] = along[vUnknown_ref[i]];
+    functions[data_derived_in(d)](d->time, d->state, d->value + FIRST_INPUT, d->value, along, result);
+    for (size_t i = 0; i < nUnknown; i++) dvUnknown[i] = result[vUnknown_ref[i]];
     return fmi2OK;
 }
 

@@ -197,11 +197,8 @@ fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t 
  * outputs and derivatives, by continuous states too; always by the time. */
 
 #if !MODEL_HAS_DERIVATIVE /* outputs are the same at all times */
-#define model_exchange_forward model_step_forward
 #define model_exchange_adjoint model_step_adjoint
 #endif
-
-typedef void Derivatives(double t, const double *x, const double *u, const double *p, const double *v, double *along);
 
 static int is_known(unsigned reference, int is_initial) {
     return is_settable((int)reference) || reference == TIME || (is_state(reference) && !is_initial);
@@ -245,8 +242,7 @@ static fmi3Status derive(Instance *instance, int is_adjoint, const fmi3ValueRefe
     }
     for (size_t i = 0; i < nFrom; i++)
         for (unsigned j = 0; j < EXTENTS[from[i]]; j++) along[from[i] + j] += *seed++;
-    functions[is_initial ? 0 : d->face == CO_SIMULATION ? 1 : 2][is_adjoint](d->time, d->state, d->value + FIRST_INPUT,
-                                                                            d->value, along, result);
+    functions[data_derived_in(d)][is_adjoint](d->time, d->state, d->value + FIRST_INPUT, d->value, along, result);
     for (size_t i = 0; i < nTo; i++)
         for (unsigned j = 0; j < EXTENTS[to[i]]; j++) *sensitivity++ = result[to[i] + j];
     return fmi3OK;

@@ -294,4 +294,16 @@ static void data_indicators(const Data *d, const double *c, double *indicators) 
 #endif
 }
 
+/* Of what is calculated in a mode, by value reference, along those of what is known: t, x, u, p, v -> along. */
+typedef void Derivatives(double t, const double *x, const double *u, const double *p, const double *v, double *along);
+
+#if !MODEL_HAS_DERIVATIVE /* outputs are the same at all times */
+#define model_exchange_forward model_step_forward
+#endif
+
+/* Place of the function of the present mode among model_initial_forward, model_step_forward, model_exchange_forward. */
+static int data_derived_in(const Data *d) {
+    return d->mode == INITIALIZATION ? 0 : d->face == CO_SIMULATION ? 1 : 2;
+}
+
 #endif

@@ -5,7 +5,6 @@ platform as far as the elementary functions of its C library are.
 """
 
 import os
-import signal
 import struct
 import subprocess
 import sys
@@ -21,6 +20,7 @@ from typing import IO
 import ziglang
 
 from fmus.errors import ExportError
+from fmus.operating_system import kill_group
 from fmus.platforms import FMPY, TARGETS
 
 FLAGS = (
@@ -120,8 +120,7 @@ def _running(arguments: Sequence[str], folder: Path) -> Iterator[Callable[[], No
             yield partial(_end, arguments[0], process, output)
         finally:
             if process.poll() is None:  # of an interrupt, too: zig starts processes of its own
-                with suppress(ProcessLookupError):  # it has ended meanwhile
-                    process.kill() if os.name == "nt" else os.killpg(process.pid, signal.SIGKILL)
+                kill_group(process.pid)
 
 
 def _end(name: str, process: subprocess.Popen[bytes], output: IO[bytes]) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fmus.files import write_text_atomically
-from fmus.platforms import usable_processors
+from fmus.operating_system import usable_processors
 from fmus.registry import Flavour
 from orchestration.cli import shared
 from orchestration.cli.changes import NO_CHANGES, Changes, takes_changes

@@ -12,7 +12,7 @@ import typer
 
 from fmus.errors import MissingExtraError
 from fmus.files import write_text_atomically
-from fmus.platforms import usable_processors
+from fmus.operating_system import usable_processors
 from orchestration.cli import shared
 from orchestration.cli.changes import CONTROLLER, NO_CHANGES, OF_LOOP, PLANT, Changes, fmu_name, takes_changes
 from orchestration.cli.interrupts import INTERRUPTED

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fmus.errors import nearest
-from fmus.platforms import usable_processors
+from fmus.operating_system import usable_processors
 from fmus.registry import block_names
 from orchestration.cli import shared
 from orchestration.cli.changes import CONTROLLER, NO_CHANGES, OF_LOOP, Changes, takes_changes

@@ -10,7 +10,7 @@ import typer
 
 from fmus.errors import MissingExtraError
 from fmus.files import write_text_atomically
-from fmus.platforms import usable_processors
+from fmus.operating_system import usable_processors
 from orchestration.cli import shared
 from orchestration.cli.changes import CONTROLLER, NO_CHANGES, OF_LOOP, Changes, takes_changes
 from orchestration.errors import OrchestrationError
@@ -29,7 +29,7 @@ _RUNS = {"L1": ("nominal-l1", ""), "L1 with PI": ("nominal-extended", ""), "PID"
 
 @takes_changes(*OF_LOOP)
 def design(
-    plant: str,
+    plant: str = "RovDepthPlant",
     changes: Changes = NO_CHANGES,
     bandwidth: Annotated[float, typer.Option(min=0.0)] = 0.0,
     phase_margin: Annotated[float, typer.Option(min=1.0, max=80.0)] = 20.0,
@@ -39,7 +39,7 @@ def design(
 ) -> None:
     """Design L1, its PI extension and PID for a vehicle, and check them in every corner of its ranges.
 
-    plant PLANT: An .fmu, a block or its .py file.
+    plant FMU: Design for this vehicle, an .fmu, a block or its .py file.
     settings: Set plant.variable=value: data of the vehicle.
     mapped: Take this variable of the plant for plant.NAME.
     bandwidth RAD/S: Of A_m and of PID; by default the largest that fits.

@@ -38,9 +38,13 @@ def shape(experiment: Experiment) -> tuple[object, ...]:
 class Ensemble(LoadedSystem):
     """Many instances of a system of native FMUs that this user built, in groups that step at once.
 
-    Every instance has the bits of its own run by a `Simulator` (docs/how-to/ensembles.md says what that rests
-    on). The equations are compiled from the sources in the FMUs, once for each FMU, and kept in the user's
-    cache. A context manager, which frees the FMUs that the initial values are taken from.
+    Every instance has the bits of its own run by a `Simulator`: the exporter writes the same operations for
+    both, compiled without fused ones. Elementary functions are those of the C library; "Ensembles" in
+    docs/reference/master.md has the exceptions. Steps are as long, and what an event sets acts from the next
+    step. The sign of a NaN alone is left open. Both libraries must use one C library.
+
+    The equations are compiled from the sources in the FMUs, once for each FMU, and kept in the user's cache.
+    A context manager, which frees the FMUs that the initial values are taken from.
 
     instructions: "x86-64-v4", "x86-64-v3" or "portable", by default the best that this processor has
 

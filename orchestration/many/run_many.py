@@ -15,7 +15,7 @@ from time import perf_counter
 from typing import Any
 
 from fmus.fmi.description import describe, is_independent
-from fmus.platforms import usable_processors
+from fmus.operating_system import usable_processors
 from orchestration.errors import FmuWarning
 from orchestration.many.job import Batches, ClosedError, Done, Finished, Job, Place, Reduce, Run
 from orchestration.many.lane_library import LANES

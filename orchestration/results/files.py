@@ -5,7 +5,6 @@ import errno
 import io
 import itertools
 import json
-import os
 import re
 import shutil
 import tempfile
@@ -21,6 +20,7 @@ import numpy as np
 from fmus.errors import nearest
 from fmus.extras import require
 from fmus.files import open_atomically
+from fmus.operating_system import allocate
 from orchestration.errors import OrchestrationError
 from orchestration.results.formats import RecordingFormat
 
@@ -94,8 +94,8 @@ def _allocate(descriptor: int, size: int, path: Path) -> None:
     try:
         if shutil.disk_usage(path.parent).free < size:
             raise OSError(errno.ENOSPC, "")
-        if hasattr(os, "posix_fallocate") and size:
-            os.posix_fallocate(descriptor, 0, size)
+        if size:
+            allocate(descriptor, size)
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             raise OrchestrationError(

@@ -22,7 +22,7 @@ import numpy as np
 
 from fmus.errors import ExportError
 from fmus.native import compiled_library
-from fmus.platforms import usable_processors
+from fmus.operating_system import usable_processors
 from orchestration.run.loop import python_loop
 from orchestration.run.loop_data import LoopFunctions, Team, Wiring
 

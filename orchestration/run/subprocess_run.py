@@ -7,7 +7,6 @@ are there after it.
 import _thread
 import contextlib
 import math
-import os
 import pickle
 import tempfile
 import threading
@@ -23,6 +22,7 @@ import cloudpickle
 import numpy as np
 
 from fmus.fmi.process import Parent, ProcessEndedError, WorkerProcess
+from fmus.operating_system import allocate
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.results.recording import Recording
 from orchestration.run.error_estimate import with_error_estimate
@@ -130,10 +130,7 @@ def _mapped(path: Path, kind: type[np.generic], shape: tuple[int, ...], is_new: 
         size = max(math.prod(shape) * np.dtype(kind).itemsize, 1)
         try:
             with path.open("wb") as stream:
-                if hasattr(os, "posix_fallocate"):
-                    os.posix_fallocate(stream.fileno(), 0, size)
-                else:
-                    stream.truncate(size)
+                allocate(stream.fileno(), size)
         except OSError as error:
             raise OrchestrationError(
                 f"{path.parent}: no room for a record of {size / 1e6:.3g} MB, as a run with a timeout needs: "

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import combinations
 
-from fmus.platforms import usable_processors
+from fmus.operating_system import usable_processors
 from orchestration.errors import ScenarioError
 from orchestration.many.run_many import LocalRuns
 from orchestration.score import score_view

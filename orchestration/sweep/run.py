@@ -1,4 +1,4 @@
-"""Runs of a sweep, and its files: a journal while it runs, so that nothing is lost; one table at the end.
+"""Runs of a sweep, and its files: a journal while it runs, so that nothing done is lost; one table last.
 
 NAME.sweep.jsonl     while it runs: the journal, a row for each finished sample
 NAME.sweep.lock      while a process runs it
@@ -20,7 +20,7 @@ import numpy as np
 
 from fmus.files import write_bytes_atomically
 from fmus.fmi.variable_types import FmiValue
-from fmus.platforms import usable_processors
+from fmus.operating_system import usable_processors
 from orchestration.errors import SweepError
 from orchestration.many.job import Batches, Failure, Finished, Job, Place, Run
 from orchestration.many.journal import Journal

@@ -1,7 +1,6 @@
 """Checks that an experiment fits a system: signals, events and faults, and what FMUs and machine can do."""
 
 import math
-import os
 from collections import Counter
 from collections.abc import Collection
 from typing import Any
@@ -9,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from fmus.errors import nearest
+from fmus.operating_system import memory_size
 from orchestration.errors import SystemDefinitionError
 from orchestration.system.experiment import Experiment
 from orchestration.system.faults import Stuck
@@ -131,10 +131,8 @@ def check_memory(system: CheckedSystem, experiment: Experiment) -> None:
 
 def check_fits(size: int, what: str, advice: str) -> None:
     """Raises SystemDefinitionError for more bytes than the memory of this machine has."""
-    if not hasattr(os, "sysconf"):  # Windows
-        return
-    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    if size > memory:
+    memory = memory_size()
+    if memory and size > memory:
         raise SystemDefinitionError(
             f"{what} take {size / 1e9:.3g} GB: expected at most the {memory / 1e9:.3g} GB of this machine; "
             f"{advice}"

@@ -228,7 +228,8 @@ def _settings(system: CheckedSystem, experiment: Experiment) -> tuple[Setting, .
 
 def has_start_value(variable: ScalarVariable) -> bool:
     """Whether a variable that is no input can be set before the initialisation (FMI 2.0.5, 4.2.4)."""
-    if variable.variability == "constant" or variable.causality in ("input", "independent"):
+    never = ("input", "independent", "structuralParameter")
+    if variable.variability == "constant" or variable.causality in never:
         return False
     return variable.causality == "parameter" or variable.initial in ("exact", "approx")
 

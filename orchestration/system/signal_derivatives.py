@@ -2,10 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
-
-import numpy as np
 
 from orchestration.errors import ScenarioError
 from orchestration.system.signals import (
@@ -35,16 +32,6 @@ class Derivative(ArraySignal):
     def __post_init__(self) -> None:
         if self.order not in (1, 2):
             raise ScenarioError(f"derivative: order = {self.order!r}: expected 1 or 2")
-
-
-@dataclass(frozen=True)
-class _Values(ArraySignal):
-    """A curve by its function of times."""
-
-    function: Callable[[np.ndarray], np.ndarray]
-
-    def at(self, times: np.ndarray) -> np.ndarray:
-        return self.function(times)
 
 
 def with_derivatives(
@@ -86,59 +73,12 @@ def _instead(name: str, of: str, sources: Mapping[str, str]) -> str:
 
 def derivative(signal: Signal, order: int = 1, name: str = "derivative") -> Signal:
     """Returns the derivative of a signal, of order 1 or 2; `name` begins the error where there is none."""
-    rates: dict[type, Callable[[Any, int], Signal]] = {
-        Ramps: _of_ramps,
-        Cosine: _of_cosine,
-        Sines: _of_sines,
-        Constant: lambda signal, order: Constant(0.0),
-        Table: _of_table,
-    }
-    if type(signal) not in rates:
+    if not isinstance(signal, Constant | Cosine | Ramps | Sines | Table):
         known = "ramps, cosine, sines, constant or table"
         raise ScenarioError(
             f'signals."{name}": expected the derivative of {known}, got {type(signal).__name__}'
         )
-    return rates[type(signal)](signal, order)
-
-
-def _of_ramps(ramps: Ramps, order: int) -> Signal:
-    if not ramps.smooth:
-        times, values = zip(*ramps.points, strict=True)
-        return _of_table(Table(times, values), order)
-
-    def at(times: np.ndarray) -> np.ndarray:
-        values = np.zeros(times.shape)
-        for (t_0, x_0), (t_1, x_1) in pairwise(ramps.points):
-            inside = slice(*np.searchsorted(times, (t_0, t_1)))
-            s = (times[inside] - t_0) / (t_1 - t_0)
-            values[inside] = (x_1 - x_0) / (t_1 - t_0) ** order * _quintic_rate(s, order)
-        return values
-
-    return _Values(at)
-
-
-def _quintic_rate(s: np.ndarray, order: int) -> np.ndarray:
-    """Returns the derivative by s of 10 s^3 - 15 s^4 + 6 s^5."""
-    return 30.0 * (s * (1.0 - s)) ** 2 if order == 1 else 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
-
-
-def _of_cosine(cosine: Cosine, order: int) -> Signal:
-    omega = cosine.angular_frequency
-    return Cosine(cosine.amplitude * omega**order, omega, cosine.phase + 0.5 * np.pi * order)
-
-
-def _of_sines(sines: Sines, order: int) -> Signal:
-    omega = np.asarray(sines.angular_frequencies)
-    amplitudes, phases = np.asarray(sines.amplitudes), np.asarray(sines.phases)
-    return Sines(amplitudes * omega**order, omega, phases + 0.5 * np.pi * order)
-
-
-def _of_table(table: Table, order: int) -> Signal:
-    times, values = np.asarray(table.times), np.asarray(table.values)
-    if table.hold or order == 2 or len(times) == 1:
-        return Constant(0.0)
-    slopes = [0.0, *(np.diff(values) / np.diff(times)), 0.0]
-    return Table([times[0] - 1.0, *times], slopes, hold=True)
+    return signal.derivative(order)
 
 
 KINDS: dict[str, Callable[..., Signal]] = {

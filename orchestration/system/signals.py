@@ -65,6 +65,29 @@ class Ramps(ArraySignal):
         values[np.searchsorted(times, end, side="right") :] = last
         return values
 
+    def derivative(self, order: int) -> Signal:
+        """Returns the derivative of order 1 or 2."""
+        if self.smooth:
+            return _RampRates(self.points, order)
+        times, values = zip(*self.points, strict=True)
+        return Table(times, values).derivative(order)
+
+
+@dataclass(frozen=True)
+class _RampRates(ArraySignal):
+    """The derivative of quintic ramps through (time, value), 0 before the first and after the last point."""
+
+    points: Sequence[Sequence[float]]
+    order: int
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        values = np.zeros(times.shape)
+        for (t_0, x_0), (t_1, x_1) in pairwise(self.points):
+            inside = slice(*np.searchsorted(times, (t_0, t_1)))
+            s = (times[inside] - t_0) / (t_1 - t_0)
+            values[inside] = (x_1 - x_0) / (t_1 - t_0) ** self.order * _quintic_rate(s, self.order)
+        return values
+
 
 @dataclass(frozen=True)
 class Cosine(ArraySignal):
@@ -80,6 +103,11 @@ class Cosine(ArraySignal):
 
     def at(self, times: np.ndarray) -> np.ndarray:
         return self.offset + self.amplitude * np.cos(self.angular_frequency * times + self.phase)
+
+    def derivative(self, order: int) -> "Cosine":
+        """Returns the derivative of an order."""
+        omega = self.angular_frequency
+        return Cosine(self.amplitude * omega**order, omega, self.phase + 0.5 * np.pi * order)
 
 
 @dataclass(frozen=True)
@@ -104,6 +132,10 @@ class Constant(ArraySignal):
 
     def at(self, times: np.ndarray) -> np.ndarray:
         return np.full(times.shape, self.value)
+
+    def derivative(self, order: int) -> "Constant":
+        """Returns 0."""
+        return Constant(0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +168,14 @@ class Table(ArraySignal):
         near = GRID_TOLERANCE * np.diff(known).min(initial=np.inf) if len(known) > 1 else 0.0
         return values[np.maximum(np.searchsorted(known, times + near, side="right") - 1, 0)]
 
+    def derivative(self, order: int) -> Signal:
+        """Returns the derivative of order 1 or 2; a jump has none, and 0 stands for it."""
+        times, values = np.asarray(self.times), np.asarray(self.values)
+        if self.hold or order == 2 or len(times) == 1:
+            return Constant(0.0)
+        slopes = [0.0, *(np.diff(values) / np.diff(times)), 0.0]
+        return Table([times[0] - 1.0, *times], slopes, hold=True)
+
 
 def _convert_to_floats(signal: Constant | Cosine) -> None:
     """Converts all members to floats."""
@@ -160,6 +200,11 @@ def _is_pair(point: Any) -> bool:
 def _quintic(s: np.ndarray) -> np.ndarray:
     """Returns 10 s^3 - 15 s^4 + 6 s^5: 0 to 1 with zero first and second derivatives at both ends."""
     return s * s * s * (10.0 + s * (6.0 * s - 15.0))
+
+
+def _quintic_rate(s: np.ndarray, order: int) -> np.ndarray:
+    """Returns the derivative by s of 10 s^3 - 15 s^4 + 6 s^5."""
+    return 30.0 * (s * (1.0 - s)) ** 2 if order == 1 else 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
 
 
 _LOWEST, _HIGHEST = 0.5, 4.0  # of the peak frequency; JONSWAP has 0.4 % of its variance above
@@ -197,6 +242,11 @@ class Sines(ArraySignal):
         for amplitude, omega, phase in zip(*map(np.asarray, arrays), strict=True):
             values += amplitude * np.sin(omega * times + phase)
         return values
+
+    def derivative(self, order: int) -> "Sines":
+        """Returns the derivative of an order."""
+        omega, phases = np.asarray(self.angular_frequencies), np.asarray(self.phases)
+        return Sines(np.asarray(self.amplitudes) * omega**order, omega, phases + 0.5 * np.pi * order)
 
 
 def sine(amplitude: float, frequency: float, phase: float = 0.0, offset: float = 0.0) -> Sines:

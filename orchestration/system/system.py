@@ -144,6 +144,11 @@ class CheckedSystem:
                 f"{purpose}: no component {component!r} for {name!r}; {nearest(component, self.components)}"
             )
         if name not in self.ports:
+            left_out = self.descriptions[component].left_out.get(name.partition(".")[2])
+            if left_out:
+                raise SystemDefinitionError(
+                    f"{purpose}: {name} has type {left_out}: expected a number, a Boolean or a String"
+                )
             candidates = [known for known in self.ports if known.startswith(component + ".")]
             raise SystemDefinitionError(f"{purpose}: no variable {name!r}; {nearest(name, candidates)}")
         return self.ports[name]

@@ -18,16 +18,15 @@ from fmus.platforms import host_platform, library_name
 from orchestration.results.recording import Recording
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
-from tests.page_examples import examples
 
-PAGE = Path(__file__).parents[2] / "docs" / "tutorials" / "from-pythonfmu-modelica-or-c.md"
+FOLDER = Path(__file__).parents[2] / "docs" / "tutorials" / "other-tools"
 HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
 
 
 @pytest.fixture
 def c_pid(tmp_path: Path) -> Path:
-    """The FMU of the page's C files."""
-    files = {Path(example.file).name: example.code for example in examples(PAGE) if example.file}
+    """The FMU of the tutorial's C files."""
+    files = {path.name: path.read_text(encoding="utf-8") for path in FOLDER.iterdir()}
     headers = Path(fmpy.__file__).parent / "c-code"
     sources = {name: (headers / name).read_text(encoding="utf-8") for name in HEADERS}
     sources |= {name: files[name] for name in ("Pid.h", "Pid.c", "fmi.c")}

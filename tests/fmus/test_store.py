@@ -64,7 +64,7 @@ def test_what_belongs_to_another_user_is_not_trusted(
 def test_what_belongs_to_root_is_trusted(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An image of a container may hold FMUs that root built; root can replace this program too."""
     monkeypatch.setattr(os, "geteuid", lambda: path.stat().st_uid + 1)
-    monkeypatch.setattr("fmus.store._ROOT", path.stat().st_uid)
+    monkeypatch.setattr("fmus.operating_system._ROOT", path.stat().st_uid)
     assert reason_for_distrust(path) == ""
 
 

@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from datetime import date
 from importlib.metadata import version
+from itertools import compress
 from pathlib import Path
 from statistics import median
 from typing import Annotated
@@ -167,8 +168,11 @@ def machine(states: Sequence[State]) -> str:
 
 
 def markdown(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Returns a table without the columns that no row fills."""
     rule = ["---", *["---:"] * (len(headings) - 1)]
-    return "".join(f"| {' | '.join(row)} |\n" for row in (headings, rule, *rows))
+    filled = [any(column) for column in zip(*rows, strict=True)]
+    lines = [compress(row, filled) for row in (headings, rule, *rows)]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def check_places(pages: Sequence[Path], names: Iterable[str]) -> None:

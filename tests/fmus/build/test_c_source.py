@@ -88,5 +88,6 @@ def test_items_beyond_a_word_are_refused() -> None:
 
 def write_fmu(block: Block, folder: Path) -> Path:
     _, members = native_flavour.content(block)
-    libraries = native_flavour.libraries(block.name, members, ())
+    with native_flavour.compiled_libraries(block.name, members, ()) as compiled:
+        libraries = compiled()
     return write_archive(folder / f"{block.name}.fmu", members | libraries)

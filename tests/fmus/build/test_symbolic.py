@@ -1,4 +1,4 @@
-"""Which initial values follow from which parameters and inputs: the sparsity of the traced initialisation."""
+"""Which initial values follow from which parameters and inputs; traced functions grow as the block does."""
 
 from dataclasses import field, make_dataclass
 from typing import Any
@@ -7,7 +7,8 @@ import pytest
 
 from fmus.block import Block, variable
 from fmus.build import builder
-from fmus.build.symbolic import initial_dependencies, traced
+from fmus.build.sensitivities import sensitivities
+from fmus.build.symbolic import traced
 from fmus.numerics import tanh
 
 
@@ -15,7 +16,7 @@ def test_the_plant_starts_independently_of_its_voltages() -> None:
     """Otherwise controller and plant would form a loop in initialisation mode."""
     plant = builder.load_block("RovDepthPlant")
     voltages = {v.value_reference for v in plant.variables if v.name.startswith("voltage")}
-    dependencies = initial_dependencies(plant)
+    dependencies = sensitivities(plant).initial.dependencies()
     for known in (dependencies[v.value_reference] for v in plant.variables if v.causality == "output"):
         assert not voltages & set(known)
 
@@ -23,7 +24,7 @@ def test_the_plant_starts_independently_of_its_voltages() -> None:
 def test_initial_outputs_of_the_controller_follow_its_measurement() -> None:
     controller = builder.load_block("L1DepthController")
     reference = {v.name: v.value_reference for v in controller.variables}
-    dependencies = initial_dependencies(controller)
+    dependencies = sensitivities(controller).initial.dependencies(controller.variables)
     assert reference["measured_depth"] in dependencies[reference["tracking_error"]]
     assert dependencies[reference["omega_hat"]] == (reference["input_gain"],)
 
@@ -55,7 +56,10 @@ def wide_block(width: int) -> Block:
 def test_the_operations_of_a_wide_block_grow_with_its_width() -> None:
     """Those of derivatives too: about ten times as many for ten times the width, not a hundred times."""
     narrow, wide = (
-        {name: function.n_instructions() for name, function in traced(block).functions().items()}
+        {
+            name: function.n_instructions()
+            for name, function in (traced(block).functions() | sensitivities(block).functions(2)).items()
+        }
         for block in (wide_block(10), wide_block(100))
     )
     assert {name for name in wide if wide[name] > 11 * narrow[name]} == set()

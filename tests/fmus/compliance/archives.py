@@ -55,5 +55,6 @@ def patched(patch: dict[str, str], folder: Path) -> Path:
         ]
         assert content[path].count(old.encode()) == 1
         content[path] = content[path].replace(old.encode(), new.encode())
-    libraries = native_flavour.libraries(PATCHED, content, ())
+    with native_flavour.compiled_libraries(PATCHED, content, ()) as compiled:
+        libraries = compiled()
     return files.write_archive(folder / "mutant.fmu", content | libraries)

@@ -80,7 +80,8 @@ def test_a_library_compiled_without_a_function_is_caught(tmp_path: Path) -> None
     source, name = content["sources/fmi2.c"], b"fmi2Status fmi2CancelStep("
     assert source.count(name) == 1
     content["sources/fmi2.c"] = source.replace(name, b"fmi2Status fmi2End(")
-    content |= native_flavour.libraries(NAME, content, ())
+    with native_flavour.compiled_libraries(NAME, content, ()) as compiled:
+        content |= compiled()
     broken = broken_rules(files.write_archive(tmp_path / "mutant.fmu", content))
     assert broken["library-exports"] == (
         f"{library_name(NAME, host_platform())} does not export fmi2CancelStep",

@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,15 @@ POINTS = 11
 DISCARDS = (Misdeed.DISCARD, Misdeed.TELLS_NOTHING)
 
 
+@pytest.fixture(params=[2, 3], ids=["FMI 2", "FMI 3"])
+def rogue(rogue: Build, request: pytest.FixtureRequest) -> Build:
+    """The rogue in each standard; in FMI 3.0 a step that it discards leaves it as it was."""
+    return partial(rogue, fmi=request.param)
+
+
+FMI_2_ALONE = pytest.mark.parametrize("rogue", [2], ids=["FMI 2"], indirect=True)
+
+
 @pytest.fixture
 def system(linear: Build, rogue: Build) -> System:
     return pair(linear, rogue)
@@ -44,12 +54,18 @@ def check_recorded_until(recording: Recording, points: int, system: System, comp
 
 
 ENDS = [
-    (Misdeed.ERROR, "rogue at t = 0.5 s: fmi2DoStep returned error: the rudder is stuck"),
-    (Misdeed.FATAL, "rogue at t = 0.5 s: fmi2DoStep returned fatal: the hull is breached"),
-    (Misdeed.REFUSE_INPUT, "rogue at t = 0.5 s: fmi2SetReal returned discard: no input is taken any more"),
-    (Misdeed.NO_STATUS_OF_STEP, "rogue at t = 0.5 s: fmi2DoStep returned status -5: it logged nothing"),
-    (Misdeed.BIG_STATUS_OF_STEP, "rogue at t = 0.5 s: fmi2DoStep returned status 6: it logged nothing"),
-    (Misdeed.NO_STATUS_OF_INPUT, "rogue at t = 0.5 s: fmi2SetReal returned status -5: it logged nothing"),
+    (Misdeed.ERROR, "rogue at t = 0.5 s: fmi.DoStep returned error: the rudder is stuck"),
+    (Misdeed.FATAL, "rogue at t = 0.5 s: fmi.DoStep returned fatal: the hull is breached"),
+    (
+        Misdeed.REFUSE_INPUT,
+        "rogue at t = 0.5 s: fmi(2SetReal|3SetFloat64) returned discard: no input is taken any more",
+    ),
+    (Misdeed.NO_STATUS_OF_STEP, "rogue at t = 0.5 s: fmi.DoStep returned status -5: it logged nothing"),
+    (Misdeed.BIG_STATUS_OF_STEP, "rogue at t = 0.5 s: fmi.DoStep returned status 6: it logged nothing"),
+    (
+        Misdeed.NO_STATUS_OF_INPUT,
+        "rogue at t = 0.5 s: fmi(2SetReal|3SetFloat64) returned status -5: it logged nothing",
+    ),
 ]
 
 
@@ -82,14 +98,14 @@ def test_a_state_that_is_refused_ends_the_run(
     system: System, compiled: bool, misdeed: Misdeed, complaint: str
 ) -> None:
     """A state is saved at each change of a parameter; when else, depends on how fast the steps are."""
-    message = f"rogue at t = 0.5 s: fmi2GetFMUstate returned {complaint}"
+    message = f"rogue at t = 0.5 s: fmi.GetFMU[sS]tate returned {complaint}"
     experiment = replace(doing(misdeed), events=(Event(0.5, {"lag.a": -1.0}),))
     recording = failure(system, experiment, compiled, message)
     assert len(recording.time) == 5
 
 
 def test_a_warning_is_passed_on_and_the_run_goes_on(system: System, compiled: bool) -> None:
-    with pytest.warns(FmuWarning, match="rogue at t = .* s: fmi2DoStep: .*the battery is low"):
+    with pytest.warns(FmuWarning, match="rogue at t = .* s: fmi.DoStep: .*the battery is low"):
         warned = run(system, doing(Misdeed.WARNING), compiled)
     assert np.array_equal(warned.values, run(system, doing(Misdeed.NONE), compiled).values)
 
@@ -139,6 +155,7 @@ def test_a_discarded_step_is_done_in_shorter_ones(
     assert recording.provenance["steps_between_points"] == 20
 
 
+@FMI_2_ALONE
 def test_the_part_of_a_step_that_succeeded_is_taken(system: System, compiled: bool) -> None:
     """0.1 s fails and gives 0.04 s, the rest fails and gives 0.04 s, then the rest."""
     recording = run(system, doing(Misdeed.DISCARD, 0.5, 0.04), compiled)
@@ -190,7 +207,7 @@ def test_a_step_that_cannot_be_repeated_ends_the_run(
     linear: Build, rogue: Build, compiled: bool, options: dict[str, Any], reason: str
 ) -> None:
     system = pair(linear, rogue, **options)
-    message = f"rogue at t = 0.5 s: fmi2DoStep returned discard: a step of 0.1 s is too long.*; {reason}"
+    message = f"rogue at t = 0.5 s: fmi.DoStep returned discard: a step of 0.1 s is too long.*; {reason}"
     message = message.replace("; ", "; no shorter step was tried, as ")
     recording = failure(system, doing(Misdeed.DISCARD, 0.5, 0.04), compiled, message)
     check_recorded_until(recording, 6, system, compiled)
@@ -200,7 +217,7 @@ def test_a_step_that_cannot_be_repeated_ends_the_run(
 def test_a_step_that_is_discarded_however_short_ends_the_run(
     system: System, compiled: bool, misdeed: Misdeed
 ) -> None:
-    message = r"rogue at t = 0.5 s: fmi2DoStep returned discard: a step of .*e-1. s is too long"
+    message = r"rogue at t = 0.5 s: fmi.DoStep returned discard: a step of .*e-1. s is too long"
     recording = failure(system, doing(misdeed), compiled, message)
     assert recording.time[-1] == pytest.approx(0.5)
 
@@ -208,6 +225,7 @@ def test_a_step_that_is_discarded_however_short_ends_the_run(
 LIES = [(Misdeed.TELLS_BEFORE, "0.4"), (Misdeed.TELLS_AFTER, "0.7"), (Misdeed.TELLS_NAN, "nan")]
 
 
+@FMI_2_ALONE
 @pytest.mark.parametrize(("misdeed", "reported"), LIES)
 def test_a_last_successful_time_outside_the_step_ends_the_run(
     system: System, compiled: bool, misdeed: Misdeed, reported: str

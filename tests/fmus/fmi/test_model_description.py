@@ -59,7 +59,8 @@ def plain(value: Any, like: Any) -> Any:
         return [plain(item, other) for item, other in zip(value, like, strict=True)]
     if not hasattr(like, "__dataclass_fields__"):
         return value
-    names = [name for name in vars(like) if not name.startswith("is_")]  # which FMPy does not tell
+    of_ours = {"elements", "left_out"}  # which FMPy does not tell, nor what begins with is_
+    names = [name for name in vars(like) if not (name.startswith("is_") or name in of_ours)]
     if {"variable", "dependencies"} == {*names}:
         dependencies = value.dependencies
         return value.variable.name, None if dependencies is None else [v.name for v in dependencies]

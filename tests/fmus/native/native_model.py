@@ -13,6 +13,7 @@ from functools import cache
 import casadi
 
 from fmus.block import Block
+from fmus.build.sensitivities import sensitivities
 from fmus.build.symbolic import Traced
 from fmus.fmi.variable_types import TRANSFER_TYPE
 
@@ -62,6 +63,7 @@ class Model:
 
     def __init__(self, block: Block, logging: bool) -> None:
         self.block, self._traced = block, _traced(block)
+        self._derivatives = sensitivities(block).functions(2)
         count = {c: len(block.of_causality(c)) for c in ("parameter", "calculatedParameter", "input")}
         self.calculated = slice(count["parameter"], count["parameter"] + count["calculatedParameter"])
         self.inputs = slice(self.calculated.stop, self.calculated.stop + count["input"])
@@ -272,22 +274,14 @@ class Model:
         if any(map(self.is_settable, unknown)) or not all(map(self.is_settable, known)):
             return self._error()
         d, p, u = self.data, self.data.values[: self.calculated.start], self.data.values[self.inputs]
-        along = [0.0] * len(self.data.values)
+        along = [0.0] * (len(self.block.variables) + len(self.block.states) + 1)
         for reference, value in zip(known, seed, strict=False):
             along[reference] += value
         if d.mode == INITIALIZATION and not self._refresh():
             return self._error()
-        c = self._calculate("calculate", p)
-        along[self.calculated] = self._calculate("calculate_derivative", p, along[: len(p)])
-        if d.mode == INITIALIZATION:
-            seeds = along[: self.outputs.start]
-            derivatives = self._calculate("initial_derivative", d.time, u, p, c, seeds)
-            along[self.outputs] = derivatives[: len(d.values[self.outputs])]  # states follow
-        else:
-            of_state = [0.0] * len(d.state) * (self.block.derivative is not None)
-            seeds = along[: self.inputs.start] + of_state
-            along[self.outputs] = self._calculate("output_derivative", d.time, d.state, p, c, seeds)
-        return OK, [along[r] for r in unknown]
+        mode = "initial" if d.mode == INITIALIZATION else "step"
+        derivatives = self._derivatives[f"{mode}_forward"](d.time, d.state, u, p, along)
+        return OK, [float(derivatives[r]) for r in unknown]
 
     # the rest
 

@@ -23,6 +23,7 @@ from fmus.build import builder
 from fmus.build.fmi3 import arrays, variable_names
 from fmus.compliance.examine import examine
 from fmus.errors import ExportError
+from fmus.fmi.description import describe, is_independent
 from fmus.native import toolchain
 from fmus.registry import Flavour
 from tests.shared_builds import Fmus
@@ -64,6 +65,17 @@ def outputs(fmu: Any, block: Block) -> list[Any]:
     return [
         read.get(v.type, fmu.slave.getInteger)([v.value_reference])[0] for v in block.of_causality("output")
     ]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_its_scalars_have_the_value_references_of_fmi_2(built: Fmus, fmi3_built: Fmus, name: str) -> None:
+    """By which vectors find them in a saved state; the time and event indicators are more."""
+    old, new = describe(built[name]), describe(fmi3_built[name])
+    assert is_independent(new)
+    scalars = {v.name: (v.valueReference, v.type, v.causality) for v in new.modelVariables}
+    for v in old.modelVariables:
+        assert scalars.pop(v.name) == (v.valueReference, v.type, v.causality)
+    assert {name.partition("[")[0] for name in scalars} <= {"time", "event.indicators"}
 
 
 @pytest.mark.parametrize("name", [*NAMES, EVERYTHING.name, BALL.name])

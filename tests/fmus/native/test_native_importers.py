@@ -78,8 +78,9 @@ def test_two_versions_in_one_process_do_not_see_each_other(built: Fmus, load: An
 
     changed = replace(block, derivative=twice)
     _, members = native_flavour.content(changed)
-    compiled = native_flavour.libraries(changed.name, members, ())
-    path = write_archive(tmp_path / "changed" / "ExamplePlant.fmu", members | compiled)
+    with native_flavour.compiled_libraries(changed.name, members, ()) as compiled:
+        libraries = compiled()
+    path = write_archive(tmp_path / "changed" / "ExamplePlant.fmu", members | libraries)
     fmus = load(built["ExamplePlant"]).begin(), load(path).begin()
     for fmu in fmus:
         fmu["control"] = 1.0

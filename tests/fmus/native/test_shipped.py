@@ -33,7 +33,8 @@ def library_of() -> Iterator[Callable[[Block, str, Mapping[str, bytes]], Shipped
     opened: list[ShippedLibrary] = []
 
     def one(block: Block, guid: str, members: Mapping[str, bytes]) -> ShippedLibrary:
-        (content,) = native.libraries(block.name, dict(members), ()).values()
+        with native.compiled_libraries(block.name, dict(members), ()) as libraries:
+            (content,) = libraries().values()
         opened.append(ShippedLibrary(block, guid, content))
         return opened[-1]
 

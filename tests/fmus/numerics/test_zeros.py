@@ -45,13 +45,14 @@ OTHERS = (
 
 
 def cells() -> Iterator[tuple[str, tuple[float, ...], str]]:
-    """Expression, its arguments and the cell, for every cell of the table."""
+    """Expression, its arguments and the cell, for every expression and cell of the table."""
     section = PAGE.read_text(encoding="utf-8").partition("## Zeros and ties\n")[2].partition("\n## ")[0]
     for line in section.splitlines():
-        if row := re.fullmatch(r"\| `(.+)` \| (.+) \|", line):
+        if row := re.fullmatch(r"\| (`.+`) \| (.+) \|", line):
             values = row[2].split(" | ")
             points = list(product(ZEROS, repeat=1 if len(values) == 2 else 2))
-            yield from ((row[1], point, value) for point, value in zip(points, values, strict=True))
+            for expression in re.findall("`([^`]+)`", row[1]):
+                yield from ((expression, point, value) for point, value in zip(points, values, strict=True))
 
 
 CELLS = list(cells())

@@ -15,7 +15,7 @@ Command = Callable[..., Any]
 @pytest.fixture
 def designed(command: Command) -> str:
     """What the command prints for the paper's vehicle; its files lie in out."""
-    printed: str = command("design", "RovDepthPlant", "--draws", "2", "--out", "out").stdout
+    printed: str = command("design", "--plant", "RovDepthPlant", "--draws", "2", "--out", "out").stdout
     return printed
 
 
@@ -45,7 +45,13 @@ def test_a_place_that_does_not_settle_ends_the_command_and_writes_nothing(
     """The rules do not know the dead zone."""
     zones = [f"plant.thruster_dead_zone[{i}]=11.9" for i in (1, 2)]
     done = command(
-        "design", "RovDepthPlant", *(part for z in zones for part in ("--set", z)), "--draws", "0", expect=1
+        "design",
+        "--plant",
+        "RovDepthPlant",
+        *(part for z in zones for part in ("--set", z)),
+        "--draws",
+        "0",
+        expect=1,
     )
     assert re.search(r"L1: does not settle at the start values; \d+ more runs do not: no file", done.stderr)
     assert not list(tmp_path.rglob("*.toml"))
@@ -62,4 +68,4 @@ def test_a_place_that_does_not_settle_ends_the_command_and_writes_nothing(
 def test_a_design_that_cannot_be_made_is_refused(
     command: Command, options: tuple[str, ...], message: str
 ) -> None:
-    assert re.search(message, command("design", "RovDepthPlant", *options, expect=1).stderr)
+    assert re.search(message, command("design", "--plant", "RovDepthPlant", *options, expect=1).stderr)

@@ -191,7 +191,7 @@ def test_a_variable_without_its_component_is_offered_with_it(
     message = error("run", "short.toml", "--set", "kp=10")  # L1 has none
     assert message.endswith("known: 'controller', 'plant'; of a variable, component.variable=value")
     assert "--set kp: expected controller.kp=value" in error("score", "PidDepthController", "--set", "kp=1")
-    assert "mass: expected plant.mass" in error("design", "RovDepthPlant", "--set", "mass=3")
+    assert "mass: expected plant.mass" in error("design", "--plant", "RovDepthPlant", "--set", "mass=3")
 
 
 def test_an_fmu_whose_outputs_alone_are_not_joined_is_not_said_to_have_open_inputs(
@@ -269,8 +269,8 @@ def test_what_is_no_vehicle_is_told_which_variables_one_has(
 ) -> None:
     """Its outputs are listed, not its hundred parameters."""
     (tmp_path / "dive.csv").touch()
-    options = ("--data", "dive.csv", "--free", "kp") if name == "fit" else ()
-    message = error(name, "L1DepthController", *options)
+    options = ("--data", "dive.csv", "--free", "kp") if name == "fit" else ("--plant",)
+    message = error(name, *options, "L1DepthController")
     assert message.startswith(
         "l1-depth: plant is L1DepthController, which lacks plant.depth, so it is no vehicle: expected an "
         "output depth, and an input control_force or inputs voltage[1] and voltage[2]; name the output that "
@@ -295,6 +295,6 @@ def test_a_design_does_not_name_parameters_that_it_designs(command: Command, tmp
     (tmp_path / "rover.vehicle.toml").write_text(
         '[variables]\ninertia = "mass"\nnet_weight = "net_weight"\nsensor_period = "sensor_period"\n'
     )
-    stderr = command("design", "rover.py", "--bandwidth", "99", expect=1).stderr
+    stderr = command("design", "--plant", "rover.py", "--bandwidth", "99", expect=1).stderr
     assert "no L1 for rover" in stderr
     assert "of the actuators" not in stderr

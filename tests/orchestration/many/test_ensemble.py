@@ -186,7 +186,8 @@ GROWING = Block(
 def growing(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("growing") / "Growing.fmu"
     _, content = native.content(GROWING)
-    write_archive(path, content | native.libraries(GROWING.name, content, ()))
+    with native.compiled_libraries(GROWING.name, content, ()) as libraries:
+        write_archive(path, content | libraries())
     record_build(path.read_bytes())
     return path
 

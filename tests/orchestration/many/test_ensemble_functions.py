@@ -168,7 +168,8 @@ WAVES = Block(
 
 def build(path: Path, block: Block = BLOCK, **options: bool) -> System:
     _, members = native.content(block, **options)
-    write_archive(path, members | native.libraries(block.name, members, ()))
+    with native.compiled_libraries(block.name, members, ()) as libraries:
+        write_archive(path, members | libraries())
     record_build(path.read_bytes())
     return System({"block": path})
 

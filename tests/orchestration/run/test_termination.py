@@ -1,7 +1,8 @@
-"""A component that discards a step to terminate the simulation (FMI 2.0.5, 4.2.3) ends the run there."""
+"""A component that terminates the simulation (FMI 2.0.5, 4.2.3; 3.0.2, 4.2.1) ends the run there."""
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -16,6 +17,18 @@ from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.rogue_systems import doing, pair, run
 from tests.shared_builds import Build
+
+
+@pytest.fixture(params=[2, 3], ids=["FMI 2", "FMI 3"])
+def rogue(rogue: Build, request: pytest.FixtureRequest) -> Build:
+    """The rogue in each standard: a step that ends the simulation is discarded in FMI 2.0 alone."""
+    return partial(rogue, fmi=request.param)
+
+
+@pytest.fixture(params=[2, 3], ids=["FMI 2", "FMI 3"])
+def stair(stair: Build, request: pytest.FixtureRequest) -> Build:
+    return partial(stair, fmi=request.param)
+
 
 ROUNDING = 1e-12  # relative: the last step ends at 0.55 s, or is 0.05 s long
 

@@ -1,6 +1,9 @@
 """Faults: the arrays that the master applies, against what a receiver would get sample by sample."""
 
+import inspect
 import math
+import re
+import runpy
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -282,10 +285,11 @@ def test_a_slow_component_holds_its_output_also_for_a_fault(linear: Build, algor
     assert run["b.u[1]"].tolist() == [sent[0], sent[0], *sent[:-2]]
 
 
-def test_every_kind_is_documented() -> None:
-    text = (Path(__file__).parents[3] / "docs" / "reference" / "scenarios.md").read_text(encoding="utf-8")
-    for kind in KINDS:
-        assert f'| `kind = "{kind}"` |' in text
+def test_every_kind_has_its_arguments_on_the_page_of_keys() -> None:
+    text = runpy.run_path(str(Path(__file__).parents[3] / ".ci" / "keys_page.py"))["page"]()
+    for kind, table in KINDS.items():
+        (row,) = re.findall(rf'^\| `kind = "{kind}"` \| \*\*`input`\*\*, (.*?) \|', text, re.M)
+        assert {*inspect.signature(table).parameters} <= set(re.findall(r"`(\w+)`", row))
 
 
 @pytest.mark.usefixtures("scenario_fmus")

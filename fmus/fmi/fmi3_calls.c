@@ -1,0 +1,327 @@
+/* An instance of an FMI 3.0 co-simulation FMU behind the functions of FMI 2.0 that the master calls, from its loop and
+   from Python. Clauses are those of FMI 3.0.2.
+
+   FMI 3.0 transfers whole arrays. The master knows their elements as scalars, row by row (2.2.7.1), each with a number
+   of its own in place of a value reference. Scalars of neighbouring whole arrays of one type are one call; a part of an
+   array is set by reading the array first. */
+
+#include <math.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "fmi3FunctionTypes.h"
+
+#ifdef _WIN32
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+
+/* Of the master: a value of `kind` is a double, an int (also for Booleans) or a string. */
+enum { REAL, INTEGER, TEXT };
+enum { DISCARD = fmi3Discard, LAST_SUCCESSFUL_TIME = 2, TERMINATED = 3 }; /* of FMI 2.0 */
+
+#define NUMBERS(X)                                                                        \
+    X(Float64, -INFINITY, INFINITY) X(Float32, -INFINITY, INFINITY)                       \
+    X(Int8, INT8_MIN, INT8_MAX) X(UInt8, 0, UINT8_MAX) X(Int16, INT16_MIN, INT16_MAX)     \
+    X(UInt16, 0, UINT16_MAX) X(Int32, INT32_MIN, INT32_MAX) X(UInt32, 0, UINT32_MAX)      \
+    X(Int64, -INFINITY, INFINITY) X(UInt64, 0, INFINITY) X(Boolean, -INFINITY, INFINITY)
+#define TYPE_OF(Name, low, high) Name,
+enum { NUMBERS(TYPE_OF) String };
+
+#define NAMES_OF(Name, low, high) {"fmi3Get" #Name, "fmi3Set" #Name, low, high},
+static const struct {
+    const char *function[2];
+    double low, high;
+} TYPES[] = {NUMBERS(NAMES_OF){{"fmi3GetString", "fmi3SetString"}, 0, 0}};
+
+typedef fmi3Status Transfer(fmi3Instance instance, const fmi3ValueReference *references, size_t n_references,
+                            void *values, size_t n_values);
+
+/* In the order of `_FUNCTIONS` of fmi3.py. */
+typedef struct {
+    fmi3FreeInstanceTYPE *FreeInstance;
+    fmi3EnterInitializationModeTYPE *EnterInitializationMode;
+    fmi3ExitInitializationModeTYPE *ExitInitializationMode;
+    fmi3TerminateTYPE *Terminate;
+    fmi3ResetTYPE *Reset;
+    fmi3GetFMUStateTYPE *GetFMUState;
+    fmi3SetFMUStateTYPE *SetFMUState;
+    fmi3FreeFMUStateTYPE *FreeFMUState;
+    fmi3SerializedFMUStateSizeTYPE *SerializedFMUStateSize;
+    fmi3SerializeFMUStateTYPE *SerializeFMUState;
+    fmi3DeserializeFMUStateTYPE *DeserializeFMUState;
+    fmi3DoStepTYPE *DoStep;
+    Transfer *transfer[String + 1][2]; /* get, set */
+} Functions;
+
+typedef struct {
+    int64_t type, reference;
+    int64_t first, size; /* scalars of its array */
+} Element;
+
+typedef struct {
+    fmi3Instance instance;
+    const Functions *call;
+    const Element *elements;
+    size_t n_elements;
+    fmi3LogMessageCallback log;
+    fmi3InstanceEnvironment environment;
+    fmi3ValueReference *references; /* of one call */
+    void *values;
+    char **texts; /* what was read last */
+    fmi3Boolean has_tolerance, has_stop;
+    double tolerance, start, stop;
+    double reached;
+    int has_reached, terminates; /* of the last step */
+    const char *refused; /* the last function that returned another status than ok */
+} Instance;
+
+static int noted(Instance *a, fmi3Status status, const char *function) {
+    if (status != fmi3OK) a->refused = function;
+    return status;
+}
+
+static int is_done(int status) { return status == fmi3OK || status == fmi3Warning; }
+
+static int refuse(Instance *a, const char *function, const char *text) {
+    a->log(a->environment, fmi3Error, "logStatusError", text);
+    return noted(a, fmi3Error, function);
+}
+
+/* Values */
+
+static double number(int64_t type, const void *values, size_t i) {
+    switch (type) {
+#define READ(Name, low, high) \
+    case Name: return (double)((const fmi3##Name *)values)[i];
+        NUMBERS(READ)
+    default: return 0;
+    }
+}
+
+static void put(int64_t type, void *values, size_t i, double x) {
+    switch (type) {
+#define WRITE(Name, low, high) \
+    case Name: ((fmi3##Name *)values)[i] = (fmi3##Name)x; break;
+        NUMBERS(WRITE)
+    default: break;
+    }
+}
+
+static int out_of_range(Instance *a, const Element *e, int is_set, double x, double low, double high) {
+    char text[128];
+    snprintf(text, sizeof text, "value reference %lu: %.17g: expected %.17g..%.17g, as %s", (unsigned long)e->reference, x,
+             low, high, is_set ? "the variable can hold" : "the master's integers are");
+    return refuse(a, TYPES[e->type].function[is_set], text);
+}
+
+static int to_fmu(Instance *a, int kind, const Element *e, size_t slot, const void *values, size_t i) {
+    if (kind == TEXT) {
+        ((fmi3String *)a->values)[slot] = ((const fmi3String *)values)[i];
+        return fmi3OK;
+    }
+    const double x = kind == REAL ? ((const double *)values)[i] : ((const int *)values)[i];
+    if (x < TYPES[e->type].low || x > TYPES[e->type].high)
+        return out_of_range(a, e, 1, x, TYPES[e->type].low, TYPES[e->type].high);
+    put(e->type, a->values, slot, x);
+    return fmi3OK;
+}
+
+static int from_fmu(Instance *a, int kind, const Element *e, size_t slot, void *values, size_t i) {
+    if (kind == TEXT) {
+        ((fmi3String *)values)[i] = ((const fmi3String *)a->values)[slot];
+        return fmi3OK;
+    }
+    const double x = number(e->type, a->values, slot);
+    if (kind == REAL) {
+        ((double *)values)[i] = x;
+        return fmi3OK;
+    }
+    if (x < INT32_MIN || x > INT32_MAX) return out_of_range(a, e, 0, x, INT32_MIN, INT32_MAX);
+    ((int *)values)[i] = (int)x;
+    return fmi3OK;
+}
+
+/* 2.2.7.2: strings that an FMU returns are only valid until its next call. */
+static void keep_texts(Instance *a, size_t first, size_t count) {
+    fmi3String *values = a->values;
+    for (size_t k = 0; k < count; k++) {
+        const char *text = values[k] ? values[k] : "";
+        char *copy = malloc(strlen(text) + 1);
+        free(a->texts[first + k]);
+        a->texts[first + k] = copy ? strcpy(copy, text) : NULL;
+        values[k] = copy;
+    }
+}
+
+static int exchange(Instance *a, const Element *e, size_t n, size_t size, int is_set) {
+    const fmi3Status status = a->call->transfer[e->type][is_set](a->instance, a->references, n, a->values, size);
+    return noted(a, status, TYPES[e->type].function[is_set]);
+}
+
+/* How many of `n` scalars are a whole array, in order. */
+static size_t whole(const Instance *a, const uint32_t numbers[], size_t n) {
+    const Element *e = a->elements + numbers[0];
+    size_t count = 0;
+    while (count < n && count < (size_t)e->size && numbers[count] == e->first + count) count++;
+    return count == (size_t)e->size ? count : 0;
+}
+
+static int transfer(Instance *a, int kind, int is_set, const uint32_t numbers[], size_t n, void *values) {
+    int worst = fmi3OK;
+    for (size_t i = 0, taken; i < n; i += taken) {
+        const Element *e = a->elements + numbers[i];
+        size_t n_arrays = 0, count, offset = 0, size = 0;
+        int status = fmi3OK;
+        for (taken = 0; i + taken < n; taken += count) {
+            const Element *next = a->elements + numbers[i + taken];
+            count = whole(a, numbers + i + taken, n - i - taken);
+            if (next->type != e->type || !count || taken + count > a->n_elements) break;
+            if (kind == TEXT && n_arrays) break;
+            a->references[n_arrays++] = (fmi3ValueReference)next->reference;
+        }
+        size = taken;
+        if (!n_arrays) {
+            a->references[n_arrays++] = (fmi3ValueReference)e->reference;
+            size = (size_t)e->size;
+            offset = numbers[i] - (size_t)e->first;
+            taken = 1;
+        }
+        if (!is_set || size > taken) {
+            status = exchange(a, e, n_arrays, size, 0);
+            if (!is_done(status)) return status;
+            if (kind == TEXT) keep_texts(a, (size_t)e->first, size);
+        }
+        for (size_t k = 0; k < taken; k++) {
+            const Element *scalar = a->elements + numbers[i + k];
+            const int fits = (is_set ? to_fmu(a, kind, scalar, offset + k, values, i + k)
+                                     : from_fmu(a, kind, scalar, offset + k, values, i + k));
+            if (fits != fmi3OK) return fits;
+        }
+        if (is_set) {
+            const int set = exchange(a, e, n_arrays, size, 1);
+            if (!is_done(set)) return set;
+            status = set > status ? set : status;
+        }
+        worst = status > worst ? status : worst;
+    }
+    return worst;
+}
+
+#define EXCHANGES(Name, kind, type)                                                          \
+    EXPORT int fmi2Get##Name(Instance *a, const uint32_t numbers[], size_t n, type *values) { \
+        return transfer(a, kind, 0, numbers, n, (void *)values);                             \
+    }                                                                                        \
+    EXPORT int fmi2Set##Name(Instance *a, const uint32_t numbers[], size_t n, type *values) { \
+        return transfer(a, kind, 1, numbers, n, (void *)values);                             \
+    }
+EXCHANGES(Real, REAL, double)
+EXCHANGES(Integer, INTEGER, int)
+EXCHANGES(Boolean, INTEGER, int)
+EXCHANGES(String, TEXT, fmi3String)
+
+/* Modes and steps */
+
+EXPORT int fmi2SetupExperiment(Instance *a, int has_tolerance, double tolerance, double start, int has_stop, double stop) {
+    a->has_tolerance = has_tolerance != 0;
+    a->has_stop = has_stop != 0;
+    a->tolerance = tolerance;
+    a->start = start;
+    a->stop = stop;
+    return fmi3OK;
+}
+
+EXPORT int fmi2EnterInitializationMode(Instance *a) {
+    const fmi3Status status = a->call->EnterInitializationMode(a->instance, a->has_tolerance, a->tolerance, a->start,
+                                                               a->has_stop, a->stop);
+    return noted(a, status, "fmi3EnterInitializationMode");
+}
+
+/* 4.2.1. A step that ends the simulation is discarded in FMI 2.0 (2.0.5, 4.2.3). */
+EXPORT int fmi2DoStep(Instance *a, double start, double size, int no_return_before_start) {
+    static const char *const function = "fmi3DoStep";
+    fmi3Boolean needs_event = fmi3False, terminates = fmi3False, is_early = fmi3False;
+    fmi3Float64 reached = start + size;
+    const fmi3Status status = a->call->DoStep(a->instance, start, size, no_return_before_start != 0, &needs_event,
+                                              &terminates, &is_early, &reached);
+    a->terminates = is_done(status) && terminates;
+    a->has_reached = is_done(status);
+    a->reached = reached;
+    if (a->terminates) return noted(a, fmi3Discard, function);
+    if (is_done(status) && is_early) return refuse(a, function, "earlyReturn is true: expected false, as it is not allowed");
+    if (is_done(status) && needs_event)
+        return refuse(a, function, "eventHandlingNeeded is true: expected false, as no event mode is used");
+    return noted(a, status, function);
+}
+
+EXPORT int fmi2GetRealStatus(Instance *a, int kind, double *value) {
+    if (kind != LAST_SUCCESSFUL_TIME || !a->has_reached) return fmi3Discard;
+    *value = a->reached;
+    return fmi3OK;
+}
+
+EXPORT int fmi2GetBooleanStatus(Instance *a, int kind, int *value) {
+    if (kind != TERMINATED) return fmi3Discard;
+    *value = a->terminates;
+    return fmi3OK;
+}
+
+/* Functions that differ in their names alone. */
+#define SAME(Old, Name, declared, passed) \
+    EXPORT int fmi2##Old declared { return noted(a, a->call->Name passed, "fmi3" #Name); }
+SAME(ExitInitializationMode, ExitInitializationMode, (Instance * a), (a->instance))
+SAME(Terminate, Terminate, (Instance * a), (a->instance))
+SAME(Reset, Reset, (Instance * a), (a->instance))
+SAME(GetFMUstate, GetFMUState, (Instance * a, fmi3FMUState *state), (a->instance, state))
+SAME(SetFMUstate, SetFMUState, (Instance * a, fmi3FMUState state), (a->instance, state))
+SAME(FreeFMUstate, FreeFMUState, (Instance * a, fmi3FMUState *state), (a->instance, state))
+SAME(SerializedFMUstateSize, SerializedFMUStateSize, (Instance * a, fmi3FMUState state, size_t *size),
+     (a->instance, state, size))
+SAME(SerializeFMUstate, SerializeFMUState, (Instance * a, fmi3FMUState state, fmi3Byte bytes[], size_t size),
+     (a->instance, state, bytes, size))
+SAME(DeSerializeFMUstate, DeserializeFMUState, (Instance * a, fmi3Byte bytes[], size_t size, fmi3FMUState *state),
+     (a->instance, bytes, size, state))
+
+/* Of this file */
+
+static void release(Instance *a) {
+    for (size_t i = 0; a->texts && i < a->n_elements; i++) free(a->texts[i]);
+    free(a->texts);
+    free(a->values);
+    free(a->references);
+    free(a);
+}
+
+EXPORT void fmi2FreeInstance(Instance *a) {
+    a->call->FreeInstance(a->instance);
+    release(a);
+}
+
+/* NULL without memory, and then `instance` is not freed. */
+EXPORT Instance *fmi3_behind(fmi3Instance instance, const Functions *call, const Element *elements, size_t n_elements,
+                             fmi3LogMessageCallback log, fmi3InstanceEnvironment environment) {
+    Instance *a = calloc(1, sizeof *a);
+    if (!a) return NULL;
+    a->instance = instance;
+    a->call = call;
+    a->elements = elements;
+    a->n_elements = n_elements;
+    a->log = log;
+    a->environment = environment;
+    a->references = calloc(n_elements + 1, sizeof *a->references);
+    a->values = calloc(n_elements + 1, sizeof(double));
+    a->texts = calloc(n_elements + 1, sizeof *a->texts);
+    if (a->references && a->values && a->texts) return a;
+    release(a);
+    return NULL;
+}
+
+/* The last function that returned another status than ok, once; NULL if there was none. */
+EXPORT const char *fmi3_refused(Instance *a) {
+    const char *function = a->refused;
+    a->refused = NULL;
+    return function;
+}

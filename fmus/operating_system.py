@@ -1,0 +1,122 @@
+"""What Linux, macOS and Windows do differently: processors, memory, processes and locks.
+
+Calls that not every system has stand here alone, each beside what is done without it.
+"""
+
+import contextlib
+import os
+import signal
+import stat
+import sys
+from collections.abc import Collection
+
+if sys.platform == "win32":
+    import msvcrt
+else:
+    import fcntl
+    import resource
+
+CAN_WATCH = sys.platform == "linux"
+"""Whether a process can wait for signals and for the end of a child at once."""
+_ROOT = 0  # this user can replace the program itself
+_WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
+_MOST_READERS = 1 << 20  # bytes of a lock in Windows: a process that shares it takes one of them
+
+
+def usable_processors() -> int:
+    """Returns the number of processors that this process may use: in a container perhaps not all."""
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+
+
+def memory_size() -> int | None:
+    """Returns the bytes of memory of this machine; None in Windows."""
+    return None if sys.platform == "win32" else os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
+def allocate(descriptor: int, size: int) -> None:
+    """Gives an empty file its size, of room that is taken at once in Linux; OSError without room."""
+    if sys.platform == "linux":
+        os.posix_fallocate(descriptor, 0, size)
+    else:
+        os.ftruncate(descriptor, size)
+
+
+def limit_process(memory: int, file_size: int) -> None:
+    """Limits the memory [B] of this process and the size of its files, without core dumps; not in Windows."""
+    if sys.platform != "win32":
+        limits = (
+            (resource.RLIMIT_DATA, memory),
+            (resource.RLIMIT_FSIZE, file_size),
+            (resource.RLIMIT_CORE, 0),
+        )
+        for kind, limit in limits:
+            _, hard = resource.getrlimit(kind)
+            bound = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
+            resource.setrlimit(kind, (bound, bound))
+
+
+def kill_group(leader: int) -> None:
+    """Ends the processes that one with a session of its own started, and itself; in Windows itself alone."""
+    with contextlib.suppress(OSError):  # they have ended
+        if sys.platform == "win32":
+            os.kill(leader, signal.SIGTERM)  # which ends it at once there
+        else:
+            os.killpg(leader, signal.SIGKILL)
+
+
+def lock(descriptor: int, shared: bool) -> None:
+    """Locks a file; one that is shared waits for one that is not. BlockingIOError if another has the lock."""
+    try:
+        if sys.platform == "win32":
+            os.lseek(descriptor, int.from_bytes(os.urandom(8)) % _MOST_READERS if shared else 0, os.SEEK_SET)
+            mode = msvcrt.LK_LOCK if shared else msvcrt.LK_NBLCK
+            msvcrt.locking(descriptor, mode, 1 if shared else _MOST_READERS)
+        else:
+            fcntl.flock(descriptor, fcntl.LOCK_SH if shared else fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except PermissionError as error:  # in Windows
+        raise BlockingIOError(*error.args) from None
+
+
+def reason_for_distrust(status: os.stat_result) -> str:
+    """Returns why others than the user and the administrator may have written a file; "" in Windows."""
+    if sys.platform == "win32":
+        return ""
+    if status.st_uid not in (_ROOT, os.geteuid()):
+        return "belongs to another user"
+    return "can be written by other users" if status.st_mode & _WRITABLE_BY_OTHERS else ""
+
+
+def fork(signals: Collection[int]) -> tuple[int, Collection[int]]:
+    """Returns the number of a child process, 0 in the child, and the signals that were blocked before.
+
+    In both, these signals and the end of a child are blocked. OSError if not `CAN_WATCH`.
+    """
+    if sys.platform != "linux":
+        raise OSError("no child process: expected Linux")
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {*signals, signal.SIGCHLD})
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # where it is ignored, a child leaves no status
+    return os.fork(), before
+
+
+def block_alone(signals: Collection[int]) -> None:
+    """Lets all other signals reach this process."""
+    if sys.platform != "win32":
+        signal.pthread_sigmask(signal.SIG_SETMASK, signals)
+
+
+def wait_for(child: int, signals: Collection[int]) -> int:
+    """Returns the status of a child at its end: an exit code, or minus the number of a signal.
+
+    Signals, which are blocked, are passed on, but for those of a terminal that reach the child too.
+    """
+    if sys.platform != "linux":
+        raise OSError("no child process: expected Linux")
+    while True:
+        received = signal.sigwaitinfo({*signals, signal.SIGCHLD})
+        if received.si_signo == signal.SIGCHLD:
+            number, status = os.waitpid(child, os.WNOHANG)
+            if number:
+                return os.waitstatus_to_exitcode(status)
+        # those of a process, and those of the terminal where the child has left it: an FMU called setsid
+        elif received.si_code <= 0 or os.getsid(child) != os.getsid(0):
+            os.kill(child, received.si_signo)
