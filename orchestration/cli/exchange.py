@@ -23,6 +23,7 @@ def package(
 ) -> None:
     """Write a scenario as an SSP package, with a parameter set for each scenario of its system.
 
+    name SCENARIO: Name of a shipped scenario, or a .toml file.
     out FILE: Write this package, or SCENARIO.ssp in this folder.
     version --ssp: Version of SSP.
     """
@@ -45,6 +46,7 @@ def export(
 ) -> None:
     """Write the closed loop of a scenario as a script that builds it in another tool, with its FMUs.
 
+    name SCENARIO: Name of a shipped scenario, or a .toml file.
     tool: Write for this tool.
     """
     from orchestration.cli import chosen_scenario

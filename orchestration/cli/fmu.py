@@ -13,7 +13,7 @@ from fmus.compliance import check as compliance
 from fmus.errors import ExportError
 from fmus.files import write_bytes_atomically
 from fmus.platforms import PLATFORMS, check_platforms
-from fmus.registry import FOLDER_VARIABLE, Flavour, block_names, fmu_folder
+from fmus.registry import Flavour, block_names, fmu_folder
 from orchestration.cli.shared import FlavourOption, fail, print_table, progress, refuse_without_effect
 
 if TYPE_CHECKING:
@@ -54,14 +54,7 @@ def build(
     ] = "",
     all_platforms: bool = False,
     out: Path | None = None,
-    cache: Annotated[
-        bool,
-        typer.Option(
-            "--cache",
-            help="Write to the folder in which scenarios look for FMUs, in your cache or where the "
-            f"environment variable {FOLDER_VARIABLE} says. Other commands build there what they need.",
-        ),
-    ] = False,
+    cache: bool = False,
     with_reference: bool = False,
     terminals: bool = False,
     reals_only: bool = False,
@@ -73,6 +66,8 @@ def build(
         control; all installed blocks by default.
     all_platforms: Compile for all platforms.
     out DIR: Write to this folder; by default fmus-built, or fmus-built/python.
+    cache: Write to the folder in which scenarios look for FMUs, in your cache or where the environment
+        variable L1_DEPTH_FMUS says. Other commands build there what they need.
     with_reference: Write the files of the FMI cross-check beside each FMU as well.
     terminals: Add terminalsAndIcons.xml of FMI 3.0, which FMI Library cannot read.
     reals_only: Describe every variable as a Real, for importers that know no other type (ROS 2's fmi_adapter,

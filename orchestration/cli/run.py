@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @takes_changes()
 def run(
-    name: Annotated[str, typer.Argument(autocompletion=shared.shipped_scenarios)],
+    name: shared.ScenarioArgument,
     out: shared.OutFolder = Path("results"),
     flavour: shared.FlavourOption = Flavour.NATIVE,
     changes: Changes = NO_CHANGES,

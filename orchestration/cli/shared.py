@@ -38,15 +38,7 @@ FlavourOption = Annotated[
     Flavour, typer.Option(help="Take FMUs of our blocks that run compiled code, or Python.")
 ]
 OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Write to this folder.")]
-ScenarioArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="SCENARIO",
-        help="Name of a shipped scenario, or a .toml file.",
-        autocompletion=shipped_scenarios,
-    ),
-]
-
+ScenarioArgument = Annotated[str, typer.Argument(autocompletion=shipped_scenarios)]
 
 FigureFormatsOption = Annotated[
     str,

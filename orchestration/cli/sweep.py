@@ -41,6 +41,7 @@ def sweep(
 ) -> None:
     """Run the samples of a scenario that has a table [sweep]; an interrupted sweep continues.
 
+    name SCENARIO: Name of a shipped scenario, or a .toml file.
     workers: Run so many samples at once on this machine; by default one for each core.
     isolated: Run FMUs in processes apart, also those that are known to need none.
     ensemble: Step samples of native FMUs together, in vectors, with the same rows; by default where it is
@@ -137,6 +138,7 @@ def margins(
 ) -> None:
     """Give the delay and gain margins of a scenario, by runs and, for our L1 controllers, in theory.
 
+    name SCENARIO: Name of a shipped scenario, or a .toml file.
     out DIR: Write margins.json to this folder.
     signal NAME: Judge this signal; by default that of a metric.
     window S S: Judge it in this time; by default where its reference holds.
