@@ -209,7 +209,9 @@ def test_one_file_runs_the_compiler() -> None:
 def test_one_file_knows_the_users_cache_and_holds_locks() -> None:
     """All else stores by kind and key, so that every entry is written, trusted and cleared in one way."""
     assert {name for name, path in MODULES.items() if '"Caches"' in text(path)} == {"fmus.store"}
-    assert {name for name, path in MODULES.items() if "operating_system.lock(" in text(path)} == {"fmus.store"}
+    assert {name for name, path in MODULES.items() if "operating_system.lock(" in text(path)} == {
+        "fmus.store"
+    }
     writers = {
         "fmus.build.builder",
         "fmus.build.policy",
