@@ -119,7 +119,7 @@ def test_a_part_that_fails_keeps_its_tables_and_loses_no_other(
 
 def test_a_place_that_is_missing_is_noticed_before_anything_is_measured(tmp_path: Path) -> None:
     (page := tmp_path / "page.md").write_text("<!-- table: machine -->\n")
-    with pytest.raises(typer.BadParameter, match=r"chains, commands, .*: expected one place"):
+    with pytest.raises(typer.BadParameter, match=r"commands, .*: expected one place"):
         speed.main(None, str(ROOT), False, [page])
 
 
