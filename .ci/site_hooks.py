@@ -2,13 +2,16 @@
 
 import ast
 import functools
+import json
 import os
+import re
 import sys
 import tempfile
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 
 sys.path.insert(0, str(Path(__file__).parent))  # mkdocs loads this file alone
 import blocks_page
@@ -17,11 +20,14 @@ import controllers_page
 import downloads
 import fmi2_page
 import keys_page
+import protocol_page
+import vehicles_page
 
 from fmus.files import write_archive
 
 ROOT = Path(__file__).parent.parent
 GALLERY = sorted((ROOT / "docs" / "gallery").glob("*.py"))
+EXPLANATION = ROOT / "docs" / "explanation"
 
 _GALLERY = """Scripts, each with the figure that it draws and the lines that it prints. They need FMUs:
 
@@ -32,6 +38,7 @@ l1-depth build ExamplePlant     # fmus-built/ExamplePlant.fmu
 """
 
 Contents = dict[str, str | bytes]
+CODE_PAGES = (blocks_page, controllers_page, fmi2_page, keys_page, protocol_page, vehicles_page)
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -39,6 +46,20 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for path, content in _generated().items():
         files.append(File.generated(config, path, content=content))
     return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Put the tables of the study of identification in their places: <!-- study: NAME -->."""
+    return re.sub(r"<!-- study: (.*) -->", lambda place: _study()[place[1]], markdown)
+
+
+@functools.cache
+def _study() -> dict[str, str]:
+    """Tables by name, from the results beside the page."""
+    sys.path.insert(0, str(EXPLANATION / "identification"))
+    import tables
+
+    return tables.tables(json.loads((EXPLANATION / "identification.json").read_text(encoding="utf-8")))
 
 
 @functools.cache  # once, when `mkdocs serve` builds again and again
@@ -55,7 +76,7 @@ def _generated() -> Contents:
             **_names(),
             **{
                 f"reference/{module.__name__.removesuffix('_page')}.md": module.page()
-                for module in (blocks_page, controllers_page, fmi2_page, keys_page)
+                for module in CODE_PAGES
             },
         }
 

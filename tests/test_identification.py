@@ -1,6 +1,7 @@
 """The scripts of docs/explanation/identification/ give the numbers of the page beside them."""
 
 import json
+import re
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -60,18 +61,9 @@ def points(exact: Any) -> dict[str, np.ndarray]:
 # The page
 
 
-@pytest.mark.parametrize("name", ["predictions", "fits", "effects"])
-def test_the_page_has_the_tables_of_the_study(name: str) -> None:
-    assert tables.tables(DOCUMENT)[name] in PAGE
-
-
-def test_the_page_has_what_the_nominal_row_narrows() -> None:
-    narrowed = {name: float(x) for name, x in next(iter(DOCUMENT["variants"].values()))["narrowed"].items()}
-    gains = ("depth_feedback_gain", "proportional_gain", "filter_bandwidth")
-    names = (*(f"controller.{gain}" for gain in gains), "adaptation_frequency")
-    shares = [f"{narrowed.pop(name):.2f}" for name in names]
-    assert f"of the range | {' | '.join(shares)} |" in PAGE
-    assert min(narrowed.values()) >= 0.8
+def test_the_page_has_a_place_for_each_table_of_the_study() -> None:
+    """The site puts them there."""
+    assert sorted(re.findall(r"^<!-- study: (.*) -->$", PAGE, re.M)) == sorted(tables.tables(DOCUMENT))
 
 
 def test_the_page_has_the_largest_errors_of_figures_that_were_left_out() -> None:
