@@ -13,7 +13,8 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
-sys.path.insert(0, str(Path(__file__).parent))  # mkdocs loads this file alone
+sys.path.insert(0, str(Path(__file__).parent.parent))  # mkdocs loads this file alone
+sys.path.insert(0, str(Path(__file__).parent))
 import blocks_page
 import comparison_page
 import controllers_page
@@ -24,6 +25,7 @@ import protocol_page
 import vehicles_page
 
 from fmus.files import write_archive
+from tests.speed import tables as speed
 
 ROOT = Path(__file__).parent.parent
 GALLERY = sorted((ROOT / "docs" / "gallery").glob("*.py"))
@@ -49,8 +51,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Put the tables of the study of identification in their places: <!-- study: NAME -->."""
-    return re.sub(r"<!-- study: (.*) -->", lambda place: _study()[place[1]], markdown)
+    """Put the tables of the study of identification and of measured speed in their places."""
+    markdown = re.sub(r"<!-- study: (.*) -->", lambda place: _study()[place[1]], markdown)
+    measured = speed.read(ROOT / "docs" / "performance.json")
+    return re.sub(r"<!-- speed: (.*) -->", lambda place: speed.markdown(measured[place[1]]), markdown)
 
 
 @functools.cache
