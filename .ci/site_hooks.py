@@ -40,6 +40,11 @@ l1-depth build ExamplePlant     # fmus-built/ExamplePlant.fmu
 """
 
 Contents = dict[str, str | bytes]
+RESULTS = {
+    "speed": "performance.json",
+    "study": "explanation/identification.json",
+    "survey": "explanation/survey/results.json",
+}
 CODE_PAGES = (blocks_page, controllers_page, fmi2_page, keys_page, protocol_page, vehicles_page)
 
 
@@ -51,19 +56,26 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Put the tables of the study of identification and of measured speed in their places."""
-    markdown = re.sub(r"<!-- study: (.*) -->", lambda place: _study()[place[1]], markdown)
-    measured = speed.read(ROOT / "docs" / "performance.json")
-    return re.sub(r"<!-- speed: (.*) -->", lambda place: speed.markdown(measured[place[1]]), markdown)
+    """Put the tables of results that are files in their places: <!-- KIND: NAME -->."""
+    places = rf"<!-- ({'|'.join(RESULTS)}): (.*) -->"
+    return re.sub(places, lambda place: _tables(place[1])[place[2]], markdown)
 
 
 @functools.cache
-def _study() -> dict[str, str]:
-    """Tables by name, from the results beside the page."""
-    sys.path.insert(0, str(EXPLANATION / "identification"))
-    import tables
+def _tables(kind: str) -> dict[str, str]:
+    """Tables by name, from a file of results."""
+    document = json.loads((ROOT / "docs" / RESULTS[kind]).read_text(encoding="utf-8"))
+    if kind == "study":
+        sys.path.insert(0, str(EXPLANATION / "identification"))
+        import tables
 
-    return tables.tables(json.loads((EXPLANATION / "identification.json").read_text(encoding="utf-8")))
+        return tables.tables(document)
+    if kind == "speed":
+        return {name: speed.markdown(rows) for name, rows in document.items()}
+    return {
+        name: "".join(f"| {' | '.join(row)} |\n" for row in (head, ["---"] * len(head), *rows))
+        for name, (head, *rows) in document.items()
+    }
 
 
 @functools.cache  # once, when `mkdocs serve` builds again and again
