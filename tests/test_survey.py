@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-FOLDER = Path(__file__).parent.parent / "docs" / "explanation" / "survey"
-sys.path.insert(0, str(FOLDER))
+sys.path.insert(0, str(Path(__file__).parent.parent / "docs" / "explanation" / "survey"))
 import survey  # pyright: ignore[reportMissingImports]
 
 sys.path.pop(0)
 
+FOLDER = Path(survey.__file__).parent
 FINDING = {"repository": "r", "revision": "0" * 40, "path": "a.fmu", "tool": "T", "year": "2020"}
 
 
