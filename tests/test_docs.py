@@ -16,7 +16,7 @@ PAGES = sorted((ROOT / "docs").rglob("*.md"))
 TEXTS = [*PAGES, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 MADE_WITH_THE_SITE = re.compile(
     r"docs/(downloads/|gallery/|explanation/figure_"
-    r"|reference/(commands|blocks|controllers|fmi2|keys|api/orchestration)\.md)"
+    r"|reference/(commands|blocks|controllers|fmi2|keys|protocol|vehicles|api/orchestration)\.md)"
 )
 TOOL_PAGES = [
     page for page in (ROOT / "docs" / "how-to" / "importing").glob("*.md") if page.name != "README.md"
