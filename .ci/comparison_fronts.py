@@ -8,8 +8,9 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from scipy import stats
+
 from orchestration.score.protocol import read_protocol
-from orchestration.score.statistics import rank_correlation
 
 DATA = Path(__file__).parent.parent / "docs" / "explanation" / "fronts.json"
 SENSITIVITY = DATA.with_name("sensitivity.json")
@@ -36,6 +37,12 @@ def _law(law: Mapping[str, Any]) -> dict[str, Any]:
 
 def _rounded(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}")
+
+
+def rank_correlation(first: Sequence[float], second: Sequence[float]) -> float:
+    """Returns Spearman's correlation of two columns over the rows that have a value in both."""
+    result: Any = stats.spearmanr(first, second, nan_policy="omit")
+    return float(result.statistic)
 
 
 class Fronts:

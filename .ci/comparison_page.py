@@ -24,11 +24,11 @@ from jinja2 import Environment, StrictUndefined
 from orchestration.results.figures import front_figure
 from orchestration.results.formats import FigureFormat
 from orchestration.score.closed_loop import GAINS
-from orchestration.score.compare import START, TUNED, part
 from orchestration.score.protocol import read_protocol
 from orchestration.score.protocol_format import DELAY_MARGIN
+from orchestration.score.run_metrics import EQUIVALENCE, paired, profile, ratios_to_best
+from orchestration.score.score import START, TUNED, part
 from orchestration.score.score_document import ManyRuns, MetricOverRuns, Row, Score
-from orchestration.score.statistics import EQUIVALENCE, compare, profile, rank_correlation, ratios_to_best
 from orchestration.score.tune import LARGEST_SPREAD
 from orchestration.score.tune_problem import LARGEST_CHANGE
 
@@ -131,11 +131,9 @@ class Numbers:
 
     def correlation(self, case: str) -> float:
         """Returns the rank correlation with the nominal RMSE, the lesser of tuned and as they come."""
-        nominal = next(iter(self.cases))
-        return min(
-            rank_correlation(*([row.cases[name].metrics["rmse"] for row in rows] for name in (nominal, case)))
-            for rows in (self.tuned, self.start)
-        )
+        pair, kinds = (next(iter(self.cases)), case), (self.tuned, self.start)
+        errors = ([[row.cases[name].metrics["rmse"] for row in rows] for name in pair] for rows in kinds)
+        return min(comparison_fronts.rank_correlation(*columns) for columns in errors)
 
     def errors(self, row: Row, case: str = "") -> MetricOverRuns:
         """Returns the RMSE of the draws of a case, by default of the plants."""
@@ -146,9 +144,7 @@ class Numbers:
         pairs = math.comb(len(self.tuned), 2)
         best, *others = sorted(self.tuned, key=lambda row: self.errors(row, case).median)
         least = self.errors(best, case).values
-        worse = {
-            r.name: compare(least, self.errors(r, case).values, pairs).verdict == "lower" for r in others
-        }
+        worse = {r.name: paired(least, self.errors(r, case).values, pairs).verdict == "lower" for r in others}
         return best, [row for row in others if not worse[row.name]]
 
     def ratios(self, cases: Sequence[str]) -> np.ndarray:
@@ -219,8 +215,8 @@ class Numbers:
 
     def median(self, values: Sequence[float]) -> str:
         """Returns the median of runs and its 95 % interval, as text."""
-        found = compare(values, np.zeros(len(values)))
-        return f"{found.median_difference:.3g} ({found.low:.3g} to {found.high:.3g})"
+        found = paired(values, np.zeros(len(values)))
+        return "{:.3g} ({:.3g} to {:.3g})".format(found.median_difference, *found.interval)
 
 
 def share(runs: ManyRuns) -> str:

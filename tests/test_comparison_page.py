@@ -16,12 +16,11 @@ import pytest
 from scipy import stats
 
 from fmus.fmi.description import describe
-from orchestration.score import compare
+from orchestration.score import score
 from orchestration.score.closed_loop import tuned_gains
 from orchestration.score.protocol import read_protocol
+from orchestration.score.run_metrics import distribution, holm, paired, proportion_interval
 from orchestration.score.score_document import ManyRuns, Row, Score
-from orchestration.score.statistics import compare as paired
-from orchestration.score.statistics import distribution, holm, proportion_interval
 from orchestration.score.tune import LARGEST_IMPROVEMENT
 from orchestration.score.vehicle import built
 from orchestration.system.system import Port
@@ -72,7 +71,7 @@ def test_the_page_is_short_and_begins_with_what_it_does_not_show() -> None:
 def test_the_headings_of_the_findings_are_those_of_the_run(document: Score, numbers: Any) -> None:
     """Names and numbers below them are filled in."""
     rows = {row.name: row for row in document.rows}
-    tuned = [row for row in document.rows if row.name.startswith(f"{compare.TUNED}/")]
+    tuned = [row for row in document.rows if row.name.startswith(f"{score.TUNED}/")]
     slow, quick = (rows[name].draws["nominal"].metrics["rmse"].values for name in ("start/l1-pi", "tuned/l1"))
     assert max(quick) < min(slow)
     identified = min(*rows["start/l1"].delay_margins, *rows["start/l1-pi"].delay_margins)
@@ -101,7 +100,7 @@ def test_delay_margins_are_over_the_noise_of_every_draw(document: Score, numbers
 def test_wider_ranges_lower_no_cost_of_a_law_that_ended_at_a_limit(numbers: Any) -> None:
     """By more than a search may where its cost is flat; each limit is ten times as far, or the FMU's."""
     protocol = read_protocol()
-    assert [row.name for row in numbers.limited()] == [f"{compare.TUNED}/{law}" for law in numbers.widened]
+    assert [row.name for row in numbers.limited()] == [f"{score.TUNED}/{law}" for law in numbers.widened]
     for law, entry in numbers.widened.items():
         table = protocol.controllers[law]
         known = {v.name: value_range(Port("", v)) for v in describe(built(table.fmu)).modelVariables}
@@ -165,7 +164,7 @@ def test_the_indices_are_of_the_vehicles_of_the_fronts(fronts: Any) -> None:
 
 def test_the_cases_that_repeat_the_nominal_one_are_those_that_do(document: Score) -> None:
     """Over the tuned controllers and over those as they come; the search needs its cases all the same."""
-    kinds = [compare.part(document, which).rows for which in (compare.TUNED, compare.START)]
+    kinds = [score.part(document, which).rows for which in (score.TUNED, score.START)]
     repeating = set[str]()
     for case, info in document.protocol.cases.items():
         pairs = [
@@ -202,11 +201,11 @@ def test_the_statistics_are_those_of_the_runs(document: Score) -> None:
             if metric.values:
                 statistics = [metric.median, metric.p95, metric.cvar]
                 assert statistics == pytest.approx(astuple(distribution(metric.values)), rel=ROUNDED)
-    assert all(plants(row).metrics["rmse"].values for row in compare.part(document, compare.TUNED).rows)
+    assert all(plants(row).metrics["rmse"].values for row in score.part(document, score.TUNED).rows)
 
 
 def test_the_differences_are_of_every_pair_on_the_same_plants(document: Score) -> None:
-    rows = compare.part(document, compare.TUNED).rows
+    rows = score.part(document, score.TUNED).rows
     pairs = list(combinations(rows, 2))
     assert [(e.scored, e.other) for e in document.differences] == [(a.name, b.name) for a, b in pairs]
     for entry, (first, second) in zip(document.differences, pairs, strict=True):
@@ -215,7 +214,7 @@ def test_the_differences_are_of_every_pair_on_the_same_plants(document: Score) -
         # two errors of rounding in a difference
         near = 2.0 * ROUNDED * float(np.nanmax([minuend, subtrahend]))
         assert entry.median_difference == pytest.approx(expected.median_difference, abs=near)
-        assert entry.interval == pytest.approx((expected.low, expected.high), abs=near)
+        assert entry.interval == pytest.approx(expected.interval, abs=near)
         assert entry.verdict == expected.verdict, (first.name, second.name)
     corrected = holm({entry.other + entry.scored: entry.p for entry in document.differences})
     assert [entry.p_holm for entry in document.differences] == pytest.approx(
@@ -227,7 +226,7 @@ def test_the_profile_is_that_of_the_draws_of_cases_that_are_not_tuned_on(
     document: Score, numbers: Any
 ) -> None:
     """Counted one by one: within twice the least error of all that did not fail."""
-    rows = compare.part(document, compare.TUNED).rows
+    rows = score.part(document, score.TUNED).rows
     cases = [name for name in rows[0].draws if not document.protocol.cases[name].tuned_on]
     within, total = dict.fromkeys((row.name for row in rows), 0), 0
     for case in cases:
@@ -276,8 +275,8 @@ def test_the_run_is_of_the_protocol_and_the_gains_that_ship(document: Score) -> 
     shipped = {name: (case.tuned_on, case.repeats_nominal) for name, case in protocol.cases.items()}
     run = {name: (case.tuned_on, case.repeats_nominal) for name, case in document.protocol.cases.items()}
     assert run == shipped
-    assert {row.name for row in document.rows} == {c.name for c in compare.controllers(protocol)}
+    assert {row.name for row in document.rows} == {c.name for c in score.controllers(protocol)}
     for row in document.rows:
         which, _, name = row.name.partition("/")
-        gains = tuned_gains(name) if which == compare.TUNED else {}
+        gains = tuned_gains(name) if which == score.TUNED else {}
         assert row.parameters == {**protocol.controllers[name].parameters, **gains}, row.name

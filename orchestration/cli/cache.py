@@ -18,9 +18,7 @@ _CONTENT = {
 
 
 def cache(
-    action: Annotated[
-        Literal["show", "clear"], typer.Argument(help="Show what is kept, or remove it.")
-    ] = "show",
+    action: Annotated[Literal["show", "clear"], typer.Argument()] = "show",
     kinds: Annotated[
         list[str] | None,
         typer.Argument(
@@ -38,6 +36,8 @@ def cache(
 
     What was used longest ago is removed by itself. Your results are not in the cache: an interrupted sweep or
     tuning continues from the files beside its results.
+
+    action: Show what is kept, or remove it.
     """
     for kind in kinds or ():
         if kind not in _CONTENT:

@@ -31,7 +31,6 @@ SCENARIOS = ("nominal-l1", "nominal-extended")
 # How far a fit may end from each figure of the nominal row: plain L1, extended L1
 TOLERANCES = {"settling_time": (3.0, 3.0), "rmse": (0.6, 0.25)}
 TARGETS = tuple(figure for figure in PUBLISHED if figure.where == "Table 1")
-AT_A_LIMIT = 1.05  # a gain this near to a limit of its search was stopped by it
 LARGEST_OVERSHOOT_PCT = 1.0  # "no significant overshoot", section 5.2
 OVERSHOOT_TOLERANCE_PCT = 0.25
 _NOT_SETTLED = 40.0  # tolerances: more than a run that settles can be away
@@ -156,7 +155,7 @@ def write(fit: IdentifiedGains, path: Path) -> None:
             "value": fit.gains[gain.name],
             "unit": gain.unit,
             "limits": [gain.low, gain.high],
-            "at_a_limit": min(fit.gains[gain.name] / gain.low, gain.high / fit.gains[gain.name]) < AT_A_LIMIT,
+            "at_a_limit": gain.is_at_a_limit(fit.gains[gain.name]),
             "why_these_limits": WHY_THESE_LIMITS[gain.name],
             "source": source,
         }

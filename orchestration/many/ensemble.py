@@ -5,10 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from fmus.errors import nearest
 from fmus.fmi.description import describe, is_independent
 from fmus.fmi.variable_types import FmiValue
-from fmus.platforms import INSTRUCTION_SETS, instruction_sets
+from fmus.platforms import instruction_sets
 from orchestration.errors import EnsembleError, OrchestrationError, SystemDefinitionError
 from orchestration.many.ensemble_loop import EnsembleLoop, check_memory, loop_library
 from orchestration.many.job import ENTRIES
@@ -57,10 +56,6 @@ class Ensemble(LoadedSystem):
     def __init__(self, system: System, instructions: str | None = None) -> None:
         available = instruction_sets()
         self.instructions = instructions or available[0]
-        if self.instructions not in INSTRUCTION_SETS:
-            raise EnsembleError(
-                f"instructions {instructions!r}: {nearest(self.instructions, INSTRUCTION_SETS)}"
-            )
         if self.instructions not in available:
             raise EnsembleError(f"instructions {instructions!r}: this processor has {', '.join(available)}")
         super().__init__(system)

@@ -7,17 +7,47 @@ the step of the scan may be missed. So a result is the first loss that was measu
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import groupby
+from typing import Any
 
 import numpy as np
 
 from fmus.fmi.variable_types import FmiValue
-from orchestration.margins.hold import MOVED, Hold, HoldRuns, LoopSignal, loop_inputs
-from orchestration.margins.margin_metric import Metric
-from orchestration.scenarios.scenario import Scenario
+from orchestration.margins.hold import MOVED, HoldRuns, LoopSignal, loop_inputs
 from orchestration.system.faults import Effect, InterpolatedDelay, Scale
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A metric of a margin.
+
+    value: not a number if it does not exist, infinite if nothing is lost; unit: "" where it has none
+    assumption: what it holds under; remark: what belongs to this metric alone
+    """
+
+    group: str
+    name: str
+    value: float
+    unit: str
+    assumption: str
+    source: str
+    remark: str = ""
+
+    @property
+    def shown(self) -> str:
+        """The value in a table."""
+        if math.isnan(self.value):
+            return "none"
+        return "not lost" if math.isinf(self.value) else f"{self.value:.4g}"
+
+    def document(self) -> dict[str, Any]:
+        """Returns the metric for JSON, which has neither infinity nor what is not a number: both are null."""
+        return {
+            **asdict(self),
+            "value": self.value if math.isfinite(self.value) else None,
+            "shown": self.shown,
+        }
 
 
 @dataclass(frozen=True)
@@ -76,11 +106,10 @@ class Scan:
 
 
 def scan(
-    chosen: Scenario | HoldRuns,
+    runs: HoldRuns,
     loop_signal: LoopSignal,
     grid: Grid = DELAYS,
     *,
-    hold: Hold | None = None,
     parameters: Mapping[str, FmiValue] = {},
     only_first_loss: bool = False,
     progress: Callable[[], object] = lambda: None,
@@ -90,27 +119,23 @@ def scan(
     A delay is interpolated on straight lines between communication points. The delays of the loop itself, of
     sampling, of communication and of the scenario's own faults, are there besides.
 
-    chosen: a scenario, or its runs, whose FMUs are loaded already
-    hold: what is judged, and when; by default `hold_of(scenario)`
     only_first_loss: end the scan there; `quiet_again` is then empty
-    Raises ScenarioError for a scenario without a hold or a loop, SimulationError if it fails as it is.
+    Raises ScenarioError for a scenario without a loop.
     """
-    with ExitStack() as stack:
-        runs = stack.enter_context(HoldRuns(chosen, hold)) if isinstance(chosen, Scenario) else chosen
-        inputs, before = loop_inputs(runs.prepared, runs.hold.signal, loop_signal), runs.count
+    inputs, before = loop_inputs(runs.prepared, runs.hold.signal, loop_signal), runs.count
 
-        def is_quiet(value: float) -> bool:
-            progress()
-            return runs.is_quiet(inputs, grid.effect(value), parameters)
+    def is_quiet(value: float) -> bool:
+        progress()
+        return runs.is_quiet(inputs, grid.effect(value), parameters)
 
-        values, quiet = grid.values(), list[bool]()
-        for value in values:
-            quiet.append(is_quiet(value))
-            if only_first_loss and not quiet[-1]:
-                break
-        margin, lost = _first_loss(is_quiet, grid, values, quiet)
-        again = _intervals(values, quiet) if not math.isnan(margin) else ()
-        return Scan(margin, lost, again[1:], runs.count - before)
+    values, quiet = grid.values(), list[bool]()
+    for value in values:
+        quiet.append(is_quiet(value))
+        if only_first_loss and not quiet[-1]:
+            break
+    margin, lost = _first_loss(is_quiet, grid, values, quiet)
+    again = _intervals(values, quiet) if not math.isnan(margin) else ()
+    return Scan(margin, lost, again[1:], runs.count - before)
 
 
 def _first_loss(

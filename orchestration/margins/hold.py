@@ -115,18 +115,12 @@ def _reachable(start: str, arrows: Iterable[tuple[str, str]]) -> set[str]:
     return reached
 
 
-@dataclass(frozen=True)
-class _Samples:
-    """The reduction of recordings to their samples of a signal from a time [s] on, shape (n,) of each run."""
-
-    signal: str
-    start: float
-
-    def __call__(self, runs: Recording) -> list[np.ndarray]:
-        samples = runs[self.signal][:, runs.time >= self.start]
-        if not samples.shape[1] or "terminated" in runs.provenance:
-            raise SimulationError("the run ended before the end of the hold", runs)
-        return [*samples]
+def _samples(runs: Recording, signal: str, start: float) -> list[np.ndarray]:
+    """Returns the samples of a signal from a time [s] on, shape (n,) of each run."""
+    samples = runs[signal][:, runs.time >= start]
+    if not samples.shape[1] or "terminated" in runs.provenance:
+        raise SimulationError("the run ended before the end of the hold", runs)
+    return [*samples]
 
 
 class HoldRuns(AbstractContextManager["HoldRuns"]):
@@ -155,7 +149,8 @@ class HoldRuns(AbstractContextManager["HoldRuns"]):
         self._local_runs = LocalRuns(1)
         self._make = make or partial(in_order, self._local_runs)
         self._job = Job(chosen.system, self._experiment, timeout)
-        self._reduce = _Samples(self.hold.signal, self.hold.start - self._experiment.time_resolution())
+        start = self.hold.start - self._experiment.time_resolution()
+        self._reduce = partial(_samples, signal=self.hold.signal, start=start)
         self.count = 0
         try:
             unchanged = self._samples((), {})

@@ -18,7 +18,7 @@ from orchestration.margins.l1_loop import Law, Observer, Pair, Plant
 from orchestration.scenarios.scenario import Scenario
 from orchestration.scenarios.toml_file import TomlFile
 from orchestration.scenarios.vehicle import VehicleValues, description_file, description_of
-from orchestration.system.prepared_run import PreparedRun, values_of
+from orchestration.system.prepared_run import values_of
 
 Values = Mapping[str, Any]
 """Variable -> value; of an enumeration, the name of its item."""
@@ -78,6 +78,8 @@ def design_of(chosen: Scenario, largest_reference: float, rest: float) -> Design
     linear_plant = plant_of(plant, values)
     if linear_plant is None:
         return None
+    theta = bound[:1] if values["regressor"] == "infinity_norm" else bound
+    largest = (*theta, values["sigma_bound"], half_width)
     is_gradient = values.get("adaptation_law", "projection") == "projection"
     return Design(
         law=law,
@@ -85,21 +87,12 @@ def design_of(chosen: Scenario, largest_reference: float, rest: float) -> Design
         lipschitz=lipschitz_constant(Regressor[str(values["regressor"]).upper()], bound),
         omegas=(centre - half_width, centre + half_width),
         frozen_gains=_frozen_gains(values, largest_reference),
-        gain_unit=_unit(prepared, f"{controllers[0]}.proportional_gain"),
+        gain_unit=prepared.system.ports[f"{controllers[0]}.proportional_gain"].variable.unit or "",
         has_rest=is_gradient and math.isfinite(law.kappa),
         controller=controllers[0],
         adaptation_gain=values["adaptation_gain"] if is_gradient else math.nan,
-        largest_parameters=_largest_parameters(values, bound),
+        largest_parameters=sum(x**2 for x in largest),
     )
-
-
-def _largest_parameters(values: Values, theta: Pair) -> float:
-    used = theta[:1] if values["regressor"] == "infinity_norm" else theta
-    return sum(x**2 for x in (*used, values["sigma_bound"], values["input_gain_uncertainty"]))
-
-
-def _unit(prepared: PreparedRun, name: str) -> str:
-    return prepared.system.ports[name].variable.unit or ""
 
 
 def _pair(values: Values, name: str) -> Pair:

@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.optimize import brentq
 
 _INFINITE = 1e6  # 1/s; a pole beyond it belongs to an algebraic equation
@@ -63,7 +64,7 @@ class LinearLoop:
                     matrix[row, index[name]] = coefficient
         return e[:, :-1], a[:, :-1], a[:, -1]
 
-    def response(self, frequencies: np.ndarray) -> Any:
+    def response(self, frequencies: npt.ArrayLike) -> Any:
         """Returns target / source at these frequencies [rad/s], a complex array of the same shape."""
         e, a, b = self.matrices
         s = 1j * np.asarray(frequencies, float)[..., np.newaxis, np.newaxis]
@@ -106,8 +107,10 @@ def margins(loop: LinearLoop) -> LinearMargins:
         return _UNSTABLE
     grid = _frequencies(loop)
     response = loop.response(grid)
-    delays = [(_delay_at(loop, w), w) for w in _roots(loop, grid, np.log(np.abs(response)), _log_modulus)]
-    gains = [1.0 / loop.response(np.array(w)).real for w in _roots(loop, grid, response.imag, _imaginary)]
+    unit = _roots(loop, grid, np.log(np.abs(response)), lambda values: np.log(np.abs(values)))
+    # the smallest delay with L(j w) e^(-j w delay) = 1, where |L| = 1
+    delays = [(float(np.angle(loop.response(w)) % (2.0 * math.pi) / w), w) for w in unit]
+    gains = [1.0 / loop.response(w).real for w in _roots(loop, grid, response.imag, np.imag)]
     delay, frequency = min(delays, default=(math.inf, math.nan))
     return LinearMargins(
         delay=delay,
@@ -128,20 +131,8 @@ def _frequencies(loop: LinearLoop) -> np.ndarray:
     return frequencies[frequencies >= _LOWEST]
 
 
-def _log_modulus(loop: LinearLoop, w: float) -> float:
-    return float(np.log(np.abs(loop.response(np.array(w)))))
-
-
-def _imaginary(loop: LinearLoop, w: float) -> float:
-    return float(loop.response(np.array(w)).imag)
-
-
 def _roots(loop: LinearLoop, grid: np.ndarray, values: np.ndarray, function: Any) -> list[float]:
-    """Frequencies at which the function of the loop is 0, between neighbours on the grid of unlike signs."""
+    """Returns the frequencies at which a function of the response is 0: between values of unlike signs."""
     changes = np.flatnonzero(np.sign(values[1:]) != np.sign(values[:-1]))
-    return [float(brentq(lambda w: function(loop, w), grid[i], grid[i + 1])) for i in changes]  # type: ignore[arg-type]
-
-
-def _delay_at(loop: LinearLoop, w: float) -> float:
-    """Returns the smallest delay [s] with L(j w) e^(-j w delay) = 1, where |L| = 1."""
-    return float(np.angle(loop.response(np.array(w))) % (2.0 * math.pi) / w)
+    roots: list[Any] = [brentq(lambda w: function(loop.response(w)), grid[i], grid[i + 1]) for i in changes]
+    return [float(root) for root in roots]

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from orchestration.errors import ScenarioError
-from orchestration.margins.fmu_margins import ADAPTATION_GAINS, parameter_metrics, run_metrics
+from orchestration.margins.fmu_margins import ADAPTATION_GAINS, Metric, parameter_metrics, run_metrics
 from orchestration.margins.hold import QUIET, Hold, HoldRuns, hold_of
 from orchestration.margins.l1_design import Design, design_of
-from orchestration.margins.margin_metric import Metric
 from orchestration.margins.theory_metrics import design_metrics, step_metrics
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.signals import values_at
@@ -70,15 +69,13 @@ def judge(
         metrics = [*design_metrics(design, ADAPTATION_GAINS)] if design else []
         if runs and measured:
             metrics += run_metrics(runs, progress)
-            for parameter, values in (over or _adaptation_gains(design)).items():
+            if design and design.has_gain and not over:
+                over = {f"{design.controller}.adaptation_gain": ADAPTATION_GAINS}
+            for parameter, values in over.items():
                 metrics += parameter_metrics(runs, parameter, values, progress)
         if design and measured and math.isfinite(design.adaptation_gain):
             metrics += step_metrics(chosen, progress)
     return Margins(chosen.name, tuple(metrics), tuple(not_judged))
-
-
-def _adaptation_gains(design: Design | None) -> dict[str, Sequence[float]]:
-    return {f"{design.controller}.adaptation_gain": ADAPTATION_GAINS} if design and design.has_gain else {}
 
 
 def _design(chosen: Scenario, runs: HoldRuns | None) -> Design | None:

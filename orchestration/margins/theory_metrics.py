@@ -15,10 +15,10 @@ from controller_fmu.design import (
     proportional_gain_range,
     smallest_bandwidth,
 )
+from orchestration.margins.fmu_margins import Metric
 from orchestration.margins.l1_design import Design
 from orchestration.margins.l1_loop import Law, Plant, loop
 from orchestration.margins.linear_margins import margins
-from orchestration.margins.margin_metric import Metric
 from orchestration.run.simulator import Simulator
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.signals import Constant

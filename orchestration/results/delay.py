@@ -10,7 +10,8 @@ and its least value follows from these. All A_k come from one correlation by FFT
 """
 
 import math
-from typing import Any, NamedTuple
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from orchestration.results.recording import Recording, along_time
 
 _PARTS = 60  # of the search: a signal leads if it is nearer at one part of lead than at 0
 _LAG_ERROR_S = 1e-4  # of the search where points are not equally spaced
-_MOST_POINTS = 2**17  # points of a reference
+_MOST_POINTS = 2**17  # of a reference whose sums are kept
 _NEAR, _EQUAL = 1e-9, 1e-6  # of a communication step: rounding of a delay, and of the distance of points
 
 
@@ -61,8 +62,9 @@ def _nearest_delays(signals: np.ndarray, reference: np.ndarray, count: int, larg
     """
     if count < 1:
         return np.full(len(signals), math.nan)
-    _, _, level, spectrum, squares, changes = _sums_of_reference(reference, count)
     points, length = signals.shape[-1], _length(signals.shape[-1])
+    sums = _sums_of_reference if reference.size <= _MOST_POINTS else _sums_of_reference.__wrapped__
+    level, spectrum, squares, changes = sums(reference.tobytes(), points, count)
     padded = np.zeros((len(signals), length))
     np.subtract(signals[:, count:], level, out=padded[:, count:points])
     spectra = np.fft.rfft(padded)
@@ -81,44 +83,22 @@ def _length(points: int) -> int:
     return 1 << (points - 1).bit_length()
 
 
-class _ReferenceSums(NamedTuple):
-    """Sums over the points of a reference, shape (n,) or (runs, n), from `first` on, for distances to it.
+@lru_cache(1)  # most runs have the reference of the one before
+def _sums_of_reference(reference: bytes, points: int, first: int) -> tuple[np.ndarray, ...]:
+    """Returns sums over the points of references from `first` on, each of shape (1, ...) or (runs, ...).
 
-    level: its mean; the rest is of the reference less that, of which less is lost to rounding
-    spectrum: conjugate; squares: sums of r_(i-k)^2, k = 0..first
-    changes: sums of (r_(i-k) - r_(i-k-1))^2, k = 0..first - 1
+    They are the mean; of the reference less that, of which less is lost to rounding, the conjugate of the
+    spectrum; sums of r_(i-k)^2, k = 0..first; and sums of (r_(i-k) - r_(i-k-1))^2, k = 0..first - 1.
     """
-
-    values: np.ndarray
-    first: int
-    level: np.ndarray
-    spectrum: np.ndarray
-    squares: np.ndarray
-    changes: np.ndarray
-
-
-_last: list[_ReferenceSums] = []  # or none: most runs have the reference of the one before
-
-
-def _sums_of_reference(reference: np.ndarray, first: int) -> _ReferenceSums:
-    """Returns the sums of a reference, shape (n,) or (runs, n), over its points from `first` on.
-
-    Those of the last reference are not computed again.
-    """
-    for last in _last:
-        if last.first == first and np.array_equal(last.values, reference):
-            return last
-    level = reference.mean(axis=-1, keepdims=True)
-    centred = np.atleast_2d(reference - level)
-    sums: Any = np.zeros((len(centred), centred.shape[-1] + 1), complex)
+    values = np.frombuffer(reference).reshape(-1, points)
+    level = values.mean(axis=-1, keepdims=True)
+    centred = values - level
+    sums: Any = np.zeros((len(centred), points + 1), complex)
     sums.real[:, 1:] = centred**2
     sums.imag[:, 1:-1] = np.diff(centred) ** 2
     np.cumsum(sums, axis=-1, out=sums)  # real and imaginary part take as long as one of them
     by_delay: Any = (sums[:, -first - 1 :] - sums[:, : first + 1])[:, ::-1]
-    spectrum = np.fft.rfft(centred, _length(centred.shape[-1])).conj()
-    result = _ReferenceSums(reference.copy(), first, level, spectrum, by_delay.real, by_delay.imag[:, 1:])
-    _last[:] = [result] if reference.size <= _MOST_POINTS else []
-    return result
+    return level, np.fft.rfft(centred, _length(points)).conj(), by_delay.real, by_delay.imag[:, 1:]
 
 
 def _searched_delay(time: np.ndarray, signal: np.ndarray, reference: np.ndarray, largest: float) -> float:

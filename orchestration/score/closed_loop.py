@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 from fmus.errors import nearest
 from fmus.fmi.description import describe, of_causality
 from fmus.fmi.variable_types import FmiValue
-from fmus.registry import Flavour
 from orchestration.errors import ScenarioError, ScenarioWarning, SimulationError
 from orchestration.many.job import Failure, Job, Run
 from orchestration.many.run_many import LocalRuns, Make, in_order
@@ -30,7 +29,7 @@ from orchestration.scenarios.layers import Layer
 from orchestration.scenarios.read_layers import file_layers, parameter_values, shipped_bases
 from orchestration.scenarios.scenario import Scenario
 from orchestration.score.protocol import REFERENCE, Case, Protocol, check_vehicle
-from orchestration.score.run_metrics import Judged, all_signals, declared, metrics_of
+from orchestration.score.run_metrics import all_signals, declared, judged, metrics_of
 from orchestration.score.vehicle import DEPTH, PREFIX, built
 from orchestration.system.experiment import Experiment
 from orchestration.system.signal_derivatives import derivative
@@ -52,7 +51,6 @@ class Controller:
 
     fmu: an .fmu, a block or its .py file; parameters: variable -> value, of what is not at its start value
     mapping: name of the depth control interface -> variable that stands for it
-    settings: "component.variable" -> value, of the other components
     reference_rates: whether the derivatives of the reference are connected, where it has inputs for them
     step: communication step [s] of its runs; 0: that of the protocol's base
     """
@@ -63,9 +61,7 @@ class Controller:
     title: str = ""
     parameters: Mapping[str, FmiValue] = field(default_factory=dict)
     mapping: Mapping[str, str] = field(default_factory=dict)
-    settings: Mapping[str, FmiValue] = field(default_factory=dict)
     open_inputs: str = "error"
-    flavour: Flavour = Flavour.NATIVE
     step: float = 0.0
 
     def variable(self, name: str) -> str:
@@ -184,10 +180,11 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
             ranges = vehicle.values(experiment.parameters).actuators.ranges
             actuators = replace(vehicle.actuators, ranges=ranges)
             stride = max(1, round(_judged_period(self.protocol.tables.base) / experiment.step_size))
-            judged = Judged(tuple(experiment.record), actuators, first.compute, stride)
+            of_signals = {"columns": tuple(experiment.record), "actuators": actuators, "stride": stride}
+            reduce = partial(judged, compute=first.compute, **of_signals)
             for run in (first, *others):
                 gains = {f"{OWN}{name}": value for name, value in run.gains.items()}
-                yield Run(None, with_values(experiment, gains), judged)
+                yield Run(None, with_values(experiment, gains), reduce)
 
     def scenario(self, case: Case) -> Scenario:
         """Returns the case as a scenario with this controller, without the values and gains of a run."""
@@ -223,14 +220,12 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
             loaded = scenario.load(
                 shipped_bases()[self.protocol.tables.base],
                 overrides,
-                controller.flavour,
                 layers=layers,
                 settings={
                     "controller": controller.fmu,
                     "plant": vehicle.fmu,
                     **settings,
                     **{name: value for name, value in vehicle.settings.items() if name not in driven},
-                    **controller.settings,
                 },
                 build=lambda fmu: built(str(fmu)),
             )

@@ -1,11 +1,14 @@
-"""The score: controllers in every case of the protocol, beside those that the protocol has.
+"""The score of controllers in every case of the protocol, beside those that it has, and their comparison.
 
-result = score([Controller("mine", "my.fmu")])
+result = score_controllers([Controller("mine", "my.fmu")])
 result.document.scored[0].cases["nominal"].metrics["rmse"]
+
+Rows of the comparison: "start/l1" has the start values of its FMU, which for L1 are the gains identified from
+the paper; "tuned/l1" has those of gains/l1.toml.
 """
 
 import secrets
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -15,14 +18,15 @@ from itertools import combinations
 from fmus.operating_system import usable_processors
 from orchestration.errors import ScenarioError
 from orchestration.many.run_many import LocalRuns
-from orchestration.score.closed_loop import ClosedLoop, Controller, tuned
+from orchestration.score import score_view
+from orchestration.score.closed_loop import ClosedLoop, Controller, built_in, tuned
 from orchestration.score.draws import LARGEST_SEED
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.protocol_format import COMPARED
-from orchestration.score.run_metrics import Trace
+from orchestration.score.run_metrics import Trace, holm, paired
 from orchestration.score.score_document import PairedDifference, Row, Score, protocol_info
 from orchestration.score.score_rows import LimitedRuns, Progress, RowTraces, Scoring, repeated
-from orchestration.score.statistics import compare, holm
+from orchestration.score.score_view import ScoreTable
 from orchestration.score.vehicle import built
 from orchestration.system.prepared_run import prepare
 
@@ -75,15 +79,10 @@ def score_controllers(
     return ScoreResult(document, {row.name: traces for row, traces in rows})
 
 
-def runs_each(protocol: Protocol, full: bool) -> int:
-    """Returns the number of runs of a controller's row."""
-    full_runs = protocol.tables.plants.count + sum(map(len, repeated(protocol, 0).values()))
-    return len(protocol.cases) + full * full_runs
-
-
 def run_count(controllers: int, protocol: Protocol, full: bool) -> int:
     """Returns the number of runs of a score of so many controllers beside those of the protocol."""
-    return (controllers + len(protocol.controllers)) * runs_each(protocol, full)
+    full_runs = protocol.tables.plants.count + sum(map(len, repeated(protocol, 0).values()))
+    return (controllers + len(protocol.controllers)) * (len(protocol.cases) + full * full_runs)
 
 
 def _with_other_names(controllers: Sequence[Controller], beside: Sequence[Controller]) -> list[Controller]:
@@ -130,22 +129,13 @@ def differences(pairs: Iterable[tuple[Row, Row]]) -> list[PairedDifference]:
 
 def _differences_in(metric: str, pairs: Sequence[tuple[Row, Row]]) -> list[PairedDifference]:
     compared = {
-        (first.name, second.name): compare(_values(first, metric), _values(second, metric), len(pairs))
+        (first.name, second.name): paired(_values(first, metric), _values(second, metric), len(pairs))
         for first, second in pairs
     }
     corrected = holm({names: comparison.p for names, comparison in compared.items()})
     return [
         PairedDifference(
-            scored=names[0],
-            other=names[1],
-            metric=metric,
-            pairs=comparison.pairs,
-            median_difference=comparison.median_difference,
-            interval=(comparison.low, comparison.high),
-            margin=comparison.margin,
-            verdict=comparison.verdict,
-            p=comparison.p,
-            p_holm=corrected[names],
+            scored=names[0], other=names[1], metric=metric, p_holm=corrected[names], **vars(comparison)
         )
         for names, comparison in compared.items()
     ]
@@ -153,3 +143,63 @@ def _differences_in(metric: str, pairs: Sequence[tuple[Row, Row]]) -> list[Paire
 
 def _values(row: Row, metric: str) -> list[float]:
     return row.plants.metrics[metric].values if row.plants else []
+
+
+START, TUNED = "start", "tuned"
+PAPERS = f"{TUNED}/l1-pi"  # the paper's controller
+
+
+def controllers(protocol: Protocol) -> list[Controller]:
+    """Returns every controller of the protocol, tuned and with the start values of its FMU."""
+    return [
+        replace(chosen(protocol, name), name=f"{which}/{name}")
+        for which, chosen in ((TUNED, tuned), (START, built_in))
+        for name in protocol.controllers
+    ]
+
+
+def compare(
+    protocol: Protocol,
+    full: bool = False,
+    seed: int | None = None,
+    workers: int = usable_processors(),
+    progress: Callable[[int], object] = lambda done: None,
+) -> ScoreResult:
+    """Returns the score of all, with `full` the differences of every pair of tuned controllers."""
+    papers, *others = sorted(controllers(protocol), key=lambda controller: controller.name != PAPERS)
+    result = score_controllers(
+        [papers], protocol, beside=others, full=full, seed=seed, workers=workers, progress=progress
+    )
+    result.document.differences = differences(combinations(part(result.document, TUNED).rows, 2))
+    return result
+
+
+def for_page(result: ScoreResult) -> ScoreResult:
+    """Returns the result with the gains of each row in its title, for a page that shows all rows together."""
+    endings = {TUNED: "tuned", START: "as it comes"}
+    rows = [
+        row.model_copy(update={"title": f"{row.title}, {endings[row.name.partition('/')[0]]}"})
+        for row in result.document.rows
+    ]
+    return replace(result, document=result.document.model_copy(update={"rows": rows}))
+
+
+def part(document: Score, which: str) -> Score:
+    """Returns the rows of one kind; each table of them marks the best of its columns."""
+    rows = [row for row in document.rows if row.name.startswith(f"{which}/")]
+    return document.model_copy(update={"rows": rows})
+
+
+def shown_tables(document: Score) -> dict[str, ScoreTable]:
+    """Returns the tables of the rows of each kind, by their names."""
+    made = {f"{which} overview": score_view.overview(part(document, which)) for which in (TUNED, START)}
+    rows = part(document, TUNED)
+    made[f"{TUNED} rmse"] = score_view.of_metric(rows, "rmse")
+    full = {"draws": score_view.over_draws(rows), "plants": score_view.over_plants(rows)}
+    return made | {f"{TUNED} {name}": table for name, table in full.items() if table}
+
+
+def with_papers_differences(document: Score) -> Score:
+    """Returns the score with the differences in RMSE between the paper's controller and others alone."""
+    entries = [e for e in document.differences if e.scored == PAPERS and e.metric == "rmse"]
+    return document.model_copy(update={"differences": entries})

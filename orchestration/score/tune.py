@@ -176,7 +176,8 @@ def searching(
                 search.tell()
         return tuple(search.result() for search in searches)
 
-    about = {**problem.tuned, **_what_is_searched(problem, evaluations)}
+    gains = {gain.name: [gain.low, gain.high] for gain in problem.gains}
+    about = {**problem.tuned, "gains": gains, "evaluations": evaluations, "optimiser": optimiser()}
     with Journal(path, about, "tuning") as journal:
         if restart:
             journal.discard()
@@ -201,34 +202,21 @@ def _evaluated(
     missing = [row["gains"] for row, finished in zip(rows, stored, strict=True) if finished is None]
     costs = iter(evaluate(missing))
     for row, finished in zip(rows, stored, strict=True):
-        if finished:
-            _check_same(row, finished, journal.path)
+        if finished and finished["gains"] != row["gains"]:
+            raise OrchestrationError(
+                f"{journal.path}: evaluation {row['evaluation']} of seed {row['seed']} has other gains than "
+                "the search asks for: expected the same libraries as before; --restart discards it"
+            )
         row.update(finished or next(costs))
         if not finished:
             journal.add([row])
         yield row
 
 
-def _what_is_searched(problem: Problem, evaluations: int) -> dict[str, Any]:
-    return {
-        "gains": {gain.name: [gain.low, gain.high] for gain in problem.gains},
-        "evaluations": evaluations,
-        "optimiser": optimiser(),
-    }
-
-
 def optimiser() -> str:
     """Returns the name of the search and the version of its library."""
     with imports_of("study", "tuning"):
         return f"CMA-ES (cmaes {version('cmaes')})"
-
-
-def _check_same(row: Mapping[str, Any], stored: Mapping[str, Any], path: Path) -> None:
-    if stored["gains"] != row["gains"]:
-        raise OrchestrationError(
-            f"{path}: evaluation {row['evaluation']} of seed {row['seed']} has other gains than the "
-            "search asks for: expected the same libraries as before; --restart discards it"
-        )
 
 
 class SeedSearch:

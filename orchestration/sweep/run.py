@@ -1,4 +1,4 @@
-"""Runs of a sweep, and its files: a journal while it runs, so that nothing done is lost; one table last.
+"""Runs of a sweep, and its files: a journal while it runs, so that nothing is lost; one table at the end.
 
 NAME.sweep.jsonl     while it runs: the journal, a row for each finished sample
 NAME.sweep.lock      while a process runs it
@@ -9,7 +9,8 @@ NAME.sweep.parquet   the table
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -51,24 +52,19 @@ class SweepRow(NamedTuple):
     recording: bytes | None = None
 
 
-@dataclass(frozen=True)
-class Rows:
-    """The rows of recordings: the reduction of each run to its row.
+def sweep_rows(
+    runs: Recording, declared: Mapping[str, Mapping[str, Any]], recorded: tuple[str, ...] | None
+) -> list[SweepRow]:
+    """Returns the row of each run of a recording with an axis of runs.
 
+    declared: metrics of the scenario
     recorded: signals of each sample to keep; empty for all, None for no recordings
     """
-
-    metrics: Mapping[str, Mapping[str, Any]]
-    recorded: tuple[str, ...] | None
-
-    def __call__(self, runs: Recording) -> list[SweepRow]:
-        """Returns the row of each run of a recording with an axis of runs."""
-        columns = {name: np.asarray(v).tolist() for name, v in metrics.evaluate(runs, self.metrics).items()}
-        count = len(runs.values)
-        rows = [{name: column[i] for name, column in columns.items()} for i in range(count)]
-        if self.recorded is None:
-            return [SweepRow(row) for row in rows]
-        return [SweepRow(row, _as_parquet(runs.run(i), self.recorded)) for i, row in enumerate(rows)]
+    columns = {name: np.asarray(v).tolist() for name, v in metrics.evaluate(runs, declared).items()}
+    rows = [{name: column[i] for name, column in columns.items()} for i in range(len(runs.values))]
+    if recorded is None:
+        return [SweepRow(row) for row in rows]
+    return [SweepRow(row, _as_parquet(runs.run(i), recorded)) for i, row in enumerate(rows)]
 
 
 def run_sweep(
@@ -150,14 +146,15 @@ def samples_of(
     plan: Plan, base: Experiment, numbers: Iterable[int], recorded: tuple[str, ...] | None = None
 ) -> Iterator[Run]:
     """Yields the runs of samples, which give rows; base: of `job_of`."""
-    numbers, reduce = iter(numbers), Rows(plan.scenario.metrics, recorded)
+    numbers = iter(numbers)
+    reduce = partial(sweep_rows, declared=plan.scenario.metrics, recorded=recorded)
     while block := list(islice(numbers, _DRAWN_AT_ONCE)):
         for number, values in zip(block, plan.block(block), strict=True):
             yield Run(SweepRun(number, values), with_values(base, values), reduce)
 
 
 def recorded_signals(text: str, plan: Plan) -> tuple[str, ...] | None:
-    """Returns `Rows.recorded` for a user's list of signals, separated by commas; "" is none, "all" is all."""
+    """Returns `recorded` of `sweep_rows` for signals separated by commas; "" is none, "all" is all."""
     if text in ("", "all"):
         return None if not text else ()
     names = tuple(dict.fromkeys(name.strip() for name in text.split(",")))

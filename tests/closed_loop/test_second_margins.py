@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from orchestration.margins.fmu_margins import DELAYS, scan
-from orchestration.margins.hold import LoopSignal
+from orchestration.margins.hold import HoldRuns, LoopSignal
 from orchestration.scenarios import scenario
 from tests.closed_loop.second_program import L1Case, LawStep, sampled
 from tests.closed_loop.shipped_case import noisy_case
@@ -39,7 +39,8 @@ def test_a_second_program_loses_its_quietness_at_the_delay_that_was_measured(
     of the noise from then on; the deviation in the hold changes by a tenth with them.
     """
     loaded = scenario.load(scenario.find(name), {"parameters": settings})
-    measured = scan(loaded, signal, only_first_loss=True)
+    with HoldRuns(loaded) as runs:
+        measured = scan(runs, signal, only_first_loss=True)
     case = noisy_case(replace(loaded, experiment=replace(loaded.experiment, stop_time=END)))
     apart, share = (DELAYS.resolution, 0.0) if settings else (2.0 * DELAYS.resolution, 0.1)
     assert is_quiet(case, signal, measured.margin - apart, (1.0 + share) * QUIET)

@@ -34,7 +34,7 @@ AT_WORK = {
     "report .": "orchestration.report.found_results",
     "score L1DepthController --out .": "orchestration.score.score.score_controllers",
     "tune l1-pi --out .": "orchestration.score.tune_problem.problem_of",
-    "compare --out .": "orchestration.score.compare.compare",
+    "compare --out .": "orchestration.score.score.compare",
     "margins nominal-l1": "orchestration.margins.margins.judge",
     "design RovDepthPlant --out .": "orchestration.design.rules.design_l1",
     "reproduce": "orchestration.scenarios.run_files.run_all",

@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from orchestration.design.check import check
-from orchestration.design.parameter_file import l1_gains, pid_gains
+from orchestration.design.parameter_file import check, l1_gains, pid_gains
 from orchestration.design.rules import Conditions
 from orchestration.design.vehicle_data import corners, drawn
 from orchestration.scenarios import scenario

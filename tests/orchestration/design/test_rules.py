@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from controller_fmu.design import FilterOrder, l1_condition
 from orchestration.design import rules
-from orchestration.design.check import DesignCheck
+from orchestration.design.parameter_file import DesignCheck
 from orchestration.design.rules import Conditions, L1Design, PidDesign, beta_of
 from orchestration.design.vehicle_data import VehicleData, data_of, draws_of
 from orchestration.errors import OrchestrationError

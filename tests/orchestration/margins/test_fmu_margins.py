@@ -4,11 +4,12 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from orchestration.errors import ScenarioError
-from orchestration.margins.fmu_margins import DELAYS, GAINS, scan
+from orchestration.margins.fmu_margins import DELAYS, GAINS, Scan, scan
 from orchestration.margins.hold import Hold, HoldRuns, LoopSignal, hold_of, loop_inputs
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
@@ -35,6 +36,11 @@ def integrator(linear: Callable[..., Path]) -> Scenario:
     return Scenario("integrator", "", system, Experiment(400.0, STEP), {})
 
 
+def scanned(chosen: Scenario, *arguments: Any, hold: Hold | None = HOLD, **options: Any) -> Scan:
+    with HoldRuns(chosen, hold) as runs:
+        return scan(runs, *arguments, **options)
+
+
 def sampled_gain_limit(steps: int) -> float:
     """The K at which x[n+1] = x[n] - K x[n - steps] is lost: Levin and May (1976)."""
     return 2.0 * math.sin(0.5 * math.pi / (2 * steps + 1))
@@ -45,7 +51,7 @@ def test_the_gain_margin_of_a_sampled_integrator_is_that_of_its_difference_equat
 ) -> None:
     """With Jacobi the control is a step old: x[n+1] = x[n] - g h x[n-1], lost at g h = 1."""
     grid = replace(GAINS, largest=30.0, step=1.5, resolution=1.001)
-    measured = scan(integrator, LoopSignal.CONTROL, grid, hold=HOLD)
+    measured = scanned(integrator, LoopSignal.CONTROL, grid)
     expected = sampled_gain_limit(1) / (GAIN * STEP)
     assert measured.margin == pytest.approx(expected, rel=0.003)  # the initial value excites other modes too
     assert measured.margin < measured.lost <= 1.001 * measured.margin
@@ -59,7 +65,7 @@ def test_the_delay_margin_of_a_sampled_integrator_is_that_of_its_difference_equa
     steps = next(m for m in range(1, 100) if sampled_gain_limit(m + 1) < GAIN * STEP)
     above, below = sampled_gain_limit(steps), sampled_gain_limit(steps + 1)
     part = (above - GAIN * STEP) / (above - below)
-    measured = scan(integrator, loop_signal, WIDE, hold=HOLD)
+    measured = scanned(integrator, loop_signal, WIDE)
     assert measured.margin == pytest.approx((steps - 1 + part) * STEP, abs=2e-3)
     assert measured.margin < measured.lost <= measured.margin + 1e-3
     continuous = 0.5 * math.pi / GAIN
@@ -70,7 +76,7 @@ def test_the_delay_margin_of_a_sampled_integrator_is_that_of_its_difference_equa
 def test_a_scan_can_end_at_the_first_loss(integrator: Scenario) -> None:
     grid = replace(WIDE, resolution=0.05)
     first, complete = (
-        scan(integrator, LoopSignal.MEASUREMENT, grid, hold=HOLD, only_first_loss=is_first)
+        scanned(integrator, LoopSignal.MEASUREMENT, grid, only_first_loss=is_first)
         for is_first in (True, False)
     )
     assert (first.margin, first.lost) == (complete.margin, complete.lost)
@@ -80,14 +86,14 @@ def test_a_scan_can_end_at_the_first_loss(integrator: Scenario) -> None:
 def test_a_scenario_that_is_not_quiet_has_no_margin(integrator: Scenario) -> None:
     unstable = replace(integrator, experiment=replace(integrator.experiment, parameters={"plant.a": 1.1}))
     grid = replace(DELAYS, largest=1.0, step=0.5)
-    measured = scan(unstable, LoopSignal.MEASUREMENT, grid, hold=HOLD)
+    measured = scanned(unstable, LoopSignal.MEASUREMENT, grid)
     assert math.isnan(measured.margin)
     assert measured.lost == 0.0
 
 
 def test_nothing_lost_is_infinite(integrator: Scenario) -> None:
     grid = replace(DELAYS, largest=0.4, step=0.2)
-    measured = scan(integrator, LoopSignal.MEASUREMENT, grid, hold=HOLD)
+    measured = scanned(integrator, LoopSignal.MEASUREMENT, grid)
     assert (measured.margin, measured.lost) == (0.4, math.inf)
 
 
@@ -103,7 +109,7 @@ def test_a_component_without_a_loop_is_refused(integrator: Scenario) -> None:
         experiment=replace(integrator.experiment, inputs={"plant.u[1]": 0.0}),
     )
     with pytest.raises(ScenarioError, match="no connection of a loop through plant"):
-        scan(open_loop, LoopSignal.MEASUREMENT, hold=HOLD)
+        scanned(open_loop, LoopSignal.MEASUREMENT)
 
 
 def test_the_hold_of_the_vehicle_is_the_last_part_of_its_longest_constant_reference(
@@ -132,5 +138,6 @@ def test_the_vehicle_bears_what_its_linear_loop_does_less_its_sampling(scenario_
 
     The law's own step costs less than another half. docs/explanation/margins.md has the figures.
     """
-    measured = scan(scenario.load(scenario.find("nominal-extended-ideal")), LoopSignal.CONTROL)
+    ideal = scenario.load(scenario.find("nominal-extended-ideal"))
+    measured = scanned(ideal, LoopSignal.CONTROL, hold=None)
     assert 0.4133 - 2.0 * 0.02 < measured.margin < 0.4133 - 1.5 * 0.02

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestration.margins.margin_metric import Metric
+from orchestration.margins.fmu_margins import Metric
 from orchestration.margins.margins import judge
 from orchestration.scenarios import scenario
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from orchestration.score import closed_loop, compare, score_view
-from orchestration.score.compare import part
+from orchestration.score import closed_loop, score, score_view
 from orchestration.score.protocol import Protocol, read_protocol
+from orchestration.score.score import part
 from orchestration.score.score_document import CaseResult, Row, Score, protocol_info
 
 GAINS = """
@@ -27,16 +27,16 @@ def small(small_protocol: Callable[..., Path], tmp_path: Path, monkeypatch: pyte
 
 
 def test_every_controller_stands_twice_tuned_and_as_it_comes(small: Protocol) -> None:
-    tuned, start = compare.controllers(small)
+    tuned, start = score.controllers(small)
     assert (tuned.name, start.name) == ("tuned/l1-pi", "start/l1-pi")
     assert start.parameters == {"augmentation": "pi"}
     assert tuned.parameters == {"augmentation": "pi", "proportional_gain": 12.5}
-    assert compare.run_count(small, full=True) == 2 * (2 + 3 + 2 * 2)
+    assert score.run_count(1, small, full=True) == 2 * (2 + 3 + 2 * 2)
 
 
 @pytest.mark.slow
 def test_the_comparison_is_a_score_of_both(small: Protocol) -> None:
-    document = compare.compare(small, workers=1).document
+    document = score.compare(small, workers=1).document
     assert [row.name for row in document.rows] == ["tuned/l1-pi", "start/l1-pi"]
     assert [row.name for row in document.scored] == ["tuned/l1-pi"]
     tuned, start = (row.cases["nominal"].metrics["rmse"] for row in document.rows)

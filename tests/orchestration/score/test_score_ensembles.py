@@ -1,5 +1,6 @@
-"""The plants of a row step together where that pays, and the row is the same to the last bit."""
+"""Plants of a row and evaluations of a tuning step together where that pays, with the same results."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -8,14 +9,16 @@ import pytest
 
 from orchestration import Ensemble
 from orchestration.many import ensemble
-from orchestration.many.job import Done, Run
+from orchestration.many.job import Done, Job, Run
 from orchestration.many.runners import Isolated
 from orchestration.score import score_rows
-from orchestration.score.closed_loop import ClosedLoop, Controller
+from orchestration.score.closed_loop import ClosedLoop, Controller, built_in
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.score import score_controllers
 from orchestration.score.score_document import ManyRuns
+from orchestration.score.tune_problem import LARGEST, costs, evaluations
 from tests.foreign_fmus import Misdeed
+from tests.orchestration.score.controllers import rogue_doing
 from tests.shared_builds import Build, built_once, session_folder
 
 MINE = Controller("mine", "L1DepthController")  # three signals of each plant
@@ -111,3 +114,54 @@ def test_plants_of_a_controller_of_another_tool_run_alone(plants_of: Scored, rog
     )
     assert result.failure_rate == 1.0
     assert groups == [1] * (1 + COUNT)
+
+
+GAINS = [
+    *({"filter_bandwidth": 0.3 + 0.1 * i, "proportional_gain": 20.0 * i} for i in range(9)),
+    {"filter_bandwidth": -1.0, "proportional_gain": 10.0},  # which the FMU refuses
+]
+
+
+@pytest.fixture
+def used(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
+    """Whether the jobs that processes get are made in vectors."""
+    vectors, use = list[bool](), Isolated.use
+
+    def note(self: Isolated, job: Job, is_vectors: bool) -> None:
+        vectors.append(is_vectors)
+        use(self, job, is_vectors)
+
+    monkeypatch.setattr(Isolated, "use", note)
+    return vectors
+
+
+@pytest.mark.slow
+def test_the_costs_are_those_of_single_evaluations(
+    protocol: Protocol, used: list[bool], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also of gains that fail, and of those that were in a group with them; the processes stay open."""
+    controller = built_in(protocol, "l1-pi")
+    monkeypatch.setattr(ensemble, "is_compiled", lambda *_: True)
+    with evaluations(controller, protocol, 2, len(GAINS)) as evaluate:
+        together = [*evaluate(GAINS)]
+        assert [*evaluate(GAINS[:2])] == together[:2]
+    assert used == [True, True]
+    with ClosedLoop(controller, protocol) as loop:
+        assert together[:-1] == [next(costs(loop, [gains])) for gains in GAINS[:-1]]
+    assert together[-1]["cost"] == LARGEST
+    assert "filter_bandwidth = -1.0: expected" in together[-1]["failure"]
+    assert all(math.isfinite(cost["cost"]) for cost in together)
+    assert len({cost["cost"] for cost in together}) == 10
+
+
+@pytest.mark.slow
+def test_gains_that_crash_a_controller_have_the_largest_cost_and_the_next_are_evaluated(
+    small_protocol: Callable[..., Path], rogue: Build, used: list[bool]
+) -> None:
+    controller, protocol = rogue_doing(rogue(), Misdeed.SEGFAULT), read_protocol(small_protocol())
+    with evaluations(controller, protocol, 1, 10_000) as evaluate:
+        crashed, later = evaluate([{"misdeed_time": 1.0}, {"misdeed_time": 1e9}])
+    assert used == [False]
+    assert crashed == {"cost": LARGEST, "failure": "the worker process ended: SIGSEGV"}
+    assert later["cost"] <= LARGEST
+    assert "failure" not in later
