@@ -15,8 +15,8 @@ The blocks that take the place of `L1DepthController` on the
 [depth control interface](depth-control-interface.md), as in
 `l1-depth run nominal-extended --controller PidDepthController`.
 They share its allocation, limit of the voltages and anti-windup; all but ADRC share its observer.
-So a comparison is one of laws. The law of `L1DepthController` is in [theory](../explanation/theory.md).
-`L1HeavePitchController`, at the end of this page, has that law for the depth and again for the pitch.
+So a comparison is one of laws. `L1DepthController` has the law of [theory](../explanation/theory.md).
+`L1HeavePitchController` has it for the depth and again for the pitch.
 `python .ci/controllers_page.py` prints this page from the code.
 
 | symbol | meaning |
@@ -40,22 +40,24 @@ _BLOCKS = (pid.BLOCK, mrac.BLOCK, sliding_mode.BLOCK, super_twisting.BLOCK, adrc
 
 def page() -> str:
     """The whole page."""
-    sections = [_section(block, _shared_names(), _shared_lines()) for block in _BLOCKS]
+    sections = [section(block, _shared_names(), _shared_lines()) for block in _BLOCKS]
     depth = depth_controller.BLOCK
     names = {v.name for v in depth.of_causality("parameter")}
-    both = _section(heave_pitch_controller.BLOCK, names, {*_lines(depth), ""})
-    return "\n\n".join([_HEAD, *sections, _what_they_share(), both]) + "\n"
+    own = section(depth, _shared_names(), _shared_lines())
+    both = section(heave_pitch_controller.BLOCK, names, {*lines(depth), ""})
+    return "\n\n".join([_HEAD, *sections, _what_they_share(), own, both]) + "\n"
 
 
-def _section(block: Block, shared_names: set[str], shared_lines: set[str]) -> str:
+def section(block: Block, shared_names: set[str], shared_lines: set[str]) -> str:
     """What the block has for itself."""
     own = [v for v in block.of_causality("parameter") if v.name not in shared_names]
     guide = block.guide
     sources = [source.text for source in guide.sources if source.text not in shared_lines]
+    equations = [line for line in guide.equations.splitlines() if line not in shared_lines]
     parts = (
         f"## {block.name}",
         f"{block.description}.",
-        _code(line for line in guide.equations.splitlines() if line not in shared_lines),
+        *([_code(equations)] if equations else []),
         _parameters(own),
         _list(line for line in (*guide.tuning, *guide.limits) if line not in shared_lines),
         *([f"Sources: {' '.join(sources)}"] if sources else []),
@@ -79,10 +81,10 @@ def _what_they_share() -> str:
 
 
 def _shared_lines() -> set[str]:
-    return _several(map(_lines, _BLOCKS))
+    return _several(map(lines, _BLOCKS))
 
 
-def _lines(block: Block) -> list[str]:
+def lines(block: Block) -> list[str]:
     """Lines of the guide of a block."""
     guide = block.guide
     sources = (source.text for source in guide.sources)

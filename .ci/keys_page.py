@@ -45,24 +45,26 @@ def _keys(nodes: Node, tables: Node) -> str:
         kind = node.get("type") or meant.get("type", "list or table")
         items = [f"`{value}`" for value in meant.get("enum", ())]
         rows.append((f"`{name}`", _text(node) or _text(meant), ", ".join(items) or TOML.get(kind, kind)))
-    return _table(("key", "meaning", "values"), rows)
+    return table(("key", "meaning", "values"), rows)
 
 
 def _kinds(node: Node, tables: Node) -> str:
     rows = []
     for alternative in node["oneOf"]:
-        table = tables.get(alternative.get("$ref", "").rpartition("/")[2])
-        if not table:
+        definition = tables.get(alternative.get("$ref", "").rpartition("/")[2])
+        if not definition:
             continue  # `false`, which removes that of the base
-        names = table["properties"]
+        names = definition["properties"]
         first = next((f'`{key} = "{one["const"]}"`' for key, one in names.items() if "const" in one), "")
-        arguments = [_argument(key, one, table) for key, one in names.items() if "const" not in one]
-        rows.append((first, ", ".join(sorted(arguments, key=lambda a: not a.startswith("**"))), _text(table)))
-    return _table(("", "arguments", "meaning"), rows)
+        arguments = [_argument(key, one, definition) for key, one in names.items() if "const" not in one]
+        rows.append(
+            (first, ", ".join(sorted(arguments, key=lambda a: not a.startswith("**"))), _text(definition))
+        )
+    return table(("", "arguments", "meaning"), rows)
 
 
-def _argument(name: str, node: Node, table: Node) -> str:
-    if name in table.get("required", ()):
+def _argument(name: str, node: Node, definition: Node) -> str:
+    if name in definition.get("required", ()):
         return f"**`{name}`**"
     return f"`{name}`" + (
         f" = {json.dumps(node['default'])}" if node.get("default", "") not in ("", []) else ""
@@ -78,7 +80,7 @@ def _text(node: Node) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _table(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+def table(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     heads = list(heads)
     lines = [heads, ["---"] * len(heads), *rows]
     return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines)

@@ -2,26 +2,34 @@
 
 import ast
 import functools
+import json
 import os
+import re
 import sys
 import tempfile
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 
-sys.path.insert(0, str(Path(__file__).parent))  # mkdocs loads this file alone
+sys.path.insert(0, str(Path(__file__).parent.parent))  # mkdocs loads this file alone
+sys.path.insert(0, str(Path(__file__).parent))
 import blocks_page
 import comparison_page
 import controllers_page
 import downloads
 import fmi2_page
 import keys_page
+import protocol_page
+import vehicles_page
 
 from fmus.files import write_archive
+from tests.speed import tables as speed
 
 ROOT = Path(__file__).parent.parent
 GALLERY = sorted((ROOT / "docs" / "gallery").glob("*.py"))
+EXPLANATION = ROOT / "docs" / "explanation"
 
 _GALLERY = """Scripts, each with the figure that it draws and the lines that it prints. They need FMUs:
 
@@ -32,6 +40,12 @@ l1-depth build ExamplePlant     # fmus-built/ExamplePlant.fmu
 """
 
 Contents = dict[str, str | bytes]
+RESULTS = {
+    "speed": "performance.json",
+    "study": "explanation/identification.json",
+    "survey": "explanation/survey/results.json",
+}
+CODE_PAGES = (blocks_page, controllers_page, fmi2_page, keys_page, protocol_page, vehicles_page)
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -39,6 +53,29 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for path, content in _generated().items():
         files.append(File.generated(config, path, content=content))
     return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Put the tables of results that are files in their places: <!-- KIND: NAME -->."""
+    places = rf"<!-- ({'|'.join(RESULTS)}): (.*) -->"
+    return re.sub(places, lambda place: _tables(place[1])[place[2]], markdown)
+
+
+@functools.cache
+def _tables(kind: str) -> dict[str, str]:
+    """Tables by name, from a file of results."""
+    document = json.loads((ROOT / "docs" / RESULTS[kind]).read_text(encoding="utf-8"))
+    if kind == "study":
+        sys.path.insert(0, str(EXPLANATION / "identification"))
+        import tables
+
+        return tables.tables(document)
+    if kind == "speed":
+        return {name: speed.markdown(rows) for name, rows in document.items()}
+    return {
+        name: "".join(f"| {' | '.join(row)} |\n" for row in (head, ["---"] * len(head), *rows))
+        for name, (head, *rows) in document.items()
+    }
 
 
 @functools.cache  # once, when `mkdocs serve` builds again and again
@@ -55,7 +92,7 @@ def _generated() -> Contents:
             **_names(),
             **{
                 f"reference/{module.__name__.removesuffix('_page')}.md": module.page()
-                for module in (blocks_page, controllers_page, fmi2_page, keys_page)
+                for module in CODE_PAGES
             },
         }
 

@@ -4,8 +4,8 @@
     ```text               what the block before it prints; "..." stands for anything
     first line "# NAME"   the block is written to that file instead (Python, TOML, YAML)
 
-In docs/tutorials every block is an example; on other pages those below <!-- run -->. Files beside the page to
-which it links, but for pages, are saved first.
+In docs/tutorials every block is an example; on other pages those below <!-- run -->, and a text after one.
+Files beside the page to which it links, but for pages, are saved first.
 """
 
 import contextlib
@@ -42,11 +42,12 @@ class Example:
 def examples(page: Path) -> list[Example]:
     """In the order of the page."""
     text, is_tutorial = page.read_text(encoding="utf-8"), page.parent.name == "tutorials"
-    return [
-        Example(match[2], match[3], text.count("\n", 0, match.start(3)) + 1)
-        for match in _BLOCK.finditer(text)
-        if is_tutorial or match[1]
-    ]
+    found, is_example = list[Example](), False
+    for match in _BLOCK.finditer(text):
+        is_example = is_tutorial or bool(match[1]) or (is_example and match[2] == "text")
+        if is_example:
+            found.append(Example(match[2], match[3], text.count("\n", 0, match.start(3)) + 1))
+    return found
 
 
 def run(page: Path) -> None:

@@ -5,11 +5,15 @@ import runpy
 from dataclasses import fields
 from pathlib import Path
 
+import pytest
+
 from fmus import numerics
 from fmus.block import Block
 from fmus.block.block_file import write_new_block
 from fmus.block.units import BASE_UNITS
 from fmus.build.builder import load_block
+from orchestration.score.protocol import read_protocol
+from orchestration.score.score_document import Score
 
 from .page_examples import examples
 
@@ -17,8 +21,10 @@ ROOT = Path(__file__).parent.parent
 
 
 def page_of_the_site(name: str) -> str:
-    """A page that is made with the site."""
-    return runpy.run_path(str(ROOT / ".ci" / f"{name}_page.py"))["page"]()
+    """A page that is made with the site, by a program that may import those beside it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(ROOT / ".ci"))
+        return runpy.run_path(str(ROOT / ".ci" / f"{name}_page.py"))["page"]()
 
 
 def test_the_reference_of_blocks_has_every_field_function_and_base_unit() -> None:
@@ -37,6 +43,21 @@ def test_the_reference_of_controllers_has_every_parameter_with_its_start_value()
         for v in load_block(f"{name}DepthController").of_causality("parameter"):
             if v.enumeration is None and not re.search(r"_table_\w+\[\d\d?\]$", v.name):
                 assert (v.name, repr(v.start)) in shown
+
+
+def test_the_reference_of_vehicles_has_the_source_of_every_number() -> None:
+    """But for the points of a table behind its first one; also of a vehicle with numbers of its own."""
+    rows = re.findall(r"^\| `(\S+)` \| (\S+) \|.*\| (.*) \|$", page_of_the_site("vehicles"), re.M)
+    for name in ("RovDepthPlant", "RovHeavePitchPlant", "BlueRov2Plant", "WaveSource", "ExamplePlant"):
+        for v in load_block(name).of_causality("parameter"):
+            if v.enumeration is None and not re.search(r"_table_\w+\[\d\d?\]$", v.name):
+                assert (v.name, repr(v.start), v.source.replace("|", "\\|")) in rows
+
+
+def test_the_page_of_the_protocol_has_every_metric_case_and_key_of_a_score() -> None:
+    named = re.findall(r"`(\w[\w-]*)`", page_of_the_site("protocol"))
+    tables = read_protocol().tables
+    assert {*tables.metrics, *tables.cases, *Score.model_fields} <= set(named)
 
 
 def test_the_tutorial_shows_the_block_that_new_writes(tmp_path: Path) -> None:

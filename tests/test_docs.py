@@ -16,7 +16,7 @@ PAGES = sorted((ROOT / "docs").rglob("*.md"))
 TEXTS = [*PAGES, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 MADE_WITH_THE_SITE = re.compile(
     r"docs/(downloads/|gallery/|explanation/figure_"
-    r"|reference/(commands|blocks|controllers|fmi2|keys|api/orchestration)\.md)"
+    r"|reference/(commands|blocks|controllers|fmi2|keys|protocol|vehicles|api/orchestration)\.md)"
 )
 TOOL_PAGES = [
     page for page in (ROOT / "docs" / "how-to" / "importing").glob("*.md") if page.name != "README.md"
@@ -27,6 +27,8 @@ EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["p
     "optional-dependencies"
 ]
 FOR_DEVELOPERS = {"docs", "test"}
+
+FOR_USERS = [page for page in PAGES if {"tutorials", "how-to"} & set(page.parts)]
 
 QUICK = {"fmpy.md"}  # the others run the command line a dozen times each
 
@@ -189,3 +191,57 @@ def help_text() -> str:
 def test_every_command_shown_exists(page: Path, help_text: str) -> None:
     shown = re.findall(r"(?:^ {4}|^|`)l1-depth (\w+)", page.read_text(encoding="utf-8"), re.MULTILINE)
     assert set(shown) <= set(re.findall(r"\w+", help_text))
+
+
+def _blocks(text: str) -> list[str]:
+    """Returns paragraphs, items, headings and rows of tables, without code blocks and targets of links."""
+    text = re.sub(r"^```.*?^```$|<!--.*?-->", "\n", text, flags=re.M | re.DOTALL)
+    text = re.sub(r"\n\n(?: {4}.*\n+)+", "\n\n", text)
+    text = re.sub(r"\]\([^)]*\)", "]", text)
+    text = re.sub(r"^ *(?:[-*]|\d+\.) ", "\n", text, flags=re.M)
+    text = re.sub(r"^(?:\||#+ ).*$", r"\n\g<0>\n", text, flags=re.M)
+    return [" ".join(block.split()) for block in re.split(r"\n\s*\n", text) if block.strip()]
+
+
+def long_sentences(text: str) -> list[str]:
+    """Returns the sentences of more than 25 words outside code and tables; `code` counts as a word."""
+    prose = [re.sub(r"`[^`]*`", "code", block) for block in _blocks(text) if not block.startswith("|")]
+    sentences = [one for block in prose for one in re.split(r"(?<=[.!?])[)*\"]*\s+", block)]
+    return [sentence for sentence in sentences if len(sentence.split()) > 25]
+
+
+def long_cells(text: str) -> list[str]:
+    """Returns the cells of tables of more than 120 characters, without link targets."""
+    rows = [block for block in _blocks(text) if block.startswith("|")]
+    cells = [cell.strip() for row in rows for cell in re.split(r"(?<!\\)\|", row)]
+    return [cell for cell in cells if len(cell) > 120]
+
+
+@pytest.mark.parametrize("page", FOR_USERS, ids=_name)
+def test_sentences_and_cells_are_short(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert not long_sentences(text)
+    assert not long_cells(text)
+
+
+def test_tutorials_and_how_tos_have_at_most_20_000_words() -> None:
+    assert FOR_USERS
+    assert sum(len(page.read_text(encoding="utf-8").split()) for page in FOR_USERS) <= 20_000
+
+
+_WORDS = "one " * 24
+
+
+@pytest.mark.parametrize(
+    ("text", "sentences", "cells"),
+    [
+        (f"{_WORDS}end. {_WORDS}end.", 0, 0),
+        (f"A list:\n\n- {_WORDS}two words.\n- Two.", 1, 0),
+        (f"{_WORDS}\n`code of words` [link](page.md).\n", 1, 0),
+        (f"```sh\n{_WORDS}two words\n```\n\n    {_WORDS}two words\n", 0, 0),
+        (f"| {'x' * 120} | [{'x' * 118}](page.md) |\n| {_WORDS}two words |\n", 0, 0),
+        (f"| a | {'x' * 121} |\n", 0, 1),
+    ],
+)
+def test_a_long_sentence_or_cell_is_found(text: str, sentences: int, cells: int) -> None:
+    assert (len(long_sentences(text)), len(long_cells(text))) == (sentences, cells)

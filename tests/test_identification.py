@@ -1,6 +1,7 @@
 """The scripts of docs/explanation/identification/ give the numbers of the page beside them."""
 
 import json
+import re
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -60,9 +61,9 @@ def points(exact: Any) -> dict[str, np.ndarray]:
 # The page
 
 
-@pytest.mark.parametrize("name", ["predictions", "gains", "fits", "effects"])
-def test_the_page_has_the_tables_of_the_study(name: str) -> None:
-    assert tables.tables(DOCUMENT)[name] in PAGE
+def test_the_page_has_a_place_for_each_table_of_the_study() -> None:
+    """The site puts them there."""
+    assert sorted(re.findall(r"^<!-- study: (.*) -->$", PAGE, re.M)) == sorted(tables.tables(DOCUMENT))
 
 
 def test_the_page_has_the_largest_errors_of_figures_that_were_left_out() -> None:

@@ -101,7 +101,11 @@ def test_output_without_an_example_is_refused(page: Page) -> None:
         run(page("'''text\n1\n'''\n"))
 
 
-def test_on_other_pages_only_what_is_marked_runs(tmp_path: Path) -> None:
+def test_on_other_pages_only_what_is_marked_runs_and_its_output_is_compared(tmp_path: Path) -> None:
     path = tmp_path / "page.md"
-    path.write_text("```sh\nfalse\n```\n<!-- run -->\n```sh\ntrue\n```\n", encoding="utf-8")
-    assert [example.code for example in examples(path)] == ["true\n"]
+    unmarked, marked = (
+        "```sh\nfalse\n```\n```text\n1\n```\n",
+        "<!-- run -->\n```sh\ntrue\n```\n```text\n2\n```\n",
+    )
+    path.write_text(unmarked + marked + unmarked, encoding="utf-8")
+    assert [example.code for example in examples(path)] == ["true\n", "2\n"]

@@ -1,6 +1,7 @@
 """The script of docs/explanation/survey/ checks the listed FMUs of clones and compares findings."""
 
 import json
+import re
 import subprocess
 import sys
 from collections import Counter
@@ -13,6 +14,7 @@ import survey  # pyright: ignore[reportMissingImports]
 
 sys.path.pop(0)
 
+FOLDER = Path(survey.__file__).parent
 FINDING = {"repository": "r", "revision": "0" * 40, "path": "a.fmu", "tool": "T", "year": "2020"}
 
 
@@ -22,6 +24,20 @@ def test_the_list_has_many_tools_and_at_most_ten_fmus_of_each() -> None:
     assert (len(fmus), len(tools), max(tools.values())) == (155, 27, 10)
     assert len({survey.identity(fmu) for fmu in fmus}) == len(fmus)
     assert all(len(fmu["revision"]) == 40 for fmu in fmus)
+
+
+def test_the_page_agrees_with_the_results_that_it_shows() -> None:
+    page = FOLDER.with_suffix(".md").read_text(encoding="utf-8")
+    results = json.loads((FOLDER / "results.json").read_text(encoding="utf-8"))
+    assert re.findall(r"^<!-- survey: (.*) -->$", page, re.M) == list(results)
+    tools, errors, deviations = (rows[1:] for rows in results.values())
+    assert {row[0]: int(row[3]) for row in tools} == Counter(fmu["tool"] for fmu in survey.listed())
+    judged, clean = (sum(int(row[column]) for row in tools) for column in (4, 5))
+    assert f"takes steps | {judged} |" in page
+    assert f"| no error | {clean} |" in page
+    means = [round(sum(int(row[2]) for row in rows) / len(rows)) for rows in (errors, deviations)]
+    assert f"break {len(errors)} rules whose level is error, each on {means[0]} FMUs on average" in page
+    assert f"and {len(deviations)} whose level is deviation, each on {means[1]}." in page
 
 
 def test_a_listed_fmu_is_checked_once_and_one_that_no_clone_holds_is_told(

@@ -140,10 +140,11 @@ def report(
 
 def scenarios() -> None:
     """List the scenarios that ship with the package."""
-    from orchestration.scenarios import scenario
+    from orchestration.scenarios.read_layers import shipped
+    from orchestration.scenarios.toml_file import read_toml
 
-    for name, path in scenario.shipped().items():
-        print(f"{name:28} {scenario.load(path).title}")
+    for name, path in shipped().items():
+        print(f"{name:28} {read_toml(path).data['title']}")
 
 
 def reproduce(

@@ -1,4 +1,4 @@
-"""Runs of a sweep, and its files: a journal while it runs, so that nothing done is lost; one table last.
+"""Runs of a sweep, and its files: a journal while it runs, so that nothing is lost; one table at the end.
 
 NAME.sweep.jsonl     while it runs: the journal, a row for each finished sample
 NAME.sweep.lock      while a process runs it

@@ -1,6 +1,6 @@
-"""Measures how fast the project is: the tables of docs/performance.md and docs/explanation/scale.md.
+"""Measures how fast the project is: the tables of the pages performance and scale.
 
-    python -m tests.speed --before 7cf1486 --page docs/performance.md --page docs/explanation/scale.md
+    python -m tests.speed --before 7cf1486 --out docs/performance.json
 
 parts.py lists what is measured, row by row; states.py runs it in this state of the project and in an earlier
 one, by turns; inside.py holds the measurements that need Python in the state itself.

@@ -1,20 +1,18 @@
-"""All measurements of docs/performance.md and docs/explanation/scale.md, whose tables are replaced by
+"""All measurements of the pages performance and scale, whose tables the site makes from a file that
 
-    python -m tests.speed --before 7cf1486 --page docs/performance.md --page docs/explanation/scale.md
+    python -m tests.speed --before 7cf1486 --out docs/performance.json
 
-Run it in a clone of the repository, with the extra `test` installed, on a machine that does nothing else.
+writes. Run it in a clone of the repository, with the extra `test` installed, on a machine that does nothing
+else.
 """
 
 import os
 import platform
-import re
 import tempfile
 import traceback
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from datetime import date
 from importlib.metadata import version
-from itertools import compress
 from pathlib import Path
 from statistics import median
 from typing import Annotated
@@ -24,8 +22,8 @@ import typer
 from orchestration import OrchestrationError
 from tests.speed.parts import PARTS, Measure, Rows
 from tests.speed.states import ROOT, State, state
+from tests.speed.tables import MACHINE, Tables, markdown, write
 
-MACHINE = "machine"
 _MANY = 10  # values, of which the half in the middle tells more than the extremes
 
 
@@ -37,11 +35,10 @@ def main(
         str | None, typer.Option(help="Compare with this git revision, or with another clone.")
     ] = None,
     quick: Annotated[bool, typer.Option(help="Show that all works, by one round of small sizes.")] = False,
-    page: Annotated[
-        list[Path] | None,
+    out: Annotated[
+        Path | None,
         typer.Option(
-            help="Replace the tables of this page; repeatable. Needs all parts, --before, and all pages.",
-            exists=True,
+            help="Replace the tables of this file. Needs all parts, and --before.",
             dir_okay=False,
             resolve_path=True,
         ),
@@ -51,34 +48,32 @@ def main(
 
     A part that fails leaves its tables as they are, and the exit status is 1.
     """
-    pages = page or []
     if unknown := set(parts or []) - set(PARTS):
         raise typer.BadParameter(f"{', '.join(sorted(unknown))}: expected some of {', '.join(PARTS)}")
-    if pages and (parts or not before):
-        raise typer.BadParameter("--page: expected all parts, and --before")
-    if quick and any(path.is_relative_to(ROOT / "docs") for path in pages):
-        raise typer.BadParameter("--quick: expected copies of the pages, as its figures are no measurement")
+    if out and (parts or not before):
+        raise typer.BadParameter("--out: expected all parts, and --before")
+    if quick and out and out.is_relative_to(ROOT / "docs"):
+        raise typer.BadParameter("--quick: expected a file outside docs/, as its figures are no measurement")
     with tempfile.TemporaryDirectory(prefix="l1-depth-speed-") as name:
         folder = Path(name)
         try:
-            if pages:
-                check_places(pages, [MACHINE, *(table for tables, _ in PARTS.values() for table in tables)])
             states = [state(before, folder / "before")] if before else []
             states.append(state(str(ROOT), folder / "now"))
         except OrchestrationError as error:
             raise typer.BadParameter(str(error)) from error
         tables, failed = measure(parts or [*PARTS], states, quick)
-    replace_tables(pages, tables)
+    if out:
+        write(out, tables)
     if failed:
         raise SystemExit(f"failed: {', '.join(failed)}")
 
 
-def measure(parts: Sequence[str], states: Sequence[State], quick: bool) -> tuple[dict[str, str], list[str]]:
+def measure(parts: Sequence[str], states: Sequence[State], quick: bool) -> tuple[Tables, list[str]]:
     """Returns the tables of parts, which are printed as well, and the names of parts that failed."""
-    tables, failed = {MACHINE: machine(states)}, list[str]()
+    tables, failed = Tables({MACHINE: machine(states)}), list[str]()
     for part in parts:
         names, measures = PARTS[part]
-        rows: dict[str, list[tuple[str, ...]]] = {name: [] for name in names}
+        rows: Tables = {name: [] for name in names}
         try:
             for chosen in measures:
                 if chosen.quick or not quick:
@@ -88,9 +83,9 @@ def measure(parts: Sequence[str], states: Sequence[State], quick: bool) -> tuple
             traceback.print_exc()
             failed.append(part)
             continue
+        tables |= rows
         for name in names:
-            tables[name] = markdown(("", "goal", "before", "now", "now / before"), rows[name])
-            print(f"{name}:\n\n{tables[name]}", flush=True)
+            print(f"{name}:\n\n{markdown(rows[name])}", flush=True)
     return tables, failed
 
 
@@ -149,13 +144,13 @@ def spread(values: Sequence[float]) -> str:
     return middle if len(values) == 1 else f"{middle} ({least} to {most})"
 
 
-def machine(states: Sequence[State]) -> str:
-    """Returns the table of what the figures depend on."""
+def machine(states: Sequence[State]) -> list[Sequence[str]]:
+    """Returns the rows of what the figures depend on."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     used = ("numpy", "matplotlib", "ziglang", "dask")
-    rows = [
+    return [
         ("date", date.today().isoformat()),
         ("processor", f"{(names or [platform.processor()])[0]}, {os.cpu_count()} cores"),
         ("system", f"{platform.system()} {platform.release()}, {platform.machine()}"),
@@ -164,37 +159,6 @@ def machine(states: Sequence[State]) -> str:
         ("now", states[-1].revision),
         *(("before", before.revision) for before in states[:-1]),
     ]
-    return markdown(("", ""), rows)
-
-
-def markdown(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Returns a table without the columns that no row fills."""
-    rule = ["---", *["---:"] * (len(headings) - 1)]
-    filled = [any(column) for column in zip(*rows, strict=True)]
-    lines = [compress(row, filled) for row in (headings, rule, *rows)]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
-
-
-def check_places(pages: Sequence[Path], names: Iterable[str]) -> None:
-    """Raises OrchestrationError unless the pages have one place for each name of a table, and no other."""
-    texts = [page.read_text(encoding="utf-8") for page in pages]
-    places = Counter(re.findall(r"^<!-- table: (.*) -->$", "\n".join(texts), re.M))
-    if wrong := (places - Counter(names)) + (Counter(names) - places):
-        raise OrchestrationError(
-            f"{', '.join(sorted(wrong))}: expected one place in the pages for each table"
-        )
-
-
-def replace_tables(pages: Sequence[Path], tables: dict[str, str]) -> None:
-    """Writes tables to their places in pages; places of other tables stay as they are."""
-    for page in pages:
-        text = re.sub(
-            r"^(<!-- table: (.*) -->\n)\n*(?:\|.*\n)*\n*",
-            lambda match: f"{match[1]}\n{tables[match[2]]}\n" if match[2] in tables else match[0],
-            page.read_text(encoding="utf-8"),
-            flags=re.M,
-        )
-        page.write_text(f"{text.rstrip()}\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -357,8 +357,7 @@ def many_lags(state: State, quick: bool) -> Rows:
     rows = state.answer("chain", one, *((2, 4) if quick else (50, 100, 200, 400)))
     own = state.answer("chain", folder, *numbers)
     rows |= {row: x for row, x in own.items() if row.startswith("load")}
-    scale = {row: x for row, x in rows.items() if " FMUs," not in row or "thousand" in row}
-    return {"scale": scale, "chains": {row: x for row, x in rows.items() if row not in scale}}
+    return {"scale": {row: x for row, x in rows.items() if " FMUs," not in row or "thousand" in row}}
 
 
 def memory(way: str) -> Measure:
@@ -399,7 +398,7 @@ PARTS: dict[str, tuple[tuple[str, ...], list[Measure]]] = {
         [growing(1000), growing(20_000), growing(100_000)],
     ),
     "ensemble": (("ensemble",), [inside("ensemble", "ensemble", (1, 8, 64, 1024), (8,), 5)]),
-    "scale": (("chains", "scale"), [Measure(many_lags, 3)]),
+    "scale": (("scale",), [Measure(many_lags, 3)]),
     "memory": (("memory",), [memory(way) for way in ("run", "parquet", "csv")]),
     "stepping": (("stepping",), [inside("stepping", "stepping", (100, 16, 64), (1, 16), 1)]),
     "importers": (

@@ -1,5 +1,6 @@
 """What `python -m tests.speed` makes of what it measures; no time is a pass or a fail."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -7,10 +8,11 @@ import typer
 
 from orchestration import OrchestrationError
 from tests.speed import __main__ as speed
-from tests.speed.__main__ import check_places, markdown, measured, replace_tables, row_of, spread
+from tests.speed.__main__ import measured, row_of, spread
 from tests.speed.lag import STEP_SIZE
 from tests.speed.parts import PARTS, Measure, Rows, check_level, lost
 from tests.speed.states import ROOT, State, state
+from tests.speed.tables import MACHINE, markdown, read, write
 
 
 def made_up(folder: Path, sources: Path = ROOT) -> State:
@@ -81,21 +83,22 @@ def test_a_state_that_differs_from_itself_is_an_error() -> None:
         row_of("a", ["x"], ["y"], shared=True)
 
 
-def test_tables_take_the_places_of_those_in_pages(tmp_path: Path) -> None:
-    first, second = tmp_path / "first.md", tmp_path / "second.md"
-    first.write_text("a\n\n<!-- table: one -->\n\n| old |\n|---|\n| 1 |\n\nb\n")
-    second.write_text("<!-- table: two -->\n\nc\n")
-    for pages, names in (([first], ["one", "two"]), ([first, second, second], ["one", "two"])):
-        with pytest.raises(OrchestrationError, match="two: expected one place in the pages for each table"):
-            check_places(pages, names)
-    check_places([first, second], ["one", "two"])
-    one, two = markdown(("h", "e", "n"), [("x", "", "1"), ("y", "", "")]), markdown(("h",), [("z",)])
-    replace_tables([first, second], {"two": two})
-    assert "| 1 |" in first.read_text()
-    replace_tables([first, second], {"one": one, "two": two})
-    table = "| h | n |\n| --- | ---: |\n| x | 1 |\n| y |  |\n"
-    assert first.read_text() == f"a\n\n<!-- table: one -->\n\n{table}\nb\n"
-    assert second.read_text() == "<!-- table: two -->\n\n| h |\n| --- |\n| z |\n\nc\n"
+def test_a_table_is_shown_without_columns_that_no_row_fills() -> None:
+    table = "|  | goal | now |\n| --- | ---: | ---: |\n| x |  | 1 |\n| y | 2 |  |\n"
+    assert markdown([("x", "", "", "1", ""), ("y", "2", "", "", "")]) == table
+    assert markdown([("date", "today")]) == "|  |  |\n| --- | ---: |\n| date | today |\n"
+
+
+def test_the_pages_have_one_place_for_each_table_that_is_measured(tmp_path: Path) -> None:
+    pages = (ROOT / "docs" / "performance.md", ROOT / "docs" / "explanation" / "scale.md")
+    texts = "\n".join(page.read_text(encoding="utf-8") for page in pages)
+    names = [MACHINE, *(table for tables, _ in PARTS.values() for table in tables)]
+    assert sorted(re.findall(r"^<!-- speed: (.*) -->$", texts, re.M)) == sorted(names)
+    stored = read(ROOT / "docs" / "performance.json")
+    assert stored.keys() == set(names)
+    assert all(markdown(rows) for rows in stored.values())
+    write(copy := tmp_path / "copy.json", stored)
+    assert copy.read_bytes() == (ROOT / "docs" / "performance.json").read_bytes()
 
 
 def test_a_part_that_fails_keeps_its_tables_and_loses_no_other(
@@ -106,21 +109,28 @@ def test_a_part_that_fails_keeps_its_tables_and_loses_no_other(
 
     good = Measure(lambda chosen, quick: {"two": {"new, s": 1.0}}, compared=False)
     monkeypatch.setattr(speed, "PARTS", {"bad": (("one",), [Measure(fail)]), "good": (("two",), [good])})
-    page = tmp_path / "page.md"
-    page.write_text("".join(f"<!-- table: {x} -->\n\n| old |\n\n" for x in ("machine", "one", "two")))
+    write(file := tmp_path / "tables.json", {name: [("old", "")] for name in (MACHINE, "one", "two")})
     with pytest.raises(SystemExit, match="failed: bad"):
-        speed.main(None, str(ROOT), True, [page])
-    _, machine, one, two = page.read_text().split("<!-- ")
-    assert one == "table: one -->\n\n| old |\n\n"
-    assert two.endswith("| new, s | 1 |\n")
-    assert "| Python |" in machine
+        speed.main(None, str(ROOT), True, file)
+    stored = read(file)
+    assert (stored["one"], stored["two"]) == ([["old", ""]], [["new, s", "", "", "1", ""]])
+    assert "Python" in {row[0] for row in stored[MACHINE]}
     assert "no such thing" in capsys.readouterr().err
 
 
-def test_a_place_that_is_missing_is_noticed_before_anything_is_measured(tmp_path: Path) -> None:
-    (page := tmp_path / "page.md").write_text("<!-- table: machine -->\n")
-    with pytest.raises(typer.BadParameter, match=r"chains, commands, .*: expected one place"):
-        speed.main(None, str(ROOT), False, [page])
+@pytest.mark.parametrize(
+    ("parts", "before", "quick", "refused"),
+    [
+        (["runs"], str(ROOT), False, "--out: expected all parts"),
+        (None, None, False, "and --before"),
+        (None, str(ROOT), True, "--quick: expected a file outside docs/"),
+    ],
+)
+def test_the_tables_of_the_pages_are_replaced_by_a_whole_measurement_alone(
+    parts: list[str] | None, before: str | None, quick: bool, refused: str
+) -> None:
+    with pytest.raises(typer.BadParameter, match=refused):
+        speed.main(parts, before, quick, ROOT / "docs" / "performance.json")
 
 
 def test_a_state_is_a_clone_or_a_revision(tmp_path: Path) -> None:

@@ -26,6 +26,15 @@ def test_help_names_every_command(command: Command) -> None:
     assert all(f" {info.callback.__name__} " in text for info in app.registered_commands if info.callback)
 
 
+def test_scenarios_are_listed_where_no_fmu_is_built(
+    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("L1_DEPTH_FMUS", str(tmp_path))
+    lines = command("scenarios").stdout.splitlines()
+    assert [line.split()[0] for line in lines] == list(scenario.shipped())
+    assert lines[-1].split(maxsplit=1)[1] == "Nominal, plain L1"
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

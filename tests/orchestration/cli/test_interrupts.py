@@ -28,7 +28,7 @@ AT_WORK = {
     "check {fmu}": "fmus.compliance.examine.examine",
     "inspect my.fmu": "fmus.fmi.description.describe",
     "cache": "fmus.store.entries",
-    "scenarios": "orchestration.scenarios.scenario.load",
+    "scenarios": "orchestration.scenarios.read_layers.shipped",
     "run nominal-l1 --out .": "orchestration.system.prepared_run.prepare_checked",
     "sweep monte-carlo": "orchestration.sweep.run.sweep",
     "report .": "orchestration.report.found_results",
