@@ -1,15 +1,12 @@
 """Options, completion, tables, progress and failure, for all commands."""
 
-import inspect
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from copy import copy
-from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
@@ -54,59 +51,6 @@ FigureFormatsOption = Annotated[
         "--formats", metavar="NAME,NAME", help=f"Write figures as {', '.join(FigureFormat)}; or none."
     ),
 ]
-
-
-def explained(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Returns a command for Typer, whose arguments and options are described by lines of its docstring.
-
-    A line is `parameter --flag METAVAR: help`, and goes on in lines below it. Flag and metavar may be left
-    out; a parameter with neither flag nor default is an argument. What its annotation says besides stays.
-    """
-    signature = inspect.signature(command)
-    help_of_command, heads, texts, name = list[str](), dict[str, list[str]](), dict[str, str](), ""
-    for line in inspect.cleandoc(command.__doc__ or "").splitlines():
-        head, colon, text = line.partition(": ")
-        if colon and head.split()[0] in signature.parameters:
-            name, *heads[name] = head.split()
-            texts[name] = text
-        elif line.startswith(" "):
-            texts[name] += f" {line.strip()}"
-        else:
-            help_of_command.append(line)
-    parameters = [
-        _described(parameter, heads.get(name, []), texts.get(name, ""))
-        for name, parameter in signature.parameters.items()
-    ]
-    result = with_parameters(command, parameters)
-    result.__doc__ = "\n".join(help_of_command)
-    return result
-
-
-def _described(parameter: inspect.Parameter, head: Sequence[str], text: str) -> inspect.Parameter:
-    """Returns the parameter of a command with flags, metavar and help."""
-    default, annotation = parameter.default, parameter.annotation
-    kind, info = get_args(annotation)[:2] if get_origin(annotation) is Annotated else (annotation, None)
-    flags = [part for part in head if part.startswith("--")]
-    is_argument = default is parameter.empty and not flags
-    info = copy(info or (typer.Argument() if is_argument else typer.Option()))
-    if kind is bool and not flags and info.default is ...:  # Typer keeps the first flag there
-        flags = [f"--{parameter.name.replace('_', '-')}"]  # without one that turns it off
-    info.param_decls = tuple(flags) or info.param_decls
-    info.metavar = " ".join(head[len(flags) :]) or info.metavar
-    info.help = text or info.help
-    return parameter.replace(annotation=Annotated[kind, info])
-
-
-def with_parameters(command: Callable[..., Any], parameters: list[inspect.Parameter]) -> Callable[..., Any]:
-    """Returns the command with other parameters in the eyes of Typer."""
-
-    @wraps(command)
-    def described(**arguments: Any) -> Any:
-        return command(**arguments)
-
-    vars(described)["__signature__"] = inspect.signature(command).replace(parameters=parameters)
-    described.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    return described
 
 
 def figure_formats(names: str) -> list[FigureFormat]:

@@ -13,7 +13,16 @@ from fmus.registry import block_names
 from orchestration.cli import shared
 from orchestration.cli.changes import CONTROLLER, NO_CHANGES, OF_LOOP, Changes, takes_changes
 from orchestration.cli.interrupts import INTERRUPTED
-from orchestration.cli.score import chosen_protocol, scored_controllers
+from orchestration.cli.score import (
+    BoundOption,
+    CasesOption,
+    EvaluationsOption,
+    ProtocolOption,
+    RatesOption,
+    SeedsOption,
+    chosen_protocol,
+    scored_controllers,
+)
 from orchestration.errors import ScenarioError
 
 if TYPE_CHECKING:
@@ -22,39 +31,43 @@ if TYPE_CHECKING:
     from orchestration.score.tune import Evaluate, Problem, Tuning
 
 
-@takes_changes(*OF_LOOP, "open_inputs")
+@takes_changes(**OF_LOOP, open_inputs="")
 def tune(
-    name: str,
-    free: list[str] = [],  # noqa: B006  (Typer copies it)
-    evaluations: Annotated[int, typer.Option(min=1)] = 100,
-    seeds: Annotated[int, typer.Option(min=1)] = 5,
-    workers: Annotated[int, typer.Option(min=1)] = usable_processors(),
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="CONTROLLER",
+            help="Of the protocol; or an .fmu, a block, its .py file or a class FILE.py:Class.",
+        ),
+    ],
+    free: Annotated[
+        list[str],
+        typer.Option(
+            metavar="NAME=LOW:HIGH",
+            help="Search this parameter within these limits, in its logarithm if both are positive; "
+            "by default the gains that the protocol has for the controller.",
+        ),
+    ] = [],  # noqa: B006  (Typer copies it)
+    evaluations: EvaluationsOption = 100,
+    seeds: SeedsOption = 5,
+    workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
     out: shared.OutFolder = Path("results"),
-    restart: bool = False,
-    bounds: list[str] = [],  # noqa: B006
-    cases: str = "",
-    plants: Annotated[int, typer.Option(min=0)] = 0,
-    protocol_file: Path | None = None,
-    no_rates: bool = False,
+    restart: Annotated[
+        bool, typer.Option("--restart", help="Discard the evaluations of an earlier tuning of that name.")
+    ] = False,
+    bounds: BoundOption = [],  # noqa: B006
+    cases: CasesOption = "",
+    plants: Annotated[
+        int,
+        typer.Option(
+            metavar="NUMBER", help="Take the worst fifth of so many plants in place of cases.", min=0
+        ),
+    ] = 0,
+    protocol_file: ProtocolOption = None,
+    no_rates: RatesOption = False,
     changes: Changes = NO_CHANGES,
 ) -> None:
-    """Search the gains of least cost on practice cases of the protocol; an interrupted tuning continues.
-
-    name CONTROLLER: Of the protocol; or an .fmu, a block, its .py file or a class FILE.py:Class.
-    free NAME=LOW:HIGH: Search this parameter within these limits, in its logarithm if both are positive; by
-        default the gains that the protocol has for the controller.
-    evaluations NUMBER: Evaluate so many for each free gain, seed and bound of a front.
-    seeds NUMBER: Search from so many seeds.
-    workers: Run so many processes.
-    restart: Discard the evaluations of an earlier tuning of that name.
-    bounds --bound METRIC=NUMBER: Bound a metric of the cost, or delay_margin.
-    cases NAME,...: Take the cost over these cases of the protocol.
-    plants NUMBER: Take the worst fifth of so many plants in place of cases.
-    protocol_file --protocol FILE: Follow this protocol, not the one that ships.
-    no_rates: Connect the reference alone, not its derivatives.
-    settings: Set controller.variable=value; with --plant plant.variable=value.
-    mapped: Take this variable of the controller for NAME; with --plant that of the plant for plant.NAME.
-    """
+    """Search the gains of least cost on practice cases of the protocol; an interrupted tuning continues."""
     from orchestration.scenarios.free_parameter import parse
     from orchestration.score import tune_problem
     from orchestration.score.closed_loop import ClosedLoop
