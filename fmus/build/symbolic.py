@@ -208,6 +208,11 @@ def _copied(block: Block, state: casadi.SX, held: casadi.SX) -> list[int]:
     return changed
 
 
+def indicator_count(block: Block) -> int:
+    """Returns how many event indicators a block has."""
+    return traced(block).crossings.numel_out(0) if block.derivative else 0
+
+
 def restarted_states(block: Block) -> set[int]:
     """Returns the value references of the continuous states that an event may change."""
     if not block.derivative:
