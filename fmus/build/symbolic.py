@@ -17,6 +17,7 @@ from fmus.block.scalars import flatten, unflatten
 from fmus.build import guard
 from fmus.build.c_functions import ScalarC, VectorC, c_function, c_functions
 from fmus.build.declaration import check_declaration, check_requirements, check_result, scalar_names
+from fmus.build.operations import operations_of
 from fmus.build.right_derivative import right_derivative
 from fmus.errors import ExportError
 from fmus.numerics.symbols import unsimplified
@@ -103,14 +104,11 @@ class Traced:
 
     def _check_constants(self, name: str) -> None:
         """Raises ExportError for a function with a constant that is NaN."""
-        function: casadi.Function = getattr(self, name)
-        for i in range(function.n_instructions()):
-            is_constant = function.instruction_id(i) == casadi.OP_CONST
-            if is_constant and math.isnan(function.instruction_constant(i)):
-                where = guard.location(getattr(self.block, name))
-                raise ExportError(
-                    f"block {self.block.name!r}: {where}{name} holds a constant that is not a number"
-                )
+        if any(operation.text == "NAN" for operation in operations_of(getattr(self, name))):
+            where = guard.location(getattr(self.block, name))
+            raise ExportError(
+                f"block {self.block.name!r}: {where}{name} holds a constant that is not a number"
+            )
 
     def functions(self) -> dict[str, casadi.Function]:
         """Returns everything that an FMU needs, by name."""
