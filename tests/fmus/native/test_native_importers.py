@@ -14,7 +14,7 @@ from fmus.build import builder
 from fmus.build import native as native_flavour
 from fmus.errors import ExportError
 from fmus.files import write_archive
-from tests.shared_builds import Fmus
+from tests.shared_builds import Fmus, with_libraries
 
 
 def slave_of(path: Path, folder: Path, **changes: str) -> FMU2Slave:
@@ -78,8 +78,7 @@ def test_two_versions_in_one_process_do_not_see_each_other(built: Fmus, load: An
 
     changed = replace(block, derivative=twice)
     _, members = native_flavour.content(changed)
-    compiled = native_flavour.libraries(changed.name, members, ())
-    path = write_archive(tmp_path / "changed" / "ExamplePlant.fmu", members | compiled)
+    path = write_archive(tmp_path / "changed" / "ExamplePlant.fmu", with_libraries(changed.name, members))
     fmus = load(built["ExamplePlant"]).begin(), load(path).begin()
     for fmu in fmus:
         fmu["control"] = 1.0
