@@ -1,4 +1,4 @@
-"""Modes of an FMU: what is calculated in each by what is known, its dependencies and directional derivatives."""
+"""Modes of an FMU: what is calculated in each by what is known, dependencies and directional derivatives."""
 
 from collections.abc import Iterable
 from functools import cache
