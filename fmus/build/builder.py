@@ -33,7 +33,7 @@ from fmus.files import packed, write_bytes_atomically
 from fmus.fmi.binding import library_member
 from fmus.operating_system import usable_processors
 from fmus.platforms import host_platform, library_name
-from fmus.registry import FOLDER_VARIABLE, Flavour, block_entry_points, block_fmus, block_names, fmu_folder
+from fmus.registry import Flavour, block_entry_points, block_fmus, block_names, fmu_folder, unwritable
 
 _AT_ONCE = usable_processors()  # orders that are compiled
 _ICONS = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
@@ -278,10 +278,7 @@ def build_missing(paths: Iterable[Path]) -> None:
         try:
             build_if_stale(name, flavour=flavour)
         except OSError as error:
-            raise ExportError(
-                f"cannot write FMUs to {fmu_folder(flavour)}: {error.strerror or error}; "
-                f"set {FOLDER_VARIABLE} to another folder"
-            ) from error
+            raise unwritable(fmu_folder(flavour), error) from error
 
 
 def _fits(fmu: bytes, guid: str, library: str | None) -> bool:
