@@ -98,12 +98,17 @@ EXCHANGES(Int64)
 EXCHANGES(UInt64)
 EXCHANGES(Boolean)
 
+static void repeat_texts(Face *f) {
+    for (int i = 0; i + N_TEXTS / 2 < N_TEXTS; i++) strcpy(f->text[N_TEXTS / 2 + i], f->text[i]);
+}
+
 fmi3Status fmi3GetString(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3String values[], size_t n_values) {
     unsigned texts[N_TEXTS + 1];
     size_t count;
     Face *f = c;
     if (!variables_of(f, String, vr, n, n_values, "fmi3GetString", texts, &count)) return fmi3Error;
     called(f, fmi2OK);
+    if (f->slave->data.mode & (INSTANTIATED | INITIALIZATION)) repeat_texts(f);
     for (size_t i = 0; i < count; i++) values[i] = strcpy(f->returned[texts[i]], f->text[texts[i]]);
     return fmi3OK;
 }
@@ -117,10 +122,6 @@ fmi3Status fmi3SetString(fmi3Instance c, const fmi3ValueReference vr[], size_t n
     if (!variables_of(f, String, vr, n, n_values, "fmi3SetString", texts, &count)) return fmi3Error;
     for (size_t i = 0; i < count; i++) snprintf(f->text[texts[i]], TEXT_SIZE, "%s", values[i]);
     return fmi3OK;
-}
-
-static void repeat_texts(Face *f) {
-    for (int i = 0; i + N_TEXTS / 2 < N_TEXTS; i++) strcpy(f->text[N_TEXTS / 2 + i], f->text[i]);
 }
 
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
