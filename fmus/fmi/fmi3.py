@@ -64,9 +64,7 @@ class Fmi3Library(Library):
         names = (_INSTANTIATE, *(f"fmi3{name}" for name in _FUNCTIONS))
         if missing := [name for name in names if not hasattr(self._functions, name)]:
             self.unload()
-            raise AttributeError(
-                f"{path.name} lacks {', '.join(missing)}: expected them in FMI 3.0"
-            )
+            raise AttributeError(f"{path.name} lacks {', '.join(missing)}: expected them in FMI 3.0")
         functions = (getattr(self._functions, name) for name in names[1:])
         addresses = [ctypes.cast(function, _POINTER).value or 0 for function in functions]
         self._addresses, self._elements = np.array(addresses, np.int64), np.array(elements, np.int64)

@@ -34,8 +34,13 @@ typedef struct {
 } Face;
 
 static void log_to_fmi3(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status, fmi2String category,
-                        fmi2String text, ...) {
+                        fmi2String format, ...) {
     Face *f = environment;
+    char text[256];
+    va_list arguments;
+    va_start(arguments, format);
+    vsnprintf(text, sizeof text, format, arguments);
+    va_end(arguments);
     (void)name;
     f->log(f->environment, (fmi3Status)status, category, text);
 }
