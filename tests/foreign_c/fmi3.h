@@ -2,8 +2,8 @@
  *
  * config.h lists ARRAYS: {value reference, type, first variable, count} of each. Strings are no variables of the slave:
  * those at an even place of TEXTS are inputs, which the output behind them repeats.
- * It is as strict as slave.h. A discarded step leaves the instance as it was (3.0.2, 2.2.3), and one that terminates the
- * simulation is done. No string that it returned outlives its next call.
+ * It is as strict as slave.h. A discarded step leaves the instance as it was (3.0.2, 2.2.3), and one that terminates
+ * the simulation is done. No string that it returned outlives its next call.
  */
 
 #ifndef FMI3_H
@@ -107,7 +107,8 @@ static void repeat_texts(Face *f) {
     for (int i = 0; i + N_TEXTS / 2 < N_TEXTS; i++) strcpy(f->text[N_TEXTS / 2 + i], f->text[i]);
 }
 
-fmi3Status fmi3GetString(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3String values[], size_t n_values) {
+fmi3Status fmi3GetString(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3String values[],
+                         size_t n_values) {
     unsigned texts[N_TEXTS + 1];
     size_t count;
     Face *f = c;
