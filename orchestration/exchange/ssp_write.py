@@ -24,7 +24,7 @@ from fmus.fmi.description import start_value
 from fmus.fmi.integer_enumerations import without_enumerations
 from fmus.fmi.variable_types import FmiValue
 from orchestration.exchange import ssp_xml
-from orchestration.exchange.limits import check_plain_exchange
+from orchestration.exchange.limits import check_plain_exchange, check_standard
 from orchestration.exchange.signal_sources import BuildSource, RampSource, ramp_sources, with_sources
 from orchestration.exchange.ssp_xml import STRUCTURE, SspVersion, add, add_value
 from orchestration.scenarios.fmu_files import fmu_file
@@ -88,9 +88,10 @@ def package(
 
     build_source: makes the FMU that gives a signal; called once for every driven input
     build_started: makes the FMU of a component that starts with the values of the scenario
-    Raises ScenarioError for a scenario with more than `check_plain_exchange` allows, or another signal than
-    ramps.
+    Raises ScenarioError for a scenario with more than `check_plain_exchange` allows, another signal than
+    ramps, or an FMU of FMI 3.0.
     """
+    check_standard(scenario.system, f"an SSP package of {scenario.name}")
     scenarios = family(scenario)
     for variant in scenarios:
         check_plain_exchange(variant.experiment, f"an SSP package of {variant.name}")
