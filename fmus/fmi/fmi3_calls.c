@@ -41,19 +41,12 @@ typedef fmi3Status Transfer(fmi3Instance instance, const fmi3ValueReference *ref
                             void *values, size_t n_values);
 
 /* In the order of `_FUNCTIONS` of fmi3.py. */
+#define FUNCTIONS(X)                                                                                            \
+    X(FreeInstance) X(EnterInitializationMode) X(ExitInitializationMode) X(Terminate) X(Reset) X(GetFMUState)   \
+    X(SetFMUState) X(FreeFMUState) X(SerializedFMUStateSize) X(SerializeFMUState) X(DeserializeFMUState) X(DoStep)
+#define MEMBER(Name) fmi3##Name##TYPE *Name;
 typedef struct {
-    fmi3FreeInstanceTYPE *FreeInstance;
-    fmi3EnterInitializationModeTYPE *EnterInitializationMode;
-    fmi3ExitInitializationModeTYPE *ExitInitializationMode;
-    fmi3TerminateTYPE *Terminate;
-    fmi3ResetTYPE *Reset;
-    fmi3GetFMUStateTYPE *GetFMUState;
-    fmi3SetFMUStateTYPE *SetFMUState;
-    fmi3FreeFMUStateTYPE *FreeFMUState;
-    fmi3SerializedFMUStateSizeTYPE *SerializedFMUStateSize;
-    fmi3SerializeFMUStateTYPE *SerializeFMUState;
-    fmi3DeserializeFMUStateTYPE *DeserializeFMUState;
-    fmi3DoStepTYPE *DoStep;
+    FUNCTIONS(MEMBER)
     Transfer *transfer[String + 1][2]; /* get, set */
 } Functions;
 
@@ -293,14 +286,9 @@ EXPORT void fmi2FreeInstance(Instance *a) {
 /* NULL without memory, and then `instance` is not freed. */
 EXPORT Instance *fmi3_behind(fmi3Instance instance, const Functions *call, const Element *elements, size_t n_elements,
                              fmi3LogMessageCallback log, fmi3InstanceEnvironment environment) {
-    Instance *a = calloc(1, sizeof *a);
+    Instance *a = malloc(sizeof *a);
     if (!a) return NULL;
-    a->instance = instance;
-    a->call = call;
-    a->elements = elements;
-    a->n_elements = n_elements;
-    a->log = log;
-    a->environment = environment;
+    *a = (Instance){instance, call, elements, n_elements, log, environment};
     a->references = calloc(n_elements + 1, sizeof *a->references);
     a->values = calloc(n_elements + 1, sizeof(double));
     a->texts = calloc(n_elements + 1, sizeof *a->texts);
