@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pyarrow import parquet
 
 from fmus.fmi.description import describe, of_causality
 from fmus.fmi.instance import FmuInstance
@@ -337,3 +338,43 @@ def test_many_runs_are_made_in_processes_too(linear: Build) -> None:
     apart = [recording.values for recording in run_many(system, experiments, workers=2, isolate=True)]
     assert np.array_equal(apart, expected)
     assert np.array_equal(simulate(system, experiments[1], timeout=30.0).values, expected[1])
+
+
+SWEPT = """
+base = "nominal-extended"
+[components]
+plant = "{plant}"
+[experiment]
+stop_time = 2.0
+[metrics]
+settling_time = false
+overshoot = false
+holding_thrust = false
+lag = false
+[sweep]
+samples = 4
+seed = 1
+[sweep.vary."plant.net_weight"]
+distribution = "uniform"
+low = -2.0
+high = -1.0
+"""
+
+
+def test_commands_take_an_fmu_of_fmi_3_by_its_file(
+    command: Any, built: Fmus, fmi3_built: Fmus, scenario_fmus: None, tmp_path: Path
+) -> None:
+    """`run` in a process of its own, and `sweep`: the files are those with FMI 2.0."""
+    tables = []
+    for number, fmus in enumerate((built, fmi3_built)):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        path = folder / "swept.toml"
+        path.write_text(SWEPT.format(plant=fmus[PLANT]))
+        command("sweep", path, "--out", folder)
+        options = ("--controller", fmus[CONTROLLER], "--timeout", 60, "--out", folder, "--formats", "none")
+        command("run", path, *options)
+        (recording,), (samples,) = folder.glob("*.csv"), folder.glob("*.parquet")
+        tables.append((recording.read_bytes(), parquet.read_table(samples).to_pydict()))
+    assert tables[0] == tables[1]
+    assert len({*tables[0][1]["rmse"]}) == 4
