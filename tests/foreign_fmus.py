@@ -235,6 +235,7 @@ def mirror(
                 v = Variable(f"{name}_{suffix}{index}", causality, variability, given, kind, follows, follows)
                 (texts if kind == "String" else variables).append(v)
     shape = {"N_PAIRS": len(variables) // 2, "N_TEXTS": len(texts), **macros}
+    shape["TEXT_STARTS"] = ", ".join(f'"{v.start}"' for v in texts) or '""'
     claims = Capabilities(**capabilities)
     return _write(path, "mirror", variables, claims, shape, fmi=3, texts=texts, changes=changes)
 

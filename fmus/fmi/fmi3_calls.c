@@ -130,15 +130,19 @@ static int move(Instance *a, int kind, int is_set, const Element *e, size_t slot
     return fmi3OK;
 }
 
-/* 2.2.7.2: strings that an FMU returns are only valid until its next call. */
+/* 2.2.7.2: strings that an FMU returns are only valid until its next call. Those that are kept stay while they are the
+   same: a call may read a scalar twice. */
 static void keep_texts(Instance *a, size_t first, size_t count) {
     fmi3String *values = a->values;
     for (size_t k = 0; k < count; k++) {
+        char **kept = a->texts + first + k;
         const char *text = values[k] ? values[k] : "";
-        char *copy = malloc(strlen(text) + 1);
-        free(a->texts[first + k]);
-        a->texts[first + k] = copy ? strcpy(copy, text) : NULL;
-        values[k] = copy;
+        if (!*kept || strcmp(*kept, text)) {
+            free(*kept);
+            *kept = malloc(strlen(text) + 1);
+            if (*kept) strcpy(*kept, text);
+        }
+        values[k] = *kept;
     }
 }
 

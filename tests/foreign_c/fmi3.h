@@ -1,7 +1,7 @@
 /* FMI 3.0 for co-simulation around a slave of slave.h: its variables as arrays, with value references of their own.
  *
  * config.h lists ARRAYS: {value reference, type, first variable, count} of each. Strings are no variables of the slave:
- * those at an even place of TEXTS are inputs, which the output behind them repeats.
+ * the first half of N_TEXTS are inputs, which the other half repeats; TEXT_STARTS are their start values.
  * It is as strict as slave.h. A discarded step leaves the instance as it was (3.0.2, 2.2.3), and one that terminates
  * the simulation is done. No string that it returned outlives its next call.
  */
@@ -13,6 +13,7 @@
 
 #ifndef N_TEXTS
 #define N_TEXTS 0
+#define TEXT_STARTS ""
 #endif
 
 enum Type { Float64, Float32, Int8, UInt8, Int16, UInt16, Int32, UInt32, Int64, UInt64, Boolean, String };
@@ -137,9 +138,11 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          fmi3IntermediateUpdateCallback update) {
     Face *f = calloc(1, sizeof *f);
     const fmi2CallbackFunctions functions = {log_to_fmi3, calloc, free, NULL, f};
+    static const char *const starts[N_TEXTS + 1] = {TEXT_STARTS};
     (void)required, (void)update;
     f->log = log;
     f->environment = environment;
+    for (int i = 0; i < N_TEXTS; i++) strcpy(f->text[i], starts[i]);
     if (!event_mode && !early_return && !n_required && !resources) /* there is no folder of resources */
         f->slave = fmi2Instantiate(name, fmi2CoSimulation, token, resources, &functions, visible, logging);
     if (f->slave) return f;
