@@ -25,7 +25,7 @@ from fmus.build.documentation.reference_results import ReferenceRun, reference_r
 from fmus.build.documentation.terminals_and_icon import icon, terminals
 from fmus.build.fmi3 import variable_names
 from fmus.build.guard import location, own_line
-from fmus.build.shipped import ShippedFmi3Library, ShippedLibrary
+from fmus.build.shipped import ShippedLibrary
 from fmus.build.stamp import BuildCache, BuildRequest, order_of_file
 from fmus.build.symbolic import traced
 from fmus.errors import ExportError, nearest
@@ -155,9 +155,9 @@ def _building(block: Block, order: BuildRequest) -> Iterator[Callable[[], dict[P
         def write() -> dict[Path, bytes]:
             built = libraries()
             if path := library_member(built, block.name, order.fmi):
-                shipped = ShippedFmi3Library if order.fmi == 3 else ShippedLibrary
                 # OSError: no library can be loaded from where temporary files are
-                with suppress(OSError), closing(shipped(block, guid, built[path])) as library:
+                shipped = block, guid, built[path], order.fmi
+                with suppress(OSError), closing(ShippedLibrary(*shipped)) as library:
                     check_shipped(compared, library)
             files = {order.folder / f"{block.name}.fmu": packed(members | built | shown)}
             if order.with_cross_check:

@@ -16,6 +16,7 @@ from string import Template
 
 import numpy as np
 
+from fmus.fmi.description import describe
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Algorithm, Experiment
@@ -45,12 +46,22 @@ def check_plain_exchange(experiment: Experiment, target: str) -> None:
         raise ScenarioError(f"{target} with {present}: expected none, it cannot carry them")
 
 
+def check_standard(system: System, target: str) -> None:
+    """Raises ScenarioError for an FMU of FMI 3.0, whose arrays are no scalars elsewhere."""
+    for name, path in system.components.items():
+        if (version := describe(path).fmiVersion) != "2.0":
+            raise ScenarioError(
+                f"{target} with {name}, {path.name}, of FMI {version}: expected FMI 2.0, as of l1-depth build"
+            )
+
+
 def prepare_plain(scenario: Scenario, target: str) -> PreparedRun:
     """Returns the run of a scenario that exchanges plainly, by connections without factor and offset.
 
     Raises ScenarioError for another one.
     """
     check_plain_exchange(scenario.experiment, target)
+    check_standard(scenario.system, target)
     prepared = prepare(scenario.system, scenario.experiment)
     for name, transformation in prepared.system.transformations.items():
         raise ScenarioError(

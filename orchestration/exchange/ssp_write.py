@@ -28,6 +28,7 @@ from orchestration.exchange.limits import (
     BuildSource,
     RampSource,
     check_plain_exchange,
+    check_standard,
     ramp_sources,
     with_sources,
 )
@@ -93,9 +94,10 @@ def package(
 
     build_source: makes the FMU that gives a signal; called once for every driven input
     build_started: makes the FMU of a component that starts with the values of the scenario
-    Raises ScenarioError for a scenario with more than `check_plain_exchange` allows, or another signal than
-    ramps.
+    Raises ScenarioError for a scenario with more than `check_plain_exchange` allows, another signal than
+    ramps, or an FMU of FMI 3.0.
     """
+    check_standard(scenario.system, f"an SSP package of {scenario.name}")
     scenarios = family(scenario)
     for variant in scenarios:
         check_plain_exchange(variant.experiment, f"an SSP package of {variant.name}")
