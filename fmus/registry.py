@@ -14,6 +14,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 from fmus import store
+from fmus.errors import ExportError
 
 GROUP = "l1_depth.blocks"
 FOLDER_VARIABLE = "L1_DEPTH_FMUS"
@@ -60,6 +61,12 @@ def fmu_folder(flavour: Flavour = Flavour.NATIVE) -> Path:
     """
     own = store.folder(store.FMUS) / store.digest(str(Path(__file__).resolve().parent).encode())[:12]
     return Path(os.environ.get(FOLDER_VARIABLE) or own).absolute() / flavour.value
+
+
+def unwritable(folder: Path, error: OSError) -> ExportError:
+    """Returns the error for a folder of FMUs that cannot be written, with what to do."""
+    reason = f"cannot write FMUs to {folder}: {error.strerror or error}"
+    return ExportError(f"{reason}; set {FOLDER_VARIABLE} to another folder")
 
 
 def fmu_path(block: str, flavour: Flavour = Flavour.NATIVE) -> Path:

@@ -216,13 +216,13 @@ def mirror(
     path: Path,
     pairs: Mapping[str, tuple[str, str]],
     macros: Mapping[str, object] = {},
-    change: tuple[str, str] = ("", ""),
+    changes: Sequence[tuple[str, str]] = (),
     **capabilities: Any,
 ) -> Path:
     """An FMU of FMI 3.0 whose outputs NAME_out are its inputs NAME_in of the step before.
 
     pairs: name -> type of FMI 3.0, and start values of the scalars by their indices, "[1,1] 1.0 [1,2] 2.0"
-    macros: of fmi3.h; change: of the model description, old and new text
+    macros: of fmi3.h; changes: of the model description, old and new text
     """
     variables, texts = [], []
     for suffix, causality in (("in", "input"), ("out", "output")):
@@ -235,8 +235,9 @@ def mirror(
                 v = Variable(f"{name}_{suffix}{index}", causality, variability, given, kind, follows, follows)
                 (texts if kind == "String" else variables).append(v)
     shape = {"N_PAIRS": len(variables) // 2, "N_TEXTS": len(texts), **macros}
+    shape["TEXT_STARTS"] = ", ".join(f'"{v.start}"' for v in texts) or '""'
     claims = Capabilities(**capabilities)
-    return _write(path, "mirror", variables, claims, shape, fmi=3, texts=texts, change=change)
+    return _write(path, "mirror", variables, claims, shape, fmi=3, texts=texts, changes=changes)
 
 
 def motor(path: Path, solver_tolerance: float = 1e-3, **capabilities: Any) -> Path:
@@ -261,11 +262,11 @@ def _write(
     declares_dependencies: bool = True,
     fmi: int = 2,
     texts: Sequence[Variable] = (),
-    change: tuple[str, str] = ("", ""),
+    changes: Sequence[tuple[str, str]] = (),
 ) -> Path:
     """macros: what the library is compiled for; numbers: of the model, behind the others of `Config`.
 
-    fmi: the version of the standard; texts: Strings, of FMI 3.0; change: of the model description
+    fmi: the version of the standard; texts: Strings, of FMI 3.0; changes: of the model description
     """
     if fmi == 3:
         arrays = [*_arrays(variables), *_arrays(texts)]
@@ -278,7 +279,9 @@ def _write(
     content = [*capabilities.numbers(), *(v.start for v in variables), *numbers]
     config = struct.pack(f"{len(content)}d", *content)
     recipe = hashlib.sha256(library + config).hexdigest()
-    xml = xml.replace(change[0].encode(), change[1].encode())
+    for old, new in changes:
+        assert old.encode() in xml
+        xml = xml.replace(old.encode(), new.encode())
     guid, members = model_description.with_guid({"modelDescription.xml": xml}, recipe)
     reserved = _CONFIG_MARK.ljust(_GUID_SIZE + len(config), b"\0")
     assert library.count(reserved) == 1

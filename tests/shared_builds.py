@@ -37,6 +37,14 @@ def built_once(path: Path, build: Callable[[Path], Any]) -> Path:
     return path
 
 
+def with_libraries(name: str, members: dict[str, bytes]) -> dict[str, bytes]:
+    """The members of a native FMU, and its library for this platform, compiled from their sources."""
+    from fmus.build import native
+
+    with native.compiled_libraries(name, members, ()) as libraries:
+        return members | libraries()
+
+
 class LazyFmus(Mapping[str, Path]):
     """FMUs by name: `build(name, folder)` writes `folder/NAME.fmu` when the name is first looked up."""
 

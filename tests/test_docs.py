@@ -217,7 +217,7 @@ def long_cells(text: str) -> list[str]:
     return [cell for cell in cells if len(cell) > 120]
 
 
-@pytest.mark.parametrize("page", FOR_USERS, ids=_name)
+@pytest.mark.parametrize("page", PAGES, ids=_name)
 def test_sentences_and_cells_are_short(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert not long_sentences(text)

@@ -14,7 +14,7 @@ import survey  # pyright: ignore[reportMissingImports]
 
 sys.path.pop(0)
 
-FOLDER = Path(survey.__file__).parent
+FOLDER = Path(str(survey.__file__)).parent
 FINDING = {"repository": "r", "revision": "0" * 40, "path": "a.fmu", "tool": "T", "year": "2020"}
 
 

@@ -17,7 +17,7 @@ from typing import Any
 from fmus.block.guide import NO_GUIDE, Guide
 from fmus.block.integration import between_events, rk4_step
 from fmus.block.scalars import flatten, unflatten
-from fmus.block.variables import ROLES, BlockVariable, plain, scalar_variables, variable, with_start
+from fmus.block.variables import ROLES, BlockVariable, plain, restarted, scalar_variables, variable
 from fmus.errors import nearest
 
 __all__ = ["Block", "NoValues", "variable"]
@@ -152,13 +152,8 @@ class Block:
         declared = {parameter.name: parameter for parameter in fields(self.parameters)}
         if unknown := [own for own in starts if own not in declared]:
             raise TypeError(f"block {name!r}: no parameter {unknown[0]!r}; {nearest(unknown[0], declared)}")
-        restarted = [
-            (own, declared[own].type, with_start(declared[own], start, source))
-            for own, (start, source) in starts.items()
-        ]
-        parameters = make_dataclass(
-            self.parameters.__name__, restarted, bases=(self.parameters,), frozen=True
-        )
+        values = {own: start for own, (start, _) in starts.items()}
+        parameters = restarted(self.parameters, values, {own: source for own, (_, source) in starts.items()})
         parameters.__module__ = module
         return replace(self, name=name, description=description, parameters=parameters, **given)
 

@@ -6,6 +6,17 @@ from functools import cache
 from typing import Any
 
 
+def members(value: Any, first: int = 1) -> list[tuple[str, Any]] | None:
+    """Returns path and value of what a tuple or dataclass instance holds, ".name" or "[1]"; None of a scalar.
+
+    first: index of the first element of a tuple
+    """
+    if isinstance(value, tuple):
+        return [(f"[{i}]", element) for i, element in enumerate(value, first)]
+    names = _member_names(type(value))
+    return None if names is None else [(f".{name}", getattr(value, name)) for name in names]
+
+
 def flatten(value: Any) -> list[Any]:
     """Returns the scalars of a dataclass instance or nested tuple, in the order of declaration."""
     scalars: list[Any] = []

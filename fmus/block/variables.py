@@ -1,8 +1,8 @@
 """Variables of a block: how they are declared, and the scalars of its interface that follow."""
 
 import math
-from collections.abc import Iterator
-from dataclasses import Field, dataclass, field, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import Field, dataclass, field, fields, make_dataclass, replace
 from enum import IntEnum
 from functools import cached_property
 from typing import Any, Literal, TypeVar
@@ -56,10 +56,15 @@ def plain(value: Any) -> Any:
     return value.tolist() if hasattr(value, "tolist") else value
 
 
-def with_start(declared: Field, start: Any, source: str) -> Any:
-    """Returns the declaration of a variable with another start value and its source."""
-    texts = {**declared.metadata["texts"], "source": source}
-    return field(default=plain(start), metadata={**declared.metadata, "texts": texts})
+def restarted(cls: type, starts: Mapping[str, Any], sources: Mapping[str, str] = {}) -> type:
+    """Returns a class of the same variables with other start values, and with sources of these."""
+    members = []
+    for declared in (declared for declared in fields(cls) if declared.name in starts):
+        name, texts = declared.name, declared.metadata["texts"]
+        source = {"source": sources.get(name, texts["source"])}
+        metadata = {**declared.metadata, "texts": texts | source}
+        members.append((name, declared.type, field(default=plain(starts[name]), metadata=metadata)))
+    return make_dataclass(cls.__name__, members, bases=(cls,), frozen=True) if members else cls
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from fmus.build.documentation.reference_results import ReferenceRun, reference_r
 from fmus.build.documentation.terminals_and_icon import icon, terminals
 from fmus.build.fmi3 import variable_names
 from fmus.build.guard import location, own_line
-from fmus.build.shipped import ShippedFmi3Library, ShippedLibrary
+from fmus.build.shipped import ShippedLibrary
 from fmus.build.stamp import BuildCache, BuildRequest, order_of_file
 from fmus.build.symbolic import traced
 from fmus.errors import ExportError, nearest
@@ -33,7 +33,7 @@ from fmus.files import packed, write_bytes_atomically
 from fmus.fmi.binding import library_member
 from fmus.operating_system import usable_processors
 from fmus.platforms import host_platform, library_name
-from fmus.registry import FOLDER_VARIABLE, Flavour, block_entry_points, block_fmus, block_names, fmu_folder
+from fmus.registry import Flavour, block_entry_points, block_fmus, block_names, fmu_folder, unwritable
 
 _AT_ONCE = usable_processors()  # orders that are compiled
 _ICONS = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
@@ -155,9 +155,9 @@ def _building(block: Block, order: BuildRequest) -> Iterator[Callable[[], dict[P
         def write() -> dict[Path, bytes]:
             built = libraries()
             if path := library_member(built, block.name, order.fmi):
-                shipped = ShippedFmi3Library if order.fmi == 3 else ShippedLibrary
                 # OSError: no library can be loaded from where temporary files are
-                with suppress(OSError), closing(shipped(block, guid, built[path])) as library:
+                shipped = block, guid, built[path], order.fmi
+                with suppress(OSError), closing(ShippedLibrary(*shipped)) as library:
                     check_shipped(compared, library)
             files = {order.folder / f"{block.name}.fmu": packed(members | built | shown)}
             if order.with_cross_check:
@@ -278,10 +278,7 @@ def build_missing(paths: Iterable[Path]) -> None:
         try:
             build_if_stale(name, flavour=flavour)
         except OSError as error:
-            raise ExportError(
-                f"cannot write FMUs to {fmu_folder(flavour)}: {error.strerror or error}; "
-                f"set {FOLDER_VARIABLE} to another folder"
-            ) from error
+            raise unwritable(fmu_folder(flavour), error) from error
 
 
 def _fits(fmu: bytes, guid: str, library: str | None) -> bool:

@@ -1,10 +1,10 @@
 """Check that a block takes all of its samples: `sampled` takes one in a step at most."""
 
 from collections.abc import Iterator
-from dataclasses import fields, is_dataclass
 from typing import Any
 
 from fmus.block import Block
+from fmus.block.scalars import members
 from fmus.build.guard import location
 from fmus.errors import ExportError
 from fmus.numerics import Clock
@@ -42,9 +42,5 @@ def _clocks(value: Any) -> Iterator[Clock]:
     """Yields the clocks in a state, at any depth."""
     if isinstance(value, Clock):
         yield value
-    elif isinstance(value, tuple):
-        for element in value:
-            yield from _clocks(element)
-    elif is_dataclass(value):
-        for member in fields(value):
-            yield from _clocks(getattr(value, member.name))
+    for _, part in members(value) or ():
+        yield from _clocks(part)

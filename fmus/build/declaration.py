@@ -9,7 +9,7 @@ from dataclasses import MISSING, Field, fields, is_dataclass
 from typing import Any, get_args, get_origin
 
 from fmus.block import Block, NoValues
-from fmus.block.scalars import flatten
+from fmus.block.scalars import flatten, members
 from fmus.block.units import display, unit
 from fmus.block.variables import ROLES, BlockVariable
 from fmus.build.guard import location
@@ -273,11 +273,7 @@ def _is_one_number(value: Any) -> bool:
 
 def scalar_names(value: Any, name: str = "") -> Iterator[str]:
     """Yields the names of the scalars of a dataclass, in the order of `flatten`."""
-    if isinstance(value, tuple):
-        for i, element in enumerate(value):
-            yield from scalar_names(element, f"{name}[{i + 1}]")
-    elif is_dataclass(value):
-        for field in fields(value):
-            yield from scalar_names(getattr(value, field.name), f"{name}.{field.name}".lstrip("."))
-    else:
-        yield name
+    if (parts := members(value)) is None:
+        yield name.lstrip(".")
+    for path, part in parts or ():
+        yield from scalar_names(part, name + path)

@@ -23,7 +23,7 @@ from fmus.build.model_description import (
     parsable,
 )
 from fmus.build.sensitivities import Mode, sensitivities
-from fmus.build.symbolic import restarted_states, traced
+from fmus.build.symbolic import indicator_count, restarted_states
 
 TYPES = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "Enumeration": "Enumeration"}
 _CAPABILITIES = {
@@ -47,8 +47,7 @@ def other_variables(block: Block) -> tuple[BlockVariable, ...]:
     reference = len(block.variables) + len(block.states)
     is_taken = _TIME in {array_name(v) for v in block.variables}
     time = "independent.time" if is_taken else _TIME  # no variable of a block has a point in its name
-    count = traced(block).crossings.numel_out(0) if block.derivative else 0
-    indicators = (f"event.indicators[{i + 1}]" for i in range(count))
+    indicators = (f"event.indicators[{i + 1}]" for i in range(indicator_count(block)))
     about = "Changes its sign where a derivative has a corner or a jump"
     return (
         _variable(time, reference, "independent", "Time", "s"),

@@ -9,7 +9,6 @@ import hashlib
 import os
 import uuid
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
@@ -19,6 +18,7 @@ from fmus.block import Block
 from fmus.block.units import display, per_second, rate, unit
 from fmus.block.variables import BlockVariable
 from fmus.build.sensitivities import sensitivities
+from fmus.build.symbolic import indicator_count, restarted_states
 from fmus.errors import ExportError
 from fmus.files import xml_document
 
@@ -41,33 +41,17 @@ _CAPABILITIES = {
 _OF_CO_SIMULATION = {"canHandleVariableCommunicationStepSize": "true", "canRunAsynchronuously": "false"}
 
 
-@dataclass(frozen=True)
-class Exchange:
-    """Interface of model exchange, beside that of co-simulation.
-
-    capabilities: the attributes of `ModelExchange` that the flavour decides
-    dependencies: value reference of each output and derivative -> those of the inputs and states behind it
-    indicators: how many event indicators there are
-    restarted: value references of the states that an event may change
-    """
-
-    capabilities: dict[str, str]
-    dependencies: Mapping[int, Sequence[int]]
-    indicators: int
-    restarted: set[int]
-
-
 def model_description(
     block: Block,
     guid: str,
     capabilities: dict[str, str],
-    exchange: Exchange | None = None,
+    exchange: dict[str, str] | None = None,
     source_files: Sequence[str] = (),
     dependencies: Mapping[int, Sequence[int]] | None = None,
 ) -> bytes:
     """Returns the XML of a block; capabilities: the attributes of `CoSimulation` that the flavour decides.
 
-    exchange: what an FMU for model exchange has besides; None for one of co-simulation alone
+    exchange: those of `ModelExchange`; None for an FMU of co-simulation alone
     source_files: what an importer must compile to rebuild the FMU, inside the folder `sources`.
     dependencies: value reference of each initial unknown -> those of the parameters and inputs behind it; by
         default of the block as it is traced
@@ -75,10 +59,10 @@ def model_description(
     Raises ExportError for a unit that `fmus.block.units` does not know.
     """
     attributes = {"fmiVersion": "2.0", "guid": guid, **model_attributes(block)}
-    if exchange and exchange.indicators:
-        attributes["numberOfEventIndicators"] = str(exchange.indicators)
+    if exchange and (count := indicator_count(block)):
+        attributes["numberOfEventIndicators"] = str(count)
     root = ElementTree.Element("fmiModelDescription", attributes)
-    interfaces = {"ModelExchange": exchange.capabilities} if exchange else {}
+    interfaces = {"ModelExchange": exchange} if exchange else {}
     interfaces["CoSimulation"] = _OF_CO_SIMULATION | capabilities
     for name, own in interfaces.items():
         interface = add(root, name, modelIdentifier=block.name, **(_CAPABILITIES | own))
@@ -90,20 +74,22 @@ def model_description(
     add_enumerations(root, block)
     add_experiment(root, block)
     variables = add(root, "ModelVariables")
+    restarted = restarted_states(block) if exchange else set()
     for variable in (*block.variables, *states):
         of_state = variable.value_reference - len(states) // 2
         is_rate = of_state >= len(block.variables) and variable.causality == "local"
-        is_restarted = exchange is not None and variable.value_reference in exchange.restarted
         of_all, of_type = attributes_of(variable.name, [variable])
         of_type["derivative"] = str(of_state + 1) if is_rate else None  # index of the state
-        of_type["reinit"] = "true" if is_restarted else None
+        of_type["reinit"] = "true" if variable.value_reference in restarted else None
         add(add(variables, "ScalarVariable", **of_all), variable.type, **of_type)
     if dependencies is None:
         settable = (*block.of_causality("parameter"), *block.of_causality("input"))
         dependencies = sensitivities(block).initial.dependencies(settable)
     described = len(block.variables) + len(states)
     initial = {unknown: known for unknown, known in dependencies.items() if unknown < described}
-    _structure(root, block, exchange.dependencies if exchange else {}, initial)
+    known = (*block.of_causality("input"), *block.states)
+    present = sensitivities(block).exchange.dependencies(known) if exchange else {}
+    _structure(root, block, present, initial)
     return parsable(root, block)
 
 

@@ -22,9 +22,9 @@ from fmus.block import Block
 from fmus.block.variables import BlockVariable
 from fmus.build import fmi3
 from fmus.build.documentation.page import documentation, licenses
-from fmus.build.model_description import GUID, Exchange, model_description, with_guid
+from fmus.build.model_description import GUID, model_description, with_guid
 from fmus.build.sensitivities import sensitivities
-from fmus.build.symbolic import Traced, restarted_states, traced
+from fmus.build.symbolic import Traced, indicator_count, traced
 from fmus.errors import ExportError
 from fmus.files import xml_document
 from fmus.fmi.integer_enumerations import REALS_ONLY, with_other_types
@@ -42,6 +42,7 @@ _EXTENTS = """
 static const unsigned EXTENTS[] = {{{}}};
 """
 _OF_BOTH = {"canNotUseMemoryManagementFunctions": "true", "providesDirectionalDerivative": "true"}
+_OF_EXCHANGE = {"completedIntegratorStepNotNeeded": "true", **_OF_BOTH}
 _CAPABILITIES = {"canInterpolateInputs": "true", "maxOutputDerivativeOrder": "1", **_OF_BOTH}
 
 
@@ -51,9 +52,11 @@ def content(block: Block, reals_only: bool = False, fmi: int = 2) -> tuple[str, 
     reals_only: whether every variable is a Real, for importers that know no other type
     fmi: the version of the standard, 2 or 3
     """
-    functions, files = traced(block), COMPILED[fmi]
-    sources = c_sources(block, GUID, reals_only, fmi)
-    description = fmi3.model_description(block, GUID) if fmi == 3 else _description(functions)
+    files, sources = COMPILED[fmi], c_sources(block, GUID, reals_only, fmi)
+    if fmi == 3:
+        description = fmi3.model_description(block, GUID)
+    else:
+        description = model_description(block, GUID, _CAPABILITIES, _OF_EXCHANGE, files)
     members = {
         **{f"sources/{name}": text.encode() for name, text in sources.items()},
         **documentation(block, *files, reals_only=reals_only, fmi=fmi),
@@ -62,14 +65,6 @@ def content(block: Block, reals_only: bool = False, fmi: int = 2) -> tuple[str, 
         "modelDescription.xml": with_other_types(description, REALS_ONLY) if reals_only else description,
     }
     return with_guid(members, recipe=" ".join((*COMPILER, *FLAGS)))
-
-
-def _description(functions: Traced) -> bytes:
-    of_exchange = {"completedIntegratorStepNotNeeded": "true", **_OF_BOTH}
-    block = functions.block
-    dependencies = sensitivities(block).exchange.dependencies((*block.of_causality("input"), *block.states))
-    exchange = Exchange(of_exchange, dependencies, _indicators(functions), restarted_states(block))
-    return model_description(block, GUID, _CAPABILITIES, exchange, COMPILED[2])
 
 
 def _build_description(name: str, fmi: int) -> bytes:
@@ -147,7 +142,7 @@ def _tables(functions: Traced, reals_only: bool, fmi: int) -> dict[str, object]:
         "requirements": len(functions.required),
         "internal_step": next(v.value_reference for v in block.variables if v.name == "internal_step"),
         "continuous": len(block.states) // 2,
-        "indicators": _indicators(functions),
+        "indicators": indicator_count(block),
         "step_size": repr(float(block.step_size)),
         "fmi": fmi,
         "others": len(others),
@@ -158,10 +153,6 @@ def _tables(functions: Traced, reals_only: bool, fmi: int) -> dict[str, object]:
         "access": ", ".join(_access(v, reals_only, fmi) for v in described),
         "required": ",\n".join(f"    {_string(text)}" for text in (*functions.required, "")),
     }
-
-
-def _indicators(functions: Traced) -> int:
-    return functions.crossings.numel_out(0) if functions.block.derivative else 0
 
 
 def _row(v: BlockVariable, reals_only: bool) -> str:

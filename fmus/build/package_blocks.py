@@ -1,12 +1,12 @@
 """Blocks of a package that is handed on without its scenario: sources of signals, and other start values."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, make_dataclass, replace
+from dataclasses import dataclass, fields, make_dataclass, replace
 
 from fmus.block import Block, NoValues, variable
 from fmus.block.guide import Experiment, Guide
 from fmus.block.scalars import unflatten
-from fmus.block.variables import Value
+from fmus.block.variables import Value, restarted
 from fmus.errors import ExportError, nearest
 from fmus.numerics import ramps
 
@@ -88,16 +88,12 @@ def with_start_values(block: Block, values: Mapping[str, Value]) -> Block:
     count = len(block.of_causality("parameter"))
     return replace(
         block,
-        parameters=_with_defaults(block.parameters, starts[:count]),
-        inputs=_with_defaults(block.inputs, starts[count:]),
+        parameters=_started(block.parameters, starts[:count]),
+        inputs=_started(block.inputs, starts[count:]),
     )
 
 
-def _with_defaults(cls: type, starts: list[Value]) -> type:
-    """Returns a class of the same fields with these scalars as defaults, row by row."""
+def _started(cls: type, starts: list[Value]) -> type:
+    """Returns a class of the same variables that start with these scalars, row by row."""
     started = unflatten(cls, starts)
-    members = [
-        (member.name, member.type, field(default=getattr(started, member.name), metadata=member.metadata))
-        for member in fields(cls)
-    ]
-    return make_dataclass(cls.__name__, members, bases=(cls,), frozen=True) if members else cls
+    return restarted(cls, {member.name: getattr(started, member.name) for member in fields(cls)})

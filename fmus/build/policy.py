@@ -24,7 +24,7 @@ from fmus.build.sources import in_package, source_closure, sources_beside
 from fmus.errors import ExportError, nearest
 from fmus.files import packed
 from fmus.fmi.process import Parent, ProcessEndedError, WorkerProcess
-from fmus.registry import FOLDER_VARIABLE, Flavour, fmu_folder
+from fmus.registry import Flavour, fmu_folder, unwritable
 
 _NAMED = re.compile(r"(.+\.py):([^:/\\]*)", re.DOTALL)
 _SLAVE = "fmus.build.policy_slave"
@@ -57,10 +57,7 @@ def fmu_of_class(name: str, folder: Path = Path()) -> Path:
     try:
         store.write(path, content)
     except OSError as error:
-        raise ExportError(
-            f"cannot write FMUs to {path.parent}: {error.strerror or error}; "
-            f"set {FOLDER_VARIABLE} to another folder"
-        ) from error
+        raise unwritable(path.parent, error) from error
     store.put(store.BUILDS, key, store.digest(content).encode())
     return path
 

@@ -1,4 +1,4 @@
-"""What is calculated in each mode of an FMU by what is known: dependencies, and directional derivatives."""
+"""Modes of an FMU: what is calculated in each by what is known, dependencies and directional derivatives."""
 
 from collections.abc import Iterable
 from functools import cache
@@ -32,25 +32,17 @@ class Mode(NamedTuple):
             found[unknowns[row]].add(knowns[column])
         return {unknown: tuple(sorted(behind & chosen)) for unknown, behind in found.items()}
 
-    def derivatives(self, name: str, count: int) -> dict[str, casadi.Function]:
-        """Returns NAME_forward and NAME_adjoint: (t, x, u, p, v) -> sensitivities along the seed v.
+    def derivative(self, name: str, count: int, is_adjoint: bool) -> casadi.Function:
+        """Returns the function (t, x, u, p, v) -> sensitivities of unknowns along the seed v of knowns.
 
         count: of all variables, the length of seed and result, which are 0 where there is nothing to say
+        is_adjoint: of the knowns along a seed of the unknowns
         """
-        seed, (known, unknown) = casadi.SX.sym("v", count), map(_column, (self.known, self.unknown))
-        forward = casadi.jtimes(unknown, known, seed[[*self.known]])
-        adjoint = casadi.jtimes(unknown, known, seed[[*self.unknown]], True)
-        functions = {}
-        for kind, references, result in (
-            ("forward", self.unknown, forward),
-            ("adjoint", self.known, adjoint),
-        ):
-            along = casadi.SX.zeros(count)
-            along[[*references]] = result
-            functions[f"{name}_{kind}"] = casadi.Function(
-                f"{name}_{kind}", [*self.arguments, seed], [casadi.cse(along)], [*"txupv"], ["along"]
-            )
-        return functions
+        seed, along = casadi.SX.sym("v", count), casadi.SX.zeros(count)
+        given, derived = (self.unknown, self.known) if is_adjoint else (self.known, self.unknown)
+        unknown, known = _column(self.unknown), _column(self.known)
+        along[[*derived]] = casadi.jtimes(unknown, known, seed[[*given]], is_adjoint)
+        return casadi.Function(name, [*self.arguments, seed], [casadi.cse(along)], [*"txupv"], ["along"])
 
 
 def _column(expressions: dict[int, casadi.SX]) -> casadi.SX:
@@ -97,11 +89,14 @@ class Sensitivities:
         modes = {"initial": self.initial, "step": self.step}
         if self.exchange is not self.step:
             modes["exchange"] = self.exchange
-        more = self._calculated if fmi == 2 else {}
+        more, kinds = (self._calculated, ("forward",)) if fmi == 2 else ({}, ("forward", "adjoint"))
         functions: dict[str, casadi.Function] = {}
         for name, mode in modes.items():
-            functions |= mode._replace(unknown=more | mode.unknown).derivatives(name, self._count)
-        return {name: f for name, f in functions.items() if fmi == 3 or name.endswith("_forward")}
+            of_all = mode._replace(unknown=more | mode.unknown)
+            for kind in kinds:
+                own = f"{name}_{kind}"
+                functions[own] = of_all.derivative(own, self._count, kind == "adjoint")
+        return functions
 
 
 def _at(variables: tuple, values: casadi.SX) -> dict[int, casadi.SX]:

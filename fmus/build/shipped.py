@@ -2,9 +2,8 @@
 
 import ctypes
 import tempfile
-from ctypes import c_bool, c_double, c_size_t, c_void_p
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from fmus.block import Block
 from fmus.block.scalars import flatten
@@ -12,22 +11,24 @@ from fmus.build.symbolic import traced
 from fmus.errors import ExportError
 from fmus.fmi.binding import OK, BoundInstance, Library, status_name
 from fmus.fmi.callbacks import Callbacks
+from fmus.fmi.fmi3 import Fmi3Library
 
 # the first words of `Data` in fmus/native/instance.h: mode, stale parameters, stale outputs, rates of inputs
 _UNKNOWN_PARAMETERS, _AT_START, _IN_STEPS = (2, 1, 1, 0), (2, 0, 1, 0), (4, 0, 0, 0)
 
 
 class ShippedLibrary(BoundInstance):
-    """An instance of the library whose saved state is written in memory, as fmus/native/snapshot.h has it."""
+    """An instance of the library whose saved state is written in memory, as fmus/native/snapshot.h has it.
 
-    library_class: ClassVar[type[Library]] = Library
+    fmi: the version of the standard
+    """
 
-    def __init__(self, block: Block, guid: str, content: bytes) -> None:
+    def __init__(self, block: Block, guid: str, content: bytes, fmi: int = 2) -> None:
         # Windows does not remove a library that is loaded
         with tempfile.TemporaryDirectory(prefix="l1-depth-build-", ignore_cleanup_errors=True) as folder:
             path = Path(folder) / "library"
             path.write_bytes(content)
-            super().__init__(self.library_class(path), Callbacks())
+            super().__init__(Fmi3Library(path) if fmi == 3 else Library(path), Callbacks())
         self.instantiate(block.name, guid, path, logging_on=False)
         self._saved, self._states = self.get_fmu_state(), traced(block).step.numel_out(0)
         self._calculated, self._variables = len(flatten(block.calculated)), 1 + len(block.variables)
@@ -81,52 +82,3 @@ class ShippedLibrary(BoundInstance):
             return None
         self.get_fmu_state(self._saved)
         return self._numbers[:]
-
-
-# functions of FMI 3.0 by those of FMI 2.0 that stand for them
-_FMI3 = {
-    "fmi2ExitInitializationMode": ("fmi3ExitInitializationMode", [c_void_p]),
-    "fmi2GetFMUstate": ("fmi3GetFMUState", [c_void_p] * 2),
-    "fmi2SetFMUstate": ("fmi3SetFMUState", [c_void_p] * 2),
-    "fmi2FreeFMUstate": ("fmi3FreeFMUState", [c_void_p] * 2),
-    "fmi2DoStep": ("fmi3DoStep", [c_void_p, c_double, c_double, c_bool, *[c_void_p] * 4]),
-    "fmi2FreeInstance": ("fmi3FreeInstance", [c_void_p]),
-    "fmi2Instantiate": (
-        "fmi3InstantiateCoSimulation",
-        [*[c_void_p] * 3, *[c_bool] * 4, c_void_p, c_size_t, *[c_void_p] * 3],
-    ),
-}
-
-
-class _Fmi3Functions(Library):
-    """A loaded library of FMI 3.0; the functions are attributes by their names of FMI 2.0."""
-
-    def __init__(self, path: Path) -> None:
-        self._functions = ctypes.CDLL(str(path.resolve()))
-        for name, (own, types) in _FMI3.items():
-            function = getattr(self._functions, own)
-            function.argtypes, function.restype = (
-                types,
-                c_void_p if name == "fmi2Instantiate" else ctypes.c_int,
-            )
-            setattr(self, name, function)
-
-
-class ShippedFmi3Library(ShippedLibrary):
-    """An instance of a library of FMI 3.0, likewise."""
-
-    library_class = _Fmi3Functions
-
-    def instantiate(self, name: str, guid: str, resources: Path, logging_on: bool) -> bool:
-        off = (False, logging_on, False, False)
-        address = self.library.fmi2Instantiate(
-            name.encode(), guid.encode(), None, *off, None, 0, None, None, None
-        )
-        self.handle = c_void_p(address) if address else None
-        return self.handle is not None
-
-    def status(self, function: str, *arguments: Any) -> int:
-        if function == "fmi2DoStep":
-            results = (ctypes.byref(kind()) for kind in (c_bool, c_bool, c_bool, c_double))
-            arguments = (*arguments, *results)
-        return super().status(function, *arguments)

@@ -6,7 +6,7 @@ parameters `c`, inputs `u`, state `x`, outputs `y`, times `t` and `h` in s.
 
 import math
 from collections.abc import Callable
-from functools import cache, partial, reduce
+from functools import cache, reduce
 from typing import Any
 
 import casadi
@@ -17,6 +17,7 @@ from fmus.block.scalars import flatten, unflatten
 from fmus.build import guard
 from fmus.build.c_functions import ScalarC, VectorC, c_function, c_functions
 from fmus.build.declaration import check_declaration, check_requirements, check_result, scalar_names
+from fmus.build.operations import operations_of
 from fmus.build.right_derivative import right_derivative
 from fmus.errors import ExportError
 from fmus.numerics.symbols import unsimplified
@@ -48,62 +49,52 @@ class Traced:
         self.block = block
         check_declaration(block)
         t, h = casadi.SX.sym("t"), casadi.SX.sym("h")
-        call = partial(guard.call, block.name)
-        interface = (block.parameters, block.calculated, block.inputs)
-        (ps, p), (cs, c), (us, u) = (_symbols(block, role) for role in interface)
-        calculated, conditions = call(block.calculate, p), call(block.requirements, p, c)
-        check_result(block, "calculate", calculated)
+        # name of an argument -> column of symbols; the same in the shape that a function of the block takes
+        self._columns: dict[str, casadi.SX] = {"t": t, "h": h}
+        self._values: dict[str, Any] = {**self._columns}
+        for name, role in (("p", block.parameters), ("c", block.calculated), ("u", block.inputs)):
+            self._add_symbols(name, role)
+        calculated, conditions = self._result("calculate", "p"), self._called(block.requirements, "p c")
         check_requirements(block, conditions)
-        initial = call(block.initial_state, t, u, p, c)
-        check_result(block, "initial_state", initial)
-        xs, x = _symbols(block, initial)
-        stepped = call(block.advance, t, h, x, u, p, c)
-        check_result(block, "step", stepped)
-        outputs = call(block.output, t, x, p, c)
-        check_result(block, "output", outputs)
+        initial = self._result("initial_state", "t u p c")
+        self._add_symbols("x", initial)
+        stepped = self._result("step", "t h x u p c", block.advance)
+        outputs = self._result("output", "t x p c")
         self.required = tuple(text for _, text in conditions)
-        self.calculate = self._function("calculate", "p", [ps], "c", calculated)
+        self.calculate = self._function("calculate", "p", "c", calculated)
         self.requirements = self._function(
-            "requirements", "p c", [ps, cs], "holds", tuple(holds for holds, _ in conditions)
+            "requirements", "p c", "holds", tuple(holds for holds, _ in conditions)
         )
-        self.initial_state = self._function("initial_state", "t u p c", [t, us, ps, cs], "x", initial)
-        self.step = self._function("step", "t h x u p c", [t, h, xs, us, ps, cs], "next", stepped)
-        self.output = self._function("output", "t x p c", [t, xs, ps, cs], "y", outputs)
+        self.initial_state = self._function("initial_state", "t u p c", "x", initial)
+        self.step = self._function("step", "t h x u p c", "next", stepped)
+        self.output = self._function("output", "t x p c", "y", outputs)
         for name in ("calculate", "step", "output"):
             self._check_constants(name)
-
-        rate = right_derivative(_column(call(block.output, t + h, stepped, p, c)), h)
-        self.output_rate = self._function("output_rate", "t x u p c", [t, xs, us, ps, cs], "rate", rate)
-
+        after = self._called(block.output, "t x p c", t=t + h, x=stepped)
+        rate = right_derivative(_column(after), h)
+        self.output_rate = self._function("output_rate", "t x u p c", "rate", rate)
         if block.derivative:
-            self._trace_exchange(block.derivative, t, h, (xs, us, ps, cs), (x, u, p, c))
+            self._trace_exchange()
 
-    def _trace_exchange(
-        self, derivative: Callable[..., Any], t: casadi.SX, h: casadi.SX, columns: tuple, values: tuple
-    ) -> None:
+    def _trace_exchange(self) -> None:
         """Traces what a block with continuous states needs besides."""
-        block, (xs, us, ps, cs), (x, *others) = self.block, columns, values
-        count, arguments = len(flatten(block.continuous)), [t, xs, us, ps, cs]
-        call = partial(guard.call, block.name)
-
-        def function(name: str, result: Any) -> casadi.Function:
-            return self._function(name, "t x u p c", arguments, name, result)
-
-        held, rates = call(block.held, t, x, *others), call(derivative, t, x, *others)
-        check_result(block, "derivative", rates)
-        event = call(block.step, t, 0.0, x, *others)
-        check_result(block, "step", event)
-        after = _column(event)
-        for i in _copied(block, xs, _column(held)):
-            after[i] = xs[i]
-        due = reduce(casadi.fmin, call(_due_samples, block, t, x, *others), casadi.SX(math.inf))
-        self.held, self.derivative = function("held", held), function("rates", rates)
-        self.crossings = function("crossings", tuple(call(block.crossings, t, x, *others)))
-        self.event, self.next_event = function("event", after), function("next_event", due)
+        block, x, arguments = self.block, self._columns["x"], "t x u p c"
+        held, rates = self._called(block.held, arguments), self._result("derivative", arguments)
+        event = _column(self._result("step", "t h x u p c", h=0.0))
+        for i in _copied(block, x, _column(held)):
+            event[i] = x[i]
+        due = self._called(_due_samples, f"block {arguments}", block=block)
+        self.held = self._function("held", arguments, "held", held)
+        self.derivative = self._function("rates", arguments, "rates", rates)
+        crossings = tuple(self._called(block.crossings, arguments))
+        self.crossings = self._function("crossings", arguments, "crossings", crossings)
+        self.event = self._function("event", arguments, "event", event)
+        next_event = reduce(casadi.fmin, due, casadi.SX(math.inf))
+        self.next_event = self._function("next_event", arguments, "next_event", next_event)
         if block.integrate:
-            integrated = call(block.integrate, t, h, x, *others)
-            check_result(block, "integrate", integrated)
-            self.integrated_rate = function("rate", right_derivative(_column(integrated)[:count], h))
+            integrated = _column(self._result("integrate", "t h x u p c"))[: len(flatten(rates))]
+            rate = right_derivative(integrated, self._columns["h"])
+            self.integrated_rate = self._function("rate", arguments, "rate", rate)
 
     def between_events(self, function: casadi.Function) -> casadi.Function:
         """Returns a function of (t, x, u, p, c) with the state between events in place of x."""
@@ -113,14 +104,11 @@ class Traced:
 
     def _check_constants(self, name: str) -> None:
         """Raises ExportError for a function with a constant that is NaN."""
-        function: casadi.Function = getattr(self, name)
-        for i in range(function.n_instructions()):
-            is_constant = function.instruction_id(i) == casadi.OP_CONST
-            if is_constant and math.isnan(function.instruction_constant(i)):
-                where = guard.location(getattr(self.block, name))
-                raise ExportError(
-                    f"block {self.block.name!r}: {where}{name} holds a constant that is not a number"
-                )
+        if any(operation.text == "NAN" for operation in operations_of(getattr(self, name))):
+            where = guard.location(getattr(self.block, name))
+            raise ExportError(
+                f"block {self.block.name!r}: {where}{name} holds a constant that is not a number"
+            )
 
     def functions(self) -> dict[str, casadi.Function]:
         """Returns everything that an FMU needs, by name."""
@@ -149,12 +137,31 @@ class Traced:
             "model_lanes.h": "\n".join([_ABOUT_LANES, size, memory, *lanes]),
         }
 
-    def _function(
-        self, name: str, names: str, arguments: list, result_name: str, result: Any
-    ) -> casadi.Function:
+    def _add_symbols(self, name: str, template: Any) -> None:
+        """Adds the symbols of an argument in the shape of a class of the block, or of a value."""
+        count = len(flatten(template() if isinstance(template, type) else template))
+        column = self._columns[name] = casadi.SX.sym("x", count)
+        scalars = [column[i] for i in range(count)]
+        self._values[name] = guard.call(self.block.name, unflatten, template, scalars)
+
+    def _called(self, function: Callable[..., Any], arguments: str, **instead: Any) -> Any:
+        """Returns the result of a function for symbols; instead: other values of some arguments."""
+        values = self._values | instead
+        return guard.call(self.block.name, function, *(values[name] for name in arguments.split()))
+
+    def _result(
+        self, name: str, arguments: str, function: Callable[..., Any] | None = None, **instead: Any
+    ) -> Any:
+        """Returns what `_called` does of a function of the block, or of one in its place, checked."""
+        result = self._called(function or getattr(self.block, name), arguments, **instead)
+        check_result(self.block, name, result)
+        return result
+
+    def _function(self, name: str, arguments: str, result_name: str, result: Any) -> casadi.Function:
+        names = arguments.split()
         column = casadi.densify(result if isinstance(result, casadi.SX) else _column(result))
         column = unsimplified(casadi.cse, column)
-        return casadi.Function(name, arguments, [column], names.split(), [result_name])
+        return casadi.Function(name, [self._columns[n] for n in names], [column], names, [result_name])
 
 
 @cache
@@ -171,13 +178,6 @@ def traced(block: Block) -> Traced:
             )
             raise ExportError(f"block {block.name!r} cannot be traced: {reason}") from error
         raise ExportError(f"block {block.name!r} cannot be traced: {error}") from error
-
-
-def _symbols(block: Block, template: Any) -> tuple[casadi.SX, Any]:
-    """Returns a column of symbols, also in the shape of the template, a class of the block or a value."""
-    count = len(flatten(template() if isinstance(template, type) else template))
-    column = casadi.SX.sym("x", count)
-    return column, guard.call(block.name, unflatten, template, [column[i] for i in range(count)])
 
 
 def _column(value: Any) -> casadi.SX:
@@ -206,6 +206,11 @@ def _copied(block: Block, state: casadi.SX, held: casadi.SX) -> list[int]:
             "expected at_events(state, new) or sampled(...) of fmus.numerics around it"
         )
     return changed
+
+
+def indicator_count(block: Block) -> int:
+    """Returns how many event indicators a block has."""
+    return traced(block).crossings.numel_out(0) if block.derivative else 0
 
 
 def restarted_states(block: Block) -> set[int]:

@@ -11,7 +11,7 @@ from fmus.fmi.binding import WARNING, status_name
 
 USUAL_NAME = "instance"
 KINDS = ("Real", "Integer", "Boolean", "String")
-_MOST_LEAPT, _LEAPS, _ROUGHNESS = 100, 16, 300.0  # steps, and times their tolerances
+_MOST_LEAPT, _LEAPS, _ROUGHNESS = 100, 8, 300.0  # steps, and times their tolerances
 STEPS = ("do_step", "do_steps")
 VECTORS = (
     "fmi2GetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndicators",
@@ -130,9 +130,8 @@ class Script:
     creation, end: of the instance
     is_forbidden: whether it makes calls that FMI forbids, or with arguments that it forbids
     expected, observed: readings to be compared; the latter with words for when and where
-    attempts: calls that the FMU may refuse, and then nothing can be compared
     ignored: calls whose failure tells nothing
-    errors: calls that return error, each with words for a finding if it does not
+    errors: calls that return error, each with words for a finding if it does not, and what it may return
     lead: actions that lead `start` from the first communication point to where runs begin
     has_started: whether `start` was written
     """
@@ -149,8 +148,8 @@ class Script:
         self._saved: dict[int, tuple[int, str]] = {}  # slot -> number of the next step, state
         self.expected: list[Reading | Given] = []
         self.observed: list[tuple[str, str, Reading]] = []
-        self.attempts, self.ignored = list[Reply](), list[Reply]()
-        self.errors: list[tuple[Reply, str]] = []
+        self.ignored: list[Reply] = []
+        self.errors: list[tuple[Reply, str, Sequence[int]]] = []
         self.lead: Sequence[Action] = ()
         self.has_started = False
         self.answers: Sequence[Any] = ()  # to the calls of the last part
@@ -217,9 +216,10 @@ class Script:
 
     def leap(self, thirds: int) -> "Script":
         """Adds a part of the default experiment: usual steps, or few of other sizes for model exchange."""
-        count = self.probe.steps_of_experiment * thirds // 3
+        most = _MOST_LEAPT // 4 if self.probe.fmu.is_model_exchange else _MOST_LEAPT
+        count = min(self.probe.steps_of_experiment // 3, most) * thirds
         if not self.probe.fmu.is_model_exchange:
-            return self.go_on(min(count, _MOST_LEAPT * thirds))
+            return self.go_on(count)
         ends = [self._step + count * i // _LEAPS for i in range(_LEAPS + 1)]
         for before, end in itertools.pairwise(map(self.probe.point, ends)):
             self.call("do_step", before, end - before, False, _ROUGHNESS)
@@ -376,7 +376,7 @@ class Script:
     @property
     def failure(self) -> Reply | None:
         """The first call that fails, but those that are ignored, or that return error."""
-        excused = {id(reply) for reply in (*self.ignored, *(reply for reply, _ in self.errors))}
+        excused = {id(reply) for reply in (*self.ignored, *(reply for reply, *_ in self.errors))}
         failed = (reply for reply in self.replies if reply.status is not None and not reply.ok)
         return next((reply for reply in failed if id(reply) not in excused), None)
 

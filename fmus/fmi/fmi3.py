@@ -49,13 +49,13 @@ _loading = threading.Lock()
 class Fmi3Library(Library):
     """A loaded library of FMI 3.0; functions of FMI 2.0 for its instances are attributes.
 
-    elements: of the model description
+    elements: of the model description, for variables
     Raises FmuLoadError if the functions of FMI 2.0 cannot be compiled, else what `Library` raises.
     """
 
     instantiates = _INSTANTIATE
 
-    def __init__(self, path: Path, elements: Sequence[Element]) -> None:
+    def __init__(self, path: Path, elements: Sequence[Element] = ()) -> None:
         with _loading:
             calls = _calls()
         if isinstance(calls, Exception):

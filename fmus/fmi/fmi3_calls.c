@@ -5,7 +5,6 @@
    of its own in place of a value reference. Scalars of neighbouring whole arrays of one type are one call; a part of an
    array is set by reading the array first. */
 
-#include <math.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -21,39 +20,33 @@
 
 /* Of the master: a value of `kind` is a double, an int (also for Booleans) or a string. */
 enum { REAL, INTEGER, TEXT };
-enum { DISCARD = fmi3Discard, LAST_SUCCESSFUL_TIME = 2, TERMINATED = 3 }; /* of FMI 2.0 */
+enum { LAST_SUCCESSFUL_TIME = 2, TERMINATED = 3 }; /* of FMI 2.0 */
 
-#define NUMBERS(X)                                                                        \
-    X(Float64, -INFINITY, INFINITY) X(Float32, -INFINITY, INFINITY)                       \
-    X(Int8, INT8_MIN, INT8_MAX) X(UInt8, 0, UINT8_MAX) X(Int16, INT16_MIN, INT16_MAX)     \
-    X(UInt16, 0, UINT16_MAX) X(Int32, INT32_MIN, INT32_MAX) X(UInt32, 0, UINT32_MAX)      \
-    X(Int64, -INFINITY, INFINITY) X(UInt64, 0, INFINITY) X(Boolean, -INFINITY, INFINITY)
+/* Types with the least and the largest of the master's integers that they hold. */
+#define NUMBERS(X)                                                                         \
+    X(Float64, INT32_MIN, INT32_MAX) X(Float32, INT32_MIN, INT32_MAX)                      \
+    X(Int8, INT8_MIN, INT8_MAX) X(UInt8, 0, UINT8_MAX) X(Int16, INT16_MIN, INT16_MAX)      \
+    X(UInt16, 0, UINT16_MAX) X(Int32, INT32_MIN, INT32_MAX) X(UInt32, 0, INT32_MAX)        \
+    X(Int64, INT32_MIN, INT32_MAX) X(UInt64, 0, INT32_MAX) X(Boolean, INT32_MIN, INT32_MAX)
 #define TYPE_OF(Name, low, high) Name,
 enum { NUMBERS(TYPE_OF) String };
 
 #define NAMES_OF(Name, low, high) {"fmi3Get" #Name, "fmi3Set" #Name, low, high},
 static const struct {
     const char *function[2];
-    double low, high;
+    int32_t low, high;
 } TYPES[] = {NUMBERS(NAMES_OF){{"fmi3GetString", "fmi3SetString"}, 0, 0}};
 
 typedef fmi3Status Transfer(fmi3Instance instance, const fmi3ValueReference *references, size_t n_references,
                             void *values, size_t n_values);
 
 /* In the order of `_FUNCTIONS` of fmi3.py. */
+#define FUNCTIONS(X)                                                                                            \
+    X(FreeInstance) X(EnterInitializationMode) X(ExitInitializationMode) X(Terminate) X(Reset) X(GetFMUState)   \
+    X(SetFMUState) X(FreeFMUState) X(SerializedFMUStateSize) X(SerializeFMUState) X(DeserializeFMUState) X(DoStep)
+#define MEMBER(Name) fmi3##Name##TYPE *Name;
 typedef struct {
-    fmi3FreeInstanceTYPE *FreeInstance;
-    fmi3EnterInitializationModeTYPE *EnterInitializationMode;
-    fmi3ExitInitializationModeTYPE *ExitInitializationMode;
-    fmi3TerminateTYPE *Terminate;
-    fmi3ResetTYPE *Reset;
-    fmi3GetFMUStateTYPE *GetFMUState;
-    fmi3SetFMUStateTYPE *SetFMUState;
-    fmi3FreeFMUStateTYPE *FreeFMUState;
-    fmi3SerializedFMUStateSizeTYPE *SerializedFMUStateSize;
-    fmi3SerializeFMUStateTYPE *SerializeFMUState;
-    fmi3DeserializeFMUStateTYPE *DeserializeFMUState;
-    fmi3DoStepTYPE *DoStep;
+    FUNCTIONS(MEMBER)
     Transfer *transfer[String + 1][2]; /* get, set */
 } Functions;
 
@@ -111,49 +104,45 @@ static void put(int64_t type, void *values, size_t i, double x) {
     }
 }
 
-static int out_of_range(Instance *a, const Element *e, int is_set, double x, double low, double high) {
+/* One scalar, between the master's values and those of a call. */
+static int move(Instance *a, int kind, int is_set, const Element *e, size_t slot, void *values, size_t i) {
+    const double low = is_set ? TYPES[e->type].low : INT32_MIN, high = is_set ? TYPES[e->type].high : INT32_MAX;
+    double *reals = values, x;
+    fmi3String *own = values, *texts = a->values;
+    int *integers = values;
     char text[128];
-    snprintf(text, sizeof text, "value reference %lu: %.17g: expected %.17g..%.17g, as %s", (unsigned long)e->reference, x,
-             low, high, is_set ? "the variable can hold" : "the master's integers are");
-    return refuse(a, TYPES[e->type].function[is_set], text);
-}
-
-static int to_fmu(Instance *a, int kind, const Element *e, size_t slot, const void *values, size_t i) {
     if (kind == TEXT) {
-        ((fmi3String *)a->values)[slot] = ((const fmi3String *)values)[i];
+        *(is_set ? texts + slot : own + i) = is_set ? own[i] : texts[slot];
         return fmi3OK;
     }
-    const double x = kind == REAL ? ((const double *)values)[i] : ((const int *)values)[i];
-    if (x < TYPES[e->type].low || x > TYPES[e->type].high)
-        return out_of_range(a, e, 1, x, TYPES[e->type].low, TYPES[e->type].high);
-    put(e->type, a->values, slot, x);
+    x = !is_set ? number(e->type, a->values, slot) : kind == REAL ? reals[i] : integers[i];
+    if (kind == INTEGER && (x < low || x > high)) {
+        snprintf(text, sizeof text, "value reference %lu: %.17g: expected %.17g..%.17g", (unsigned long)e->reference, x,
+                 low, high);
+        return refuse(a, TYPES[e->type].function[is_set], text);
+    }
+    if (is_set)
+        put(e->type, a->values, slot, x);
+    else if (kind == REAL)
+        reals[i] = x;
+    else
+        integers[i] = (int)x;
     return fmi3OK;
 }
 
-static int from_fmu(Instance *a, int kind, const Element *e, size_t slot, void *values, size_t i) {
-    if (kind == TEXT) {
-        ((fmi3String *)values)[i] = ((const fmi3String *)a->values)[slot];
-        return fmi3OK;
-    }
-    const double x = number(e->type, a->values, slot);
-    if (kind == REAL) {
-        ((double *)values)[i] = x;
-        return fmi3OK;
-    }
-    if (x < INT32_MIN || x > INT32_MAX) return out_of_range(a, e, 0, x, INT32_MIN, INT32_MAX);
-    ((int *)values)[i] = (int)x;
-    return fmi3OK;
-}
-
-/* 2.2.7.2: strings that an FMU returns are only valid until its next call. */
+/* 2.2.7.2: strings that an FMU returns are only valid until its next call. Those that are kept stay while they are the
+   same: a call may read a scalar twice. */
 static void keep_texts(Instance *a, size_t first, size_t count) {
     fmi3String *values = a->values;
     for (size_t k = 0; k < count; k++) {
+        char **kept = a->texts + first + k;
         const char *text = values[k] ? values[k] : "";
-        char *copy = malloc(strlen(text) + 1);
-        free(a->texts[first + k]);
-        a->texts[first + k] = copy ? strcpy(copy, text) : NULL;
-        values[k] = copy;
+        if (!*kept || strcmp(*kept, text)) {
+            free(*kept);
+            *kept = malloc(strlen(text) + 1);
+            if (*kept) strcpy(*kept, text);
+        }
+        values[k] = *kept;
     }
 }
 
@@ -195,12 +184,8 @@ static int transfer(Instance *a, int kind, int is_set, const uint32_t numbers[],
             if (!is_done(status)) return status;
             if (kind == TEXT) keep_texts(a, (size_t)e->first, size);
         }
-        for (size_t k = 0; k < taken; k++) {
-            const Element *scalar = a->elements + numbers[i + k];
-            const int fits = (is_set ? to_fmu(a, kind, scalar, offset + k, values, i + k)
-                                     : from_fmu(a, kind, scalar, offset + k, values, i + k));
-            if (fits != fmi3OK) return fits;
-        }
+        for (size_t k = i; k < i + taken; k++)
+            if (move(a, kind, is_set, a->elements + numbers[k], offset + k - i, values, k) != fmi3OK) return fmi3Error;
         if (is_set) {
             const int set = exchange(a, e, n_arrays, size, 1);
             if (!is_done(set)) return set;
@@ -225,7 +210,8 @@ EXCHANGES(String, TEXT, fmi3String)
 
 /* Modes and steps */
 
-EXPORT int fmi2SetupExperiment(Instance *a, int has_tolerance, double tolerance, double start, int has_stop, double stop) {
+EXPORT int fmi2SetupExperiment(Instance *a, int has_tolerance, double tolerance, double start, int has_stop,
+                               double stop) {
     a->has_tolerance = has_tolerance != 0;
     a->has_stop = has_stop != 0;
     a->tolerance = tolerance;
@@ -251,7 +237,8 @@ EXPORT int fmi2DoStep(Instance *a, double start, double size, int no_return_befo
     a->has_reached = is_done(status);
     a->reached = reached;
     if (a->terminates) return noted(a, fmi3Discard, function);
-    if (is_done(status) && is_early) return refuse(a, function, "earlyReturn is true: expected false, as it is not allowed");
+    if (is_done(status) && is_early)
+        return refuse(a, function, "earlyReturn is true: expected false, as it is not allowed");
     if (is_done(status) && needs_event)
         return refuse(a, function, "eventHandlingNeeded is true: expected false, as no event mode is used");
     return noted(a, status, function);
@@ -303,14 +290,9 @@ EXPORT void fmi2FreeInstance(Instance *a) {
 /* NULL without memory, and then `instance` is not freed. */
 EXPORT Instance *fmi3_behind(fmi3Instance instance, const Functions *call, const Element *elements, size_t n_elements,
                              fmi3LogMessageCallback log, fmi3InstanceEnvironment environment) {
-    Instance *a = calloc(1, sizeof *a);
+    Instance *a = malloc(sizeof *a);
     if (!a) return NULL;
-    a->instance = instance;
-    a->call = call;
-    a->elements = elements;
-    a->n_elements = n_elements;
-    a->log = log;
-    a->environment = environment;
+    *a = (Instance){instance, call, elements, n_elements, log, environment};
     a->references = calloc(n_elements + 1, sizeof *a->references);
     a->values = calloc(n_elements + 1, sizeof(double));
     a->texts = calloc(n_elements + 1, sizeof *a->texts);

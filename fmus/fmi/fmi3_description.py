@@ -70,7 +70,7 @@ def fmi3_description(root: Xml) -> ModelDescription:
                 raise ValueError(
                     f"variable {xml.get('name')}: expected at most {_MOST_SCALARS} scalars in all"
                 )
-            kind = TYPES.index("Int64" if xml.tag == "Enumeration" else xml.tag)
+            kind = _index(xml)
             elements += [Element(kind, reference, first, count)] * count
             variables += _scalars(xml, shape, first, types)
             by_reference[reference] = variables[first:]
@@ -92,6 +92,15 @@ def fmi3_description(root: Xml) -> ModelDescription:
         elements=elements,
         left_out={required(xml, "name"): xml.tag for xml in listed if xml.tag in _LEFT_OUT},
     )
+
+
+def _index(xml: Xml) -> int:
+    """Returns the index in `TYPES` of the type whose functions transfer a variable."""
+    name = "Int64" if xml.tag == "Enumeration" else xml.tag
+    if name not in TYPES:
+        known = ", ".join((*TYPES, "Enumeration"))
+        raise ValueError(f"variable {xml.get('name')}: type {name!r}: expected one of {known}")
+    return TYPES.index(name)
 
 
 def _co_simulation(element: Xml) -> CoSimulation:

@@ -13,7 +13,7 @@ from functools import partial, reduce
 from operator import add
 from typing import Any, TypeVar
 
-from fmus.block.scalars import flatten, unflatten
+from fmus.block.scalars import flatten, members, unflatten
 from fmus.numerics.symbols import are_numbers, casadi, unsimplified
 
 __all__ = [
@@ -51,15 +51,8 @@ def _check_shapes(if_true: Any, if_false: Any, path: str = "") -> None:
     if shapes[0] != shapes[1]:
         where = f" at {path}" if path else ""
         raise TypeError(f"alternatives {shapes[0]} and {shapes[1]}{where}: expected two of one shape")
-    for (name, first), (_, second) in zip(_elements(if_true), _elements(if_false), strict=True):
+    for (name, first), (_, second) in zip(members(if_true, 0) or (), members(if_false, 0) or (), strict=True):
         _check_shapes(first, second, f"{path}{name}")
-
-
-def _elements(value: Any) -> list[tuple[str, Any]]:
-    """Returns path and value of the elements of a tuple or dataclass."""
-    if isinstance(value, tuple):
-        return [(f"[{i}]", element) for i, element in enumerate(value)]
-    return [(f".{name}", getattr(value, name)) for name in getattr(value, "__dataclass_fields__", ())]
 
 
 def _value(alternative: Any) -> Any:

@@ -18,7 +18,9 @@ _CONTENT = {
 
 
 def cache(
-    action: Annotated[Literal["show", "clear"], typer.Argument()] = "show",
+    action: Annotated[
+        Literal["show", "clear"], typer.Argument(help="Show what is kept, or remove it.")
+    ] = "show",
     kinds: Annotated[
         list[str] | None,
         typer.Argument(
@@ -36,8 +38,6 @@ def cache(
 
     What was used longest ago is removed by itself. Your results are not in the cache: an interrupted sweep or
     tuning continues from the files beside its results.
-
-    action: Show what is kept, or remove it.
     """
     for kind in kinds or ():
         if kind not in _CONTENT:

@@ -3,17 +3,28 @@
 import inspect
 import json
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, get_args
+
+import typer
 
 from fmus.fmi.variable_types import FmiValue
-from orchestration.cli import shared
 from orchestration.errors import ScenarioError
 from orchestration.system.open_inputs import OpenInputs
 
 CONTROLLER, PLANT = "controller", "plant"  # the components that have an option of their own
+
+
+def _fmu_option(component: str) -> Any:
+    """Returns the option --component, which replaces the component of that name."""
+    return typer.Option(
+        metavar="FMU",
+        help=f"Put this {component}, an .fmu, a block, its .py file or a class FILE.py:Class, "
+        "in the place of the scenario's.",
+    )
 
 
 @dataclass(frozen=True)
@@ -33,27 +44,40 @@ class Changes:
     @classmethod
     def of_options(
         cls,
-        controller: str = "",
-        settings: list[str] = [],  # noqa: B006  (Typer copies it)
-        mapped: list[str] = [],  # noqa: B006
-        open_inputs: OpenInputs | None = None,
-        plant: str = "",
-        parameters: str = "",
+        controller: Annotated[str, _fmu_option(CONTROLLER)] = "",
+        settings: Annotated[
+            list[str],
+            typer.Option(
+                "--set",
+                metavar="NAME=VALUE",
+                help="Set a parameter or an input, component.variable=value; "
+                "or replace a component, component=FMU.",
+            ),
+        ] = [],  # noqa: B006  (Typer copies it)
+        mapped: Annotated[
+            list[str],
+            typer.Option(
+                "--map",
+                metavar="NAME=VARIABLE",
+                help="Take this variable of the controller for NAME of the scenario; "
+                "component.NAME for others.",
+            ),
+        ] = [],  # noqa: B006
+        open_inputs: Annotated[
+            OpenInputs | None,
+            typer.Option(help="Let inputs that nothing drives keep the start values of their FMUs."),
+        ] = None,
+        plant: Annotated[str, _fmu_option(PLANT)] = "",
+        parameters: Annotated[
+            str,
+            typer.Option(
+                metavar="FILE",
+                help="Take the values of this parameter file, .toml, below those of --set; "
+                "of an .ssp package the parameter set of this name.",
+            ),
+        ] = "",
     ) -> "Changes":
-        """Returns the changes that these options make; ScenarioError for an option that is wrong.
-
-        controller FMU: Put this controller, an .fmu, a block, its .py file or a class FILE.py:Class, in the
-            place of the scenario's.
-        settings --set NAME=VALUE: Set a parameter or an input, component.variable=value; or replace a
-            component, component=FMU.
-        mapped --map NAME=VARIABLE: Take this variable of the controller for NAME of the scenario;
-            component.NAME for others.
-        open_inputs: Let inputs that nothing drives keep the start values of their FMUs.
-        plant FMU: Put this plant, an .fmu, a block, its .py file or a class FILE.py:Class, in the place of
-            the scenario's.
-        parameters FILE: Take the values of this parameter file, .toml, below those of --set; of an .ssp
-            package the parameter set of this name.
-        """
+        """Returns the changes that these options make; ScenarioError for an option that is wrong."""
         from orchestration.scenarios.changes import AssignedText
 
         chosen = {CONTROLLER: controller, PLANT: plant}
@@ -131,34 +155,48 @@ def fmu_name(fmu: str) -> str:
     return fmu.rpartition(":")[2] if ".py:" in fmu else Path(fmu).stem
 
 
-def takes_changes(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+OF_LOOP = {
+    "plant": "",
+    "settings": "Set controller.variable=value; with --plant plant.variable=value.",
+    "mapped": "Take this variable of the controller for NAME; with --plant that of the plant for plant.NAME.",
+}
+"""The options of commands that take a controller and a vehicle, for `takes_changes`."""
+
+
+def takes_changes(**helps: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Returns a decorator that puts options of `Changes.of_options` in place of a parameter `changes`.
 
-    names: of its arguments, by default all; one that is an argument of the command itself is no option. The
-    docstring of the command may describe them otherwise
+    helps: name of an argument -> help of its option, "" for the usual one; by default all arguments. One that
+    the command itself has is no option
     """
-    known = inspect.signature(shared.explained(Changes.of_options)).parameters
+    known = inspect.signature(Changes.of_options).parameters
+    names = helps or known
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        own = inspect.signature(command).parameters
-        declared = {name: [parameter] for name, parameter in own.items()}
-        declared["changes"] = [known[name] for name in names or known if name not in own]
+        signature = inspect.signature(command)
+        own = signature.parameters.keys()
+        declared = {name: [parameter] for name, parameter in signature.parameters.items()}
+        declared["changes"] = [_explained(known[n], helps.get(n, "")) for n in names if n not in own]
+        parameters = [parameter for group in declared.values() for parameter in group]
 
         @wraps(command)
         def with_options(**arguments: Any) -> None:
-            chosen = {
-                name: arguments[name] if name in own else arguments.pop(name) for name in names or known
-            }
+            chosen = {name: arguments[name] if name in own else arguments.pop(name) for name in names}
             command(**arguments, changes=Changes.of_options(**chosen))
 
-        parameters = [parameter for group in declared.values() for parameter in group]
-        return shared.with_parameters(with_options, parameters)
+        vars(with_options)["__signature__"] = signature.replace(parameters=parameters)
+        with_options.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        return with_options
 
     return decorate
 
 
-OF_LOOP = ("plant", "settings", "mapped")
-"""Arguments of `takes_changes` for commands that take a controller and a vehicle."""
+def _explained(parameter: inspect.Parameter, text: str) -> inspect.Parameter:
+    """Returns the parameter of a command with this help of its option, if it is not empty."""
+    kind, option = get_args(parameter.annotation)
+    option = copy(option)
+    option.help = text or option.help
+    return parameter.replace(annotation=Annotated[kind, option])
 
 
 def _parts(option: str, assignment: str, expected: str) -> tuple[str, str]:

@@ -13,7 +13,7 @@ import typer
 
 from fmus.errors import ExportError, MissingExtraError
 from orchestration.cli.interrupts import INTERRUPTED, is_interrupted
-from orchestration.cli.shared import explained, fail
+from orchestration.cli.shared import fail
 from orchestration.errors import OrchestrationError
 
 _PANELS = {
@@ -43,8 +43,7 @@ def application(names: Iterable[str] = COMMANDS) -> typer.Typer:
     )
     for name in names:
         module, panel = COMMANDS[name]
-        command = explained(getattr(import_module(f"orchestration.cli.{module}"), name))
-        app.command(rich_help_panel=panel)(command)
+        app.command(rich_help_panel=panel)(getattr(import_module(f"orchestration.cli.{module}"), name))
     return app
 
 

@@ -2,6 +2,9 @@
 
 from enum import StrEnum
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from orchestration.cli.changes import NO_CHANGES, Changes, takes_changes
 from orchestration.cli.shared import OutFolder, ScenarioArgument
@@ -17,16 +20,15 @@ class Tool(StrEnum):
 @takes_changes()
 def package(
     name: ScenarioArgument,
-    out: str = "",  # a Path would lose the slash at its end
-    version: SspVersion = SspVersion.V1,
+    out: Annotated[
+        # a Path would lose the slash at its end
+        str,
+        typer.Option(metavar="FILE", help="Write this package, or SCENARIO.ssp in this folder."),
+    ] = "",
+    version: Annotated[SspVersion, typer.Option("--ssp", help="Version of SSP.")] = SspVersion.V1,
     changes: Changes = NO_CHANGES,
 ) -> None:
-    """Write a scenario as an SSP package, with a parameter set for each scenario of its system.
-
-    name SCENARIO: Name of a shipped scenario, or a .toml file.
-    out FILE: Write this package, or SCENARIO.ssp in this folder.
-    version --ssp: Version of SSP.
-    """
+    """Write a scenario as an SSP package, with a parameter set for each scenario of its system."""
     from orchestration.cli import chosen_scenario
     from orchestration.cli.package_fmus import build_ramp_source, build_started
     from orchestration.exchange import ssp_write
@@ -39,16 +41,12 @@ def package(
 
 @takes_changes()
 def export(
-    tool: Tool,
+    tool: Annotated[Tool, typer.Argument(help="Write for this tool.")],
     name: ScenarioArgument = "nominal-extended",
     out: OutFolder = Path(),
     changes: Changes = NO_CHANGES,
 ) -> None:
-    """Write the closed loop of a scenario as a script that builds it in another tool, with its FMUs.
-
-    name SCENARIO: Name of a shipped scenario, or a .toml file.
-    tool: Write for this tool.
-    """
+    """Write the closed loop of a scenario as a script that builds it in another tool, with its FMUs."""
     from orchestration.cli import chosen_scenario
     from orchestration.exchange import simulink
 

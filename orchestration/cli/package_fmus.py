@@ -10,7 +10,7 @@ from fmus.build.package_blocks import ramp_source, with_start_values
 from fmus.fmi.variable_types import FmiValue
 from fmus.platforms import PLATFORMS
 from fmus.registry import Flavour, block_fmus
-from orchestration.exchange.signal_sources import RampSource
+from orchestration.exchange.limits import RampSource
 
 
 def build_ramp_source(source: RampSource, folder: Path) -> Path:

@@ -26,30 +26,45 @@ if TYPE_CHECKING:
 
 @takes_changes()
 def run(
-    name: shared.ScenarioArgument,
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENARIO",
+            help="Name of a shipped scenario, a .toml file, or an .ssp package.",
+            autocompletion=shared.shipped_scenarios,
+        ),
+    ],
     out: shared.OutFolder = Path("results"),
     flavour: shared.FlavourOption = Flavour.NATIVE,
     changes: Changes = NO_CHANGES,
-    file_format: RecordingFormat = RecordingFormat.CSV,
+    file_format: Annotated[
+        RecordingFormat, typer.Option("--format", help="Write the recording in this format.")
+    ] = RecordingFormat.CSV,
     formats: shared.FigureFormatsOption = "png",
-    real_time: float | None = None,
-    timeout: float | None = None,
-    checkpoint: Path | None = None,
-    every: float = math.inf,
-    resume: Path | None = None,
-    error_estimate: bool = False,
+    real_time: Annotated[
+        float | None,
+        typer.Option(metavar="FACTOR", help="Keep pace with the clock; 2 is twice as fast as it."),
+    ] = None,
+    timeout: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Run the FMUs in another process, and end it if a step takes longer."),
+    ] = None,
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Save the state of the whole system here on an interrupt."),
+    ] = None,
+    every: Annotated[
+        float,
+        typer.Option(metavar="S", help="Save the checkpoint also at this interval of simulated seconds."),
+    ] = math.inf,
+    resume: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Continue from this checkpoint.")
+    ] = None,
+    error_estimate: Annotated[
+        bool, typer.Option("--error-estimate", help="Run again at twice the step to estimate the error.")
+    ] = False,
 ) -> None:
-    """Run one scenario, and write its recording (CSV or Parquet), its metrics (JSON) and a figure.
-
-    name SCENARIO: Name of a shipped scenario, a .toml file, or an .ssp package.
-    file_format --format: Write the recording in this format.
-    real_time FACTOR: Keep pace with the clock; 2 is twice as fast as it.
-    timeout S: Run the FMUs in another process, and end it if a step takes longer.
-    checkpoint FILE: Save the state of the whole system here on an interrupt.
-    every S: Save the checkpoint also at this interval of simulated seconds.
-    resume FILE: Continue from this checkpoint.
-    error_estimate: Run again at twice the step to estimate the error.
-    """
+    """Run one scenario, and write its recording (CSV or Parquet), its metrics (JSON) and a figure."""
     from orchestration.cli import chosen_scenario
     from orchestration.run.checkpoint import Checkpoints, read_checkpoint
     from orchestration.scenarios import run_files
@@ -122,16 +137,17 @@ def _print_pace(recording: "Recording") -> None:
 
 
 def report(
-    results: list[Path],
-    out: Path = Path("report.html"),
-    title: str = "",
+    results: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RESULT...",
+            help="What run, reproduce or sweep has written: .json, .csv, .parquet or a folder.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Write this page.")] = Path("report.html"),
+    title: Annotated[str, typer.Option(help="Give the page this title, not the names of the results.")] = "",
 ) -> None:
-    """Write results as one interactive HTML page that needs no network.
-
-    results RESULT...: What run, reproduce or sweep has written: .json, .csv, .parquet or a folder.
-    out FILE: Write this page.
-    title: Give the page this title, not the names of the results.
-    """
+    """Write results as one interactive HTML page that needs no network."""
     from orchestration import report as page
 
     write_text_atomically(out, page.render(page.found_results(results), title))
@@ -149,14 +165,11 @@ def scenarios() -> None:
 
 def reproduce(
     out: shared.OutFolder = Path("results"),
-    workers: Annotated[int, typer.Option(min=1)] = usable_processors(),
+    workers: Annotated[int, typer.Option(help="Run so many scenarios at once.", min=1)] = usable_processors(),
     flavour: shared.FlavourOption = Flavour.NATIVE,
     formats: shared.FigureFormatsOption = "png",
 ) -> None:
-    """Run the shipped scenarios, but not their sweeps, and give the tables and figures of the paper.
-
-    workers: Run so many scenarios at once.
-    """
+    """Run the shipped scenarios, but not their sweeps, and give the tables and figures of the paper."""
     from orchestration.cli.chosen_scenario import build_missing_fmus
     from orchestration.scenarios import run_files
     from orchestration.scenarios.published import comparison_table
@@ -173,18 +186,14 @@ def reproduce(
 
 
 def identify(
-    seed: Annotated[int, typer.Option(min=0)] = 1,
-    evaluations: Annotated[int, typer.Option(min=2)] = 80,
-    starts: Annotated[int, typer.Option(min=1)] = 10,
-    out: Path = Path("identified.toml"),
+    seed: Annotated[int, typer.Option(help="Draw the starting points from this seed.", min=0)] = 1,
+    evaluations: Annotated[int, typer.Option(help="Allow so many pairs of runs in all.", min=2)] = 80,
+    starts: Annotated[int, typer.Option(help="Spend so many pairs of runs on starting points.", min=1)] = 10,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Write this parameter file.")] = Path(
+        "identified.toml"
+    ),
 ) -> None:
-    """Fit the gains that the paper does not publish to the nominal row of its Table 1.
-
-    seed: Draw the starting points from this seed.
-    evaluations: Allow so many pairs of runs in all.
-    starts: Spend so many pairs of runs on starting points.
-    out FILE: Write this parameter file.
-    """
+    """Fit the gains that the paper does not publish to the nominal row of its Table 1."""
     from orchestration.cli import chosen_scenario
     from orchestration.fit import identify as identification
 

@@ -15,6 +15,7 @@ from fmus.files import write_text_atomically
 from fmus.operating_system import usable_processors
 from orchestration.cli import shared
 from orchestration.cli.changes import CONTROLLER, NO_CHANGES, OF_LOOP, PLANT, Changes, fmu_name, takes_changes
+from orchestration.cli.interrupts import INTERRUPTED
 from orchestration.errors import ScenarioError
 from orchestration.system.open_inputs import OpenInputs
 
@@ -26,34 +27,66 @@ if TYPE_CHECKING:
     from orchestration.score.score_view import ScoreTable
     from orchestration.score.vehicle import Vehicle
 
+FullOption = Annotated[
+    bool,
+    typer.Option(
+        "--full", help="Run 300 plants and 24 draws of each case too, with intervals and comparisons."
+    ),
+]
+SeedOption = Annotated[
+    int | None,
+    typer.Option(
+        metavar="NUMBER",
+        help="Repeat a score by its seed, from which noise, times and plants follow; by default it is drawn.",
+        min=0,
+    ),
+]
+RatesOption = Annotated[
+    bool, typer.Option("--no-rates", help="Connect the reference alone, not its derivatives.")
+]
+BoundOption = Annotated[
+    list[str],
+    typer.Option("--bound", metavar="METRIC=NUMBER", help="Bound a metric of the cost, or delay_margin."),
+]
+CasesOption = Annotated[
+    str, typer.Option("--cases", metavar="NAME,...", help="Take the cost over these cases of the protocol.")
+]
+SeedsOption = Annotated[int, typer.Option(metavar="NUMBER", help="Search from so many seeds.", min=1)]
 _SEEDS = 5
+EvaluationsOption = Annotated[
+    int,
+    typer.Option(
+        metavar="NUMBER", help="Evaluate so many for each free gain, seed and bound of a front.", min=1
+    ),
+]
+ProtocolOption = Annotated[
+    Path | None,
+    typer.Option("--protocol", metavar="FILE", help="Follow this protocol, not the one that ships."),
+]
 
 
-@takes_changes(*OF_LOOP, "open_inputs", "parameters")
+@takes_changes(**OF_LOOP, open_inputs="", parameters="")
 def score(
-    controllers: list[str],
-    no_rates: bool = False,
-    full: bool = False,
-    seed: Annotated[int | None, typer.Option(min=0)] = None,
+    controllers: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="CONTROLLER...",
+            help="An .fmu, a block, its .py file or a class FILE.py:Class; or several.",
+        ),
+    ],
+    no_rates: RatesOption = False,
+    full: FullOption = False,
+    seed: SeedOption = None,
     out: shared.OutFolder = Path("results"),
     changes: Changes = NO_CHANGES,
-    protocol_file: Path | None = None,
-    timeout: float | None = None,
-    workers: Annotated[int, typer.Option(min=1)] = usable_processors(),
+    protocol_file: ProtocolOption = None,
+    timeout: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="End a run that takes longer; by default that of the protocol."),
+    ] = None,
+    workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
 ) -> None:
-    """Score a controller on the simulated vehicle: terminal tables, score.json and an interactive page.
-
-    controllers CONTROLLER...: An .fmu, a block, its .py file or a class FILE.py:Class; or several.
-    no_rates: Connect the reference alone, not its derivatives.
-    full: Run 300 plants and 24 draws of each case too, with intervals and comparisons.
-    seed NUMBER: Repeat a score by its seed, from which noise, times and plants follow; by default it is
-        drawn.
-    settings: Set controller.variable=value; with --plant plant.variable=value.
-    mapped: Take this variable of the controller for NAME; with --plant that of the plant for plant.NAME.
-    protocol_file --protocol FILE: Follow this protocol, not the one that ships.
-    timeout S: End a run that takes longer; by default that of the protocol.
-    workers: Run so many processes.
-    """
+    """Score a controller on the simulated vehicle: terminal tables, score.json and an interactive page."""
     from orchestration.score import score as scoring
 
     protocol = chosen_protocol(changes, protocol_file)
@@ -65,48 +98,34 @@ def score(
             chosen, protocol, full=full, seed=seed, timeout=timeout, workers=workers, progress=bar.advance
         )
     print_score(result.document)
-    scored, file = result.document.scored, out / "score.json"
-    write_text_atomically(file, result.document.model_dump_json(indent=1) + "\n")
-    print(file)
-    write_page(result, file.with_suffix(".html"), f"Score of {', '.join(row.title for row in scored)}")
+    write_score(result, out)
+    scored = result.document.scored
     if all(case.failed for row in scored for case in row.cases.values()):
         name, case = next(iter(scored[0].cases.items()))
         titles = " and ".join(row.title for row in scored)
         shared.fail(f"{titles} failed every case, {name} with: {', '.join(case.failed)}")
 
 
-@takes_changes(*OF_LOOP)
+@takes_changes(**OF_LOOP)
 def compare(
-    full: bool = False,
-    seed: Annotated[int | None, typer.Option(min=0)] = None,
-    workers: Annotated[int, typer.Option(min=1)] = usable_processors(),
+    full: FullOption = False,
+    seed: SeedOption = None,
+    workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
     out: shared.OutFolder = Path("results"),
     changes: Changes = NO_CHANGES,
-    protocol_file: Path | None = None,
-    fronts: bool = False,
-    laws: str = "",
-    bounds: list[str] = [],  # noqa: B006  (Typer copies it)
-    cases: str = "",
-    seeds: Annotated[int, typer.Option(min=1)] = _SEEDS,
-    evaluations: Annotated[int, typer.Option(min=1)] = 40,
+    protocol_file: ProtocolOption = None,
+    fronts: Annotated[
+        bool, typer.Option("--fronts", help="Search the front of error and total variation of each law.")
+    ] = False,
+    laws: Annotated[str, typer.Option(metavar="NAME,...", help="Take the fronts of these laws alone.")] = "",
+    bounds: BoundOption = [],  # noqa: B006  (Typer copies it)
+    cases: CasesOption = "",
+    seeds: SeedsOption = _SEEDS,
+    evaluations: EvaluationsOption = 40,
 ) -> None:
     """Score all controllers of the protocol, each with the gains that it comes with, and tuned.
 
-    Writes comparison.json and an interactive page. With --fronts: fronts.json and fronts.svg.
-
-    full: Run 300 plants and 24 draws of each case too, with intervals and comparisons.
-    seed NUMBER: Repeat a score by its seed, from which noise, times and plants follow; by default it is
-        drawn.
-    workers: Run so many processes.
-    settings: Set controller.variable=value; with --plant plant.variable=value.
-    mapped: Take this variable of the controller for NAME; with --plant that of the plant for plant.NAME.
-    protocol_file --protocol FILE: Follow this protocol, not the one that ships.
-    fronts: Search the front of error and total variation of each law.
-    laws NAME,...: Take the fronts of these laws alone.
-    bounds --bound METRIC=NUMBER: Bound a metric of the cost, or delay_margin.
-    cases NAME,...: Take the cost over these cases of the protocol.
-    seeds NUMBER: Search from so many seeds.
-    evaluations NUMBER: Evaluate so many for each free gain, seed and bound of a front.
+    Writes scoring.json and an interactive page. With --fronts: fronts.json and fronts.svg.
     """
     from orchestration.score import score as scoring
 
@@ -130,9 +149,18 @@ def compare(
         [replace(table, title=f"{table.title}: {name}") for name, table in shown if table.rows],
         scoring.with_papers_differences(document),
     )
-    write_text_atomically(out / "comparison.json", document.model_dump_json(indent=1) + "\n")
-    print(out / "comparison.json")
-    return write_page(scoring.for_page(result), out / "comparison.html", "Comparison of the controllers")
+    write_text_atomically(out / "scoring.json", document.model_dump_json(indent=1) + "\n")
+    print(out / "scoring.json")
+    return write_page(scoring.for_page(result), out / "scoring.html", "Comparison of the controllers")
+
+
+def write_score(result: "ScoreResult", out: Path) -> None:
+    """Writes score.json and the page, which needs the extra `report`; prints their paths."""
+    file = out / "score.json"
+    write_text_atomically(file, result.document.model_dump_json(indent=1) + "\n")
+    print(file)
+    names = ", ".join(row.title for row in result.document.scored)
+    write_page(result, file.with_suffix(".html"), f"Score of {names}")
 
 
 def write_page(result: "ScoreResult", page: Path, title: str) -> None:
@@ -241,12 +269,15 @@ def write_fronts(
     names = [built_in(protocol, name).name for name in names or protocol.controllers]
     journals = {name: out / f"{name}.front.jsonl" for name in names}
     total = LEVELS * seeds * evaluations * sum(len(protocol.controllers[name].gains) for name in names)
-    with shared.progress("fronts", total, kept="evaluations") as bar:
-        how = range(1, seeds + 1), evaluations, workers
-        laws = [
-            front_of_law(protocol, name, *how, path, lambda done, _: bar.advance(done))
-            for name, path in journals.items()
-        ]
+    try:
+        with shared.progress("fronts", total) as bar:
+            how = range(1, seeds + 1), evaluations, workers
+            laws = [
+                front_of_law(protocol, name, *how, path, lambda done, _: bar.advance(done))
+                for name, path in journals.items()
+            ]
+    except KeyboardInterrupt:
+        shared.fail(f"interrupted: what is done is kept in {out}; the same command continues", INTERRUPTED)
     document = {
         "vehicle": protocol.vehicle.name,
         "settings": dict(protocol.vehicle.settings),

@@ -1,21 +1,17 @@
 """Options, completion, tables, progress and failure, for all commands."""
 
-import inspect
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from copy import copy
-from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
 from fmus.errors import nearest
 from fmus.registry import Flavour
-from orchestration.cli.interrupts import INTERRUPTED
 from orchestration.errors import OrchestrationError
 from orchestration.results.formats import FigureFormat
 
@@ -39,7 +35,15 @@ FlavourOption = Annotated[
     Flavour, typer.Option(help="Take FMUs of our blocks that run compiled code, or Python.")
 ]
 OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Write to this folder.")]
-ScenarioArgument = Annotated[str, typer.Argument(autocompletion=shipped_scenarios)]
+ScenarioArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENARIO",
+        help="Name of a shipped scenario, or a .toml file.",
+        autocompletion=shipped_scenarios,
+    ),
+]
+
 
 FigureFormatsOption = Annotated[
     str,
@@ -47,59 +51,6 @@ FigureFormatsOption = Annotated[
         "--formats", metavar="NAME,NAME", help=f"Write figures as {', '.join(FigureFormat)}; or none."
     ),
 ]
-
-
-def explained(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Returns a command for Typer, whose arguments and options are described by lines of its docstring.
-
-    A line is `parameter --flag METAVAR: help`, and goes on in lines below it. Flag and metavar may be left
-    out; a parameter with neither flag nor default is an argument. What its annotation says besides stays.
-    """
-    signature = inspect.signature(command)
-    help_of_command, heads, texts, name = list[str](), dict[str, list[str]](), dict[str, str](), ""
-    for line in inspect.cleandoc(command.__doc__ or "").splitlines():
-        head, colon, text = line.partition(": ")
-        if colon and head.split()[0] in signature.parameters:
-            name, *heads[name] = head.split()
-            texts[name] = text
-        elif line.startswith(" "):
-            texts[name] += f" {line.strip()}"
-        else:
-            help_of_command.append(line)
-    parameters = [
-        _described(parameter, heads.get(name, []), texts.get(name, ""))
-        for name, parameter in signature.parameters.items()
-    ]
-    result = with_parameters(command, parameters)
-    result.__doc__ = "\n".join(help_of_command)
-    return result
-
-
-def _described(parameter: inspect.Parameter, head: Sequence[str], text: str) -> inspect.Parameter:
-    """Returns the parameter of a command with flags, metavar and help."""
-    default, annotation = parameter.default, parameter.annotation
-    kind, info = get_args(annotation)[:2] if get_origin(annotation) is Annotated else (annotation, None)
-    flags = [part for part in head if part.startswith("--")]
-    is_argument = default is parameter.empty and not flags
-    info = copy(info or (typer.Argument() if is_argument else typer.Option()))
-    if kind is bool and not flags and info.default is ...:  # Typer keeps the first flag there
-        flags = [f"--{parameter.name.replace('_', '-')}"]  # without one that turns it off
-    info.param_decls = tuple(flags) or info.param_decls
-    info.metavar = " ".join(head[len(flags) :]) or info.metavar
-    info.help = text or info.help
-    return parameter.replace(annotation=Annotated[kind, info])
-
-
-def with_parameters(command: Callable[..., Any], parameters: list[inspect.Parameter]) -> Callable[..., Any]:
-    """Returns the command with other parameters in the eyes of Typer."""
-
-    @wraps(command)
-    def described(**arguments: Any) -> Any:
-        return command(**arguments)
-
-    vars(described)["__signature__"] = inspect.signature(command).replace(parameters=parameters)
-    described.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    return described
 
 
 def figure_formats(names: str) -> list[FigureFormat]:
@@ -154,7 +105,7 @@ class ProgressBar:
     """A bar of how much of a command is done, shown on a terminal after `delay` seconds."""
 
     def __init__(self, description: str, total: int, delay: float, stack: ExitStack) -> None:
-        self._description, self._total, self._stack = description, total, stack
+        self._description, self.total, self._stack = description, total, stack
         self._shown_from = time.monotonic() + delay
         self._bar: tuple[Progress, TaskID] | None = None
         self.done = 0
@@ -162,7 +113,7 @@ class ProgressBar:
 
     def advance(self, count: int = 1, note: str = "") -> None:
         """Counts `count` more parts as done; shows `note` beside the description."""
-        self._show(self.done + count, self._total, note)
+        self._show(self.done + count, self.total, note)
 
     def update(self, done: int, total: int) -> None:
         """Sets how many parts of `total` are done."""
@@ -190,22 +141,14 @@ class ProgressBar:
             redirect_stdout=sys.stdout.isatty(),  # what goes into a pipe must not end on the terminal
             transient=True,
         )
-        return self._stack.enter_context(bar), bar.add_task(self._description, total=self._total)
+        return self._stack.enter_context(bar), bar.add_task(self._description, total=self.total)
 
 
 @contextmanager
-def progress(description: str, total: int, delay: float = 0.0, kept: str = "") -> Iterator[ProgressBar]:
+def progress(description: str, total: int, delay: float = 0.0) -> Iterator[ProgressBar]:
     """Shows a progress bar on standard error, if that is a terminal, until the context ends.
 
     delay: seconds after which it is shown; what draws it takes as long to import as a short run takes
-    kept: what an interruption keeps, where the same command continues
     """
     with ExitStack() as stack:
-        bar = ProgressBar(description, total, delay, stack)
-        try:
-            yield bar
-        except KeyboardInterrupt:
-            if not kept:
-                raise
-            done = f"{bar.done} of {total} {kept} are done and kept"
-            fail(f"interrupted: {done}; the same command continues", INTERRUPTED)
+        yield ProgressBar(description, total, delay, stack)

@@ -10,12 +10,17 @@ from fmus.operating_system import usable_processors
 from fmus.registry import Flavour
 from orchestration.cli import shared
 from orchestration.cli.changes import NO_CHANGES, Changes, takes_changes
+from orchestration.cli.interrupts import INTERRUPTED
 from orchestration.errors import OrchestrationError
 from orchestration.results.metric_units import metrics_table, values_table
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+    from contextlib import AbstractContextManager
+
     from rich.table import Table
 
+    from orchestration.many.job import Place
     from orchestration.margins.margins import Margins
     from orchestration.sweep.plan import Plan
 
@@ -24,28 +29,50 @@ if TYPE_CHECKING:
 def sweep(
     name: shared.ScenarioArgument,
     out: shared.OutFolder = Path("results"),
-    workers: Annotated[int | None, typer.Option(min=1)] = None,
-    isolated: bool = False,
-    ensemble: bool | None = None,
-    scheduler: str = "",
-    recordings: str = "",
-    sample: Annotated[int | None, typer.Option(min=0)] = None,
-    restart: bool = False,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            help="Run so many samples at once on this machine; by default one for each core.", min=1
+        ),
+    ] = None,
+    isolated: Annotated[
+        bool,
+        typer.Option(
+            "--isolated", help="Run FMUs in processes apart, also those that are known to need none."
+        ),
+    ] = False,
+    ensemble: Annotated[
+        bool | None,
+        typer.Option(
+            "--ensemble/--no-ensemble",
+            help="Step samples of native FMUs together, in vectors, with the same rows; "
+            "by default where it is faster.",
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str,
+        typer.Option(
+            metavar="ADDRESS", help="Run on the Dask cluster at this address instead, tcp://HOST:PORT."
+        ),
+    ] = "",
+    recordings: Annotated[
+        str,
+        typer.Option(
+            metavar="SIGNALS",
+            help="Keep these signals of every sample, separated by commas; all keeps all of them.",
+        ),
+    ] = "",
+    sample: Annotated[
+        int | None,
+        typer.Option(metavar="NUMBER", help="Run this sample alone, and keep its recording.", min=0),
+    ] = None,
+    restart: Annotated[
+        bool, typer.Option("--restart", help="Discard the samples of an earlier sweep of that name.")
+    ] = False,
     flavour: shared.FlavourOption = Flavour.NATIVE,
     changes: Changes = NO_CHANGES,
 ) -> None:
-    """Run the samples of a scenario that has a table [sweep]; an interrupted sweep continues.
-
-    name SCENARIO: Name of a shipped scenario, or a .toml file.
-    workers: Run so many samples at once on this machine; by default one for each core.
-    isolated: Run FMUs in processes apart, also those that are known to need none.
-    ensemble: Step samples of native FMUs together, in vectors, with the same rows; by default where it is
-        faster.
-    scheduler ADDRESS: Run on the Dask cluster at this address instead, tcp://HOST:PORT.
-    recordings SIGNALS: Keep these signals of every sample, separated by commas; all keeps all of them.
-    sample NUMBER: Run this sample alone, and keep its recording.
-    restart: Discard the samples of an earlier sweep of that name.
-    """
+    """Run the samples of a scenario that has a table [sweep]; an interrupted sweep continues."""
     from orchestration.cli import chosen_scenario
     from orchestration.sweep.plan import plan
     from orchestration.sweep.run import recorded_signals
@@ -63,20 +90,21 @@ def sweep(
         return
     recorded = recorded_signals(recordings, planned)
 
-    from orchestration.many.run_many import LocalRuns
     from orchestration.sweep import table  # Arrow is slow to import: after what can be refused
     from orchestration.sweep.run import sweep as run_samples
     from orchestration.sweep.table import summary_table
 
     notes: list[str] = []
-    if scheduler:
-        from orchestration.many import cluster  # Dask is slow to import
-
-        place = cluster.remote(scheduler)
-    else:
-        place = LocalRuns(workers or usable_processors(), isolated, ensemble, notes.append)
-    with shared.progress("sweep", planned.count, kept="samples") as bar:
-        path = run_samples(planned, out, place, recorded, restart, bar.advance)
+    started = _workers(workers, isolated, ensemble, scheduler, notes.append)
+    with shared.progress("sweep", planned.count) as bar:
+        try:
+            path = run_samples(planned, out, started, recorded, restart, bar.advance)
+        except KeyboardInterrupt:
+            shared.fail(
+                f"interrupted: {bar.done} of {planned.count} samples are done and kept; "
+                "the same command continues",
+                INTERRUPTED,
+            )
     results, provenance = table.read(path)
     shared.print_table(summary_table(results, provenance))
     print(*notes, sep="\n", end="\n" * bool(notes))
@@ -87,6 +115,22 @@ def sweep(
         shared.fail(
             f"every sample failed, 0 with: {results[table.ERROR][0]}; --sample 0 runs it, --restart all"
         )
+
+
+def _workers(
+    count: int | None,
+    isolated: bool,
+    ensemble: bool | None,
+    scheduler: str,
+    note: "Callable[[str], object]",
+) -> "AbstractContextManager[Place]":
+    if scheduler:
+        from orchestration.many import cluster  # Dask is slow to import
+
+        return cluster.remote(scheduler)
+    from orchestration.many.run_many import LocalRuns
+
+    return LocalRuns(count or usable_processors(), isolated, ensemble, note)
 
 
 def _run_one(planned: "Plan", sample: int, out: Path) -> None:
@@ -105,25 +149,32 @@ def _run_one(planned: "Plan", sample: int, out: Path) -> None:
 @takes_changes()
 def margins(
     name: shared.ScenarioArgument,
-    out: Path | None = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write margins.json to this folder.")
+    ] = None,
     flavour: shared.FlavourOption = Flavour.NATIVE,
     changes: Changes = NO_CHANGES,
-    signal: str = "",
-    window: tuple[float, float] | None = None,
-    quiet: float = 3e-3,
-    theory: bool = False,
-    over: str = "",
+    signal: Annotated[
+        str, typer.Option(metavar="NAME", help="Judge this signal; by default that of a metric.")
+    ] = "",
+    window: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="S S", help="Judge it in this time; by default where its reference holds."),
+    ] = None,
+    quiet: Annotated[
+        float, typer.Option(help="Largest standard deviation that counts as quiet, in the signal's unit.")
+    ] = 3e-3,
+    theory: Annotated[
+        bool, typer.Option("--theory", help="Give what follows from the design alone, without many runs.")
+    ] = False,
+    over: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME=V,V", help="Measure the delay margins at each of these values of a parameter, too."
+        ),
+    ] = "",
 ) -> None:
-    """Give the delay and gain margins of a scenario, by runs and, for our L1 controllers, in theory.
-
-    name SCENARIO: Name of a shipped scenario, or a .toml file.
-    out DIR: Write margins.json to this folder.
-    signal NAME: Judge this signal; by default that of a metric.
-    window S S: Judge it in this time; by default where its reference holds.
-    quiet: Largest standard deviation that counts as quiet, in the signal's unit.
-    theory: Give what follows from the design alone, without many runs.
-    over NAME=V,V: Measure the delay margins at each of these values of a parameter, too.
-    """
+    """Give the delay and gain margins of a scenario, by runs and, for our L1 controllers, in theory."""
     from orchestration.cli import chosen_scenario
     from orchestration.margins.fmu_margins import runs_needed
     from orchestration.margins.hold import Hold

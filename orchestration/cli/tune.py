@@ -1,5 +1,6 @@
 """Command tune: the gains of a controller, by the same search for every one."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,53 +12,66 @@ from fmus.operating_system import usable_processors
 from fmus.registry import block_names
 from orchestration.cli import shared
 from orchestration.cli.changes import CONTROLLER, NO_CHANGES, OF_LOOP, Changes, takes_changes
-from orchestration.cli.score import chosen_protocol, scored_controllers
+from orchestration.cli.interrupts import INTERRUPTED
+from orchestration.cli.score import (
+    BoundOption,
+    CasesOption,
+    EvaluationsOption,
+    ProtocolOption,
+    RatesOption,
+    SeedsOption,
+    chosen_protocol,
+    scored_controllers,
+)
 from orchestration.errors import ScenarioError
 
 if TYPE_CHECKING:
     from orchestration.score.closed_loop import Controller
     from orchestration.score.protocol import Protocol
-    from orchestration.score.tune import Tuning
+    from orchestration.score.tune import Evaluate, Problem, Tuning
 
 
-@takes_changes(*OF_LOOP, "open_inputs")
+@takes_changes(**OF_LOOP, open_inputs="")
 def tune(
-    name: str,
-    free: list[str] = [],  # noqa: B006  (Typer copies it)
-    evaluations: Annotated[int, typer.Option(min=1)] = 100,
-    seeds: Annotated[int, typer.Option(min=1)] = 5,
-    workers: Annotated[int, typer.Option(min=1)] = usable_processors(),
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="CONTROLLER",
+            help="Of the protocol; or an .fmu, a block, its .py file or a class FILE.py:Class.",
+        ),
+    ],
+    free: Annotated[
+        list[str],
+        typer.Option(
+            metavar="NAME=LOW:HIGH",
+            help="Search this parameter within these limits, in its logarithm if both are positive; "
+            "by default the gains that the protocol has for the controller.",
+        ),
+    ] = [],  # noqa: B006  (Typer copies it)
+    evaluations: EvaluationsOption = 100,
+    seeds: SeedsOption = 5,
+    workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
     out: shared.OutFolder = Path("results"),
-    restart: bool = False,
-    bounds: list[str] = [],  # noqa: B006
-    cases: str = "",
-    plants: Annotated[int, typer.Option(min=0)] = 0,
-    protocol_file: Path | None = None,
-    no_rates: bool = False,
+    restart: Annotated[
+        bool, typer.Option("--restart", help="Discard the evaluations of an earlier tuning of that name.")
+    ] = False,
+    bounds: BoundOption = [],  # noqa: B006
+    cases: CasesOption = "",
+    plants: Annotated[
+        int,
+        typer.Option(
+            metavar="NUMBER", help="Take the worst fifth of so many plants in place of cases.", min=0
+        ),
+    ] = 0,
+    protocol_file: ProtocolOption = None,
+    no_rates: RatesOption = False,
     changes: Changes = NO_CHANGES,
 ) -> None:
-    """Search the gains of least cost on practice cases of the protocol; an interrupted tuning continues.
-
-    name CONTROLLER: Of the protocol; or an .fmu, a block, its .py file or a class FILE.py:Class.
-    free NAME=LOW:HIGH: Search this parameter within these limits, in its logarithm if both are positive; by
-        default the gains that the protocol has for the controller.
-    evaluations NUMBER: Evaluate so many for each free gain, seed and bound of a front.
-    seeds NUMBER: Search from so many seeds.
-    workers: Run so many processes.
-    restart: Discard the evaluations of an earlier tuning of that name.
-    bounds --bound METRIC=NUMBER: Bound a metric of the cost, or delay_margin.
-    cases NAME,...: Take the cost over these cases of the protocol.
-    plants NUMBER: Take the worst fifth of so many plants in place of cases.
-    protocol_file --protocol FILE: Follow this protocol, not the one that ships.
-    no_rates: Connect the reference alone, not its derivatives.
-    settings: Set controller.variable=value; with --plant plant.variable=value.
-    mapped: Take this variable of the controller for NAME; with --plant that of the plant for plant.NAME.
-    """
+    """Search the gains of least cost on practice cases of the protocol; an interrupted tuning continues."""
     from orchestration.scenarios.free_parameter import parse
     from orchestration.score import tune_problem
     from orchestration.score.closed_loop import ClosedLoop
     from orchestration.score.protocol import with_cost
-    from orchestration.score.tune import tune as search
     from orchestration.score.tune_problem import evaluations as started
 
     if plants:
@@ -73,15 +87,10 @@ def tune(
         milliseconds = 1e3 * tune_problem.step_of(controller, protocol)
         journals.append(out / f"{controller.name}.{milliseconds:g}ms.tune.jsonl")
         with (
-            shared.progress(f"tune {controller.name}, {milliseconds:g} ms", total, kept="evaluations") as bar,
+            shared.progress(f"tune {controller.name}, {milliseconds:g} ms", total) as bar,
             started(controller, protocol, workers, total) as evaluate,
         ):
-
-            def advance(count: int, cost: float, bar: shared.ProgressBar = bar) -> None:
-                bar.advance(count, f"best {cost:.4g} cm")
-
-            searched = range(1, seeds + 1), evaluations, journals[-1]
-            tuning = search(problem, *searched, evaluate, advance, restart)
+            tuning = _search(problem, range(1, seeds + 1), evaluations, journals[-1], evaluate, bar, restart)
         finer = tune_problem.at_enough_steps(tuning.best.gains, controller, protocol)
         if finer is controller:
             break
@@ -97,6 +106,28 @@ def tune(
     change = 100.0 * provenance["change_at_half_the_step"]
     print(f"Half the step of {milliseconds:g} ms changes the error by {change:.2g} %.")
     print(path)
+
+
+def _search(
+    problem: "Problem",
+    seeds: Sequence[int],
+    evaluations: int,
+    journal: Path,
+    evaluate: "Evaluate",
+    bar: shared.ProgressBar,
+    restart: bool,
+) -> "Tuning":
+    """Returns the tuning; an interruption ends the command with a message about what is done."""
+    from orchestration.score.tune import tune as search
+
+    def advance(count: int, cost: float) -> None:
+        bar.advance(count, f"best {cost:.4g} cm")
+
+    try:
+        return search(problem, seeds, evaluations, journal, evaluate, advance, restart)
+    except KeyboardInterrupt:
+        kept = f"{bar.done} of {bar.total} evaluations are done and kept"
+        shared.fail(f"interrupted: {kept}; the same command continues", INTERRUPTED)
 
 
 def _controller(

@@ -12,7 +12,7 @@ from fmus.errors import MissingExtraError
 from fmus.files import write_text_atomically
 from fmus.operating_system import usable_processors
 from orchestration.cli import shared
-from orchestration.cli.changes import CONTROLLER, NO_CHANGES, OF_LOOP, Changes, takes_changes
+from orchestration.cli.changes import CONTROLLER, NO_CHANGES, Changes, takes_changes
 from orchestration.errors import OrchestrationError
 
 if TYPE_CHECKING:
@@ -27,26 +27,30 @@ _RUNS = {"L1": ("nominal-l1", ""), "L1 with PI": ("nominal-extended", ""), "PID"
 """Title of a controller -> the scenario of its runs, and the controller in the place of the scenario's."""
 
 
-@takes_changes(*OF_LOOP)
+@takes_changes(
+    plant="",
+    settings="Set plant.variable=value: data of the vehicle.",
+    mapped="Take this variable of the plant for plant.NAME.",
+)
 def design(
-    plant: str = "RovDepthPlant",
+    plant: Annotated[
+        str, typer.Option(metavar="FMU", help="Design for this vehicle, an .fmu, a block or its .py file.")
+    ] = "RovDepthPlant",
     changes: Changes = NO_CHANGES,
-    bandwidth: Annotated[float, typer.Option(min=0.0)] = 0.0,
-    phase_margin: Annotated[float, typer.Option(min=1.0, max=80.0)] = 20.0,
-    draws: Annotated[int, typer.Option(min=0)] = 20,
-    seed: Annotated[int, typer.Option(min=0)] = 1,
+    bandwidth: Annotated[
+        float,
+        typer.Option(metavar="RAD/S", help="Of A_m and of PID; by default the largest that fits.", min=0.0),
+    ] = 0.0,
+    phase_margin: Annotated[
+        float, typer.Option(metavar="DEG", help="Least phase margin in every corner.", min=1.0, max=80.0)
+    ] = 20.0,
+    draws: Annotated[
+        int, typer.Option(metavar="NUMBER", help="Run so many draws within the ranges, too.", min=0)
+    ] = 20,
+    seed: Annotated[int, typer.Option(metavar="NUMBER", help="Seed of the draws.", min=0)] = 1,
     out: shared.OutFolder = Path("results"),
 ) -> None:
-    """Design L1, its PI extension and PID for a vehicle, and check them in every corner of its ranges.
-
-    plant FMU: Design for this vehicle, an .fmu, a block or its .py file.
-    settings: Set plant.variable=value: data of the vehicle.
-    mapped: Take this variable of the plant for plant.NAME.
-    bandwidth RAD/S: Of A_m and of PID; by default the largest that fits.
-    phase_margin DEG: Least phase margin in every corner.
-    draws NUMBER: Run so many draws within the ranges, too.
-    seed NUMBER: Seed of the draws.
-    """
+    """Design L1, its PI extension and PID for a vehicle, and check them in every corner of its ranges."""
     from orchestration.cli.score import chosen_vehicle
     from orchestration.design import parameter_file, rules, vehicle_data
 
@@ -138,28 +142,32 @@ def _rows(checks: "Sequence[DesignCheck]") -> Iterator[tuple[str, ...]]:
 _USUAL = 20  # evaluations for each free parameter, for the progress bar
 
 
-@takes_changes(*OF_LOOP)
+@takes_changes(
+    plant="",
+    settings="Set plant.variable=value; of a free parameter, its start.",
+    mapped="Take this column of the data for data.NAME, or this variable of the plant for plant.NAME.",
+)
 def fit(
-    plant: str,
-    data: list[Path],
-    free: list[str],
+    plant: Annotated[str, typer.Argument(metavar="PLANT", help="An .fmu, a block or its .py file.")],
+    data: Annotated[
+        list[Path],
+        typer.Option(metavar="FILE", help="Fit to this log of a dive (CSV), or to several at once."),
+    ],
+    free: Annotated[
+        list[str],
+        typer.Option(
+            metavar="NAME,NAME=LOW:HIGH",
+            help="Fit these parameters, within these limits; by default within those of the FMU.",
+        ),
+    ],
     changes: Changes = NO_CHANGES,
-    step_size: float | None = None,
-    workers: Annotated[int, typer.Option(min=1)] = usable_processors(),
+    step_size: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Communication step; by default that of the FMU.")
+    ] = None,
+    workers: Annotated[int, typer.Option(help="Run so many dives at once.", min=1)] = usable_processors(),
     out: shared.OutFolder = Path("results"),
 ) -> None:
-    """Fit parameters of a vehicle to measured depth and commands, with intervals.
-
-    plant PLANT: An .fmu, a block or its .py file.
-    data --data FILE: Fit to this log of a dive (CSV), or to several at once.
-    free --free NAME,NAME=LOW:HIGH: Fit these parameters, within these limits; by default within those of the
-        FMU.
-    settings: Set plant.variable=value; of a free parameter, its start.
-    mapped --map NAME=COLUMN: Take this column of the data for data.NAME, or this variable of the plant for
-        plant.NAME.
-    step_size SECONDS: Communication step; by default that of the FMU.
-    workers: Run so many dives at once.
-    """
+    """Fit parameters of a vehicle to measured depth and commands, with intervals."""
     import tomli_w
 
     from orchestration.cli.score import chosen_vehicle

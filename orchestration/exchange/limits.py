@@ -1,22 +1,28 @@
-"""Parts of all exporters: refusals, before anything is written, and the texts that are filled in.
+"""Parts of all exporters: refusals, before anything is written; signals as components; texts to fill in.
 
 Every exporter carries a system whose components exchange values at communication points, in the order of
 Jacobi, and whose signals are lines through points; this is what an SSP package and a block
-diagram have in common.
+diagram have in common. A system that is handed on without its scenario drives itself: each signal of ramps
+becomes an FMU without inputs, with the unit of the input that it drives. Such an FMU is built when it is
+needed; whoever calls this room hands it the function that builds.
 """
 
-from collections.abc import Iterable
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from importlib import resources
+from pathlib import Path
 from string import Template
 
 import numpy as np
 
+from fmus.fmi.description import describe
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Algorithm, Experiment
-from orchestration.system.prepared_run import PreparedRun, prepare
+from orchestration.system.prepared_run import PreparedRun, check_for, prepare
 from orchestration.system.signals import Constant, Cosine, Ramps, Signal, Sines, Table
-from orchestration.system.system import Port
+from orchestration.system.system import Port, System
 from orchestration.system.time_grid import GRID_TOLERANCE
 
 _OTHERS = "a constant or a table"  # signals that ramps can give
@@ -40,12 +46,22 @@ def check_plain_exchange(experiment: Experiment, target: str) -> None:
         raise ScenarioError(f"{target} with {present}: expected none, it cannot carry them")
 
 
+def check_standard(system: System, target: str) -> None:
+    """Raises ScenarioError for an FMU of FMI 3.0, whose arrays are no scalars elsewhere."""
+    for name, path in system.components.items():
+        if (version := describe(path).fmiVersion) != "2.0":
+            raise ScenarioError(
+                f"{target} with {name}, {path.name}, of FMI {version}: expected FMI 2.0, as of l1-depth build"
+            )
+
+
 def prepare_plain(scenario: Scenario, target: str) -> PreparedRun:
     """Returns the run of a scenario that exchanges plainly, by connections without factor and offset.
 
     Raises ScenarioError for another one.
     """
     check_plain_exchange(scenario.experiment, target)
+    check_standard(scenario.system, target)
     prepared = prepare(scenario.system, scenario.experiment)
     for name, transformation in prepared.system.transformations.items():
         raise ScenarioError(
@@ -104,6 +120,99 @@ def straight_points(input_name: str, signal: Signal, experiment: Experiment) -> 
 def _kind(signal: Signal) -> str:
     kinds = {Ramps: "smooth ramps", Cosine: "a cosine", Sines: "sines"}
     return kinds.get(type(signal), "another function of time")
+
+
+_SPARE_S = 10.0  # between points that a signal does not use
+_FEWEST_POINTS = 2
+
+
+@dataclass(frozen=True)
+class RampSource:
+    """The source of ramps: the FMU that takes the place of a signal.
+
+    name: of the component, and of its only output
+    unit: of the output as FMI names it, "" if the driven input has none
+    points: how many; parameters point_time[i] [s], point_value[i] [unit] and smooth
+    driven: FMU that it drives; the source is to run on the same platforms
+    starts: parameter -> value that it is to start with: those of the first scenario
+    """
+
+    name: str
+    unit: str
+    points: int
+    driven: Path
+    starts: Mapping[str, float | bool] = field(default_factory=dict, compare=False)
+
+    @property
+    def output(self) -> str:
+        """The output, as "component.variable": the signal is recorded there."""
+        return f"{self.name}.{self.name}"
+
+
+BuildSource = Callable[[RampSource, Path], Path]
+"""(source, folder) -> its FMU, written to that folder."""
+
+
+def ramp_sources(scenarios: Sequence[Scenario]) -> dict[str, RampSource]:
+    """Returns driven input -> its source, with as many points as the longest of its signals has.
+
+    The scenarios have the same system and driven inputs. Raises ScenarioError for a signal that is no ramps.
+    """
+    first = scenarios[0]
+    checked = check_for(first.system, first.experiment)
+    sources: dict[str, RampSource] = {}
+    names = set(checked.components)
+    for target in first.experiment.signals:
+        experiments = [scenario.experiment for scenario in scenarios]
+        signals = [as_ramps(target, experiment.signals[target], experiment) for experiment in experiments]
+        name = _unused_name(target, names)
+        names.add(name)
+        points = max(_FEWEST_POINTS, *(len(signal.points) for signal in signals))
+        driven = checked.ports[target]
+        fmu = checked.components[driven.component]
+        source = RampSource(name, driven.variable.unit or "", points, fmu)
+        starts = {n.partition(".")[2]: value for n, value in _parameters(source, signals[0]).items()}
+        sources[target] = replace(source, starts=starts)
+    return sources
+
+
+def _unused_name(target: str, used: set[str]) -> str:
+    """Returns the name of the input as an identifier, after that of its component if it is used already."""
+    for name in (target.partition(".")[2], target):
+        identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
+        if identifier not in used:
+            return identifier
+    raise ScenarioError(f"signal {target}: expected no component of the name {identifier!r}")
+
+
+def with_sources(
+    scenario: Scenario, sources: Mapping[str, RampSource], fmus: Mapping[str, Path]
+) -> tuple[System, Experiment]:
+    """Returns the system and the experiment with a component for every signal, its points as parameters.
+
+    sources, fmus: of every driven input
+    """
+    system, parameters = scenario.system, dict(scenario.experiment.parameters)
+    for target, source in sources.items():
+        parameters |= _parameters(
+            source, as_ramps(target, scenario.experiment.signals[target], scenario.experiment)
+        )
+    components = {**system.components, **{source.name: fmus[target] for target, source in sources.items()}}
+    connections = [*system.connections, *((source.output, target) for target, source in sources.items())]
+    record = tuple(sources[n].output if n in sources else n for n in scenario.experiment.record)
+    experiment = replace(scenario.experiment, parameters=parameters, signals={}, record=record)
+    return System(components, connections), experiment
+
+
+def _parameters(source: RampSource, ramps: Ramps) -> dict[str, float | bool]:
+    """Returns the points as parameters; unused points come after the last one and have its value."""
+    points = [(float(time), float(value)) for time, value in ramps.points]
+    while len(points) < source.points:
+        points.append((points[-1][0] + _SPARE_S, points[-1][1]))
+    parameters: dict[str, float | bool] = {f"{source.name}.smooth": True} if ramps.smooth else {}
+    for i, (time, value) in enumerate(points, start=1):
+        parameters |= {f"{source.name}.point_time[{i}]": time, f"{source.name}.point_value[{i}]": value}
+    return parameters
 
 
 _FOLDER = resources.files("orchestration.exchange") / "files"

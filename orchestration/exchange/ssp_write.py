@@ -19,13 +19,19 @@ from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
-from fmus.files import write_archive
+from fmus.files import write_archive, xml_document
 from fmus.fmi.description import start_value
 from fmus.fmi.integer_enumerations import without_enumerations
 from fmus.fmi.variable_types import FmiValue
 from orchestration.exchange import ssp_xml
-from orchestration.exchange.limits import check_plain_exchange
-from orchestration.exchange.signal_sources import BuildSource, RampSource, ramp_sources, with_sources
+from orchestration.exchange.limits import (
+    BuildSource,
+    RampSource,
+    check_plain_exchange,
+    check_standard,
+    ramp_sources,
+    with_sources,
+)
 from orchestration.exchange.ssp_xml import STRUCTURE, SspVersion, add, add_value
 from orchestration.scenarios.fmu_files import fmu_file
 from orchestration.scenarios.layers import components_of
@@ -88,9 +94,10 @@ def package(
 
     build_source: makes the FMU that gives a signal; called once for every driven input
     build_started: makes the FMU of a component that starts with the values of the scenario
-    Raises ScenarioError for a scenario with more than `check_plain_exchange` allows, or another signal than
-    ramps.
+    Raises ScenarioError for a scenario with more than `check_plain_exchange` allows, another signal than
+    ramps, or an FMU of FMI 3.0.
     """
+    check_standard(scenario.system, f"an SSP package of {scenario.name}")
     scenarios = family(scenario)
     for variant in scenarios:
         check_plain_exchange(variant.experiment, f"an SSP package of {variant.name}")
@@ -117,7 +124,7 @@ def _members(variants: Sequence[_Variant], fmus: Mapping[str, Path]) -> dict[str
         path = next(path for path in _resource_paths(component, fmu) if members.get(path, content) == content)
         members[path], resources[component] = content, path
     structures = {f"{variant.name}.ssd": _structure(variant, resources) for variant in variants}
-    parameters = {f"parameters/{v.name}.ssv": ssp_xml.document(_parameter_set(v)) for v in variants}
+    parameters = {f"parameters/{v.name}.ssv": xml_document(_parameter_set(v)) for v in variants}
     members[STRUCTURE] = structures.pop(f"{variants[0].name}.ssd")
     return members | structures | parameters
 
@@ -182,7 +189,7 @@ def _structure(variant: _Variant, resources: Mapping[str, str]) -> bytes:
     _master(system, variant.prepared.experiment)
     _units(root, "ssd:Units", variant.prepared.system, variant.connectors)
     _default_experiment(root, variant.prepared.experiment)
-    return ssp_xml.document(root)
+    return xml_document(root)
 
 
 def _component(parent: Element, name: str, source: str, variant: _Variant) -> None:

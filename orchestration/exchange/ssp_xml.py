@@ -45,12 +45,6 @@ def root(name: str, /, **attributes: str) -> Element:
     return Element(tag(name), attributes)
 
 
-def document(element: Element) -> bytes:
-    """Returns the whole file; namespaces are declared on its root."""
-    ElementTree.indent(element)
-    return ElementTree.tostring(element, encoding="UTF-8", xml_declaration=True)
-
-
 def add_value(parent: Element, value: FmiValue, unit: str | None = None) -> None:
     """Adds the value of an ssv:Parameter. An enumeration item is an Integer: few importers read another."""
     kind = {bool: "Boolean", int: "Integer", float: "Real"}.get(type(value), "String")

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from fmus.errors import nearest
-from fmus.fmi.description import describe, start_value
+from fmus.fmi.description import start_value
 from orchestration.errors import OrchestrationError
 from orchestration.fit.dive import DATA, DEPTHS, Dive
 from orchestration.fit.least_squares import (
@@ -132,7 +132,7 @@ def _of_vehicle(given: FreeParameter, vehicle: Vehicle) -> FreeParameter:
 def _settings(vehicle: Vehicle) -> dict[str, dict[str, Any]]:
     """Returns the parameters and constant inputs that are set, as the FMU takes them."""
     layers = [Layer({"components": {"plant": vehicle.fmu}})]
-    tables = values_of_settings(vehicle.settings, layers, lambda fmu: describe(fmu_file(vehicle.fmu)))
+    tables = values_of_settings(vehicle.settings, layers, lambda fmu: vehicle.variables)
     return {"parameters": {}, "inputs": {}, **tables}
 
 

@@ -13,7 +13,7 @@ parameter = "controller.reference_feedforward"
 values = ["inside", "outside"]
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -51,7 +51,7 @@ def adapted(layers: Sequence[Layer], replaced: Mapping[str, Replacement], descri
         """Whether the FMU of a component has a variable, by the name that a layer has for it."""
         name = variable if variable.partition(".")[0] in fmus else f"{component}.{variable}"
         owner, _, own = above[index].get(name, name).partition(".")
-        return any(v.name == own for v in describe(fmus[owner]).modelVariables)
+        return own in describe(fmus[owner])
 
     renamed = [_renamed(layer, above[index]) for index, layer in enumerate(layers)]
     return _with_entries(renamed, "when_replaced", applies)
@@ -124,7 +124,9 @@ def _mapping(
                 f"{layer.at(('mapping', component, old))}: mapping.{component}",
                 f"{component}.{old}",
             )
-            if name not in known and not (replacement and old in _variables(layers, component, describe)):
+            if name not in known and not (
+                replacement and old in describe(components_of(layers[:1])[component])
+            ):
                 raise ScenarioError(f"{where}: nothing names {name}; {nearest(name, known)}")
             if replacement and new not in replacement.ports:
                 hint = nearest(new, replacement.ports)
@@ -133,10 +135,10 @@ def _mapping(
     return names
 
 
-def _variables(layers: Sequence[Layer], component: str, describe: Describe) -> set[str]:
+def _variables(layers: Sequence[Layer], component: str, describe: Describe) -> Collection[str]:
     """Returns the variables of the FMU that the lowest layer has for a component."""
     fmus = (layer.data.get("components", {}).get(component) for layer in layers)
-    return {v.name for v in describe(next(fmu for fmu in fmus if fmu)).modelVariables}
+    return describe(next(fmu for fmu in fmus if fmu))
 
 
 def names_in(value: Any) -> Iterator[str]:

@@ -63,9 +63,7 @@ def command_entries(
     return merge(dict(overrides), {table: entries for table, entries in above.items() if entries})
 
 
-def values_of_settings(
-    settings: Mapping[str, FmiValue], layers: Sequence[Layer], description: Describe
-) -> Data:
+def values_of_settings(settings: Mapping[str, FmiValue], layers: Sequence[Layer], describe: Describe) -> Data:
     """Returns the tables of a scenario file that the values of variables stand in.
 
     layers: the last is of `command_entries`
@@ -74,8 +72,8 @@ def values_of_settings(
     below, components, tables = components_of(layers[:-1]), components_of(layers), Data()
 
     def settable_of(component: str) -> dict[str, ScalarVariable]:
-        variables = description(components[component]).modelVariables
-        return {v.name: v for v in variables if v.causality in ("parameter", "input")}
+        variables = describe(components[component]).items()
+        return {name: v for name, v in variables if v.causality in ("parameter", "input")}
 
     for name, value in settings.items():
         component, dot, variable = name.partition(".")

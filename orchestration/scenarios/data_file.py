@@ -83,7 +83,8 @@ def read_data_file(path: Path) -> DataFile:
     except (OSError, csv.Error, ValueError) as error:
         reason = getattr(error, "strerror", None) or error  # without the number of an error of the system
         raise ScenarioError(f"{path}: expected a CSV file, got {reason}") from error
-    if not rows or _is_number(rows[0][1][0]):
+    with suppress(ValueError):
+        _number(rows[0][1][0] if rows else "0")
         return DataFile(path, (), (), rows)
     matches = [(_TITLE.fullmatch(title.strip()), title.strip()) for title in rows[0][1]]
     titles = tuple(match[1] if match else title for match, title in matches)
@@ -93,14 +94,6 @@ def read_data_file(path: Path) -> DataFile:
 
 def _holds_data(line: str) -> bool:
     return bool(line.strip()) and not line.startswith("#")
-
-
-def _is_number(text: str) -> bool:
-    try:
-        _number(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _number(text: str, gaps: bool = False) -> float | datetime:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from fmus.fmi.description import start_value
-from fmus.fmi.model_description import ModelDescription
+from fmus.fmi.model_description import ScalarVariable
 from orchestration.errors import ScenarioError, ScenarioWarning, SystemDefinitionError
 from orchestration.results.metrics import SIGNALS
 from orchestration.scenarios.layers import Data, Layer, source_of, with_events
@@ -26,8 +26,8 @@ from orchestration.system.prepared_run import has_start_value
 from orchestration.system.system import Port
 from orchestration.system.values import fmi_value
 
-Describe = Callable[[str], ModelDescription]
-"""Block, or path of an FMU -> its model description."""
+Describe = Callable[[str], Mapping[str, ScalarVariable]]
+"""Block, or path of an FMU -> its variables by name."""
 
 _MOST_NAMES = 6  # in a message
 # kind of entry -> the part that it gives to its variable: see `_has_part`
@@ -165,8 +165,8 @@ def replacements(
             optional.setdefault(component, {}).update(dict.fromkeys(names, index))
     result: dict[str, Replacement] = {}
     for name, index in changed.items():
-        variables = describe(fmus[name]).modelVariables if fmus[name] else []
-        ports = {v.name: Port(name, v) for v in variables}
+        variables = describe(fmus[name]) if fmus[name] else {}
+        ports = {variable: Port(name, v) for variable, v in variables.items()}
         others = alternatives.get(name, {})
         result[name] = Replacement(name, fmus[name], index, ports, optional.get(name, {}), others, identified)
     return result

@@ -4,6 +4,7 @@ import errno
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from fmus.files import lasting_folder, write_json_atomically
 from fmus.registry import Flavour
@@ -15,7 +16,6 @@ from orchestration.results.files import reserved
 from orchestration.results.formats import FigureFormat, RecordingFormat
 from orchestration.results.metric_units import MetricDocument, metric_units, with_units
 from orchestration.results.recording import Recording
-from orchestration.run.checkpoint import Checkpoint, Checkpoints
 from orchestration.run.one_run import simulate_prepared
 from orchestration.scenarios import scenario
 from orchestration.scenarios.published import CASES, summary
@@ -47,30 +47,18 @@ def run(
     folder: Path,
     progress: Callable[[int, int], None] | None = None,
     file_format: RecordingFormat = RecordingFormat.CSV,
-    *,
-    timeout: float | None = None,
-    real_time: float | None = None,
-    checkpoints: Checkpoints | None = None,
-    resume: Checkpoint | None = None,
+    **options: Any,
 ) -> Result:
     """Runs one scenario; writes NAME.csv or .parquet and NAME.json (settings, FMUs, metrics) to `folder`.
 
-    progress .. resume: of `simulate`. A run that ends early leaves its recording as NAME.partial.csv or
+    progress, options: of `simulate`. A run that ends early leaves its recording as NAME.partial.csv or
     .parquet, which the next run that succeeds removes. The room for the recording is reserved before the
     run; where it cannot be written all the same, it is in a temporary folder, which the error names.
     """
     file = folder / f"{loaded.name}.{file_format}"
     try:
         with reserved(file, loaded.prepared.shape):
-            recording = simulate_prepared(
-                loaded.system,
-                loaded.prepared,
-                progress,
-                timeout=timeout,
-                real_time=real_time,
-                checkpoints=checkpoints,
-                resume=resume,
-            )
+            recording = simulate_prepared(loaded.system, loaded.prepared, progress, **options)
     except SimulationError as error:
         if len(error.recording.time):
             _write(error.recording, file.with_suffix(f".partial.{file_format}"))

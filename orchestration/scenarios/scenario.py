@@ -14,7 +14,7 @@ from typing import Any
 
 from fmus.errors import FmuLoadError
 from fmus.fmi.description import describe, start_value
-from fmus.fmi.model_description import ModelDescription
+from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import FmiValue
 from fmus.registry import Flavour
 from orchestration.errors import ScenarioError, SystemDefinitionError
@@ -104,24 +104,24 @@ def load(
     files = [*reversed(parameter_files), *(file for layer in reversed(layers) for file in layer.files)]
 
     @cache
-    def description(fmu: str) -> ModelDescription:
+    def variables(fmu: str) -> dict[str, ScalarVariable]:
         file = fmu_file(fmu, flavour)
         build(file)
-        return describe(file)
+        return {variable.name: variable for variable in describe(file).modelVariables}
 
     def is_boolean(name: str) -> bool:
         component, _, variable = name.partition(".")
         fmu = components_of(layers).get(component)
-        variables = description(fmu).modelVariables if fmu else []
-        return any((v.name, v.type) == (variable, "Boolean") for v in variables)
+        declared = variables(fmu).get(variable) if fmu else None
+        return declared is not None and declared.type == "Boolean"
 
     standing_in = alternatives(layers)
     mapping = {k: v for x in layers for k, v in x.data.get("mapping", {}).get(PLANT, {}).items()}
-    layers = adapted(layers, replacements(layers, description), description)
-    layers.append(Layer(values_of_settings(settings or {}, layers, description)))
-    layers, from_actuators = _with_actuators(layers, mapping, description)
+    layers = adapted(layers, replacements(layers, variables), variables)
+    layers.append(Layer(values_of_settings(settings or {}, layers, variables)))
+    layers, from_actuators = _with_actuators(layers, mapping, variables)
     layers = with_chosen_entries(layers)
-    replaced = replacements(layers, description, standing_in)
+    replaced = replacements(layers, variables, standing_in)
     fitting = merged(without_misfits(layers, replaced), is_boolean)
     data = with_faulted_constants({"title": path.stem, **{table: {} for table in TABLES}, **fitting})
     data.pop("optional", None)
@@ -130,7 +130,7 @@ def load(
     for replacement in replaced.values():
         replacement.check(data)
     data["metrics"] = {name: metric for name, metric in data["metrics"].items() if metric is not False}
-    _check_parameters([*parameter_files, *(f for x in layers for f in x.files[1:])], data, description)
+    _check_parameters([*parameter_files, *(f for x in layers for f in x.files[1:])], data, variables)
     file = checked(FILE, data, lambda keys: str(path))
     try:
         experiment = _experiment(file, data)
@@ -161,7 +161,7 @@ def _check_parameters(files: Sequence[TomlFile], data: Data, describe: Describe)
             component, _, variable = name.partition(".")
             fmu = data["components"].get(component)
             with suppress(FmuLoadError):  # what is not built yet is checked when it runs
-                if fmu and all(v.name != variable for v in describe(fmu).modelVariables):
+                if fmu and variable not in describe(fmu):
                     raise ScenarioError(f"{file.at(('parameters', name))}: {other_fmu(name, fmu)}")
 
 
@@ -184,7 +184,7 @@ def _with_actuators(
     entries: dict[str, float] = {}
     others = {name: fmu for name, fmu in components_of(layers).items() if name != PLANT}
     for component, fmu in others.items():
-        own = {v.name: start_value(v) for v in describe(fmu).modelVariables if v.causality == "parameter"}
+        own = {n: start_value(v) for n, v in describe(fmu).items() if v.causality == "parameter"}
         own |= {name: above[f"{component}.{name}"] for name in own if f"{component}.{name}" in above}
         # a controller that is set not to take a table takes a line
         points = sum(name.startswith("thruster_table_voltage[") for name in own)

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any
 
 import numpy as np
 
@@ -47,26 +47,13 @@ class Task:
     steps: int = 1
 
 
-class TaskSettings(TypedDict, total=False):
-    """Settings of a `Task` that `task_of` takes."""
-
-    actions: Sequence[str]
-    observations: Sequence[str]
-    reads: Sequence[str]
-    bounds: Mapping[str, tuple[float, float]]
-    signals: Mapping[str, Signal]
-    seeds: Sequence[str]
-    vary: Mapping[str, Draw]
-    steps: int
-
-
 def task_of(
     scenario: str | Scenario,
     reward: Mapping[str, float] | Reward,
     replaced: str = "controller",
     plant: str | Path = "",
     mapping: Mapping[str, str] | None = None,
-    **settings: Unpack[TaskSettings],
+    **settings: Any,
 ) -> Task:
     """Returns the task of a component of a scenario, whose place the agent takes.
 
@@ -97,7 +84,7 @@ def task_of(
         lost = [name for name in names if name.startswith(own) and name not in signals]
         if lost:
             raise ScenarioError(f"reward: {', '.join(lost)}: the agent takes the place of {replaced}")
-    follows: TaskSettings = {
+    follows: dict[str, Any] = {
         "actions": tuple(target for source, target, *_ in connections if source.startswith(own)),
         "observations": (*dict.fromkeys(inputs), *signals),
         "reads": names,

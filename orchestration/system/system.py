@@ -307,12 +307,7 @@ def _units_agree(checked: CheckedSystem, start: Port, end: Port) -> bool:
     return not all(names) or (bases[0] == bases[1] if all(bases) else names[0] == names[1])
 
 
-def _base_unit(checked: CheckedSystem, port: Port) -> tuple[object, ...] | None:
+def _base_unit(checked: CheckedSystem, port: Port) -> dict[str, object] | None:
     """Returns the exponents of the base units, factor and offset, if the FMU declares them."""
-    name = port.variable.unit
-    for unit in checked.descriptions[port.component].unitDefinitions:
-        base: Any = unit.baseUnit  # FMPy's declarations disagree from version to version
-        if unit.name == name and base is not None:
-            exponents = (base.kg, base.m, base.s, base.A, base.K, base.mol, base.cd, base.rad)
-            return (*exponents, base.factor, base.offset)
-    return None
+    units = checked.descriptions[port.component].unitDefinitions
+    return next((vars(u.baseUnit) for u in units if u.name == port.variable.unit and u.baseUnit), None)

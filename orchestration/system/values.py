@@ -25,7 +25,10 @@ def fmi_value(port: Port, value: Value) -> FmiValue:
     variable = port.variable
     plain: FmiValue = value.item() if isinstance(value, np.generic) else value
     if variable.type == "Enumeration" and isinstance(plain, str):
-        return _item_number(port, plain)
+        numbers = items(port)
+        if plain not in numbers:
+            raise SystemDefinitionError(f"{port.name} = {plain!r}: expected one of {', '.join(numbers)}")
+        return numbers[plain]
     if variable.type == "String":
         return str(plain)
     return _number(port, plain)
@@ -55,13 +58,6 @@ def _number(port: Port, value: FmiValue) -> float | int | bool:
     else:
         return value
     raise SystemDefinitionError(f"{name} = {reprlib.repr(value)}: expected {expected}")
-
-
-def _item_number(port: Port, name: str) -> int:
-    numbers = items(port)
-    if name not in numbers:
-        raise SystemDefinitionError(f"{port.name} = {name!r}: expected one of {', '.join(numbers)}")
-    return numbers[name]
 
 
 def items(port: Port) -> dict[str, int]:

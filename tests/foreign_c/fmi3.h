@@ -1,9 +1,9 @@
 /* FMI 3.0 for co-simulation around a slave of slave.h: its variables as arrays, with value references of their own.
  *
  * config.h lists ARRAYS: {value reference, type, first variable, count} of each. Strings are no variables of the slave:
- * those at an even place of TEXTS are inputs, which the output behind them repeats.
- * It is as strict as slave.h. A discarded step leaves the instance as it was (3.0.2, 2.2.3), and one that terminates the
- * simulation is done. No string that it returned outlives its next call.
+ * the first half of N_TEXTS are inputs, which the other half repeats; TEXT_STARTS are their start values.
+ * It is as strict as slave.h. A discarded step leaves the instance as it was (3.0.2, 2.2.3), and one that terminates
+ * the simulation is done. No string that it returned outlives its next call.
  */
 
 #ifndef FMI3_H
@@ -13,6 +13,7 @@
 
 #ifndef N_TEXTS
 #define N_TEXTS 0
+#define TEXT_STARTS ""
 #endif
 
 enum Type { Float64, Float32, Int8, UInt8, Int16, UInt16, Int32, UInt32, Int64, UInt64, Boolean, String };
@@ -34,8 +35,13 @@ typedef struct {
 } Face;
 
 static void log_to_fmi3(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status, fmi2String category,
-                        fmi2String text, ...) {
+                        fmi2String format, ...) {
     Face *f = environment;
+    char text[256];
+    va_list arguments;
+    va_start(arguments, format);
+    vsnprintf(text, sizeof text, format, arguments);
+    va_end(arguments);
     (void)name;
     f->log(f->environment, (fmi3Status)status, category, text);
 }
@@ -98,12 +104,18 @@ EXCHANGES(Int64)
 EXCHANGES(UInt64)
 EXCHANGES(Boolean)
 
-fmi3Status fmi3GetString(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3String values[], size_t n_values) {
+static void repeat_texts(Face *f) {
+    for (int i = 0; i + N_TEXTS / 2 < N_TEXTS; i++) strcpy(f->text[N_TEXTS / 2 + i], f->text[i]);
+}
+
+fmi3Status fmi3GetString(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3String values[],
+                         size_t n_values) {
     unsigned texts[N_TEXTS + 1];
     size_t count;
     Face *f = c;
     if (!variables_of(f, String, vr, n, n_values, "fmi3GetString", texts, &count)) return fmi3Error;
     called(f, fmi2OK);
+    if (f->slave->data.mode & (INSTANTIATED | INITIALIZATION)) repeat_texts(f);
     for (size_t i = 0; i < count; i++) values[i] = strcpy(f->returned[texts[i]], f->text[texts[i]]);
     return fmi3OK;
 }
@@ -119,10 +131,6 @@ fmi3Status fmi3SetString(fmi3Instance c, const fmi3ValueReference vr[], size_t n
     return fmi3OK;
 }
 
-static void repeat_texts(Face *f) {
-    for (int i = 0; i + N_TEXTS / 2 < N_TEXTS; i++) strcpy(f->text[N_TEXTS / 2 + i], f->text[i]);
-}
-
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
                                          fmi3Boolean logging, fmi3Boolean event_mode, fmi3Boolean early_return,
                                          const fmi3ValueReference required[], size_t n_required,
@@ -130,9 +138,11 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          fmi3IntermediateUpdateCallback update) {
     Face *f = calloc(1, sizeof *f);
     const fmi2CallbackFunctions functions = {log_to_fmi3, calloc, free, NULL, f};
+    static const char *const starts[N_TEXTS + 1] = {TEXT_STARTS};
     (void)required, (void)update;
     f->log = log;
     f->environment = environment;
+    for (int i = 0; i < N_TEXTS; i++) strcpy(f->text[i], starts[i]);
     if (!event_mode && !early_return && !n_required && !resources) /* there is no folder of resources */
         f->slave = fmi2Instantiate(name, fmi2CoSimulation, token, resources, &functions, visible, logging);
     if (f->slave) return f;

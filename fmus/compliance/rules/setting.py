@@ -1,7 +1,7 @@
 """Start values, setting variables, what is read then, and what fmi2Reset gives back."""
 
 from collections.abc import Iterable, Iterator
-from itertools import chain
+from itertools import chain, zip_longest
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
@@ -65,12 +65,6 @@ def set_up_can_be_repeated(probe: Probe) -> Iterator[Row]:
     yield Row("after a second fmi2SetupExperiment", (another, do.begin, do.run(2)))
 
 
-@differential("advice: a user may want to see windows")
-def visible_instances_run(_: Probe) -> Iterator[Row]:
-    """With visible = fmi2True an instance is created and takes a step."""
-    yield Row("with visible = fmi2True", (do.begin, do.step()), options={"visible": True})
-
-
 @differential("2.1.7")
 def values_are_set_together(probe: Probe) -> Iterator[Row]:
     """Several variables that are set in one call have the values that they have if each is set in a call of
@@ -88,7 +82,7 @@ def values_are_set_together(probe: Probe) -> Iterator[Row]:
         kind = ordered[0][0].base_kind
         end = do.exit_initialization_mode, do.read([v for v, _ in ordered])
         usual = do.initialise, do.set_values(ordered), *end
-        together = do.initialise, do.set_at_once(kind, ordered), *end
+        together = do.initialise, *do.set_at_once(ordered), *end
         when = f"where one fmi2Set{kind} sets {len(ordered)} variables"
         yield Row(when, together, usual, may_fail=True, again="{}, as it is set alone")
 
@@ -105,14 +99,11 @@ def values_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
         (instantiated, (), (do.initialise,), "when instantiated"),
         (values.settable_in_initialization(probe.fmu), (do.initialise,), (), "in initialization mode"),
     ):
-        for v, x in values.other_values(chosen[:MOST_VARIABLES]):
-            if v in readable:
-                end = do.read_as([(v, x)]), do.exit_initialization_mode
-            elif values.keeps_its_value(v):
-                end = do.exit_initialization_mode, do.read_as([(v, x)])
-            else:
-                continue
-            yield _set_and_read(when, *before, do.set_values([(v, x)]), *after, *end)
+        taken = do.others_accepted(probe, chosen, *before)
+        at_once = [(v, x) for v, x in taken if v in readable]
+        later = [(v, x) for v, x in taken if v not in readable and values.keeps_its_value(v)]
+        end = do.read_as(at_once), do.exit_initialization_mode, do.read_as(later)
+        yield _set_and_read(when, *before, do.set_values(taken), *after, *end)
 
 
 def _set_and_read(when: str, *actions: do.Action) -> Row:
@@ -126,9 +117,11 @@ def inputs_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
     a value.
     """
     chosen = values.settable_while_stepping(probe.fmu)[:MOST_VARIABLES]
-    far = [(v, x) for v in chosen for x in values.far_values(v)]
-    for pair in [*values.other_values(chosen), *far]:
-        actions = do.begin, do.step(), do.set_values([pair]), do.step(), do.read_as([pair])
+    ways = ([(v, x) for x in (values.other_value(v), *values.far_values(v))] for v in chosen)
+    for some in zip_longest(*ways):
+        pairs = [pair for pair in some if pair and pair[1] is not None]
+        taken = do.accepted_together(probe, pairs, do.begin, do.step())
+        actions = do.begin, do.step(), do.set_values(taken), do.step(), do.read_as(taken)
         yield _set_and_read("at a communication point", *actions)
     if probe.fmu.is_model_exchange:
         chosen = [v for v in chosen if is_true(v.attributes.get(_MANY_SETS, "true"))]
@@ -170,7 +163,7 @@ def values_follow_what_is_set(probe: Probe) -> Iterator[Row]:
         # without an effect of others, one variable may have none
         others = do.others_accepted(probe, settable, *begin) if enter not in begin else []
         for v, x in values.other_values(settable[:MOST_VARIABLES]):
-            first = *begin, do.set_values([pair for pair in others if pair[0] is not v])
+            first = *begin, *do.set_at_once([pair for pair in others if pair[0] is not v])
             end = do.set_values([(v, x)]), do.read(readable)
             when = f"where it had been read in {mode} before {v.name} was set"
             varied = *first, do.glance(readable), *end

@@ -59,7 +59,8 @@ def state_restores_after_the_end(probe: Probe) -> Iterator[Row]:
     """A state can be set back after fmi2Terminate and after an error, and steps go on from it, up to the stop
     time.
     """
-    past = f"a step to {probe.point(5):g} s {{}}: expected error beyond the stop time {probe.point(4):g} s"
+    last, end = (f"{probe.point(i):g} s" for i in (4, 5))
+    past = f"a step to {end} {{reply.status_name}}: expected error beyond the stop time {last}"
     for end, action in (
         ("fmi2Terminate", do.terminate),
         ("an error of fmi2GetReal", do.fail),
@@ -136,8 +137,8 @@ def serialised_state_restores(probe: Probe) -> Iterator[str]:
         yield "a serialised state has no bytes"
         return
     still = "after fmi2DeSerializeFMUstate, before fmi2SetFMUstate"
-    first = do.attempt(do.begin, do.step(), do.expect(do.read_all()))
-    varied = first, do.read_bytes(source), do.read_all(still), do.restore(), do.read_all(), do.run_all(3)
+    first = do.begin, do.step(), do.expect(do.read_all())
+    varied = *first, do.read_bytes(source), do.read_all(still), do.restore(), do.read_all(), do.run_all(3)
     when = "from bytes in another instance"
     rows = [Row(when, (*varied, do.free_state()), usual, tolerance=OF_EXPERIMENT)]
     again = do.copy(0, 1), do.free_state(), do.step(), do.restore(1), do.read_all(), do.run_all(3)

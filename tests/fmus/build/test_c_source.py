@@ -12,6 +12,7 @@ from fmus.block import Block, variable
 from fmus.build import native as native_flavour
 from fmus.errors import ExportError
 from fmus.files import write_archive
+from tests.shared_builds import with_libraries
 
 ODD = 'θ ≥ 0 "quoted" \\ %s%n ??/ \U0001f41f \x01 */'
 
@@ -88,6 +89,4 @@ def test_items_beyond_a_word_are_refused() -> None:
 
 def write_fmu(block: Block, folder: Path) -> Path:
     _, members = native_flavour.content(block)
-    with native_flavour.compiled_libraries(block.name, members, ()) as compiled:
-        libraries = compiled()
-    return write_archive(folder / f"{block.name}.fmu", members | libraries)
+    return write_archive(folder / f"{block.name}.fmu", with_libraries(block.name, members))

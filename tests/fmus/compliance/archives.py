@@ -7,6 +7,7 @@ from fmus import files
 from fmus.build import builder
 from fmus.build import native as native_flavour
 from fmus.compliance.examine import examine
+from tests.shared_builds import with_libraries
 
 Members = dict[str, bytes]
 # places in the sources of a native FMU
@@ -15,7 +16,7 @@ GLOBALS = "static const char *const TYPE_TEXTS[]"
 # rule, what our python FMUs declare, and what they might claim
 FALSE_CLAIMS = [
     ("input-derivatives", 'canInterpolateInputs="false"', 'canInterpolateInputs="true"'),
-    ("output-derivatives", 'maxOutputDerivativeOrder="0"', 'maxOutputDerivativeOrder="1"'),
+    ("allowed-calls-succeed", 'maxOutputDerivativeOrder="0"', 'maxOutputDerivativeOrder="1"'),
     (
         "directional-derivatives",
         'providesDirectionalDerivative="false"',
@@ -55,6 +56,4 @@ def patched(patch: dict[str, str], folder: Path) -> Path:
         ]
         assert content[path].count(old.encode()) == 1
         content[path] = content[path].replace(old.encode(), new.encode())
-    with native_flavour.compiled_libraries(PATCHED, content, ()) as compiled:
-        libraries = compiled()
-    return files.write_archive(folder / "mutant.fmu", content | libraries)
+    return files.write_archive(folder / "mutant.fmu", with_libraries(PATCHED, content))

@@ -12,6 +12,7 @@ from fmus.build import native as native_flavour
 from fmus.compliance.examine import examine
 from fmus.platforms import host_platform, library_name
 from tests.described_fmus import members
+from tests.shared_builds import with_libraries
 
 from .archives import broken_rules, write
 
@@ -80,9 +81,7 @@ def test_a_library_compiled_without_a_function_is_caught(tmp_path: Path) -> None
     source, name = content["sources/fmi2.c"], b"fmi2Status fmi2CancelStep("
     assert source.count(name) == 1
     content["sources/fmi2.c"] = source.replace(name, b"fmi2Status fmi2End(")
-    with native_flavour.compiled_libraries(NAME, content, ()) as compiled:
-        content |= compiled()
-    broken = broken_rules(files.write_archive(tmp_path / "mutant.fmu", content))
+    broken = broken_rules(files.write_archive(tmp_path / "mutant.fmu", with_libraries(NAME, content)))
     assert broken["library-exports"] == (
         f"{library_name(NAME, host_platform())} does not export fmi2CancelStep",
     )

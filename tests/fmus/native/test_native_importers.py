@@ -14,7 +14,7 @@ from fmus.build import builder
 from fmus.build import native as native_flavour
 from fmus.errors import ExportError
 from fmus.files import write_archive
-from tests.shared_builds import Fmus
+from tests.shared_builds import Fmus, with_libraries
 
 
 def slave_of(path: Path, folder: Path, **changes: str) -> FMU2Slave:
@@ -78,9 +78,7 @@ def test_two_versions_in_one_process_do_not_see_each_other(built: Fmus, load: An
 
     changed = replace(block, derivative=twice)
     _, members = native_flavour.content(changed)
-    with native_flavour.compiled_libraries(changed.name, members, ()) as compiled:
-        libraries = compiled()
-    path = write_archive(tmp_path / "changed" / "ExamplePlant.fmu", members | libraries)
+    path = write_archive(tmp_path / "changed" / "ExamplePlant.fmu", with_libraries(changed.name, members))
     fmus = load(built["ExamplePlant"]).begin(), load(path).begin()
     for fmu in fmus:
         fmu["control"] = 1.0

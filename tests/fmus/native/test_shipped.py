@@ -11,6 +11,7 @@ from fmus.build import builder, native
 from fmus.build.check_trace import _Comparison, check_shipped, check_trace
 from fmus.build.shipped import ShippedLibrary
 from fmus.errors import ExportError
+from tests.shared_builds import with_libraries
 
 from .native_block import EVERYTHING
 
@@ -33,9 +34,8 @@ def library_of() -> Iterator[Callable[[Block, str, Mapping[str, bytes]], Shipped
     opened: list[ShippedLibrary] = []
 
     def one(block: Block, guid: str, members: Mapping[str, bytes]) -> ShippedLibrary:
-        with native.compiled_libraries(block.name, dict(members), ()) as libraries:
-            (content,) = libraries().values()
-        opened.append(ShippedLibrary(block, guid, content))
+        (path,) = {*(built := with_libraries(block.name, dict(members)))} - {*members}
+        opened.append(ShippedLibrary(block, guid, built[path]))
         return opened[-1]
 
     yield one

@@ -14,7 +14,7 @@ from fmus.fmi.description import describe, of_causality
 from orchestration.cli.package_fmus import build_ramp_source
 from orchestration.errors import ScenarioError
 from orchestration.exchange import ssp_read, ssp_write
-from orchestration.exchange.signal_sources import RampSource, ramp_sources, with_sources
+from orchestration.exchange.limits import RampSource, ramp_sources, with_sources
 from orchestration.results.recording import Recording
 from orchestration.run import simulate
 from orchestration.scenarios import scenario

@@ -2,17 +2,23 @@
 
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
+import numpy as np
 import pytest
 
+from fmus.files import write_archive
+from fmus.fmi.description import describe
 from orchestration.cli.package_fmus import build_ramp_source
 from orchestration.errors import ScenarioError, SystemDefinitionError
-from orchestration.exchange import ssp_read, ssp_write
+from orchestration.exchange import simulink, ssp_read, ssp_write
 from orchestration.exchange.ssp_xml import STRUCTURE
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
+from tests.described_fmus import members
+from tests.shared_builds import Fmus
 
 
 @pytest.mark.parametrize(
@@ -27,6 +33,30 @@ def test_a_scenario_with_what_a_package_cannot_hold_is_refused(tmp_path: Path, l
     path.write_text(f'base = "nominal-l1"\n{lines}\n')
     with pytest.raises(ScenarioError, match=f"mine with {what}: expected none"):
         ssp_write.package(scenario.load(path), tmp_path / "mine.ssp", build_ramp_source)
+
+
+def test_an_fmu_of_fmi_3_is_refused(fmi3_built: Fmus, tmp_path: Path) -> None:
+    """Its arrays are no scalars for those who read a package, or a model of Simulink."""
+    settings = {"plant": str(fmi3_built["RovDepthPlant"])}
+    chosen = scenario.load(scenario.find("nominal-l1"), settings=settings)
+    refused = "with plant, RovDepthPlant.fmu, of FMI 3.0: expected FMI 2.0, as of l1-depth build"
+    with pytest.raises(ScenarioError, match=rf"an SSP package of nominal-l1.* {refused}"):
+        ssp_write.package(chosen, tmp_path / "loop.ssp", build_ramp_source)
+    with pytest.raises(ScenarioError, match=f"a Simulink model {refused}"):
+        simulink.write(chosen, tmp_path / "simulink")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_package_with_an_fmu_of_fmi_3_runs(package: Path, fmi3_built: Fmus, tmp_path: Path) -> None:
+    fmu = {"resources/RovDepthPlant.fmu": fmi3_built["RovDepthPlant"].read_bytes()}
+    changed = write_archive(tmp_path / "changed.ssp", members(package) | fmu)
+    recordings = []
+    for path in (package, changed):
+        with ssp_read.opened(path) as loop:
+            experiment = replace(loop.experiment, stop_time=5.0, record=("plant.depth", "plant.voltage[2]"))
+            recordings.append(simulate(loop.system, experiment))
+            assert describe(loop.system.components["plant"]).fmiVersion == ("2.0", "3.0")[path == changed]
+    assert np.array_equal(recordings[0].values, recordings[1].values)
 
 
 @pytest.mark.parametrize(

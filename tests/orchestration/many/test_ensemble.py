@@ -31,6 +31,7 @@ from orchestration.many.stepped_ensemble import EnsembleRecording
 from orchestration.results.recording import Recording
 from tests.described_fmus import members
 from tests.orchestration.many.instances import CONNECTIONS, CURRENT, REFERENCE, assert_same_bits, instances
+from tests.shared_builds import with_libraries
 
 DIVE = Experiment(
     stop_time=4.01,  # the last step is a shorter one
@@ -186,8 +187,7 @@ GROWING = Block(
 def growing(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("growing") / "Growing.fmu"
     _, content = native.content(GROWING)
-    with native.compiled_libraries(GROWING.name, content, ()) as libraries:
-        write_archive(path, content | libraries())
+    write_archive(path, with_libraries(GROWING.name, content))
     record_build(path.read_bytes())
     return path
 

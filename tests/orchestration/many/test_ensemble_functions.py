@@ -27,6 +27,7 @@ from orchestration import Ensemble, Event, Experiment, Simulator, System
 from orchestration.errors import EnsembleError, OrchestrationError, SimulationError
 from orchestration.many.lane_library import LANES
 from tests.orchestration.many.instances import assert_same_bits, instances
+from tests.shared_builds import with_libraries
 
 pytestmark = pytest.mark.slow
 
@@ -168,8 +169,7 @@ WAVES = Block(
 
 def build(path: Path, block: Block = BLOCK, **options: bool) -> System:
     _, members = native.content(block, **options)
-    with native.compiled_libraries(block.name, members, ()) as libraries:
-        write_archive(path, members | libraries())
+    write_archive(path, with_libraries(block.name, members))
     record_build(path.read_bytes())
     return System({"block": path})
 

@@ -1,19 +1,31 @@
 """FMI 3.0 in the master: the recordings of FMI 2.0, also mixed with it, and others' arrays and types."""
 
+import re
 from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from pyarrow import parquet
 
-from fmus.fmi.description import describe
+from fmus.fmi.description import describe, of_causality
+from fmus.fmi.instance import FmuInstance
+from orchestration.errors import FmuError, FmuWarning, SimulationError, SystemDefinitionError
 from orchestration.many.ensemble import Ensemble
+from orchestration.many.run_many import run_many
 from orchestration.results.recording import Recording
-from orchestration.run import Simulator
+from orchestration.run import Simulator, simulate
+from orchestration.run.checkpoint import Checkpoints, read_checkpoint
 from orchestration.run.loop_data import LoopFunctions, Wiring
 from orchestration.scenarios import scenario
-from orchestration.system.experiment import Experiment
+from orchestration.system.experiment import Event, Experiment
+from orchestration.system.signals import Cosine, Ramps
 from orchestration.system.system import System
+from tests.foreign_fmus import Misdeed
+from tests.orchestration.linear_systems import LOOP
+from tests.orchestration.rogue_systems import doing
 from tests.shared_builds import Build, Fmus
 
 CONTROLLER, PLANT = "L1DepthController", "RovDepthPlant"
@@ -89,9 +101,8 @@ def test_vectors_have_the_bits_of_single_runs(dives: Any) -> None:
 
 # FMUs of others: arrays with value references of their own, and every type
 
-MATRIX = "[1,1] 1.5 [1,2] 2.5 [1,3] 3.5 [2,1] 4.5 [2,2] 5.5 [2,3] 6.5"
 EVERYTHING = {
-    "matrix": ("Float64", MATRIX),
+    "matrix": ("Float64", "[1,1] 1.5 [1,2] 2.5 [1,3] 3.5 [2,1] 4.5 [2,2] 5.5 [2,3] 6.5"),
     "single": ("Float32", "[1] 0.25 [2] 0.5"),
     "level": ("Float64", "7.5"),
     "i8": ("Int8", "-3"),
@@ -109,42 +120,261 @@ EVERYTHING = {
 }
 
 
+def starts(pairs: dict[str, tuple[str, str]] = EVERYTHING) -> dict[str, Any]:
+    """The start value of each scalar."""
+    values: dict[str, Any] = {}
+    for name, (kind, text) in pairs.items():
+        words = text.split() if text.startswith("[") else ["", text]
+        for index, word in zip(words[::2], words[1::2], strict=True):
+            values[f"{name}{index}"] = word if kind == "String" else float(word)
+    return values
+
+
 @pytest.fixture(scope="module")
 def everything(mirror: Build) -> System:
     return System({"m": mirror(EVERYTHING, saves_state=True, serialises_state=True)})
 
 
 def mirrored(system: System, inputs: dict[str, Any], compiled: bool = True) -> dict[str, list[Any]]:
-    """What comes out of the mirror in two steps, by name."""
-    names = [
-        name for name in Simulator(system)._descriptions["m"].modelVariables if name.causality == "output"
-    ]
-    record = tuple(f"m.{v.name}" for v in names)
-    experiment = Experiment(0.2, 0.1, inputs=inputs, open_inputs="start", record=record)
+    """What comes out of the mirror at three points, by name."""
+    outputs = [v.name for v in of_causality(describe(system.components["m"]), "output")]
+    record = tuple(f"m.{name}" for name in outputs)
+    given = {f"m.{name}": value for name, value in inputs.items()}
+    experiment = Experiment(0.2, 0.1, inputs=given, open_inputs="start", record=record)
     recording = run(system, experiment, compiled=compiled)
-    return {name: recording[f"m.{name}"].tolist() for name in (v.name for v in names)}
+    return {name.replace("_out", ""): recording[f"m.{name}"].tolist() for name in outputs}
 
 
-def test_arrays_are_scalars_row_by_row_with_their_start_values(everything: System, compiled: bool) -> None:
-    values = mirrored(everything, {}, compiled)
-    starts = {
-        f"{name}_out{index}": start
-        for name, (_, text) in EVERYTHING.items()
-        for index, start in zip(
-            text.split()[::2] if text[0] == "[" else [""], text.split()[1::2] or [text], strict=True
-        )
-    }
-    assert {name: str(of_name[-1]) for name, of_name in values.items()} == {
-        name: start if name.startswith(("text", "word")) else str(float(start))
-        for name, start in starts.items()
-    }
+def test_arrays_are_scalars_row_by_row_of_every_type(everything: System, compiled: bool) -> None:
+    expected = {name: [start] * 3 for name, start in starts().items()}
+    assert mirrored(everything, {}, compiled) == expected
 
 
 def test_each_scalar_of_an_array_is_set_alone(everything: System, compiled: bool) -> None:
-    """One in the middle, the others keep what they have; strings too."""
-    inputs = {"m.matrix_in[1,3]": -1.0, "m.i16_in[2]": -2, "m.flag_in[2]": True, "m.text_in[1]": "new"}
-    default, changed = mirrored(everything, {}, compiled), mirrored(everything, inputs, compiled)
-    different = {name for name in changed if changed[name] != default[name]}
-    assert different == {"matrix_out[1,3]", "i16_out[2]", "flag_out[2]", "text_out[1]"}
-    assert changed["matrix_out[1,3]"] == [-1.0] * 3
-    assert changed["text_out[1]"] == ["new"] * 3
+    """The others keep what they have; of strings too."""
+    changes = {"matrix[1,3]": -1.0, "i16[2]": -2, "flag[2]": True, "text[1]": "new", "misdeed": "hang"}
+    inputs = {re.sub(r"(\[|$)", r"_in\1", name, count=1): value for name, value in changes.items()}
+    expected = starts() | changes | {"flag[2]": 1.0, "misdeed": float(Misdeed.HANG)}
+    assert {name: values[-1] for name, values in mirrored(everything, inputs, compiled).items()} == expected
+
+
+def test_scalars_of_arrays_are_connected_in_any_order(mirror: Build, compiled: bool) -> None:
+    fmu = mirror(EVERYTHING)
+    order = ["[2,3]", "[1,1]", "[2,1]", "[1,2]", "[2,2]", "[1,3]"]
+    pairs = [(f"one.matrix_out{i}", f"two.matrix_in{j}") for i, j in pairwise([*order, order[0]])]
+    pairs += [("one.text_out[2]", "two.text_in[1]"), ("one.i16_out[1]", "two.i32_in")]
+    pairs += [("one.u8_out", "two.level_in"), ("one.flag_out[1]", "two.flag_in[2]")]
+    record = tuple(target.replace("_in", "_out") for _, target in pairs)
+    experiment = Experiment(0.3, 0.1, open_inputs="start", record=record)
+    recording = run(System({"one": fmu, "two": fmu}, pairs), experiment, compiled=compiled)
+    for source, target in pairs:
+        start = starts()[source.partition(".")[2].replace("_out", "")]
+        assert recording[target.replace("_in", "_out")].tolist() == [start] * 4
+
+
+def test_an_array_follows_a_signal_and_a_change_of_one_scalar(mirror: Build, compiled: bool) -> None:
+    system = System({"m": mirror(EVERYTHING)})
+    experiment = Experiment(
+        0.5,
+        0.1,
+        signals={"m.single_in[2]": Ramps([[0.0, 0.0], [0.5, 1.0]])},
+        events=(Event(0.2, {"m.single_in[1]": 4.0}),),
+        open_inputs="start",
+        record=("m.single_out[1]", "m.single_out[2]", "m.single_in[2]"),
+    )
+    recording = run(system, experiment, compiled=compiled)
+    assert recording["m.single_out[1]"].tolist() == [0.25, 0.25, 0.25, 4.0, 4.0, 4.0]
+    singles = recording["m.single_in[2]"].astype(np.float32)
+    assert recording["m.single_out[2]"][1:].tolist() == singles[:-1].tolist()
+
+
+@pytest.mark.parametrize(
+    ("inputs", "message"),
+    [
+        ({"m.u8_in": 300}, "m.u8_in = 300: expected 0..255"),
+        ({"m.i8_in": -129}, "m.i8_in = -129: expected -128..127"),
+        ({"m.u64_in": -1}, r"m.u64_in = -1: expected 0..2.14748e\+09"),
+        ({"m.i64_in": 2**31}, r"m.i64_in = 2147483648: expected -2.14748e\+09..2.14748e\+09"),
+        ({"m.i16_in[1]": 1.5}, r"m.i16_in\[1\] = 1.5: expected a value of type Integer"),
+        ({"m.flag_in[1]": 1}, r"m.flag_in\[1\] = 1: expected a value of type Boolean"),
+        ({"m.misdeed_in": "hung"}, "m.misdeed_in = 'hung': expected one of none, .*hang"),
+        ({"m.matrix_in[3,1]": 1.0}, r"no variable 'm.matrix_in\[3,1\]'; .*m.matrix_in\[.,1\]"),
+        ({"m.matrix_in": 1.0}, r"no variable 'm.matrix_in'; .*m.matrix_in\[.,.\]"),
+        ({"m.i32_out": 1}, "m.i32_out is driven: expected an input, got output"),
+    ],
+)
+def test_wrong_values_and_unknown_scalars_are_refused_as_in_fmi_2(
+    everything: System, inputs: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(SystemDefinitionError, match=message):
+        run(everything, Experiment(0.2, 0.1, inputs=inputs, open_inputs="start"))
+
+
+def test_an_integer_that_an_input_cannot_hold_ends_the_run(mirror: Build, compiled: bool) -> None:
+    fmu = mirror({"big": ("Int32", "300"), "small": ("Int8", "1")})
+    system = System({"one": fmu, "two": fmu}, (("one.big_out", "two.small_in"),))
+    message = "two at t = 0 s: fmi3SetInt8 returned error: value reference 993: 300: expected -128..127"
+    with pytest.raises(SimulationError, match=message):
+        run(system, Experiment(0.2, 0.1, open_inputs="start"), compiled=compiled)
+
+
+def test_an_integer_beyond_those_of_the_master_is_refused(mirror: Build) -> None:
+    path = mirror({"big": ("Int64", "5000000000")})
+    description = describe(path)
+    with FmuInstance("m", path, description) as instance:
+        (big, _) = description.modelVariables[1:]
+        with pytest.raises(FmuError, match=r"fmi3GetInt64 .*: 5000000000: expected -2147483648..2147483647"):
+            instance.get(big)
+        instance.set(big, 7)
+        assert instance.get(big) == 7
+
+
+SIZED = (
+    '<Dimension start="2" />',
+    '<Dimension valueReference="5" />',
+), (
+    "<ModelVariables>",
+    '<ModelVariables><UInt64 name="size" valueReference="5" causality="structuralParameter" start="2"/>'
+    '<Binary name="frame" valueReference="6" causality="output"/>'
+    '<Clock name="tick" valueReference="7" causality="input" intervalVariability="triggered"/>',
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def sized(mirror: Build) -> System:
+    return System({"m": mirror({"row": ("Float64", "[1] 1.5 [2] 2.5")}, changes=SIZED)})
+
+
+def test_a_dimension_has_the_start_value_of_its_structural_parameter(sized: System) -> None:
+    assert mirrored(sized, {"row_in[2]": 4.0}) == {"row[1]": [1.5] * 3, "row[2]": [4.0] * 3}
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"parameters": {"m.size": 3}}, "m.size: expected a parameter.*, got structuralParameter with"),
+        ({"record": ("m.frame",)}, "record: m.frame has type Binary: expected a number, a Boolean or a Str"),
+        ({"inputs": {"m.tick": 1}}, "driven input: m.tick has type Clock: expected a number"),
+    ],
+)
+def test_what_the_master_does_not_set_or_read_is_refused_by_name(
+    sized: System, settings: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(SystemDefinitionError, match=message):
+        run(sized, Experiment(0.2, 0.1, open_inputs="start", **settings))
+
+
+@pytest.mark.parametrize(
+    ("macro", "message"),
+    [
+        ("RETURNS_EARLY", "earlyReturn is true: expected false, as it is not allowed"),
+        ("NEEDS_EVENT", "eventHandlingNeeded is true: expected false, as no event mode is used"),
+    ],
+)
+def test_a_step_that_ends_in_a_way_that_was_not_allowed_ends_the_run(
+    mirror: Build, compiled: bool, macro: str, message: str
+) -> None:
+    system = System({"m": mirror({"x": ("Float64", "1")}, {macro: 0.25})})
+    with pytest.raises(
+        SimulationError, match=f"m at t = 0.3 s: fmi3DoStep returned error: {message}"
+    ) as caught:
+        run(system, Experiment(1.0, 0.1, open_inputs="start"), compiled=compiled)
+    assert caught.value.recording.time[-1] == pytest.approx(0.3)
+
+
+def test_errors_name_the_functions_of_fmi_3(rogue: Build, compiled: bool) -> None:
+    system = System({"rogue": rogue(fmi=3)})
+    for misdeed, message in (
+        (Misdeed.ERROR, "rogue at t = 0.5 s: fmi3DoStep returned error: the rudder is stuck"),
+        (Misdeed.REFUSE_INPUT, "fmi3SetFloat64 returned discard: no input is taken any more"),
+    ):
+        with pytest.raises(SimulationError, match=message):
+            run(system, replace(doing(misdeed), signals={"rogue.u": Cosine(1.0, 3.0)}), compiled=compiled)
+    with pytest.warns(FmuWarning, match="rogue at t = .* s: fmi3DoStep: the battery is low"):
+        run(system, replace(doing(Misdeed.WARNING), inputs={"rogue.u": 1.0}), compiled=compiled)
+
+
+# Runs of every kind
+
+
+def test_a_run_goes_on_from_a_checkpoint_and_from_a_saved_state(linear: Build, tmp_path: Path) -> None:
+    options = {"saves_state": True, "serialises_state": True}
+    system = System({"one": linear(fmi=3, **options), "two": linear(a=-2.0, **options)}, LOOP)
+    experiment = Experiment(1.0, 0.1)
+    whole = simulate(system, experiment, checkpoints=Checkpoints(tmp_path / "checkpoint", every=0.45))
+    resumed = simulate(system, experiment, resume=read_checkpoint(tmp_path / "checkpoint"))
+    assert np.array_equal(resumed.values, whole.values)
+    with Simulator(system) as simulator:
+        stepped = simulator.start(experiment)
+        stepped.step()
+        state = stepped.save()
+        for _ in range(2):
+            while not stepped.is_done:
+                stepped.step()
+            assert np.array_equal(stepped.recording().values, whole.values)
+            stepped.restore(state)
+
+
+@pytest.mark.parametrize("versions", [(3, 2), (2, 3), (3, 3)])
+@pytest.mark.parametrize("method", ["fixed-point", "newton"])
+def test_an_algebraic_loop_starts_from_the_values_of_fmi_2(
+    linear: Build, versions: tuple[int, int], method: Any
+) -> None:
+    def first(one: int, two: int) -> Recording:
+        fmus = {
+            "one": linear(d=((0.4,),), fmi=one),
+            "two": linear(d=((0.3, 0.1),), b=(1.0, 1.0), fmi=two),
+        }
+        system = System(fmus, (*LOOP, ("one.y[1]", "two.u[2]")))
+        return simulate(system, Experiment(0.2, 0.1, initialisation=method))
+
+    assert np.array_equal(first(*versions).values, first(2, 2).values)
+
+
+def test_many_runs_are_made_in_processes_too(linear: Build) -> None:
+    system = System({"one": linear(fmi=3), "two": linear()}, LOOP)
+    experiments = [Experiment(0.5, 0.1, parameters={"one.initial_state": x}) for x in (1.0, 2.0)]
+    expected = [simulate(system, one).values for one in experiments]
+    apart = [recording.values for recording in run_many(system, experiments, workers=2, isolate=True)]
+    assert np.array_equal(apart, expected)
+    assert np.array_equal(simulate(system, experiments[1], timeout=30.0).values, expected[1])
+
+
+SWEPT = """
+base = "nominal-extended"
+[components]
+plant = "{plant}"
+[experiment]
+stop_time = 2.0
+[metrics]
+settling_time = false
+overshoot = false
+holding_thrust = false
+lag = false
+[sweep]
+samples = 4
+seed = 1
+[sweep.vary."plant.net_weight"]
+distribution = "uniform"
+low = -2.0
+high = -1.0
+"""
+
+
+def test_commands_take_an_fmu_of_fmi_3_by_its_file(
+    command: Any, built: Fmus, fmi3_built: Fmus, scenario_fmus: None, tmp_path: Path
+) -> None:
+    """`run` in a process of its own, and `sweep`: the files are those with FMI 2.0."""
+    tables = []
+    for number, fmus in enumerate((built, fmi3_built)):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        path = folder / "swept.toml"
+        path.write_text(SWEPT.format(plant=fmus[PLANT]))
+        command("sweep", path, "--out", folder)
+        options = ("--controller", fmus[CONTROLLER], "--timeout", 60, "--out", folder, "--formats", "none")
+        command("run", path, *options)
+        (recording,), (samples,) = folder.glob("*.csv"), folder.glob("*.parquet")
+        tables.append((recording.read_bytes(), parquet.read_table(samples).to_pydict()))
+    assert tables[0] == tables[1]
+    assert len({*tables[0][1]["rmse"]}) == 4

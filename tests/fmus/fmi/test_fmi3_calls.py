@@ -1,0 +1,129 @@
+"""Scalars of FMI 3.0 are set and read in any order, whole arrays and parts of them."""
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fmus.fmi import fmi3
+from fmus.fmi.description import describe, of_causality
+from fmus.fmi.instance import FmuInstance
+from fmus.fmi.model_description import ScalarVariable
+from fmus.fmi.variable_types import TRANSFER_TYPE
+from fmus.native.toolchain import FMI_HEADERS
+from tests.shared_builds import Build
+
+PAIRS = {
+    "matrix": ("Float64", "[1,1] 1.5 [1,2] 2.5 [1,3] 3.5 [2,1] 4.5 [2,2] 5.5 [2,3] 6.5"),
+    "x": ("Float64", "7.5"),
+    "row": ("Float64", "[1] 8.5 [2] 9.5"),
+    "single": ("Float32", "[1] 0.25 [2] 0.5"),
+    "byte": ("Int8", "[1] -3 [2] 3"),
+    "short": ("UInt16", "60000"),
+    "integer": ("Int32", "[1] -70000 [2] 70000 [3] 1"),
+    "long": ("UInt64", "5"),
+    "mode": ("Enumeration", "3"),
+    "flag": ("Boolean", "[1] 1 [2] 0 [3] 1"),
+    "text": ("String", "[1] one [2] two [3] three"),
+    "word": ("String", "four"),
+}
+RANGES = {"byte": (-128, 127), "short": (0, 65535), "long": (0, 2**31 - 1)}
+
+
+@pytest.fixture(scope="module")
+def path(mirror: Build) -> Path:
+    return mirror(PAIRS)
+
+
+def array_of(variable: ScalarVariable) -> str:
+    return re.sub(r"_in.*", "", variable.name)
+
+
+def values_of(variable: ScalarVariable) -> st.SearchStrategy[Any]:
+    name, kind = array_of(variable), variable.type
+    if kind == "Real":
+        return st.floats(allow_nan=False, width=32 if name == "single" else 64)
+    if kind == "String":
+        letters = st.characters(exclude_characters="\0", exclude_categories=["Cs"])
+        return st.text(letters, max_size=12).map(str.encode)
+    if kind == "Boolean":
+        return st.booleans()
+    return st.integers(*RANGES.get(name, (-(2**31), 2**31 - 1)))
+
+
+@settings(max_examples=40)
+@given(data=st.data())
+def test_any_calls_agree_with_a_table(path: Path, data: st.DataObject) -> None:
+    """A call may name a scalar twice: the last value stays."""
+    description = describe(path)
+    inputs = of_causality(description, "input")
+    by_transfer: dict[str, list[list[ScalarVariable]]] = {}
+    for variable in inputs:
+        groups = by_transfer.setdefault(TRANSFER_TYPE[variable.type], [])
+        if groups and array_of(groups[-1][-1]) == array_of(variable):
+            groups[-1].append(variable)
+        else:
+            groups.append([variable])
+    with FmuInstance("m", path, description) as instance:
+        table: dict[int, Any] = {}
+        for kind, groups in by_transfer.items():
+            references = [v.valueReference for group in groups for v in group]
+            table |= zip(references, instance.get_values(kind, references), strict=True)
+        assert [table[v.valueReference] for v in inputs] == [start_of(v) for v in inputs]
+        for _ in range(data.draw(st.integers(1, 6))):
+            kind = data.draw(st.sampled_from([*by_transfer]))
+            whole = st.sampled_from(by_transfer[kind])
+            part = whole.flatmap(st.sampled_from).map(lambda variable: [variable])
+            lists = st.lists(whole | part, min_size=1, max_size=8)
+            chosen = [v for group in data.draw(lists) for v in group]
+            references = [v.valueReference for v in chosen]
+            if data.draw(st.booleans()):
+                values = [data.draw(values_of(v)) for v in chosen]
+                instance.set_values(kind, references, values)
+                table |= zip(references, values, strict=True)
+            assert instance.get_values(kind, references) == [table[r] for r in references]
+
+
+def start_of(variable: ScalarVariable) -> Any:
+    text = str(variable.start)
+    if variable.type == "String":
+        return text.encode()
+    return {"true": 1, "false": 0}[text] if variable.type == "Boolean" else float(text)
+
+
+_NESTED = """
+import ctypes, sys, pytest
+from fmus.native import compiled_library
+load, library = compiled_library.load, ctypes.CDLL(sys.argv[1])
+compiled_library.load = lambda source, *more: library if "fmi3" in source.name else load(source, *more)
+sys.exit(pytest.main(["-q", "-n0", "-p", "no:cacheprovider", sys.argv[2]]))
+"""
+
+
+def test_any_calls_are_clean_under_sanitizers(tool: Callable[[str], str], tmp_path: Path) -> None:
+    """The test above, in a process of its own; a report of gcc's sanitizers ends it."""
+    source, library = Path(fmi3.__file__).with_name("fmi3_calls.c"), tmp_path / "calls.so"
+    sanitizers = "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"
+    options = ["-std=c99", "-g", "-O1", "-shared", "-fPIC", "-Wall", "-Wextra", "-Werror", *sanitizers]
+    gcc = [tool("gcc"), *options, "-Wno-missing-field-initializers", "-Wno-missing-braces"]
+    subprocess.run([*gcc, "-I", str(FMI_HEADERS), "-o", str(library), str(source)], check=True)
+    find = [tool("gcc"), "-print-file-name=libasan.so"]
+    runtime = subprocess.run(find, capture_output=True, text=True, check=True).stdout.strip()
+    environment = {"LD_PRELOAD": runtime, "ASAN_OPTIONS": "detect_leaks=0"}
+    test = f"{__file__}::test_any_calls_agree_with_a_table"
+    done = subprocess.run(
+        [sys.executable, "-c", _NESTED, str(library), test],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "1 passed" in done.stdout
