@@ -15,7 +15,6 @@ from fmus.files import write_text_atomically
 from fmus.operating_system import usable_processors
 from orchestration.cli import shared
 from orchestration.cli.changes import CONTROLLER, NO_CHANGES, OF_LOOP, PLANT, Changes, fmu_name, takes_changes
-from orchestration.cli.interrupts import INTERRUPTED
 from orchestration.errors import ScenarioError
 from orchestration.system.open_inputs import OpenInputs
 
@@ -98,8 +97,10 @@ def score(
             chosen, protocol, full=full, seed=seed, timeout=timeout, workers=workers, progress=bar.advance
         )
     print_score(result.document)
-    write_score(result, out)
-    scored = result.document.scored
+    scored, file = result.document.scored, out / "score.json"
+    write_text_atomically(file, result.document.model_dump_json(indent=1) + "\n")
+    print(file)
+    write_page(result, file.with_suffix(".html"), f"Score of {', '.join(row.title for row in scored)}")
     if all(case.failed for row in scored for case in row.cases.values()):
         name, case = next(iter(scored[0].cases.items()))
         titles = " and ".join(row.title for row in scored)
@@ -152,15 +153,6 @@ def compare(
     write_text_atomically(out / "scoring.json", document.model_dump_json(indent=1) + "\n")
     print(out / "scoring.json")
     return write_page(scoring.for_page(result), out / "scoring.html", "Comparison of the controllers")
-
-
-def write_score(result: "ScoreResult", out: Path) -> None:
-    """Writes score.json and the page, which needs the extra `report`; prints their paths."""
-    file = out / "score.json"
-    write_text_atomically(file, result.document.model_dump_json(indent=1) + "\n")
-    print(file)
-    names = ", ".join(row.title for row in result.document.scored)
-    write_page(result, file.with_suffix(".html"), f"Score of {names}")
 
 
 def write_page(result: "ScoreResult", page: Path, title: str) -> None:
@@ -269,15 +261,12 @@ def write_fronts(
     names = [built_in(protocol, name).name for name in names or protocol.controllers]
     journals = {name: out / f"{name}.front.jsonl" for name in names}
     total = LEVELS * seeds * evaluations * sum(len(protocol.controllers[name].gains) for name in names)
-    try:
-        with shared.progress("fronts", total) as bar:
-            how = range(1, seeds + 1), evaluations, workers
-            laws = [
-                front_of_law(protocol, name, *how, path, lambda done, _: bar.advance(done))
-                for name, path in journals.items()
-            ]
-    except KeyboardInterrupt:
-        shared.fail(f"interrupted: what is done is kept in {out}; the same command continues", INTERRUPTED)
+    with shared.progress("fronts", total, kept="evaluations") as bar:
+        how = range(1, seeds + 1), evaluations, workers
+        laws = [
+            front_of_law(protocol, name, *how, path, lambda done, _: bar.advance(done))
+            for name, path in journals.items()
+        ]
     document = {
         "vehicle": protocol.vehicle.name,
         "settings": dict(protocol.vehicle.settings),

@@ -12,6 +12,7 @@ import typer
 
 from fmus.errors import nearest
 from fmus.registry import Flavour
+from orchestration.cli.interrupts import INTERRUPTED
 from orchestration.errors import OrchestrationError
 from orchestration.results.formats import FigureFormat
 
@@ -105,7 +106,7 @@ class ProgressBar:
     """A bar of how much of a command is done, shown on a terminal after `delay` seconds."""
 
     def __init__(self, description: str, total: int, delay: float, stack: ExitStack) -> None:
-        self._description, self.total, self._stack = description, total, stack
+        self._description, self._total, self._stack = description, total, stack
         self._shown_from = time.monotonic() + delay
         self._bar: tuple[Progress, TaskID] | None = None
         self.done = 0
@@ -113,7 +114,7 @@ class ProgressBar:
 
     def advance(self, count: int = 1, note: str = "") -> None:
         """Counts `count` more parts as done; shows `note` beside the description."""
-        self._show(self.done + count, self.total, note)
+        self._show(self.done + count, self._total, note)
 
     def update(self, done: int, total: int) -> None:
         """Sets how many parts of `total` are done."""
@@ -141,14 +142,22 @@ class ProgressBar:
             redirect_stdout=sys.stdout.isatty(),  # what goes into a pipe must not end on the terminal
             transient=True,
         )
-        return self._stack.enter_context(bar), bar.add_task(self._description, total=self.total)
+        return self._stack.enter_context(bar), bar.add_task(self._description, total=self._total)
 
 
 @contextmanager
-def progress(description: str, total: int, delay: float = 0.0) -> Iterator[ProgressBar]:
+def progress(description: str, total: int, delay: float = 0.0, kept: str = "") -> Iterator[ProgressBar]:
     """Shows a progress bar on standard error, if that is a terminal, until the context ends.
 
     delay: seconds after which it is shown; what draws it takes as long to import as a short run takes
+    kept: what an interruption keeps, where the same command continues
     """
     with ExitStack() as stack:
-        yield ProgressBar(description, total, delay, stack)
+        bar = ProgressBar(description, total, delay, stack)
+        try:
+            yield bar
+        except KeyboardInterrupt:
+            if not kept:
+                raise
+            done = f"{bar.done} of {total} {kept} are done and kept"
+            fail(f"interrupted: {done}; the same command continues", INTERRUPTED)

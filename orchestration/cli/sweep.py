@@ -10,17 +10,12 @@ from fmus.operating_system import usable_processors
 from fmus.registry import Flavour
 from orchestration.cli import shared
 from orchestration.cli.changes import NO_CHANGES, Changes, takes_changes
-from orchestration.cli.interrupts import INTERRUPTED
 from orchestration.errors import OrchestrationError
 from orchestration.results.metric_units import metrics_table, values_table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from contextlib import AbstractContextManager
-
     from rich.table import Table
 
-    from orchestration.many.job import Place
     from orchestration.margins.margins import Margins
     from orchestration.sweep.plan import Plan
 
@@ -90,21 +85,20 @@ def sweep(
         return
     recorded = recorded_signals(recordings, planned)
 
+    from orchestration.many.run_many import LocalRuns
     from orchestration.sweep import table  # Arrow is slow to import: after what can be refused
     from orchestration.sweep.run import sweep as run_samples
     from orchestration.sweep.table import summary_table
 
     notes: list[str] = []
-    started = _workers(workers, isolated, ensemble, scheduler, notes.append)
-    with shared.progress("sweep", planned.count) as bar:
-        try:
-            path = run_samples(planned, out, started, recorded, restart, bar.advance)
-        except KeyboardInterrupt:
-            shared.fail(
-                f"interrupted: {bar.done} of {planned.count} samples are done and kept; "
-                "the same command continues",
-                INTERRUPTED,
-            )
+    if scheduler:
+        from orchestration.many import cluster  # Dask is slow to import
+
+        place = cluster.remote(scheduler)
+    else:
+        place = LocalRuns(workers or usable_processors(), isolated, ensemble, notes.append)
+    with shared.progress("sweep", planned.count, kept="samples") as bar:
+        path = run_samples(planned, out, place, recorded, restart, bar.advance)
     results, provenance = table.read(path)
     shared.print_table(summary_table(results, provenance))
     print(*notes, sep="\n", end="\n" * bool(notes))
@@ -115,22 +109,6 @@ def sweep(
         shared.fail(
             f"every sample failed, 0 with: {results[table.ERROR][0]}; --sample 0 runs it, --restart all"
         )
-
-
-def _workers(
-    count: int | None,
-    isolated: bool,
-    ensemble: bool | None,
-    scheduler: str,
-    note: "Callable[[str], object]",
-) -> "AbstractContextManager[Place]":
-    if scheduler:
-        from orchestration.many import cluster  # Dask is slow to import
-
-        return cluster.remote(scheduler)
-    from orchestration.many.run_many import LocalRuns
-
-    return LocalRuns(count or usable_processors(), isolated, ensemble, note)
 
 
 def _run_one(planned: "Plan", sample: int, out: Path) -> None:

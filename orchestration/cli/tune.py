@@ -1,7 +1,7 @@
 """Command tune: the gains of a controller, by the same search for every one."""
 
-from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,7 +12,6 @@ from fmus.operating_system import usable_processors
 from fmus.registry import block_names
 from orchestration.cli import shared
 from orchestration.cli.changes import CONTROLLER, NO_CHANGES, OF_LOOP, Changes, takes_changes
-from orchestration.cli.interrupts import INTERRUPTED
 from orchestration.cli.score import (
     BoundOption,
     CasesOption,
@@ -28,7 +27,7 @@ from orchestration.errors import ScenarioError
 if TYPE_CHECKING:
     from orchestration.score.closed_loop import Controller
     from orchestration.score.protocol import Protocol
-    from orchestration.score.tune import Evaluate, Problem, Tuning
+    from orchestration.score.tune import Tuning
 
 
 @takes_changes(**OF_LOOP, open_inputs="")
@@ -72,6 +71,7 @@ def tune(
     from orchestration.score import tune_problem
     from orchestration.score.closed_loop import ClosedLoop
     from orchestration.score.protocol import with_cost
+    from orchestration.score.tune import tune as search
     from orchestration.score.tune_problem import evaluations as started
 
     if plants:
@@ -86,11 +86,13 @@ def tune(
     while True:
         milliseconds = 1e3 * tune_problem.step_of(controller, protocol)
         journals.append(out / f"{controller.name}.{milliseconds:g}ms.tune.jsonl")
+        title = f"tune {controller.name}, {milliseconds:g} ms"
         with (
-            shared.progress(f"tune {controller.name}, {milliseconds:g} ms", total) as bar,
+            shared.progress(title, total, kept="evaluations") as bar,
             started(controller, protocol, workers, total) as evaluate,
         ):
-            tuning = _search(problem, range(1, seeds + 1), evaluations, journals[-1], evaluate, bar, restart)
+            how = range(1, seeds + 1), evaluations, journals[-1], evaluate
+            tuning = search(problem, *how, partial(_advance, bar), restart)
         finer = tune_problem.at_enough_steps(tuning.best.gains, controller, protocol)
         if finer is controller:
             break
@@ -108,26 +110,8 @@ def tune(
     print(path)
 
 
-def _search(
-    problem: "Problem",
-    seeds: Sequence[int],
-    evaluations: int,
-    journal: Path,
-    evaluate: "Evaluate",
-    bar: shared.ProgressBar,
-    restart: bool,
-) -> "Tuning":
-    """Returns the tuning; an interruption ends the command with a message about what is done."""
-    from orchestration.score.tune import tune as search
-
-    def advance(count: int, cost: float) -> None:
-        bar.advance(count, f"best {cost:.4g} cm")
-
-    try:
-        return search(problem, seeds, evaluations, journal, evaluate, advance, restart)
-    except KeyboardInterrupt:
-        kept = f"{bar.done} of {bar.total} evaluations are done and kept"
-        shared.fail(f"interrupted: {kept}; the same command continues", INTERRUPTED)
+def _advance(bar: shared.ProgressBar, count: int, cost: float) -> None:
+    bar.advance(count, f"best {cost:.4g} cm")
 
 
 def _controller(
