@@ -126,7 +126,7 @@ def compare(
 ) -> None:
     """Score all controllers of the protocol, each with the gains that it comes with, and tuned.
 
-    Writes scoring.json and an interactive page. With --fronts: fronts.json and fronts.svg.
+    Writes comparison.json and an interactive page. With --fronts: fronts.json and fronts.svg.
     """
     from orchestration.score import score as scoring
 
@@ -150,9 +150,9 @@ def compare(
         [replace(table, title=f"{table.title}: {name}") for name, table in shown if table.rows],
         scoring.with_papers_differences(document),
     )
-    write_text_atomically(out / "scoring.json", document.model_dump_json(indent=1) + "\n")
-    print(out / "scoring.json")
-    return write_page(scoring.for_page(result), out / "scoring.html", "Comparison of the controllers")
+    write_text_atomically(out / "comparison.json", document.model_dump_json(indent=1) + "\n")
+    print(out / "comparison.json")
+    return write_page(scoring.for_page(result), out / "comparison.html", "Comparison of the controllers")
 
 
 def write_page(result: "ScoreResult", page: Path, title: str) -> None:
