@@ -1,4 +1,4 @@
-"""What Linux, macOS and Windows do differently: processors, memory, processes and locks.
+"""Differences between Linux, macOS and Windows: processors, memory, processes and locks.
 
 Calls that not every system has stand here alone, each beside what is done without it.
 """
