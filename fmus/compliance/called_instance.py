@@ -114,19 +114,20 @@ class CalledInstance(binding.BoundInstance):
 
     def note(self, what: str, is_so: bool) -> None:
         """Notes what the FMU did wrong, if so, for `changed_settings`."""
-        self._noted |= {f"{what} of {self.function}"} if is_so else set()
+        if is_so:
+            self._noted.add(f"{what} of {self.function}")
 
     def call(self, function: str, *arguments: Any) -> None:
         """Calls a function, and notes if one that is watched writes into an array that is constant to it."""
-        arrays = [x for x in arguments if self.watched and isinstance(x, ctypes.Array)]
         is_result = function.startswith(_RETURN_ARRAYS)
+        self.function = function
+        self._tell(function, *(arguments[:-1] if is_result else arguments))
+        arrays = [x for x in arguments if isinstance(x, ctypes.Array)] if self.watched else []
         if is_result:
             arrays = arrays[:-1]
         before = [bytes(array) for array in arrays]
-        self.function = function
-        self._tell(function, *(arguments[:-1] if is_result else arguments))
         super().call(function, *arguments)
-        if function.startswith(_CHANGES_OF_STATE) and 0 <= self.last_status <= binding.WARNING:
+        if 0 <= self.last_status <= binding.WARNING and function.startswith(_CHANGES_OF_STATE):
             self.mode = function
         self.note(ARGUMENTS, before != [bytes(array) for array in arrays])
 

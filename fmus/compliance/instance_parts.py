@@ -74,7 +74,7 @@ def shown(argument: Any) -> str:
             return str(argument)
         case ctypes.Array():
             texts = argument._type_ in (ctypes.c_char, ctypes.c_char_p)  # the FMU may leave wrong addresses
-            return "[...]" if texts else str(list(argument[:8]))
+            return "[...]" if texts else str(argument[:8])
     return ""
 
 

@@ -15,7 +15,7 @@ from fmus.fmi.binding import DISCARD, MODEL_EXCHANGE, OK, WARNING
 
 _MOST_SUBSTEPS, _MOST_EVENTS, _MOST_ITERATIONS = 500, 100, 100
 _LEAST = 1e-6  # smallest part of a step that is tried
-_TOLERANCE = 1e-4
+_TOLERANCE = 1e-3
 _TOO_MANY = "the explicit scheme of this checker needs more than"
 _STATES, _DERIVATIVES = "fmi2GetContinuousStates", "fmi2GetDerivatives"
 _INDICATORS = "fmi2GetEventIndicators"
@@ -60,6 +60,7 @@ class ModelExchangeInstance(CalledInstance):
         self._ends: dict[str, float] = {}
         self._events: list[dict[str, Any]] = []
         self._counts = self._options["states"], self._options["indicators"]
+        self._guarded = [(ctypes.c_double * (n + 1))(*[_GUARD] * (n + 1)) for n in self._counts]
 
     # single functions
 
@@ -74,10 +75,10 @@ class ModelExchangeInstance(CalledInstance):
 
         Notes whether elements are not written, or one behind them is.
         """
-        count = self._counts[function == _INDICATORS]
-        array = (ctypes.c_double * (count + 1))(*[_GUARD] * (count + 1))
-        self.call(function, array, count)
-        *values, behind = array
+        guarded = self._guarded[function == _INDICATORS]
+        array = type(guarded).from_buffer_copy(guarded)
+        self.call(function, array, len(array) - 1)
+        *values, behind = array[:]
         self.note(ARGUMENTS, behind != _GUARD)
         self.note(UNWRITTEN, self.last_status == OK and _GUARD in values)
         return values

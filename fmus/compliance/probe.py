@@ -234,7 +234,9 @@ class Probe:
         begin = time.monotonic()
         self.play_each([script])
         seconds = (time.monotonic() - begin) / first
-        budget = min(_LONGEST_RUN_S, (self.process.deadline - time.monotonic()) / 10)
+        # for model exchange, the run of events reaches the stop time
+        longest = _LONGEST_RUN_S / (4 if self.fmu.is_model_exchange else 1)
+        budget = min(longest, (self.process.deadline - time.monotonic()) / 10)
         return min(steps, max(first, int(budget / seconds)))
 
     def play_once(self, scripts: Sequence[Script]) -> None:

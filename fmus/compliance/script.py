@@ -11,7 +11,7 @@ from fmus.fmi.binding import WARNING, status_name
 
 USUAL_NAME = "instance"
 KINDS = ("Real", "Integer", "Boolean", "String")
-_MOST_LEAPT, _LEAPS, _ROUGHNESS = 100, 16, 300.0  # steps, and times their tolerances
+_MOST_LEAPT, _LEAPS, _ROUGHNESS = 100, 16, 30.0  # steps, and times their tolerances
 STEPS = ("do_step", "do_steps")
 VECTORS = (
     "fmi2GetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndicators",
@@ -217,9 +217,10 @@ class Script:
 
     def leap(self, thirds: int) -> "Script":
         """Adds a part of the default experiment: usual steps, or few of other sizes for model exchange."""
-        count = self.probe.steps_of_experiment * thirds // 3
+        most = _MOST_LEAPT // 4 if self.probe.fmu.is_model_exchange else _MOST_LEAPT
+        count = min(self.probe.steps_of_experiment // 3, most) * thirds
         if not self.probe.fmu.is_model_exchange:
-            return self.go_on(min(count, _MOST_LEAPT * thirds))
+            return self.go_on(count)
         ends = [self._step + count * i // _LEAPS for i in range(_LEAPS + 1)]
         for before, end in itertools.pairwise(map(self.probe.point, ends)):
             self.call("do_step", before, end - before, False, _ROUGHNESS)

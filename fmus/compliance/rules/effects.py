@@ -2,6 +2,7 @@
 differences.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
@@ -70,12 +71,20 @@ def dependencies_are_declared(probe: Probe) -> Iterator[str]:
         mode, begin = f"event mode{start.words}", (do.begin, *start.lead)
         modes += [(mode, begin, section, inputs) for section in _STEPPING]
     for mode, actions, section, knowns in modes:
-        for known, value in values.other_values(knowns[:_MOST_KNOWNS]):
-            independent = (u.variable for u in probe.fmu.unknowns[section] if not u.depends_on(known))
-            unlisted = [v for v in independent if v.name != known.name]
-            read = [do.read(unlisted)]
-            for name in sorted(followers(probe, actions, known, value, read) if unlisted else ()):
-                yield f"{name} changes with {known.name} in {mode}: {_TO_BE_LISTED}"
+        unknowns, pairs = probe.fmu.unknowns[section], values.other_values(knowns[:_MOST_KNOWNS])
+        read, taken = do.read([u.variable for u in unknowns]), do.accepted_together(probe, pairs, *actions)
+        sets = itertools.chain(*((do.set_values([pair]), read) for pair in taken))
+        (run,) = values_of(probe, [(*actions, read, *sets)])
+        pairs = [*taken, *(pair for pair in pairs if pair not in taken)]
+        for i, (known, value) in enumerate(pairs):
+            independent = [
+                u.variable for u in unknowns if not u.depends_on(known) and u.variable is not known
+            ]
+            names = {v.name for v in independent}
+            if i + 1 >= len(run) or any(run[i][name] != run[i + 1][name] for name in names):
+                changed = followers(probe, actions, known, value, [do.read(independent)])
+                for name in sorted(changed):
+                    yield f"{name} changes with {known.name} in {mode}: {_TO_BE_LISTED}"
 
 
 @behaviour_rule("4.2.1", interface=CO_SIMULATION)

@@ -1,7 +1,7 @@
 """Start values, setting variables, what is read then, and what fmi2Reset gives back."""
 
 from collections.abc import Iterable, Iterator
-from itertools import chain
+from itertools import chain, zip_longest
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
@@ -105,14 +105,11 @@ def values_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
         (instantiated, (), (do.initialise,), "when instantiated"),
         (values.settable_in_initialization(probe.fmu), (do.initialise,), (), "in initialization mode"),
     ):
-        for v, x in values.other_values(chosen[:MOST_VARIABLES]):
-            if v in readable:
-                end = do.read_as([(v, x)]), do.exit_initialization_mode
-            elif values.keeps_its_value(v):
-                end = do.exit_initialization_mode, do.read_as([(v, x)])
-            else:
-                continue
-            yield _set_and_read(when, *before, do.set_values([(v, x)]), *after, *end)
+        taken = do.others_accepted(probe, chosen, *before)
+        at_once = [(v, x) for v, x in taken if v in readable]
+        later = [(v, x) for v, x in taken if v not in readable and values.keeps_its_value(v)]
+        end = do.read_as(at_once), do.exit_initialization_mode, do.read_as(later)
+        yield _set_and_read(when, *before, do.set_values(taken), *after, *end)
 
 
 def _set_and_read(when: str, *actions: do.Action) -> Row:
@@ -126,9 +123,11 @@ def inputs_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
     a value.
     """
     chosen = values.settable_while_stepping(probe.fmu)[:MOST_VARIABLES]
-    far = [(v, x) for v in chosen for x in values.far_values(v)]
-    for pair in [*values.other_values(chosen), *far]:
-        actions = do.begin, do.step(), do.set_values([pair]), do.step(), do.read_as([pair])
+    ways = ([(v, x) for x in (values.other_value(v), *values.far_values(v))] for v in chosen)
+    for some in zip_longest(*ways):
+        pairs = [pair for pair in some if pair and pair[1] is not None]
+        taken = do.accepted_together(probe, pairs, do.begin, do.step())
+        actions = do.begin, do.step(), do.set_values(taken), do.step(), do.read_as(taken)
         yield _set_and_read("at a communication point", *actions)
     if probe.fmu.is_model_exchange:
         chosen = [v for v in chosen if is_true(v.attributes.get(_MANY_SETS, "true"))]

@@ -9,7 +9,7 @@ from typing import Any
 from fmus.compliance import actions as do
 from fmus.compliance import values
 from fmus.compliance.actions import MOST_VARIABLES
-from fmus.compliance.differential import ROUNDING, Row, differential
+from fmus.compliance.differential import ROUNDING, Row, differences, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule, rule_of
 from fmus.compliance.variable import Variable
@@ -151,8 +151,8 @@ def fixed_values_stay(probe: Probe) -> Iterator[Row]:
             yield Row(when, varied, (), tolerance=ROUNDING, may_fail=True, again="{} as before")
 
 
-@differential("2.2.7")
-def tunable_values_are_computed_anew(probe: Probe) -> Iterator[Row]:
+@behaviour_rule("2.2.7")
+def tunable_values_are_computed_anew(probe: Probe) -> Iterator[str]:
     """A tunable parameter that is set at a communication point gives tunable calculated parameters and
     outputs as if it had been set before.
     """
@@ -161,9 +161,14 @@ def tunable_values_are_computed_anew(probe: Probe) -> Iterator[Row]:
     pairs = values.other_values([v for v in tunable if v.causality == "parameter"][:MOST_VARIABLES])
     if not computed or not pairs:
         raise NotApplicableError("there is no tunable parameter, or none that is calculated")
-    for v, x in pairs:
-        early = do.initialise, do.set_values([(v, x)]), do.exit_initialization_mode, do.read(computed)
-        late = do.start, do.step(), do.set_values([(v, x)]), do.step(), do.read(computed)
-        when = f"after {v.name} was set at a communication point"
+
+    def row(*some: do.Pair) -> Row:
+        early = do.initialise, do.set_values(some), do.exit_initialization_mode, do.read(computed)
+        late = do.start, do.step(), do.set_values(some), do.step(), do.read(computed)
+        when = f"after {', '.join(v.name for v, _ in some)} was set at a communication point"
         again = "{}, as if it had been set in initialization mode"
-        yield Row(when, late, early, tolerance=ROUNDING, may_fail=True, again=again)
+        return Row(when, late, early, tolerance=ROUNDING, may_fail=True, again=again)
+
+    taken = do.accepted_together(probe, pairs, do.begin, do.step())
+    together = [*differences(probe, [row(*taken)])]
+    yield from together and ([*differences(probe, map(row, pairs))] or together)
