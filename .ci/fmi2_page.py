@@ -30,7 +30,7 @@ _LEVELS = f"""\
 The level of a rule is the consequence of breaking it. *error*: an importer that keeps the standard fails,
 crashes or gets a wrong result. *deviation*: a sentence demands it, but no importer known to us stumbles over
 it. *advice*: no sentence demands it. These rules are left out unless `--only` asks for them,
-since two thirds of all FMUs break them at no cost: {_OFF}."""
+since most FMUs break them at no cost: {_OFF}."""
 
 
 def page() -> str:

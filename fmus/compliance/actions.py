@@ -9,6 +9,7 @@ from fmus.compliance import values
 from fmus.compliance.probe import Probe
 from fmus.compliance.script import Action, Given, Reading, Script
 from fmus.compliance.variable import Variable
+from fmus.fmi.binding import ERROR
 
 MOST_VARIABLES = 50  # that are changed in a rule
 P = ParamSpec("P")
@@ -111,21 +112,13 @@ def run_all(steps: int, when: str = "") -> Action:
     return lambda script: [script.write([step(), read_all(when, f", step {i + 1}")]) for i in range(steps)]
 
 
-def read_slopes(
-    outputs: Sequence[Variable], when: str = "", orders: int | Sequence[int] = 1, alone: bool = False
-) -> Action:
-    """Reads derivatives of outputs, if there are any, of one order or each its own, in one call or alone."""
+def read_slopes(outputs: Sequence[Variable], when: str = "") -> Action:
+    """Reads first derivatives of outputs, if there are any, in one call."""
 
     def action(script: Script) -> None:
-        groups = {v.name: [v] for v in outputs} if alone else {"Real": list(outputs)}
-        of_groups = orders if alone and not isinstance(orders, int) else [orders] * len(groups)
-        calls = zip(groups.items(), of_groups, strict=True) if outputs else ()
-        replies = {
-            name: script.call("output_derivatives", values.references_of(group), order)
-            for (name, group), order in calls
-        }
         if outputs:
-            script.observed.append((when, "", Reading(groups, replies)))
+            reply = script.call("output_derivatives", values.references_of(outputs), 1)
+            script.observed.append((when, "", Reading({"Real": list(outputs)}, {"Real": reply})))
 
     return action
 
@@ -190,11 +183,14 @@ def set_derivatives(value: float = 1.0, order: int = 1) -> Action:
     return action
 
 
-def error(action: Action, finding: str = "") -> Action:
+def error(action: Action, finding: str = "", *statuses: int) -> Action:
     """Makes a call that returns error, and allows what follows; otherwise nothing is judged, or it is a
-    finding, where {} in its words is what the call returned.
+    finding, whose words are those of the reply.
+
+    statuses: that it may return, if others
     """
-    return lambda script: script.errors.extend((reply, finding) for reply in script.write([action]))
+    expected = statuses or (ERROR,)
+    return lambda script: script.errors.extend((reply, finding, expected) for reply in script.write([action]))
 
 
 def fail(script: Script) -> None:
@@ -236,16 +232,15 @@ def accepted_together(probe: Probe, pairs: Sequence[Pair], *before: Action) -> l
     that it takes beside those before it; found once for all rules that begin alike.
     """
 
-    def chosen() -> list[Pair]:
-        if not pairs or _takes(probe, pairs, before):
-            return list(pairs)
-        together = list[Pair]()
-        for pair in pairs:
-            together += [pair] if _takes(probe, [*together, pair], before) else []
-        return together
+    def chosen(some: Sequence[Pair], beside: Sequence[Pair] = ()) -> list[Pair]:
+        if not some or _takes(probe, [*beside, *some], before):
+            return list(some)
+        half = len(some) // 2
+        left = chosen(some[:half], beside) if half else []
+        return [*left, *(chosen(some[half:], [*beside, *left]) if half else [])]
 
     key = [(v.name, x) for v, x in pairs], probe.script(*before).calls
-    return probe.once("choice of values", chosen, *key)
+    return probe.once("choice of values", lambda: chosen(pairs), *key)
 
 
 def _takes(probe: Probe, pairs: Sequence[Pair], before: Sequence[Action]) -> bool:

@@ -37,7 +37,7 @@ def _not_numbers(count: int) -> Any:
 class CalledInstance(binding.BoundInstance):
     """An instance of which each call may fail: `last_status` is its status.
 
-    options: name, guid, location of the resources, logging (bool), visible (bool), and
+    options: name, guid, location of the resources, logging (bool), and
       callbacks: "usual"; "fewest" without stepFinished and environment; "no memory" without memory functions;
         "formats" with messages before they are printed
       overwritten: whether all arguments of fmi2Instantiate are overwritten after the call
@@ -58,7 +58,6 @@ class CalledInstance(binding.BoundInstance):
         self._memory, self._noted = memory, set[str]()
         self._kept: list[Any] = []
         self.states = parts.SavedStates(self)
-        self._traps: list[str] = []
         self.last_status = 0
         self.watched = bool(options.get("watched"))
         kind = options.get("callbacks", "usual")
@@ -93,13 +92,12 @@ class CalledInstance(binding.BoundInstance):
         self._tell("fmi2Instantiate", options.get("name", "instance"), options.get("guid"))
         address = self.library.fmi2Instantiate(
             name, self.interface, guid, location, ctypes.byref(structure),
-            int(options.get("visible", False)), int(options.get("logging", False)),
+            0, int(options.get("logging", False)),
         )  # fmt: skip
         self.handle = ctypes.c_void_p(address) if address else None
         self._kept += [*strings, structure]
         if options.get("overwritten"):
             _overwrite(strings)
-            self._kept += parts.set_traps(structure, self.callbacks.structure, self._traps)
         return self.handle is not None
 
     def check_status(self, function: str, status: int) -> None:
@@ -148,10 +146,6 @@ class CalledInstance(binding.BoundInstance):
         self._noted.clear()
         self._settings.restore()
         return changed
-
-    def used_traps(self) -> list[str]:
-        """Returns what the FMU used that was valid during fmi2Instantiate only."""
-        return sorted(set(self._traps))
 
     def held_blocks(self) -> int:
         """Returns the number of blocks of memory of `allocateMemory` that are in use, of all instances."""

@@ -12,7 +12,7 @@ from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Check, NotApplicableError, NotJudgedError, rule_of
 from fmus.compliance.script import Action, CallError, Script
 from fmus.compliance.values import differing, steadily
-from fmus.fmi.binding import DISCARD, ERROR
+from fmus.fmi.binding import DISCARD
 
 ROUNDING = 1e-9  # relative: of values that are computed again
 _SLOT = 1000  # of a saved state, which no row uses
@@ -153,7 +153,7 @@ def verdict(probe: Probe, row: Row, usual: Script, plays: Sequence[Script]) -> I
     if failure := usual.failure:
         raise NotJudgedError(f"the usual run fails: {failure.problem}")
     errors = [error for play in plays for error in play.errors]
-    if any(reply.status != ERROR and not finding for reply, finding in errors):
+    if any(reply.status not in expected and not finding for reply, finding, expected in errors):
         raise NotJudgedError("no call that returns error is known")
     for play in (play for play in plays if play is plays[0] or play.observed):
         failure = play.failure
@@ -167,9 +167,9 @@ def verdict(probe: Probe, row: Row, usual: Script, plays: Sequence[Script]) -> I
             return
         messages = list(_unlike(probe, row, usual, play))
         yield from steadily(probe, messages) if messages and usual.observed else messages
-    for reply, finding in errors:
-        if finding and reply.status not in (None, ERROR):
-            text = finding.format(reply.status_name)
+    for reply, finding, expected in errors:
+        if finding and reply.status not in (None, *expected):
+            text = finding.format(reply=reply)
             yield f"{row.when}: {text}" if row.when else text
 
 

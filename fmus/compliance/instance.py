@@ -26,7 +26,7 @@ MOST_OF_A_FILE = 1 << 30  # bytes
 CALLED = "called"  # a file of the working folder: the call that is under way, and the time at which it began
 _ANNOUNCED = 400  # bytes of that file
 _DEFECTS = (TypeError, LookupError, NameError, AssertionError, ctypes.ArgumentError)
-_OBSERVATIONS = ("observed_events", "used_traps", "held_blocks")  # which call nothing
+_OBSERVATIONS = ("observed_events", "held_blocks")  # which call nothing
 _AFTER_A_FAILURE = {  # status -> methods of `CalledInstance`, and plain functions, that FMI allows then
     DISCARD: (*_OBSERVATIONS, "free_fmu_state", "set_debug_logging", "get", "status_of", "fmi2Terminate"),
     ERROR: (*_OBSERVATIONS, "free_fmu_state", "set_debug_logging"),
@@ -84,11 +84,6 @@ class LoadedFmu:
         is 0.
         """
         return self._settings.resources_in_use()
-
-    def set_search_path(self, path: str) -> str:
-        """Sets the search path for programs; returns the one before."""
-        before, os.environ["PATH"] = os.environ.get("PATH", ""), path
-        return before
 
     def link(self, name: str) -> str:
         """Returns the location of the resources, as a URI, through a link of that name."""

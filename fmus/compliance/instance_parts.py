@@ -4,7 +4,7 @@ import ctypes
 from typing import Any, Protocol
 
 from fmus.compliance.process_settings import ProcessSettings
-from fmus.fmi.callbacks import AllocateMemory, FreeMemory, Log, Logger
+from fmus.fmi.callbacks import Log, Logger
 
 _MOST_MESSAGES = 1000
 
@@ -37,26 +37,6 @@ def logger_of_formats(messages: MessageLog) -> Any:
         messages.add(status, (message or b"").decode("utf-8", "replace"), *texts)
 
     return Logger(log)
-
-
-def set_traps(structure: Any, usual: Any, traps: list[str]) -> list[Any]:
-    """Replaces the callbacks of a structure, which the FMU may not look at any more, and returns them.
-
-    usual: a structure with the callbacks that they call; traps: gets the name of each that the FMU calls
-    """
-
-    def trap(name: str, kind: Any) -> Any:
-        def called(*arguments: Any) -> Any:
-            traps.append(name)
-            return None if name == "logger" else getattr(usual, name)(*arguments)
-
-        return kind(called)
-
-    kinds = {"logger": Logger, "allocateMemory": AllocateMemory, "freeMemory": FreeMemory}
-    callbacks = {name: trap(name, kind) for name, kind in kinds.items()}
-    for name, callback in callbacks.items():
-        setattr(structure, name, callback)
-    return list(callbacks.values())
 
 
 _GUARD = 64  # bytes behind a serialised state

@@ -21,7 +21,6 @@ _STATES, _DERIVATIVES = "fmi2GetContinuousStates", "fmi2GetDerivatives"
 _INDICATORS = "fmi2GetEventIndicators"
 _GUARD = -1.2345678e-300  # an element that the FMU has not written
 _NO_BOOLEAN = -1234567  # a flag that the FMU has not written
-_TRIES = 8  # to find where an indicator is 0
 
 
 _INFOS = (
@@ -226,8 +225,6 @@ class ModelExchangeInstance(CalledInstance):
                     raise _StepEndsError("the FMU discards states, or gives no numbers, in smallest substeps")
                 size = min(size, end - t) / 2
                 continue
-            if is_crossing and self._events:
-                new_t, trial = self._on_the_limit((t, x, z), new_t, trial)
             before, t, (x, z, error) = z, new_t, trial
             size *= 2 if error < 0.2 else 1
             enter = 0
@@ -266,31 +263,6 @@ class ModelExchangeInstance(CalledInstance):
         tolerance = _TOLERANCE * self._roughness
         sizes = (abs(a - b) / (tolerance * max(abs(a), 1e-3)) for a, b in zip(euler, new, strict=True))
         return new, z, max(sizes, default=0.0)
-
-    def _on_the_limit(
-        self, begin: tuple[float, list[float], list[float]], end: float, trial: _Trial
-    ) -> tuple[float, _Trial]:
-        """Returns the end of a substep, and its trial, where an indicator falls from above 0 to 0 exactly,
-        as a solver may hit it; those that were given if it is not found.
-        """
-        t, x, z = begin
-        falling = [i for i, (a, b) in enumerate(zip(z, trial[1], strict=True)) if a > 0 >= b]
-        for i in falling[:1]:
-            (low, above), (high, below) = (0.0, z[i]), (1.0, trial[1][i])
-            for _ in range(_TRIES):
-                part = low + (high - low) * above / (above - below)
-                time, states = t + part * (end - t), _sum(_sum(x, -part, x), part, trial[0])
-                self._checked(self.set_time, time)
-                indicators = self._vector_at(states, _INDICATORS)
-                if indicators[i] == 0:
-                    return time, (states, indicators, trial[2])
-                if indicators[i] > 0:
-                    low, above = part, indicators[i]
-                else:
-                    high, below = part, indicators[i]
-            self._checked(self.set_time, end)
-            self._vector_at(trial[0], _INDICATORS)
-        return end, trial
 
     def _vector_at(self, x: Sequence[float], function: str) -> list[float]:
         """Sets states, if there are any, and returns a vector there."""

@@ -43,7 +43,7 @@ class Shared:
       after fmi2SetDebugLogging are left out
     log: messages, each once, of all instances with logging, but of calls or arguments that FMI forbids
     refused_steps: reason why the FMU refuses steps of the usual size, if so
-    discards, discarded_step: reason why it discards one of them, and the number of those before it
+    discards: reason why it discards one of them
     """
 
     results: dict[str, Any] = field(default_factory=dict[str, Any])
@@ -53,7 +53,6 @@ class Shared:
     log: dict[Message, None] = field(default_factory=dict[Message, None])
     refused_steps: str = ""
     discards: str = ""
-    discarded_step: int | None = None
 
 
 class DiscardedStepError(NotJudgedError):
@@ -215,7 +214,6 @@ class Probe:
         failure = script.failure
         if failure and failure.is_step and failure.status == DISCARD:
             self.shared.discards = failure.reason or "the FMU discards a step of the usual size"
-            self.shared.discarded_step = sum(reply.is_step and reply.ok for reply in script.replies)
 
     @property
     def steps_of_experiment(self) -> int:
@@ -235,9 +233,9 @@ class Probe:
         self.play_each([script])
         seconds = (time.monotonic() - begin) / first
         # for model exchange, the run of events reaches the stop time
-        longest = _LONGEST_RUN_S / (4 if self.fmu.is_model_exchange else 1)
-        budget = min(longest, (self.process.deadline - time.monotonic()) / 10)
-        return min(steps, max(first, int(budget / seconds)))
+        part = 4 if self.fmu.is_model_exchange else 1
+        budget = min(_LONGEST_RUN_S / part, (self.process.deadline - time.monotonic()) / 10)
+        return min(steps, _MOST_STEPS // part, max(first, int(budget / seconds)))
 
     def play_once(self, scripts: Sequence[Script]) -> None:
         """Plays scripts as `play_each`; those with the calls of one that was played so have its answers."""

@@ -5,7 +5,6 @@ import gc
 import itertools
 import locale
 import os
-import platform
 import signal
 from contextlib import suppress
 from pathlib import Path
@@ -19,13 +18,7 @@ _LINES = {  # of /proc/self/status
 }
 _WIDTH = 26  # of the first column of /proc/self/limits
 _RESTORED = ("working directory", "file mode mask", "locale")
-# processor -> register -> its bytes in `fenv_t` of Linux, and the bits of rounding, precision, traps and
-# numbers near zero
-_CONTROL = {
-    "x86_64": {"x87": (slice(0, 2), 0xFFFF), "SSE": (slice(28, 32), 0xFFFFFFC0)},
-    "aarch64": {"FPCR": (slice(0, 4), 0xFFFFFFFF)},
-}
-_MOST_OF_FENV = 64  # bytes
+_TINY = 2.2250738585072014e-308  # half of it is below the normal numbers
 _IN_USE, _IN_LARGE_BLOCKS = 7, 4  # uordblks, hblkhd
 
 
@@ -50,15 +43,13 @@ class ProcessSettings:
         self._flush = _function(library, "fflush", ctypes.c_int, ctypes.c_void_p)
         linux = library if _SELF.is_dir() else None
         self._heap = _function(linux, "mallinfo2", MallocInformation)
-        self._registers = _CONTROL.get(platform.machine(), {}) if linux else {}
-        mathematics = linux
+        self._tiny = _TINY
+        self._mathematics: Any = None
         with suppress(OSError):
-            mathematics = linux and ctypes.CDLL("libm.so.6")
-        self._get_floating_point = _function(mathematics, "fegetenv", ctypes.c_int, ctypes.c_char_p)
-        self._set_floating_point = _function(mathematics, "fesetenv", ctypes.c_int, ctypes.c_char_p)
-        self._first_fenv, self._fenv = (ctypes.create_string_buffer(_MOST_OF_FENV) for _ in range(2))
-        if self._registers:
-            self._get_floating_point(self._first_fenv)
+            self._mathematics = linux and ctypes.CDLL("libm.so.6")
+        self._first_fenv = ctypes.create_string_buffer(64)  # more than any fenv_t has
+        if self._mathematics:
+            self._mathematics.fegetenv(self._first_fenv)
         self._environment: Any = None
         with suppress(ValueError):
             self._environment = ctypes.POINTER(ctypes.c_char_p).in_dll(linux, "environ") if linux else None
@@ -71,15 +62,12 @@ class ProcessSettings:
             self._flush(None)
 
     def _floating_point_now(self) -> str:
-        """Returns the registers that control floating point; empty where they are not known."""
-        if self._registers:
-            self._get_floating_point(self._fenv)
-        content = self._fenv.raw
-        numbers = {
-            name: int.from_bytes(content[part], "little") & bits
-            for name, (part, bits) in self._registers.items()
-        }
-        return ", ".join(f"{name} {number:#x}" for name, number in numbers.items())
+        """Returns what controls floating point; empty where that is not known."""
+        if not self._mathematics:
+            return ""
+        rounding, traps = self._mathematics.fegetround(), self._mathematics.fegetexcept()
+        flushed = ", numbers near zero are flushed" if self._tiny / 2 == 0.0 else ""
+        return f"rounding mode {rounding:#x}, traps {traps:#x}{flushed}"
 
     def floating_point_differs(self) -> bool:
         """Whether the control of floating point is another than when this was made."""
@@ -105,8 +93,8 @@ class ProcessSettings:
 
     def restore_floating_point(self) -> None:
         """Sets back rounding mode, precision and traps."""
-        if self._registers:
-            self._set_floating_point(self._first_fenv)
+        if self._mathematics:
+            self._mathematics.fesetenv(self._first_fenv)
 
     def _process_now(self) -> dict[str, str]:
         """Returns settings by name, those that the operating system tells."""

@@ -11,7 +11,7 @@ from fmus.fmi.binding import WARNING, status_name
 
 USUAL_NAME = "instance"
 KINDS = ("Real", "Integer", "Boolean", "String")
-_MOST_LEAPT, _LEAPS, _ROUGHNESS = 100, 16, 30.0  # steps, and times their tolerances
+_MOST_LEAPT, _LEAPS, _ROUGHNESS = 100, 8, 300.0  # steps, and times their tolerances
 STEPS = ("do_step", "do_steps")
 VECTORS = (
     "fmi2GetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndicators",
@@ -132,7 +132,7 @@ class Script:
     expected, observed: readings to be compared; the latter with words for when and where
     attempts: calls that the FMU may refuse, and then nothing can be compared
     ignored: calls whose failure tells nothing
-    errors: calls that return error, each with words for a finding if it does not
+    errors: calls that return error, each with words for a finding if it does not, and what it may return
     lead: actions that lead `start` from the first communication point to where runs begin
     has_started: whether `start` was written
     """
@@ -150,7 +150,7 @@ class Script:
         self.expected: list[Reading | Given] = []
         self.observed: list[tuple[str, str, Reading]] = []
         self.attempts, self.ignored = list[Reply](), list[Reply]()
-        self.errors: list[tuple[Reply, str]] = []
+        self.errors: list[tuple[Reply, str, Sequence[int]]] = []
         self.lead: Sequence[Action] = ()
         self.has_started = False
         self.answers: Sequence[Any] = ()  # to the calls of the last part
@@ -377,7 +377,7 @@ class Script:
     @property
     def failure(self) -> Reply | None:
         """The first call that fails, but those that are ignored, or that return error."""
-        excused = {id(reply) for reply in (*self.ignored, *(reply for reply, _ in self.errors))}
+        excused = {id(reply) for reply in (*self.ignored, *(reply for reply, *_ in self.errors))}
         failed = (reply for reply in self.replies if reply.status is not None and not reply.ok)
         return next((reply for reply in failed if id(reply) not in excused), None)
 

@@ -1,19 +1,16 @@
 """Table of the calls that the state machines of 3.2.3 and 4.2.4 allow, and how rules ask for calls."""
 
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import dataclass
-from itertools import islice
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.actions import Pair
+from fmus.compliance.differential import Row
 from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Check, NotApplicableError, NotJudgedError, rule_of
 from fmus.compliance.script import VECTORS, Action, Reply, Script
-from fmus.fmi.binding import DISCARD, ERROR, FATAL, OK, WARNING
+from fmus.fmi.binding import ERROR, FATAL
 
 NAME = "instance of the tour"
 _MOST_FAILED = 5  # calls of a tour
@@ -23,29 +20,19 @@ _SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
 
 Calls = Callable[[Probe, str], Iterable[Action]]
 
-STATES = {CO_SIMULATION: "IMBCFTD", MODEL_EXCHANGE: "IMEKTD"}
-"""I instantiated, M initialization mode, B and C step complete, before the first step and after one, F step
-failed, E event mode, K continuous-time mode, T terminated, D after an error.
+STATES = {CO_SIMULATION: "IMBCTD", MODEL_EXCHANGE: "IMEKTD"}
+"""I instantiated, M initialization mode, B and C step complete, before the first step and after one, E event
+mode, K continuous-time mode, T terminated, D after an error.
 """
 
 
-def _way(probe: Probe, state: str) -> Iterable[Action]:
-    """Returns actions that lead to a state; those of B, C and what follows save it in slot 0, if they can."""
-    begin = do.begin, *([do.save()] if probe.fmu.claims(_SAVES) else [])
-    if state == "F":
-        return *begin, do.step(discarded_step(probe) + 1), do.in_state("step failed")
+def _way(state: str) -> Iterable[Action]:
+    """Returns actions that lead to a state."""
     return {
         "I": (), "M": (do.initialise,), "B": (do.begin,), "C": (do.begin, do.step()), "E": (do.begin,),
         "K": (do.begin, do.enter_continuous_time_mode),
-        "T": (do.begin, do.step(), do.terminate), "D": (*begin, do.fail, do.in_state("error")),
+        "T": (do.begin, do.step(), do.terminate), "D": (do.begin, do.fail, do.in_state("error")),
     }[state]  # fmt: skip
-
-
-def discarded_step(probe: Probe) -> int:
-    """Returns the number of equal steps before the first that the FMU discards."""
-    if probe.shared.discarded_step is None:
-        raise NotApplicableError("no step is discarded")
-    return probe.shared.discarded_step
 
 
 def _log(probe: Probe, _: str) -> Iterator[Action]:
@@ -69,16 +56,11 @@ def _save(probe: Probe, _: str) -> Iterator[Action]:
 
 
 def _set(probe: Probe, state: str) -> Iterator[Action]:
-    """Yields what sets variables to their start values; where that is forbidden, one of each type."""
+    """Yields what sets variables to their start values."""
     at_first = {"I": values.settable_before, "M": values.settable_in_initialization}
     chosen = at_first.get(state, values.settable_while_stepping)(probe.fmu)
     pairs = values.start_values(chosen if state != "K" else values.continuous_reals(probe, "input"))
-    yield from (do.set_values([pair]) for pair in (of_each_type(pairs) if state == "T" else pairs))
-
-
-def of_each_type(pairs: Iterable[Pair]) -> Iterable[Pair]:
-    """Returns the first variable of each type, with its value."""
-    return {v.base_kind: (v, x) for v, x in reversed([*pairs])}.values()
+    yield from (do.set_values([pair]) for pair in pairs)
 
 
 def _get(probe: Probe, state: str) -> Iterator[Action]:
@@ -89,11 +71,9 @@ def _get(probe: Probe, state: str) -> Iterator[Action]:
         yield from (do.glance(variables), do.glance(variables[::-1]))
 
 
-def output_derivatives(probe: Probe, _: str, orders: Sequence[int] = ()) -> Iterator[Action]:
-    """Yields what reads derivatives of outputs: of each order that is claimed, or of others."""
+def _output_derivatives(probe: Probe, _: str) -> Iterator[Action]:
     outputs = values.references_of(values.continuous_reals(probe, "output"))
-    claimed = range(1, probe.fmu.output_derivative_order + 1)
-    for order in (orders or claimed) if outputs and claimed else ():
+    for order in range(1, probe.fmu.output_derivative_order + 1) if outputs else ():
         yield do.call("output_derivatives", outputs, order)
 
 
@@ -128,7 +108,7 @@ def _one(action: Action) -> Calls:
 
 
 @dataclass(frozen=True)
-class Row:
+class Allowed:
     """Calls with usual arguments, which some states allow.
 
     apart: those of them, on the tour, in which it makes no such call: it leads to another state, or a rule
@@ -143,25 +123,25 @@ class Row:
 # as the tables of 3.2.3 and 4.2.4 have it; fmi2Reset and fmi2FreeInstance are allowed in all states.
 # What reads comes before what sets: by 4.2.4 a slave may refuse fmi2Get* after fmi2Set* until fmi2DoStep
 TABLE = (
-    Row("IMBCFEKT", "", _log),
-    Row("IMBCFEKT", "", _save),
-    Row("MBCFEKT", "", _get),
-    Row("BCFT", "", output_derivatives),
-    Row("MBCFEKT", "", _directional_derivatives),
-    Row("IMEKT", "IMT", vectors),
-    Row("IMBCEK", "", _set),
-    Row("IMBC", "I", _one(do.set_derivatives(0.0))),
-    Row("EK", "EK", _one(do.set_time)),
-    Row("K", "K", _set_states),
-    Row("K", "", _complete_step),
-    Row("E", "", _one(do.call("new_discrete_states"))),
-    Row("I", "I", lambda probe, _: [do.call("set_up_experiment", probe.start_time)]),
-    Row("I", "I", _one(do.call("enter_initialization_mode"))),
-    Row("M", "M", _one(do.plain("fmi2ExitInitializationMode"))),
-    Row("EK", "EK", _one(do.plain("fmi2EnterEventMode"))),
-    Row("E", "E", _one(do.plain("fmi2EnterContinuousTimeMode"))),
-    Row("BC", "BC", _one(do.step())),
-    Row("BCFEK", "BCEK", _one(do.plain("fmi2Terminate"))),
+    Allowed("IMBCEKT", "", _log),
+    Allowed("IMBCEKT", "", _save),
+    Allowed("MBCEKT", "", _get),
+    Allowed("BCT", "", _output_derivatives),
+    Allowed("MBCEKT", "", _directional_derivatives),
+    Allowed("IMEKT", "IMT", vectors),
+    Allowed("IMBCEK", "", _set),
+    Allowed("IMBC", "I", _one(do.set_derivatives(0.0))),
+    Allowed("EK", "EK", _one(do.set_time)),
+    Allowed("K", "K", _set_states),
+    Allowed("K", "", _complete_step),
+    Allowed("E", "", _one(do.call("new_discrete_states"))),
+    Allowed("I", "I", lambda probe, _: [do.call("set_up_experiment", probe.start_time)]),
+    Allowed("I", "I", _one(do.call("enter_initialization_mode"))),
+    Allowed("M", "M", _one(do.plain("fmi2ExitInitializationMode"))),
+    Allowed("EK", "EK", _one(do.plain("fmi2EnterEventMode"))),
+    Allowed("E", "E", _one(do.plain("fmi2EnterContinuousTimeMode"))),
+    Allowed("BC", "BC", _one(do.step())),
+    Allowed("BCEK", "BCEK", _one(do.plain("fmi2Terminate"))),
 )  # fmt: skip
 
 
@@ -222,61 +202,8 @@ def run_with_tolerance(probe: Probe) -> Script:
 # calls that rules ask for
 
 
-@dataclass(frozen=True)
-class Ask:
-    """Calls in a state, all of which return what a rule expects; words: for their arguments."""
-
-    state: str
-    actions: Sequence[Action]
-    words: str = ""
-
-
-@dataclass(frozen=True)
-class Expected:
-    """Statuses that calls return, in words of messages."""
-
-    name: str
-    statuses: frozenset[int]
-
-
-# rules of statuses tell which discard is illegal
-SUCCESS = Expected("ok", frozenset({OK, WARNING, DISCARD}))
-AN_ERROR = Expected("error", frozenset({ERROR}))
-REFUSAL = Expected("error or discard", frozenset({DISCARD, ERROR, FATAL}))
-SYNCHRONOUS = Expected("no pending step", frozenset({OK, WARNING, DISCARD, ERROR, FATAL}))
-KNOWN_OR_NOT = Expected("ok or discard", frozenset({OK, WARNING, DISCARD}))
-
-
-def call_rule(
-    clause: str, expected: Expected, **options: Any
-) -> Callable[[Callable[[Probe], Iterable[Ask]]], Check]:
-    """Makes a function that yields calls a rule: its docstring is what the rule claims.
-
-    options: of `behaviour_rule`
-    """
-    return rule_of(lambda probe, asks: _unexpected(probe, expected, asks(probe)), clause, **options)
-
-
-def _unexpected(probe: Probe, expected: Expected, asks: Iterable[Ask]) -> Iterator[str]:
-    """Yields the first call of each script that does not return what is expected."""
-    chosen, scripts = list[Ask](), list[Script]()
-    for ask in (ask for ask in asks if ask.state in STATES[probe.fmu.interface]):
-        # perhaps no call that returns error is known
-        with suppress(*([NotJudgedError] if ask.state == "D" else [])):
-            scripts.append(probe.script(*_way(probe, ask.state), logging=True))
-            chosen.append(ask)
-    all_replies = [script.write(ask.actions) for script, ask in zip(scripts, chosen, strict=True)]
-    for script in scripts:
-        script.is_forbidden = expected is REFUSAL
-    # that a step is discarded, in the state F, is no reason
-    with suppress(*([NotJudgedError] if any(ask.state == "F" for ask in chosen) else [])):
-        probe.play_once(scripts)
-    for script, ask, replies in zip(scripts, chosen, all_replies, strict=True):
-        if any(error.status != ERROR for error, _ in script.errors):
-            continue  # no call that returns error is known
-        wrong = (reply for reply in replies if reply.status not in (None, *expected.statuses))
-        for reply in islice(wrong, 1):
-            first = f"after {replies[0].function} in" if reply is not replies[0] else "in"
-            call = f"{reply.function}{ask.words or reply.words} {reply.status_name}"
-            logged = "" if reply.ok else f"; {reply.logged}"
-            yield f"{first} the state {replies[0].state!r} {call}: expected {expected.name}{logged}"
+def in_states(probe: Probe, states: str, *actions: Action) -> Iterator[Row]:
+    """Yields a row for each state that the interface has: calls in it that succeed."""
+    for state in states:
+        if state in STATES[probe.fmu.interface]:
+            yield Row("", (*_way(state), *actions), (), failing="in the state {state!r}")

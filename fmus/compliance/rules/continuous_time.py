@@ -11,7 +11,7 @@ from fmus.compliance.fmu_file import MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.rules.events import Event, change, discrete_variables, no_states, of_events
-from fmus.compliance.script import VECTORS, Action, Given, Reading, Script
+from fmus.compliance.script import VECTORS, Action, Reading, Script
 from fmus.compliance.values import same, unless_claimed
 from fmus.compliance.variable import Variable
 
@@ -100,19 +100,6 @@ def _row(
 ) -> Row:
     """Returns a row whose runs are in continuous-time mode."""
     return Row(when, (_enter, *varied), (_enter, *usual) if usual else (), tolerance=tolerance, **options)
-
-
-@_rule_of_rows("3.2.1", condition=no_states)
-def states_that_are_set_are_read(_: Probe) -> Iterator[Row]:
-    """fmi2GetContinuousStates gives the states that fmi2SetContinuousStates has set."""
-
-    def read(script: Script) -> None:
-        _, states = script.calls[-1]
-        script.write([do.read_vectors([_STATES])])
-        names = [v.name for v in script.observed[-1][2].groups[_STATES]]
-        script.expected.append(Given(dict(zip(names, states, strict=True))))
-
-    yield _row("after it was set", (_move(0.7), read, _move(-0.7), read), tolerance=0.0, again="{}")
 
 
 @_rule("3.2.1")

@@ -1,20 +1,19 @@
 """Derivatives of outputs and of inputs in time, beside finite differences."""
 
-import itertools
 import math
-from collections.abc import Iterator
-from functools import partial
+from collections.abc import Iterator, Sequence
+from itertools import chain
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.differential import Row, differences, differential
+from fmus.compliance.differential import Row, differential
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import NotApplicableError, behaviour_rule
+from fmus.compliance.rule import behaviour_rule
 from fmus.compliance.rules import finite_differences as finite
+from fmus.compliance.script import Action, CallError
 from fmus.compliance.variable import Variable
 
-_TRANSFER = "4.2.1"
 _INTERPOLATES = values.unless_claimed(values.INTERPOLATES)
 _STEPS = 8
 _SHORT = 0.30901699  # of a step: no simple fraction, so that nothing that repeats with it stands still
@@ -28,31 +27,26 @@ def _orders(fmu: FmuFile) -> str:
     return "" if fmu.output_derivative_order > 0 else "maxOutputDerivativeOrder is 0"
 
 
-_rule_of_outputs = partial(behaviour_rule, condition=_orders)
-
-
-def _outputs(probe: Probe, part: float = 1.0) -> dict[str, list[list[float]]]:
-    """Returns the values of continuous outputs, and their derivatives of each order that is claimed."""
-    chosen = values.continuous_reals(probe, "output")
-    return finite.series(probe, chosen, _STEPS, part, probe.fmu.output_derivative_order)
-
-
 def _output_slopes(probe: Probe, part: float = 1.0) -> dict[str, finite.Slopes]:
+    """Returns the slopes of continuous outputs after steps of a part of the step size; none where short steps
+    fail. Raises CallError where steps of the usual size fail.
+    """
+    size, outputs = part * probe.step_size, values.continuous_reals(probe, "output")
+    steps = (do.call("do_step", probe.point(0) + i * size, size) for i in range(_STEPS if outputs else 0))
+    read = do.read(outputs), do.read_slopes(outputs)
+    script = do.played(probe, [do.begin, *chain(*((step, *read) for step in steps))], logging=True)
+    if (failure := script.failure) and part == 1.0:
+        raise CallError(failure.problem)
+    rows = [] if failure else [reading.values for *_, reading in script.observed]
+    series = ((v.name, *([row[v.name] for row in rows[k::2]] for k in range(2))) for v in outputs)
     return {
-        name: finite.Slopes(outputs, first, part * probe.step_size)
-        for name, (outputs, first, *_) in _outputs(probe, part).items()
-        if all(map(math.isfinite, outputs))
+        name: finite.Slopes(xs, slopes, size)
+        for name, xs, slopes in series
+        if xs and all(map(math.isfinite, xs))
     }
 
 
-@_rule_of_outputs("4.2.1")
-def output_derivatives(probe: Probe) -> Iterator[str]:
-    """After a step the derivatives of continuous Real outputs can be read, of each order that is claimed."""
-    _outputs(probe)
-    yield from ()
-
-
-@_rule_of_outputs("4.2.1")
+@behaviour_rule("4.2.1", condition=_orders)
 def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
     """The first derivative of an output is 0, where its order is lower, or its slope: near the difference
     quotients before and after it.
@@ -66,36 +60,7 @@ def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
             yield f"{name}: its derivative is that of the step's begin: expected that of its end"
 
 
-@_rule_of_outputs("4.2.1")
-def higher_output_derivatives_are_right(probe: Probe) -> Iterator[str]:
-    """A derivative of an output of a higher order is 0, where its order is lower, or the slope of the one
-    before; each of several that are read in one call is its own.
-    """
-    messages = list(differences(probe, _read_together(probe)))
-    yield from messages
-    for name, (_, *orders) in _outputs(probe).items() if not messages else ():
-        for order, (lower, higher) in enumerate(itertools.pairwise(orders), 2):
-            is_finite = all(map(math.isfinite, [*lower, *higher]))
-            if is_finite and (wrong := finite.Slopes(lower, higher, probe.step_size).wrong()):
-                yield f"{name}, order {order}: {wrong}"
-
-
-def _read_together(probe: Probe) -> Iterator[Row]:
-    """Yields rows of derivatives that one call reads, all of the first order, and of different ones."""
-    chosen, highest = values.continuous_reals(probe, "output"), probe.fmu.output_derivative_order
-    alternating = [1 + (highest - 1) * (i % 2) for i in range(len(chosen))]
-    for orders in ([1] * len(chosen), alternating, [1 + highest - order for order in alternating]):
-        names = " or ".join(str(order) for order in sorted(set(orders)))
-        when = f"as derivative of order {names}, read in one call with those of others"
-        together, alone = (do.read_slopes(chosen, orders=orders, alone=x) for x in (False, True))
-        begin = do.begin, do.step(3)
-        yield Row(when, (*begin, together), (*begin, alone), again="{}, as alone")
-
-
 # derivatives of inputs
-
-
-_rule_of_inputs = partial(behaviour_rule, _TRANSFER, _INTERPOLATES)
 
 
 @differential("4.2.1", condition=_INTERPOLATES)
@@ -106,22 +71,21 @@ def input_derivatives(_: Probe) -> Iterator[Row]:
     yield Row("where derivatives of inputs were set to 0", varied, failing="", tolerance=values.RESTARTED)
 
 
-@_rule_of_inputs()
+@behaviour_rule("4.2.1", condition=_INTERPOLATES)
 def input_derivatives_have_an_effect(probe: Probe) -> Iterator[str]:
     """The derivative of an input that outputs follow moves them, in the direction of the input itself."""
     inputs = _inputs_by_effect(probe)
     if inputs["backwards"]:
         yield f"the derivative of {inputs['backwards'][0].name} moves outputs against the input in a step"
-    elif inputs["none"] and not inputs["right"]:
-        without = f"the derivative of {inputs['none'][0].name} has no effect in a step"
-        yield f"{without}, as canInterpolateInputs says it has"
+    for v in inputs["none"]:
+        yield f"the derivative of {v.name} has no effect in a step, as canInterpolateInputs says it has"
 
 
-@_rule_of_inputs()
-def each_input_derivative_has_an_effect(probe: Probe) -> Iterator[str]:
-    """If the derivative of one continuous input has an effect, that of each that outputs follow has one."""
-    for v in _inputs_by_effect(probe)["none"]:
-        yield f"the derivative of {v.name} has no effect in a step, where those of other inputs have one"
+def _step(probe: Probe, v: Variable, x: float, slope: float = 0.0) -> Sequence[Action]:
+    """Returns actions that make a step with a value of an input, and a derivative unless that is 0."""
+    derivative = do.call("set_input_derivatives", values.references_of([v]), [1], [slope])
+    begin = do.begin, do.step(), do.set_values([(v, x)])
+    return *begin, *([derivative] if slope else []), do.step(), do.read(probe.outputs)
 
 
 def _inputs_by_effect(probe: Probe) -> dict[str, list[Variable]]:
@@ -129,10 +93,10 @@ def _inputs_by_effect(probe: Probe) -> dict[str, list[Variable]]:
     inputs: dict[str, list[Variable]] = {"right": [], "none": [], "backwards": []}
     for v, value in values.other_values(values.continuous_reals(probe, "input")):
         start = values.start_value(v)
+        slope = (value - start) / probe.step_size
         # held, with another value, and moving to that by its derivative
-        ways = (start, None), (value, None), (start, (value - start) / probe.step_size)
         runs = finite.values_of(
-            probe, (finite.in_steps(probe, v, [x], probe.step_size, slope) for x, slope in ways)
+            probe, [_step(probe, v, *way) for way in ((start,), (value,), (start, slope))]
         )
         held, raised, moving = (rows[0] for rows in runs) if all(runs) else ({}, {}, {})
         names = [name for name, x in held.items() if isinstance(x, float) and raised[name] != x]
@@ -143,29 +107,3 @@ def _inputs_by_effect(probe: Probe) -> dict[str, list[Variable]]:
             is_none = all(moved == 0.0 for _, moved in pairs)
             inputs["none" if is_none else "backwards" if is_backwards else "right"].append(v)
     return inputs
-
-
-@differential("4.2.1", condition=_INTERPOLATES)
-def input_derivatives_are_set_together(probe: Probe) -> Iterator[Row]:
-    """Derivatives of several inputs that are set in one call act as if each is set in a call of its own, also
-    of different orders.
-    """
-    pairs = values.other_values(values.continuous_reals(probe, "input"))
-    if len(pairs) < 2:
-        raise NotApplicableError("fewer than two continuous inputs take another value")
-    mixed = [1 + i % 2 for i in range(len(pairs))]
-    second = do.played(probe, (do.begin, do.set_derivatives(0.0, order=2)))
-    # it may know the first order alone, and tell so by a warning
-    mixtures = [] if second.replies[-1].status else [mixed, [3 - order for order in mixed]]
-    for orders in ([1] * len(pairs), *mixtures):
-        slopes = [
-            (values.references_of([v]), [order], [(x - values.start_value(v)) / probe.step_size**order])
-            for (v, x), order in zip(pairs, orders, strict=True)
-        ]
-        alone = (do.call("set_input_derivatives", *one) for one in slopes)
-        together = do.call(
-            "set_input_derivatives", *(list(itertools.chain(*some)) for some in zip(*slopes, strict=True))
-        )
-        when = f"where one call sets derivatives of {len(pairs)} inputs"
-        begin, end = (do.begin, do.step()), do.run(2)
-        yield Row(when, (*begin, together, end), (*begin, *alone, end), may_fail=True)

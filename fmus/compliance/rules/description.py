@@ -1,7 +1,7 @@
 """Rules of the model description but for variables: head, units, types. FMI 2.0.5, 2.2 and 4.3.1."""
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from fmus.compliance.fmu_file import C_IDENTIFIER, DESCRIPTION, FmuFile, fmpy_problems, schema_errors
@@ -113,11 +113,6 @@ def _display_unit_problem(v: Variable, fmu: FmuFile) -> str:
     return "" if display in known else f"{display!r} of {unit!r} is ignored; {nearest(display, known)}"
 
 
-def _unused(defined: Mapping[str, Any], used: set[str | None]) -> list[str]:
-    """Returns the names that nothing uses; none if an undefined one is used, which may mean one of them."""
-    return [name for name in defined if name not in used] if used - {None} <= defined.keys() else []
-
-
 def _starts_outside(v: Variable, _: FmuFile) -> bool:
     start = number(v.start)
     return start is not None and v.low <= v.high and not v.low <= start <= v.high
@@ -177,8 +172,6 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
          "display unit {name!r} of {value!r} is defined again in line {subject.sourceline}: expected once")),
     row("units-are-defined", _using_units, (_unit_problem, "{name}: {value}")),
     row("display-units-are-defined", _using_units, (_display_unit_problem, "{name}: displayUnit {value}")),
-    row("units-are-used", lambda fmu: _unused(fmu.units, {v.get("unit") for v in _using_units(fmu)}),
-        (anything, "unit {subject!r} is used by no type and no variable: expected it to be, or left out")),
     row("unit-factors", elements("UnitDefinitions/Unit/*"),
         (lambda e, _: number(e.get("factor", "1")) == 0 and f"unit {_owner(e)!r}: {e.tag}",
          "{value} with factor 0: expected another")),
@@ -188,9 +181,6 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
     row("enumeration-items", elements(f"{repeats(_ITEM)}/@name | {repeats(_ITEM, 'value')}/@value"),
         (lambda text, _: [_owner(text.getparent())],
          "enumeration {value[0]!r}: several items have {attrname} {subject!r}: expected one")),
-    row("types-are-used",
-        lambda fmu: _unused(fmu.types, {v.typed.get("declaredType") for v in fmu.variables}),
-        (anything, "type {subject!r} is declared by no variable: expected it to be, or left out")),
     row("range-is-not-empty", _limited,
         (lambda v, _: v.high < v.low, "{name}: max {high:.17g}: expected at least min, {low:.17g}")),
     row("nominal-is-positive", _limited,

@@ -11,12 +11,12 @@ from fmus.compliance import actions as do
 from fmus.compliance import values
 from fmus.compliance.actions import Pair
 from fmus.compliance.differential import starts
-from fmus.compliance.fmu_file import CO_SIMULATION, FmuFile
+from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, behaviour_rule
-from fmus.compliance.rules.finite_differences import NOISE, Column, followers, in_steps, values_of
-from fmus.compliance.script import Action, CallError, Reply, Script
-from fmus.compliance.variable import Variable
+from fmus.compliance.rules.finite_differences import NOISE, Column, followers, values_of
+from fmus.compliance.script import Action, CallError, Reply
+from fmus.compliance.variable import Unknown, Variable
 
 _PARTIAL = "2.1.9"
 _PROVIDES = values.unless_claimed("providesDirectionalDerivative")
@@ -73,7 +73,8 @@ def dependencies_are_declared(probe: Probe) -> Iterator[str]:
     for mode, actions, section, knowns in modes:
         unknowns, pairs = probe.fmu.unknowns[section], values.other_values(knowns[:_MOST_KNOWNS])
         read, taken = do.read([u.variable for u in unknowns]), do.accepted_together(probe, pairs, *actions)
-        sets = itertools.chain(*((do.set_values([pair]), read) for pair in taken))
+        back = [do.set_values(values.start_values([v])) for v, _ in taken]
+        sets = itertools.chain(*((do.set_values([p]), read, b) for p, b in zip(taken, back, strict=True)))
         (run,) = values_of(probe, [(*actions, read, *sets)])
         pairs = [*taken, *(pair for pair in pairs if pair not in taken)]
         for i, (known, value) in enumerate(pairs):
@@ -81,27 +82,10 @@ def dependencies_are_declared(probe: Probe) -> Iterator[str]:
                 u.variable for u in unknowns if not u.depends_on(known) and u.variable is not known
             ]
             names = {v.name for v in independent}
-            if i + 1 >= len(run) or any(run[i][name] != run[i + 1][name] for name in names):
+            if i + 1 >= len(run) or any(run[0][name] != run[i + 1][name] for name in names):
                 changed = followers(probe, actions, known, value, [do.read(independent)])
                 for name in sorted(changed):
                     yield f"{name} changes with {known.name} in {mode}: {_TO_BE_LISTED}"
-
-
-@behaviour_rule("4.2.1", interface=CO_SIMULATION)
-def inputs_act_in_the_next_step(probe: Probe) -> Iterator[str]:
-    """An output that an input changes at once in initialization mode changes with it in the step after it was
-    set, and not only one step later, when the input has its old value again.
-    """
-    for v, value in values.other_values(
-        [v for v in probe.fmu.variables if v.causality == "input"][:_MOST_INPUTS]
-    ):
-        direct = followers(probe, _INITIALIZATION, v, value, [do.read(probe.outputs)])
-        start = values.start_value(v)
-        runs = [in_steps(probe, v, (x, start), probe.step_size) for x in (start, value)] if direct else []
-        (now, later), (changed, then) = r if all(r := values_of(probe, runs)) and r else (({}, {}),) * 2
-        for name in sorted(direct & now.keys()):
-            if now[name] == changed[name] and later[name] != then[name]:
-                yield f"{name} follows {v.name} one step late: expected that in the step after it was set"
 
 
 # directional derivatives
@@ -189,56 +173,48 @@ def _beside_quotients(
 
 @_partial_rule()
 def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
-    """A directional derivative is the sum of the partial derivatives, each times its seed, in every mode."""
-    initial = [u.variable for u in probe.fmu.unknowns[_AT_FIRST[0]] if u.variable.kind == "Real"]
+    """A directional derivative is the sum of the partial derivatives, each times its seed, in every mode; one
+    with respect to an input or a state that is not among the dependencies of an output or a state derivative
+    is zero.
+    """
+    unknowns = {section: probe.fmu.unknowns[section] for section in (*_AT_FIRST, *_STEPPING)}
     inputs, at_first = values.continuous_reals(probe, "input"), _groups_at_first(probe.fmu)
     modes = (
-        (_INITIALIZATION, initial, [*inputs, *(known for known, _ in at_first)]),
-        (_STEP, values.continuous_reals(probe, "output"), [*inputs, *_states(probe.fmu)]),
+        (_INITIALIZATION, _AT_FIRST, [*inputs, *(known for known, _ in at_first)]),
+        (_STEP, _STEPPING, [*inputs, *_states(probe.fmu)]),
     )
-    judged = [(mode, unknowns, knowns) for mode, unknowns, knowns in modes if unknowns and knowns]
+    judged = [
+        (mode, [u for name in sections for u in unknowns[name] if u.variable.kind == "Real"], knowns)
+        for mode, sections, knowns in modes
+    ]
+    judged = [(mode, chosen, knowns) for mode, chosen, knowns in judged if chosen and knowns]
     if not judged:
         raise NotApplicableError("there is no Real known, or neither an output nor an initial unknown")
-    for mode, unknowns, knowns in judged:
-        chosen = list({v.index: v for v in knowns}.values())[:_MOST_DERIVED]
-        yield from _other_sums(probe.script(*mode, logging=True), unknowns, chosen)
+    for mode, chosen, knowns in judged:
+        distinct = list({v.index: v for v in knowns}.values())[:_MOST_DERIVED]
+        yield from _other_sums(probe, mode, chosen, distinct)
 
 
-def _other_sums(script: Script, unknowns: list[Variable], knowns: list[Variable]) -> Iterator[str]:
+def _other_sums(
+    probe: Probe, mode: Iterable[Action], unknowns: Sequence[Unknown], knowns: Sequence[Variable]
+) -> Iterator[str]:
     seed = [2.5 + 0.5 * i for i in range(len(knowns))]
-    partials = [_derive(unknowns, [known]) for known in knowns]
-    *alone, together = script.write([*partials, _derive(unknowns, knowns, seed)])
+    variables = [unknown.variable for unknown in unknowns]
+    script = probe.script(*mode, logging=True)
+    partials = [_derive(variables, [known]) for known in knowns]
+    *alone, together = script.write([*partials, _derive(variables, knowns, seed)])
     script.play()
-    for i, (v, got) in enumerate(zip(unknowns, together.value, strict=True)):
-        parts = [s * reply.value[i] for s, reply in zip(seed, alone, strict=True)]
+    where = f"in the state {together.state!r}"
+    for i, (unknown, got) in enumerate(zip(unknowns, together.value, strict=True)):
+        v, row = unknown.variable, [reply.value[i] for reply in alone]
+        parts = [s * x for s, x in zip(seed, row, strict=True)]
         if not abs(got - sum(parts)) <= _SUMMED * max([abs(got), *map(abs, parts)]) + _CANCELLED * seed[-1]:
             shown, what = values.texts(got, sum(parts)), f"the directional derivative of {v.name}"
-            where = f"in the state {together.state!r}"
             yield f"{what} is {shown[0]} {where}: expected {shown[1]}, the sum of its parts"
-
-
-@_partial_rule()
-def directional_derivatives_are_zero_without_dependency(probe: Probe) -> Iterator[str]:
-    """The derivative with respect to an input, in step mode also to a continuous state, that is not among
-    the dependencies of an output or a state derivative is zero.
-    """
-    inputs, states = values.continuous_reals(probe, "input"), _states(probe.fmu)
-    for section in (*_AT_FIRST, *_STEPPING):
-        mode, knowns = (_STEP, [*inputs, *states]) if section in _STEPPING else (_INITIALIZATION, inputs)
-        groups = list(_unlisted(probe.fmu, section, knowns))
-        for (known, (unknown,)), reply in zip(groups, _derivatives(probe, mode, groups), strict=True):
-            if reply.ok and reply.value[0] != 0.0:
-                got = f"d {unknown.name} / d {known.name} is {reply.value[0]:.9g}"
-                yield f"{got} in the state {reply.state!r}: expected 0, as {section} lists no such dependency"
-
-
-def _unlisted(fmu: FmuFile, section: str, knowns: Sequence[Variable]) -> Iterator[_Group]:
-    """Yields knowns, each with an output or state derivative that lists others and not this one."""
-    for unknown in fmu.unknowns[section]:
-        v = unknown.variable
-        is_observed = v.causality == "output" or section == "Derivatives"
-        if v.kind == "Real" and is_observed:
-            own = [known for known in fmu.variables if known is v or unknown.depends_on(known)]
-            listed = {(known.base_kind, known.reference) for known in own}
-            others = [known for known in knowns if (known.base_kind, known.reference) not in listed]
-            yield from ((known, [v]) for known in others[:_MOST_DERIVED])
+        if v.causality != "output" and unknown.section != "Derivatives":
+            continue
+        aliases = {(x.base_kind, x.reference) for x in probe.fmu.variables if x is v or unknown.depends_on(x)}
+        for known, x in zip(knowns, row, strict=True):
+            if x != 0.0 and (known.base_kind, known.reference) not in aliases:
+                lists = f"expected 0, as {unknown.section} lists no such dependency"
+                yield f"d {v.name} / d {known.name} is {x:.9g} {where}: {lists}"

@@ -10,7 +10,7 @@ from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.differential import Row, differences, differential, verdict
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
-from fmus.compliance.script import Action, CallError, Script
+from fmus.compliance.script import Action, CallError
 
 _OWN_MEMORY, _SAVES = "canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate"
 _NAME = "system.subsystem[2].'instance with a name of its own'.part"
@@ -25,21 +25,14 @@ def _with_a_state(probe: Probe) -> tuple[Action, ...]:
     return do.initialise, set_values, do.exit_initialization_mode, do.step(), *saved
 
 
-# callbacks, and arguments that are valid during a call only
-
-
-def _overwritten(probe: Probe) -> Script:
-    """Returns a run after the arguments of fmi2Instantiate were overwritten."""
-    actions = do.call("set_debug_logging", True, []), do.begin, do.run(2), do.reset, do.begin, do.step()
-    return do.played(probe, [*actions, do.call("used_traps")], name=_NAME, overwritten=True, logging=True)
-
-
 @behaviour_rule("2.1.5")
 def arguments_of_instantiation_are_copied(probe: Probe) -> Iterator[str]:
     """Name, GUID and resource location are not used after fmi2Instantiate returned; a long name is kept
     whole.
     """
-    script, usual = _overwritten(probe), do.played(probe, [do.begin, do.run(2)])
+    actions = do.call("set_debug_logging", True, []), do.begin, do.run(2), do.reset, do.begin, do.step()
+    script = do.played(probe, actions, name=_NAME, overwritten=True, logging=True)
+    usual = do.played(probe, [do.begin, do.run(2)])
     yield from verdict(
         probe, Row("after the arguments of fmi2Instantiate were overwritten", ()), usual, [script]
     )
@@ -48,13 +41,6 @@ def arguments_of_instantiation_are_copied(probe: Probe) -> Iterator[str]:
         yield "messages carry the overwritten instance name: expected a copy of it"
     elif cut := sorted(name for name in names - {_NAME, ""} if _NAME.startswith(name)):
         yield f"messages carry the instance name {cut[0]!r}: expected {_NAME!r}"
-
-
-@behaviour_rule("advice: 2.1.5, a note on the structure of callbacks")
-def callbacks_are_copied(probe: Probe) -> Iterator[str]:
-    """The structure of callbacks is not used after fmi2Instantiate returned."""
-    for callback in _overwritten(probe).replies[-1].value or ():
-        yield f"{callback} was taken from the structure after fmi2Instantiate: expected a copy of it"
 
 
 @differential("2.1.5")
@@ -175,14 +161,3 @@ def _with_location(location: str) -> Row:
     failing = f"with the resource location {location.split('/', maxsplit=1)[0]}{slashes}..."
     when, options = f"with the resource location {location}", {"location": location}
     return Row(when, (do.begin, do.run(2)), failing=failing, options=options)
-
-
-@behaviour_rule("4.3.1", condition=values.if_not_claimed("needsExecutionTool"))
-def needs_no_tool(probe: Probe) -> Iterator[str]:
-    """Without needsExecutionTool, the FMU runs here although no program can be found by the search path."""
-    before = probe.ask("set_search_path", "")
-    try:
-        probe.script(logging=True).begin().step().play()
-    finally:
-        probe.ask("set_search_path", before)
-    yield from ()

@@ -18,7 +18,6 @@ from fmus.compliance.variable import Variable, is_true
 _STEPS = 50  # of the run
 _SOLVED = 1e-6  # relative: what an iterative solver in the FMU may change
 _JUMP = 0.01  # of an indicator of the order of one, in a millionth of a step
-_HYSTERESIS = 1e-6  # of an indicator of the order of one, at most
 _NO_EVENT = "communication point"
 _rule = partial(behaviour_rule, interface=MODEL_EXCHANGE)
 
@@ -163,20 +162,6 @@ def states_that_stay_are_not_announced(event: Event) -> Iterator[str]:
             yield f"at {event.words} no state changes: expected valuesOfContinuousStatesChanged false"
 
 
-@_rule("3.2.2", condition=no_states)
-def states_after_events_are_read(probe: Probe) -> Iterator[str]:
-    """After an event, fmi2GetContinuousStates gives the values that the states have as variables."""
-    names = [v.name for v in _states(probe.fmu)]
-
-    def differing(event: Event) -> Iterator[str]:
-        for name, x in zip(names, event.vectors[-1][0] if event.values else (), strict=False):
-            if not same(x, event.values[name], _SOLVED):
-                got, read = texts(x, event.values[name])
-                yield f"{VECTORS[0]} gives {got} for {name} after {event.words}: expected {read}, as read"
-
-    return of_events(probe, differing)
-
-
 @_rule("2.2.7", condition=no_states)
 def states_that_change_at_events_have_reinit(probe: Probe) -> Iterator[str]:
     """A state that changes at an event after the start has reinit."""
@@ -225,29 +210,6 @@ def next_events_are_ahead(event: Event) -> Iterator[str]:
         yield f"at {event.words} nextEventTime is {last['nextEventTime']:g} s: expected later"
 
 
-@_rule("3.1", condition=_no_indicators)
-def discrete_changes_have_an_event(probe: Probe) -> Iterator[str]:
-    """Discrete variables do not change where event mode is entered although there is no event."""
-    names = [v.name for v in discrete_variables(probe.fmu)]
-    limits: Sequence[float] = ()  # indicators where continuous-time mode begins next
-    messages = list[str]()
-    for event in reversed(_run(probe)[0]):
-        limits, before = event.indicators or limits, event.previous
-        if before is None or event.cause != _NO_EVENT or not event.time > before.time:
-            continue
-        next_event = before.infos[-1]["nextEventTime"] if before.infos else math.inf
-        is_time_event = abs(next_event - event.time) <= 1e-9 * max(1.0, abs(next_event))
-        # within a hysteresis a relation may change before its indicator does
-        is_near = any(abs(z) < _HYSTERESIS for z in limits)
-        for name in names if not is_time_event and not is_near else ():
-            a, b = before.values.get(name), event.values.get(name)
-            if None not in (a, b) and not same(a, b):
-                where = f"at {event.words}, where no event is indicated"
-                expected = "expected a state, time or step event"
-                messages.append(f"{name} changes from {a!r} to {b!r} {where}: {expected}")
-    yield from reversed(messages)
-
-
 # event indicators
 
 
@@ -261,9 +223,7 @@ def event_indicators_are_finite(event: Event) -> Iterator[str]:
 
 @_event_rule("3.2.2", condition=_no_indicators)
 def event_indicators_are_not_zero_at_restart(event: Event) -> Iterator[str]:
-    """After a state, time or step event, no event indicator is 0 when continuous-time mode is entered, also
-    where the event is at 0 exactly.
-    """
+    """After a state, time or step event, no event indicator is 0 when continuous-time mode is entered."""
     # whether the start, or a communication point without an event, is a restart is a matter of reading
     if event.cause not in ("start", _NO_EVENT):
         for i, z in enumerate(event.indicators, 1):

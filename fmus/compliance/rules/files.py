@@ -3,11 +3,10 @@
 import posixpath
 import re
 from collections.abc import Iterator
-from contextlib import suppress
 from functools import lru_cache
 from typing import Any
 
-from fmus.compliance.fmu_file import BrokenMemberError, FmuFile, schema_errors
+from fmus.compliance.fmu_file import FmuFile, schema_errors
 from fmus.compliance.rows import add_rows, elements, repeats, row
 from fmus.compliance.rule import Condition, Stage, rule
 from fmus.compliance.rules.archive import CLAUSE, unreadable
@@ -375,13 +374,3 @@ def terminals_and_icons(fmu: FmuFile) -> Iterator[str]:
     for name in root.xpath(_NAMES_OF_TERMINALS):
         where = f"{TERMINALS}, line {name.getparent().sourceline}"
         yield f"{where}: {name.attrname} {name!r} is that of another: expected one"
-
-
-@rule("2.3.2", Stage.DESCRIPTION, condition=_unless_there(TERMINALS))
-def terminal_icons_exist(fmu: FmuFile) -> Iterator[str]:
-    """Pictures of terminals are beside terminalsAndIcons.xml."""
-    with suppress(BrokenMemberError):  # which another rule tells
-        for element in fmu.parsed(TERMINALS).iter("TerminalGraphicalRepresentation"):
-            path = f"terminalsAndIcons/{element.get('iconBaseName')}.png"
-            if path not in fmu.paths:
-                yield f"{TERMINALS} has iconBaseName {element.get('iconBaseName')!r}: expected {path}"

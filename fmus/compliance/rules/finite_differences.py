@@ -9,8 +9,8 @@ from typing import Any
 from fmus.compliance import actions as do
 from fmus.compliance.actions import Pair
 from fmus.compliance.probe import Probe
-from fmus.compliance.script import Action, CallError
-from fmus.compliance.values import references_of, same, start_value, texts
+from fmus.compliance.script import Action
+from fmus.compliance.values import same, start_value, texts
 from fmus.compliance.variable import Variable
 
 Values = dict[str, Any]
@@ -80,45 +80,6 @@ def followers(
     a, b, c = near.rows
     reals = (name for name in names if isinstance(a[name], float))
     return names - {name for name in reals if abs(c[name] - b[name]) > _SHARE * abs(b[name] - a[name])}
-
-
-def in_steps(
-    probe: Probe, v: Variable, values: Sequence[Any], size: float, slope: float | None = None
-) -> Sequence[Action]:
-    """Returns actions that make steps of a size from the second communication point on, before each of which
-    an input gets a value, and in the end a slope; after each the outputs are read.
-    """
-    actions = [do.begin, do.step()]
-    for i, x in enumerate(values):
-        actions.append(do.set_values([(v, x)]))
-        if slope is not None:
-            actions.append(do.call("set_input_derivatives", references_of([v]), [1], [slope]))
-        actions += do.call("do_step", probe.point(1) + i * size, size), do.read(probe.outputs)
-    return actions
-
-
-def series(
-    probe: Probe, variables: Sequence[Variable], steps: int, part: float = 1.0, orders: int = 0
-) -> dict[str, list[list[float]]]:
-    """Returns the values of Real variables after steps of a part of the step size, and those of their
-    derivatives of each order that is asked for; nothing where short steps fail.
-
-    Raises CallError where steps of the usual size fail.
-    """
-    size, actions = part * probe.step_size, [do.begin]
-    read = do.read(variables), *(do.read_slopes(variables, orders=order + 1) for order in range(orders))
-    for i in range(steps if variables else 0):
-        actions += do.call("do_step", probe.point(0) + i * size, size), *read
-    script = do.played(probe, actions, logging=True)
-    failure = script.failure
-    if failure and part == 1.0:
-        raise CallError(failure.problem)
-    rows = [] if failure else [reading.values for *_, reading in script.observed]
-    return {
-        v.name: [[row[v.name] for row in rows[k :: len(read)]] for k in range(len(read))]
-        for v in variables
-        if rows
-    }
 
 
 class Slopes:

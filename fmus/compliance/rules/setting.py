@@ -65,12 +65,6 @@ def set_up_can_be_repeated(probe: Probe) -> Iterator[Row]:
     yield Row("after a second fmi2SetupExperiment", (another, do.begin, do.run(2)))
 
 
-@differential("advice: a user may want to see windows")
-def visible_instances_run(_: Probe) -> Iterator[Row]:
-    """With visible = fmi2True an instance is created and takes a step."""
-    yield Row("with visible = fmi2True", (do.begin, do.step()), options={"visible": True})
-
-
 @differential("2.1.7")
 def values_are_set_together(probe: Probe) -> Iterator[Row]:
     """Several variables that are set in one call have the values that they have if each is set in a call of

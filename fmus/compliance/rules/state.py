@@ -59,7 +59,8 @@ def state_restores_after_the_end(probe: Probe) -> Iterator[Row]:
     """A state can be set back after fmi2Terminate and after an error, and steps go on from it, up to the stop
     time.
     """
-    past = f"a step to {probe.point(5):g} s {{}}: expected error beyond the stop time {probe.point(4):g} s"
+    last, end = (f"{probe.point(i):g} s" for i in (4, 5))
+    past = f"a step to {end} {{reply.status_name}}: expected error beyond the stop time {last}"
     for end, action in (
         ("fmi2Terminate", do.terminate),
         ("an error of fmi2GetReal", do.fail),

@@ -9,8 +9,6 @@ from fmus.compliance.rows import add_rows, anything, elements, row
 from fmus.compliance.rule import Stage, repeated, rule
 from fmus.compliance.variable import INITIAL, Variable, integer, is_true, number
 
-_LONGEST_NAME = 55
-
 _ESCAPE = r"\\['\"?\\abfnrtv]"
 _QUOTED = rf"'(?:[^'\\\x00-\x1f\x7f]|{_ESCAPE})+'"
 _INDICES = r"\[[0-9]+(?:,[0-9]+)*\]"
@@ -51,10 +49,13 @@ def _outside_of_q_char(name: str, _: FmuFile) -> str:
 
 @rule("2.2.9", Stage.DESCRIPTION, condition=_not_structured)
 def arrays_are_consecutive(fmu: FmuFile) -> Iterator[str]:
-    """Elements of an array follow one another; only derivatives of elements may stand between them."""
+    """Elements of an array follow one another, with the derivatives of elements alone between them, in
+    row-major order: the last index runs fastest.
+    """
     matches = [_STRUCTURED.fullmatch(v.name) and _ELEMENT.fullmatch(v.name) for v in fmu.variables]
     last: dict[tuple[str | None, ...], int] = {}
-    for i, match in enumerate(matches):
+    greatest: dict[str, tuple[list[int], str]] = {}
+    for i, (v, match) in enumerate(zip(fmu.variables, matches, strict=True)):
         if match:
             before, array, after = match.groups("")
             between = range(last.get(match.groups(), i), i)[1:]
@@ -63,19 +64,13 @@ def arrays_are_consecutive(fmu: FmuFile) -> Iterator[str]:
                 name, elements = fmu.variables[others[0]].name, f"{before}{array}[]{after}"
                 yield f"{name} stands between elements of {elements}: expected consecutive elements"
             last[match.groups()] = i
-
-
-@rule("2.2.9", Stage.DESCRIPTION, condition=_not_structured)
-def arrays_are_row_major(fmu: FmuFile) -> Iterator[str]:
-    """Elements of an array are in row-major order: the last index runs fastest."""
-    last: dict[str, tuple[list[int], str]] = {}
-    for name in _structured_names(fmu):
-        array = _INDEXED.sub(lambda match: "[]" if match[1] else match[0], name)  # of every level
-        indices = [int(index) for text in _INDEXED.findall(name) for index in re.findall(r"\d+", text)]
-        before, other = last.get(array, (indices, name))
-        if indices < before:
-            yield f"{name} comes after {other}: expected the last index to run fastest"
-        last[array] = indices, name
+        if _STRUCTURED.fullmatch(v.name):
+            array = _INDEXED.sub(lambda match: "[]" if match[1] else match[0], v.name)  # of every level
+            indices = [int(index) for text in _INDEXED.findall(v.name) for index in re.findall(r"\d+", text)]
+            least, other_name = greatest.get(array, (indices, v.name))
+            if indices < least:
+                yield f"{v.name} comes after {other_name}: expected the last index to run fastest"
+            greatest[array] = indices, v.name
 
 
 def _needs_start(v: Variable) -> bool:
@@ -153,10 +148,6 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
          "type {name!r}: expected a name without tab or line break"),
         (lambda element, fmu: _breaks_grammar(element.get("name"), fmu),
          "type {name!r}: expected a structured name such as Units.Length")),
-    row("variable-names-are-short", _variables,
-        (lambda v, _: len(v.name) > _LONGEST_NAME and len(v.name),
-         f"{{name}} has {{value}} characters: expected at most {_LONGEST_NAME}"),
-        clause="advice: Simulink cuts identifiers off beyond 63 characters"),
     row("quoted-names-have-legal-characters", _structured_names,
         (_outside_of_q_char, "{subject}: {value} between apostrophes: expected a character of Q-char")),
     row("causality-and-variability", lambda fmu: [v for v in fmu.variables if not v.is_legal_pair],

@@ -16,7 +16,7 @@ GLOBALS = "static const char *const TYPE_TEXTS[]"
 # rule, what our python FMUs declare, and what they might claim
 FALSE_CLAIMS = [
     ("input-derivatives", 'canInterpolateInputs="false"', 'canInterpolateInputs="true"'),
-    ("output-derivatives", 'maxOutputDerivativeOrder="0"', 'maxOutputDerivativeOrder="1"'),
+    ("allowed-calls-succeed", 'maxOutputDerivativeOrder="0"', 'maxOutputDerivativeOrder="1"'),
     (
         "directional-derivatives",
         'providesDirectionalDerivative="false"',
