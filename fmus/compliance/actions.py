@@ -145,11 +145,6 @@ def expect(*actions: Action) -> Action:
     return action
 
 
-def attempt(*actions: Action) -> Action:
-    """Makes calls that the FMU may refuse, and then nothing can be compared."""
-    return lambda script: script.attempts.extend(script.write(actions))
-
-
 def ignore(*actions: Action) -> Action:
     """Makes calls whose failure tells nothing."""
     return lambda script: script.ignored.extend(script.write(actions))
@@ -165,10 +160,15 @@ def set_others(variables: Sequence[Variable]) -> Action:
     return ignore(set_values(values.other_values(variables[:MOST_VARIABLES])))
 
 
-def set_at_once(kind: str, pairs: Sequence[Pair]) -> Action:
-    """Sets variables of one type in one call."""
-    contents = [x.encode().hex() if isinstance(x, str) else x for _, x in pairs]
-    return call("set", kind, values.references_of(v for v, _ in pairs), contents)
+def set_at_once(pairs: Sequence[Pair]) -> list[Action]:
+    """Returns actions that set variables, all of one type in one call."""
+    kinds: dict[str, list[Pair]] = {}
+    for v, x in pairs:
+        kinds.setdefault(v.base_kind, []).append((v, x.encode().hex() if isinstance(x, str) else x))
+    return [
+        call("set", kind, values.references_of(v for v, _ in some), [x for _, x in some])
+        for kind, some in kinds.items()
+    ]
 
 
 def set_derivatives(value: float = 1.0, order: int = 1) -> Action:

@@ -281,10 +281,6 @@ class Probe:
     def outputs(self) -> list[Variable]:
         return [v for v in self.fmu.variables if v.causality == "output"]
 
-    def real(self, causality: str) -> list[Variable]:
-        """Returns the Real variables of a causality."""
-        return [v for v in self.fmu.variables if v.causality == causality and v.kind == "Real"]
-
 
 def _sizes(fmu: FmuFile) -> dict[str, Any]:
     """Returns the options of `ModelExchangeInstance`, from the description."""

@@ -130,7 +130,6 @@ class Script:
     creation, end: of the instance
     is_forbidden: whether it makes calls that FMI forbids, or with arguments that it forbids
     expected, observed: readings to be compared; the latter with words for when and where
-    attempts: calls that the FMU may refuse, and then nothing can be compared
     ignored: calls whose failure tells nothing
     errors: calls that return error, each with words for a finding if it does not, and what it may return
     lead: actions that lead `start` from the first communication point to where runs begin
@@ -149,7 +148,7 @@ class Script:
         self._saved: dict[int, tuple[int, str]] = {}  # slot -> number of the next step, state
         self.expected: list[Reading | Given] = []
         self.observed: list[tuple[str, str, Reading]] = []
-        self.attempts, self.ignored = list[Reply](), list[Reply]()
+        self.ignored: list[Reply] = []
         self.errors: list[tuple[Reply, str, Sequence[int]]] = []
         self.lead: Sequence[Action] = ()
         self.has_started = False

@@ -47,7 +47,6 @@ _FUNCTIONS = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*["<]fmi2Functions\.h[">]',
 _NAMES_FUNCTIONS = (b"FMI2_FUNCTION_PREFIX", b"FMI2_OVERRIDE_FUNCTION_PREFIX")
 _DEFINED = re.compile(rb"^(static\s)?[A-Za-z_][\w \t*]*[\s*](\w+)[ \t]*\([^;{}]*\)\s*\{", re.MULTILINE)
 _DECLARED = re.compile(rb"^[A-Za-z_][\w \t*]*[\s*]\w+[ \t]*\([^;{}]*\)\s*;", re.MULTILINE)
-_OF_FMI = re.compile(rb"\bfmi2\w+\s*\([^;{}]*\)\s*\{")
 _MACRO, _CALLED = re.compile(rb"#[ \t]*define[ \t]+(\w+)"), re.compile(rb"\b(\w+)[ \t]*\(")
 _GUARD = re.compile(
     rb"^[ \t]*#[ \t]*if(?:ndef|[ \t]+!defined)\W+(\w+)\W*\n\s*#[ \t]*define[ \t]+\1\b", re.MULTILINE
@@ -282,33 +281,15 @@ def source_prefix_is_defined(fmu: FmuFile) -> Iterator[str]:
     """Sources that include fmi2Functions.h define FMI2_FUNCTION_PREFIX directly before that, or say how their
     build does.
     """
-    sources = _sources(fmu)
-    own = {path: text for path, text in sources.items() if posixpath.basename(path) not in _HEADERS}
+    own = {path: text for path, text in _sources(fmu).items() if posixpath.basename(path) not in _HEADERS}
     including = sorted(path for path, text in own.items() if _FUNCTIONS.search(text))
-    built = [fmu.read(path) for path in fmu.names if path.startswith(_SOURCES) and path not in sources]
-    prefixed = {path for path, text in own.items() if any(name in text for name in _NAMES_FUNCTIONS)}
-    is_built = any(name in text for name in _NAMES_FUNCTIONS for text in built)
-    for path in including if not is_built else ():
-        # another file may include it for its types
-        is_free = prefixed and not _OF_FMI.search(own[path])
-        if not is_free and not prefixed & {path, *_reached(path, own)}:
-            yield f"{path} includes fmi2Functions.h: expected #define FMI2_FUNCTION_PREFIX before that"
-            break
+    built = (fmu.read(path) for path in _files(fmu, _SOURCES) if posixpath.basename(path) not in _HEADERS)
+    if including and not any(name in text for text in built for name in _NAMES_FUNCTIONS):
+        yield f"{including[0]} includes fmi2Functions.h: expected #define FMI2_FUNCTION_PREFIX before that"
     for path in including:
         if between := (_between(own[path]) or b"").split():
             word = b" ".join(between)[:40].decode("utf-8", "replace")
             yield f"{path}: {word} follows FMI2_FUNCTION_PREFIX: expected fmi2Functions.h directly after it"
-
-
-def _reached(path: str, sources: dict[str, bytes]) -> set[str]:
-    """Returns the paths of all sources that a file includes, and these in turn."""
-    reached, left = set[str](), [path]
-    while left:
-        names = {posixpath.basename(name) for name in _included(sources[left.pop()])}
-        new = {other for other in sources if posixpath.basename(other) in names} - reached
-        reached |= new
-        left += new
-    return reached
 
 
 def _between(text: bytes) -> bytes | None:

@@ -82,7 +82,7 @@ def values_are_set_together(probe: Probe) -> Iterator[Row]:
         kind = ordered[0][0].base_kind
         end = do.exit_initialization_mode, do.read([v for v, _ in ordered])
         usual = do.initialise, do.set_values(ordered), *end
-        together = do.initialise, do.set_at_once(kind, ordered), *end
+        together = do.initialise, *do.set_at_once(ordered), *end
         when = f"where one fmi2Set{kind} sets {len(ordered)} variables"
         yield Row(when, together, usual, may_fail=True, again="{}, as it is set alone")
 
@@ -163,7 +163,7 @@ def values_follow_what_is_set(probe: Probe) -> Iterator[Row]:
         # without an effect of others, one variable may have none
         others = do.others_accepted(probe, settable, *begin) if enter not in begin else []
         for v, x in values.other_values(settable[:MOST_VARIABLES]):
-            first = *begin, do.set_values([pair for pair in others if pair[0] is not v])
+            first = *begin, *do.set_at_once([pair for pair in others if pair[0] is not v])
             end = do.set_values([(v, x)]), do.read(readable)
             when = f"where it had been read in {mode} before {v.name} was set"
             varied = *first, do.glance(readable), *end

@@ -62,7 +62,7 @@ def _values_in_runs(probe: Probe) -> Iterator[tuple[str, str, Any]]:
 def _wrong_values(probe: Probe, expected: Callable[[Variable, Any], str]) -> Iterator[str]:
     """Yields values of variables that are wrong. expected: what is expected of one, if it is."""
     variables = {v.name: v for v in probe.fmu.variables}
-    for when, name, value in _values_in_runs(probe):
+    for when, name, value in probe.once("values in runs", lambda: [*_values_in_runs(probe)]):
         if text := expected(variables[name], value) if name in variables else "":
             yield f"{name} is {values.texts(value)[0]} {when}: expected {text}"
 

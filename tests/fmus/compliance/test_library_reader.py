@@ -101,17 +101,16 @@ def test_a_lief_that_cannot_be_imported_ends_the_check_with_its_text(
     assert done.stderr.count("\n") == 1
 
 
-def test_a_library_that_lief_crashes_on_is_one_error(lief_is: Callable[[str], Path], elsewhere: Path) -> None:
-    lief_is(CRASHES)
-    check_failure(examine(elsewhere), f"LIEF cannot read {ELSEWHERE}: SIGABRT: terminate called")
-
-
-def test_a_library_that_lief_hangs_on_is_one_error_after_the_timeout(
-    lief_is: Callable[[str], Path], elsewhere: Path
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [(CRASHES, "SIGABRT: terminate called"), (HANGS, "no message within 0.5 s")],
+    ids=["crash", "hang"],
+)
+def test_a_library_that_lief_crashes_or_hangs_on_is_one_error(
+    lief_is: Callable[[str], Path], elsewhere: Path, text: str, reason: str
 ) -> None:
-    lief_is(HANGS)
-    results = examine(elsewhere, timeout=0.5)
-    check_failure(results, f"LIEF cannot read {ELSEWHERE}: no message within 0.5 s")
+    lief_is(text)
+    check_failure(examine(elsewhere, timeout=0.5), f"LIEF cannot read {ELSEWHERE}: {reason}")
     assert not readers()
 
 

@@ -31,16 +31,18 @@ def fmu(built: Fmus, folder: Path, added: Members, search_path: str = "") -> Pat
     return write(content | {LIBRARY: (folder / "library.so").read_bytes()} | added, folder / "mutant.fmu")
 
 
-def test_a_library_that_is_needed_and_not_there_is_caught(built: Fmus, tmp_path: Path) -> None:
-    broken = broken_rules(fmu(built, tmp_path, {}))
-    expected = "expected it in the FMU, or documentation/externalDependencies.txt"
-    assert broken == {"libraries-are-complete": (f"{LIBRARY} needs {NEEDED}: {expected}",)}
-    documented = fmu(built, tmp_path, {"documentation/externalDependencies.txt": b"libother 1"})
-    assert broken_rules(documented) == {}
-
-
-def test_a_library_that_is_there_and_not_sought_there_is_caught(built: Fmus, tmp_path: Path) -> None:
-    broken = broken_rules(fmu(built, tmp_path, {BESIDE: b""}))
-    expected = f"{LIBRARY} needs {NEEDED}, without RPATH: expected $ORIGIN"
-    assert broken == {"libraries-have-an-rpath": (expected,)}
-    assert broken_rules(fmu(built, tmp_path, {BESIDE: b""}, "$ORIGIN")) == {}
+@pytest.mark.parametrize(
+    ("added", "rule", "expected", "mended"),
+    [
+        ({}, "libraries-are-complete",
+         f"{NEEDED}: expected it in the FMU, or documentation/externalDependencies.txt",
+         ({"documentation/externalDependencies.txt": b"libother 1"}, "")),
+        ({BESIDE: b""}, "libraries-have-an-rpath", f"{NEEDED}, without RPATH: expected $ORIGIN",
+         ({BESIDE: b""}, "$ORIGIN")),
+    ],
+)  # fmt: skip
+def test_a_library_that_is_needed_and_not_there_or_not_sought_there_is_caught(
+    built: Fmus, tmp_path: Path, added: Members, rule: str, expected: str, mended: tuple[Members, str]
+) -> None:
+    assert broken_rules(fmu(built, tmp_path, added)) == {rule: (f"{LIBRARY} needs {expected}",)}
+    assert broken_rules(fmu(built, tmp_path, *mended)) == {}

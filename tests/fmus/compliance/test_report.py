@@ -74,11 +74,6 @@ def test_json_on_standard_output_is_all_that_is_there(wrong: Path) -> None:
     assert_complete(document, wrong, "archive-paths-are-portable", "error")
 
 
-def test_a_deviation_alone_gives_exit_status_0_and_an_error_1(deviating: Path, wrong: Path) -> None:
-    assert main([str(deviating)]) == 0
-    assert main([str(deviating), str(wrong)]) == 1
-
-
 def test_a_file_that_is_not_there_gives_exit_status_2_and_its_name(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -117,6 +112,7 @@ def unjudged(built: Fmus, tmp_path: Path) -> Path:
         ("deviating", "--fail-on deviation --waivers layout.toml", 0),
         ("deviating", "--fail-on deviation --waivers expired.toml", 1),
         ("wrong", "", 1),
+        ("deviating wrong", "", 1),
         ("wrong", "--waivers paths.toml", 0),
         ("wrong", "--only archive-layout", 0),
         ("wrong", "--only archive-layout,archive-paths-are-portable", 1),
@@ -195,10 +191,6 @@ def test_errors_come_first_and_a_waiver_without_effect_is_told(
 
 def test_both_command_lines_are_one() -> None:
     assert fmu.check is check
-
-
-def test_no_fmu_is_bad_usage() -> None:
-    assert main([]) == 2
 
 
 def test_all_shows_the_rules_that_hold_and_those_that_do_not_apply(
