@@ -36,7 +36,7 @@ AT_WORK = {
     "tune l1-pi --out .": "orchestration.score.tune_problem.problem_of",
     "compare --out .": "orchestration.score.score.compare",
     "margins nominal-l1": "orchestration.margins.margins.judge",
-    "design RovDepthPlant --out .": "orchestration.design.rules.design_l1",
+    "design --plant RovDepthPlant --out .": "orchestration.design.rules.design_l1",
     "reproduce": "orchestration.scenarios.run_files.run_all",
     "fit RovDepthPlant --free inertia --data {fmu} --out .": "orchestration.fit.dive.read_dive",
     "identify": "orchestration.fit.identify.metric_units",
