@@ -1,4 +1,4 @@
-"""What Linux, macOS and Windows do differently: processors, memory, processes and locks.
+"""Processors, memory, processes and locks, which Linux, macOS and Windows handle differently.
 
 Calls that not every system has stand here alone, each beside what is done without it.
 """

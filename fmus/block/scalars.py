@@ -7,13 +7,13 @@ from typing import Any
 
 
 def members(value: Any, first: int = 1) -> list[tuple[str, Any]] | None:
-    """Returns path and value of what a tuple or dataclass instance holds, ".name" or "[1]"; None of a scalar.
+    """Returns path and value of what a tuple or dataclass holds, ".name" or "[1]"; None of a scalar.
 
     first: index of the first element of a tuple
     """
     if isinstance(value, tuple):
         return [(f"[{i}]", element) for i, element in enumerate(value, first)]
-    names = _member_names(type(value))
+    names = _member_names(value if isinstance(value, type) else type(value))
     return None if names is None else [(f".{name}", getattr(value, name)) for name in names]
 
 

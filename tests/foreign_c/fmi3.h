@@ -16,6 +16,14 @@
 #define TEXT_STARTS ""
 #endif
 
+/* The status of a call that sets or gets numbers. */
+#ifndef AFTER_SET
+#define AFTER_SET(status) (status)
+#endif
+#ifndef AFTER_GET
+#define AFTER_GET(status) (status)
+#endif
+
 enum Type { Float64, Float32, Int8, UInt8, Int16, UInt16, Int32, UInt32, Int64, UInt64, Boolean, String };
 
 static const struct {
@@ -79,7 +87,7 @@ static const unsigned *variables_of(Face *f, int type, const fmi3ValueReference 
         if (!variables_of(f, Name, vr, n, n_values, "fmi3Get" #Name, variables, &count)) return fmi3Error;         \
         const fmi2Status status = fmi2GetReal(f->slave, variables, count, numbers);                                \
         for (size_t i = 0; i < count; i++) values[i] = (fmi3##Name)numbers[i];                                     \
-        return called(f, status);                                                                                  \
+        return called(f, AFTER_GET(status));                                                                       \
     }                                                                                                              \
     fmi3Status fmi3Set##Name(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3##Name values[],   \
                              size_t n_values) {                                                                    \
@@ -89,7 +97,7 @@ static const unsigned *variables_of(Face *f, int type, const fmi3ValueReference 
         Face *f = c;                                                                                               \
         if (!variables_of(f, Name, vr, n, n_values, "fmi3Set" #Name, variables, &count)) return fmi3Error;         \
         for (size_t i = 0; i < count; i++) numbers[i] = (double)values[i];                                         \
-        return called(f, fmi2SetReal(f->slave, variables, count, numbers));                                        \
+        return called(f, AFTER_SET(fmi2SetReal(f->slave, variables, count, numbers)));                             \
     }
 
 EXCHANGES(Float64)

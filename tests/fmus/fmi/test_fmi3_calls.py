@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fmus.errors import FmuError, FmuWarning
 from fmus.fmi import fmi3
 from fmus.fmi.description import describe, of_causality
 from fmus.fmi.instance import FmuInstance
@@ -96,6 +97,65 @@ def start_of(variable: ScalarVariable) -> Any:
     if variable.type == "String":
         return text.encode()
     return {"true": 1, "false": 0}[text] if variable.type == "Boolean" else float(text)
+
+
+def test_a_call_may_be_longer_than_the_variables_and_name_a_string_twice(path: Path) -> None:
+    description = describe(path)
+    references = {v.name: v.valueReference for v in description.modelVariables}
+    matrix = [references[f"matrix_in[{i},{j}]"] for i in (1, 2) for j in (1, 2, 3)]
+    texts = [references[f"text_in[{i}]"] for i in (1, 2, 3)]
+    with FmuInstance("m", path, description) as instance:
+        assert instance.get_values("Real", matrix * 500) == [1.5, 2.5, 3.5, 4.5, 5.5, 6.5] * 500
+        read = instance.get_values("String", [*texts, texts[1], *texts, references["word_in"]])
+        assert read == [b"one", b"two", b"three", b"two", b"one", b"two", b"three", b"four"]
+
+
+@pytest.mark.parametrize(("name", "low", "high"), [("byte_in[1]", -128, 127), ("short_in", 0, 65535)])
+def test_an_integer_is_set_within_the_range_of_its_type(path: Path, name: str, low: int, high: int) -> None:
+    description = describe(path)
+    (variable,) = (v for v in description.modelVariables if v.name == name)
+    with FmuInstance("m", path, description) as instance:
+        for value in (low, high):
+            instance.set(variable, value)
+            assert instance.get(variable) == value
+        for value in (low - 1, high + 1):
+            with pytest.raises(FmuError, match=f"fmi3SetU?Int.* {value}: expected {low}..{high}"):
+                instance.set(variable, value)
+        assert instance.get(variable) == high
+
+
+@pytest.mark.parametrize(
+    ("macro", "part", "function"),
+    [
+        ("AFTER_SET", 1, "fmi3SetFloat64"),
+        ("AFTER_GET", 1, "fmi3GetFloat64"),
+        ("AFTER_SET", 2, "fmi3SetFloat64"),
+    ],
+)
+def test_a_warning_and_a_discard_of_one_call_are_those_of_all(
+    mirror: Build, macro: str, part: int, function: str
+) -> None:
+    """part: how many of two scalars are set; a part of an array is read first."""
+    pairs = {"row": ("Float64", "[1] 1.5 [2] 2.5")}
+    for status in ("Warning", "Discard"):
+        path = mirror(pairs, {f"{macro}(status)": f"((void)(status), fmi2{status})"})
+        description = describe(path)
+        row = of_causality(description, "input")[:part]
+        with FmuInstance("m", path, description) as instance:
+            if status == "Warning":
+                with pytest.warns(FmuWarning, match=f"{function}: it logged nothing"):
+                    instance.set_all((v, 3.5) for v in row)
+            else:
+                with pytest.raises(FmuError, match=f"{function} returned discard"):
+                    instance.set_all((v, 3.5) for v in row)
+
+
+def test_a_warning_of_the_first_of_two_calls_is_that_of_both(mirror: Build) -> None:
+    pairs = {"double": ("Float64", "1.5"), "single": ("Float32", "2.5")}
+    path = mirror(pairs, {"AFTER_SET(status)": "(vr[0] == 1000 ? fmi2Warning : (status))"})
+    description = describe(path)
+    with FmuInstance("m", path, description) as instance, pytest.warns(FmuWarning, match="fmi3SetFloat64"):
+        instance.set_all((v, 3.5) for v in of_causality(description, "input"))
 
 
 _NESTED = """
