@@ -20,7 +20,7 @@ ROOT = Path(__file__).parent.parent
 README = """l1-depth {version}
 
 Extended L1 adaptive depth control of an underwater vehicle (Maalouf, Chemori and Creuze, NOLCOS 2013)
-as FMI 2.0 FMUs for 64-bit Windows, Linux (x86_64, ARM) and macOS (x86_64, ARM).
+as FMUs of FMI 2.0 and 3.0 for 64-bit Windows, Linux (x86_64, ARM) and macOS (x86_64, ARM).
 
 documentation/index.html   start here: a page on importing for each tool, theory, reference
 fmus/                      all FMUs; each holds its own documentation and C sources
