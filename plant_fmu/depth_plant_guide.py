@@ -52,7 +52,7 @@ sensor     s_k = q(z(t_k) + h + bias + drift (t_k - t_0) + noise n_k) at t_k = t
         "Sides are taken as vertical where the vehicle breaks the surface; no bottom, no tether.",
         "Waves act as on a small body below them, by linear theory: the surface at which the vehicle emerges"
         " stays level, and forces of second order, such as the mean pull towards the surface, are left out.",
-        "At the surface it is a spring of 217 N/m under 5.5 kg, at 6.3 rad/s, and sensor noise in a loop"
+        "At the surface it is a spring of 218 N/m under 5.5 kg, at 6.3 rad/s, and sensor noise in a loop"
         " keeps it bobbing there.",
         "The controllers of this project take the thrust for a line, with a gain and a limit of the voltage"
         " of their own, or invert a table that they have as parameters; they know of no other limit of the"

@@ -17,7 +17,7 @@ LONG = {"internal_step": 0.04}  # s, the longest that the sensor allows: a time 
 
 
 def test_it_floats_five_and_a_half_millimetres_out_of_the_water(driver: Any) -> None:
-    """W - B = -1.2 N over 217 N/m of waterplane."""
+    """W - B = -1.2 N over 218 N/m of waterplane."""
     plant = driver(PLANT, **LONG).begin()
     plant.step(1.0, count=100)
     assert plant["depth"] == pytest.approx(-1.2 / (1000.0 * 9.81 * 0.152 * 0.146), rel=1e-3)
