@@ -4,6 +4,7 @@ It uses Matplotlib's figure classes and a style of its own for each figure, so t
 settings of the caller are touched. The same data give the same file, byte by byte.
 """
 
+import io
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -26,7 +27,7 @@ _COLOURS = (BLUE, ORANGE, GREEN, "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _LINES = ("-", "--", "-.", ":")
 _MARKERS = "osD^v<>ph*PX8dHx+"  # as many as the protocol has laws
 _WIDTH_IN = 7.16  # both columns of an IEEE or IFAC page
-_DPI, _DPI_OF_RUNS = 300, 200  # in print, and to look at
+_DPI, _DPI_OF_RUNS, _DPI_IN_A_NOTEBOOK = 300, 200, 100  # in print, and to look at
 _GAP_IN = 0.24  # between panels, which holds their letters
 _PAD_IN = 0.05  # around everything, and between the numbers of an axis and its label
 _MOST_BESIDE = 0.5  # of the width of a figure that is left to what stands beside its panels
@@ -43,6 +44,16 @@ _METADATA: dict[FigureFormat, dict[str, Any]] = {
 def figure_style() -> AbstractContextManager[None]:
     """Returns a context: figures that are made and written inside it have the style of this module."""
     return style.context(["default", str(Path(__file__).with_name("figures.mplstyle"))])
+
+
+class ShownFigure(Figure):
+    """A figure that a notebook shows, with and without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        stream = io.BytesIO()
+        with figure_style():
+            _write_png(self, stream, _DPI_IN_A_NOTEBOOK)
+        return stream.getvalue()
 
 
 class StackedLayout(LayoutEngine):
@@ -94,7 +105,7 @@ def _outside(panels: Sequence[Axes], renderer: RendererAgg) -> tuple[float, floa
 
 def stacked_panels(heights_in: Sequence[float], x_label: str) -> tuple[Figure, list[Axes]]:
     """Returns a figure as wide as a page: panels (a), (b), ... one below the other, on one time axis."""
-    figure = Figure(figsize=(_WIDTH_IN, sum(heights_in) + 0.4), layout=StackedLayout())
+    figure = ShownFigure(figsize=(_WIDTH_IN, sum(heights_in) + 0.4), layout=StackedLayout())
     grid = figure.subplots(
         len(heights_in), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights_in}
     )
@@ -167,13 +178,20 @@ def run_figure(
     title: str, recording: Recording, path: Path, formats: Sequence[FigureFormat] = (FigureFormat.PNG,)
 ) -> list[Path]:
     """Draws every signal of a run that is a number, one panel for each unit; without estimates of errors."""
-    signals = [name for name in recording.numbers if not name.startswith(ERROR_ESTIMATE)]
+    with figure_style():
+        figure = figure_of(recording)
+        figure.suptitle(title)
+        return write_figure(figure, path, formats, _DPI_OF_RUNS)
+
+
+def figure_of(recording: Recording, names: Sequence[str] = ()) -> Figure:
+    """Returns signals of a run over time, by default those that `run_figure` draws: a panel for each unit."""
+    signals = names or [name for name in recording.numbers if not name.startswith(ERROR_ESTIMATE)]
     units = list(dict.fromkeys(map(recording.unit, signals)))
     with figure_style():
         lines = [sum(recording.unit(name) == unit for name in signals) for unit in units]
         heights = [max(_PANEL_IN, count * _LEGEND_LINE_IN) for count in lines]
         figure, panels = stacked_panels(heights, "Time [s]")
-        figure.suptitle(title)
         for unit, panel in zip(units, panels, strict=True):
             names = [name for name in signals if recording.unit(name) == unit]
             for index, name in enumerate(sorted(names, key=lambda name: -_roughness(recording[name]))):
@@ -190,7 +208,7 @@ def run_figure(
                 panel.invert_yaxis()
             panel.set_ylabel(f"[{unit or '1'}]")
             panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02))
-        return write_figure(figure, path, formats, _DPI_OF_RUNS)
+        return figure
 
 
 def _roughness(values: np.ndarray) -> float:

@@ -17,6 +17,7 @@ from orchestration.results import files
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+    from matplotlib.figure import Figure
 
 P = ParamSpec("P")
 TIME = files.TIME
@@ -61,6 +62,10 @@ class Recording(files.Columns):
         """Returns the number of signals; `len(recording.time)` is that of communication points."""
         return len(self.names)
 
+    def keys(self) -> tuple[str, ...]:
+        """Returns the names of the signals."""
+        return self.names
+
     @property
     def run_count(self) -> int | None:
         """Number of runs; None without an axis of runs."""
@@ -89,9 +94,31 @@ class Recording(files.Columns):
         return _as_text(self.units, self.time, {name: self[name] for name in self.names})
 
     def _repr_html_(self) -> str:
-        from html import escape  # of a notebook alone
+        from base64 import b64encode  # of a notebook alone
+        from html import escape
 
-        return f"<pre>{escape(repr(self))}</pre>"
+        text = f"<pre>{escape(repr(self))}</pre>"
+        if self.run_count is not None or not self.numbers or len(self.time) < 2:
+            return text
+        figure: Any = self.plot(*self.numbers[:_MOST_DRAWN])
+        return (
+            f'{text}<img width="480" src="data:image/png;base64,{b64encode(figure._repr_png_()).decode()}">'
+        )
+
+    def plot(self, *names: str) -> "Figure":
+        """Returns a Matplotlib figure of signals over time, by default all numbers: a panel for each unit.
+
+        A notebook shows it, `savefig` writes it. OrchestrationError for a signal that was not recorded, a
+        String, and a recording of many runs, of which `run(i)` is one.
+        """
+        if self.run_count is not None:
+            raise OrchestrationError(f"a recording of {self.run_count} runs: expected one, such as run(0)")
+        for name in names:
+            if self._column(name) is not None and name in self.strings:
+                raise OrchestrationError(f"{name} is a String: expected numbers to plot")
+        from orchestration.results.figures import figure_of  # which takes a while to import
+
+        return figure_of(self, names)
 
     def to_pandas(self) -> "pd.DataFrame":
         """Returns a column a signal over the time [s]; `attrs` holds "units" (name -> unit), "provenance"."""
@@ -159,7 +186,7 @@ def run_by_run(
     return metric
 
 
-_MOST = 30  # signals shown
+_MOST, _MOST_DRAWN = 30, 6  # signals shown in the text and in the picture of a notebook
 _HEADINGS = ("signal", "unit", "least", "largest", "last")
 
 

@@ -1,12 +1,16 @@
 """A recording survives its file exactly and becomes what others work with; a failed write leaves nothing."""
 
+import base64
+import io
 import json
 import math
+import re
 import resource
 import sys
 import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +21,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from PIL import Image
 
 from orchestration.errors import OrchestrationError
 from orchestration.results.files import is_recording, reserved
@@ -235,6 +240,7 @@ def test_a_recording_is_a_collection_of_its_signals() -> None:
     assert 0 not in run
     assert list(run) == ["a.x", "b.y[1,2]", "odd [name", "odd name]", "odd [name]"]
     assert len(run) == 5
+    assert run.keys() == tuple(run)
 
 
 def recording(count: int = 2, points: int = 3) -> Recording:
@@ -270,6 +276,38 @@ def test_a_notebook_shows_the_same() -> None:
     shown = run._repr_html_()
     assert shown.startswith("<pre>Recording of 1 signal at 1 point")
     assert "a.&lt;b&gt;" in shown
+    assert "<img" not in shown  # a single point is no curve
+
+
+def test_a_notebook_shows_a_small_picture_below_the_text() -> None:
+    shown = recording(8)._repr_html_()
+    picture = re.search(r'src="data:image/png;base64,([^"]+)"', shown)
+    assert picture
+    with Image.open(io.BytesIO(base64.b64decode(picture[1]))) as image:
+        assert 400 < image.width < 1000
+    assert len(shown) < 100_000
+
+
+def test_chosen_signals_are_plotted_over_time() -> None:
+    run = recording(3)
+    (panel,) = run.plot("a.x[2]", "a.x[0]").axes
+    assert {line.get_label() for line in panel.get_lines()} == {"a.x[0]", "a.x[2]"}
+    for line in panel.get_lines():
+        np.testing.assert_array_equal(
+            line.get_xydata(), np.column_stack([run.time, run[str(line.get_label())]])
+        )
+    (everything,) = run.plot().axes
+    assert len(everything.get_lines()) == 3
+
+
+def test_what_cannot_be_plotted_is_refused() -> None:
+    run = recording()
+    with pytest.raises(OrchestrationError, match=r"nearest is 'a\.x\[1\]'"):
+        run.plot("a.x[0]", "a.y[1]")
+    with pytest.raises(OrchestrationError, match=r"a recording of 2 runs: expected one, such as run\(0\)"):
+        replace(run, values=np.stack([run.values, run.values])).plot()
+    with pytest.raises(OrchestrationError, match=r"a\.x\[0\] is a String"):
+        replace(run, strings={"a.x[0]": ("off", "on", "no")}).plot("a.x[0]")
 
 
 def test_the_unit_of_an_unknown_signal_offers_the_nearest() -> None:
