@@ -132,7 +132,7 @@ def build(
     with progress("build", len(orders)) as bar, closing(_built(orders, current)) as built:
         for files in built:
             if not isinstance(files, ExportError):
-                print(*files, sep="\n")
+                print(*files, sep="\n", flush=True)
             elif names:
                 raise files
             else:

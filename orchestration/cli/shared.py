@@ -102,12 +102,19 @@ def console(piped_width: int = PIPED_WIDTH) -> "Console":
     return Console(width=None if sys.stdout.isatty() else piped_width)
 
 
+LINE_EVERY_S = 30.0
+
+
 class ProgressBar:
-    """A bar of how much of a command is done, shown on a terminal after `delay` seconds."""
+    """A bar of how much of a command is done, shown on a terminal after `delay` seconds.
+
+    Where there is none, as in a log, standard error gets a line from time to time (`LINE_EVERY_S`).
+    """
 
     def __init__(self, description: str, total: int, delay: float, stack: ExitStack) -> None:
         self._description, self._total, self._stack = description, total, stack
         self._shown_from = time.monotonic() + delay
+        self._next_line = time.monotonic() + LINE_EVERY_S
         self._bar: tuple[Progress, TaskID] | None = None
         self.done = 0
         self._show(0, total)
@@ -122,12 +129,21 @@ class ProgressBar:
 
     def _show(self, done: int, total: int, note: str = "") -> None:
         self.done = done
-        if not self._bar and sys.stderr.isatty() and time.monotonic() >= self._shown_from:
+        if self._bar is None and not sys.stderr.isatty():
+            self._write_line(done, total, note)
+        elif self._bar is None and time.monotonic() >= self._shown_from:
             self._bar = self._opened()
         if self._bar:
             bar, task = self._bar
             description = f"{self._description} {note}".rstrip()
             bar.update(task, completed=done, total=total, description=description)
+
+    def _write_line(self, done: int, total: int, note: str) -> None:
+        if time.monotonic() >= self._next_line:
+            self._next_line = time.monotonic() + LINE_EVERY_S
+            print(
+                f"{self._description} {note}".rstrip() + f": {done} of {total}", file=sys.stderr, flush=True
+            )
 
     def _opened(self) -> "tuple[Progress, TaskID]":
         from rich.console import Console

@@ -12,6 +12,7 @@ import pytest
 import typer
 
 from fmus.files import write_archive
+from orchestration.cli import shared
 from orchestration.cli.app import app
 from orchestration.fit import identify as identification
 from orchestration.scenarios import scenario
@@ -191,3 +192,19 @@ def test_identify_writes_to_the_working_folder_and_not_into_the_package(
     assert command("identify").stdout.endswith("\nidentified.toml\n")
     assert scenario.parameter_values(tmp_path / "identified.toml") == gains
     assert shipped.read_bytes() == before
+
+
+def test_a_log_gets_a_line_of_progress_from_time_to_time(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Standard error is no terminal here."""
+    clock = [0.0]
+    monkeypatch.setattr("orchestration.cli.shared.time.monotonic", lambda: clock[-1])
+    with shared.progress("score", 100) as bar:
+        for now in (1.0, 29.9, 30.0, 31.0, 59.9, 60.0):
+            clock.append(now)
+            bar.advance(10, "of plants")
+    assert capsys.readouterr().err.splitlines() == [
+        "score of plants: 30 of 100",
+        "score of plants: 60 of 100",
+    ]
