@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import rule
 
 from fmus.block.variables import BlockVariable
+from fmus.build.fmi3 import extents
 
 from .native_beside import NAMES, SELDOM, TINY, Beside
 from .native_model import ALL, ERROR, INITIALIZATION, INSTANTIATED, OK, STEPPING, TERMINATED, WRITABLE, Model
@@ -279,7 +280,6 @@ class Calls3(Calls):
     """
 
     model: ClassVar[type[Model]] = Model3
-    models: dict[int, Model3]
     setup: ClassVar[str] = "enter"
     refusable: ClassVar[str] = "RIE"
     derivatives: ClassVar[tuple[str, ...]] = (*Calls.derivatives, "adjoint_derivative")
@@ -296,7 +296,7 @@ class Calls3(Calls):
         self.call(slot, "enter", *(setup or (0.0, False, 0.0)))
 
     def beyond(self) -> int:
-        return len(self.models[0].extents)
+        return len(extents(self.block))
 
     def instantiate(self, slot: int, name: str, logging: bool) -> None:
         super().instantiate(slot, name, logging)
