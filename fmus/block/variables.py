@@ -24,7 +24,7 @@ def variable(
     min: Numbers | None = None,
     max: Numbers | None = None,
     nominal: Numbers | None = None,
-    variability: Literal["fixed", "tunable"] | None = None,
+    variability: Literal["fixed", "tunable", "discrete"] | None = None,
     source: str = "",
 ) -> Start:
     """Declares one variable of a block.
@@ -35,7 +35,8 @@ def variable(
         a number.
     display_unit: in which tools may show the value, such as "deg" beside the unit "rad".
     unit, display_unit, min, max, nominal: one value, or a tuple of the shape of `start`.
-    variability: "fixed" or "tunable" for a parameter; otherwise the class decides.
+    variability: "fixed" or "tunable" for a parameter; "discrete" for a Real input or output that changes at
+        events alone; otherwise class and type decide.
     source: where a number comes from: published, estimate or guess.
     """
     start = plain(start)

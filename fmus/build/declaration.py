@@ -116,6 +116,7 @@ def _mistakes(declared: Field, role: str) -> Iterator[str]:
         return
     if not declared.name.isascii():
         yield "expected ASCII letters, digits and underscores"
+    variability = declared.metadata["variability"]
     yield from _type_mistakes(declared)
     if not any(isinstance(scalar, float) for scalar in flatten(declared.default)):
         for text in flatten(tuple(declared.metadata["units"].values())):
@@ -125,7 +126,8 @@ def _mistakes(declared: Field, role: str) -> Iterator[str]:
         for nominal in flatten(declared.metadata["ranges"]["nominal"]):
             if nominal is not None:
                 yield f"nominal {nominal!r}: expected none, only a Real has a nominal value"
-    variability = declared.metadata["variability"]
+        if variability == "continuous":
+            yield "variability 'continuous': expected 'discrete', only a Real is continuous"
     if variability is not None and variability not in _VARIABILITIES[role]:
         yield f"variability {variability!r}: expected {' or '.join(map(repr, _VARIABILITIES[role]))}"
     for group in ("units", "ranges"):

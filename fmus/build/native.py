@@ -166,7 +166,8 @@ def _row(v: BlockVariable, reals_only: bool) -> str:
 def _access(v: BlockVariable, reals_only: bool, fmi: int) -> str:
     settable = _SETTABLE[v.variability] if v.settable else "NEVER"
     kind = v.type if fmi == 3 else TRANSFER_TYPE[v.type]
-    return f"{{{'REAL' if reals_only else kind.upper()}, {settable}}}"
+    is_continuous = int(v.variability == "continuous")
+    return f"{{{'REAL' if reals_only else kind.upper()}, {settable}, {is_continuous}}}"
 
 
 def _range(v: BlockVariable) -> tuple[float, float]:

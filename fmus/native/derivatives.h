@@ -30,7 +30,7 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
     for (size_t i = 0; i < nvr; i++) {
         const char *name = VARIABLES[vr[i]].name;
         if (!is_input(vr[i])) return refuse(instance, fmi2Error, "%s: %s: expected an input", function, name);
-        if (VARIABLES[vr[i]].whole || VARIABLES[vr[i]].items)
+        if (!ACCESS[vr[i]].is_continuous)
             return refuse(instance, fmi2Error, "%s: %s: expected a continuous input", function, name);
         if (!isfinite(value[i]))
             return refuse(instance, fmi2Error, "%s: %s: derivative %s: expected a finite number", function, name,

@@ -36,7 +36,7 @@ static Status to_mode(Instance *instance, int modes, Mode mode, const char *func
 /* 3.2.2; 3.2.3: in continuous-time mode, and without effect in event mode of FMI 2.0. Discrete outputs may change. */
 Status FMI(EnterEventMode)(void *c) {
     const Status status = to_mode(c, EVENT_TOO | CONTINUOUS_TIME, EVENT, NAME(EnterEventMode));
-    if (status == OK && N_WHOLE_OUTPUTS > 0) ((Instance *)c)->data.outputs_are_stale = 1;
+    if (status == OK) ((Instance *)c)->data.outputs_are_stale = 1;
     return status;
 }
 

@@ -173,7 +173,7 @@ static void data_hold(const Data *d, const double *state, const double *c, doubl
 }
 
 /* Outputs, and until stepping begins the initial state, which follow parameters and inputs. In continuous-time mode
- * whole numbers rest: they are discrete (2.2.7). */
+ * discrete ones rest (2.2.7). */
 static Outcome data_refresh(Data *d, int *broken) {
     double fresh[N_CALCULATED + 1], state[N_STATES + 1], outputs[N_OUTPUTS + 1];
     const double *p = d->value, *c;
@@ -187,8 +187,8 @@ static Outcome data_refresh(Data *d, int *broken) {
         model_initial_state(d->time, p + FIRST_INPUT, p, c, state);
     }
     model_output(d->time, state, p, c, outputs);
-    for (int i = 0; i < N_WHOLE_OUTPUTS && d->mode == CONTINUOUS_TIME; i++)
-        outputs[WHOLE_OUTPUTS[i]] = d->value[FIRST_OUTPUT + WHOLE_OUTPUTS[i]];
+    for (int i = 0; i < N_OUTPUTS && d->mode == CONTINUOUS_TIME; i++)
+        if (!ACCESS[FIRST_OUTPUT + i].is_continuous) outputs[i] = d->value[FIRST_OUTPUT + i];
     outcome = checked(state, outputs, broken);
     if (outcome == DONE) data_become(d, d->time, state, outputs, c);
     return outcome;

@@ -10,7 +10,7 @@ from fmus.build import builder
 from fmus.build.native import c_sources
 from tests.shared_builds import Fmus, LazyFmus, built_once, session_folder
 
-from .exchanged import BALL
+from .exchanged import BALL, TANK
 from .fmi3_instance import Fmi3Instance
 from .native_block import EVERYTHING, block_named
 from .native_session import GUID, Session, compiled
@@ -52,7 +52,7 @@ def fmi3_built(tmp_path_factory: pytest.TempPathFactory) -> Fmus:
     def build(name: str, folder: Path) -> Path:
         return builder.build_block(block_named(name), folder, fmi=3)
 
-    names = [*builder.block_names(), EVERYTHING.name, BALL.name]
+    names = [*builder.block_names(), EVERYTHING.name, BALL.name, TANK.name]
     return LazyFmus(names, session_folder(tmp_path_factory, "fmi 3"), build)
 
 

@@ -117,6 +117,38 @@ GROWTH = Block(
 )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Valve:
+    inflow: float = variable(0.0, "Rate of the level")
+    opening: float = variable(0.0, "Part of the level that flows out", variability="discrete")
+
+
+@dataclass(frozen=True)
+class Level:
+    level: float = variable(1.0, "Level")
+
+
+@dataclass(frozen=True)
+class Tank(Level):
+    inflow: float = 0.0
+    opening: float = 0.0
+
+
+@dataclass(frozen=True)
+class Gauge:
+    level: float = variable(0.0, "Level")
+    shown: float = variable(0.0, "Level and opening at the last event", variability="discrete")
+
+
+TANK = Block(
+    "Tank", "A tank with a Real input and a Real output that are discrete",
+    parameters=Steps, inputs=Valve, continuous=Level, state=Tank, outputs=Gauge, step_size=0.1,
+    derivative=lambda t, state, u, p, c: Level(state.inflow - state.opening * state.level),
+    step=lambda t, h, state, u, p, c: replace(state, inflow=u.inflow, opening=u.opening),
+    output=lambda t, state, p, c: Gauge(state.level, state.level + state.opening),
+)  # fmt: skip
+
+
 class Exchanged:
     """An instance for model exchange, its variables by name."""
 

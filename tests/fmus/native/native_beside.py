@@ -17,7 +17,6 @@ from .native_model import (
     INSTANTIATED,
     OK,
     STEPPING,
-    TYPES,
     WARNING,
     Data,
     Model,
@@ -25,11 +24,15 @@ from .native_model import (
 )
 from .native_session import GUID, Answer, Session
 
-NOWHERE, TINY = Null(0), 5e-324
+TINY = 5e-324
 SELDOM = st.integers(0, 24).map(lambda i: i == 13)
 NAMES = ("it", "a%n%s#r1#%", "long" * 1300)
 _CATEGORY = {WARNING: "logStatusWarning", DISCARD: "logStatusDiscard", ERROR: "logStatusError"}
-_WRITES = ("get", "get_output_derivatives", "directional_derivative", "get_status")
+# what writes numbers as its last argument -> place of the references to what they belong to
+_WRITES = {
+    "get": 1, "get_output_derivatives": 0, "directional_derivative": 0, "adjoint_derivative": 1,
+    "get_status": None,
+}  # fmt: skip
 
 
 class Pool:
@@ -49,6 +52,8 @@ class Beside(RuleBasedStateMachine):
 
     block: ClassVar[Block]
     pool: ClassVar[Pool]
+    model: ClassVar[type[Model]] = Model
+    setup: ClassVar[str] = "setup"  # the call that has the start time
 
     def __init__(self) -> None:
         super().__init__()
@@ -58,8 +63,31 @@ class Beside(RuleBasedStateMachine):
         self.names: dict[int, str] = {}
         self.states: dict[int, Data] = {}
         self.buffers: list[tuple[list[int], Data]] = []
-        self.by_kind = {k: [v for v in self.block.variables if TYPES[v.type] == k] for k in "RIB"}
-        self.kinds = [k for k in "RIB" if self.by_kind[k]]
+        model = self.model(self.block, False)
+        self.variables = [v for v in self.block.variables if self.is_variable(model, v.value_reference)]
+        self.by_kind = {k: [v for v in self.variables if model.kinds[v.type] == k] for k in "RIBE"}
+        self.kinds = [k for k in "RIBE" if self.by_kind[k]]
+
+    # what the standards have otherwise
+
+    @staticmethod
+    def is_variable(model: Any, reference: int) -> bool:
+        """Whether it is a value reference of the model description."""
+        return True
+
+    @staticmethod
+    def instantiation(slot: int, name: str | None, guid: str) -> tuple[Any, ...]:
+        """Returns the arguments of the instantiation but whether messages are wanted."""
+        return name, 1, guid, "all"
+
+    def enter(self, slot: int, *setup: Any) -> None:
+        if setup:
+            self.call(slot, "setup", *setup)
+        self.call(slot, "enter")
+
+    def beyond(self) -> int:
+        """Returns a value reference after the last one."""
+        return len(self.block.variables)
 
     # both sides
 
@@ -72,7 +100,9 @@ class Beside(RuleBasedStateMachine):
 
     def compare(self, slot: int, enabled: set[str], name: str, arguments: Any, expected: Any) -> Answer:
         if name in _WRITES:
-            arguments = (*arguments[:-1], "+" if arguments[-1] else NOWHERE)
+            place = _WRITES[name]
+            count = 1 if place is None else self.count(arguments[place])
+            arguments = (*arguments[:-1], f"+{count}" if arguments[-1] else Null(count))
         answer = self.send(name, slot, *arguments)
         status, values = expected
         call = (name, slot, *arguments)
@@ -85,6 +115,12 @@ class Beside(RuleBasedStateMachine):
         if status != OK:
             self.read_everything(slot)
         return answer
+
+    def count(self, references: list[int] | Null) -> int:
+        """Returns how many numbers these variables have."""
+        if isinstance(references, Null):
+            return references.size
+        return len(self.models[0].scalars(references))
 
     def check_messages(self, slot: int, enabled: set[str], answer: Answer) -> None:
         due = answer.status != OK and _CATEGORY[answer.status] in enabled
@@ -103,7 +139,7 @@ class Beside(RuleBasedStateMachine):
             for chosen in filter(model.is_settable, every), (r for r in every if not model.is_settable(r)):
                 references = list(chosen)
                 expected = model.get(kind, references, True)
-                answer = self.send("get", slot, kind, references, "+")
+                answer = self.send("get", slot, kind, references, f"+{self.count(references)}")
                 assert answer.status == expected[0]
                 answered = [_exactly(v) for v in answer.values] if answer.status == OK else None
                 expected_values = (
@@ -128,8 +164,8 @@ class Beside(RuleBasedStateMachine):
         return False
 
     def instantiate(self, slot: int, name: str, logging: bool) -> None:
-        assert self.send("instantiate", slot, name, 1, GUID, "all", logging) == (OK, [], [])
-        self.models[slot], self.names[slot] = Model(self.block, logging), name
+        assert self.send("instantiate", slot, *self.instantiation(slot, name, GUID), logging) == (OK, [], [])
+        self.models[slot], self.names[slot] = self.model(self.block, logging), name
 
     def teardown(self) -> None:
         if self.send.is_alive and self.models:
@@ -143,18 +179,15 @@ class Beside(RuleBasedStateMachine):
 
     def go_on(self, data: Any, slot: int) -> None:
         """The next state of a usual life; at its end, and in error, a saved one or a new beginning."""
-        mode = self.models[slot].data.mode
+        mode, setup = self.models[slot].data.mode, ()
         if mode == INSTANTIATED and data.draw(st.booleans()):
             start = data.draw(st.sampled_from((0.0, -1.5, 1e6)))
-            self.call(
-                slot,
-                "setup",
-                start,
-                data.draw(st.booleans()),
-                start + data.draw(st.sampled_from((1.0, TINY + 9))),
-            )
+            has_stop, length = data.draw(st.booleans()), data.draw(st.sampled_from((1.0, TINY + 9)))
+            setup = start, has_stop, start + length
         following = {INSTANTIATED: "enter", INITIALIZATION: "leave", STEPPING: "step"}.get(mode, "reset")
-        if following == "step":
+        if following == "enter":
+            self.enter(slot, *setup)
+        elif following == "step":
             self.take_step(slot, data.draw(st.sampled_from((1.0, 0.3, 2.0, 4.4))))
         elif following == "reset" and self.states and data.draw(st.booleans()):
             saved_slot = data.draw(st.sampled_from(sorted(self.states)))
@@ -185,7 +218,7 @@ class Beside(RuleBasedStateMachine):
         if data.draw(st.integers(0, 9)) != 4:
             return references
         wrong = data.draw(
-            st.sampled_from((0, len(self.block.variables) - 1, len(self.block.variables), 2**31, 2**32 - 1))
+            st.sampled_from((0, len(self.block.variables) - 1, self.beyond(), 2**31, 2**32 - 1))
         )
         return [*references, wrong]
 

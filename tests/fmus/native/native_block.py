@@ -8,7 +8,7 @@ from fmus.block import Block, variable
 from fmus.build import builder
 from fmus.numerics import floor, where
 
-from .exchanged import BALL
+from .exchanged import BALL, TANK
 
 
 class Mode(IntEnum):
@@ -122,6 +122,6 @@ ITEMS = Block(
 
 
 def block_named(name: str) -> Block:
-    """A block of this file, the ball of `exchanged`, or one that is installed."""
-    own = {block.name: block for block in (EVERYTHING, ITEMS, BALL)}
+    """A block of this file, one of `exchanged` with a derivative, or one that is installed."""
+    own = {block.name: block for block in (EVERYTHING, ITEMS, BALL, TANK)}
     return own[name] if name in own else builder.load_block(name)

@@ -9,13 +9,14 @@ import math
 import sys
 from dataclasses import dataclass, field
 from functools import cache
+from typing import ClassVar
 
 import casadi
 
 from fmus.block import Block
 from fmus.build.sensitivities import sensitivities
 from fmus.build.symbolic import Traced
-from fmus.fmi.variable_types import TRANSFER_TYPE
+from fmus.fmi.variable_types import INTEGER_RANGE, TRANSFER_TYPE
 
 OK, WARNING, DISCARD, ERROR = 0, 1, 2, 3
 INSTANTIATED, INITIALIZATION, STEPPING, TERMINATED, FAILED = [
@@ -30,6 +31,7 @@ ALL: tuple[str, ...] = ("logStatusWarning", "logStatusDiscard", "logStatusError"
 TYPES = {name: transferred[0] for name, transferred in TRANSFER_TYPE.items()}
 LAST_TIME, ENDED = 2, 3  # fmi2LastSuccessfulTime, fmi2Terminated
 _HIGHEST = sys.float_info.max
+_HIGHEST_WHOLE = INTEGER_RANGE[1]  # of an Integer without limits, also below 0
 
 
 class Null(list):
@@ -46,6 +48,11 @@ class Null(list):
 _traced = cache(Traced)
 
 
+@cache
+def _derivatives(block: Block, fmi: int) -> dict[str, casadi.Function]:
+    return sensitivities(block).functions(fmi)
+
+
 @dataclass
 class Data:
     """What a saved state holds. `is_held`: outputs are what the last step left, not what the inputs give."""
@@ -59,11 +66,17 @@ class Data:
 
 
 class Model:
-    """One instance, as it must behave."""
+    """One instance, as it must behave.
+
+    kinds: by type of a variable the letter of the functions that get and set it
+    """
+
+    fmi: ClassVar[int] = 2
+    kinds: ClassVar[dict[str, str]] = TYPES
 
     def __init__(self, block: Block, logging: bool) -> None:
         self.block, self._traced = block, _traced(block)
-        self._derivatives = sensitivities(block).functions(2)
+        self._derivatives = _derivatives(block, self.fmi)
         count = {c: len(block.of_causality(c)) for c in ("parameter", "calculatedParameter", "input")}
         self.calculated = slice(count["parameter"], count["parameter"] + count["calculatedParameter"])
         self.inputs = slice(self.calculated.stop, self.calculated.stop + count["input"])
@@ -80,6 +93,10 @@ class Model:
         return OK, None
 
     # values
+
+    def scalars(self, references: list[int]) -> list[int]:
+        """Returns the value references of the scalars that these variables have."""
+        return references
 
     def get(self, kind: str, references: list[int] | Null, out: bool) -> tuple[int, list | None]:
         if self._is_malformed(kind, references, out):
@@ -112,13 +129,14 @@ class Model:
         variable = self.block.variables[reference]
         if variable.type == "Boolean":
             return value in (0, 1)
-        return variable.refuse(value) is None
+        is_whole = variable.type == "Integer"
+        return variable.refuse(value) is None and not (is_whole and abs(value) > _HIGHEST_WHOLE)
 
     def _is_malformed(self, kind: str, references: list[int] | Null, is_given: bool) -> bool:
         if isinstance(references, Null):
             return bool(references)
         known = all(r < len(self.block.variables) for r in references)
-        typed = known and all(TYPES[self.block.variables[r].type] == kind for r in references)
+        typed = known and all(self.kinds[self.block.variables[r].type] == kind for r in references)
         return not typed or bool(references and not is_given)
 
     def _error(self) -> tuple[int, None]:
@@ -154,7 +172,9 @@ class Model:
 
     def _become(self, t: float, state: list[float], p: list[float], calculated: list[float]) -> bool:
         outputs = self._calculate("output", t, state, p, calculated)
-        if not _is_finite([*state, *outputs]):
+        pairs = zip(self.block.variables[self.outputs], outputs, strict=True)
+        whole = [value for v, value in pairs if v.type != "Real"]
+        if not _is_finite([*state, *outputs]) or not all(abs(value) <= _HIGHEST_WHOLE for value in whole):
             return False
         d = self.data
         d.time, d.state, d.values[self.calculated], d.values[self.outputs] = t, state, calculated, outputs
@@ -266,22 +286,35 @@ class Model:
     def directional_derivative(
         self, unknown: list[int] | Null, known: list[int] | Null, seed: list[float] | Null, out: bool
     ) -> tuple[int, list[float] | None]:
-        malformed = self._is_malformed("R", unknown, out) or self._is_malformed(
-            "R", known, not isinstance(seed, Null)
-        )
+        return self._derive("forward", unknown, known, seed, out)
+
+    def is_unknown(self, reference: int) -> bool:
+        return not self.is_settable(reference)
+
+    def _derive(
+        self,
+        kind: str,
+        unknown: list[int] | Null,
+        known: list[int] | Null,
+        seed: list[float] | Null,
+        out: bool,
+    ) -> tuple[int, list[float] | None]:
+        to, of = (unknown, known) if kind == "forward" else (known, unknown)
+        is_given = not isinstance(seed, Null)
+        malformed = self._is_malformed("R", to, out) or self._is_malformed("R", of, is_given)
         if self.data.mode == INSTANTIATED or malformed:
             return self._error()
-        if any(map(self.is_settable, unknown)) or not all(map(self.is_settable, known)):
+        if not all(map(self.is_unknown, unknown)) or not all(map(self.is_settable, known)):
             return self._error()
         d, p, u = self.data, self.data.values[: self.calculated.start], self.data.values[self.inputs]
         along = [0.0] * (len(self.block.variables) + len(self.block.states) + 1)
-        for reference, value in zip(known, seed, strict=False):
+        for reference, value in zip(of, seed, strict=False):
             along[reference] += value
         if d.mode == INITIALIZATION and not self._refresh():
             return self._error()
         mode = "initial" if d.mode == INITIALIZATION else "step"
-        derivatives = self._derivatives[f"{mode}_forward"](d.time, d.state, u, p, along)
-        return OK, [float(derivatives[r]) for r in unknown]
+        derivatives = self._derivatives[f"{mode}_{kind}"](d.time, d.state, u, p, along)
+        return OK, [float(derivatives[r]) for r in to]
 
     # the rest
 

@@ -1,15 +1,17 @@
 """The calls that the state machine makes of a native FMU, legal and not."""
 
 import sys
-from typing import Any
+from typing import Any, ClassVar
 
 from hypothesis import strategies as st
 from hypothesis.stateful import rule
 
 from fmus.block.variables import BlockVariable
+from fmus.build.fmi3 import extents
 
 from .native_beside import NAMES, SELDOM, TINY, Beside
-from .native_model import ALL, ERROR, INITIALIZATION, INSTANTIATED, OK, STEPPING, TERMINATED, WRITABLE
+from .native_model import ALL, ERROR, INITIALIZATION, INSTANTIATED, OK, STEPPING, TERMINATED, WRITABLE, Model
+from .native_model3 import Model3
 from .native_session import GUID
 
 SLOTS = 3
@@ -18,32 +20,36 @@ ALLOWED = {"enter": INSTANTIATED, "leave": INITIALIZATION, "terminate": STEPPING
 
 
 class Calls(Beside):
-    """Two instances and three saved states of one FMU, beside their models."""
+    """Two instances and three saved states of one FMU, beside their models: what both standards have."""
+
+    derivatives: ClassVar[tuple[str, ...]] = ("directional_derivative",)
+    refusable: ClassVar[str] = "RIB"  # kinds of values that may be refused
+    changes: ClassVar[tuple[str, ...]] = ("enter", "leave", "terminate", "reset")
 
     @rule(data=st.data(), slot=st.integers(0, 1))
     def replace(self, data: Any, slot: int) -> None:
         assert self.send("free", slot).status == OK
         name, logging = data.draw(st.sampled_from(NAMES)), data.draw(st.booleans())
-        for wrong in (
-            (None, 1, GUID, "all"),
-            ("", 1, GUID, "all"),
-            (name, 2, GUID, "all"),
-            (name, 1, "{%n}", "all"),
-        ):
+        for wrong in self.refused_instantiations(slot, name):
             answer = self.send("instantiate", slot, *wrong, logging)
             assert answer.status == ERROR
-            assert [m.category for m in answer.messages] == ["logStatusError"]
+            assert [m.category for m in answer.messages] == ["logStatusError"] * self.is_told(logging)
         self.instantiate(slot, name, logging)
         assert int(self.send("live").values[0]) == self.live + 2 + len(self.states)
 
-    @rule(
-        data=st.data(),
-        slot=st.integers(0, 1),
-        name=st.sampled_from(("enter", "leave", "terminate", "reset", "cancel")),
-    )
-    def change_mode(self, data: Any, slot: int, name: str) -> None:
+    def refused_instantiations(self, slot: int, name: str) -> list[tuple[Any, ...]]:
+        wrong = (None, GUID), ("", GUID), (name, "{%n}")
+        return [self.instantiation(slot, *pair) for pair in wrong]
+
+    def is_told(self, logging: bool) -> bool:
+        """Whether an instantiation that fails has a message."""
+        return logging
+
+    @rule(data=st.data(), slot=st.integers(0, 1))
+    def change_mode(self, data: Any, slot: int) -> None:
+        name = data.draw(st.sampled_from(self.changes))
         if name == "reset" or self.is_time(data, slot, ALLOWED.get(name, "")):
-            self.call(slot, name)
+            self.call(slot, name) if name != "enter" else self.enter(slot)
 
     @rule(
         data=st.data(),
@@ -54,7 +60,7 @@ class Calls(Beside):
     )
     def set_up(self, data: Any, slot: int, start: float, has_stop: bool, stop: float) -> None:
         if self.is_time(data, slot, INSTANTIATED):
-            self.call(slot, "setup", start, has_stop, stop)
+            self.call(slot, self.setup, start, has_stop, stop)
 
     # values
 
@@ -67,14 +73,13 @@ class Calls(Beside):
         mode = self.models[slot].data.mode
         if mode == STEPPING and not data.draw(SELDOM):
             references = [r for r in references if self.block.variables[r].variability != "fixed"]
-        values = [data.draw(st.sampled_from(_acceptable(self.block.variables[r]))) for r in references]
-        if refused == 3 and references:
-            index = data.draw(st.integers(0, len(references) - 1))
-            values[index] = data.draw(st.sampled_from(_refused(self.block.variables[references[index]])))
+        scalars = self.models[slot].scalars(references)
+        values = [data.draw(st.sampled_from(_acceptable(self.block.variables[r]))) for r in scalars]
+        if refused == 3 and scalars and kind in self.refusable:
+            index = data.draw(st.integers(0, len(scalars) - 1))
+            values[index] = data.draw(st.sampled_from(_refused(self.block.variables[scalars[index]])))
         asked = self.one_wrong(data, references)
-        values += [
-            type(v)(1) for v in (values or [1.0 if kind == "R" else 1])[: len(asked) - len(references)]
-        ]
+        values += [1.0 if kind == "R" else 1] * (self.count(asked) - len(values))
         self.call(slot, "set", kind, self.array(data, asked), self.array(data, values))
 
     @rule(data=st.data(), slot=st.integers(0, 1))
@@ -115,25 +120,11 @@ class Calls(Beside):
             self.take_step(slot, steps)
 
     @rule(data=st.data(), slot=st.integers(0, 1))
-    def set_input_derivatives(self, data: Any, slot: int) -> None:
-        if not self.is_time(data, slot, *WRITABLE):
-            return
-        inputs = [v for v in self.block.of_causality("input") if v.type == "Real"]
-        references = self.one_wrong(data, self.some(data, slot, inputs))
-        orders = self.array(data, self.orders(data, len(references)))
-        rates = [
-            data.draw(st.sampled_from((0.0, 1.0, -20.0, 1e3, TINY) * 3 + (HUGE, NAN, -INF)))
-            for _ in references
-        ]
-        self.call(
-            slot, "set_input_derivatives", self.array(data, references), orders, self.array(data, rates)
-        )
-
-    @rule(data=st.data(), slot=st.integers(0, 1))
     def get_output_derivatives(self, data: Any, slot: int) -> None:
         if not self.is_time(data, slot, STEPPING, TERMINATED):
             return
-        references = self.one_wrong(data, self.some(data, slot, list(self.block.of_causality("output"))))
+        outputs = [v for v in self.variables if v.causality == "output"]
+        references = self.one_wrong(data, self.some(data, slot, outputs))
         orders, out = self.array(data, self.orders(data, len(references))), not data.draw(SELDOM)
         self.call(slot, "get_output_derivatives", self.array(data, references), orders, out)
 
@@ -144,41 +135,32 @@ class Calls(Beside):
         reals = self.by_kind["R"]
         unknown = self.one_wrong(data, self.some(data, slot, [v for v in reals if not v.settable]))
         known = self.one_wrong(data, self.some(data, slot, self.settable("R")))
-        seed = [data.draw(st.sampled_from((1.0, 0.0, -2.5, HUGE, NAN))) for _ in known]
+        name = data.draw(st.sampled_from(self.derivatives))
+        seeded = known if name == "directional_derivative" else unknown
+        seed = [data.draw(st.sampled_from((1.0, 0.0, -2.5, HUGE, NAN))) for _ in range(self.count(seeded))]
         known, out = self.array(data, known), not data.draw(SELDOM)
-        self.call(
-            slot, "directional_derivative", self.array(data, unknown), known, self.array(data, seed), out
-        )
+        self.call(slot, name, self.array(data, unknown), known, self.array(data, seed), out)
 
     @rule(
         data=st.data(),
         slot=st.integers(0, 1),
         value=st.sampled_from((1.0, -3.0, 1e308)),
-        moving=st.booleans(),
     )
-    def step_on(self, data: Any, slot: int, value: float, moving: bool) -> None:
-        """Two steps with every unlimited input at a value or on its way there; some diverge."""
+    def step_on(self, data: Any, slot: int, value: float) -> None:
+        """Two steps with every unlimited input at a value or, in FMI 2.0, on its way there; some diverge."""
         if not self.is_time(data, slot, STEPPING):
             return
-        inputs = [v.value_reference for v in self.block.of_causality("input") if v.minimum is None]
-        if moving:
-            self.call(slot, "set_input_derivatives", inputs, [1] * len(inputs), [value] * len(inputs))
-        else:
-            self.call(slot, "set", "R", inputs, [value] * len(inputs))
+        inputs = [
+            v.value_reference for v in self.by_kind["R"] if v.causality == "input" and v.minimum is None
+        ]
+        self.push(data, slot, inputs, [value] * self.count(inputs))
         for steps in (2.0, 1.0):
             self.take_step(slot, steps)
 
-    # status and messages
+    def push(self, data: Any, slot: int, inputs: list[int], values: list[float]) -> None:
+        self.call(slot, "set", "R", inputs, values)
 
-    @rule(
-        data=st.data(),
-        slot=st.integers(0, 1),
-        kind=st.sampled_from("RRBIN"),
-        what=st.sampled_from((2, 3, 2, 0, -1, 4)),
-    )
-    def get_status(self, data: Any, slot: int, kind: str, what: int) -> None:
-        if self.is_time(data, slot, STEPPING, TERMINATED):
-            self.call(slot, "get_status", kind, what, not data.draw(SELDOM))
+    # messages
 
     @rule(
         slot=st.integers(0, 1),
@@ -246,6 +228,79 @@ class Calls(Beside):
         self.state_call(slot, "deserialize", (changed, saved_slot), expected)
         if intact:
             self.states[saved_slot] = saved
+
+
+class Calls2(Calls):
+    """And those that FMI 2.0 alone has."""
+
+    changes: ClassVar[tuple[str, ...]] = (*Calls.changes, "cancel")
+
+    def refused_instantiations(self, slot: int, name: str) -> list[tuple[Any, ...]]:
+        return [*super().refused_instantiations(slot, name), (name, 2, GUID, "all")]
+
+    def is_told(self, logging: bool) -> bool:
+        return True
+
+    @rule(data=st.data(), slot=st.integers(0, 1))
+    def set_input_derivatives(self, data: Any, slot: int) -> None:
+        if not self.is_time(data, slot, *WRITABLE):
+            return
+        inputs = [v for v in self.block.of_causality("input") if v.type == "Real"]
+        references = self.one_wrong(data, self.some(data, slot, inputs))
+        orders = self.array(data, self.orders(data, len(references)))
+        rates = [
+            data.draw(st.sampled_from((0.0, 1.0, -20.0, 1e3, TINY) * 3 + (HUGE, NAN, -INF)))
+            for _ in references
+        ]
+        self.call(
+            slot, "set_input_derivatives", self.array(data, references), orders, self.array(data, rates)
+        )
+
+    def push(self, data: Any, slot: int, inputs: list[int], values: list[float]) -> None:
+        if data.draw(st.booleans()):
+            self.call(slot, "set_input_derivatives", inputs, [1] * len(inputs), values)
+        else:
+            super().push(data, slot, inputs, values)
+
+    @rule(
+        data=st.data(),
+        slot=st.integers(0, 1),
+        kind=st.sampled_from("RRBIN"),
+        what=st.sampled_from((2, 3, 2, 0, -1, 4)),
+    )
+    def get_status(self, data: Any, slot: int, kind: str, what: int) -> None:
+        if self.is_time(data, slot, STEPPING, TERMINATED):
+            self.call(slot, "get_status", kind, what, not data.draw(SELDOM))
+
+
+class Calls3(Calls):
+    """And those that FMI 3.0 alone has.
+
+    The second instance has intermediate updates, which change nothing.
+    """
+
+    model: ClassVar[type[Model]] = Model3
+    setup: ClassVar[str] = "enter"
+    refusable: ClassVar[str] = "RIE"
+    derivatives: ClassVar[tuple[str, ...]] = (*Calls.derivatives, "adjoint_derivative")
+
+    @staticmethod
+    def is_variable(model: Any, reference: int) -> bool:
+        return model.extents[reference] > 0
+
+    @staticmethod
+    def instantiation(slot: int, name: str | None, guid: str) -> tuple[Any, ...]:
+        return name, guid, "updates" if slot else "all"
+
+    def enter(self, slot: int, *setup: Any) -> None:
+        self.call(slot, "enter", *(setup or (0.0, False, 0.0)))
+
+    def beyond(self) -> int:
+        return len(extents(self.block))
+
+    def instantiate(self, slot: int, name: str, logging: bool) -> None:
+        super().instantiate(slot, name, logging)
+        self.names[slot] = ""  # messages name no instance
 
 
 def _acceptable(v: BlockVariable) -> list:

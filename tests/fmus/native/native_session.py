@@ -1,4 +1,4 @@
-"""A native FMU, also under sanitizers, in a process of its own, called through tests/c/session.c."""
+"""A native FMU, also under sanitizers, in a process of its own, called through tests/c/session.h."""
 
 import shutil
 import struct
@@ -14,7 +14,7 @@ from fmus.native import toolchain
 from .native_block import EVERYTHING
 from .native_model import ERROR, OK, Null
 
-_PROGRAM = Path(__file__).parents[2] / "c" / "session.c"
+_PROGRAMS = Path(__file__).parents[2] / "c"
 _SANITIZERS = ("address", "undefined", "float-cast-overflow")
 _FLAGS = (
     "-std=c99",
@@ -47,29 +47,28 @@ class Answer(NamedTuple):
     messages: list[Message]
 
 
-def compiled(sources: dict[str, str], folder: Path, sanitized: bool = True) -> Path:
+def compiled(sources: dict[str, str], folder: Path, sanitized: bool = True, fmi: int = 2) -> Path:
     """The program with these sources of an FMU, under gcc's sanitizers; without gcc such a test fails."""
+    file, own = f"fmi{fmi}.c", str(_PROGRAMS / f"session_fmi{fmi}.c")
     if sanitized and not shutil.which("gcc"):
         pytest.fail("gcc is not installed: .ci/run installs it")
     for name, text in sources.items():
-        (folder / name).write_text(_COUNTED * (name == "fmi2.c") + text, encoding="utf-8")
+        (folder / name).write_text(_COUNTED * (name == file) + text, encoding="utf-8")
     headers = str(toolchain.FMI_HEADERS)
     program = folder / "session"
     if not sanitized:
-        toolchain.zig(
-            ["cc", *toolchain.FLAGS, "-I", headers, "-o", "session", "fmi2.c", str(_PROGRAM), "-lm"], folder
-        )
+        toolchain.zig(["cc", *toolchain.FLAGS, "-I", headers, "-o", "session", file, own, "-lm"], folder)
         return program
     command = [
         "gcc",
         *_FLAGS,
-        "-DFMI2_OVERRIDE_FUNCTION_PREFIX",
+        f"-DFMI{fmi}_OVERRIDE_FUNCTION_PREFIX",
         "-I",
         headers,
         "-o",
         str(program),
-        str(folder / "fmi2.c"),
-        str(_PROGRAM),
+        str(folder / file),
+        own,
         "-lm",
     ]
     subprocess.run(command, check=True, timeout=120)
@@ -90,7 +89,7 @@ class Session:
         return self._process.poll() is None
 
     def __call__(self, name: object, *arguments: object) -> Answer:
-        """Send one command, see session.c."""
+        """Send one command, see session.h."""
         assert self._process.stdin
         assert self._process.stdout
         line = " ".join((str(name), *map(_encoded, arguments)))

@@ -28,7 +28,7 @@ from fmus.native import toolchain
 from fmus.registry import Flavour
 from tests.shared_builds import Fmus
 
-from .exchanged import BALL, Exchanged
+from .exchanged import BALL, TANK, Exchanged
 from .fmi3_instance import Fmi3Instance, scalars
 from .native_block import EVERYTHING, Mode, block_named
 
@@ -78,7 +78,7 @@ def test_its_scalars_have_the_value_references_of_fmi_2(built: Fmus, fmi3_built:
     assert {name.partition("[")[0] for name in scalars} <= {"time", "event.indicators"}
 
 
-@pytest.mark.parametrize("name", [*NAMES, EVERYTHING.name, BALL.name])
+@pytest.mark.parametrize("name", [*NAMES, EVERYTHING.name, BALL.name, TANK.name])
 def test_fmpy_finds_no_problem_and_simulates_both_interfaces(fmi3_built: Fmus, name: str) -> None:
     path = str(fmi3_built[name])
     assert validate_fmu(path) == []
@@ -356,6 +356,21 @@ def test_continuous_states_are_set_one_by_one_in_continuous_time_mode(open_fmi3:
     assert (ball["height"], ball["der(state.height)"]) == ([0.25], [3.0])
     ball.fmu.enterEventMode()
     assert "can not be set" in ball.refused("setFloat64", [height], [0.5])
+
+
+def test_discrete_reals_change_at_events_alone(open_fmi3: Open) -> None:
+    tank = open_fmi3(TANK.name, "ModelExchange").begin()
+    tank["opening"] = [0.5]
+    tank.fmu.updateDiscreteStates()
+    assert (tank["level"], tank["shown"]) == ([1.0], [1.5])
+    tank.fmu.enterContinuousTimeMode()
+    tank["state.level"], tank["inflow"] = [0.25], [2.0]
+    assert (tank["level"], tank["shown"], tank["der(state.level)"]) == ([0.25], [1.5], [1.875])
+    tank.fmu.enterEventMode()
+    assert tank["shown"] == [0.75]
+    tank.fmu.enterContinuousTimeMode()
+    text = tank.refused("setFloat64", [tank.reference("opening")], [0.0])
+    assert text == "fmi3SetFloat64: opening can not be set in continuous-time mode"
 
 
 _ECOS = """

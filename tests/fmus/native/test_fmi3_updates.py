@@ -12,7 +12,7 @@ from fmpy.fmi1 import FMICallException
 from fmus.build import builder
 from tests.shared_builds import Fmus
 
-from .exchanged import BALL
+from .exchanged import BALL, TANK
 from .fmi3_instance import Fmi3Instance, scalars
 from .native_block import EVERYTHING, block_named
 
@@ -305,21 +305,35 @@ def test_an_instance_is_neither_freed_nor_reset_in_an_update(open_fmi3: Open) ->
     assert plant.fmu["time"] == [0.0]
 
 
-def test_discrete_variables_are_neither_set_nor_read_in_updates(open_fmi3: Open) -> None:
-    for mode, name in ((SET, "level"), (GET, "level"), (GET, "steps"), (GET, "high")):
-        block = Updated(open_fmi3, EVERYTHING.name)
+@pytest.mark.parametrize(
+    ("name", "mode", "variable"),
+    [
+        (EVERYTHING.name, SET, "level"),
+        (EVERYTHING.name, GET, "level"),
+        (EVERYTHING.name, GET, "steps"),
+        (EVERYTHING.name, GET, "high"),
+        (TANK.name, SET, "opening"),
+        (TANK.name, GET, "opening"),
+        (TANK.name, GET, "shown"),
+    ],
+)
+def test_discrete_variables_are_neither_set_nor_read_in_updates(
+    open_fmi3: Open, name: str, mode: Any, variable: str
+) -> None:
+    block = Updated(open_fmi3, name)
+    given = block.fmu[variable]
 
-        def act(update: Update, mode: Any = mode, name: str = name, fmu: Fmi3Instance = block.fmu) -> None:
-            with contextlib.suppress(FMICallException):
-                if update.mode == mode == SET:
-                    fmu[name] = [2]
-                elif update.mode == mode:
-                    fmu[name]
+    def act(update: Update) -> None:
+        with contextlib.suppress(FMICallException):
+            if update.mode == mode == SET:
+                block.fmu[variable] = [2]
+            elif update.mode == mode:
+                block.fmu[variable]
 
-        block.act = act
-        assert block.fmu.status("doStep", 0.0, 0.1) == "error"
-        assert f"{name}: expected a variable with intermediateUpdate" in block.fmu.log[0][2]
-        assert block.fmu["level"] == [1]
+    block.act = act
+    assert block.fmu.status("doStep", 0.0, 0.1) == "error"
+    assert f"{variable}: expected a variable with intermediateUpdate" in block.fmu.log[0][2]
+    assert block.fmu[variable] == given
 
 
 def test_a_step_that_is_discarded_leaves_the_instance_as_it_was(open_fmi3: Open) -> None:
@@ -350,6 +364,8 @@ def test_intermediate_variables_are_continuous_inputs_and_outputs(open_fmi3: Ope
     )
     assert intermediate(fmu, "input") == ["force", "valve"]
     assert intermediate(fmu, "output") == ["y", "square"]
+    tank = open_fmi3(TANK.name)
+    assert (intermediate(tank, "input"), intermediate(tank, "output")) == (["inflow"], ["level"])
     assert not any(intermediate(fmu, other) for other in ("parameter", "calculatedParameter", "independent"))
     for required, is_accepted in (([14, 16, 18], True), ([14, 17], False), ([14, 9], False), ([99], False)):
         plant = open_fmi3("ExamplePlant")

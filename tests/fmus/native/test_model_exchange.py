@@ -21,10 +21,11 @@ from fmus.block import Block, NoValues, variable
 from fmus.block.scalars import flatten, unflatten
 from fmus.build import builder
 from fmus.build.random_points import drawn
+from fmus.compliance.examine import examine
 from fmus.errors import ExportError
 from tests.shared_builds import Fmus
 
-from .exchanged import BALL, GROWTH, Exchanged, Outputs, Reading, State, euler, heun, rk4
+from .exchanged import BALL, GROWTH, TANK, Exchanged, Outputs, Reading, State, euler, heun, rk4
 
 CONTROLLERS = [
     name
@@ -43,6 +44,11 @@ def ball(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def growth(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return builder.build_block(GROWTH, tmp_path_factory.mktemp("growth"))
+
+
+@pytest.fixture(scope="module")
+def tank(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return builder.build_block(TANK, tmp_path_factory.mktemp("tank"))
 
 
 @pytest.fixture
@@ -362,6 +368,26 @@ def test_truth_values_change_at_events_alone(ball: Path, exchange: Load) -> None
     assert fmu.model.getBoolean(reference) == [True]
 
 
+def test_discrete_reals_change_at_events_alone(tank: Path, exchange: Load) -> None:
+    fmu = exchange(tank).begin()
+    fmu["opening"] = 0.5
+    fmu.event()
+    assert (fmu["level"], fmu["shown"]) == (1.0, 1.5)
+    fmu.model.enterContinuousTimeMode()
+    fmu.at(0.1, [0.25])
+    fmu["inflow"] = 2.0
+    assert (fmu["level"], fmu["shown"], *fmu.rates) == (0.25, 1.5, 1.875)
+    fmu.model.enterEventMode()
+    assert fmu["shown"] == 0.75
+    fmu["opening"] = 0.0
+    assert fmu["shown"] == 0.25
+
+
+def test_a_tool_finds_nothing_in_an_fmu_with_discrete_reals(tank: Path) -> None:
+    assert validate_fmu(str(tank)) == []
+    assert [r.messages for r in examine(tank) if r.messages] == []
+
+
 def test_indicators_follow_inputs_at_once(ball: Path, exchange: Load) -> None:
     fmu = exchange(ball).begin()
     fmu.event()
@@ -531,9 +557,13 @@ def test_calls_in_another_mode_are_refused(ball: Path, exchange: Load) -> None:
             assert fmu.log[-1] == f"fmi2{name} is not allowed in the state '{mode}'"
 
 
-def test_what_is_no_continuous_input_is_set_at_events_alone(ball: Path, exchange: Load) -> None:
-    for name, kind in (("gravity", "Real"), ("level", "Integer")):
-        fmu = exchange(ball).begin()
+def test_what_is_no_continuous_input_is_set_at_events_alone(ball: Path, tank: Path, exchange: Load) -> None:
+    for path, name, kind in (
+        (ball, "gravity", "Real"),
+        (ball, "level", "Integer"),
+        (tank, "opening", "Real"),
+    ):
+        fmu = exchange(path).begin()
         arguments = [fmu.references[name]], [1]
         setter = getattr(fmu.model, f"set{kind}")
         assert fmu.status(setter, *arguments) == "ok"

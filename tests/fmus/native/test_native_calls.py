@@ -5,6 +5,7 @@ Under sanitizers its memory is watched too: what it writes beyond its blocks, an
 
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, Phase, Verbosity, settings
@@ -15,15 +16,17 @@ from fmus.build import builder
 from fmus.build.native import c_sources
 
 from .native_beside import Pool
-from .native_block import EVERYTHING
-from .native_rules import Calls
+from .native_block import EVERYTHING, block_named
+from .native_rules import Calls2, Calls3
 from .native_session import GUID, compiled
 
 
-def run(block: Block, program: Path, examples: int, *, shrink: bool = True) -> None:
+def run(block: Block, program: Path, examples: int, *, fmi: int = 2, shrink: bool = True) -> None:
     """The same examples at every run."""
     pool = Pool(program)
-    machine = type("CallsOf" + block.name, (Calls,), {"block": block, "pool": pool})
+    machine: Any = type(
+        "CallsOf" + block.name, (Calls3 if fmi == 3 else Calls2,), {"block": block, "pool": pool}
+    )
     phases = (Phase.generate, Phase.shrink) if shrink else (Phase.generate,)
     checks = settings(
         max_examples=examples,
@@ -40,15 +43,26 @@ def run(block: Block, program: Path, examples: int, *, shrink: bool = True) -> N
     pool.session().close()
 
 
-def test_any_sequence_of_calls_of_a_small_block_is_answered_as_fmi_wants_it(tmp_path: Path) -> None:
-    run(EVERYTHING, compiled(c_sources(EVERYTHING, GUID), tmp_path, sanitized=False), 30)
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_any_sequence_of_calls_of_a_small_block_is_answered_as_fmi_wants_it(tmp_path: Path, fmi: int) -> None:
+    program = compiled(c_sources(EVERYTHING, GUID, fmi=fmi), tmp_path, sanitized=False, fmi=fmi)
+    run(EVERYTHING, program, 30, fmi=fmi)
 
 
 @pytest.mark.cross
-@pytest.mark.parametrize("name", ["RovDepthPlant", "L1Controller", "L1DepthController"])
-def test_any_sequence_of_calls_is_answered_as_fmi_wants_it(tmp_path: Path, name: str) -> None:
-    block = builder.load_block(name)
-    run(block, compiled(c_sources(block, GUID), tmp_path), 120)
+@pytest.mark.parametrize(
+    ("name", "fmi"),
+    [
+        ("RovDepthPlant", 2),
+        ("L1Controller", 2),
+        ("L1DepthController", 2),
+        (EVERYTHING.name, 3),
+        ("ExamplePlant", 3),
+    ],
+)
+def test_any_sequence_of_calls_is_answered_as_fmi_wants_it(tmp_path: Path, name: str, fmi: int) -> None:
+    block = block_named(name)
+    run(block, compiled(c_sources(block, GUID, fmi=fmi), tmp_path, fmi=fmi), 120, fmi=fmi)
 
 
 MUTANTS = tomllib.loads(Path(__file__).with_name("native_mutants.toml").read_text(encoding="utf-8"))

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
+from .exchanged import TANK
 from .native_block import EVERYTHING
 from .native_model import DISCARD, ERROR, LAST_TIME, OK, WARNING
 from .native_session import REFERENCES, Session, begin, read, refused, saved, step, stepping, told, write
@@ -105,6 +106,14 @@ def test_a_derivative_has_an_order_of_at_least_1(session: Session, order: int) -
         stepping(session)
         assert refused(session(*call)).endswith(f"order {order}: expected at least 1")
         session("free", 0)
+
+
+def test_a_discrete_real_has_no_derivative(open_session: Callable[[str], Session]) -> None:
+    session = stepping(open_session(TANK.name))
+    inflow, opening = (v.value_reference for v in TANK.of_causality("input"))
+    assert session("set_input_derivatives", 0, [inflow], [1], [1.0]).status == OK
+    text = refused(session("set_input_derivatives", 0, [opening], [1], [1.0]))
+    assert text == "fmi2SetRealInputDerivatives: opening: expected a continuous input"
 
 
 def test_setting_no_derivatives_changes_nothing(session: Session) -> None:
