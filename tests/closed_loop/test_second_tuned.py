@@ -31,9 +31,9 @@ def nominal(controller: Controller, step: float) -> Scenario:
     steps = {"plant.internal_step": step}
     given = {**controller.parameters, "internal_step": step}
     case = PROTOCOL.nominal
-    layer = {**case.layer, "experiment": {"stop_time": STOP, "step_size": step}}
-    controller = replace(controller, step=step)
-    with ClosedLoop(replace(controller, parameters=given, settings=SMOOTH | steps), PROTOCOL) as loop:
+    stated = {**case.layer.get("parameters", {}), **SMOOTH, **steps}
+    layer = {**case.layer, "experiment": {"stop_time": STOP, "step_size": step}, "parameters": stated}
+    with ClosedLoop(replace(controller, parameters=given, step=step), PROTOCOL) as loop:
         case = replace(case, layer=layer)
         return replace(loop.scenario(case), experiment=loop.experiment(case))
 
