@@ -87,7 +87,7 @@ class Beside(RuleBasedStateMachine):
 
     def beyond(self) -> int:
         """Returns a value reference after the last one."""
-        return len(self.block.variables)
+        return len(self.block.variables) + len(self.block.states)
 
     # both sides
 
