@@ -26,9 +26,9 @@ from orchestration.report.result import (
     strongest,
     toml,
 )
+from orchestration.results.files import points_down
 from orchestration.results.metric_units import shown
 from orchestration.results.metrics import SIGNALS
-from orchestration.results.recording import points_down
 from orchestration.sweep.table import HEADINGS, categorical
 
 with imports_of("report", "a report"):

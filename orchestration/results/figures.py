@@ -19,8 +19,8 @@ from matplotlib.layout_engine import LayoutEngine
 from matplotlib.transforms import ScaledTranslation
 
 from fmus.files import open_atomically
+from orchestration.results.files import ERROR_ESTIMATE, Columns, points_down
 from orchestration.results.formats import FigureFormat
-from orchestration.results.recording import ERROR_ESTIMATE, Recording, points_down
 
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#666666"  # told apart by colour-blind readers
 _COLOURS = (BLUE, ORANGE, GREEN, "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -103,7 +103,7 @@ def _outside(panels: Sequence[Axes], renderer: RendererAgg) -> tuple[float, floa
     return frame.x0 - left, max(labels), right - frame.x1, frame.y0 - below.y0
 
 
-def stacked_panels(heights_in: Sequence[float], x_label: str) -> tuple[Figure, list[Axes]]:
+def stacked_panels(heights_in: Sequence[float], x_label: str) -> tuple[ShownFigure, list[Axes]]:
     """Returns a figure as wide as a page: panels (a), (b), ... one below the other, on one time axis."""
     figure = ShownFigure(figsize=(_WIDTH_IN, sum(heights_in) + 0.4), layout=StackedLayout())
     grid = figure.subplots(
@@ -175,7 +175,7 @@ def _write_png(figure: Figure, stream: BinaryIO, dots_per_inch: int) -> None:
 
 
 def run_figure(
-    title: str, recording: Recording, path: Path, formats: Sequence[FigureFormat] = (FigureFormat.PNG,)
+    title: str, recording: Columns, path: Path, formats: Sequence[FigureFormat] = (FigureFormat.PNG,)
 ) -> list[Path]:
     """Draws every signal of a run that is a number, one panel for each unit; without estimates of errors."""
     with figure_style():
@@ -184,7 +184,7 @@ def run_figure(
         return write_figure(figure, path, formats, _DPI_OF_RUNS)
 
 
-def figure_of(recording: Recording, names: Sequence[str] = ()) -> Figure:
+def figure_of(recording: Columns, names: Sequence[str] = ()) -> ShownFigure:
     """Returns signals of a run over time, by default those that `run_figure` draws: a panel for each unit."""
     signals = names or [name for name in recording.numbers if not name.startswith(ERROR_ESTIMATE)]
     units = list(dict.fromkeys(map(recording.unit, signals)))

@@ -25,6 +25,8 @@ from orchestration.errors import OrchestrationError
 from orchestration.results.formats import RecordingFormat
 
 TIME = "time"  # name of the first column
+ERROR_ESTIMATE = "error_estimate."
+"""Prefix of the column that holds the estimated error of a signal."""
 _TIME_TITLE = f"{TIME} [s]"
 _STRING = "String"  # in a title in place of the unit: the column holds text
 _TITLE = re.compile(r"(.*) \[([^\[\]]*)\]", re.DOTALL)  # of a signal with its unit
@@ -36,9 +38,14 @@ _GROUP = 1 << 17  # rows of Parquet that are copied at a time
 _BYTES = {RecordingFormat.CSV: 20, RecordingFormat.PARQUET: 8}  # about, of a number in a file
 
 
+def points_down(name: str, unit: str) -> bool:
+    """Whether a signal is a depth: a plot of it has its vertical axis pointing down."""
+    return unit == "m" and "depth" in name.lower()
+
+
 @dataclass(frozen=True)
 class Columns:
-    """The values of a file and their names: the base of `Recording`, whose docstring explains the fields."""
+    """Signals by name, as in a file: the base of `Recording`, whose docstring explains the fields."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -46,6 +53,31 @@ class Columns:
     values: np.ndarray
     provenance: dict[str, Any] = field(default_factory=dict)
     strings: Mapping[str, Sequence[str]] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Returns one signal, shape (n,) or (runs, n), a String as text.
+
+        OrchestrationError offers the nearest name for one that was not recorded.
+        """
+        if name == TIME:
+            return self.time
+        values = self.values[..., self._column(name)]
+        return np.array(self.strings[name], object)[values.astype(int)] if name in self.strings else values
+
+    @property
+    def numbers(self) -> tuple[str, ...]:
+        """Names of the signals that are no Strings."""
+        return tuple(name for name in self.names if name not in self.strings)
+
+    def _column(self, name: str) -> int:
+        try:
+            return self.names.index(name)
+        except ValueError:
+            raise OrchestrationError(f"{name!r} was not recorded; {nearest(str(name), self.names)}") from None
+
+    def unit(self, name: str) -> str:
+        """Returns the unit of a signal, "" where the FMU gives none."""
+        return "s" if name == TIME else self.units[self._column(name)]
 
     def columns(self) -> list[list[Any]]:
         """Returns the values of each signal, Strings as text."""

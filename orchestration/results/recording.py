@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec
 
 import numpy as np
 
-from fmus.errors import nearest
 from fmus.extras import require
 from orchestration.errors import OrchestrationError
 from orchestration.results import files
@@ -17,17 +16,11 @@ from orchestration.results import files
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
-    from matplotlib.figure import Figure
+
+    from orchestration.results.figures import ShownFigure
 
 P = ParamSpec("P")
 TIME = files.TIME
-ERROR_ESTIMATE = "error_estimate."
-"""Prefix of the column that holds the estimated error of a signal."""
-
-
-def points_down(name: str, unit: str) -> bool:
-    """Whether a signal is a depth: a plot of it has its vertical axis pointing down."""
-    return unit == "m" and "depth" in name.lower()
 
 
 @dataclass(frozen=True)
@@ -39,16 +32,6 @@ class Recording(files.Columns):
     provenance: FMUs, algorithm and settings of the run, as plain data
     strings: String -> the strings that it can have; its column of `values` holds their indices
     """
-
-    def __getitem__(self, name: str) -> np.ndarray:
-        """Returns one signal, shape (n,) or (runs, n), a String as text.
-
-        OrchestrationError offers the nearest name for one that was not recorded.
-        """
-        if name == TIME:
-            return self.time
-        values = self.values[..., self._column(name)]
-        return np.array(self.strings[name], object)[values.astype(int)] if name in self.strings else values
 
     def __contains__(self, name: object) -> bool:
         """Whether a signal was recorded; the time always is."""
@@ -75,21 +58,6 @@ class Recording(files.Columns):
         """Returns the recording of one of many runs."""
         return replace(self, values=self.values[index])
 
-    @property
-    def numbers(self) -> tuple[str, ...]:
-        """Names of the signals that are no Strings."""
-        return tuple(name for name in self.names if name not in self.strings)
-
-    def _column(self, name: str) -> int:
-        try:
-            return self.names.index(name)
-        except ValueError:
-            raise OrchestrationError(f"{name!r} was not recorded; {nearest(str(name), self.names)}") from None
-
-    def unit(self, name: str) -> str:
-        """Returns the unit of a signal, "" where the FMU gives none."""
-        return "s" if name == TIME else self.units[self._column(name)]
-
     def __repr__(self) -> str:
         return _as_text(self.units, self.time, {name: self[name] for name in self.names})
 
@@ -105,7 +73,7 @@ class Recording(files.Columns):
             f'{text}<img width="480" src="data:image/png;base64,{b64encode(figure._repr_png_()).decode()}">'
         )
 
-    def plot(self, *names: str) -> "Figure":
+    def plot(self, *names: str) -> "ShownFigure":
         """Returns a Matplotlib figure of signals over time, by default all numbers: a panel for each unit.
 
         A notebook shows it, `savefig` writes it. OrchestrationError for a signal that was not recorded, a

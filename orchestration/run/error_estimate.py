@@ -27,7 +27,8 @@ from typing import Any
 import numpy as np
 
 from orchestration.errors import FmuWarning, OrchestrationError, SimulationError
-from orchestration.results.recording import ERROR_ESTIMATE, Recording
+from orchestration.results.files import ERROR_ESTIMATE
+from orchestration.results.recording import Recording
 from orchestration.system.experiment import Experiment, double_step
 from orchestration.system.prepared_run import PreparedRun, values_of
 from orchestration.system.time_grid import GRID_TOLERANCE

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from orchestration.errors import FmuWarning
-from orchestration.results.recording import ERROR_ESTIMATE
+from orchestration.results.files import ERROR_ESTIMATE
 from orchestration.run import Simulator
 from orchestration.scenarios import scenario
 

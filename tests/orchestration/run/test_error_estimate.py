@@ -10,7 +10,8 @@ import pytest
 from scipy.linalg import expm
 
 from orchestration.errors import FmuWarning, SystemDefinitionError
-from orchestration.results.recording import ERROR_ESTIMATE, Recording
+from orchestration.results.files import ERROR_ESTIMATE
+from orchestration.results.recording import Recording
 from orchestration.run import Simulator, simulate
 from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.system import System
