@@ -26,9 +26,9 @@ from orchestration.results.formats import FigureFormat
 from orchestration.score.closed_loop import GAINS
 from orchestration.score.protocol import read_protocol
 from orchestration.score.protocol_format import DELAY_MARGIN
-from orchestration.score.run_metrics import EQUIVALENCE, paired, profile, ratios_to_best
 from orchestration.score.score import START, TUNED, part
 from orchestration.score.score_document import ManyRuns, MetricOverRuns, Row, Score
+from orchestration.score.statistics import EQUIVALENCE, paired, profile, ratios_to_best
 from orchestration.score.tune import LARGEST_SPREAD
 from orchestration.score.tune_problem import LARGEST_CHANGE
 

@@ -19,8 +19,8 @@ from fmus.fmi.description import describe
 from orchestration.score import score
 from orchestration.score.closed_loop import tuned_gains
 from orchestration.score.protocol import read_protocol
-from orchestration.score.run_metrics import distribution, holm, paired, proportion_interval
 from orchestration.score.score_document import ManyRuns, Row, Score
+from orchestration.score.statistics import distribution, holm, paired, proportion_interval
 from orchestration.score.tune import LARGEST_IMPROVEMENT
 from orchestration.score.vehicle import built
 from orchestration.system.system import Port

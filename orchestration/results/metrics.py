@@ -211,10 +211,27 @@ def phase_lag(
     return float(np.arctan2(sine, cosine) / angular_frequency)
 
 
-# those that `along_time` or `run_by_run` decorates
 FUNCTIONS: dict[str, Callable[..., Any]] = {
-    shift_lag.__name__: shift_lag,
-    **{name: function for name, function in vars().items() if hasattr(function, "__wrapped__")},
+    function.__name__: function
+    for function in (
+        settling_time,
+        recovery_time,
+        rmse,
+        peak_error,
+        std,
+        iae,
+        ise,
+        itae,
+        overshoot,
+        mean,
+        peak,
+        effort,
+        total_variation,
+        time_below,
+        energy_residual,
+        shift_lag,
+        phase_lag,
+    )
 }
 
 

@@ -82,7 +82,8 @@ class Recording(files.Columns):
         if self.run_count is not None:
             raise OrchestrationError(f"a recording of {self.run_count} runs: expected one, such as run(0)")
         for name in names:
-            if self._column(name) is not None and name in self.strings:
+            self._column(name)
+            if name in self.strings:
                 raise OrchestrationError(f"{name} is a String: expected numbers to plot")
         from orchestration.results.figures import figure_of  # which takes a while to import
 

@@ -23,10 +23,11 @@ from orchestration.score.closed_loop import ClosedLoop, Controller, built_in, tu
 from orchestration.score.draws import LARGEST_SEED
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.protocol_format import COMPARED
-from orchestration.score.run_metrics import Trace, holm, paired
+from orchestration.score.run_metrics import Trace
 from orchestration.score.score_document import PairedDifference, Row, Score, protocol_info
 from orchestration.score.score_rows import LimitedRuns, Progress, RowTraces, Scoring, repeated
 from orchestration.score.score_view import ScoreTable
+from orchestration.score.statistics import holm, paired
 from orchestration.score.vehicle import built
 from orchestration.system.prepared_run import prepare
 

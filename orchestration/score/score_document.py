@@ -13,7 +13,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, Wi
 
 from orchestration.score.protocol import Protocol
 from orchestration.score.protocol_format import DELAY_MARGIN
-from orchestration.score.run_metrics import Verdict
+from orchestration.score.statistics import Verdict
 
 SCHEMA = Path(__file__).with_name("score.schema.json")
 

@@ -22,15 +22,9 @@ from orchestration.score.closed_loop import OWN, ClosedLoop, ClosedLoopRun
 from orchestration.score.draws import drawn_cases, plants, repeated_cases
 from orchestration.score.protocol import Case, Protocol
 from orchestration.score.protocol_format import COMPARED
-from orchestration.score.run_metrics import (
-    Trace,
-    declared,
-    distribution,
-    failures,
-    proportion_interval,
-    traced_metrics,
-)
+from orchestration.score.run_metrics import Trace, declared, failures, traced_metrics
 from orchestration.score.score_document import CaseResult, ManyRuns, MetricOverRuns, Row
+from orchestration.score.statistics import distribution, proportion_interval
 from orchestration.score.vehicle import DEPTH
 from orchestration.system.experiment import Experiment
 from orchestration.system.signals import Table

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from orchestration.score.protocol_format import COMPARED, DELAY_MARGIN
-from orchestration.score.run_metrics import profile, ratios_to_best
 from orchestration.score.score_document import MICROSECONDS, MetricInfo, Row, Score
+from orchestration.score.statistics import profile, ratios_to_best
 
 
 @dataclass(frozen=True)

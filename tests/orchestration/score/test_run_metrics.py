@@ -10,13 +10,10 @@ from scipy import stats
 from orchestration.results.recording import Recording
 from orchestration.scenarios.actuators import VOLTAGES, Actuators
 from orchestration.score.protocol import Protocol
-from orchestration.score.run_metrics import (
-    declared,
+from orchestration.score.run_metrics import declared, failures, judged_signals, metrics_of
+from orchestration.score.statistics import (
     distribution,
-    failures,
     holm,
-    judged_signals,
-    metrics_of,
     paired,
     profile,
     proportion_interval,
