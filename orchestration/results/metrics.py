@@ -214,22 +214,22 @@ def phase_lag(
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     function.__name__: function
     for function in (
+        shift_lag,
         settling_time,
-        recovery_time,
         rmse,
-        peak_error,
+        recovery_time,
         std,
+        overshoot,
+        mean,
+        effort,
+        peak,
+        peak_error,
         iae,
         ise,
         itae,
-        overshoot,
-        mean,
-        peak,
-        effort,
-        total_variation,
-        time_below,
         energy_residual,
-        shift_lag,
+        time_below,
+        total_variation,
         phase_lag,
     )
 }
