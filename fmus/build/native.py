@@ -174,10 +174,8 @@ def _range(v: BlockVariable) -> tuple[float, float]:
     """Returns the range that the C layer lets pass: without declared limits, that of the type."""
     if items := [0, 1] if v.type == "Boolean" else _items(v):
         return float(min(items)), float(max(items))
-    widest = INTEGER_RANGE[1] if v.type == "Integer" else sys.float_info.max
-    low = -widest if v.minimum is None else v.minimum
-    high = widest if v.maximum is None else v.maximum
-    return float(low), float(high)
+    low, high = INTEGER_RANGE if v.type == "Integer" else (-sys.float_info.max, sys.float_info.max)
+    return float(low if v.minimum is None else v.minimum), float(high if v.maximum is None else v.maximum)
 
 
 def _items(v: BlockVariable) -> list[int]:
