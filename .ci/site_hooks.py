@@ -92,6 +92,7 @@ def _generated() -> Contents:
             **_gallery(working),
             **_results(working),
             **{f"explanation/{path.name}": path.read_bytes() for path in comparison_page.figures(working)},
+            "explanation/comparison.md": comparison_page.page(),
             **_commands(working),
             **_names(),
             **{
