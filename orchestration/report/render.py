@@ -68,10 +68,10 @@ def page(template: str, script_files: Sequence[str], **content: Any) -> str:
     """
     environment = Environment(loader=FileSystemLoader(_FILES), autoescape=True, undefined=StrictUndefined)
     environment.filters |= {"toml": toml, "number": _number, "breakable": _breakable, "facts": _facts}
-    scripts = [get_plotlyjs(), *(_file(name) for name in script_files)]
+    scripts = [get_plotlyjs(), _file("uplot.js"), *(_file(name) for name in script_files)]
     return environment.get_template(template).render(
         **content,
-        style=Markup(_file("page.css")),
+        style=Markup(_file("page.css") + _file("uplot.css")),
         scripts=[Markup(script) for script in scripts],
         hashes=" ".join(f"'sha256-{_sha256(script)}'" for script in scripts),
         made_by=f"l1-depth {metadata.version('l1-depth')}, plotly.js {get_plotlyjs_version()}",

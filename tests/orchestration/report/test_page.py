@@ -204,7 +204,7 @@ def test_texts_from_files_stay_texts(opened: Open, tmp_path: Path) -> None:
     assert page.run("return window.hacked") is None
     assert page.driver.title == HOSTILE
     assert page.all("img") == []
-    assert len(page.all("script")) == 6  # the data, plotly and ours
+    assert len(page.all("script")) == 7  # the data, plotly, uPlot and ours
     assert page.one("h1").text == HOSTILE
     shown = page.run("return document.querySelector('main').textContent")
     assert shown.count("onerror='window.hacked = 2'") > 10
