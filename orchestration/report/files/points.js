@@ -19,7 +19,7 @@ function scatter(place, points, { x, y, log = false, names = [], line = [], pres
   const tip = element("output", { className: "tip" });
   const near = { point: null };
   const across = (values) => (values ? { splits: () => values.map((_, i) => i), values: () => values, rotate: values.length > 4 ? -30 : 0, size: values.length > 4 ? 110 : 34 } : {});
-  const scale = (values) => (values ? { range: [-0.5, values.length - 0.5] } : { distr: log ? 3 : 1, range: log ? (u, least, largest) => [least / 1.2, largest * 1.2] : padded });
+  const scale = (values) => (values ? { range: [-0.5, values.length - 0.5] } : { distr: log ? 3 : 1, range: log ? oneDigit : padded });
   const invisible = { ...sorted(drawn), label: "points", series: { paths: () => null } };
   const joined = { ...sorted(line), label: "line", color: "#888888", width: 1, series: { spanGaps: true } };
   place.points = drawn;
@@ -27,7 +27,7 @@ function scatter(place, points, { x, y, log = false, names = [], line = [], pres
     x, y,
     more: {
       scales: { x: scale(names[0]), y: scale(names[1]) },
-      axes: [across(names[0]), names[1] ? { splits: () => names[1].map((_, i) => i), values: () => names[1], size: 110 } : {}],
+      axes: [{ ...(log ? { filter: someDigits } : {}), ...across(names[0]) }, names[1] ? { splits: () => names[1].map((_, i) => i), values: () => names[1], size: 110 } : log ? { filter: someDigits } : {}],
       cursor: { points: { show: false }, sync: null },
       hooks: { draw: [(u) => drawn.forEach((point) => mark(u, point))], setCursor: [point] },
     },
@@ -53,6 +53,8 @@ const sorted = (points) => {
   const ascending = [...points].sort((a, b) => a.x - b.x);
   return { x: ascending.map((point) => point.x), y: ascending.map((point) => point.y) };
 };
+const someDigits = (u, ticks) => ticks.map((tick) => (/^[1235]e/.test(tick.toExponential(0)) ? tick : null));
+const oneDigit = (u, least, largest) => [Number((least / 1.5).toExponential(0)), largest * 1.2]; // ticks are multiples of it
 const padded = (u, least, largest) => {
   const margin = 0.05 * (largest - least) || 0.05 * Math.abs(largest) || 1;
   return [least - margin, largest + margin];
