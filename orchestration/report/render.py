@@ -22,9 +22,12 @@ from fmus.extras import imports_of
 from orchestration.report.result import (
     RunResult,
     SweepResult,
+    common_metrics,
     correlations,
     distributions,
     groups_of,
+    of_succeeded,
+    paired_differences,
     strongest,
     toml,
 )
@@ -45,7 +48,8 @@ def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
     """Returns a self-contained HTML page of these results; by default titled after them."""
     runs = [result for result in results if isinstance(result, RunResult)]
     swept = [result for result in results if isinstance(result, SweepResult)]
-    labels = shortened([run.name for run in runs])
+    labels = shortened([run.name for run in runs]) | shortened([sweep.name for sweep in swept])
+    compared = common_metrics(swept)
     return page(
         "page.html",
         _SCRIPTS,
@@ -54,6 +58,9 @@ def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
         sweeps=swept,
         metric_groups=_metric_groups(runs),
         labels=labels,
+        compared=compared,
+        paired=paired_differences(swept) if compared else [],
+        statistics=of_succeeded,
         least=least,
         differences=differences(runs),
         shown=shown,
@@ -64,7 +71,8 @@ def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
         data={
             "columns": COLUMNS,
             "runs": [{**run_data(run), "label": labels[run.name]} for run in runs],
-            "sweeps": [sweep_data(sweep) for sweep in swept],
+            "sweeps": [{**sweep_data(sweep), "label": labels[sweep.name]} for sweep in swept],
+            "compared": compared,
         },
     )
 
