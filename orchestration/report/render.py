@@ -7,10 +7,12 @@ only the scripts run whose hashes it names and nothing be fetched.
 import base64
 import hashlib
 import json
+import math
 import re
 import zlib
 from collections.abc import Mapping, Sequence
 from importlib import metadata
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +22,12 @@ from fmus.extras import imports_of
 from orchestration.report.result import (
     RunResult,
     SweepResult,
+    common_metrics,
     correlations,
     distributions,
     groups_of,
+    of_succeeded,
+    paired_differences,
     strongest,
     toml,
 )
@@ -34,16 +39,17 @@ from orchestration.sweep.table import HEADINGS, categorical
 with imports_of("report", "a report"):
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markupsafe import Markup
-    from plotly.offline import get_plotlyjs, get_plotlyjs_version
 
 _FILES = Path(__file__).with_name("files")
-_SCRIPTS = ("common.js", "tables.js", "signals.js", "sweeps.js")
+_SCRIPTS = ("points.js", "tables.js", "signals.js", "sweeps.js")
 
 
 def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
     """Returns a self-contained HTML page of these results; by default titled after them."""
     runs = [result for result in results if isinstance(result, RunResult)]
     swept = [result for result in results if isinstance(result, SweepResult)]
+    labels = shortened([run.name for run in runs]) | shortened([sweep.name for sweep in swept])
+    compared = common_metrics(swept)
     return page(
         "page.html",
         _SCRIPTS,
@@ -51,13 +57,23 @@ def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
         runs=runs,
         sweeps=swept,
         metric_groups=_metric_groups(runs),
+        labels=labels,
+        compared=compared,
+        paired=paired_differences(swept) if compared else [],
+        statistics=of_succeeded,
+        least=least,
         differences=differences(runs),
         shown=shown,
         headings=HEADINGS,
         categorical=categorical,
         distributions=distributions,
         correlations=correlations,
-        data={"runs": [run_data(run) for run in runs], "sweeps": [sweep_data(sweep) for sweep in swept]},
+        data={
+            "columns": COLUMNS,
+            "runs": [{**run_data(run), "label": labels[run.name]} for run in runs],
+            "sweeps": [{**sweep_data(sweep), "label": labels[sweep.name]} for sweep in swept],
+            "compared": compared,
+        },
     )
 
 
@@ -68,13 +84,13 @@ def page(template: str, script_files: Sequence[str], **content: Any) -> str:
     """
     environment = Environment(loader=FileSystemLoader(_FILES), autoescape=True, undefined=StrictUndefined)
     environment.filters |= {"toml": toml, "number": _number, "breakable": _breakable, "facts": _facts}
-    scripts = [get_plotlyjs(), *(_file(name) for name in script_files)]
+    scripts = [_file(name) for name in ("uplot.js", "common.js", *script_files)]
     return environment.get_template(template).render(
         **content,
-        style=Markup(_file("page.css")),
+        style=Markup(_file("page.css") + _file("uplot.css")),
         scripts=[Markup(script) for script in scripts],
         hashes=" ".join(f"'sha256-{_sha256(script)}'" for script in scripts),
-        made_by=f"l1-depth {metadata.version('l1-depth')}, plotly.js {get_plotlyjs_version()}",
+        made_by=f"l1-depth {metadata.version('l1-depth')}, {_file('uplot.LICENSE').partition(' (')[0]}",
     )
 
 
@@ -100,6 +116,31 @@ def _metric_groups(runs: Sequence[RunResult]) -> dict[tuple[tuple[str, str], ...
         groups.setdefault(tuple(run.metric_units.items()), []).append(run)
     groups.pop((), None)
     return groups
+
+
+_NO_BEST = ("mean", "time_below")  # functions of which neither less nor more is better
+
+
+def least(runs: Sequence[RunResult], metric: str) -> float | None:
+    """Returns the least magnitude of a metric, the best; None of one run, or where all are equal."""
+    call = runs[0].scenario.get("metrics", {}).get(metric, {})
+    sizes = {abs(run.metrics[metric]) for run in runs if math.isfinite(run.metrics[metric])}
+    return min(sizes) if len(sizes) > 1 and call.get("function", "mean") not in _NO_BEST else None
+
+
+def shortened(names: Sequence[str]) -> dict[str, str]:
+    """Returns name -> what differs: without the parts that all names begin or end with."""
+    start = _common_length(names)
+    rest = [name[start:] for name in names]
+    end = _common_length([name[::-1] for name in rest])
+    return {name: part[: len(part) - end] or name for name, part in zip(names, rest, strict=True)}
+
+
+def _common_length(names: Sequence[str]) -> int:
+    """Returns the length of the parts, each with its separator, that all of several names begin with."""
+    parts = [re.split(r"(?<=[-_./ ])", name)[:-1] for name in names] if len(names) > 1 else []
+    common = takewhile(lambda same: len(set(same)) == 1, zip(*parts, strict=False))
+    return sum(len(part) for part, *_ in common)
 
 
 def _facts(provenance: Mapping[str, Any]) -> dict[str, str]:
@@ -162,24 +203,75 @@ def packed(values: np.ndarray) -> str:
     return base64.b64encode(zlib.compress(bytes_of_values.T.tobytes())).decode("ascii")
 
 
+COLUMNS = 2000
+"""Columns of pixels of a chart: a screen shows no more of one of them than its least and largest value."""
+
+
+def drawn_points(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Returns the indices of both ends and, of each column of time, the least and largest value, and a gap.
+
+    Of no more than two points a column they are all indices.
+    """
+    if len(values) <= 2 * COLUMNS:
+        return np.arange(len(values))
+    column = ((time - time[0]) * (COLUMNS / (time[-1] - time[0]))).astype(int)
+    finite = np.where(np.isfinite(values), values, np.nan)
+    order = np.lexsort((finite, column))  # within a column by value, gaps last
+    starts = np.flatnonzero(np.diff(column, prepend=-1))
+    largest = starts + np.maximum(np.add.reduceat(np.isfinite(finite).astype(int), starts), 1) - 1
+    lasts = np.append(starts[1:], len(values)) - 1
+    return np.unique(np.concatenate([[0, len(values) - 1], order[starts], order[largest], order[lasts]]))
+
+
+def tracking_errors(run: RunResult) -> dict[str, tuple[str, str, np.ndarray]]:
+    """Returns signal -> name, unit and values of its error, scaled as an RMSE or a peak error of the run."""
+    errors: dict[str, tuple[str, str, np.ndarray]] = {}
+    for metric, call in run.scenario.get("metrics", {}).items():
+        signal, reference = call.get("signal"), call.get("reference")
+        is_error = call.get("function") in ("rmse", "peak_error")
+        if is_error and {signal, reference} <= set(run.recording.numbers) and signal not in errors:
+            values = call.get("scale", 1.0) * (run.recording[signal] - run.recording[reference])
+            errors[signal] = f"{signal} - {reference}", run.metric_units.get(metric, ""), values
+    return errors
+
+
+def _signal_data(
+    name: str, unit: str, time: np.ndarray, values: np.ndarray, error_of: str = ""
+) -> dict[str, Any]:
+    """Returns what is drawn of a signal; error_of: the unit of the signal whose tracking error it is."""
+    kept = drawn_points(time, values)
+    return {
+        "name": name,
+        "unit": unit or "1",
+        "error_of": error_of,
+        "down": not error_of and points_down(name, unit),
+        "values": packed(values[kept]),
+        "steps": packed(np.diff(kept, prepend=0)) if len(kept) < len(time) else "",
+    }
+
+
 def run_data(run: RunResult) -> dict[str, Any]:
     """Returns the data that the page's script draws of a run."""
     recording = run.recording
-    columns = ((name, recording.unit(name), recording[name]) for name in recording.numbers)
+    signals = [
+        _signal_data(name, recording.unit(name), recording.time, recording[name])
+        for name in recording.numbers
+    ]
+    errors = tracking_errors(run)
+    for of, (name, unit, values) in errors.items():
+        at = recording.numbers.index(of) + 1  # beside what it is the error of
+        signals.insert(at, _signal_data(name, unit, recording.time, values, recording.unit(of) or "1"))
     return {
         "name": run.name,
         "time": packed(recording.time),
-        "signals": [
-            {"name": name, "unit": unit or "1", "down": points_down(name, unit), "values": packed(column)}
-            for name, unit, column in columns
-        ],
+        "signals": signals,
         "in_metrics": sorted(
             {
                 str(call[key])
                 for call in run.scenario.get("metrics", {}).values()
                 for key in SIGNALS
                 if key in call
-            }
+            }.union(name for name, _, _ in errors.values())
         ),
     }
 

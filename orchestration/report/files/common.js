@@ -1,5 +1,5 @@
 "use strict";
-// What the sections share: the data of the page, colours, and figures that follow the colour scheme.
+// What the sections share: the data of the page, colours, and charts that follow the colour scheme.
 
 const page = JSON.parse(document.getElementById("data").textContent);
 const PALETTE = {
@@ -19,9 +19,7 @@ const dash = (i) => Object.keys(DASHES)[i % 4];
 const SHARED = 8; // the grey of lines that several runs share; no run has it
 const colourOfRun = (i) => (i % 9 < SHARED ? i % 9 : 9);
 
-// plotly reads some markup in texts: names from files must not be taken for it
-const plain = (text) => text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
-const titled = (name, unit) => plain(unit ? `${name} [${unit}]` : name);
+const titled = (name, unit) => (unit ? `${name} [${unit}]` : name);
 const short = (value) => (typeof value === "number" ? String(Number(value.toPrecision(6))) : value);
 
 /** A DOM element with properties and children; texts stay texts. */
@@ -31,7 +29,7 @@ function element(tag, properties = {}, ...children) {
   return made;
 }
 
-/** The inverse of `packed` in embedded.py: numbers from planes of bytes. */
+/** The inverse of `packed` in render.py: numbers from planes of bytes. */
 async function unpacked(text) {
   const packed = Uint8Array.from(atob(text), (sign) => sign.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
@@ -42,26 +40,6 @@ async function unpacked(text) {
     for (let i = 0; i < count; i++) bytes[8 * i + plane] = planes[plane * count + i];
   }
   return new Float64Array(bytes.buffer); // little-endian, as every machine that runs a browser
-}
-
-/** Axes and texts in the page's own colours. */
-function layout(more) {
-  const style = getComputedStyle(document.documentElement);
-  const [ink, line, paper, soft] = ["--ink", "--line", "--paper", "--soft"].map((name) => style.getPropertyValue(name).trim());
-  const axis = { gridcolor: line, zerolinecolor: line, linecolor: soft, automargin: true };
-  const { xaxis, yaxis, ...rest } = more;
-  return {
-    paper_bgcolor: "rgba(0,0,0,0)",
-    plot_bgcolor: "rgba(0,0,0,0)",
-    font: { family: getComputedStyle(document.body).fontFamily, size: 12, color: ink },
-    hoverlabel: { bgcolor: paper, bordercolor: line, font: { color: ink }, namelength: -1 },
-    modebar: { bgcolor: "rgba(0,0,0,0)", color: soft, activecolor: ink },
-    margin: { l: 10, r: 10, t: 30, b: 10 },
-    showlegend: false,
-    xaxis: { ...axis, ...xaxis },
-    yaxis: { ...axis, ...yaxis },
-    ...rest,
-  };
 }
 
 /** Says in the page how many drawings are under way, for whoever waits for them. */
@@ -75,13 +53,95 @@ async function counted(drawing) {
   }
 }
 
-function figure(place, traces, more, file, printWidth = PRINT_WIDTH) {
-  const width = printing ? printWidth : place.clientWidth;
-  return Plotly.react(place, traces, { ...layout(more), width }, {
-    responsive: true,
-    displaylogo: false,
-    modeBarButtons: [["zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d"], ["toImage"]],
-    toImageButtonOptions: { format: "svg", filename: file },
+/**
+ * Draws lines {label, unit, x, y, color, dash, width} in a place and returns the uPlot, which is `place.chart` too.
+ *
+ * x, y: labels of the axes; range, yRange: [from, to], all by default; down: the y axis grows downwards;
+ * zoomed(x, y): called after a drag with a range or null for each axis that was not chosen, and with two nulls
+ * after a double click; the chart zooms itself by default; more: further options of uPlot
+ */
+function chart(place, lines, { x = "time [s]", y = "", range, yRange, down = false, zoomed, legend, more = {} } = {}) {
+  const css = getComputedStyle(document.documentElement);
+  const [ink, line] = ["--ink", "--line"].map((name) => css.getPropertyValue(name).trim());
+  const font = `12px ${getComputedStyle(document.body).fontFamily}`;
+  const axis = (label, size, own) => ({ label, stroke: ink, font, labelFont: font, labelSize: 20, size, grid: { stroke: line, width: 1 }, ticks: { stroke: line, width: 1 }, ...own });
+  const moves = (type) => type.startsWith("mouse") && !/down|up/.test(type);
+  place.chart?.destroy();
+  place.chart = new uPlot({
+    width: printing ? Number(place.dataset.print ?? PRINT_WIDTH) : place.clientWidth,
+    height: place.clientHeight,
+    legend: { show: false },
+    ...more,
+    scales: { x: { time: false, ...more.scales?.x }, y: { dir: down ? -1 : 1, ...more.scales?.y } },
+    axes: [axis(x, 34, more.axes?.[0]), axis(y, 62, more.axes?.[1])],
+    series: [{}, ...lines.map(({ label, color, dash, width = 1.4, ...own }) => ({
+      label, stroke: color, width, dash: (DASHES[dash] || null)?.split(" ").map(Number), points: { show: false }, ...own.series,
+    }))],
+    cursor: {
+      sync: { key: "page", scales: ["x", null], filters: { pub: moves, sub: moves } },
+      drag: { x: true, y: true, uni: 40, setScale: false },
+      bind: { dblclick: () => () => zoom(null, null) },
+      ...more.cursor,
+    },
+    hooks: { setSelect: [selected], setCursor: [(u) => showValues(legend, u, lines)], ...more.hooks },
+  }, aligned(lines), place);
+  const made = place.chart;
+  const zoom = zoomed ?? ((xs, ys) => {
+    if (!xs && !ys) made.setData(made.data); // back to all
+    if (xs) made.setScale("x", { min: xs[0], max: xs[1] });
+    if (ys) made.setScale("y", { min: ys[0], max: ys[1] });
+  });
+
+  function selected({ select, over, posToVal, setSelect }) {
+    const span = (key, from, size, whole) => (size > 0 && size < whole - 1 ? [posToVal(from, key), posToVal(from + size, key)].sort((a, b) => a - b) : null);
+    const spans = [span("x", select.left, select.width, over.clientWidth), span("y", select.top, select.height, over.clientHeight)];
+    setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+    if (spans.some(Boolean)) zoom(...spans);
+  }
+
+  if (range) made.setScale("x", { min: range[0], max: range[1] });
+  if (yRange) made.setScale("y", { min: yRange[0], max: yRange[1] });
+  resized.observe(place);
+  return made;
+}
+
+/** The data of uPlot: all x in one column, values of each line in others; what is not finite is a gap. */
+const aligned = (lines) => uPlot.join(lines.map(({ x, y }) => [x, Array.from(y, (value) => (Number.isFinite(value) ? value : null))]));
+
+const resized = new ResizeObserver((entries) => {
+  for (const { target } of entries) if (!printing) target.chart?.setSize({ width: target.clientWidth, height: target.clientHeight });
+});
+
+/** Buttons of lines {label, color, dash, hidden, toggle}; one keeps its focus as long as its line is shown. */
+function fillLegend(place, lines) {
+  place.buttons ??= new Map();
+  const buttons = lines.map((line) => {
+    if (!place.buttons.has(line.label)) {
+      const made = element("button", { type: "button" });
+      made.innerHTML = '<svg viewBox="0 0 28 12" aria-hidden="true"><path d="M0 6H28" stroke-width="2.5"/></svg>';
+      made.append(line.label, element("output"));
+      place.buttons.set(line.label, made);
+    }
+    const button = place.buttons.get(line.label);
+    button.onclick = line.toggle;
+    button.setAttribute("aria-pressed", String(!line.hidden));
+    const path = button.querySelector("path");
+    path.setAttribute("stroke", line.color);
+    path.setAttribute("stroke-dasharray", DASHES[line.dash]);
+    return button;
+  });
+  buttons.forEach((button, i) => {
+    if (place.children[i] !== button) place.insertBefore(button, place.children[i] ?? null);
+  });
+  while (place.children.length > lines.length) place.lastChild.remove();
+}
+
+/** Writes the values under the cursor beside the names of a legend. */
+function showValues(legend, u, lines) {
+  lines.forEach(({ label }, i) => {
+    const at = u.cursor.idxs[i + 1];
+    const output = legend?.buttons.get(label)?.querySelector("output");
+    if (output) output.textContent = at == null || u.data[i + 1][at] == null ? "" : u.data[i + 1][at].toPrecision(4);
   });
 }
 

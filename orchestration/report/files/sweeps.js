@@ -1,29 +1,57 @@
 "use strict";
 // Sweeps: how metrics are distributed, what they depend on, and what one sample was.
 
+const values = (column) => (column.numbers ??= Array.isArray(column.values) ? column.values : unpacked(column.values));
+
+/** A figure for the histogram of a metric; returns the place to draw it in. */
+function histogramPlace(section, caption) {
+  const plot = element("div", { className: "plot" });
+  plot.dataset.print = THIRD_OF_PRINT_WIDTH;
+  section.querySelector(".histograms").append(element("figure", {}, element("figcaption", {}, caption), plot));
+  return plot;
+}
+
+/** Names in the colours of their bars. */
+function swatches(section, names) {
+  section.querySelector(".groups").replaceChildren(...names.map((name, i) => {
+    const swatch = element("span", { textContent: "\u25a0 " });
+    swatch.style.color = colour(i);
+    return element("span", {}, swatch, name);
+  }));
+}
+
+const comparedSweeps = document.getElementById("sweeps-compared");
+if (comparedSweeps) {
+  const places = Object.entries(page.compared).map(([name, unit]) => [name, histogramPlace(comparedSweeps, titled(name, unit))]);
+  const draw = () => counted(async () => {
+    swatches(comparedSweeps, page.sweeps.map((sweep) => sweep.label));
+    for (const [name, plot] of places) {
+      const groups = page.sweeps.map(async (sweep, i) => {
+        const all = await values(sweep.columns.find((column) => column.kind === "metric" && column.name === name));
+        return { label: sweep.label, color: colour(i), values: sweep.groups.flatMap((group) => group.members).map((at) => all[at]) };
+      });
+      histogram(plot, await Promise.all(groups));
+    }
+  });
+  redraws.push(draw);
+  draw();
+}
+
 for (const section of document.querySelectorAll("section.sweep")) {
   if (section.querySelector(".scatter")) sweepSection(section, page.sweeps[Number(section.dataset.sweep)]);
 }
 
 function sweepSection(section, sweep) {
+  const heading = (column) => titled(column.name, column.unit);
   const find = (selector) => section.querySelector(selector);
-  const [scatter, across, up, number, chosen] = [".scatter", ".across", ".up", "input.sample", ".chosen"].map(find);
+  const [scatterPlace, across, up, number, chosen] = [".scatter", ".across", ".up", "input.sample", ".chosen"].map(find);
   const metrics = sweep.columns.filter((column) => column.kind === "metric");
   const varied = sweep.columns.filter((column) => column.kind === "varied");
   const sampleColumn = { name: "sample", unit: "", kind: "sample", values: sweep.samples };
   const columns = [...varied, ...metrics, sampleColumn];
-  const histograms = metrics.map((metric) => {
-    const plot = element("div", { className: "plot" });
-    find(".histograms").append(element("figure", {}, element("figcaption", {}, heading(metric)), plot));
-    return [metric, plot];
-  });
+  const histograms = metrics.map((metric) => [metric, histogramPlace(section, heading(metric))]);
   let sample = null; // the one chosen
 
-  function heading(column) {
-    return column.unit ? `${column.name} [${column.unit}]` : column.name;
-  }
-
-  const values = (column) => (column.numbers ??= Array.isArray(column.values) ? column.values : unpacked(column.values));
 
   const named = (name) => columns.find((column) => column.name === name && column.kind !== "sample");
   const [firstAcross, firstUp] = sweep.first?.map(named) ?? [varied[0], metrics[0]];
@@ -39,44 +67,28 @@ function sweepSection(section, sweep) {
 
   async function drawHistograms() {
     if (sweep.groups.length > 1) {
-      find(".groups").replaceChildren(...sweep.groups.map((group, i) => {
-        const swatch = element("span", { textContent: "\u25a0 " });
-        swatch.style.color = colour(i);
-        return element("span", {}, swatch, group.name);
-      }));
+      swatches(section, sweep.groups.map((group) => group.name));
     }
     for (const [metric, plot] of histograms) {
       const all = await values(metric);
-      const traces = sweep.groups.map((group, i) => ({
-        type: "histogram", name: plain(group.name), bingroup: 1, opacity: sweep.groups.length > 1 ? 0.65 : 1,
-        x: group.members.map((at) => all[at]).filter(Number.isFinite), marker: { color: colour(i) },
-      }));
-      await figure(plot, traces, { barmode: "overlay", bargap: 0.04, yaxis: { title: { text: "samples" } }, xaxis: { exponentformat: "power" } }, `distribution of ${metric.name}`, THIRD_OF_PRINT_WIDTH);
+      const groups = sweep.groups.map((group, i) => ({ label: group.name, color: colour(i), values: group.members.map((at) => all[at]) }));
+      histogram(plot, groups);
     }
   }
 
   async function drawScatter() {
     const [horizontal, vertical] = [across, up].map((select) => columns[Number(select.value)]);
     const [samples, x, y] = await Promise.all([sampleColumn, horizontal, vertical].map(values));
-    const at = samples.indexOf(sample);
-    const points = {
-      type: "scatter", mode: "markers", x, y, customdata: samples,
-      marker: { size: 7, opacity: 0.65, color: Array.from(samples, (_, at) => colour(groupOf.get(at) ?? 0)) },
-      hovertemplate: "sample %{customdata}<br>%{x}, %{y}<extra></extra>",
-    };
-    const ring = {
-      type: "scatter", mode: "markers", x: at < 0 ? [] : [x[at]], y: at < 0 ? [] : [y[at]], hoverinfo: "skip",
-      marker: { size: 14, color: "rgba(0,0,0,0)", line: { width: 3, color: colour(1) } },
-    };
-    await figure(scatter, [points, ring], {
-      hovermode: "closest",
-      xaxis: { title: { text: titled(horizontal.name, horizontal.unit) }, exponentformat: "power" },
-      yaxis: { title: { text: titled(vertical.name, vertical.unit) }, exponentformat: "power" },
-    }, `${vertical.name} against ${horizontal.name}`);
-    if (!scatter.dataset.listening) {
-      scatter.dataset.listening = "true";
-      scatter.on("plotly_click", (event) => counted(() => choose(event.points[0].customdata)));
-    }
+    const names = [x, y].map((all) => (Array.isArray(all) ? [...new Set(all)] : null));
+    const at = (all, known, i) => (known ? known.indexOf(all[i]) : all[i]);
+    const points = Array.from(samples, (number, i) => ({
+      x: at(x, names[0], i), y: at(y, names[1], i), color: colour(groupOf.get(i) ?? 0), sample: number,
+      text: `sample ${number}: ${short(x[i])}, ${short(y[i])}`,
+    }));
+    const ring = points.filter((point) => point.sample === sample).map((point) => ({ ...point, color: colour(1), size: 8, strong: true }));
+    scatter(scatterPlace, [...points, ...ring], {
+      x: heading(horizontal), y: heading(vertical), names, press: (point) => counted(() => choose(point.sample)),
+    });
   }
 
   async function choose(wanted) {

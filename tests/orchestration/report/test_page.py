@@ -1,6 +1,7 @@
 """The page as such: tables, texts from files, colours, small screens, print, help for every reader."""
 
 import json
+import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from selenium.webdriver.remote.webelement import WebElement
 
 Open = Callable[..., OpenedPage]
+TICKS = "return document.querySelector('#panels .plot').chart.axes[0].stroke()"
 
 
 @pytest.fixture
@@ -32,9 +34,33 @@ def everything(opened: Open, tmp_path: Path) -> OpenedPage:
 def test_runs_with_the_same_metrics_stand_side_by_side(everything: OpenedPage) -> None:
     tables = [" ".join(table.text.split()) for table in everything.all("#metrics table")]
     assert tables == [
-        "Metric Unit a b rmse cm 12.1 4.35 settling_time s -2 -10",
-        "Metric Unit c overshoot -0.5",
+        "Run rmse [cm] settling_time [s] a 12.1 ★ -2 b ★ 4.35 -10",
+        "Run overshoot c -0.5",
     ]
+
+
+def test_runs_are_sorted_by_a_metric_and_have_the_part_of_their_names_that_differs(
+    opened: Open, tmp_path: Path
+) -> None:
+    """The best is marked but where neither less nor more is better; a run that did not settle is no best."""
+    metrics = {name: {"function": name, "signal": "plant.depth"} for name in ("rmse", "mean")}
+    metrics["settling_time"] = metrics.pop("mean")
+    values = {"l1-ideal": (12.1, 3.0), "pid-ideal": (-4.0, 1.0), "smooth-ideal": (math.nan, 2.0)}
+    for name, (rmse, mean_depth) in values.items():
+        measured = {"rmse": rmse, "settling_time": mean_depth}
+        write_run(tmp_path, f"nominal-{name}", measured=measured, metrics=metrics)
+    page = opened(tmp_path)
+
+    def rows() -> list[str]:
+        return [" ".join(row.text.split()) for row in page.all("#metrics tbody tr")]
+
+    assert rows() == ["l1 12.1 3", "pid ★ -4 1", "smooth not a number 2"]
+    heading = page.all("#metrics th button")[1]
+    assert [row[:2] for row in (page.click(heading), rows())[1]] == ["pi", "l1", "sm"]
+    assert page.one("#metrics tbody th").get_attribute("title") == "nominal-pid-ideal"
+    assert [row[:2] for row in (page.click(heading), rows())[1]] == ["l1", "pi", "sm"]
+    labels = [label.text for label in page.all("#choose-runs label")]
+    assert labels == ["l1", "pid", "smooth"]
 
 
 def heading(page: OpenedPage, text: str) -> "WebElement":
@@ -110,9 +136,8 @@ def test_texts_and_lines_stand_out_in_both_colour_schemes(everything: OpenedPage
     drawn = {path.get_attribute("stroke") for path in everything.all(".legend path")}
     assert drawn <= set(lines)
     for line in lines:
-        assert contrast(tuple(bytes.fromhex(line[1:])), paper) >= 3.0, line
-    ticks = everything.one("#panels .xtick text").value_of_css_property("fill")
-    assert contrast(numbers(ticks), paper) >= 4.5
+        assert contrast(of_hex(line), paper) >= 3.0, line
+    assert contrast(of_hex(everything.run(TICKS)), paper) >= 4.5
 
 
 def test_nothing_is_wider_than_the_screen(everything: OpenedPage) -> None:
@@ -148,8 +173,8 @@ def test_a_phone_shows_a_long_value_below_its_label(everything: OpenedPage) -> N
 
 def plots_fit(page: OpenedPage) -> bool:
     return page.run(
-        "return [...document.querySelectorAll('.plot .main-svg')]"
-        ".every((svg) => svg.getBoundingClientRect().right <= document.documentElement.clientWidth)"
+        "return [...document.querySelectorAll('.plot canvas')]"
+        ".every((canvas) => canvas.getBoundingClientRect().right <= document.documentElement.clientWidth)"
     )
 
 
@@ -159,12 +184,12 @@ def test_print_is_light_without_controls_and_as_wide_as_paper(everything: Opened
     everything.run("dispatchEvent(new Event('beforeprint'))")  # as a browser: the medium changes after it
     everything.settled()
     everything.emulate(prefers_color_scheme="dark", media="print")
-    assert not any(control.is_displayed() for control in everything.all(".controls, nav, .modebar"))
+    assert not any(control.is_displayed() for control in everything.all(".controls, nav"))
     assert luminance(colour_of(everything, "body", "color")) < 0.1
     assert {path.get_attribute("stroke") for path in everything.all(".legend path")} <= set(
         everything.run("return PALETTE.light")
     )
-    assert luminance(numbers(everything.one("#panels .xtick text").value_of_css_property("fill"))) < 0.1
+    assert luminance(of_hex(everything.run(TICKS))) < 0.1
     assert widths(everything, "#panels figure:not([hidden])") == {660}
     assert widths(everything, ".histograms figure") == {205}  # three of them beside each other
     everything.run("dispatchEvent(new Event('afterprint'))")
@@ -177,8 +202,8 @@ def widths(page: OpenedPage, figures: str) -> set[float]:
     """Of the plots in these figures, px."""
     return set(
         page.run(
-            "return [...document.querySelectorAll(arguments[0] + ' .main-svg')]"
-            ".map((svg) => svg.getBoundingClientRect().width)",
+            "return [...document.querySelectorAll(arguments[0] + ' canvas')]"
+            ".map((canvas) => canvas.getBoundingClientRect().width)",
             figures,
         )
     )
@@ -204,13 +229,12 @@ def test_texts_from_files_stay_texts(opened: Open, tmp_path: Path) -> None:
     assert page.run("return window.hacked") is None
     assert page.driver.title == HOSTILE
     assert page.all("img") == []
-    assert len(page.all("script")) == 6  # the data, plotly and ours
+    assert len(page.all("script")) == 7  # the data, uPlot and ours
     assert page.one("h1").text == HOSTILE
     shown = page.run("return document.querySelector('main').textContent")
     assert shown.count("onerror='window.hacked = 2'") > 10
-    assert page.run("return document.querySelector('.plot .ytitle').textContent") == f"[{HOSTILE}]"
-    escaped = HOSTILE.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")  # plotly undoes it
-    assert any(trace.startswith(f"{escaped}, ") for trace in page.shown())
+    assert page.run("return document.querySelector('.plot').chart.axes[1].label") == f"[{HOSTILE}]"
+    assert any(line.startswith(f"{HOSTILE}, ") for line in page.shown())
 
 
 def test_hostile_texts_of_sweeps_stay_texts(opened: Open, tmp_path: Path) -> None:
@@ -235,7 +259,7 @@ def test_hostile_texts_of_sweeps_stay_texts(opened: Open, tmp_path: Path) -> Non
     assert page.all("img") == []
     assert HOSTILE in page.one(".chosen").text
     assert HOSTILE in page.one(".failures").text
-    assert page.run("return document.querySelector('.scatter .xtitle').textContent") == option
+    assert page.run("return document.querySelector('.scatter').chart.axes[0].label") == option
 
 
 def test_the_policy_of_the_page_stops_scripts_and_requests(opened: Open, tmp_path: Path) -> None:
@@ -257,13 +281,17 @@ def test_the_policy_of_the_page_stops_scripts_and_requests(opened: Open, tmp_pat
 
 def test_the_page_says_what_made_it_and_holds_its_data_as_plain_json(opened: Open, tmp_path: Path) -> None:
     page = opened(write_run(tmp_path, "run"))
-    assert re.fullmatch(r"l1-depth [\d.]+, plotly\.js [\d.]+", page.one("footer").text)
+    assert re.fullmatch(r"l1-depth [\d.]+, uPlot [\d.]+", page.one("footer").text)
     data = json.loads(page.one("#data").get_attribute("textContent") or "")
     assert [run["name"] for run in data["runs"]] == ["run"]
 
 
 def numbers(colour: str) -> tuple[float, ...]:
     return tuple(float(number) for number in re.findall(r"[\d.]+", colour)[:3])
+
+
+def of_hex(colour: str) -> tuple[float, ...]:
+    return tuple(bytes.fromhex(colour[1:]))
 
 
 def colour_of(page: OpenedPage, selector: str, which: str) -> tuple[float, ...]:
