@@ -20,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent))  # mkdocs loads this file 
 sys.path.insert(0, str(Path(__file__).parent))
 import blocks_page
 import comparison_page
+import compatibility_page
 import controllers_page
 import downloads
 import fmi2_page
@@ -49,7 +50,15 @@ RESULTS = {
     "study": "explanation/identification.json",
     "survey": "explanation/survey/results.json",
 }
-CODE_PAGES = (blocks_page, controllers_page, fmi2_page, keys_page, protocol_page, vehicles_page)
+CODE_PAGES = (
+    blocks_page,
+    compatibility_page,
+    controllers_page,
+    fmi2_page,
+    keys_page,
+    protocol_page,
+    vehicles_page,
+)
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:

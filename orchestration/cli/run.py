@@ -185,7 +185,7 @@ def reproduce(
     scenarios = run_files.reproduced(flavour)
     build_missing_fmus(scenarios.values())
     with shared.progress("reproduce", len(scenarios)) as bar:
-        results = run_files.run_all(out, workers, lambda name: bar.advance(), flavour)
+        results = run_files.run_all(out, workers, lambda name: bar.advance(note=name), flavour)
     written = run_files.write_report(results, out, written_formats)
     shared.print_table(comparison_table({name: result.metrics for name, result in results.items()}))
     print(*written, sep="\n")
