@@ -68,7 +68,8 @@ def page(template: str, script_files: Sequence[str], **content: Any) -> str:
     """
     environment = Environment(loader=FileSystemLoader(_FILES), autoescape=True, undefined=StrictUndefined)
     environment.filters |= {"toml": toml, "number": _number, "breakable": _breakable, "facts": _facts}
-    scripts = [get_plotlyjs(), _file("uplot.js"), *(_file(name) for name in script_files)]
+    plotly = [] if template == "live.html" else [get_plotlyjs()]
+    scripts = [*plotly, _file("uplot.js"), *(_file(name) for name in script_files)]
     return environment.get_template(template).render(
         **content,
         style=Markup(_file("page.css") + _file("uplot.css")),
