@@ -4,6 +4,7 @@
 `plan.h`: C arrays of the same content, with names where there were addresses.
 """
 
+import json
 import re
 import zipfile
 from collections.abc import Iterator, Sequence
@@ -18,6 +19,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from fmus.errors import FmuLoadError
+from fmus.files import extract_archive
 from fmus.fmi.variable_types import TRANSFER_TYPE
 from orchestration.errors import ScenarioError
 from orchestration.exchange.limits import check_standard, check_types
@@ -113,14 +115,14 @@ def _unpack_sources(system: CheckedSystem, folder: Path, headers: Path) -> Itera
         paths[identifier] = path
         with zipfile.ZipFile(path) as archive:
             root = ElementTree.fromstring(archive.read("modelDescription.xml"))
-            listed = [file.get("name", "") for file in root.iterfind("CoSimulation/SourceFiles/File")]
-            if not listed:
-                raise FmuLoadError(
-                    f"{_TARGET} with {component}, {path}, without C sources: expected an FMU whose model "
-                    "description lists SourceFiles, as the native flavour's of l1-depth build"
-                )
             sources = [name for name in archive.namelist() if name.startswith("sources/")]
-            archive.extractall(folder / identifier, sources)
+        listed = [file.get("name", "") for file in root.iterfind("CoSimulation/SourceFiles/File")]
+        if not listed or not {f"sources/{name}" for name in listed} <= {*sources}:
+            raise FmuLoadError(
+                f"{_TARGET} with {component}, {path}, without C sources: expected an FMU whose model "
+                "description lists SourceFiles that it has, as the native flavour's of l1-depth build"
+            )
+        extract_archive(path, folder / identifier, sources)
         prefixed = '#include "fmi2Functions.h"\n'
         prefixed += "".join(f"#undef {name}\n#define {name} {identifier}_{name}\n" for name in functions)
         for number, source in enumerate(listed):
@@ -148,7 +150,7 @@ def _plan(prepared: PreparedRun, settings: Sequence[Setting]) -> str:
     changes = [(point, *setting) for point, made in sorted(prepared.changes.items()) for setting in made]
     tables = {
         "Component COMPONENTS": [
-            f'COMPONENT("{name}", {_prefix(description)}, "{description.guid}")'
+            f"COMPONENT({json.dumps(name)}, {_prefix(description)}, {json.dumps(description.guid)})"
             for name, description in system.descriptions.items()
         ],
         "Port SETTINGS": [port(variable) for variable, _ in settings],

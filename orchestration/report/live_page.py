@@ -49,14 +49,13 @@ def live_page(runs: Mapping[str, Scenario], sliders: Sequence[str] = ()) -> str:
     )
     ports = [prepared.system.ports[name] for name in names]
     settings = [(port, _value(values[0], port)) for port in ports]
+    components = dict.fromkeys(s.name.partition(".")[0] for s in shown)
     scored = {call.get(key) for call in first.metrics.values() for key in SIGNALS}
     return page(
         "live.html",
         ("common.js", "live.js"),
         title=first.title,
-        groups={
-            name: [s for s in shown if s.name.startswith(f"{name}.")] for name in first.system.components
-        },
+        groups={name: [s for s in shown if s.name.startswith(f"{name}.")] for name in components},
         descriptions={
             s.name: prepared.system.ports[s.variables[0]].variable.description or "" for s in shown
         },

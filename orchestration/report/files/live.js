@@ -38,7 +38,7 @@ function chosen(slider) {
 function runAll(program) {
   const status = document.getElementById("status");
   const values = page.sliders.map(chosen);
-  page.sliders.forEach((slider, i) => (form.elements[slider.name].nextElementSibling.value = values[i].toPrecision(4)));
+  page.sliders.forEach((slider, i) => (form.elements[slider.name].previousElementSibling.value = values[i].toPrecision(4)));
   try {
     const begun = performance.now();
     results = page.runs.map((run) => {
@@ -60,19 +60,19 @@ function runAll(program) {
 const panels = Object.values(Object.groupBy(page.columns, ({ unit, down }) => `${unit} ${down}`)).map((columns) => {
   const legend = element("div", { className: "legend" });
   const plot = element("div", { className: "plot" });
-  const figure = element("figure", {}, legend, plot);
-  document.getElementById("panels").append(figure);
-  return { columns, legend, plot, figure };
+  document.getElementById("panels").append(element("figure", {}, legend, plot));
+  return { columns, legend, plot };
 });
 
 /** The lines of a panel: a signal has one colour, a run one dash; what drives all runs is drawn once. */
 function linesOf(columns) {
   return columns.flatMap((column, i) =>
     page.runs.slice(0, column.isSignal ? 1 : undefined).map(({ label }, run) => ({
-      label: column.isSignal || page.runs.length === 1 ? column.name : `${column.name}, ${label}`,
+      label: run ? `${column.name}, ${label}` : column.name,
       color: colour(i),
       dash: dash(run),
       hidden: hidden.has(column.name),
+      isFirst: run === 0,
       toggle: () => {
         hidden[hidden.has(column.name) ? "delete" : "add"](column.name);
         draw(true);
@@ -83,12 +83,12 @@ function linesOf(columns) {
   );
 }
 
-/** Draws all runs; anew: with other lines or colours, else the charts take the new values. */
+/** Draws all runs; anew: with other lines or colours, else the charts take the new values and keep their zoom. */
 function draw(anew = false) {
   for (const { columns, legend, plot } of panels) {
     const lines = linesOf(columns);
     const shown = lines.filter((line) => !line.hidden);
-    fillLegend(legend, lines);
+    fillLegend(legend, lines.filter(({ isFirst }) => isFirst));
     plot.hidden = !shown.length;
     if (!shown.length) continue;
     if (anew || !plot.chart) chart(plot, shown, { y: `[${columns[0].unit}]`, down: columns[0].down, legend });
