@@ -177,7 +177,7 @@ start = time.process_time()
 recording = simulate(system, stop_time=1000.0, step_size=0.01)
 print(time.process_time() - start)
 assert len(recording.time) == 100001
-unneeded = {"casadi", "ziglang", "pint", "PIL", "matplotlib", "plotly", "pandas", "rich", "typer"}
+unneeded = {"casadi", "ziglang", "pint", "PIL", "matplotlib", "pandas", "rich", "typer"}
 unneeded |= {"fmus.build"}
 assert not unneeded & set(sys.modules), unneeded & set(sys.modules)
 maps = Path("/proc/self/maps").read_text()

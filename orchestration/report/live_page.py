@@ -53,7 +53,7 @@ def live_page(runs: Mapping[str, Scenario], sliders: Sequence[str] = ()) -> str:
     scored = {call.get(key) for call in first.metrics.values() for key in SIGNALS}
     return page(
         "live.html",
-        ("common.js", "live.js"),
+        ("live.js",),
         title=first.title,
         groups={name: [s for s in shown if s.name.startswith(f"{name}.")] for name in components},
         descriptions={

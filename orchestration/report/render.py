@@ -34,10 +34,9 @@ from orchestration.sweep.table import HEADINGS, categorical
 with imports_of("report", "a report"):
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markupsafe import Markup
-    from plotly.offline import get_plotlyjs, get_plotlyjs_version
 
 _FILES = Path(__file__).with_name("files")
-_SCRIPTS = ("common.js", "tables.js", "signals.js", "sweeps.js")
+_SCRIPTS = ("points.js", "tables.js", "signals.js", "sweeps.js")
 
 
 def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
@@ -57,7 +56,11 @@ def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
         categorical=categorical,
         distributions=distributions,
         correlations=correlations,
-        data={"runs": [run_data(run) for run in runs], "sweeps": [sweep_data(sweep) for sweep in swept]},
+        data={
+            "columns": COLUMNS,
+            "runs": [run_data(run) for run in runs],
+            "sweeps": [sweep_data(sweep) for sweep in swept],
+        },
     )
 
 
@@ -68,14 +71,13 @@ def page(template: str, script_files: Sequence[str], **content: Any) -> str:
     """
     environment = Environment(loader=FileSystemLoader(_FILES), autoescape=True, undefined=StrictUndefined)
     environment.filters |= {"toml": toml, "number": _number, "breakable": _breakable, "facts": _facts}
-    plotly = [] if template == "live.html" else [get_plotlyjs()]
-    scripts = [*plotly, _file("uplot.js"), *(_file(name) for name in script_files)]
+    scripts = [_file(name) for name in ("uplot.js", "common.js", *script_files)]
     return environment.get_template(template).render(
         **content,
         style=Markup(_file("page.css") + _file("uplot.css")),
         scripts=[Markup(script) for script in scripts],
         hashes=" ".join(f"'sha256-{_sha256(script)}'" for script in scripts),
-        made_by=f"l1-depth {metadata.version('l1-depth')}, plotly.js {get_plotlyjs_version()}",
+        made_by=f"l1-depth {metadata.version('l1-depth')}, {_file('uplot.LICENSE').partition(' (')[0]}",
     )
 
 
@@ -163,6 +165,37 @@ def packed(values: np.ndarray) -> str:
     return base64.b64encode(zlib.compress(bytes_of_values.T.tobytes())).decode("ascii")
 
 
+COLUMNS = 2000
+"""Columns of pixels of a chart: a screen shows no more of one of them than its least and largest value."""
+
+
+def drawn_points(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Returns the indices of both ends and, of each column of time, the least and largest value, and a gap.
+
+    Of no more than two points a column they are all indices.
+    """
+    if len(values) <= 2 * COLUMNS:
+        return np.arange(len(values))
+    column = ((time - time[0]) * (COLUMNS / (time[-1] - time[0]))).astype(int)
+    finite = np.where(np.isfinite(values), values, np.nan)
+    order = np.lexsort((finite, column))  # within a column by value, gaps last
+    starts = np.flatnonzero(np.diff(column, prepend=-1))
+    largest = starts + np.maximum(np.add.reduceat(np.isfinite(finite).astype(int), starts), 1) - 1
+    lasts = np.append(starts[1:], len(values)) - 1
+    return np.unique(np.concatenate([[0, len(values) - 1], order[starts], order[largest], order[lasts]]))
+
+
+def _signal_data(name: str, unit: str, time: np.ndarray, values: np.ndarray) -> dict[str, Any]:
+    kept = drawn_points(time, values)
+    return {
+        "name": name,
+        "unit": unit,
+        "down": points_down(name, unit),
+        "values": packed(values[kept]),
+        "steps": packed(np.diff(kept, prepend=0)) if len(kept) < len(time) else "",
+    }
+
+
 def run_data(run: RunResult) -> dict[str, Any]:
     """Returns the data that the page's script draws of a run."""
     recording = run.recording
@@ -171,8 +204,7 @@ def run_data(run: RunResult) -> dict[str, Any]:
         "name": run.name,
         "time": packed(recording.time),
         "signals": [
-            {"name": name, "unit": unit or "1", "down": points_down(name, unit), "values": packed(column)}
-            for name, unit, column in columns
+            _signal_data(name, unit or "1", recording.time, column) for name, unit, column in columns
         ],
         "in_metrics": sorted(
             {

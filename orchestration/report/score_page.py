@@ -11,7 +11,7 @@ from orchestration.score import score_view
 from orchestration.score.score import ScoreResult
 from orchestration.score.score_document import OF_A_ROW, Score
 
-_SCRIPTS = ("common.js", "tables.js", "score.js")
+_SCRIPTS = ("points.js", "tables.js", "score.js")
 _LINES = ("depth", "u")
 _SCALE = 1e4  # whole numbers compress to a quarter of the room
 

@@ -1,5 +1,5 @@
 "use strict";
-// What the sections share: the data of the page, colours, and figures that follow the colour scheme.
+// What the sections share: the data of the page, colours, and charts that follow the colour scheme.
 
 const page = JSON.parse(document.getElementById("data").textContent);
 const PALETTE = {
@@ -19,9 +19,7 @@ const dash = (i) => Object.keys(DASHES)[i % 4];
 const SHARED = 8; // the grey of lines that several runs share; no run has it
 const colourOfRun = (i) => (i % 9 < SHARED ? i % 9 : 9);
 
-// plotly reads some markup in texts: names from files must not be taken for it
-const plain = (text) => text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
-const titled = (name, unit) => plain(unit ? `${name} [${unit}]` : name);
+const titled = (name, unit) => (unit ? `${name} [${unit}]` : name);
 const short = (value) => (typeof value === "number" ? String(Number(value.toPrecision(6))) : value);
 
 /** A DOM element with properties and children; texts stay texts. */
@@ -38,7 +36,7 @@ async function inflated(text) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-/** The inverse of `packed` in embedded.py: numbers from planes of bytes. */
+/** The inverse of `packed` in render.py: numbers from planes of bytes. */
 async function unpacked(text) {
   const planes = await inflated(text);
   const count = planes.length / 8;
@@ -47,26 +45,6 @@ async function unpacked(text) {
     for (let i = 0; i < count; i++) bytes[8 * i + plane] = planes[plane * count + i];
   }
   return new Float64Array(bytes.buffer); // little-endian, as every machine that runs a browser
-}
-
-/** Axes and texts in the page's own colours. */
-function layout(more) {
-  const style = getComputedStyle(document.documentElement);
-  const [ink, line, paper, soft] = ["--ink", "--line", "--paper", "--soft"].map((name) => style.getPropertyValue(name).trim());
-  const axis = { gridcolor: line, zerolinecolor: line, linecolor: soft, automargin: true };
-  const { xaxis, yaxis, ...rest } = more;
-  return {
-    paper_bgcolor: "rgba(0,0,0,0)",
-    plot_bgcolor: "rgba(0,0,0,0)",
-    font: { family: getComputedStyle(document.body).fontFamily, size: 12, color: ink },
-    hoverlabel: { bgcolor: paper, bordercolor: line, font: { color: ink }, namelength: -1 },
-    modebar: { bgcolor: "rgba(0,0,0,0)", color: soft, activecolor: ink },
-    margin: { l: 10, r: 10, t: 30, b: 10 },
-    showlegend: false,
-    xaxis: { ...axis, ...xaxis },
-    yaxis: { ...axis, ...yaxis },
-    ...rest,
-  };
 }
 
 /** Says in the page how many drawings are under way, for whoever waits for them. */
@@ -169,16 +147,6 @@ function showValues(legend, u, lines) {
     const at = u.cursor.idxs[i + 1];
     const output = legend?.buttons.get(label)?.querySelector("output");
     if (output) output.textContent = at == null || u.data[i + 1][at] == null ? "" : u.data[i + 1][at].toPrecision(4);
-  });
-}
-
-function figure(place, traces, more, file, printWidth = PRINT_WIDTH) {
-  const width = printing ? printWidth : place.clientWidth;
-  return Plotly.react(place, traces, { ...layout(more), width }, {
-    responsive: true,
-    displaylogo: false,
-    modeBarButtons: [["zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d"], ["toImage"]],
-    toImageButtonOptions: { format: "svg", filename: file },
   });
 }
 

@@ -83,7 +83,15 @@ function linesOf(columns) {
   );
 }
 
-/** Draws all runs; anew: with other lines or colours, else the charts take the new values and keep their zoom. */
+const more = { cursor: { drag: { x: true, y: false, setScale: false } } };
+let range = null; // of time, that was chosen by a drag in a chart; all by default
+
+function zoomed(times) {
+  range = times;
+  draw(true);
+}
+
+/** Draws all runs; anew: with other lines, colours or times, else the charts take the new values. */
 function draw(anew = false) {
   for (const { columns, legend, plot } of panels) {
     const lines = linesOf(columns);
@@ -91,8 +99,11 @@ function draw(anew = false) {
     fillLegend(legend, lines.filter(({ isFirst }) => isFirst));
     plot.hidden = !shown.length;
     if (!shown.length) continue;
-    if (anew || !plot.chart) chart(plot, shown, { y: `[${columns[0].unit}]`, down: columns[0].down, legend });
-    else plot.chart.setData(dataOf(shown));
+    if (anew || !plot.chart) chart(plot, shown, { y: `[${columns[0].unit}]`, down: columns[0].down, legend, range, zoomed, more });
+    else {
+      plot.chart.setData(dataOf(shown));
+      if (range) plot.chart.setScale("x", { min: range[0], max: range[1] });
+    }
   }
 }
 

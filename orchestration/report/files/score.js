@@ -20,20 +20,13 @@ find("table").addEventListener("change", () => {
 
 /** Buttons that show and hide the lines of each controller. */
 function legend() {
-  find("lines").replaceChildren(...page.rows.map((row, i) => {
-    const button = element("button", { type: "button" });
-    button.innerHTML = '<svg viewBox="0 0 28 12" aria-hidden="true"><path d="M0 6H28" stroke-width="2.5"/></svg>';
-    button.append(row.title);
-    const path = button.querySelector("path");
-    path.setAttribute("stroke", shade(i).color);
-    path.setAttribute("stroke-dasharray", DASHES[shade(i).dash]);
-    button.setAttribute("aria-pressed", String(!hidden.has(row.name)));
-    button.addEventListener("click", () => {
+  fillLegend(find("lines"), page.rows.map((row, i) => ({
+    label: row.title, ...shade(i), hidden: hidden.has(row.name),
+    toggle: () => {
       if (!hidden.delete(row.name)) hidden.add(row.name);
       draw();
-    });
-    return button;
-  }));
+    },
+  })));
 }
 
 async function drawTracking() {
@@ -45,16 +38,15 @@ async function drawTracking() {
     const trace = row.traces[chosen];
     if (!trace || hidden.has(row.name)) continue;
     const [z, u] = await Promise.all([numbers(trace.depth), numbers(trace.u)]);
-    const line = { type: "scatter", mode: "lines", name: plain(row.title), x: time, line: shade(i) };
+    const line = { label: row.title, x: time, ...shade(i) };
     panels.depth.push({ ...line, y: z });
     panels.error.push({ ...line, y: z.map((at, k) => 100 * (at - depth[k])) });
     panels.force.push({ ...line, y: u });
   }
-  panels.depth.push({ type: "scatter", mode: "lines", name: "reference", x: time, y: depth, line: { color: "#888888", width: 1 } });
-  const seconds = { title: { text: "Time [s]" } };
-  await figure(find("depth"), panels.depth, { xaxis: seconds, yaxis: { autorange: "reversed" } }, `depth ${chosen}`);
-  await figure(find("error"), panels.error, { xaxis: seconds }, `error ${chosen}`);
-  await figure(find("force"), panels.force, { xaxis: seconds }, `force ${chosen}`);
+  panels.depth.push({ label: "reference", x: time, y: depth, color: "#888888", width: 1 });
+  chart(find("depth"), panels.depth, { y: "depth [m]", down: true });
+  chart(find("error"), panels.error, { y: "error [cm]", legend: find("lines") });
+  chart(find("force"), panels.force, { y: "u [N]" });
 }
 
 /** Rows that no other one beats in both metrics, by ascending RMSE. */
@@ -67,39 +59,39 @@ async function drawPareto() {
   const failed = (row) => row.cases[find("case").value]?.failed.length > 0;
   const rows = page.rows.filter((row) => Number.isFinite(value(row, "rmse")));
   const best = front(rows.filter((row) => !failed(row)));
-  const line = { type: "scatter", mode: "lines", x: best.map((row) => value(row, "rmse")), y: best.map((row) => value(row, "total_variation")), line: { color: "#888888", width: 1 }, hoverinfo: "skip" };
-  const points = {
-    type: "scatter", mode: "markers+text", textposition: "top center",
-    x: rows.map((row) => value(row, "rmse")), y: rows.map((row) => value(row, "total_variation")),
-    text: rows.map((row) => (row.scored || best.includes(row) ? plain(row.title) : "")), hovertext: rows.map((row) => plain(`${row.title}, told ${row.connected.join(", ")}`)),
-    marker: {
-      size: rows.map((row) => (row.scored ? 14 : 9)), symbol: rows.map((row) => (failed(row) ? "x" : row.connected.length > 1 ? "diamond" : "circle")),
-      color: rows.map((row) => row.delay_margin ?? NaN), colorscale: "Viridis", colorbar: { title: { text: "Delay margin [s]" } },
-      line: { width: rows.map((row) => (row.scored ? 3 : 1)), color: "#888888" },
-    },
-    hovertemplate: "%{hovertext}<br>RMSE %{x:.3g} cm<br>total variation %{y:.4g} N<br>delay margin %{marker.color:.3g} s<extra></extra>",
-  };
-  await figure(find("pareto"), [line, points], {
-    hovermode: "closest",
-    xaxis: { title: { text: "RMSE [cm]" }, type: "log" },
-    yaxis: { title: { text: "Total variation of u [N]" }, type: "log" },
-  }, `price ${find("case").value}`);
+  const margins = rows.map((row) => row.delay_margin).filter(Number.isFinite);
+  const [least, largest] = [Math.min(...margins), Math.max(...margins)];
+  const points = rows.map((row) => ({
+    x: value(row, "rmse"), y: value(row, "total_variation"), name: row.name,
+    text: [`${row.title}, told ${row.connected.join(", ")}`, `RMSE ${value(row, "rmse").toPrecision(3)} cm`, `total variation ${value(row, "total_variation").toPrecision(4)} N`, `delay margin ${row.delay_margin?.toPrecision(3) ?? "-"} s`].join("\n"),
+    label: row.scored || best.includes(row) ? row.title : "", size: row.scored ? 7 : 4.5,
+    mark: failed(row) ? "cross" : row.connected.length > 1 ? "diamond" : "circle",
+    color: Number.isFinite(row.delay_margin) ? `hsl(${240 - 220 * ((row.delay_margin - least) / (largest - least || 1))} 70% ${dark() ? 65 : 42}%)` : "#888888",
+  }));
+  const line = best.map((row) => ({ x: value(row, "rmse"), y: value(row, "total_variation") }));
+  scatter(find("pareto"), points, { x: "RMSE [cm]", y: "total variation of u [N]", log: true, line });
+  find("margins").textContent = margins.length ? `blue ${least.toPrecision(3)} s to orange ${largest.toPrecision(3)} s` : "not judged";
 }
 
-async function drawBoxes() {
+/** The plants of a controller stand above its name, spread so that they do not hide each other; a bar is their median. */
+function drawPlants() {
   const name = find("plant-metric")?.value;
   if (!name) return;
-  const traces = page.rows.map((row, i) => ({
-    type: "box", name: plain(row.title), y: row.plants?.metrics[name].values.filter(Number.isFinite) ?? [],
-    boxpoints: "outliers", marker: { color: shade(i).color, size: 3 }, line: { width: row.scored ? 2.5 : 1 },
-  }));
+  const points = page.rows.flatMap((row, i) => {
+    const values = (row.plants?.metrics[name].values ?? []).filter(Number.isFinite).sort((a, b) => a - b);
+    const { color } = shade(i);
+    const text = (y) => `${row.title}: ${y.toPrecision(4)}`;
+    const drawn = values.map((y, k) => ({ x: i + 0.5 * (((k * 0.618) % 1) - 0.5), y, color, size: 2, text: text(y), name: row.title }));
+    const median = row.plants?.metrics[name].median;
+    return [...drawn, { x: i, y: median, color, size: 4, mark: "bar", strong: true, text: `${row.title}: median ${median?.toPrecision(4)}` }];
+  });
   const { title, unit } = page.protocol.metrics[name];
-  await figure(find("boxes"), traces, { yaxis: { title: { text: titled(title, unit) }, type: "log" }, xaxis: { tickangle: -40 } }, `plants ${name}`);
+  scatter(find("boxes"), points, { x: "", y: titled(title, unit), log: true, names: [page.rows.map((row) => row.title)] });
 }
 
 function draw() {
   legend();
-  return counted(() => drawTracking().then(drawPareto).then(drawBoxes));
+  return counted(() => drawTracking().then(drawPareto).then(drawPlants));
 }
 
 find("case").addEventListener("change", draw);

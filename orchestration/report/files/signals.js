@@ -1,18 +1,16 @@
 "use strict";
-// Signals over time: a panel for each unit, all with one time axis, thinned to what a screen can show.
+// Signals over time: a panel for each unit, and for the errors beside what they are of, all with one time axis.
 
 if (page.runs.length) signalsSection();
 
 function signalsSection() {
   const FEW_SIGNALS = 6; // shown at first of runs whose metrics name none
   const FEW_RUNS = 6;
-  const MOST_POINTS = 4000; // of one line; longer ones are drawn by least and largest value of each slot
-  const SLOTS = 1200;
   const place = document.getElementById("panels");
   const status = document.getElementById("drawn");
   const view = document.getElementById("view");
   const inputs = [document.getElementById("from"), document.getElementById("to")];
-  const panels = new Map(); // unit -> {figure, legend, plot, slots, hidden, y}
+  const panels = new Map(); // unit -> {figure, caption, legend, plot, slots, hidden, y}
   let zoom = null; // [from, to] in s, or null for all
 
   const units = [...new Set(page.runs.flatMap((run) => run.signals.map((signal) => signal.unit)))];
@@ -49,6 +47,13 @@ function signalsSection() {
   const times = (run) => (run.times ??= unpacked(run.time));
   const numbers = (signal) => (signal.numbers ??= unpacked(signal.values));
 
+  /** The times of the points of a signal: those of the run, or some of them. */
+  async function timesOf(run, signal) {
+    const time = await times(run);
+    let at = 0;
+    return signal.steps ? (signal.times ??= (await unpacked(signal.steps)).map((step) => time[(at += step)])) : time;
+  }
+
   /** First index whose time is not before t. */
   function firstAt(time, t) {
     let [low, high] = [0, time.length];
@@ -70,31 +75,7 @@ function signalsSection() {
     });
   }
 
-  /** Indices of the points to draw from `from` to `to`: all, or of each slot of time least, largest and gaps. */
-  function drawnPoints(time, values, from, to) {
-    const first = Math.max(0, firstAt(time, from) - 1);
-    const last = Math.min(time.length - 1, firstAt(time, to));
-    const count = last - first + 1;
-    if (count <= MOST_POINTS) return Array.from({ length: count }, (_, i) => first + i);
-    const width = (time[last] - time[first]) / SLOTS;
-    const kept = [first];
-    for (let i = first + 1; i < last; ) {
-      const slot = Math.floor((time[i] - time[first]) / width);
-      let [least, largest, gap] = [-1, -1, -1];
-      for (; i < last && Math.floor((time[i] - time[first]) / width) === slot; i++) {
-        if (Number.isNaN(values[i])) gap = i;
-        else {
-          if (least < 0 || values[i] < values[least]) least = i;
-          if (largest < 0 || values[i] > values[largest]) largest = i;
-        }
-      }
-      kept.push(...[...new Set([least, largest, gap])].filter((j) => j >= 0).sort((a, b) => a - b));
-    }
-    kept.push(last);
-    return kept;
-  }
-
-  /** The lines of one unit that are ticked: {label, name, run, down, time, values}; run is null where all share it. */
+  /** The lines of one unit that are ticked: {label, name, run, down, x, y}; run is null where all share it. */
   async function lines(unit) {
     const base = view?.value ? page.runs[Number(view.value)] : null;
     const chosen = new Set(chosenSignals.get(unit)());
@@ -103,32 +84,32 @@ function signalsSection() {
     for (const name of chosen) {
       const of = (run) => run.signals.find((signal) => signal.name === name && signal.unit === unit);
       const having = runs.filter((run) => of(run) && (!base || of(base)));
-      const groups = Map.groupBy(having, (run) => (base ? run : run.time + of(run).values)); // equal ones are one line
+      const groups = Map.groupBy(having, (run) => (base ? run : run.time + of(run).steps + of(run).values)); // equal ones are one line
       for (const [run, ...equal] of groups.values()) {
-        const time = await times(run);
-        let values = await numbers(of(run));
+        const x = await timesOf(run, of(run));
+        let y = await numbers(of(run));
         if (base) {
-          const other = interpolated(await times(base), await numbers(of(base)), time);
-          values = values.map((value, i) => value - other[i]);
+          const other = interpolated(await timesOf(base, of(base)), await numbers(of(base)), x);
+          y = y.map((value, i) => value - other[i]);
         }
         const shared = equal.length > 0 && groups.size === 1;
         const whose = shared ? "all" : [run, ...equal].map((each) => each.name).join(" = ");
         const label = page.runs.length > 1 ? `${name}, ${whose}` : name;
-        found.push({ label, name, run: shared ? null : page.runs.indexOf(run), down: of(run).down, time, values });
+        found.push({ label, name, run: shared ? null : page.runs.indexOf(run), down: of(run).down, thinned: Boolean(of(run).steps), x, y });
       }
     }
     return found;
   }
 
   /** How much ink a line takes: the sum of its changes. */
-  const roughness = (trace) => trace.y.reduce((sum, y, i) => sum + (Math.abs(y - trace.y[i - 1]) || 0), 0);
+  const roughness = (line) => line.y.reduce((sum, y, i) => sum + (Math.abs(y - line.y[i - 1]) || 0), 0);
 
   function panel(unit) {
     if (!panels.has(unit)) {
       const [caption, legend, plot] = ["figcaption", "div", "div"].map((tag) => element(tag));
       legend.className = "legend";
       plot.className = "plot";
-      const made = { caption, legend, plot, figure: element("figure", {}, caption, legend, plot), slots: new Map(), buttons: new Map(), hidden: new Set(), y: null };
+      const made = { caption, legend, plot, figure: element("figure", {}, caption, legend, plot), slots: new Map(), hidden: new Set(), y: null };
       panels.set(unit, made);
       const after = units.slice(units.indexOf(unit) + 1).find((each) => panels.has(each));
       place.insertBefore(made.figure, after ? panels.get(after).figure : null);
@@ -155,78 +136,32 @@ function signalsSection() {
     return { color: colour(colourOfRun(run)), dash: dash(slot + Math.floor(run / 9)) };
   }
 
-  /** The button of a line, the same one as long as the line is shown: it keeps the focus. */
-  function legendButton(made, line) {
-    const label = line.label;
-    if (!made.buttons.has(label)) {
-      const button = element("button", { type: "button" });
-      button.innerHTML = '<svg viewBox="0 0 28 12" aria-hidden="true"><path d="M0 6H28" stroke-width="2.5"/></svg>';
-      button.append(label);
-      button.addEventListener("click", () => {
-        if (!made.hidden.delete(label)) made.hidden.add(label);
-        draw();
-      });
-      made.buttons.set(label, button);
-    }
-    const button = made.buttons.get(label);
-    button.setAttribute("aria-pressed", String(!made.hidden.has(label)));
-    const path = button.querySelector("path");
-    const drawn = style(made, line);
-    path.setAttribute("stroke", drawn.color);
-    path.setAttribute("stroke-dasharray", DASHES[drawn.dash]);
-    return button;
-  }
-
-  /** The legend in the order of the lines; what is in its place already is not touched. */
-  function fillLegend(made, lines) {
-    lines.forEach((line, i) => {
-      const button = legendButton(made, line);
-      if (made.legend.children[i] !== button) made.legend.insertBefore(button, made.legend.children[i] ?? null);
-    });
-    while (made.legend.children.length > lines.length) made.legend.lastChild.remove();
-  }
-
-  async function drawPanel(unit, found, range) {
+  function drawPanel(unit, found, range) {
     const made = panel(unit);
     made.figure.hidden = !found.length;
-    if (!found.length) return 0;
+    if (!found.length) return;
     numbered(made.slots, found.map((line) => line.name));
     made.caption.textContent = (view?.value ? "Difference" : "Signals") + (unit === "1" ? " without unit" : ` in ${unit}`);
-    fillLegend(made, found);
-    const down = found.some((line) => line.down); // depth increases downwards
-    let thinned = 0;
-    const traces = found.map((line) => {
-      const points = drawnPoints(line.time, line.values, ...range);
-      const between = firstAt(line.time, range[1]) - firstAt(line.time, range[0]);
-      if (points.length < between) thinned++;
-      return {
-        type: "scatter", mode: points.length > 1 ? "lines" : "markers", name: plain(line.label),
-        x: points.map((i) => line.time[i]), y: points.map((i) => line.values[i]),
-        visible: !made.hidden.has(line.label), line: { width: 1.4, ...style(made, line) },
-      };
+    const styled = found.map((line) => ({
+      ...line,
+      ...style(made, line),
+      hidden: made.hidden.has(line.label),
+      toggle: () => {
+        if (!made.hidden.delete(line.label)) made.hidden.add(line.label);
+        draw();
+      },
+    }));
+    fillLegend(made.legend, styled);
+    const shown = styled.filter((line) => !line.hidden).sort((a, b) => roughness(b) - roughness(a)); // smooth ones on top
+    chart(made.plot, shown, {
+      y: `[${unit}]`, range, yRange: made.y, down: found.some((line) => line.down), // depth increases downwards
+      legend: made.legend, zoomed: (x, y) => zoomed(made, x, y),
     });
-    traces.sort((a, b) => roughness(b) - roughness(a)); // smooth ones on top
-    await figure(made.plot, traces, {
-      hovermode: "closest",
-      xaxis: { title: { text: "time [s]" }, range, exponentformat: "power" },
-      yaxis: { title: { text: plain(`[${unit}]`) }, exponentformat: "power", ...(made.y ? { range: made.y } : { autorange: down ? "reversed" : true }) },
-    }, `signals ${units.indexOf(unit) + 1}`);
-    if (!made.listening) {
-      made.listening = true;
-      made.plot.on("plotly_relayout", (change) => zoomed(made, change));
-    }
-    return thinned;
   }
 
-  function zoomed(made, change) {
-    const range = (axis) => (change[`${axis}.range`] ?? [change[`${axis}.range[0]`], change[`${axis}.range[1]`]]).map(Number);
-    const [x, y] = [range("xaxis"), range("yaxis")];
-    const known = (pair) => pair.every(Number.isFinite);
-    if (change["yaxis.autorange"]) made.y = null;
-    else if (known(y)) made.y = y;
-    if (change["xaxis.autorange"]) zoom = null;
-    else if (known(x)) zoom = x;
-    else return;
+  function zoomed(made, x, y) {
+    if (x || !y) zoom = x;
+    if (y || !x) made.y = y;
     draw();
   }
 
@@ -250,15 +185,15 @@ function signalsSection() {
     const found = [];
     for (const unit of units) found.push([unit, await lines(unit)]);
     const shown = found.flatMap(([, each]) => each);
-    const whole = [Math.min(...shown.map((line) => line.time[0])), Math.max(...shown.map((line) => line.time.at(-1)))];
+    const whole = [Math.min(...shown.map((line) => line.x[0])), Math.max(...shown.map((line) => line.x.at(-1)))];
     const range = zoom ?? whole;
     inputs.forEach((input, i) => (input.value = shown.length || zoom ? short(range[i]) : ""));
-    let thinned = 0;
-    for (const [unit, each] of found) thinned += await drawPanel(unit, each, range);
+    for (const [unit, each] of found) drawPanel(unit, each, range);
+    const thinned = shown.filter((line) => line.thinned).length;
     status.textContent = !shown.length
       ? "Nothing is ticked."
       : thinned
-        ? `${thinned} of ${shown.length} lines have more points than a screen: drawn by the least and the largest value of each of ${SLOTS} slots of time. Zoom in for every point.`
+        ? `${thinned} of ${shown.length} lines are decimated: the page holds the least and the largest value of each of ${page.columns} columns of time, and both ends. The recording has every point.`
         : "Every point is drawn.";
   }
 

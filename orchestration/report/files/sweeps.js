@@ -6,22 +6,21 @@ for (const section of document.querySelectorAll("section.sweep")) {
 }
 
 function sweepSection(section, sweep) {
+  const heading = (column) => titled(column.name, column.unit);
   const find = (selector) => section.querySelector(selector);
-  const [scatter, across, up, number, chosen] = [".scatter", ".across", ".up", "input.sample", ".chosen"].map(find);
+  const [scatterPlace, across, up, number, chosen] = [".scatter", ".across", ".up", "input.sample", ".chosen"].map(find);
   const metrics = sweep.columns.filter((column) => column.kind === "metric");
   const varied = sweep.columns.filter((column) => column.kind === "varied");
   const sampleColumn = { name: "sample", unit: "", kind: "sample", values: sweep.samples };
   const columns = [...varied, ...metrics, sampleColumn];
   const histograms = metrics.map((metric) => {
     const plot = element("div", { className: "plot" });
+    plot.dataset.print = THIRD_OF_PRINT_WIDTH;
     find(".histograms").append(element("figure", {}, element("figcaption", {}, heading(metric)), plot));
     return [metric, plot];
   });
   let sample = null; // the one chosen
 
-  function heading(column) {
-    return column.unit ? `${column.name} [${column.unit}]` : column.name;
-  }
 
   const values = (column) => (column.numbers ??= Array.isArray(column.values) ? column.values : unpacked(column.values));
 
@@ -47,36 +46,24 @@ function sweepSection(section, sweep) {
     }
     for (const [metric, plot] of histograms) {
       const all = await values(metric);
-      const traces = sweep.groups.map((group, i) => ({
-        type: "histogram", name: plain(group.name), bingroup: 1, opacity: sweep.groups.length > 1 ? 0.65 : 1,
-        x: group.members.map((at) => all[at]).filter(Number.isFinite), marker: { color: colour(i) },
-      }));
-      await figure(plot, traces, { barmode: "overlay", bargap: 0.04, yaxis: { title: { text: "samples" } }, xaxis: { exponentformat: "power" } }, `distribution of ${metric.name}`, THIRD_OF_PRINT_WIDTH);
+      const groups = sweep.groups.map((group, i) => ({ label: group.name, color: colour(i), values: group.members.map((at) => all[at]) }));
+      histogram(plot, groups);
     }
   }
 
   async function drawScatter() {
     const [horizontal, vertical] = [across, up].map((select) => columns[Number(select.value)]);
     const [samples, x, y] = await Promise.all([sampleColumn, horizontal, vertical].map(values));
-    const at = samples.indexOf(sample);
-    const points = {
-      type: "scatter", mode: "markers", x, y, customdata: samples,
-      marker: { size: 7, opacity: 0.65, color: Array.from(samples, (_, at) => colour(groupOf.get(at) ?? 0)) },
-      hovertemplate: "sample %{customdata}<br>%{x}, %{y}<extra></extra>",
-    };
-    const ring = {
-      type: "scatter", mode: "markers", x: at < 0 ? [] : [x[at]], y: at < 0 ? [] : [y[at]], hoverinfo: "skip",
-      marker: { size: 14, color: "rgba(0,0,0,0)", line: { width: 3, color: colour(1) } },
-    };
-    await figure(scatter, [points, ring], {
-      hovermode: "closest",
-      xaxis: { title: { text: titled(horizontal.name, horizontal.unit) }, exponentformat: "power" },
-      yaxis: { title: { text: titled(vertical.name, vertical.unit) }, exponentformat: "power" },
-    }, `${vertical.name} against ${horizontal.name}`);
-    if (!scatter.dataset.listening) {
-      scatter.dataset.listening = "true";
-      scatter.on("plotly_click", (event) => counted(() => choose(event.points[0].customdata)));
-    }
+    const names = [x, y].map((all) => (Array.isArray(all) ? [...new Set(all)] : null));
+    const at = (all, known, i) => (known ? known.indexOf(all[i]) : all[i]);
+    const points = Array.from(samples, (number, i) => ({
+      x: at(x, names[0], i), y: at(y, names[1], i), color: colour(groupOf.get(i) ?? 0), sample: number,
+      text: `sample ${number}: ${short(x[i])}, ${short(y[i])}`,
+    }));
+    const ring = points.filter((point) => point.sample === sample).map((point) => ({ ...point, color: colour(1), size: 8, strong: true }));
+    scatter(scatterPlace, [...points, ...ring], {
+      x: heading(horizontal), y: heading(vertical), names, press: (point) => counted(() => choose(point.sample)),
+    });
   }
 
   async function choose(wanted) {

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 _PATIENCE_S = 30.0
 _OWN = ("file:", "data:", "blob:", "about:", "chrome:")  # the last of the browser's first tab
 
+_PANELS = "[...document.querySelectorAll('#panels figure:not([hidden]) .plot')]"
+
 
 class OpenedPage:
     """A page in a browser, with what its console and its network have said since it was opened."""
@@ -69,58 +71,83 @@ class OpenedPage:
     def shown(self) -> list[str]:
         """Names of the lines that are drawn, in any panel."""
         return self.run(
-            "return [...document.querySelectorAll('#panels figure:not([hidden]) .plot')]"
-            ".flatMap((plot) => plot.data)"
-            ".filter((trace) => trace.visible !== false).map((trace) => trace.name)"
+            f"return {_PANELS}.flatMap((plot) => plot.chart.series.slice(1)).map((line) => line.label)"
         )
 
     def line(self, name: str) -> dict[str, list[float]]:
-        """The x and y that are drawn of a line."""
+        """The x and y that are drawn of a line; None where it has a gap."""
         return self.run(
-            "const line = [...document.querySelectorAll('#panels figure:not([hidden]) .plot')]"
-            ".flatMap((plot) => plot.data).find((trace) => trace.name === arguments[0]);"
-            "return {x: [...line.x], y: [...line.y]}",
+            f"for (const {{chart}} of {_PANELS}) {{"
+            "  const i = chart.series.findIndex((line) => line.label === arguments[0]);"
+            "  const has = (y, at) => chart.data[i][at] !== undefined;"
+            "  if (i > 0) return {x: chart.data[0].filter(has), y: chart.data[i].filter(has)};"
+            "}",
             name,
         )
 
-    def time_ranges(self) -> list[list[float]]:
-        """Of each panel."""
+    def ranges(self, axis: str = "x") -> list[list[float]]:
+        """From and to of an axis of each panel."""
         return self.run(
-            "return [...document.querySelectorAll('#panels figure:not([hidden]) .plot')]"
-            ".map((plot) => plot._fullLayout.xaxis.range)"
+            f"return {_PANELS}.map(({{chart}}) => [chart.scales.{axis}.min, chart.scales.{axis}.max])"
         )
 
-    def drag(self, plot: "WebElement", start: float, end: float) -> "OpenedPage":
-        """Across a plot at half its height, from one share of its time axis to another."""
+    def has_ink(self, plot: "WebElement", x: float, y: float, colour: str) -> bool:
+        """Whether a chart has a colour, "#rrggbb", within 2 px of a point of its axes."""
+        pixels = self.run(
+            "const {chart} = arguments[0], at = [];"
+            "for (const [axis, value] of [['x', arguments[1]], ['y', arguments[2]]])"
+            "  at.push(Math.round(chart.valToPos(value, axis, true)) - 2);"
+            "const copy = document.createElement('canvas').getContext('2d', {willReadFrequently: true});"
+            "copy.drawImage(chart.ctx.canvas, ...at, 5, 5, 0, 0, 5, 5);"
+            "const {data} = copy.getImageData(0, 0, 5, 5);"
+            "return Array.from({length: 25}, (_, i) => [...data.slice(4 * i, 4 * i + 4)])",
+            plot,
+            x,
+            y,
+        )
+        wanted = (*bytes.fromhex(colour[1:]), 255)
+        rounding = 8  # of the edge of a line, which is mixed with what is behind
+        return any(
+            all(abs(a - b) <= rounding for a, b in zip(pixel, wanted, strict=True)) for pixel in pixels
+        )
+
+    def drag(self, plot: "WebElement", start: float, end: float, down: int = 0) -> "OpenedPage":
+        """Across a plot from half its height, between two shares of its x axis, and so many px down."""
         self.run("arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})", plot)
-        area = plot.find_element(By.CSS_SELECTOR, ".nsewdrag")
+        area = plot.find_element(By.CSS_SELECTOR, ".u-over")
         width, moves = area.size["width"], webdriver.ActionChains(self.driver)
         moves.move_to_element_with_offset(area, round((start - 0.5) * width), 0)
-        moves.click_and_hold().move_by_offset(round((end - start) * width), 0).release().perform()
+        moves.click_and_hold().move_by_offset(round((end - start) * width), down).release().perform()
         return self.settled()
 
-    def click_point(self, plot: "WebElement", trace: int, point: int) -> "OpenedPage":
-        """The mouse on a marker of a plot."""
+    def point_at(self, plot: "WebElement", x: float, y: float) -> "OpenedPage":
+        """The mouse to a point of the axes of a plot."""
 
-        def hovers() -> bool:
-            """As a hand does it: looking where the point is, and moving until it answers."""
+        def is_there() -> bool:
+            """As a hand does it: moving until the chart, which a scroll has moved, follows."""
             self.run("arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})", plot)
-            x, y = self.run(
-                "const [plot, trace, point] = arguments, {xaxis, yaxis} = plot._fullLayout;"
-                "const {x, y} = plot.data[trace], box = plot.getBoundingClientRect();"
-                "const [across, down] = [xaxis.d2p(x[point]), yaxis.d2p(y[point])];"
-                "return [box.x + xaxis._offset + across, box.y + yaxis._offset + down]",
+            across, down, left, top = self.run(
+                "const {chart} = arguments[0], box = chart.over.getBoundingClientRect();"
+                "return [chart.valToPos(arguments[1], 'x'), chart.valToPos(arguments[2], 'y'), box.x, box.y]",
                 plot,
-                trace,
-                point,
+                x,
+                y,
             )
             moves = webdriver.ActionChains(self.driver)
-            for position in (x + 2.0, x):
-                moves.w3c_actions.pointer_action.move_to_location(round(position), round(y)).pause(0.2)
+            for beside in (2, 0):
+                moves.w3c_actions.pointer_action.move_to_location(
+                    round(left + across) + beside, round(top + down)
+                ).pause(0.1)
             moves.perform()
-            return bool(plot.find_elements(By.CSS_SELECTOR, ".hovertext"))
+            cursor = self.run("const {left, top} = arguments[0].chart.cursor; return [left, top]", plot)
+            return max(abs(cursor[0] - across), abs(cursor[1] - down)) <= 1.0
 
-        self.until(hovers)
+        self.until(is_there)
+        return self
+
+    def click_point(self, plot: "WebElement", x: float, y: float) -> "OpenedPage":
+        """The mouse on a point of a plot."""
+        self.point_at(plot, x, y)
         webdriver.ActionChains(self.driver).click().perform()
         return self.settled()
 

@@ -188,7 +188,7 @@ def test_a_page_names_what_is_on_it(tmp_path: Path) -> None:
 
 def test_each_missing_library_is_one_line_with_the_extra_and_none_of_other_extras_is_needed() -> None:
     """In one process, which imports the report anew for each library that it does not find."""
-    needed = ("jinja2", "markupsafe", "plotly", "pyarrow")
+    needed = ("jinja2", "markupsafe", "pyarrow")
     code = f"""
 import sys
 sys.modules.update(dict.fromkeys(("dask", "distributed", "lief", "lxml", "pandas", "xarray")))

@@ -1,11 +1,14 @@
 """Parts of a page that need no browser: TOML, embedded numbers, differences, statistics."""
 
 import base64
+import hashlib
 import json
 import math
+import re
 import tomllib
 import zlib
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +19,7 @@ from hypothesis.extra.numpy import arrays
 
 from orchestration.errors import OrchestrationError
 from orchestration.report import RunResult, SweepResult, found_results
-from orchestration.report.render import differences, packed, run_data
+from orchestration.report.render import COLUMNS, differences, drawn_points, packed, run_data
 from orchestration.report.result import correlations, distributions, strongest, toml
 from orchestration.scenarios import scenario
 
@@ -52,10 +55,60 @@ def test_a_scenario_that_toml_cannot_say_is_refused(tmp_path: Path) -> None:
         found_results([document])
 
 
+def test_the_chart_library_is_as_it_was_published() -> None:
+    """With the hashes that stand beside its licence."""
+    files = resources.files("orchestration.report") / "files"
+    hashes = re.findall(r"([0-9a-f]{64})  (\S+)", (files / "uplot.LICENSE").read_text())
+    assert [name for _, name in hashes] == ["uplot.js", "uplot.css"]
+    for expected, name in hashes:
+        assert hashlib.sha256((files / name).read_bytes()).hexdigest() == expected
+
+
+@given(
+    points=st.integers(1, 12_000),
+    few=st.lists(st.floats(-1e3, 1e3) | st.sampled_from([math.nan, math.inf]), min_size=1, max_size=50),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_a_decimated_line_keeps_ends_extremes_of_each_column_and_gaps(
+    points: int, few: list[float], seed: int
+) -> None:
+    """Exactly; and no more than three points of a column, of steps of any length."""
+    draw = np.random.default_rng(seed)
+    time, values = np.cumsum(draw.exponential(size=points)), draw.choice(few, points)
+    kept = drawn_points(time, values)
+    assert (np.diff(kept) > 0).all()
+    if points <= 2 * COLUMNS:
+        assert kept.tolist() == list(range(points))
+        return
+    assert (kept[0], kept[-1], len(kept) <= 3 * COLUMNS + 2) == (0, points - 1, True)
+    column = ((time - time[0]) * (COLUMNS / (time[-1] - time[0]))).astype(int)
+    for number in np.unique(column):
+        whole, drawn = values[column == number], values[kept[column[kept] == number]]
+        assert np.isfinite(whole).all() == np.isfinite(drawn).all()
+        for extreme in (np.min, np.max):
+            finite = [part[np.isfinite(part)] for part in (whole, drawn)]
+            assert len(finite[0]) == 0 or extreme(finite[0]) == extreme(finite[1])
+
+
+def test_a_long_run_is_embedded_with_its_extremes_and_the_steps_between_its_points() -> None:
+    long = recording(points=15_501, step=0.02)
+    long["plant.depth"][7_777] = 9.0
+    data = run_data(RunResult("run", long))["signals"][0]
+    values, steps = (unpacked(data[key]) for key in ("values", "steps"))
+    assert len(values) == len(steps) <= 2 * COLUMNS + 2
+    np.testing.assert_array_equal(values, long["plant.depth"][np.cumsum(steps).astype(int)])
+    assert (values.max(), values.min()) == (9.0, long["plant.depth"].min())
+    assert run_data(RunResult("run", recording()))["signals"][0]["steps"] == ""  # every point
+
+
+def unpacked(text: str) -> np.ndarray:
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8).reshape(8, -1)
+    return np.frombuffer(planes.T.tobytes(), "<f8")
+
+
 @given(values=arrays(np.float64, st.integers(0, 20), elements=st.floats(width=64)))
 def test_embedded_numbers_are_exact(values: np.ndarray) -> None:
-    planes = np.frombuffer(zlib.decompress(base64.b64decode(packed(values))), np.uint8).reshape(8, -1)
-    assert planes.T.tobytes() == values.astype("<f8").tobytes()
+    assert unpacked(packed(values)).tobytes() == values.astype("<f8").tobytes()
 
 
 def test_every_signal_of_a_metric_is_drawn_first() -> None:

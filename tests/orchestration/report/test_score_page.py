@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from selenium import webdriver
@@ -48,7 +49,12 @@ def test_a_case_that_the_vehicle_cannot_play_is_named(html: str) -> None:
 
 def lines(page: OpenedPage, plot: str) -> dict[str, list[float]]:
     """Name -> y of the lines of a plot."""
-    return dict(page.run(f"return document.getElementById('{plot}').data.map((t) => [t.name, [...t.y]])"))
+    return dict(
+        page.run(
+            f"const {{chart}} = document.getElementById('{plot}');"
+            "return chart.series.slice(1).map((line, i) => [line.label, chart.data[i + 1]])"
+        )
+    )
 
 
 def test_the_best_of_each_column_that_did_not_fail_is_marked(opened_score: OpenedPage) -> None:
@@ -61,14 +67,14 @@ def test_the_best_of_each_column_that_did_not_fail_is_marked(opened_score: Opene
 def test_a_button_draws_and_hides_a_controller(opened_score: OpenedPage) -> None:
     """At first the scored one, and those that are ranked: l1 failed the nominal case."""
     drawn = lines(opened_score, "error")
-    assert set(drawn) == {"&lt;mine&gt;", "&lt;pid&gt;"}
-    assert drawn["&lt;pid&gt;"] == pytest.approx([0.0, -1.0, -1.0])
-    assert drawn["&lt;mine&gt;"] == pytest.approx([0.0, -2.0, -2.0])
+    assert set(drawn) == {"<mine>", "<pid>"}
+    assert drawn["<pid>"] == pytest.approx([0.0, -1.0, -1.0])
+    assert drawn["<mine>"] == pytest.approx([0.0, -2.0, -2.0])
     opened_score.choose("#case", "Buoyancy +0.2 N")
-    assert lines(opened_score, "error")["&lt;pid&gt;"] == pytest.approx([0.0, -1.5, -1.5])
+    assert lines(opened_score, "error")["<pid>"] == pytest.approx([0.0, -1.5, -1.5])
     for number in (1, 2):
         opened_score.click(opened_score.all("#lines button")[number])
-    assert set(lines(opened_score, "depth")) == {"&lt;mine&gt;", "&lt;l1&gt;", "reference"}
+    assert set(lines(opened_score, "depth")) == {"<mine>", "<l1>", "reference"}
 
 
 def with_others(*of_others: tuple[str, float, float, float]) -> ScoreResult:
@@ -98,8 +104,10 @@ def test_no_two_of_forty_lines_look_alike(browser: "webdriver.Chrome", tmp_path:
     many = with_others(*((f"other {i}", 2.0 + i, 1000.0 - i, 0.1 + i) for i in range(36)))
     file.write_text(score_page(many, "Score"), encoding="utf-8")
     page = OpenedPage(browser, file)
-    drawn = "return document.getElementById('error').data.map((t) => [t.line.color, t.line.dash])"
-    at_first = page.run(drawn)
+    at_first = page.run(
+        "return document.getElementById('error').chart.series.slice(1)"
+        ".map((line) => [line.stroke(), String(line.dash)])"
+    )
     assert [len({style[part] for style in at_first}) for part in (0, 1)] == [4, 4]
     buttons = page.run(
         "return [...document.querySelectorAll('#lines path')]"
@@ -121,21 +129,35 @@ def test_the_error_stands_beside_the_depth(opened_score: OpenedPage) -> None:
 
 def test_the_price_joins_what_no_other_beats(opened_score: OpenedPage) -> None:
     """l1 is beaten by both; in the nominal case it failed, too."""
-    front, points = opened_score.run(
-        "return document.getElementById('pareto').data.map((t) => [[...t.x], [...t.y]])"
+    time, _, front = opened_score.run("return document.getElementById('pareto').chart.data")
+    joined = [(x, y) for x, y in zip(time, front, strict=True) if y is not None]
+    assert joined == [(1.0, 400.0), (2.0, 300.0)]
+    assert marks(opened_score, "pareto", "x", "y", "mark") == [
+        [2.0, 300.0, "circle"],
+        [1.0, 400.0, "circle"],
+        [3.0, 500.0, "cross"],
+    ]
+
+
+def marks(page: OpenedPage, plot: str, *keys: str) -> list[list[Any]]:
+    """These keys of each point of a plot."""
+    return page.run(
+        "const [plot, keys] = arguments;"
+        "return document.getElementById(plot).points.map((point) => keys.map((key) => point[key] ?? null))",
+        plot,
+        keys,
     )
-    assert front == [[1.0, 2.0], [400.0, 300.0]]
-    assert points == [[2.0, 1.0, 3.0], [300.0, 400.0, 500.0]]
-    symbols = opened_score.run("return document.getElementById('pareto').data[1].marker.symbol")
-    assert symbols == ["circle", "circle", "x"]
 
 
-def test_plants_have_a_box_for_each_controller(opened_score: OpenedPage) -> None:
-    assert lines(opened_score, "boxes") == {
-        "&lt;mine&gt;": [2.0, 4.0],
-        "&lt;pid&gt;": [1.0, 2.0],
-        "&lt;l1&gt;": [3.0, 6.0],
-    }
+def test_plants_stand_above_the_name_of_each_controller(opened_score: OpenedPage) -> None:
+    """And a bar at their median."""
+    points = marks(opened_score, "boxes", "x", "y", "mark")
+    for i, median in enumerate((2.0, 1.0, 3.0)):
+        (bar,) = [[x, y] for x, y, mark in points if mark == "bar" and round(x) == i]
+        assert bar == [i, median]
+        assert [y for x, y, mark in points if mark is None and round(x) == i] == [median, 2.0 * median]
+    names = opened_score.run("return document.getElementById('boxes').chart.axes[0].values()")
+    assert names == ["<mine>", "<pid>", "<l1>"]
 
 
 def test_a_phone_breaks_no_word_of_a_table(opened_score: OpenedPage) -> None:

@@ -29,10 +29,14 @@ def rows(tmp_path: Path) -> list[dict[str, Any]]:
     return table.read(write_sweep(tmp_path))[0].to_pylist()
 
 
+def succeeded(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [row for row in rows if not row["error"]]
+
+
 def points(page: OpenedPage) -> dict[str, list[Any]]:
     return page.run(
-        "const {x, y} = document.querySelector('.scatter').data[0];"
-        "return {x: Array.from(x), y: Array.from(y)}"
+        "const {points} = document.querySelector('.scatter');"
+        "return {x: points.map((point) => point.x), y: points.map((point) => point.y)}"
     )
 
 
@@ -47,7 +51,7 @@ def test_every_metric_has_its_histogram_of_the_samples_that_succeeded(
 ) -> None:
     counts = swept.run(
         "return [...document.querySelectorAll('.histograms .plot')]"
-        ".map((plot) => plot.calcdata[0].reduce((sum, bar) => sum + bar.s, 0))"
+        ".map(({chart}) => chart.data[1].reduce((sum, count) => sum + count, 0))"
     )
     metrics = [name for name in rows[0] if not name.startswith(("plant.", "sample", "warned", "error"))]
     assert counts == [len(rows) - len(FAILED)] * len(metrics)
@@ -72,19 +76,19 @@ def test_the_table_of_distributions_tells_count_mean_and_percentiles(
 
 
 def test_at_first_the_strongest_dependence_is_drawn(swept: OpenedPage, rows: list[dict[str, Any]]) -> None:
-    assert points(swept)["x"] == [row["plant.inertia"] for row in rows]
+    assert points(swept)["x"] == [row["plant.inertia"] for row in succeeded(rows)]
 
 
 def test_the_selects_choose_what_is_drawn_against_what(swept: OpenedPage, rows: list[dict[str, Any]]) -> None:
     swept.choose(".across", "plant.inertia [kg]").choose(".up", "rmse [cm]")
     drawn = points(swept)
-    assert drawn["x"] == [row["plant.inertia"] for row in rows]
-    assert drawn["y"] == [row["rmse"] for row in rows]
-    titles = swept.run(
-        "return ['xaxis', 'yaxis'].map((axis) => document.querySelector('.scatter').layout[axis].title.text)"
-    )
+    assert drawn["x"] == [row["plant.inertia"] for row in succeeded(rows)]
+    assert drawn["y"] == [row["rmse"] for row in succeeded(rows)]
+    titles = swept.run("return document.querySelector('.scatter').chart.axes.map((axis) => axis.label)")
     assert titles == ["plant.inertia [kg]", "rmse [cm]"]
     swept.choose(".across", "sample")
+    assert points(swept)["x"] == [row["sample"] for row in succeeded(rows)]
+    swept.choose(".up", "sample")
     assert points(swept)["x"] == list(range(len(rows)))
 
 
@@ -93,14 +97,16 @@ def test_a_click_on_a_point_shows_its_sample_and_how_to_run_it_again(
 ) -> None:
     swept.choose(".across", "plant.inertia [kg]").choose(".up", "holding_thrust [N]")
     sample = max(range(len(rows)), key=lambda i: rows[i]["plant.inertia"])  # at the edge: nothing covers it
-    swept.click_point(swept.one(".scatter"), 0, sample)
+    at = rows[sample]["plant.inertia"], rows[sample]["holding_thrust"]
+    swept.point_at(swept.one(".scatter"), *at)
+    assert swept.one(".scatter .tip").text.startswith(f"sample {sample}: ")
+    swept.click_point(swept.one(".scatter"), *at)
     swept.until(lambda: facts(swept))
     assert swept.one(".chosen h4").text == f"Sample {sample}"
     assert float(facts(swept)["plant.inertia [kg]"]) == rows[sample]["plant.inertia"]
     assert float(facts(swept)["holding_thrust [N]"]) == rows[sample]["holding_thrust"]
     assert swept.one(".chosen code").text == f"l1-depth sweep monte-carlo --sample {sample}"
-    ring = swept.run("return document.querySelector('.scatter').data[1].x")
-    assert ring == [rows[sample]["plant.inertia"]]
+    assert points(swept)["x"][len(succeeded(rows)) :] == [rows[sample]["plant.inertia"]]  # the ring
 
 
 def test_a_sample_is_found_by_its_number_also_one_that_failed(swept: OpenedPage) -> None:
@@ -148,12 +154,15 @@ def test_texts_are_varied_too(opened: Open, tmp_path: Path) -> None:
     field = read.schema.field(column).with_type(pa.string())
     pq.write_table(read.set_column(column, field, [kinds]), path)
     page = opened(path).choose(".across", "plant.sensor_seed")
-    assert points(page)["x"] == kinds
+    drawn = succeeded(table.read(path)[0].to_pylist())
+    names = ["pi", "none"]
+    assert [names[x] for x in points(page)["x"]] == [row["plant.sensor_seed"] for row in drawn]
+    assert page.run("return document.querySelector('.scatter').chart.axes[0].values()") == names
     bars = page.run(
         "return [...document.querySelectorAll('.histograms .plot')]"
-        ".map((plot) => plot.data.map((trace) => trace.name))"
+        ".map(({chart}) => chart.series.slice(1).map((bars) => bars.label))"
     )
-    assert bars == [["pi", "none"]] * len(bars)  # apart, and in colours that the legend names
+    assert bars == [names] * len(bars)  # apart, and in colours that the legend names
     assert [group.text for group in page.all(".groups > span")] == ["\u25a0 pi", "\u25a0 none"]
     assert len(page.all(".distributions tbody tr")) == 2 * len(bars)
     assert any(row.text.startswith("plant.sensor_seed all ") for row in page.all(".correlations tbody tr"))
