@@ -206,7 +206,7 @@ static void data_inputs_at(const Data *d, double elapsed, double *inputs) {
 /* From t to t + h in equal internal steps with the inputs u. They are held over an internal step; those with a rate
  * at what they are in its middle. Outputs follow the last step at once, so that a compiler computes once what
  * both need. */
-static Outcome data_step(Data *d, StepCache *cache, double t, double h, const double *u, int *broken) {
+static INLINED Outcome data_step(Data *d, StepCache *cache, double t, double h, const double *u, int *broken) {
     double fresh[N_CALCULATED + 1], moving[N_INPUTS + 1], reached[N_STATES + 1], next[N_STATES + 1];
     double outputs[N_OUTPUTS + 1];
     const double *p = d->value, *x = d->state;
@@ -230,7 +230,8 @@ static Outcome data_step(Data *d, StepCache *cache, double t, double h, const do
     const Outcome outcome = checked(next, outputs, broken);
     if (outcome != DONE) return outcome;
     data_become(d, t + h, next, outputs, c);
-    if (d->inputs_have_rates) memset(d->input_rate, 0, sizeof d->input_rate);
+    if (!d->inputs_have_rates) return DONE;
+    memset(d->input_rate, 0, sizeof d->input_rate);
     d->inputs_have_rates = 0;
     return DONE;
 }

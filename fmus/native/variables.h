@@ -45,8 +45,8 @@ typedef struct {
 
 /* What each call asks of each variable: in a table of its own, which is small and stays in the processor's cache. */
 typedef struct {
-    unsigned char type, settable; /* NEVER, BEFORE_STEPPING, AT_POINTS or ALWAYS */
-    unsigned char is_continuous;  /* by its variability: other variables change at events alone (2.2.7) */
+    unsigned type : 8, settable : 8; /* NEVER, BEFORE_STEPPING, AT_POINTS or ALWAYS */
+    unsigned is_continuous : 16;     /* by its variability: other variables change at events alone (2.2.7) */
 } Access;
 
 #include "model.h"
