@@ -250,5 +250,19 @@ def test_charts_follow_the_sliders_and_signals_are_shown_by_their_buttons(open_l
     assert len(drawn()) == 3
     page.click(page.one("#panels .legend button"))
     assert len(drawn()) == 2
-    page.emulate(prefers_color_scheme="dark")
-    page.emulate(prefers_color_scheme="light")
+
+
+def test_times_that_a_drag_chooses_stay_chosen_when_a_slider_moves(open_live: Open) -> None:
+    page = open_live(with_experiment(loaded("nominal-extended"), stop_time=10.0))
+
+    def times() -> list[list[float]]:
+        return page.run(
+            "return panels.filter(({plot}) => !plot.hidden)"
+            ".map(({plot: {chart}}) => [chart.scales.x.min, chart.scales.x.max])"
+        )
+
+    assert times() == [[0.0, 10.0]] * 2
+    page.drag(page.one("#panels .plot"), 0.25, 0.5)
+    assert times() == [[pytest.approx(2.5, abs=0.1), pytest.approx(5.0, abs=0.1)]] * 2
+    move(page, "plant.external_force", 1.0)
+    assert times() == [[pytest.approx(2.5, abs=0.1), pytest.approx(5.0, abs=0.1)]] * 2
