@@ -13,7 +13,7 @@ from importlib import resources
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -23,7 +23,7 @@ from fmus.files import extract_archive
 from fmus.fmi.variable_types import TRANSFER_TYPE
 from orchestration.errors import ScenarioError
 from orchestration.exchange.limits import check_standard, check_types
-from orchestration.run.loop_data import Report, Storage, Wiring
+from orchestration.run.loop_data import Report, Storage
 from orchestration.run.wiring import WiredRun, build_wiring
 from orchestration.system.prepared_run import PreparedRun, Setting
 from orchestration.system.system import CheckedSystem, LinearTransformation, Port
@@ -31,18 +31,15 @@ from orchestration.system.system import CheckedSystem, LinearTransformation, Por
 _TARGET = "a WebAssembly program"
 _TYPES = ("Real", "Integer", "Boolean")  # of getters and setters, in the order of web_program.c
 _NUMBERS = (*_TYPES, "Enumeration")
-_OF_CALLER = ("points", "signal_values", "rows", "setting_values", "message")
+_OF_CALLER = ("wiring_points", "wiring_signal_values", "wiring_rows")  # arrays that it writes or reads
+_EXPORTED = (*_OF_CALLER, "setting_values", "message")
+_ADDRESSES = (  # ends of the names of arrays that hold addresses
+    *("_function", "_references", "_buffer", "_instances", "_do_step"),
+    *("_real_status", "_boolean_status", "_get_state", "_set_state"),
+)
+_C_TYPES = {"float64": "double", "int64": "int64_t", "int32": "int32_t", "uint32": "uint32_t"}
 _ABSENT = ("fmi2GetFMUstate", "fmi2SetFMUstate")  # the program never goes back
 _OPTIONS = ("-target", "wasm32-wasi", "-mexec-model=reactor")
-
-
-class _Address(NamedTuple):
-    """A name of C, and the memory of this process that it stands for: first and last address, item size."""
-
-    name: str
-    first: int
-    end: int
-    size: int
 
 
 @dataclass
@@ -87,7 +84,7 @@ def program(prepared: PreparedRun, settings: Sequence[Setting]) -> bytes:
             text = (here / file).read_text("utf-8")
             (folder / "exchange" / Path(file).name).write_text(text, "utf-8", newline="\n")
         (folder / "exchange" / "plan.h").write_text(_plan(prepared, settings), "utf-8", newline="\n")
-        exported = [f"-Wl,--export={name}" for name in _OF_CALLER]
+        exported = [f"-Wl,--export={name}" for name in _EXPORTED]
         arguments = ["cc", *FLAGS, *_OPTIONS, *exported, "-I", str(FMI_HEADERS), "-o", "program.wasm"]
         zig([*arguments, *compiled], folder)
         return (folder / "program.wasm").read_bytes()
@@ -157,7 +154,7 @@ def _plan(prepared: PreparedRun, settings: Sequence[Setting]) -> str:
         "int SETTING_IS_INPUT": [str(int(p.variable.causality == "input")) for p, _ in settings],
         "InitialConnection INITIAL_CONNECTIONS": list(_initial_connections(system, port)),
         "Event EVENTS": [
-            f"{{{point}, {wired.bus.index.get(p.name, -1)}, {port(p)}, {_number(value)}}}"
+            f"{{{point}, {wired.bus.index.get(p.name, -1)}, {port(p)}, {_number(float(value))}}}"
             for point, p, value in changes
         ],
     }
@@ -185,51 +182,33 @@ def _initial_connections(system: CheckedSystem, port: Any) -> Iterator[str]:
 
 def _wiring(wired: WiredRun, functions: Sequence[str]) -> Iterator[str]:
     """Yields the arrays of a wiring and the wiring itself, member by member as loop.c declares it."""
-    leaves = dict(_leaves(wired.wiring, "w"))
-    leaves |= {f"w_references{i}": array for i, array in enumerate(wired.references)}
-    memory = [
-        _Address(name, array.ctypes.data, array.ctypes.data + array.nbytes, array.itemsize)
-        for name, array in leaves.items()
-        if isinstance(array, np.ndarray) and array.size and name != "w_memory"
-    ]
+    # no state is saved, so that no array need be a part of `memory`
+    members = dict(_leaves(wired.wiring._replace(memory=np.zeros(0)), "wiring"))
+    arrays = {name: value for name, value in members.items() if isinstance(value, np.ndarray)}
+    del arrays["wiring_team"]
+    addresses = {name: arrays.pop(name) for name in [*arrays] if name.endswith(_ADDRESSES)}
+    arrays |= {f"wiring_references{i}": array for i, array in enumerate(wired.references)}
 
     def named(address: int) -> str:
-        """Returns an address of this process as an expression of C."""
-        found = next((one for one in memory if one.first <= address < one.end), None)
-        if found:
-            return f"(intptr_t)({found.name} + {(address - found.first) // found.size})"
+        """Returns an address of this process, or the number of a function, as an expression of C."""
+        for name, array in arrays.items():
+            if 0 <= address - array.ctypes.data < array.nbytes:
+                return f"(intptr_t)({name} + {(address - array.ctypes.data) // array.itemsize})"
         return f"(intptr_t){functions[address - 1]}" if address else "0"
 
-    of_caller = {f"w_{name}": name for name in _OF_CALLER}
-    leaves["w_instances"] = np.zeros(len(wired.instances), np.int64)
-    later: list[str] = []
-    for name, array in leaves.items():
-        if not isinstance(array, np.ndarray) or name in ("w_memory", "w_team"):
-            continue
-        if name.split("_", 1)[1] in _OF_CALLER:
-            yield f"double {name.split('_', 1)[1]}[{max(array.size, 1)}];"
-        elif name.rsplit("_", 1)[-1] in ("function", "references", "buffer") or name in _ADDRESSES:
-            rows = ", ".join(map(named, array.tolist())) if array.any() else "0"
-            later.append(f"static intptr_t {name}[{max(array.size, 1)}] = {{{rows}}};")
+    for name, array in arrays.items():
+        if name in _OF_CALLER:
+            yield f"double {name}[{max(array.size, 1)}];"
         else:
             yield _array(f"static {_C_TYPES[array.dtype.name]} {name}", array)
-    yield from later
-    counted = ("points", "instances", "connections_source", "signal_index", "record_index")
-    counts = [str(leaves[f"w_{name}"].size) for name in counted]
-    members = ["w_references0" if name == "w_orders" else of_caller.get(name, name) for name in leaves]
-    members = members[: -len(wired.references)]
-    replaced = {"w_memory": "0", "w_team": "&team"}
-    values = [
-        replaced.get(m, m) if m == "w_references0" or not isinstance(leaves.get(m), int) else str(leaves[m])
-        for m in members
-    ]
-    yield "static Team team;"
-    yield f"static Wiring wiring = {{{', '.join([*counts, '0', *values])}}};"
-
-
-_ADDRESSES = tuple(f"w_{name}" for name in Wiring._fields if name.endswith(("_status", "_state", "do_step")))
-_ADDRESSES = (*(name for name in _ADDRESSES if name != "w_step_status"), "w_instances")
-_C_TYPES = {"float64": "double", "int64": "int64_t", "int32": "int32_t", "uint32": "uint32_t"}
+    for name, array in addresses.items():
+        yield f"static intptr_t {name}[] = {{{', '.join(map(named, array.tolist())) or '0'}}};"
+    members["wiring_orders"] = np.ones(0)  # by its name, as the arrays
+    counted = ("points", "instances", "connections_source", "signal_index", "record_index", "memory")
+    counts = [str(members[f"wiring_{name}"].size) for name in counted]
+    values = [name if isinstance(value, np.ndarray) else str(value) for name, value in members.items()]
+    yield "static Team wiring_team[1];\n#define wiring_orders wiring_references0"
+    yield f"static Wiring wiring = {{{', '.join([*counts, *values])}}};"
 
 
 def _leaves(value: Any, name: str) -> Iterator[tuple[str, Any]]:
@@ -243,7 +222,7 @@ def _leaves(value: Any, name: str) -> Iterator[tuple[str, Any]]:
 
 def _array(declared: str, values: np.ndarray) -> str:
     """Returns the definition of an array of C, which has at least one element."""
-    rows = ", ".join(map(_number, values.ravel().tolist())) if values.any() else "0"
+    rows = ", ".join(map(_number, values.ravel().tolist())) if any(values.tobytes()) else "0"  # -0.0 too
     return f"{declared}[{max(values.size, 1)}] = {{{rows}}};"
 
 

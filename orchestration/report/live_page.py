@@ -90,7 +90,8 @@ def default_sliders(scenario: Scenario) -> Iterator[FreeParameter]:
         value = values[name]
         is_gain = name.startswith(f"{_CONTROLLER}.") and not name.endswith(".internal_step")
         if is_gain and isinstance(value, float) and value:
-            yield FreeParameter(name, *sorted((value / _SPAN, value * _SPAN)))
+            low, high = sorted((value / _SPAN, value * _SPAN))
+            yield FreeParameter(name, low, high)
     if PLANT not in scenario.system.components:
         return
     description = description_of(description_file(str(scenario.system.components[PLANT])))

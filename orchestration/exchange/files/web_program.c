@@ -2,8 +2,8 @@
    linked to it. plan.h, which web_program.py writes, holds the system and the wiring.
 
    Each run has a new instance of this module, so that nothing is left of the run before. The caller writes
-   `setting_values`, `points` and `signal_values`, calls `run`, and reads `rows`; `message` is empty if the run
-   reached its end. */
+   `setting_values`, `wiring_points` and `wiring_signal_values`, calls `run`, and reads `wiring_rows`; `message` is
+   empty if the run reached its end. */
 
 #include <stdarg.h>
 
@@ -99,20 +99,20 @@ static void log_message(void *environment, const char *instance, int status, con
 static int set(Port port, double value) {
     const Component *component = COMPONENTS + port.component;
     int32_t whole = port.type == REAL ? 0 : (int32_t)value;
-    const int status = component->set[port.type]((void *)w_instances[port.component], &port.reference, 1,
+    const int status = component->set[port.type]((void *)wiring_instances[port.component], &port.reference, 1,
                                                  port.type == REAL ? (void *)&value : (void *)&whole);
-    if (status <= WARNING && !w_error_logged[port.component]) return 1;
-    return fail("a value is refused", port.component, w_step_start[port.component]);
+    if (status <= WARNING && !wiring_error_logged[port.component]) return 1;
+    return fail("a value is refused", port.component, wiring_step_start[port.component]);
 }
 
 static int get(Port port, double *value) {
     const Component *component = COMPONENTS + port.component;
     int32_t whole;
-    const int status = component->get[port.type]((void *)w_instances[port.component], &port.reference, 1,
+    const int status = component->get[port.type]((void *)wiring_instances[port.component], &port.reference, 1,
                                                  port.type == REAL ? (void *)value : (void *)&whole);
     if (port.type != REAL) *value = whole;
-    if (status <= WARNING && !w_error_logged[port.component]) return 1;
-    return fail("a value cannot be read", port.component, w_step_start[port.component]);
+    if (status <= WARNING && !wiring_error_logged[port.component]) return 1;
+    return fail("a value cannot be read", port.component, wiring_step_start[port.component]);
 }
 
 static int set_settings(int are_inputs) {
@@ -148,22 +148,21 @@ static int solve_initial_values(void) {
 static int initialise(void) {
     static Callbacks callbacks[N_COMPONENTS];
     for (int c = 0; c < N_COMPONENTS; c++) {
-        w_step_start[c] = START_TIME;
-        callbacks[c] = (Callbacks){log_message, calloc, free, NULL, w_error_logged + c};
-        w_instances[c] = (intptr_t)COMPONENTS[c].instantiate(COMPONENTS[c].name, 1, COMPONENTS[c].guid, "file:///",
+        callbacks[c] = (Callbacks){log_message, calloc, free, NULL, wiring_error_logged + c};
+        wiring_instances[c] = (intptr_t)COMPONENTS[c].instantiate(COMPONENTS[c].name, 1, COMPONENTS[c].guid, "file:///",
                                                              callbacks + c, 0, 1);
-        if (!w_instances[c]) return fail("no instance", c, START_TIME);
+        if (!wiring_instances[c]) return fail("no instance", c, START_TIME);
     }
     if (!set_settings(0)) return 0;
     for (int c = 0; c < N_COMPONENTS; c++) {
-        void *instance = (void *)w_instances[c];
+        void *instance = (void *)wiring_instances[c];
         if (COMPONENTS[c].set_up(instance, FMU_TOLERANCE > 0, FMU_TOLERANCE, START_TIME, 1, STOP_TIME) > WARNING ||
             COMPONENTS[c].enter_initialization(instance) > WARNING)
             return fail("initialization is refused", c, START_TIME);
     }
     if (!set_settings(1) || !solve_initial_values()) return 0;
     for (int c = 0; c < N_COMPONENTS; c++)
-        if (COMPONENTS[c].exit_initialization((void *)w_instances[c]) > WARNING)
+        if (COMPONENTS[c].exit_initialization((void *)wiring_instances[c]) > WARNING)
             return fail("initialization is refused", c, START_TIME);
     for (int c = 0; c < N_COMPONENTS; c++)
         if (!loop_read_outputs(&wiring, c)) return fail("outputs cannot be read", c, START_TIME);
@@ -176,7 +175,7 @@ static int64_t make_changes(int64_t point) {
         if (EVENTS[i].point > point) return EVENTS[i].point;
         if (EVENTS[i].point < point) continue;
         if (!set(EVENTS[i].port, EVENTS[i].value)) return 0;
-        if (EVENTS[i].bus_index >= 0) w_bus[EVENTS[i].bus_index] = EVENTS[i].value;
+        if (EVENTS[i].bus_index >= 0) wiring_bus[EVENTS[i].bus_index] = EVENTS[i].value;
     }
     return wiring.n_points - 1;
 }
@@ -187,7 +186,6 @@ __attribute__((export_name("run"))) int run(void) {
                                            "the step is refused", "outputs cannot be read", "", "",
                                            "a value that is exchanged is not finite"};
     int64_t *report = wiring.report, point = 0;
-    for (int64_t k = 0; k < wiring.n_connections; k++) wiring.connections.sample_time[k] = -INFINITY;
     if (!initialise()) return 0;
     while (point < wiring.n_points - 1 && !report[TERMINATED]) {
         const int64_t end = make_changes(point);

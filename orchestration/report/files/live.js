@@ -11,8 +11,8 @@ function simulate({ module, points, signals }, values) {
   for (const { module: from, name } of WebAssembly.Module.imports(module)) (imports[from] ??= {})[name] = () => 0;
   const { exports } = new WebAssembly.Instance(module, imports);
   const array = (name, count) => new Float64Array(exports.memory.buffer, exports[name].value, count);
-  array("points", points.length).set(points);
-  array("signal_values", signals.length).set(signals);
+  array("wiring_points", points.length).set(points);
+  array("wiring_signal_values", signals.length).set(signals);
   array("setting_values", values.length).set(values);
   exports._initialize();
   const count = exports.run();
@@ -20,7 +20,7 @@ function simulate({ module, points, signals }, values) {
   const message = new TextDecoder().decode(text.subarray(0, text.indexOf(0)));
   if (message) throw new Error(message);
   const width = page.columns.length;
-  const rows = array("rows", count * width);
+  const rows = array("wiring_rows", count * width);
   const columns = page.columns.map((_, c) => Float64Array.from({ length: count }, (_, i) => rows[i * width + c]));
   return [points.subarray(0, count), ...columns];
 }
