@@ -18,7 +18,7 @@ from orchestration.errors import OrchestrationError
 
 _PANELS = {
     "FMUs": ("fmu.new", "fmu.build", "fmu.check", "fmu.verify", "fmu.inspect", "cache.cache"),
-    "Scenarios": ("run.scenarios", "run.run", "sweep.sweep", "run.report"),
+    "Scenarios": ("run.scenarios", "run.run", "run.live", "sweep.sweep", "run.report"),
     "Controllers compared": ("score.score", "tune.tune", "score.compare", "sweep.margins"),
     "Vehicles": ("vehicles.design", "vehicles.fit"),
     "The paper": ("run.reproduce", "run.identify"),

@@ -142,6 +142,48 @@ def _print_pace(recording: "Recording") -> None:
         print(f"{missed} deadlines missed, the worst by {1e3 * worst:.3g} ms at t = {where:g} s")
 
 
+@takes_changes()
+def live(
+    name: shared.ScenarioArgument,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Write this page.")] = Path("live.html"),
+    sliders: Annotated[
+        list[str],
+        typer.Option(
+            "--slider",
+            metavar="NAME=LOW:HIGH",
+            help="Give component.variable a slider too, or another range; several are separated by commas.",
+        ),
+    ] = [],  # noqa: B006  (Typer copies it)
+    beside: Annotated[
+        list[str],
+        typer.Option(
+            metavar="NAME=VALUE",
+            help="Draw the same scenario with this value beside it; by default that without an extension.",
+        ),
+    ] = [],  # noqa: B006
+    changes: Changes = NO_CHANGES,
+) -> None:
+    """Write a scenario as one HTML page that runs its FMUs in the browser, with sliders for its values."""
+    from orchestration.cli import chosen_scenario
+    from orchestration.report.live_page import live_page
+
+    chosen = chosen_scenario.load(name, changes=changes)
+    runs = {chosen.title: chosen}
+    if beside := beside or _without_extension(chosen):
+        settings = {**changes.settings, **Changes.of_options(settings=beside).settings}
+        runs[", ".join(beside)] = chosen_scenario.load(name, changes=replace(changes, settings=settings))
+    write_text_atomically(out, live_page(runs, sliders))
+    print(out)
+
+
+def _without_extension(scenario: "Scenario") -> list[str]:
+    """Returns the setting that switches the extension of the controller off, if it has one that is on."""
+    from orchestration.system.prepared_run import values_of
+
+    extension = values_of(scenario.prepared, "controller").get("augmentation", "none")
+    return [] if extension == "none" else ["controller.augmentation=none"]
+
+
 def report(
     results: Annotated[
         list[Path],

@@ -22,7 +22,7 @@ from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.prepared_run import PreparedRun, check_for, prepare
 from orchestration.system.signals import Constant, Cosine, Ramps, Signal, Sines, Table
-from orchestration.system.system import Port, System
+from orchestration.system.system import CheckedSystem, Port, System
 from orchestration.system.time_grid import GRID_TOLERANCE
 
 _OTHERS = "a constant or a table"  # signals that ramps can give
@@ -46,7 +46,7 @@ def check_plain_exchange(experiment: Experiment, target: str) -> None:
         raise ScenarioError(f"{target} with {present}: expected none, it cannot carry them")
 
 
-def check_standard(system: System, target: str) -> None:
+def check_standard(system: System | CheckedSystem, target: str) -> None:
     """Raises ScenarioError for an FMU of FMI 3.0, whose arrays are no scalars elsewhere."""
     for name, path in system.components.items():
         if (version := describe(path).fmiVersion) != "2.0":

@@ -92,7 +92,7 @@ class Loop:
     @cached_property
     def nominal(self) -> np.ndarray:
         """Nominal values of the inputs, shape (n,)."""
-        return np.array([_nominal(connection) for connection in self._connections])
+        return np.array([nominal_of(connection) for connection in self._connections])
 
     @property
     def is_real(self) -> bool:
@@ -163,7 +163,7 @@ def _number(value: FmiValue) -> float:
     return float(zlib.crc32(value.encode()) if isinstance(value, str) else value)
 
 
-def _nominal(connection: tuple[Port, Port]) -> float:
+def nominal_of(connection: tuple[Port, Port]) -> float:
     """Returns the input's nominal, or the output's, or 1."""
     declared = (port.variable.nominal for port in reversed(connection))
     return abs(float(next((nominal for nominal in declared if nominal is not None), 1.0))) or 1.0

@@ -1,7 +1,8 @@
 /* The communication loop: the twin of orchestration/run/loop.py, function by function; read it there.
    The structures are those of loop_data.py, whose docstrings explain their members.
 
-   Every member of Wiring is eight bytes wide: a count, an address, or a number that Python writes there. */
+   Every member of Wiring is eight bytes wide: a count, an address, or a number that Python writes there. But in
+   WebAssembly no Python does, and addresses have four (orchestration/exchange/files/web_program.c). */
 
 #define _POSIX_C_SOURCE 200809L
 
@@ -31,7 +32,9 @@ enum { LAST_SUCCESSFUL_TIME = 2, IS_TERMINATED = 3 };
 
 #include "process_guard.h"
 
+#ifndef __wasm__
 typedef char sixty_four_bits[sizeof(void *) == 8 ? 1 : -1];
+#endif
 
 typedef int ExchangeValues(void *instance, const void *references, size_t count, void *values);
 typedef int SetDerivatives(void *instance, const void *references, size_t count, const void *orders,

@@ -4,7 +4,8 @@
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
-#ifndef _WIN32
+#if !defined(_WIN32) && !defined(__wasm__)
+#define CAN_FORK
 #include <pthread.h>
 #endif
 #if defined(__x86_64__)
@@ -31,13 +32,13 @@ static int64_t busy_run(void) {
 static volatile int64_t *forks;
 static volatile int is_fork;
 
-#ifndef _WIN32
+#ifdef CAN_FORK
 static void note_fork(void) { is_fork = busy_run() < MOST_RUNS; }
 #endif
 
 /* Called before each run: a process that others than FMUs have forked makes runs of its own. */
 EXPORT void guard_count_forks(int64_t *count) {
-#ifndef _WIN32
+#ifdef CAN_FORK
     if (!forks) pthread_atfork(NULL, NULL, note_fork);
 #endif
     forks = count;

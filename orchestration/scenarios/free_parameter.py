@@ -66,28 +66,32 @@ class FreeParameter:
         """Whether the range of the search, and not what is searched, determines this value."""
         return not self.rounded(_AT_A_LIMIT) < value < self.rounded(1.0 - _AT_A_LIMIT)
 
-    def within(self, variable: ScalarVariable) -> "FreeParameter":
+    def within(self, variable: ScalarVariable, option: str = "--free") -> "FreeParameter":
         """Returns it with the unit of a variable, and its limits where it has none.
 
+        option: that gave it, for the message
         OrchestrationError for limits that the variable cannot have.
         """
         low, high = value_range(Port("", variable))
         if self.is_limited and not low <= self.low < self.high <= high:
             raise OrchestrationError(
-                f"--free {self.name}={self.low:g}:{self.high:g}: expected limits within {low:g}..{high:g}"
+                f"{option} {self.name}={self.low:g}:{self.high:g}: expected limits within {low:g}..{high:g}"
             )
         ends = (self.low, self.high) if self.is_limited else (low, high)
         return replace(self, low=ends[0], high=ends[1], unit=variable.unit or "")
 
 
-def parse(texts: Sequence[str]) -> list[FreeParameter]:
-    """Returns the parameters of options --free NAME,NAME=LOW:HIGH; one without limits has infinite ones."""
+def parse(texts: Sequence[str], option: str = "--free") -> list[FreeParameter]:
+    """Returns the parameters of options --free NAME,NAME=LOW:HIGH; one without limits has infinite ones.
+
+    option: that they are given with, for messages
+    """
     # a comma within brackets belongs to an index
     parts = [part.strip() for text in texts for part in re.split(r",(?![^\[]*\])", text)]
-    return [_parsed(part) for part in parts if part]
+    return [_parsed(part, option) for part in parts if part]
 
 
-def _parsed(part: str) -> FreeParameter:
+def _parsed(part: str, option: str) -> FreeParameter:
     name, equals, limits = part.partition("=")
     if not equals:
         return FreeParameter(name.strip())
@@ -96,10 +100,10 @@ def _parsed(part: str) -> FreeParameter:
         free = FreeParameter(name.strip(), float(low), float(high))
     except ValueError:
         raise OrchestrationError(
-            f"--free {part}: expected NAME or NAME=LOW:HIGH, such as {name.strip()}=1:20"
+            f"{option} {part}: expected NAME or NAME=LOW:HIGH, such as {name.strip()}=1:20"
         ) from None
     if not free.is_limited:
-        raise OrchestrationError(f"--free {part}: expected finite limits, the lower one first")
+        raise OrchestrationError(f"{option} {part}: expected finite limits, the lower one first")
     return free
 
 

@@ -29,11 +29,16 @@ function element(tag, properties = {}, ...children) {
   return made;
 }
 
-/** The inverse of `packed` in render.py: numbers from planes of bytes. */
-async function unpacked(text) {
+/** Bytes from base64 of zlib of them. */
+async function inflated(text) {
   const packed = Uint8Array.from(atob(text), (sign) => sign.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
-  const planes = new Uint8Array(await new Response(stream).arrayBuffer());
+  return new Uint8Array(await new Response(stream).arrayBuffer());
+}
+
+/** The inverse of `packed` in render.py: numbers from planes of bytes. */
+async function unpacked(text) {
+  const planes = await inflated(text);
   const count = planes.length / 8;
   const bytes = new Uint8Array(planes.length);
   for (let plane = 0; plane < 8; plane++) {

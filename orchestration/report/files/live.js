@@ -1,0 +1,134 @@
+"use strict";
+// Runs the scenario in this page, each run in a new instance of its program, and draws the runs one over the other.
+
+const form = document.getElementById("sliders");
+const hidden = new Set(page.columns.filter(({ shown }) => !shown).map(({ name }) => name));
+let results = []; // for each run of `page.runs`: columns in the order of `page.columns`, time first
+
+/** Makes one run; returns its columns, or throws what an FMU reported. */
+function simulate({ module, points, signals }, values) {
+  const imports = {};
+  for (const { module: from, name } of WebAssembly.Module.imports(module)) (imports[from] ??= {})[name] = () => 0;
+  const { exports } = new WebAssembly.Instance(module, imports);
+  const array = (name, count) => new Float64Array(exports.memory.buffer, exports[name].value, count);
+  array("wiring_points", points.length).set(points);
+  array("wiring_signal_values", signals.length).set(signals);
+  array("setting_values", values.length).set(values);
+  exports._initialize();
+  const count = exports.run();
+  const text = new Uint8Array(exports.memory.buffer, exports.message.value, 1024);
+  const message = new TextDecoder().decode(text.subarray(0, text.indexOf(0)));
+  if (message) throw new Error(message);
+  const width = page.columns.length;
+  const rows = array("wiring_rows", count * width);
+  const columns = page.columns.map((_, c) => Float64Array.from({ length: count }, (_, i) => rows[i * width + c]));
+  return [points.subarray(0, count), ...columns];
+}
+
+/** Where a value stands between the limits of its slider, 0 to 1; and back. */
+const share = ({ low, high, isLogarithmic }, value) => (isLogarithmic ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low));
+const valueAt = ({ low, high, isLogarithmic }, at) => (isLogarithmic ? low * (high / low) ** at : low + (high - low) * at);
+
+/** The value of a slider: exactly the scenario's where it stands as at first. */
+function chosen(slider) {
+  const input = form.elements[slider.name];
+  return input.value === input.defaultValue ? slider.value : valueAt(slider, input.valueAsNumber);
+}
+
+function runAll(program) {
+  const status = document.getElementById("status");
+  const values = page.sliders.map(chosen);
+  page.sliders.forEach((slider, i) => (form.elements[slider.name].previousElementSibling.value = values[i].toPrecision(4)));
+  try {
+    const begun = performance.now();
+    results = page.runs.map((run) => {
+      const own = Float64Array.from(run.values);
+      page.sliders.forEach(({ indices }, i) => indices.forEach((index) => (own[index] = values[i])));
+      return simulate(program, own);
+    });
+    const each = (performance.now() - begun) / page.runs.length;
+    status.textContent = `${results[0][0].length} communication points in ${each.toFixed(1)} ms`;
+    status.className = "";
+    draw();
+  } catch (error) {
+    status.textContent = error.message;
+    status.className = "failed";
+  }
+}
+
+/** A panel for each unit, and for each kind of vertical axis. */
+const panels = Object.values(Object.groupBy(page.columns, ({ unit, down }) => `${unit} ${down}`)).map((columns) => {
+  const legend = element("div", { className: "legend" });
+  const plot = element("div", { className: "plot" });
+  document.getElementById("panels").append(element("figure", {}, legend, plot));
+  return { columns, legend, plot };
+});
+
+/** The lines of a panel: a signal has one colour, a run one dash; what drives all runs is drawn once. */
+function linesOf(columns) {
+  return columns.flatMap((column, i) =>
+    page.runs.slice(0, column.isSignal ? 1 : undefined).map(({ label }, run) => ({
+      label: run ? `${column.name}, ${label}` : column.name,
+      color: colour(i),
+      dash: dash(run),
+      hidden: hidden.has(column.name),
+      isFirst: run === 0,
+      toggle: () => {
+        hidden[hidden.has(column.name) ? "delete" : "add"](column.name);
+        draw(true);
+      },
+      x: results[run][0],
+      y: results[run][1 + page.columns.indexOf(column)],
+    })),
+  );
+}
+
+const more = { cursor: { drag: { x: true, y: false, setScale: false } } };
+let range = null; // of time, that was chosen by a drag in a chart; all by default
+
+function zoomed(times) {
+  range = times;
+  draw(true);
+}
+
+/** Draws all runs; anew: with other lines, colours or times, else the charts take the new values. */
+function draw(anew = false) {
+  for (const { columns, legend, plot } of panels) {
+    const lines = linesOf(columns);
+    const shown = lines.filter((line) => !line.hidden);
+    fillLegend(legend, lines.filter(({ isFirst }) => isFirst));
+    plot.hidden = !shown.length;
+    if (!shown.length) continue;
+    if (anew || !plot.chart) chart(plot, shown, { y: `[${columns[0].unit}]`, down: columns[0].down, legend, range, zoomed, more });
+    else {
+      plot.chart.setData(dataOf(shown));
+      if (range) plot.chart.setScale("x", { min: range[0], max: range[1] });
+    }
+  }
+}
+
+/** The data of uPlot; runs that ended early have gaps. */
+function dataOf(lines) {
+  const longest = lines.reduce((best, { x }) => (x.length > best.length ? x : best), lines[0].x);
+  return [longest, ...lines.map(({ y }) => y)];
+}
+
+counted(async () => {
+  const inflatedProgram = await inflated(page.program);
+  const [module, points, signals] = await Promise.all([WebAssembly.compile(inflatedProgram), unpacked(page.points), unpacked(page.signals)]);
+  for (const slider of page.sliders) form.elements[slider.name].defaultValue = share(slider, slider.value);
+  const program = { module, points, signals };
+  let waits = false;
+  const follow = () => {
+    if (waits) return;
+    waits = true;
+    requestAnimationFrame(() => {
+      waits = false;
+      runAll(program);
+    });
+  };
+  form.addEventListener("input", follow);
+  form.addEventListener("reset", follow);
+  redraws.push(() => draw(true));
+  runAll(program);
+});

@@ -1,0 +1,166 @@
+"""The live page: a scenario that runs in the browser, with sliders for its values."""
+
+import base64
+import math
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from fmus.errors import nearest
+from fmus.fmi.description import start_value
+from fmus.fmi.variable_types import FmiValue
+from orchestration.errors import ScenarioError
+from orchestration.exchange.web_program import program
+from orchestration.report.render import packed, page
+from orchestration.results.files import points_down
+from orchestration.results.metrics import SIGNALS
+from orchestration.scenarios import free_parameter
+from orchestration.scenarios.free_parameter import FreeParameter
+from orchestration.scenarios.scenario import Scenario
+from orchestration.scenarios.vehicle import PLANT, description_file, description_of
+from orchestration.system.prepared_run import PreparedRun
+from orchestration.system.system import Port
+from orchestration.system.values import value_range
+
+_CONTROLLER = "controller"  # the component whose parameters are gains
+_SPAN = 4.0  # of a gain: from a fourth of its value to four times that
+# of disturbances that the description of no vehicle varies; the thrusters of the paper's can hold them
+_DISTURBANCES = {"external_force": (-1.0, 1.0), "current_velocity": (-0.1, 0.1)}
+
+
+def live_page(runs: Mapping[str, Scenario], sliders: Sequence[str] = ()) -> str:
+    """Returns a self-contained HTML page that makes these runs, one beside the other, for values of sliders.
+
+    runs: label -> scenario; all have the system and the experiment of the first one but for values
+    sliders: NAME or NAME=LOW:HIGH, beside those that `default_sliders` chooses
+    Raises ScenarioError for other runs and for a slider that does not fit, and what `program` raises.
+    """
+    first, *others = runs.values()
+    prepared = first.prepared
+    for other in others:
+        _check_differs_in_values(first, other)
+    shown = list(
+        _with_limits(prepared, [*free_parameter.parse(sliders, "--slider"), *default_sliders(first)])
+    )
+    values = [_values(scenario.prepared) for scenario in runs.values()]
+    names = list(
+        dict.fromkeys([*(n for own in values for n in own), *(n for s in shown for n in s.variables)])
+    )
+    ports = [prepared.system.ports[name] for name in names]
+    settings = [(port, _value(values[0], port)) for port in ports]
+    components = dict.fromkeys(s.name.partition(".")[0] for s in shown)
+    scored = {call.get(key) for call in first.metrics.values() for key in SIGNALS}
+    return page(
+        "live.html",
+        ("live.js",),
+        title=first.title,
+        groups={name: [s for s in shown if s.name.startswith(f"{name}.")] for name in components},
+        descriptions={
+            s.name: prepared.system.ports[s.variables[0]].variable.description or "" for s in shown
+        },
+        data={
+            "program": base64.b64encode(zlib.compress(program(prepared, settings), 9)).decode("ascii"),
+            "points": packed(prepared.points),
+            "signals": packed(prepared.signal_values),
+            "columns": [
+                {
+                    "name": name,
+                    "unit": prepared.system.ports[name].variable.unit or "1",
+                    "down": points_down(name, prepared.system.ports[name].variable.unit or ""),
+                    "shown": name in scored or not scored & {*prepared.recorded},
+                    "isSignal": name in first.experiment.signals,
+                }
+                for name in prepared.recorded
+            ],
+            "runs": [
+                {"label": label, "values": [float(_value(own, port)) for port in ports]}
+                for label, own in zip(runs, values, strict=True)
+            ],
+            "sliders": [_slider_data(s, names) for s in shown],
+        },
+    )
+
+
+def default_sliders(scenario: Scenario) -> Iterator[FreeParameter]:
+    """Yields gains that the scenario sets, what the vehicle's description varies, and disturbances."""
+    prepared = scenario.prepared
+    values = _values(prepared)
+    for name in scenario.experiment.parameters:
+        value = values[name]
+        is_gain = name.startswith(f"{_CONTROLLER}.") and not name.endswith(".internal_step")
+        if is_gain and isinstance(value, float) and value:
+            low, high = sorted((value / _SPAN, value * _SPAN))
+            yield FreeParameter(name, low, high)
+    if PLANT not in scenario.system.components:
+        return
+    description = description_of(description_file(str(scenario.system.components[PLANT])))
+    driven = {target.name for _, target in prepared.system.connections} | {*scenario.experiment.signals}
+    for key, varied in description.vary.items():
+        variables = tuple(varied["variables"])
+        low, high = varied.get("low", -math.inf), varied.get("high", math.inf)
+        if varied["distribution"] != "integers" and not driven & {*variables}:
+            yield FreeParameter(f"{PLANT}.{key}", low, high, variables=variables)
+    for key, (low, high) in _DISTURBANCES.items():
+        name = f"{PLANT}.{key}"
+        if name in prepared.system.ports and name not in driven:
+            yield FreeParameter(name, low, high)
+
+
+def _check_differs_in_values(first: Scenario, other: Scenario) -> None:
+    experiments = [repr(replace(x.experiment, parameters={}, inputs={})) for x in (first, other)]
+    if first.system != other.system or experiments[0] != experiments[1]:
+        raise ScenarioError(
+            f"{other.title} beside {first.title}: expected the same system and experiment but for values of "
+            "parameters and constant inputs"
+        )
+
+
+def _with_limits(prepared: PreparedRun, sliders: Sequence[FreeParameter]) -> Iterator[FreeParameter]:
+    """Yields the sliders, each variable once, with their units and finite limits around their values."""
+    values, taken = _values(prepared), set[str]()
+    for slider in sliders:
+        variables = slider.variables or (slider.name,)
+        if taken & {*variables}:
+            continue
+        taken |= {*variables}
+        for name in variables:
+            _check_can_be_set(prepared, name)
+        port = prepared.system.ports[variables[0]]
+        value = float(_value(values, port))
+        low, high = value_range(port)
+        around = min(value, 0.0) * 2.0, max(value, 0.0) * 2.0 or 1.0
+        low = slider.low if math.isfinite(slider.low) else max(low, around[0])
+        high = slider.high if math.isfinite(slider.high) else min(high, around[1])
+        limited = replace(slider, low=low, high=high, variables=variables).within(port.variable, "--slider")
+        # the value of the scenario can be chosen
+        yield replace(limited, low=min(limited.low, value), high=max(limited.high, value), start=value)
+
+
+def _check_can_be_set(prepared: PreparedRun, name: str) -> None:
+    values = {**_values(prepared), **_parameters(prepared)}
+    if name not in values:
+        raise ScenarioError(
+            f"--slider {name}: expected a parameter or a constant input; {nearest(name, values)}"
+        )
+    if (kind := prepared.system.ports[name].variable.type) != "Real":
+        raise ScenarioError(f"--slider {name}: expected a variable of type Real, got {kind}")
+
+
+def _parameters(prepared: PreparedRun) -> dict[str, Port]:
+    return {n: p for n, p in prepared.system.ports.items() if p.variable.causality == "parameter"}
+
+
+def _values(prepared: PreparedRun) -> dict[str, FmiValue]:
+    """Returns what a run sets before and in its initialisation, by name."""
+    return {port.name: value for port, value in prepared.initial_settings}
+
+
+def _value(values: Mapping[str, FmiValue], port: Port) -> Any:
+    return values.get(port.name, start_value(port.variable))
+
+
+def _slider_data(slider: FreeParameter, names: Sequence[str]) -> dict[str, Any]:
+    indices = [names.index(name) for name in slider.variables]
+    limits = {"low": slider.low, "high": slider.high, "isLogarithmic": slider.is_logarithmic}
+    return {"name": slider.name, "value": slider.start, "indices": indices, **limits}

@@ -1,0 +1,64 @@
+"""What the command live refuses before it compiles, and its sliders; report/test_live.py opens its pages."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from orchestration.report.live_page import default_sliders
+from orchestration.scenarios import scenario
+
+GAINS = (
+    "depth_feedback_gain",
+    "rate_feedback_gain",
+    "filter_bandwidth",
+    "proportional_gain",
+    "integral_gain",
+)
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (
+            ["--slider", "plant.mas"],
+            "--slider plant.mas: expected a parameter or a constant input; nearest is",
+        ),
+        (["--slider", "plant.depth"], "--slider plant.depth: expected a parameter or a constant input"),
+        (["--slider", "plant.voltage[1]"], "--slider plant.voltage[1]: expected a parameter or a constant"),
+        (["--slider", "plant.sensor_seed"], "expected a variable of type Real, got Integer"),
+        (["--slider", "plant.inertia=7:5"], "plant.inertia=7:5: expected finite limits, the lower one first"),
+        (["--slider", "plant.inertia=5"], "--slider plant.inertia=5: expected NAME or NAME=LOW:HIGH"),
+        (["--slider", "plant.inertia=-5:5"], "--slider plant.inertia=-5:5: expected limits within"),
+        (["--beside", "controller.augmentation"], "expected component.variable=value"),
+    ],
+)
+def test_what_does_not_fit_is_refused(
+    options: list[str], expected: str, refused: Callable[..., str], scenario_fmus: None, tmp_path: Path
+) -> None:
+    assert expected in refused("live", "nominal-extended", *options, "--out", "page.html")
+    assert not (tmp_path / "page.html").exists()
+
+
+def test_runs_of_other_systems_are_refused(command: Callable[..., Any], scenario_fmus: None) -> None:
+    done = command("live", "nominal-extended", "--beside", "controller=PidDepthController", expect=1)
+    assert "expected the same system and experiment but for values of parameters" in done.stderr
+
+
+def test_gains_vehicle_and_disturbances_have_sliders(scenario_fmus: None) -> None:
+    sliders = {s.name: s for s in default_sliders(scenario.load(scenario.find("nominal-extended")))}
+    names = [f"controller.{name}" for name in GAINS]
+    names += [f"plant.{name}" for name in ("sensor_noise", "inertia", "linear_damping", "quadratic_damping")]
+    names += [f"plant.{name}" for name in ("buoyancy_change", "thrust", "delay")]
+    assert [*sliders] == [*names, "plant.external_force", "plant.current_velocity"]
+    assert sliders["plant.thrust"].variables == ("plant.thruster_gain[1]", "plant.thruster_gain[2]")
+    assert (sliders["plant.thrust"].low, sliders["plant.thrust"].high) == (0.2, 0.3)
+    gain = sliders["controller.proportional_gain"]
+    assert gain.high / gain.low == pytest.approx(16.0, rel=1e-15)
+
+
+def test_an_input_that_something_drives_has_no_slider(scenario_fmus: None) -> None:
+    loaded = scenario.load(scenario.find("hold-force-step"))
+    assert "plant.external_force" in loaded.experiment.signals
+    assert "plant.external_force" not in {s.name for s in default_sliders(loaded)}
