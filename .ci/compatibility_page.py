@@ -1,4 +1,4 @@
-"""Prints the site's page reference/compatibility.md, which importer runs which FMUs, from a table of tests."""
+"""Prints the site's page reference/compatibility.md, which importer runs which FMUs, by a table of tests."""
 
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence

@@ -219,7 +219,7 @@ class Model:
 
     # steps
 
-    def step(self, t: float, h: float) -> tuple[int, None]:
+    def step(self, t: float, h: float) -> tuple[int, list | None]:
         d = self.data
         tolerance = min(1e-9 * max(1.0, abs(t)), 1e-3 * h) + 8.0 * sys.float_info.epsilon * abs(t)
         legal = d.mode == STEPPING and math.isfinite(t) and math.isfinite(h) and h > 0
