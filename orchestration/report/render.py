@@ -72,7 +72,7 @@ def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
             "columns": COLUMNS,
             "runs": [{**run_data(run), "label": labels[run.name]} for run in runs],
             "sweeps": [{**sweep_data(sweep), "label": labels[sweep.name]} for sweep in swept],
-            "compared": compared,
+            "compared": list(compared.items()),
         },
     )
 
