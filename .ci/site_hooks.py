@@ -103,6 +103,7 @@ def _generated() -> Contents:
             **{f"explanation/{path.name}": path.read_bytes() for path in comparison_page.figures(working)},
             "explanation/comparison.md": comparison_page.page(),
             **_commands(working),
+            **_live(working),
             **_names(),
             **{
                 f"reference/{module.__name__.removesuffix('_page')}.md": module.page()
@@ -172,6 +173,12 @@ def _results(working: Path) -> Contents:
     """The figures of `l1-depth reproduce`."""
     downloads.run("l1-depth", "reproduce", "--out", "results", folder=working)
     return {f"explanation/{path.name}": path.read_bytes() for path in (working / "results").glob("fig*.png")}
+
+
+def _live(working: Path) -> Contents:
+    """live.html, which the home page embeds."""
+    downloads.run("l1-depth", "live", "nominal-extended", folder=working)
+    return {"live.html": (working / "live.html").read_bytes()}
 
 
 def _commands(working: Path) -> Contents:

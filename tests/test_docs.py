@@ -17,7 +17,7 @@ ROOT = Path(__file__).parent.parent
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
 TEXTS = [*PAGES, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 MADE_WITH_THE_SITE = re.compile(
-    r"docs/(downloads/|gallery/|explanation/(figure_|comparison\.md)"
+    r"docs/(downloads/|gallery/|live\.html|explanation/(figure_|comparison\.md)"
     r"|reference/(commands|blocks|compatibility|controllers|fmi2|keys|protocol|vehicles|api/orchestration)\.md)"
 )
 TOOL_PAGES = [

@@ -21,7 +21,8 @@ function simulate({ module, points, signals }, values) {
   if (message) throw new Error(message);
   const width = page.columns.length;
   const rows = array("wiring_rows", count * width);
-  const columns = page.columns.map((_, c) => Float64Array.from({ length: count }, (_, i) => rows[i * width + c]));
+  const columns = page.columns.map(() => new Float64Array(count));
+  for (let i = 0; i < count; i++) for (let c = 0; c < width; c++) columns[c][i] = rows[i * width + c];
   return [points.subarray(0, count), ...columns];
 }
 

@@ -8,20 +8,7 @@ from selenium import webdriver
 
 from orchestration import report as page
 
-from .opened import OpenedPage
-
-_FLAGS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--disable-dev-shm-usage",
-    "--window-size=1280,1000",
-)
+from .opened import OpenedPage, chromium
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -34,12 +21,7 @@ def browser(
     tool: Callable[[str], str], tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator["webdriver.Chrome"]:
     """Debian's Chromium, steered by its own driver."""
-    options = webdriver.ChromeOptions()
-    options.binary_location = tool("chromium")
-    for flag in (*_FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('browser')}"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    with webdriver.Chrome(options, webdriver.ChromeService(tool("chromedriver"))) as driver:
+    with chromium(tool("chromium"), tool("chromedriver"), tmp_path_factory.mktemp("browser")) as driver:
         yield driver
 
 

@@ -17,6 +17,29 @@ _OWN = ("file:", "data:", "blob:", "about:", "chrome:")  # the last of the brows
 
 _PANELS = "[...document.querySelectorAll('#panels figure:not([hidden]) .plot')]"
 
+_FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-dev-shm-usage",
+    "--window-size=1280,1000",
+)
+
+
+def chromium(program: str, driver: str, data: Path) -> "webdriver.Chrome":
+    """Starts a browser that keeps what it needs in a folder."""
+    options = webdriver.ChromeOptions()
+    options.binary_location = program
+    for flag in (*_FLAGS, f"--user-data-dir={data}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    return webdriver.Chrome(options, webdriver.ChromeService(driver))
+
 
 class OpenedPage:
     """A page in a browser, with what its console and its network have said since it was opened."""
