@@ -3,12 +3,15 @@
 An editable install has no compiled library and needs no compiler: the first run compiles them.
 """
 
+import base64
+import hashlib
 import os
 import stat
 import sys
 import tempfile
 import tomllib
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -39,18 +42,46 @@ def build_wheel(
         wheel = build_meta.build_wheel(
             wheel_directory, {**(config_settings or {}), **build}, metadata_directory
         )
-    _set_file_modes(Path(wheel_directory, wheel))
+    _complete(Path(wheel_directory, wheel))
     return wheel
 
 
-def _set_file_modes(wheel: Path) -> None:
-    """Gives every file in a wheel the same permissions: setuptools takes those that the user's umask gave."""
+def _complete(wheel: Path) -> None:
+    """Adds the bill of materials (PEP 770), and gives every file in a wheel the same permissions.
+
+    setuptools takes those that the user's umask gave.
+    """
     with zipfile.ZipFile(wheel) as archive:
         members = [(info, archive.read(info)) for info in archive.infolist()]
+    record = next(info for info, _ in members if info.filename.endswith(".dist-info/RECORD"))
+    bill = zipfile.ZipInfo(f"{Path(record.filename).parent}/sboms/l1-depth.cdx.json", record.date_time)
+    bill.compress_type = record.compress_type
+    content = _bill_of_materials({info.filename: content for info, content in members})
+    digest = base64.urlsafe_b64encode(hashlib.sha256(content).digest()).decode().rstrip("=")
+    line = f"{bill.filename},sha256={digest},{len(content)}\n".encode()
+    members = [(info, data + line if info is record else data) for info, data in members]
     with zipfile.ZipFile(wheel, "w") as archive:
-        for info, content in members:
+        for info, data in (*members, (bill, content)):
             info.external_attr = (stat.S_IFREG | 0o644) << 16
-            archive.writestr(info, content)
+            archive.writestr(info, data)
+
+
+def _bill_of_materials(members: Mapping[str, bytes]) -> bytes:
+    """Returns the bill of the compiled libraries in a wheel."""
+    sys.path.insert(0, str(_ROOT))
+    from fmus.native import sbom
+    from fmus.platforms import PLATFORMS
+
+    with (_ROOT / "pyproject.toml").open("rb") as stream:
+        project = tomllib.load(stream)["project"]
+    subject = sbom.component(project["name"], project["version"], project["license"])
+    libraries = {
+        path: (platform, content)
+        for path, content in members.items()
+        for platform in PLATFORMS
+        if f"-{platform}-" in path
+    }
+    return sbom.bill_of_materials(subject, [], [], libraries)
 
 
 class BuildWithLibraries(build_py):

@@ -1,10 +1,10 @@
-"""Writes what the page of the comparison reads of results, in docs/explanation, and comparison.md, the page.
+"""Makes the site's page explanation/comparison.md from results, and writes what it reads of them.
 
     python .ci/comparison_page.py results/comparison.json results/VEHICLE/fronts.json results/wide/LAW.toml
 
-Without a file it fills the page again from comparison.json, fronts.json, sensitivity.json and widened.json.
-The last has tunings in wider ranges, of the laws that ended with a gain at a limit. The text, with the places
-of its numbers, is comparison_page.md; `figures` draws when the site is built.
+writes comparison.json, fronts.json and widened.json in docs/explanation. The last has tunings in wider
+ranges, of the laws that ended with a gain at a limit. `page` fills comparison_page.md, the text with the
+places of its numbers, from them and sensitivity.json when the site is built, and `figures` draws.
 """
 
 import io
@@ -237,8 +237,9 @@ def _titles(rows: Sequence[Row]) -> str:
     return "; ".join(row.title for row in rows)  # some have commas
 
 
-def page(document: Score, fronts: comparison_fronts.Fronts) -> str:
-    """Returns the page."""
+def page() -> str:
+    """Returns the page of the committed results."""
+    document, fronts = committed(), comparison_fronts.committed()
     environment = Environment(
         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
     )
@@ -321,7 +322,6 @@ def main(arguments: Sequence[str]) -> None:
             DATA.write_text(written(reduced(document)), encoding="utf-8")
     if fronts := [document for document in documents if "laws" in document]:
         comparison_fronts.DATA.write_text(comparison_fronts.reduced(fronts), encoding="utf-8")
-    DATA.with_suffix(".md").write_text(page(committed(), comparison_fronts.committed()), encoding="utf-8")
 
 
 if __name__ == "__main__":

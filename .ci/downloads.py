@@ -19,7 +19,11 @@ PROGRAMS = Path(sys.executable).parent
 
 
 def run(*command: str, folder: Path, **environment: str) -> list[str]:
-    """The lines that a program of this environment prints; raises CalledProcessError if it fails."""
+    """The lines that a program of this environment prints; raises CalledProcessError if it fails.
+
+    Writes the command to standard error first: the site and the archive are minutes of such commands.
+    """
+    print(*command, file=sys.stderr, flush=True)
     done = subprocess.run(
         [PROGRAMS / command[0], *command[1:]],
         cwd=folder,

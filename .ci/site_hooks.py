@@ -1,6 +1,5 @@
 """What the site holds beside the pages of docs/: files that the project's programs make during its build."""
 
-import ast
 import functools
 import json
 import os
@@ -9,14 +8,19 @@ import sys
 import tempfile
 from pathlib import Path
 
+import jupytext
+import nbformat
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
+from nbclient import NotebookClient
+from nbconvert import MarkdownExporter
 
 sys.path.insert(0, str(Path(__file__).parent.parent))  # mkdocs loads this file alone
 sys.path.insert(0, str(Path(__file__).parent))
 import blocks_page
 import comparison_page
+import compatibility_page
 import controllers_page
 import downloads
 import fmi2_page
@@ -31,13 +35,14 @@ ROOT = Path(__file__).parent.parent
 GALLERY = sorted((ROOT / "docs" / "gallery").glob("*.py"))
 EXPLANATION = ROOT / "docs" / "explanation"
 
-_GALLERY = """Scripts, each with the figure that it draws and the lines that it prints. They need FMUs:
+_GALLERY = """Notebooks, each with what it prints and draws. Download one and open it in Jupyter.
+They need the FMUs of the scenarios:
 
 ```sh
-l1-depth build --cache          # those of the scenarios
-l1-depth build ExamplePlant     # fmus-built/ExamplePlant.fmu
+l1-depth build --cache
 ```
 """
+_KERNEL = {"name": "python3", "display_name": "Python 3", "language": "python"}
 
 Contents = dict[str, str | bytes]
 RESULTS = {
@@ -45,7 +50,15 @@ RESULTS = {
     "study": "explanation/identification.json",
     "survey": "explanation/survey/results.json",
 }
-CODE_PAGES = (blocks_page, controllers_page, fmi2_page, keys_page, protocol_page, vehicles_page)
+CODE_PAGES = (
+    blocks_page,
+    compatibility_page,
+    controllers_page,
+    fmi2_page,
+    keys_page,
+    protocol_page,
+    vehicles_page,
+)
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -88,6 +101,7 @@ def _generated() -> Contents:
             **_gallery(working),
             **_results(working),
             **{f"explanation/{path.name}": path.read_bytes() for path in comparison_page.figures(working)},
+            "explanation/comparison.md": comparison_page.page(),
             **_commands(working),
             **_live(working),
             **_names(),
@@ -120,25 +134,39 @@ def _zipped(folder: Path, working: Path) -> bytes:
 
 
 def _gallery(working: Path) -> Contents:
-    """gallery/NAME.md and gallery/NAME.png of each script, and the page that lists them."""
-    for options in (["--cache"], ["ExamplePlant"]):
-        downloads.run("l1-depth", "build", *options, folder=working)
+    """gallery/NAME.md and gallery/NAME.ipynb of each script, its pictures, and the page that lists them."""
+    downloads.run("l1-depth", "build", "--cache", folder=working)
     contents: Contents = {}
     index = ["# Gallery\n", _GALLERY]
     for script in GALLERY:
-        code = script.read_text(encoding="utf-8")
-        title, _, text = (ast.get_docstring(ast.parse(code)) or "").partition("\n")
-        title = title.rstrip(".")
-        printed = "\n".join(downloads.run("python", str(script), folder=working))
-        name = script.stem
-        contents[f"gallery/{name}.png"] = (working / f"{name}.png").read_bytes()
-        body = code.split('"""\n', 2)[-1].strip()
-        contents[f"gallery/{name}.md"] = (
-            f"# {title}\n\n{text.strip()}\n\n![{title}]({name}.png)\n\n```python\n{body}\n```\n\n"
-            f"It prints\n\n```text\n{printed}\n```\n\nThe file is `docs/gallery/{name}.py`.\n"
-        )
-        index.append(f"## [{title}]({name}.md)\n\n{text.strip()}\n\n[![{title}]({name}.png)]({name}.md)\n")
+        name, notebook = script.stem, executed(script, working)
+        contents[f"gallery/{name}.ipynb"] = nbformat.writes(notebook)
+        page, resources = MarkdownExporter().from_notebook_node(notebook, {"unique_key": name})
+        heading, text = notebook.cells[0].source.split("\n\n")[:2]
+        title = heading.removeprefix("# ")
+        link = f"[The notebook]({name}.ipynb) is `docs/gallery/{name}.py`."
+        page = page.replace(f"{heading}\n", f"{heading}\n\n{link}\n", 1)
+        contents[f"gallery/{name}.md"] = page.replace("![png]", f"![{title}]")
+        contents |= {f"gallery/{picture}": data for picture, data in resources["outputs"].items()}
+        picture = next(iter(resources["outputs"]))
+        index.append(f"## [{title}]({name}.md)\n\n{text}\n\n[![{title}]({picture})]({name}.md)\n")
     return contents | {"gallery/README.md": "\n".join(index)}
+
+
+def executed(script: Path, folder: Path) -> nbformat.NotebookNode:
+    """Returns a script of the gallery as a notebook, with the outputs of its cells, which ran in a folder."""
+    notebook = jupytext.read(script)
+    notebook.metadata = nbformat.from_dict({"kernelspec": _KERNEL})
+    for number, cell in enumerate(notebook.cells):
+        cell.id = str(number)  # by default random; the site has the same bytes each time
+    environment = os.environ | {"MPLBACKEND": "module://matplotlib_inline.backend_inline"}
+    return NotebookClient(
+        notebook,
+        timeout=300,
+        record_timing=False,
+        resources={"metadata": {"path": str(folder)}},
+        extra_arguments=["--log-level=ERROR"],
+    ).execute(env=environment)
 
 
 def _results(working: Path) -> Contents:

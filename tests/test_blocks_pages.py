@@ -1,9 +1,11 @@
 """The pages on blocks show the code as it is."""
 
+import ast
 import re
 import runpy
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -22,9 +24,13 @@ ROOT = Path(__file__).parent.parent
 
 def page_of_the_site(name: str) -> str:
     """A page that is made with the site, by a program that may import those beside it."""
+    return program_of_the_site(name)["page"]()
+
+
+def program_of_the_site(name: str) -> dict[str, Any]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(ROOT / ".ci"))
-        return runpy.run_path(str(ROOT / ".ci" / f"{name}_page.py"))["page"]()
+        return runpy.run_path(str(ROOT / ".ci" / f"{name}_page.py"))
 
 
 def test_the_reference_of_blocks_has_every_field_function_and_base_unit() -> None:
@@ -64,3 +70,26 @@ def test_the_tutorial_shows_the_block_that_new_writes(tmp_path: Path) -> None:
     shown = examples(ROOT / "docs" / "tutorials" / "your-own-controller.md")
     (block,) = [example.code for example in shown if example.file == "pid.py"]
     assert block == "# pid.py\n" + write_new_block("pid", tmp_path)[0].read_text(encoding="utf-8")
+
+
+def test_the_page_on_importers_names_tests_that_there_are_with_their_fmus() -> None:
+    program = program_of_the_site("compatibility")
+    runs = [tool[interface] for tool in program["table"]().values() for interface in program["INTERFACES"]]
+    tested = [run for run in runs if isinstance(run, dict) and "by_hand" not in run]
+    assert len(tested) > 10
+    for run in tested:
+        path, _, name = run["test"].partition("::")
+        text = (ROOT / path).read_text(encoding="utf-8")
+        functions = {node.name for node in ast.parse(text).body if isinstance(node, ast.FunctionDef)}
+        assert name in functions
+        expected = ["builder.block_names()"] if run["fmus"] == "all" else [f'"{fmu}"' for fmu in run["fmus"]]
+        assert [part for part in expected if part not in text] == []
+
+
+def test_the_page_on_importers_has_a_row_for_each_run() -> None:
+    program = program_of_the_site("compatibility")
+    entries = [tool[i] for tool in program["table"]().values() for i in program["INTERFACES"]]
+    rows = re.findall(r"^\| .* \| (?:by hand: .*|\S+ \S+: `tests/.*`) \|$", program["page"](), re.M)
+    assert len(rows) == sum(isinstance(entry, dict) for entry in entries)
+    pages = {tool["page"] for tool in program["table"]().values() if "page" in tool}
+    assert pages | {"README.md"} == {path.name for path in (ROOT / "docs/how-to/importing").glob("*.md")}

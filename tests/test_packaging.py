@@ -1,5 +1,8 @@
 """What is installed does what the clone does: the wheel, the archive of sources, an editable install."""
 
+import base64
+import hashlib
+import json
 import os
 import shutil
 import subprocess
@@ -11,6 +14,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
+from cyclonedx.schema import SchemaVersion
+from cyclonedx.validation.json import JsonStrictValidator
 
 from fmus.platforms import PLATFORMS, host_platform
 from tests.shared_builds import Build, built_once, session_folder
@@ -129,6 +134,21 @@ def test_the_wheel_holds_every_file_and_the_libraries_of_five_platforms(wheel: P
     ]
     assert len(libraries) == len(beginnings)
     assert all(map(str.startswith, libraries, beginnings))
+
+
+def test_the_wheel_has_a_bill_of_materials_of_its_libraries(wheel: Path) -> None:
+    """PEP 770, with the digest of each library, and in RECORD as every file."""
+    with zipfile.ZipFile(wheel) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    (path,) = (name for name in members if ".dist-info/sboms/" in name)
+    assert JsonStrictValidator(SchemaVersion.V1_6).validate_str(members[path].decode()) is None
+    files = [part for part in json.loads(members[path])["components"] if part["type"] == "file"]
+    assert len(files) == 2 * len(PLATFORMS)
+    for file in files:
+        assert file["hashes"][0]["content"] == hashlib.sha256(members[file["name"]]).hexdigest()
+    digest = base64.urlsafe_b64encode(hashlib.sha256(members[path]).digest()).decode().rstrip("=")
+    (record,) = (text.decode() for name, text in members.items() if name.endswith(".dist-info/RECORD"))
+    assert record.splitlines()[-1] == f"{path},sha256={digest},{len(members[path])}"
 
 
 def test_a_wheel_follows_from_its_sources_byte_for_byte_whatever_the_umask(

@@ -1,6 +1,8 @@
 """The site of docs/ and the archive for users without Python, each made by its one command."""
 
 import hashlib
+import html
+import json
 import re
 import subprocess
 import sys
@@ -21,7 +23,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="session")
 def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The unpacked archive. A broken link of its site fails here, and a script of the gallery that fails."""
+    """The unpacked archive. A broken link of its site fails here, as does a notebook that fails."""
     folder = session_folder(tmp_path_factory, "release")
 
     def make(path: Path) -> None:
@@ -58,6 +60,30 @@ def test_the_checksums_are_those_of_all_files(archive: Path) -> None:
     files = {path.relative_to(archive).as_posix(): path for path in archive.rglob("*") if path.is_file()}
     assert listed.keys() == files.keys() - {"SHA256SUMS"}
     assert all(hashlib.sha256(files[name].read_bytes()).hexdigest() == listed[name] for name in listed)
+
+
+def test_the_gallery_has_five_notebooks_that_ran(archive: Path) -> None:
+    """Each page shows what the notebook beside it printed and drew."""
+    notebooks = sorted((archive / "documentation" / "gallery").glob("*.ipynb"))
+    assert [path.stem for path in notebooks] == sorted(
+        path.stem for path in (ROOT / "docs" / "gallery").glob("*.py")
+    )
+    assert len(notebooks) == 5
+    for path in notebooks:
+        cells = [cell for cell in json.loads(path.read_text(encoding="utf-8"))["cells"] if "outputs" in cell]
+        assert [cell["execution_count"] for cell in cells] == [*range(1, len(cells) + 1)]
+        outputs = [output for cell in cells for output in cell["outputs"]]
+        page = html.unescape(path.with_suffix(".html").read_text(encoding="utf-8"))
+        assert f'href="{path.name}"' in page
+        assert sum("image/png" in output.get("data", {}) for output in outputs) == len(
+            re.findall(rf'<img [^>]*src="{path.stem}_\d+_\d+\.png"', page)
+        )
+        printed = "".join("".join(output.get("text", "")) for output in outputs)
+        assert printed
+        assert all(line in page for line in printed.splitlines())
+        if path.stem == "lqg":
+            extended, tuned, lqg = map(float, re.findall(r"RMSE (\S+) cm", printed))
+            assert tuned < lqg < 1.0 < extended
 
 
 def test_the_site_loads_nothing_from_another_server(archive: Path) -> None:

@@ -1,9 +1,12 @@
-"""Many runs of loaded FMUs.
+# %% [markdown]
+# # Many runs of loaded FMUs
+#
+# A `Simulator` loads the FMUs once. Here it runs the experiment for eleven changes of buoyancy, with and
+# without the extension.
+#
+# It needs the FMUs that `l1-depth build --cache` builds.
 
-A `Simulator` loads the FMUs once. Here it runs the experiment for eleven changes of buoyancy, with and
-without the extension.
-"""
-
+# %%
 from dataclasses import replace
 
 import matplotlib.pyplot as plt
@@ -25,4 +28,10 @@ for name, label in (("nominal-l1", "L1"), ("nominal-extended", "extended L1 (PI)
     print(f"{label}: RMSE from {min(rmse):.1f} to {max(rmse):.1f} cm")
 axes.set(xlabel="change of buoyancy [N]", ylabel="RMSE [cm]", ylim=(0.0, None))
 axes.legend()
-figure.savefig("changed_buoyancy.png")
+plt.show()
+
+# %% [markdown]
+# One of the runs, the last:
+
+# %%
+recording.plot("plant.depth", "plant.total_force")

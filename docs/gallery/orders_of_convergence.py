@@ -1,21 +1,25 @@
-"""Orders of the master algorithms.
+# %% [markdown]
+# # Orders of the master algorithms
+#
+# Two second-order systems exchange one signal each. The error at the end falls with the communication step
+# size: by its first power with held inputs, by its square with inputs that are extrapolated.
+#
+# It needs the FMUs that `l1-depth build --cache` builds.
 
-Two second-order systems exchange one signal each. The error at the end falls with the communication step
-size: by its first power with held inputs, by its square with inputs that are extrapolated.
-"""
-
+# %%
 import matplotlib.pyplot as plt
 
-from orchestration import System, simulate
+from orchestration import System, load_scenario, simulate
 
+plant = load_scenario("example-l1").system.components["plant"]
 system = System(
-    {"first": "fmus-built/ExamplePlant.fmu", "second": "fmus-built/ExamplePlant.fmu"},
+    {"first": plant, "second": plant},
     [("first.output", "second.control"), ("second.output", "first.control")],
 )
 
 
 def final_output(step_size: float, **algorithm: object) -> float:
-    """Output of the second system after 4 s."""
+    """Returns the output of the second system after 4 s."""
     recording = simulate(
         system,
         stop_time=4.0,  # s
@@ -40,4 +44,4 @@ for label, algorithm in (
     print(f"{label}: error {errors[0]:.1e} at 20 ms, {errors[-1]:.1e} at 160 ms")
 axes.set(xlabel="communication step size [s]", ylabel="error of the output")
 axes.legend()
-figure.savefig("orders_of_convergence.png")
+plt.show()

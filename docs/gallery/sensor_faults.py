@@ -1,9 +1,12 @@
-"""A depth sensor that fails.
+# %% [markdown]
+# # A depth sensor that fails
+#
+# Faults act on what arrives at one input. The depth sensor freezes for 2 s while the vehicle dives, drifts
+# for 40 s while it holds its depth, and loses one sample in five throughout.
+#
+# It needs the FMUs that `l1-depth build --cache` builds.
 
-Faults act on what arrives at one input. The depth sensor freezes for 2 s while the vehicle dives, drifts
-for 40 s while it holds its depth, and loses one sample in five throughout.
-"""
-
+# %%
 from dataclasses import replace
 
 import matplotlib.pyplot as plt
@@ -20,6 +23,7 @@ faults = (
 healthy = simulate(chosen.system, replace(chosen.experiment, stop_time=200.0))
 faulty = simulate(chosen.system, replace(chosen.experiment, stop_time=200.0, faults=faults))
 
+# %%
 figure, axes = plt.subplots(layout="constrained")
 axes.plot(healthy.time, healthy["plant.depth"], label="healthy sensor")
 axes.plot(faulty.time, faulty["plant.depth"], label="faulty sensor")
@@ -28,7 +32,7 @@ for fault in faults[:2]:
 axes.set(xlabel="time [s]", ylabel="depth [m]")
 axes.invert_yaxis()
 axes.legend()
-figure.savefig("sensor_faults.png")
-print(
-    f"largest difference of depth {100.0 * abs(faulty['plant.depth'] - healthy['plant.depth']).max():.0f} cm"
-)
+plt.show()
+
+difference = abs(faulty["plant.depth"] - healthy["plant.depth"])
+print(f"largest difference of depth {100.0 * difference.max():.0f} cm")

@@ -1,10 +1,13 @@
-"""Where the lag goes.
+# %% [markdown]
+# # Where the lag goes
+#
+# The nominal experiment of the paper with plain L1 and with the PI extension. The vehicle follows straight
+# ramps. Without the extension it lags behind them as its reference model does. With it the largest error
+# is less than half as large.
+#
+# It needs the FMUs that `l1-depth build --cache` builds.
 
-The nominal experiment of the paper with plain L1 and with the PI extension. The vehicle follows straight
-ramps; without the extension it lags behind them as its reference model does; with it the largest error
-is less than half as large.
-"""
-
+# %%
 import matplotlib.pyplot as plt
 
 from orchestration import load_scenario, simulate
@@ -22,4 +25,4 @@ depth_axes.set_ylabel("depth [m]")
 depth_axes.invert_yaxis()
 depth_axes.legend()
 error_axes.set(xlabel="time [s]", ylabel="tracking error [cm]")
-figure.savefig("two_controllers.png")
+plt.show()

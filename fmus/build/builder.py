@@ -159,6 +159,8 @@ def _building(block: Block, order: BuildRequest) -> Iterator[Callable[[], dict[P
                 shipped = block, guid, built[path], order.fmi
                 with suppress(OSError), closing(ShippedLibrary(*shipped)) as library:
                     check_shipped(compared, library)
+            if order.flavour is Flavour.NATIVE:
+                built |= native_flavour.bill_of_materials(block, built, order.fmi)
             files = {order.folder / f"{block.name}.fmu": packed(members | built | shown)}
             if order.with_cross_check:
                 beside = reference_results.cross_check_files(reference, block.name)

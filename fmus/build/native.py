@@ -10,9 +10,10 @@ compiler and its flags. It does not depend on which platforms were built.
 
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from importlib import resources
+from importlib.metadata import version
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from string import Template
@@ -29,10 +30,12 @@ from fmus.errors import ExportError
 from fmus.files import xml_document
 from fmus.fmi.integer_enumerations import REALS_ONLY, with_other_types
 from fmus.fmi.variable_types import INTEGER_RANGE, TRANSFER_TYPE
-from fmus.native.toolchain import COMPILER, FLAGS, compiling
-from fmus.platforms import check_platforms, host_platform, library_name
+from fmus.native import sbom
+from fmus.native.toolchain import compiling
+from fmus.platforms import PLATFORMS, check_platforms, host_platform, library_name
 
 COMPILED = {2: ("fmi2.c",), 3: ("fmi3.c",)}
+_WRITERS = ("l1-depth", "casadi")  # of the C
 _WORD = 32  # bits of the set of items
 _SETTABLE = {"fixed": "BEFORE_STEPPING", "continuous": "ALWAYS"} | dict.fromkeys(
     ("tunable", "discrete"), "AT_POINTS"
@@ -64,7 +67,7 @@ def content(block: Block, reals_only: bool = False, fmi: int = 2) -> tuple[str, 
         "sources/buildDescription.xml": _build_description(block.name, fmi),
         "modelDescription.xml": with_other_types(description, REALS_ONLY) if reals_only else description,
     }
-    return with_guid(members, recipe=" ".join((*COMPILER, *FLAGS)))
+    return with_guid(members, recipe=sbom.RECIPE)
 
 
 def _build_description(name: str, fmi: int) -> bytes:
@@ -97,6 +100,24 @@ def compiled_libraries(
             for platform in check_platforms(platforms) or (host_platform(),)
         }
         yield lambda: {path: end() for path, end in ends.items()}
+
+
+def bill_of_materials(block: Block, libraries: Mapping[str, bytes], fmi: int = 2) -> dict[str, bytes]:
+    """Returns path inside the FMU -> bill of materials of its libraries.
+
+    libraries: path inside the FMU -> content
+    fmi: the version of the standard
+    """
+    module = {"name": "l1-depth:module", "value": block.output.__module__}
+    subject = sbom.component(
+        block.name, block.version, block.license, description=block.description, properties=[module]
+    )
+    own, casadi = (sbom.component(name, version(name), None, type="application") for name in _WRITERS)
+    layer = sbom.component("l1-depth", version("l1-depth"), "MIT", description="sources, but for model*.h")
+    headers = sbom.component("fmi-headers", f"{fmi}.0", "BSD-2-Clause")
+    platforms = {library_name(block.name, platform, fmi): platform for platform in PLATFORMS}
+    known = {path: (platforms[path], content) for path, content in libraries.items()}
+    return {sbom.MEMBER: sbom.bill_of_materials(subject, [layer, headers], [own, casadi], known)}
 
 
 def c_sources(block: Block, guid: str, reals_only: bool = False, fmi: int = 2) -> dict[str, str]:
@@ -174,10 +195,8 @@ def _range(v: BlockVariable) -> tuple[float, float]:
     """Returns the range that the C layer lets pass: without declared limits, that of the type."""
     if items := [0, 1] if v.type == "Boolean" else _items(v):
         return float(min(items)), float(max(items))
-    widest = INTEGER_RANGE[1] if v.type == "Integer" else sys.float_info.max
-    low = -widest if v.minimum is None else v.minimum
-    high = widest if v.maximum is None else v.maximum
-    return float(low), float(high)
+    low, high = INTEGER_RANGE if v.type == "Integer" else (-sys.float_info.max, sys.float_info.max)
+    return float(low if v.minimum is None else v.minimum), float(high if v.maximum is None else v.maximum)
 
 
 def _items(v: BlockVariable) -> list[int]:

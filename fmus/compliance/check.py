@@ -124,7 +124,7 @@ def _judged(
 
     results = dict[Path, list[Result]]()
     try:
-        with _progress(quiet) as show:
+        with _progress(quiet, len(fmus)) as show:
             for number, path in enumerate(fmus, 1):
                 show(f"check {number} of {len(fmus)}: {path.name}")
                 results[path] = examine(path, timeout, names)
@@ -134,10 +134,14 @@ def _judged(
 
 
 @contextmanager
-def _progress(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Gives a function that shows a text on standard error, if that is a terminal."""
+def _progress(quiet: bool, count: int) -> Iterator[Callable[[str], None]]:
+    """Gives a function that shows a text on standard error: in one place of a terminal, else as a line.
+
+    count: of FMUs; one alone takes seconds and gets no line
+    """
     if quiet or not sys.stderr.isatty():
-        yield lambda text: None
+        is_silent = quiet or count == 1
+        yield lambda text: None if is_silent else print(text, file=sys.stderr, flush=True)
         return
     from rich.console import Console
     from rich.markup import escape

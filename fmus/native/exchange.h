@@ -40,11 +40,15 @@ Status FMI(EnterEventMode)(void *c) {
     return status;
 }
 
-/* 3.2.2; 3.2.3: in event mode. */
+/* 3.2.2; 3.2.3: in event mode. Discrete outputs follow what was set in it, whether or not they were read there. */
 Status FMI(EnterContinuousTimeMode)(void *c) {
-    const Status status = to_mode(c, EVENT, CONTINUOUS_TIME, NAME(EnterContinuousTimeMode));
-    if (status == OK) data_leave_event(&((Instance *)c)->data);
-    return status;
+    Instance *instance = c;
+    int broken = 0;
+    if (to_mode(instance, EVENT, EVENT, NAME(EnterContinuousTimeMode)) != OK) return ERROR;
+    const Outcome outcome = data_refresh(&instance->data, &broken);
+    if (outcome != DONE) return report(instance, outcome, &broken, NAME(EnterContinuousTimeMode), 0);
+    data_leave_event(&instance->data);
+    return to_mode(instance, EVENT, CONTINUOUS_TIME, NAME(EnterContinuousTimeMode));
 }
 
 /* 3.2.2; 3.2.3: in event mode; 2.1.6: past the stop time is an error. An event that fails changes nothing. One

@@ -134,7 +134,7 @@ static int are_finite(const double *numbers, int count) {
 
 static int can_be_read(const double *outputs) {
     for (int i = 0; i < N_WHOLE_OUTPUTS; i++)
-        if (fabs(outputs[WHOLE_OUTPUTS[i]]) > INT_MAX) return 0;
+        if (outputs[WHOLE_OUTPUTS[i]] < INT_MIN || outputs[WHOLE_OUTPUTS[i]] > INT_MAX) return 0;
     return are_finite(outputs, N_OUTPUTS);
 }
 

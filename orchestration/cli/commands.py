@@ -17,7 +17,7 @@ from orchestration.cli.shared import fail
 from orchestration.errors import OrchestrationError
 
 _PANELS = {
-    "FMUs": ("fmu.new", "fmu.build", "fmu.check", "fmu.inspect", "cache.cache"),
+    "FMUs": ("fmu.new", "fmu.build", "fmu.check", "fmu.verify", "fmu.inspect", "cache.cache"),
     "Scenarios": ("run.scenarios", "run.run", "run.live", "sweep.sweep", "run.report"),
     "Controllers compared": ("score.score", "tune.tune", "score.compare", "sweep.margins"),
     "Vehicles": ("vehicles.design", "vehicles.fit"),

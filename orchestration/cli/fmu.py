@@ -1,6 +1,7 @@
 """Commands on FMUs: build, check, inspect."""
 
 import json
+import zipfile
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -189,6 +190,26 @@ def _built(orders: Sequence[BuildRequest], current: Current) -> Generator[Sequen
         yield from (current.get(order) or next(built) for order in orders)
     else:
         yield from (current[order] or () for order in orders)
+
+
+def verify(
+    fmu: Annotated[Path, typer.Argument(metavar="FMU", help="A native FMU of ours, with its sources.")],
+) -> None:
+    """Compile the sources inside an FMU again, and compare each library inside with the new one."""
+    from fmus.fmi.description import describe
+    from fmus.native import verify
+
+    describe(fmu)  # the error of what is no FMU names the nearest one
+    with zipfile.ZipFile(fmu) as archive:
+        verdicts = dict[str, str]()
+        for path, verdict in verify.verified(archive):
+            is_compared = verdict in (verify.SAME, verify.DIFFERENT)
+            print(f"{path}: {verdict if is_compared else f'cannot be built: {verdict}'}", flush=True)
+            verdicts[path] = verdict
+    if not verdicts:
+        fail(f"{fmu}: no libraries: expected some to compare")
+    if left := [path for path, verdict in verdicts.items() if verdict != verify.SAME]:
+        fail(f"{fmu}: {len(left)} of {len(verdicts)} libraries differ or cannot be built: expected none")
 
 
 def inspect(

@@ -15,7 +15,7 @@ from orchestration.cli import shared
 from orchestration.cli.changes import NO_CHANGES, Changes, takes_changes
 from orchestration.errors import OrchestrationError
 from orchestration.results.formats import FigureFormat, RecordingFormat
-from orchestration.results.metric_units import error_table, metrics_table, values_table
+from orchestration.results.metric_units import error_table, metrics_table, statistics_table, values_table
 
 _SHORT_S = 0.5  # a run that takes no longer shows no progress
 
@@ -63,6 +63,9 @@ def run(
     error_estimate: Annotated[
         bool, typer.Option("--error-estimate", help="Run again at twice the step to estimate the error.")
     ] = False,
+    statistics: Annotated[
+        bool, typer.Option("--statistics", help="Measure the time of each phase and of each FMU's steps.")
+    ] = False,
 ) -> None:
     """Run one scenario, and write its recording (CSV or Parquet), its metrics (JSON) and a figure."""
     from orchestration.cli import chosen_scenario
@@ -85,6 +88,7 @@ def run(
             timeout=timeout,
             checkpoints=Checkpoints(checkpoint, every) if checkpoint else None,
             resume=read_checkpoint(resume) if resume else None,
+            statistics=statistics,
         )
     figures = _figures(chosen.title, result.recording, out / chosen.name, written_formats)
     if result.metrics:
@@ -92,6 +96,8 @@ def run(
     _print_error_estimate(result.recording)
     _print_end(result.recording)
     _print_pace(result.recording)
+    if statistics:
+        print(statistics_table(result.recording.provenance["statistics"]))
     print(out / f"{chosen.name}.{file_format}", out / f"{chosen.name}.json", *figures, sep="\n")
 
 
@@ -221,7 +227,7 @@ def reproduce(
     scenarios = run_files.reproduced(flavour)
     build_missing_fmus(scenarios.values())
     with shared.progress("reproduce", len(scenarios)) as bar:
-        results = run_files.run_all(out, workers, lambda name: bar.advance(), flavour)
+        results = run_files.run_all(out, workers, lambda name: bar.advance(note=name), flavour)
     written = run_files.write_report(results, out, written_formats)
     shared.print_table(comparison_table({name: result.metrics for name, result in results.items()}))
     print(*written, sep="\n")

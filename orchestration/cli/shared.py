@@ -103,12 +103,14 @@ def console(piped_width: int = PIPED_WIDTH) -> "Console":
 
 
 LINE_EVERY_S = 30.0
+_FEW = 20  # parts, each of which gets a line of its own
 
 
 class ProgressBar:
     """A bar of how much of a command is done, shown on a terminal after `delay` seconds.
 
-    Where there is none, as in a log, standard error gets a line from time to time (`LINE_EVERY_S`).
+    Where there is none, as in a log, standard error gets a line from time to time (`LINE_EVERY_S`), and one
+    for each part with a note where there are few.
     """
 
     def __init__(self, description: str, total: int, delay: float, stack: ExitStack) -> None:
@@ -139,7 +141,7 @@ class ProgressBar:
             bar.update(task, completed=done, total=total, description=description)
 
     def _write_line(self, done: int, total: int, note: str) -> None:
-        if time.monotonic() >= self._next_line:
+        if time.monotonic() >= self._next_line or (note and total <= _FEW):
             self._next_line = time.monotonic() + LINE_EVERY_S
             print(
                 f"{self._description} {note}".rstrip() + f": {done} of {total}", file=sys.stderr, flush=True

@@ -188,17 +188,33 @@ def _values(over: str) -> dict[str, list[float]]:
 
 
 def _print(title: str, judged: "Margins") -> None:
-    """Prints the metrics, and below them what each assumes, once."""
-    notes = list(dict.fromkeys((metric.assumption, metric.source) for metric in judged.metrics))
+    """Prints the metrics, and below them what all of a group assume and what some of them assume besides."""
+    parts: dict[str, list[list[str]]] = {}
+    for metric in judged.metrics:
+        parts.setdefault(metric.group, []).append(f"{metric.assumption}; {metric.source}".split("; "))
+    common = {
+        group: [part for part in own[0] if all(part in each for each in own)] for group, own in parts.items()
+    }
+    own_notes = [
+        "; ".join(part for part in each if part not in common[group])
+        for group, own in parts.items()
+        for each in own
+    ]
+    notes = list(dict.fromkeys(filter(None, own_notes)))
     if judged.metrics:
-        shared.print_table(_table(title, judged, notes))
-    for number, (assumption, source) in enumerate(notes, 1):
-        print(f"[{number}] {assumption} ({source})")
+        shared.print_table(
+            _table(title, judged, [str(notes.index(note) + 1) if note else "" for note in own_notes])
+        )
+    for group, shared_parts in common.items():
+        if shared_parts:
+            print(f"{group}: {'; '.join(shared_parts)}")
+    for number, note in enumerate(notes, 1):
+        print(f"[{number}] {note}")
     for sentence in judged.not_judged:
         print(sentence)
 
 
-def _table(title: str, judged: "Margins", notes: list[tuple[str, str]]) -> "Table":
+def _table(title: str, judged: "Margins", notes: list[str]) -> "Table":
     from rich.markup import escape
     from rich.table import Table
 
@@ -206,11 +222,10 @@ def _table(title: str, judged: "Margins", notes: list[tuple[str, str]]) -> "Tabl
     for heading in ("", "Margin", "Value", "Unit", "Remark", "Note"):
         table.add_column(heading, justify="right" if heading in ("Value", "Note") else "left")
     group = ""
-    for metric in judged.metrics:
+    for metric, note in zip(judged.metrics, notes, strict=True):
         if metric.group != group:
             table.add_section()
         shown_group, group = "" if metric.group == group else metric.group, metric.group
-        note = str(notes.index((metric.assumption, metric.source)) + 1)
         cells = shown_group, metric.name, metric.shown, metric.unit, metric.remark, note
         table.add_row(*map(escape, cells))
     return table

@@ -7,10 +7,12 @@ only the scripts run whose hashes it names and nothing be fetched.
 import base64
 import hashlib
 import json
+import math
 import re
 import zlib
 from collections.abc import Mapping, Sequence
 from importlib import metadata
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +22,12 @@ from fmus.extras import imports_of
 from orchestration.report.result import (
     RunResult,
     SweepResult,
+    common_metrics,
     correlations,
     distributions,
     groups_of,
+    of_succeeded,
+    paired_differences,
     strongest,
     toml,
 )
@@ -43,6 +48,8 @@ def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
     """Returns a self-contained HTML page of these results; by default titled after them."""
     runs = [result for result in results if isinstance(result, RunResult)]
     swept = [result for result in results if isinstance(result, SweepResult)]
+    labels = shortened([run.name for run in runs]) | shortened([sweep.name for sweep in swept])
+    compared = common_metrics(swept)
     return page(
         "page.html",
         _SCRIPTS,
@@ -50,6 +57,11 @@ def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
         runs=runs,
         sweeps=swept,
         metric_groups=_metric_groups(runs),
+        labels=labels,
+        compared=compared,
+        paired=paired_differences(swept) if compared else [],
+        statistics=of_succeeded,
+        least=least,
         differences=differences(runs),
         shown=shown,
         headings=HEADINGS,
@@ -58,8 +70,9 @@ def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
         correlations=correlations,
         data={
             "columns": COLUMNS,
-            "runs": [run_data(run) for run in runs],
-            "sweeps": [sweep_data(sweep) for sweep in swept],
+            "runs": [{**run_data(run), "label": labels[run.name]} for run in runs],
+            "sweeps": [{**sweep_data(sweep), "label": labels[sweep.name]} for sweep in swept],
+            "compared": compared,
         },
     )
 
@@ -103,6 +116,31 @@ def _metric_groups(runs: Sequence[RunResult]) -> dict[tuple[tuple[str, str], ...
         groups.setdefault(tuple(run.metric_units.items()), []).append(run)
     groups.pop((), None)
     return groups
+
+
+_NO_BEST = ("mean", "time_below")  # functions of which neither less nor more is better
+
+
+def least(runs: Sequence[RunResult], metric: str) -> float | None:
+    """Returns the least magnitude of a metric, the best; None of one run, or where all are equal."""
+    call = runs[0].scenario.get("metrics", {}).get(metric, {})
+    sizes = {abs(run.metrics[metric]) for run in runs if math.isfinite(run.metrics[metric])}
+    return min(sizes) if len(sizes) > 1 and call.get("function", "mean") not in _NO_BEST else None
+
+
+def shortened(names: Sequence[str]) -> dict[str, str]:
+    """Returns name -> what differs: without the parts that all names begin or end with."""
+    start = _common_length(names)
+    rest = [name[start:] for name in names]
+    end = _common_length([name[::-1] for name in rest])
+    return {name: part[: len(part) - end] or name for name, part in zip(names, rest, strict=True)}
+
+
+def _common_length(names: Sequence[str]) -> int:
+    """Returns the length of the parts, each with its separator, that all of several names begin with."""
+    parts = [re.split(r"(?<=[-_./ ])", name)[:-1] for name in names] if len(names) > 1 else []
+    common = takewhile(lambda same: len(set(same)) == 1, zip(*parts, strict=False))
+    return sum(len(part) for part, *_ in common)
 
 
 def _facts(provenance: Mapping[str, Any]) -> dict[str, str]:
@@ -185,12 +223,28 @@ def drawn_points(time: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.unique(np.concatenate([[0, len(values) - 1], order[starts], order[largest], order[lasts]]))
 
 
-def _signal_data(name: str, unit: str, time: np.ndarray, values: np.ndarray) -> dict[str, Any]:
+def tracking_errors(run: RunResult) -> dict[str, tuple[str, str, np.ndarray]]:
+    """Returns signal -> name, unit and values of its error, scaled as an RMSE or a peak error of the run."""
+    errors: dict[str, tuple[str, str, np.ndarray]] = {}
+    for metric, call in run.scenario.get("metrics", {}).items():
+        signal, reference = call.get("signal"), call.get("reference")
+        is_error = call.get("function") in ("rmse", "peak_error")
+        if is_error and {signal, reference} <= set(run.recording.numbers) and signal not in errors:
+            values = call.get("scale", 1.0) * (run.recording[signal] - run.recording[reference])
+            errors[signal] = f"{signal} - {reference}", run.metric_units.get(metric, ""), values
+    return errors
+
+
+def _signal_data(
+    name: str, unit: str, time: np.ndarray, values: np.ndarray, error_of: str = ""
+) -> dict[str, Any]:
+    """Returns what is drawn of a signal; error_of: the unit of the signal whose tracking error it is."""
     kept = drawn_points(time, values)
     return {
         "name": name,
-        "unit": unit,
-        "down": points_down(name, unit),
+        "unit": unit or "1",
+        "error_of": error_of,
+        "down": not error_of and points_down(name, unit),
         "values": packed(values[kept]),
         "steps": packed(np.diff(kept, prepend=0)) if len(kept) < len(time) else "",
     }
@@ -199,20 +253,25 @@ def _signal_data(name: str, unit: str, time: np.ndarray, values: np.ndarray) -> 
 def run_data(run: RunResult) -> dict[str, Any]:
     """Returns the data that the page's script draws of a run."""
     recording = run.recording
-    columns = ((name, recording.unit(name), recording[name]) for name in recording.numbers)
+    signals = [
+        _signal_data(name, recording.unit(name), recording.time, recording[name])
+        for name in recording.numbers
+    ]
+    errors = tracking_errors(run)
+    for of, (name, unit, values) in errors.items():
+        at = recording.numbers.index(of) + 1  # beside what it is the error of
+        signals.insert(at, _signal_data(name, unit, recording.time, values, recording.unit(of) or "1"))
     return {
         "name": run.name,
         "time": packed(recording.time),
-        "signals": [
-            _signal_data(name, unit or "1", recording.time, column) for name, unit, column in columns
-        ],
+        "signals": signals,
         "in_metrics": sorted(
             {
                 str(call[key])
                 for call in run.scenario.get("metrics", {}).values()
                 for key in SIGNALS
                 if key in call
-            }
+            }.union(name for name, _, _ in errors.values())
         ),
     }
 

@@ -115,6 +115,11 @@ def groups_of(sweep: SweepResult) -> dict[tuple[str, ...], np.ndarray]:
     return groups(sweep.varied, [i for i, error in enumerate(sweep.errors) if not error])
 
 
+def of_succeeded(sweep: SweepResult, metric: str) -> dict[str, float]:
+    """Returns the statistics of a metric over all samples that did not fail; empty where it has no number."""
+    return statistics(sweep.metrics[metric][[not error for error in sweep.errors]])
+
+
 def distributions(sweep: SweepResult) -> list[dict[str, Any]]:
     """Returns the statistics of each group and metric."""
     return [
@@ -169,3 +174,47 @@ def strongest(rows: list[dict[str, Any]]) -> tuple[str, str] | None:
         if value is not None
     }
     return max(strength, key=lambda pair: strength[pair]) if strength else None
+
+
+def common_metrics(sweeps: Sequence[SweepResult]) -> dict[str, str]:
+    """Returns the metrics that several sweeps have in common -> their units."""
+    if len(sweeps) < 2:
+        return {}
+    first, *others = sweeps
+    return {
+        name: first.units[name]
+        for name in first.metrics
+        if all(name in other.metrics and other.units[name] == first.units[name] for other in others)
+    }
+
+
+def paired_differences(sweeps: Sequence[SweepResult]) -> list[dict[str, Any]]:
+    """Returns how each metric of each later sweep differs from the first one's, sample by sample.
+
+    Samples of equal numbers are a pair if the values of all that both vary are equal, and neither failed.
+    """
+    from orchestration.score.statistics import holm, paired
+
+    first, *others = sweeps
+    tests = {}
+    for other in others:
+        mine, own = _pairs(first, other)
+        for metric in common_metrics(sweeps):
+            values = other.metrics[metric][own], first.metrics[metric][mine]
+            tests[other.name, metric] = paired(*values, comparisons=len(others))
+    p_holm = holm({key: test.p for key, test in tests.items()})
+    return [
+        {"sweep": sweep, "metric": metric, "test": test, "p": p_holm[sweep, metric]}
+        for (sweep, metric), test in tests.items()
+    ]
+
+
+def _pairs(first: SweepResult, other: SweepResult) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the indices of the samples of both that are pairs."""
+    _, *indices = np.intersect1d(first.samples, other.samples, return_indices=True)
+    varied = [name for name in first.varied if name in other.varied]
+    are_pairs = [
+        bool(varied) and all(first.varied[name][i] == other.varied[name][k] for name in varied)
+        for i, k in zip(*indices, strict=True)
+    ]
+    return indices[0][are_pairs], indices[1][are_pairs]

@@ -121,6 +121,23 @@ def error_table(errors: Mapping[str, Mapping[str, float | None]], units: Mapping
     return _table("Estimated error", ("Signal", "Largest", "At the end", "Unit"), rows)
 
 
+def statistics_table(statistics: Mapping[str, Any]) -> str:
+    """Returns the wall time of a run, as the provenance of a recording has it, with the real-time factor."""
+    rows = []
+    for phase, wall_s in statistics["phases_s"].items():
+        rows.append((phase, "", f"{1e3 * wall_s:.3f}", "", ""))
+        if phase != "stepping":
+            continue
+        for name, fmu in statistics["fmus"].items():
+            each = f"{1e6 * fmu['wall_s'] / fmu['steps']:.3g}" if fmu["steps"] else ""
+            rows.append((f"  {name}", str(fmu["steps"]), f"{1e3 * fmu['wall_s']:.3f}", each, ""))
+        if "rest_of_loop_s" in statistics:
+            rows.append(("  rest of the loop", "", f"{1e3 * statistics['rest_of_loop_s']:.3f}", "", ""))
+    factor = float(f"{statistics['real_time_factor']:.3g}")
+    title = f"Wall time: stepping takes {statistics['simulated_s']:g} s at {factor:g} times real time"
+    return _table(title, ("Phase", "Steps", "Time [ms]", "Each [us]", ""), rows)
+
+
 def _table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Returns lines of columns; those of numbers, all but the first and the last, end at one place."""
     # Rich, which draws the other tables, takes longer to import than a run takes

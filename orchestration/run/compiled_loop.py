@@ -163,6 +163,11 @@ class StepThreads:
             for helper in helpers:
                 helper.result()
 
+    @property
+    def have_shared(self) -> bool:
+        """Whether any steps were shared."""
+        return self._pool is not None
+
     def close(self) -> None:
         if self._pool:
             self._pool.shutdown()

@@ -10,8 +10,11 @@
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
+#include <time.h>
 #ifdef _WIN32
 __declspec(dllimport) int __stdcall SwitchToThread(void);
+__declspec(dllimport) int __stdcall QueryPerformanceCounter(int64_t *count);
+__declspec(dllimport) int __stdcall QueryPerformanceFrequency(int64_t *frequency);
 #define EXPORT __declspec(dllexport)
 #else
 #include <sched.h>
@@ -94,6 +97,7 @@ typedef struct {
     int64_t *report;
     int64_t *step_status;
     Team *team;
+    double *step_times;
 } Wiring;
 
 /* Of what every step does: as long as a call of it. */
@@ -250,9 +254,32 @@ static int terminates_at(const Wiring *wiring, int64_t c, double end) {
     return fabs(reached - end) <= 1e-9 * (end - wiring->step_start[c]);
 }
 
+/* Of a clock that never goes back [s]. */
+static double wall_time(void) {
+#ifdef _WIN32
+    int64_t count = 0, frequency = 1;
+    QueryPerformanceCounter(&count);
+    QueryPerformanceFrequency(&frequency);
+    return (double)count / (double)frequency;
+#else
+    struct timespec time = {0, 0};
+    clock_gettime(CLOCK_MONOTONIC, &time);
+    return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
+#endif
+}
+
+static __attribute__((noinline)) int timed_step(const Wiring *wiring, int64_t c, double start, double size) {
+    const double before = wall_time();
+    const int status = ((DoStep *)wiring->do_step[c])((void *)wiring->instances[c], start, size, 1);
+    wiring->step_times[c] += 1.0;
+    wiring->step_times[wiring->n_components + c] += wall_time() - before;
+    return status;
+}
+
 INLINED int call_step(const Wiring *wiring, int64_t c, double end) {
     const double start = wiring->step_start[c];
     const double size = wiring->fixed_step_size[c] > 0.0 ? wiring->fixed_step_size[c] : end - start;
+    if (wiring->step_times) return timed_step(wiring, c, start, size);
     return ((DoStep *)wiring->do_step[c])((void *)wiring->instances[c], start, size, 1);
 }
 

@@ -13,6 +13,7 @@ over a long one.
 """
 
 import ctypes
+import time
 from collections.abc import Callable
 from functools import cache, partial
 from typing import Any
@@ -241,7 +242,10 @@ def _do_step(wiring: Wiring, c: int, end: float) -> bool:
     size = fixed_size if fixed_size > 0.0 else end - start
     wiring.report[Report.BUSY] = c + 1
     do_step = _function(_step_type, int(wiring.do_step[c]))
+    before = time.perf_counter()
     status = do_step(int(wiring.instances[c]), start, size, 1)
+    if isinstance(wiring.step_times, np.ndarray):
+        wiring.step_times[:, c] += 1.0, time.perf_counter() - before
     if status == DISCARD and not wiring.error_logged[c] and _terminates_at(wiring, c, end):
         wiring.report[Report.TERMINATED] = c + 1
         status = OK

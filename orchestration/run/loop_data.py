@@ -130,6 +130,7 @@ class Wiring(NamedTuple):
     CALLS that have returned; POSITION: the present communication point; TERMINATED: 1 + the component that
     terminated the simulation, else 0; while several are stepped at once, BUSY is 1 more than their number
     step_status: of each component's step, where threads share the steps; team: what these threads share
+    step_times: of `Storage`
     """
 
     gauss_seidel: int
@@ -165,17 +166,20 @@ class Wiring(NamedTuple):
     report: Array
     step_status: Array
     team: Array
+    step_times: Array | int
 
 
 @dataclass(frozen=True)
 class Storage:
-    """Arrays for `Wiring.rows` and `Wiring.report` that another process can read during the run.
+    """Arrays for `Wiring`, of which another process can read `rows` and `report` during the run.
 
     rows: shape (communication points, recorded variables); report: shape (len(Report),)
+    step_times: shape (2, components), the number of steps of each and their wall time [s]; 0 if not asked for
     """
 
     rows: Array
     report: Array
+    step_times: Array | int = 0
 
 
 # a saved state for each component, then a copy of `Wiring.memory`; all of eight bytes

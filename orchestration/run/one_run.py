@@ -52,6 +52,7 @@ def simulate(
     real_time: float | None = None,
     checkpoints: Checkpoints | None = None,
     resume: Checkpoint | None = None,
+    statistics: bool = False,
     **misspelt: Never,
 ) -> Recording:
     """Runs a system once and frees its FMUs.
@@ -62,7 +63,7 @@ def simulate(
     stop_time, step_size, start_time: [s], by default as the FMUs suggest
     timeout: longest time [s] that a call of an FMU may take, a step for instance; the FMUs then run in a
     process of their own, so that one that hangs or crashes does no harm to this process
-    progress, real_time, checkpoints, resume: see `Simulator.run`
+    progress, real_time, checkpoints, resume, statistics: see `Simulator.run`
 
     Raises SystemDefinitionError or FmuLoadError before the run starts, SimulationError afterwards: its
     `recording` holds the values recorded until then.
@@ -83,7 +84,7 @@ def simulate(
             raise SystemDefinitionError(
                 f"simulate: expected an experiment or its settings, got both: {', '.join(given)}"
             )
-    options: dict[str, Any] = {"real_time": real_time, "checkpoints": checkpoints, "resume": resume}
+    options = {name: arguments[name] for name in ("real_time", "checkpoints", "resume", "statistics")}
     return simulate_prepared(system, prepare(system, experiment), progress, timeout, **options)
 
 

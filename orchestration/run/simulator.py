@@ -3,7 +3,8 @@
 import os
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, chdir, contextmanager
+from contextlib import AbstractContextManager, ExitStack, chdir, contextmanager, nullcontext
+from dataclasses import replace
 from functools import partial
 from typing import ClassVar, Self
 
@@ -22,6 +23,7 @@ from orchestration.run.loop import python_loop
 from orchestration.run.loop_data import Report, Storage
 from orchestration.run.process_guard import ProcessGuard, new_report
 from orchestration.run.run_recording import reason_of
+from orchestration.run.run_statistics import RunStatistics
 from orchestration.run.step_by_step import SteppedRun
 from orchestration.run.stepping import Progress, RunInProgress
 from orchestration.run.wiring import WiredRun, build_wiring
@@ -136,6 +138,7 @@ class Simulator(LoadedSystem):
         checkpoints: Checkpoints | None = None,
         resume: Checkpoint | None = None,
         storage: Storage | None = None,
+        statistics: bool = False,
     ) -> Recording:
         """Runs an experiment, or one that is prepared for this system, and returns its recording.
 
@@ -144,6 +147,7 @@ class Simulator(LoadedSystem):
         real_time: simulated seconds in a second of the wall clock; without it, as fast as possible
         checkpoints: where and how often to save the whole system
         resume: a checkpoint of the same run, from which to continue
+        statistics: whether the provenance gets the wall time of each phase and of the steps of each FMU
 
         Raises SystemDefinitionError or FmuLoadError before the run starts, SimulationError afterwards: its
         `recording` holds the values recorded until then.
@@ -152,10 +156,11 @@ class Simulator(LoadedSystem):
             pacing = None if real_time is None else Pacing(real_time)
             if checkpoints or resume:
                 check_can_save(run.system if isinstance(run, PreparedRun) else self._check(run))
-            wired, guard = self._prepare_run(run, (), storage)
+            measured = RunStatistics(self._descriptions) if statistics else None
+            wired, guard = self._prepare_run(run, (), storage, measured)
             threads = self._threads if storage is None else 1  # who watches a call asks for one
             in_progress = RunInProgress(wired, self._loop(wired.wiring), guard, threads)
-            in_progress.batch = self._first_batch
+            in_progress.batch, in_progress.statistics = self._first_batch, measured
             recording = _run_to_end(in_progress, progress, pacing, checkpoints, resume, storage is None)
             self._first_batch = max(1, in_progress.batch // 2)  # the next run may be slower
             self._must_reload = False
@@ -213,7 +218,11 @@ class Simulator(LoadedSystem):
             self._stepped = None
 
     def _prepare_run(
-        self, run: Experiment | PreparedRun, external: tuple[str, ...], storage: Storage | None = None
+        self,
+        run: Experiment | PreparedRun,
+        external: tuple[str, ...],
+        storage: Storage | None = None,
+        statistics: RunStatistics | None = None,
     ) -> tuple[WiredRun, ProcessGuard]:
         """Checks an experiment, loads or resets the FMUs and wires them."""
         if isinstance(run, PreparedRun):
@@ -224,13 +233,16 @@ class Simulator(LoadedSystem):
         earlier = self._wired if self._prepared_runs.only_values_differ else None
         self._wired = None  # of another run, also if this one is never wired
         storage = storage or Storage(np.empty(prepared.shape), new_report())
+        if statistics:
+            storage = replace(storage, step_times=statistics.steps)
         if self._guard:
             self._guard.close()
         guard = self._guard = ProcessGuard(self.system.components, storage.report)
         self._report = storage.report
         for instance in self._instances.values():  # who resets is busy in this run
             instance.busy = storage.report[Report.BUSY :]
-        self._load_or_reset()
+        with _phase(statistics, "loading"):
+            self._load_or_reset()
         self._must_reload = True  # should anything fail before the run is done
         storage.report[Report.BUSY] = 0
         for instance in self._instances.values():
@@ -273,11 +285,15 @@ def _run_to_end(
     """Initialises or restores a run, and runs it to its end. SimulationError holds what was recorded."""
     try:
         with deferred_interrupt() as check_interrupt:
-            _initialise(run)
-            if resume:
-                restore(resume, run)
+            with _phase(run.statistics, "initialisation"):
+                _initialise(run)
+                if resume:
+                    restore(resume, run)
+            if run.statistics:
+                run.statistics.start_time = float(run.wiring.points[run.position])
             callback = checkpoints.checkpoint_callback(run) if checkpoints else None
-            run.run_to_end(check_interrupt, progress, pacing, callback)
+            with _phase(run.statistics, "stepping"):
+                run.run_to_end(check_interrupt, progress, pacing, callback)
         return run.recorded(pacing, is_final=owns_rows)
     except KeyboardInterrupt as error:
         run.record_now()
@@ -287,6 +303,11 @@ def _run_to_end(
         raise SimulationError(reason_of(error), run.recorded(pacing)) from error
     finally:
         run.free()
+
+
+def _phase(statistics: RunStatistics | None, name: str) -> AbstractContextManager[None]:
+    """Returns a context that measures a phase if statistics were asked for."""
+    return statistics.phase(name) if statistics else nullcontext()
 
 
 def _initialise(run: RunInProgress) -> None:

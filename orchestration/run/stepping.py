@@ -19,6 +19,7 @@ from orchestration.run.interrupt import Pacing
 from orchestration.run.loop_data import LoopFunctions, Report
 from orchestration.run.process_guard import ProcessGuard
 from orchestration.run.run_recording import emit_warnings, failure_error, is_discarded_step, make_recording
+from orchestration.run.run_statistics import RunStatistics
 from orchestration.run.snapshot import Snapshot
 from orchestration.run.step_control import StepControl
 from orchestration.run.wiring import WiredRun
@@ -43,9 +44,11 @@ class RunInProgress:
     step_control: None where steps cannot be repeated
     batch: steps of the next batch
     threads: see `StepThreads`
+    statistics: None if they were not asked for
     """
 
     batch = 1
+    statistics: RunStatistics | None = None
 
     def __init__(
         self, wired: WiredRun, loop: LoopFunctions, guard: ProcessGuard, threads: int | None = 1
@@ -255,6 +258,9 @@ class RunInProgress:
         more = self.step_control.provenance if self.step_control else {}
         more |= {"terminated": self._termination} if self._termination else {}
         more |= {"real_time": pacing.report()} if pacing else {}
+        if self.statistics:
+            time = float(self.wiring.points[self.position])
+            more |= {"statistics": self.statistics.report(time, not self._threads.have_shared)}
         rows, strings = self.wiring.rows, self.wired.strings.table
         return make_recording(self.prepared, rows, count, strings, more, is_final)
 

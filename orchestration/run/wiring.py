@@ -60,6 +60,7 @@ class WiredRun:
             signal_values=prepared.signal_values,
             rows=storage.rows,
             report=storage.report,
+            step_times=storage.step_times,
             error_logged=_report_calls(self.instances, storage.report),
         )
         _set_start(wiring, prepared)
@@ -121,6 +122,7 @@ def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], st
         report=storage.report,
         step_status=np.zeros(count, np.int64),
         team=np.array([0, 0, _NOTHING_TO_TAKE, 0, 0, 0], np.int64),
+        step_times=storage.step_times,
     )
     functions |= {Call.DO_STEP: ["fmi2DoStep"]}
     functions |= {Call.GET_STATE: ["fmi2GetFMUstate"], Call.SET_STATE: ["fmi2SetFMUstate"]}

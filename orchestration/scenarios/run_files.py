@@ -1,6 +1,7 @@
 """Running scenarios into a folder: one, or all of the paper side by side, and what sums them up."""
 
 import errno
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,7 +78,10 @@ def write_result(
 ) -> Result:
     """Writes the two files of `run` of a recording that was made elsewhere."""
     file = folder / f"{loaded.name}.{file_format}"
+    start = time.perf_counter()
     _write(recording, file)
+    if "statistics" in recording.provenance:
+        recording.provenance["statistics"]["phases_s"]["writing"] = time.perf_counter() - start
     result = Result(loaded, recording, metrics.evaluate(recording, loaded.metrics))
     document = {
         "recording": file.name,

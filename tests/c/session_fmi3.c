@@ -48,7 +48,8 @@ static void step(void) {
     const double t = real(), h = real();
     fmi3Boolean *flags = keep(3, sizeof *flags);
     double *reached = keep(1, sizeof *reached);
-    answer(fmi3DoStep(it, t, h, fmi3True, flags, flags + 1, flags + 2, reached));
+    memset(reached, UNTOUCHED, sizeof *reached);
+    answer_reals(fmi3DoStep(it, t, h, fmi3True, flags, flags + 1, flags + 2, reached), reached, 1);
 }
 
 /* Place for the values that a call writes, NULL for `!N`. */

@@ -104,7 +104,7 @@ static Mask refused(const Lanes *state, const Lanes *outputs) {
     }
     for (int i = 0; i < N_WHOLE_OUTPUTS; i++) {
         const int output = WHOLE_OUTPUTS[i];
-        bad |= (Mask)(lanes_fabs(outputs[output]) > INT_MAX);
+        bad |= (Mask)((outputs[output] < INT_MIN) | (outputs[output] > INT_MAX));
         EACH_LANE bad[lane] |= -(int64_t)!is_item(FIRST_OUTPUT + output, outputs[output][lane]);
     }
     return bad;

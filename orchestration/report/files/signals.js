@@ -13,14 +13,18 @@ function signalsSection() {
   const panels = new Map(); // unit -> {figure, caption, legend, plot, slots, hidden, y}
   let zoom = null; // [from, to] in s, or null for all
 
-  const units = [...new Set(page.runs.flatMap((run) => run.signals.map((signal) => signal.unit)))];
-  const chosenRuns = ticks(document.getElementById("choose-runs"), "", page.runs.map((run, i) => [run.name, i < FEW_RUNS]));
+  const panelOf = (signal) => (signal.error_of ? `error [${signal.unit}]` : signal.unit);
+  const units = [...new Set(page.runs.flatMap((run) => run.signals.map(panelOf)))]; // and errors apart
+  const errors = new Map(page.runs.flatMap((run) => run.signals).filter((signal) => signal.error_of).map((signal) => [panelOf(signal), signal.error_of]));
+  const beside = new Map([...errors, ...[...errors].map(([error, unit]) => [unit, error])]); // the panels of a signal and its error
+  const inBrackets = (unit) => (errors.has(unit) ? unit : `[${unit}]`);
+  const chosenRuns = ticks(document.getElementById("choose-runs"), "", page.runs.map((run, i) => [run.name, i < FEW_RUNS, run.label]));
   const chosenSignals = new Map(units.map((unit) => [unit, ticks(document.getElementById("choose-signals"), unit, names(unit))]));
 
   /** Names of a unit's signals in any run, each with whether it is shown at first. */
   function names(unit) {
     const all = (runs) => runs.flatMap((run) => run.signals);
-    const found = [...new Set(all(page.runs).filter((signal) => signal.unit === unit).map((signal) => signal.name))];
+    const found = [...new Set(all(page.runs).filter((signal) => panelOf(signal) === unit).map((signal) => signal.name))];
     const inMetrics = new Set(page.runs.flatMap((run) => run.in_metrics));
     const first = new Set(all(page.runs).slice(0, FEW_SIGNALS).map((signal) => signal.name));
     const anyInMetrics = all(page.runs).some((signal) => inMetrics.has(signal.name));
@@ -38,8 +42,8 @@ function signalsSection() {
       draw();
     });
     boxes.forEach((box) => box.addEventListener("change", draw));
-    const labels = boxes.map((box) => element("label", {}, box, box.value));
-    const title = heading ? [element("b", {}, `[${heading}]`)] : [];
+    const labels = boxes.map((box, i) => element("label", { title: box.value }, box, entries[i][2] ?? box.value));
+    const title = heading ? [element("b", {}, inBrackets(heading))] : [];
     fieldset.append(element("div", { className: "group" }, ...title, every, element("div", { className: "ticks" }, ...labels)));
     return () => boxes.filter((box) => box.checked).map((box) => box.value);
   }
@@ -82,7 +86,7 @@ function signalsSection() {
     const runs = page.runs.filter((run) => chosenRuns().includes(run.name) && run !== base);
     const found = [];
     for (const name of chosen) {
-      const of = (run) => run.signals.find((signal) => signal.name === name && signal.unit === unit);
+      const of = (run) => run.signals.find((signal) => signal.name === name && panelOf(signal) === unit);
       const having = runs.filter((run) => of(run) && (!base || of(base)));
       const groups = Map.groupBy(having, (run) => (base ? run : run.time + of(run).steps + of(run).values)); // equal ones are one line
       for (const [run, ...equal] of groups.values()) {
@@ -93,7 +97,7 @@ function signalsSection() {
           y = y.map((value, i) => value - other[i]);
         }
         const shared = equal.length > 0 && groups.size === 1;
-        const whose = shared ? "all" : [run, ...equal].map((each) => each.name).join(" = ");
+        const whose = shared ? "all" : [run, ...equal].map((each) => each.label).join(" = ");
         const label = page.runs.length > 1 ? `${name}, ${whose}` : name;
         found.push({ label, name, run: shared ? null : page.runs.indexOf(run), down: of(run).down, thinned: Boolean(of(run).steps), x, y });
       }
@@ -136,9 +140,10 @@ function signalsSection() {
     return { color: colour(colourOfRun(run)), dash: dash(slot + Math.floor(run / 9)) };
   }
 
-  function drawPanel(unit, found, range) {
+  function drawPanel(unit, found, range, isBeside) {
     const made = panel(unit);
     made.figure.hidden = !found.length;
+    made.figure.classList.toggle("beside", isBeside);
     if (!found.length) return;
     numbered(made.slots, found.map((line) => line.name));
     made.caption.textContent = (view?.value ? "Difference" : "Signals") + (unit === "1" ? " without unit" : ` in ${unit}`);
@@ -151,10 +156,11 @@ function signalsSection() {
         draw();
       },
     }));
+    if (errors.has(unit)) made.caption.textContent = (view?.value ? "Difference, tracking " : "Tracking ") + unit;
     fillLegend(made.legend, styled);
     const shown = styled.filter((line) => !line.hidden).sort((a, b) => roughness(b) - roughness(a)); // smooth ones on top
     chart(made.plot, shown, {
-      y: `[${unit}]`, range, yRange: made.y, down: found.some((line) => line.down), // depth increases downwards
+      y: inBrackets(unit), range, yRange: made.y, down: found.some((line) => line.down), // depth increases downwards
       legend: made.legend, zoomed: (x, y) => zoomed(made, x, y),
     });
   }
@@ -188,7 +194,8 @@ function signalsSection() {
     const whole = [Math.min(...shown.map((line) => line.x[0])), Math.max(...shown.map((line) => line.x.at(-1)))];
     const range = zoom ?? whole;
     inputs.forEach((input, i) => (input.value = shown.length || zoom ? short(range[i]) : ""));
-    for (const [unit, each] of found) drawPanel(unit, each, range);
+    const drawn = new Set(found.filter(([, each]) => each.length).map(([unit]) => unit));
+    for (const [unit, each] of found) drawPanel(unit, each, range, drawn.has(beside.get(unit)));
     const thinned = shown.filter((line) => line.thinned).length;
     status.textContent = !shown.length
       ? "Nothing is ticked."

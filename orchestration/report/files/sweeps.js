@@ -1,6 +1,42 @@
 "use strict";
 // Sweeps: how metrics are distributed, what they depend on, and what one sample was.
 
+const values = (column) => (column.numbers ??= Array.isArray(column.values) ? column.values : unpacked(column.values));
+
+/** A figure for the histogram of a metric; returns the place to draw it in. */
+function histogramPlace(section, caption) {
+  const plot = element("div", { className: "plot" });
+  plot.dataset.print = THIRD_OF_PRINT_WIDTH;
+  section.querySelector(".histograms").append(element("figure", {}, element("figcaption", {}, caption), plot));
+  return plot;
+}
+
+/** Names in the colours of their bars. */
+function swatches(section, names) {
+  section.querySelector(".groups").replaceChildren(...names.map((name, i) => {
+    const swatch = element("span", { textContent: "\u25a0 " });
+    swatch.style.color = colour(i);
+    return element("span", {}, swatch, name);
+  }));
+}
+
+const comparedSweeps = document.getElementById("sweeps-compared");
+if (comparedSweeps) {
+  const places = Object.entries(page.compared).map(([name, unit]) => [name, histogramPlace(comparedSweeps, titled(name, unit))]);
+  const draw = () => counted(async () => {
+    swatches(comparedSweeps, page.sweeps.map((sweep) => sweep.label));
+    for (const [name, plot] of places) {
+      const groups = page.sweeps.map(async (sweep, i) => {
+        const all = await values(sweep.columns.find((column) => column.kind === "metric" && column.name === name));
+        return { label: sweep.label, color: colour(i), values: sweep.groups.flatMap((group) => group.members).map((at) => all[at]) };
+      });
+      histogram(plot, await Promise.all(groups));
+    }
+  });
+  redraws.push(draw);
+  draw();
+}
+
 for (const section of document.querySelectorAll("section.sweep")) {
   if (section.querySelector(".scatter")) sweepSection(section, page.sweeps[Number(section.dataset.sweep)]);
 }
@@ -13,16 +49,9 @@ function sweepSection(section, sweep) {
   const varied = sweep.columns.filter((column) => column.kind === "varied");
   const sampleColumn = { name: "sample", unit: "", kind: "sample", values: sweep.samples };
   const columns = [...varied, ...metrics, sampleColumn];
-  const histograms = metrics.map((metric) => {
-    const plot = element("div", { className: "plot" });
-    plot.dataset.print = THIRD_OF_PRINT_WIDTH;
-    find(".histograms").append(element("figure", {}, element("figcaption", {}, heading(metric)), plot));
-    return [metric, plot];
-  });
+  const histograms = metrics.map((metric) => [metric, histogramPlace(section, heading(metric))]);
   let sample = null; // the one chosen
 
-
-  const values = (column) => (column.numbers ??= Array.isArray(column.values) ? column.values : unpacked(column.values));
 
   const named = (name) => columns.find((column) => column.name === name && column.kind !== "sample");
   const [firstAcross, firstUp] = sweep.first?.map(named) ?? [varied[0], metrics[0]];
@@ -38,11 +67,7 @@ function sweepSection(section, sweep) {
 
   async function drawHistograms() {
     if (sweep.groups.length > 1) {
-      find(".groups").replaceChildren(...sweep.groups.map((group, i) => {
-        const swatch = element("span", { textContent: "\u25a0 " });
-        swatch.style.color = colour(i);
-        return element("span", {}, swatch, group.name);
-      }));
+      swatches(section, sweep.groups.map((group) => group.name));
     }
     for (const [metric, plot] of histograms) {
       const all = await values(metric);

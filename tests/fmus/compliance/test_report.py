@@ -245,7 +245,16 @@ def test_a_check_shows_on_a_terminal_what_it_does(
     terminal = _Terminal()
     monkeypatch.setattr("sys.stderr", terminal)
     monkeypatch.setenv("TERM", "xterm")
-    with _progress(quiet) as show:
+    with _progress(quiet, 2) as show:
         show("check 1 of 2: [a].fmu")
         time.sleep(0.3)
     assert ("check 1 of 2: [a].fmu" in terminal.getvalue()) is expected
+
+
+@pytest.mark.parametrize(("quiet", "count", "lines"), [(False, 2, 1), (True, 2, 0), (False, 1, 0)])
+def test_a_check_of_several_fmus_writes_to_a_log_what_it_does(
+    capsys: pytest.CaptureFixture[str], quiet: bool, count: int, lines: int
+) -> None:
+    with _progress(quiet, count) as show:
+        show("check 1 of 2: [a].fmu")
+    assert capsys.readouterr().err == "check 1 of 2: [a].fmu\n" * lines

@@ -40,6 +40,7 @@ class Inputs:
     force: float = variable(0.0, "Force")
     valve: float = variable(0.5, "Valve", min=0.0, max=1.0)
     level: int = variable(1, "Level", min=-5, max=5)
+    wind: tuple[float, float] = variable((0.0, 0.0), "Two more forces")
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ def requirements(p: Parameters, c: Calculated) -> tuple:
 
 def step(t: float, h: float, s: State, u: Inputs, p: Parameters, c: Calculated) -> State:
     force = where(p.enabled, u.force * u.valve, 0.0) + u.level * where(p.mode == Mode.RUN, 1.0, 0.0)
+    force += u.wind[0] - 2.0 * u.wind[1]
     return State((1.0 - h * c.ratio) * s.x + h * (force + t), s.steps + 1.0)
 
 

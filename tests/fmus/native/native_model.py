@@ -31,7 +31,7 @@ ALL: tuple[str, ...] = ("logStatusWarning", "logStatusDiscard", "logStatusError"
 TYPES = {name: transferred[0] for name, transferred in TRANSFER_TYPE.items()}
 LAST_TIME, ENDED = 2, 3  # fmi2LastSuccessfulTime, fmi2Terminated
 _HIGHEST = sys.float_info.max
-_HIGHEST_WHOLE = INTEGER_RANGE[1]  # of an Integer without limits, also below 0
+_LEAST_WHOLE, _HIGHEST_WHOLE = INTEGER_RANGE  # of an Integer without limits
 
 
 class Null(list):
@@ -130,7 +130,7 @@ class Model:
         if variable.type == "Boolean":
             return value in (0, 1)
         is_whole = variable.type == "Integer"
-        return variable.refuse(value) is None and not (is_whole and abs(value) > _HIGHEST_WHOLE)
+        return variable.refuse(value) is None and (not is_whole or _LEAST_WHOLE <= value <= _HIGHEST_WHOLE)
 
     def _is_malformed(self, kind: str, references: list[int] | Null, is_given: bool) -> bool:
         if isinstance(references, Null):
@@ -160,6 +160,10 @@ class Model:
         holds = self._calculate("requirements", parameters, calculated)
         return calculated if all(condition == 1 for condition in holds) else None
 
+    def contradicts(self) -> bool:
+        """Whether parameters contradict each other."""
+        return self._prepared() is None
+
     def _refresh(self) -> bool:
         if self.data.is_held:
             return True
@@ -174,7 +178,9 @@ class Model:
         outputs = self._calculate("output", t, state, p, calculated)
         pairs = zip(self.block.variables[self.outputs], outputs, strict=True)
         whole = [value for v, value in pairs if v.type != "Real"]
-        if not _is_finite([*state, *outputs]) or not all(abs(value) <= _HIGHEST_WHOLE for value in whole):
+        if not _is_finite([*state, *outputs]):
+            return False
+        if not all(_LEAST_WHOLE <= value <= _HIGHEST_WHOLE for value in whole):
             return False
         d = self.data
         d.time, d.state, d.values[self.calculated], d.values[self.outputs] = t, state, calculated, outputs
@@ -213,7 +219,7 @@ class Model:
 
     # steps
 
-    def step(self, t: float, h: float) -> tuple[int, None]:
+    def step(self, t: float, h: float) -> tuple[int, list | None]:
         d = self.data
         tolerance = min(1e-9 * max(1.0, abs(t)), 1e-3 * h) + 8.0 * sys.float_info.epsilon * abs(t)
         legal = d.mode == STEPPING and math.isfinite(t) and math.isfinite(h) and h > 0

@@ -57,6 +57,11 @@ class Model3(Model):
         self.log = self.log | named if on else self.log - named
         return OK, None
 
+    def step(self, t: float, h: float) -> tuple[int, list | None]:
+        """With the last successful time."""
+        status, _ = super().step(t, h)
+        return status, [self.data.time] if status == OK else None
+
     # derivatives
 
     def get_output_derivatives(

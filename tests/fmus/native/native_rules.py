@@ -10,7 +10,18 @@ from fmus.block.variables import BlockVariable
 from fmus.build.fmi3 import extents
 
 from .native_beside import NAMES, SELDOM, TINY, Beside
-from .native_model import ALL, ERROR, INITIALIZATION, INSTANTIATED, OK, STEPPING, TERMINATED, WRITABLE, Model
+from .native_model import (
+    ALL,
+    ERROR,
+    INITIALIZATION,
+    INSTANTIATED,
+    OK,
+    STEPPING,
+    TERMINATED,
+    WRITABLE,
+    Model,
+    Null,
+)
 from .native_model3 import Model3
 from .native_session import GUID
 
@@ -144,7 +155,7 @@ class Calls(Beside):
     @rule(
         data=st.data(),
         slot=st.integers(0, 1),
-        value=st.sampled_from((1.0, -3.0, 1e308)),
+        value=st.sampled_from((1.0, -3.0, 2e155, 1e308)),
     )
     def step_on(self, data: Any, slot: int, value: float) -> None:
         """Two steps with every unlimited input at a value or, in FMI 2.0, on its way there; some diverge."""
@@ -297,6 +308,36 @@ class Calls3(Calls):
 
     def beyond(self) -> int:
         return len(extents(self.block))
+
+    def count(self, references: list[int] | Null) -> int:
+        """Without numbers for what is no variable."""
+        if isinstance(references, Null):
+            return references.size
+        scalars = self.models[0].scalars(references)
+        return sum(scalar < len(self.block.variables) for scalar in scalars)
+
+    @rule(
+        data=st.data(),
+        slot=st.integers(0, 1),
+        name=st.sampled_from(("get", "set")),
+        more=st.sampled_from((1, -1)),
+    )
+    def count_wrongly(self, data: Any, slot: int, name: str, more: int) -> None:
+        """An array has a value too many or too few."""
+        kind = data.draw(st.sampled_from(self.kinds))
+        references = self.some(data, slot, self.by_kind[kind] if name == "get" else self.settable(kind))
+        count = self.count(references) + more
+        if count >= 0:
+            values = [0.0 if kind == "R" else 0] * count
+            arguments = kind, references, f"+{count}" if name == "get" else values
+            self.state_call(slot, name, arguments, self.models[slot].refuse())
+
+    @rule(slot=st.integers(0, 1))
+    def get_time(self, slot: int) -> None:
+        model = self.models[slot]
+        expected = model.refuse() if model.contradicts() else (OK, [model.data.time])
+        time = len(self.block.variables) + len(self.block.states)
+        self.state_call(slot, "get", ("R", [time], "+1"), expected)
 
     def instantiate(self, slot: int, name: str, logging: bool) -> None:
         super().instantiate(slot, name, logging)

@@ -368,7 +368,9 @@ def test_discrete_reals_change_at_events_alone(open_fmi3: Open) -> None:
     assert (tank["level"], tank["shown"], tank["der(state.level)"]) == ([0.25], [1.5], [1.875])
     tank.fmu.enterEventMode()
     assert tank["shown"] == [0.75]
+    tank["opening"] = [1.0]
     tank.fmu.enterContinuousTimeMode()
+    assert tank["shown"] == [1.25]
     text = tank.refused("setFloat64", [tank.reference("opening")], [0.0])
     assert text == "fmi3SetFloat64: opening can not be set in continuous-time mode"
 

@@ -362,7 +362,7 @@ def test_intermediate_variables_are_continuous_inputs_and_outputs(open_fmi3: Ope
         True,
         True,
     )
-    assert intermediate(fmu, "input") == ["force", "valve"]
+    assert intermediate(fmu, "input") == ["force", "valve", "wind"]
     assert intermediate(fmu, "output") == ["y", "square"]
     tank = open_fmi3(TANK.name)
     assert (intermediate(tank, "input"), intermediate(tank, "output")) == (["inflow"], ["level"])

@@ -56,6 +56,7 @@ def test_any_sequence_of_calls_of_a_small_block_is_answered_as_fmi_wants_it(tmp_
         ("RovDepthPlant", 2),
         ("L1Controller", 2),
         ("L1DepthController", 2),
+        ("RovDepthPlant", 3),
         (EVERYTHING.name, 3),
         ("ExamplePlant", 3),
     ],
@@ -69,13 +70,15 @@ MUTANTS = tomllib.loads(Path(__file__).with_name("native_mutants.toml").read_tex
 
 
 @pytest.mark.cross
-@pytest.mark.parametrize("fault", MUTANTS)
-def test_a_fault_of_the_c_layer_is_noticed(tmp_path: Path, fault: str) -> None:
+@pytest.mark.parametrize(
+    ("fmi", "fault"), [(int(key[-1]), fault) for key in MUTANTS for fault in MUTANTS[key]]
+)
+def test_a_fault_of_the_c_layer_is_noticed(tmp_path: Path, fmi: int, fault: str) -> None:
     """Otherwise the test above would prove nothing."""
-    block = builder.load_block("RovDepthPlant")
-    good, bad = MUTANTS[fault]
-    sources = c_sources(block, GUID)
+    block = builder.load_block("RovDepthPlant") if fmi == 2 else EVERYTHING
+    good, bad = MUTANTS[f"fmi{fmi}"][fault]
+    sources = c_sources(block, GUID, fmi=fmi)
     assert sum(text.count(good) for text in sources.values()) == 1
-    program = compiled({name: text.replace(good, bad) for name, text in sources.items()}, tmp_path)
+    program = compiled({name: text.replace(good, bad) for name, text in sources.items()}, tmp_path, fmi=fmi)
     with pytest.raises(AssertionError):
-        run(block, program, 1000, shrink=False)
+        run(block, program, 1000, fmi=fmi, shrink=False)

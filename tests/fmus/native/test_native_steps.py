@@ -180,3 +180,9 @@ def test_an_output_that_no_integer_holds_discards_the_step(session: Session) -> 
     assert internal_steps(session) == 2**31 - 1
     assert "not finite any more" in told(session("step", 0, 0.1, 0.1))
     assert internal_steps(session) == 2**31 - 1
+
+
+def test_the_lowest_integer_is_a_value(session: Session) -> None:
+    begin(session)
+    assert session("set", 0, "I", [REFERENCES["count"]], [-(2**31)]).status == OK
+    assert internal_steps(session) == -(2**31)

@@ -208,3 +208,13 @@ def test_a_log_gets_a_line_of_progress_from_time_to_time(
         "score of plants: 30 of 100",
         "score of plants: 60 of 100",
     ]
+
+
+def test_a_log_gets_a_line_for_each_of_few_parts(capsys: pytest.CaptureFixture[str]) -> None:
+    with shared.progress("reproduce", 2) as bar:
+        bar.advance(note="nominal-l1")
+        bar.advance(note="nominal-extended")
+    assert capsys.readouterr().err.splitlines() == [
+        "reproduce nominal-l1: 1 of 2",
+        "reproduce nominal-extended: 2 of 2",
+    ]

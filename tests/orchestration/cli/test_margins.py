@@ -1,6 +1,7 @@
 """The command margins."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,29 @@ def test_every_figure_has_its_unit_its_assumption_and_its_source(
     at_rest = figures["linear loop: delay margin, at this adaptation gain"]
     assert at_rest["assumption"].startswith("kappa = 100.0")
     assert figures["through the FMUs: delay margin, control"]["value"] == 0.6  # nothing is lost in 0.1 s
+
+
+def test_what_a_group_assumes_is_printed_once_and_each_part_of_the_rest_with_its_number(
+    command: Command, short_scenario: Callable[..., Path], tmp_path: Path
+) -> None:
+    short_scenario()
+    done = command("margins", "short.toml", *HOLD, "--out", "out")
+    table, _, below = done.stdout.partition("└")
+    lines = below.splitlines()
+    of_group = {line.partition(": ")[0]: line for line in lines if not line.startswith("[")}
+    numbered = dict(re.findall(r"(?m)^\[(\d+)\] (.+)$", below))
+    assert len(set(numbered.values())) == len(numbered) > 5
+    rows = [[cell.strip() for cell in row.strip("│").split("│")] for row in table.splitlines() if "│" in row]
+    rows = [row for row in rows if row[2]]  # a long name goes on in the next line
+    figures = written(tmp_path / "out").values()
+    for (*_, note), figure in zip(rows, figures, strict=True):
+        printed = (
+            f"{of_group[figure['group']].removeprefix(figure['group'] + ': ')}; {numbered.get(note, '')}"
+        )
+        parts = f"{figure['assumption']}; {figure['source']}".split("; ")
+        assert sorted(filter(None, printed.split("; "))) == sorted(parts)
+    for text in ("linear at rest", "quiet: standard deviation", "measured", "it holds below 1"):
+        assert below.count(text) == 1
 
 
 def test_theory_alone_takes_no_runs_of_other_delays(

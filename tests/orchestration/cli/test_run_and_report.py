@@ -50,6 +50,22 @@ def test_run_estimates_its_error_if_asked(command: Command, short_scenario: Comm
     assert f"{estimated['plant.depth']['maximum']:.2g}" in row
 
 
+def test_run_prints_and_keeps_its_statistics_if_asked(
+    command: Command, short_scenario: Command, tmp_path: Path
+) -> None:
+    printed = command("run", short_scenario(), "--out", "out", "--statistics").stdout
+    found = json.loads((tmp_path / "out" / "short.json").read_text())["run"]["statistics"]
+    assert {name: fmu["steps"] for name, fmu in found["fmus"].items()} == {"plant": 10, "controller": 10}
+    assert list(found["phases_s"]) == ["loading", "initialisation", "stepping", "writing"]
+    rows = {row.split("  ")[0].strip() or row.split()[0]: row.split() for row in printed.splitlines()}
+    for name, fmu in found["fmus"].items():
+        each = f"{1e5 * fmu['wall_s']:.3g}"  # us, of ten steps
+        assert rows[name] == [name, "10", f"{1e3 * fmu['wall_s']:.3f}", each]
+    for phase, wall_s in found["phases_s"].items():
+        assert rows[phase] == [phase, f"{1e3 * wall_s:.3f}"]
+    assert f"0.2 s at {float(format(found['real_time_factor'], '.3g')):g} times real time" in printed
+
+
 def test_run_writes_parquet_with_the_provenance_inside(
     command: Command, short_scenario: Command, tmp_path: Path
 ) -> None:

@@ -126,8 +126,7 @@ def test_a_run_that_did_not_settle_says_so_on_the_page(tmp_path: Path) -> None:
     document = write_run(tmp_path, "dive", measured={"rmse": 4.35, "settling_time": math.nan})
     assert json.loads(document.read_text())["metrics"]["settling_time"] == {"value": None, "unit": "s"}
     page = render(found_results([document]))
-    assert '<td class="unit" data-label="unit">s</td>' in page  # units stand in a column
-    assert 'data-label="dive" title="nan">not settled</td>' in page
+    assert 'data-label="settling_time [s]" data-value="" title="nan">not settled</td>' in page
 
 
 def test_a_sweep_counts_the_samples_that_settled_and_says_where_none_did(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """The page as such: tables, texts from files, colours, small screens, print, help for every reader."""
 
 import json
+import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -33,9 +34,33 @@ def everything(opened: Open, tmp_path: Path) -> OpenedPage:
 def test_runs_with_the_same_metrics_stand_side_by_side(everything: OpenedPage) -> None:
     tables = [" ".join(table.text.split()) for table in everything.all("#metrics table")]
     assert tables == [
-        "Metric Unit a b rmse cm 12.1 4.35 settling_time s -2 -10",
-        "Metric Unit c overshoot -0.5",
+        "Run rmse [cm] settling_time [s] a 12.1 ★ -2 b ★ 4.35 -10",
+        "Run overshoot c -0.5",
     ]
+
+
+def test_runs_are_sorted_by_a_metric_and_have_the_part_of_their_names_that_differs(
+    opened: Open, tmp_path: Path
+) -> None:
+    """The best is marked but where neither less nor more is better; a run that did not settle is no best."""
+    metrics = {name: {"function": name, "signal": "plant.depth"} for name in ("rmse", "mean")}
+    metrics["settling_time"] = metrics.pop("mean")
+    values = {"l1-ideal": (12.1, 3.0), "pid-ideal": (-4.0, 1.0), "smooth-ideal": (math.nan, 2.0)}
+    for name, (rmse, mean_depth) in values.items():
+        measured = {"rmse": rmse, "settling_time": mean_depth}
+        write_run(tmp_path, f"nominal-{name}", measured=measured, metrics=metrics)
+    page = opened(tmp_path)
+
+    def rows() -> list[str]:
+        return [" ".join(row.text.split()) for row in page.all("#metrics tbody tr")]
+
+    assert rows() == ["l1 12.1 3", "pid ★ -4 1", "smooth not a number 2"]
+    heading = page.all("#metrics th button")[1]
+    assert [row[:2] for row in (page.click(heading), rows())[1]] == ["pi", "l1", "sm"]
+    assert page.one("#metrics tbody th").get_attribute("title") == "nominal-pid-ideal"
+    assert [row[:2] for row in (page.click(heading), rows())[1]] == ["l1", "pi", "sm"]
+    labels = [label.text for label in page.all("#choose-runs label")]
+    assert labels == ["l1", "pid", "smooth"]
 
 
 def heading(page: OpenedPage, text: str) -> "WebElement":

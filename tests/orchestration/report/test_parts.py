@@ -19,7 +19,7 @@ from hypothesis.extra.numpy import arrays
 
 from orchestration.errors import OrchestrationError
 from orchestration.report import RunResult, SweepResult, found_results
-from orchestration.report.render import COLUMNS, differences, drawn_points, packed, run_data
+from orchestration.report.render import COLUMNS, differences, drawn_points, packed, run_data, shortened
 from orchestration.report.result import correlations, distributions, strongest, toml
 from orchestration.scenarios import scenario
 
@@ -115,7 +115,13 @@ def test_every_signal_of_a_metric_is_drawn_first() -> None:
     energy = {"function": "energy_residual", "signal": "plant.force", "flow": "plant.ratio", "unit": "J"}
     scenario_data = {**SCENARIO, "metrics": {**SCENARIO["metrics"], "energy": energy}}
     data = run_data(RunResult("run", recording(), scenario_data, PROVENANCE))
-    assert data["in_metrics"] == ["plant.depth", "plant.force", "plant.ratio", "plant.reference"]
+    assert data["in_metrics"] == [
+        "plant.depth",
+        "plant.depth - plant.reference",
+        "plant.force",
+        "plant.ratio",
+        "plant.reference",
+    ]
 
 
 def test_differences_are_by_setting_and_the_many_are_counted() -> None:
@@ -133,6 +139,34 @@ def test_differences_are_by_setting_and_the_many_are_counted() -> None:
     assert differences([heavy, *many]) == {"parameters: plant.mass": {"7.0": "heavy", "5.5": "the other 4"}}
     without = replace(run, name="without", scenario={k: v for k, v in SCENARIO.items() if k != "parameters"})
     assert differences([run, without])["parameters: plant.mass"] == {"5.5": "run", "absent": "without"}
+
+
+@pytest.mark.parametrize(
+    ("names", "shown"),
+    [
+        (["nominal-l1", "nominal-extended"], ["l1", "extended"]),
+        (["x-l1-ideal", "x-l1-smooth-ideal"], ["ideal", "smooth-ideal"]),
+        (["before/dive", "after/dive"], ["before", "after"]),
+        (["a-l1-ideal", "b-l2-ideal"], ["a-l1", "b-l2"]),
+        (["nominal", "nominal-l1"], ["nominal", "nominal-l1"]),
+        (["a-b"], ["a-b"]),
+        ([], []),
+    ],
+)
+def test_names_are_shortened_to_the_parts_that_differ(names: list[str], shown: list[str]) -> None:
+    assert list(shortened(names).values()) == shown
+
+
+def test_the_error_of_a_run_is_scaled_as_its_rmse_and_stands_beside_its_signal() -> None:
+    run = RunResult("run", recording(points=3), SCENARIO, PROVENANCE, metric_units={"rmse": "cm"})
+    signals = run_data(run)["signals"]
+    names = [signal["name"] for signal in signals]
+    assert names[:3] == ["plant.depth", "plant.depth - plant.reference", "plant.reference"]
+    error = signals[1]
+    assert (error["unit"], error["error_of"], error["down"]) == ("cm", "m", False)
+    difference = recording(points=3)["plant.depth"] - recording(points=3)["plant.reference"]
+    np.testing.assert_array_equal(unpacked(error["values"]), 100.0 * difference)
+    assert "plant.depth - plant.reference" in run_data(run)["in_metrics"]
 
 
 def sweep(varied: list[float], metric: list[float], kinds: list[str] | None = None) -> SweepResult:

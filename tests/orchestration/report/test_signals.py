@@ -16,6 +16,7 @@ from .made_up import recording, write_run
 from .opened import OpenedPage
 
 Open = Callable[..., OpenedPage]
+ERROR = "plant.depth - plant.reference"
 
 
 @pytest.fixture
@@ -32,8 +33,32 @@ def captions(page: OpenedPage) -> list[str]:
 
 
 def test_at_first_the_signals_that_the_metrics_judge_are_drawn(two: OpenedPage) -> None:
-    """A line for each run, and one for what is equal in both."""
-    assert sorted(two.shown()) == ["plant.depth, fast", "plant.depth, slow", "plant.reference, all"]
+    """A line for each run, and one for what is equal in both; and their errors."""
+    lines = ["plant.depth, fast", "plant.depth, slow", "plant.reference, all"]
+    assert sorted(two.shown()) == sorted([f"{ERROR}, fast", f"{ERROR}, slow", *lines])
+
+
+def test_the_tracking_error_stands_beside_the_signal(two: OpenedPage) -> None:
+    """In the unit of the RMSE; across the page once the error is not ticked; on a phone below it."""
+
+    def corners() -> list[list[float]]:
+        return two.run(
+            "return [...document.querySelectorAll('#panels figure:not([hidden])')]"
+            ".map((figure) => figure.getBoundingClientRect()).map((box) => [box.left, box.top, box.width])"
+        )
+
+    (left, top, width), (right, beside, _) = corners()
+    assert (beside, left + width < right) == (top, True)
+    assert captions(two) == ["Signals in m", "Tracking error [cm]"]
+    run = recording(phase=0.5)
+    error = 100.0 * (run["plant.depth"] - run["plant.reference"])
+    assert two.line(f"{ERROR}, fast")["y"] == error.tolist()
+    two.at_width(390)
+    (left, top, _), (right, below, _) = corners()
+    assert (left, top < below) == (right, True)
+    two.at_width(1280).tick(ERROR)
+    ((_, _, alone),) = corners()
+    assert alone > 1.9 * width
 
 
 def test_lines_are_the_recorded_values(two: OpenedPage) -> None:
@@ -75,17 +100,19 @@ def test_the_legend_has_the_values_under_the_pointer(two: OpenedPage) -> None:
 def test_a_drag_across_both_axes_zooms_both_and_a_double_click_goes_back(two: OpenedPage) -> None:
     before = two.ranges(), two.ranges("y")
     two.drag(two.one("#panels .plot"), 0.2, 0.5, down=60)
-    ((start, end),), ((low, high),) = two.ranges(), two.ranges("y")
+    (start, end), of_error = two.ranges()
     assert 0.0 < start < end < 10.0
-    ((lowest, highest),) = before[1]
+    assert of_error == [start, end]
+    (low, high), (lowest, highest) = two.ranges("y")[0], before[1][0]
     assert high - low < 0.5 * (highest - lowest)
+    assert np.ptp(two.ranges("y")[1]) > 100.0  # of the error, in cm
     webdriver.ActionChains(two.driver).double_click(two.one("#panels .u-over")).perform()
     two.settled()
     assert (two.ranges(), two.ranges("y")) == before
 
 
 def test_a_tick_box_adds_and_removes_the_lines_of_a_signal(two: OpenedPage) -> None:
-    assert len(two.tick("plant.force").shown()) == 5
+    assert len(two.tick(ERROR).tick("plant.force").shown()) == 5
     assert captions(two) == ["Signals in m", "Signals in N"]
     assert len(two.tick("plant.ratio").shown()) == 7
     assert captions(two) == ["Signals in m", "Signals in N", "Signals without unit"]
@@ -94,7 +121,11 @@ def test_a_tick_box_adds_and_removes_the_lines_of_a_signal(two: OpenedPage) -> N
 
 
 def test_a_tick_box_removes_the_lines_of_a_run(two: OpenedPage) -> None:
-    assert sorted(two.tick("slow").shown()) == ["plant.depth, fast", "plant.reference, fast"]
+    assert sorted(two.tick("slow").shown()) == [
+        f"{ERROR}, fast",
+        "plant.depth, fast",
+        "plant.reference, fast",
+    ]
     two.tick("fast")
     assert two.shown() == []
     assert two.one("#drawn").text == "Nothing is ticked."
@@ -102,16 +133,17 @@ def test_a_tick_box_removes_the_lines_of_a_run(two: OpenedPage) -> None:
 
 def test_one_button_ticks_all_and_none(two: OpenedPage) -> None:
     button = two.one("[aria-label='all or none of the signals in m']")
+    two.tick(ERROR)
     assert len(two.click(button).shown()) == 0  # both were ticked
     assert len(two.click(button).shown()) == 3
 
 
 def test_the_legend_hides_a_line_by_mouse_and_by_keyboard(two: OpenedPage) -> None:
     two.click(two.all(".legend button")[0])
-    assert len(two.shown()) == 2
+    assert len(two.shown()) == 4
     assert two.all(".legend button")[0].get_attribute("aria-pressed") == "false"
     two.all(".legend button")[0].send_keys(Keys.ENTER)
-    two.until(lambda: len(two.shown()) == 3)
+    two.until(lambda: len(two.shown()) == 5)
     assert (
         two.run("return document.activeElement.getAttribute('aria-pressed')") == "true"
     )  # the focus stays where it was
@@ -144,23 +176,24 @@ def test_signals_of_one_run_have_different_colours(opened: Open, tmp_path: Path)
 
 def test_depth_points_down(two: OpenedPage) -> None:
     two.tick("plant.force")
-    (top, bottom), (force_top, force_bottom) = two.run(
+    (top, bottom), (error_top, error_bottom), (force_top, force_bottom) = two.run(
         "return [...document.querySelectorAll('#panels figure:not([hidden]) .plot')]"
         ".map(({chart}) => [chart.posToVal(0, 'y'), chart.posToVal(chart.over.clientHeight, 'y')])"
     )
     assert top < bottom
+    assert error_top > error_bottom
     assert force_top > force_bottom
 
 
 def test_zooming_one_panel_zooms_all(two: OpenedPage) -> None:
     two.tick("plant.force").tick("plant.ratio")
     before = two.ranges()
-    assert before == [[0.0, 10.0]] * 3
-    two.drag(two.all("#panels .plot")[1], 0.2, 0.5)
+    assert before == [[0.0, 10.0]] * 4
+    two.drag(two.all("#panels .plot")[2], 0.2, 0.5)
     two.until(lambda: two.ranges() != before)
     two.settled()
     ranges = two.ranges()
-    assert ranges == [ranges[0]] * 3
+    assert ranges == [ranges[0]] * 4
     pixel = 10.0 / 1000.0  # s, of a plot about 1000 px wide
     assert ranges[0] == pytest.approx([2.0, 5.0], abs=2.0 * pixel)
     fields = [float(str(two.one(f).get_attribute("value"))) for f in ("#from", "#to")]
@@ -171,15 +204,15 @@ def test_zooming_one_panel_zooms_all(two: OpenedPage) -> None:
 
 def test_the_time_can_be_typed(two: OpenedPage) -> None:
     two.tick("plant.force").write("#from", "2.5").write("#to", "7.5")
-    assert two.ranges() == [[2.5, 7.5]] * 2
+    assert two.ranges() == [[2.5, 7.5]] * 3
     two.write("#to", "1")  # ends before it begins: nothing changes
-    assert two.ranges() == [[2.5, 7.5]] * 2
+    assert two.ranges() == [[2.5, 7.5]] * 3
     assert two.one("#to").get_attribute("value") == "7.5"
 
 
 def test_the_difference_to_a_run(two: OpenedPage) -> None:
     two.choose("#view", "difference to slow")
-    assert sorted(two.shown()) == ["plant.depth, fast", "plant.reference, fast"]
+    assert sorted(two.shown()) == [f"{ERROR}, fast", "plant.depth, fast", "plant.reference, fast"]
     difference = recording(phase=0.5)["plant.depth"] - recording()["plant.depth"]
     assert two.line("plant.depth, fast")["y"] == difference.tolist()
     assert set(two.line("plant.reference, fast")["y"]) == {0.0}
@@ -200,7 +233,7 @@ def test_the_difference_across_time_grids_is_interpolated_and_ends_where_one_end
 def test_runs_of_different_length_share_the_axis(opened: Open, tmp_path: Path) -> None:
     write_run(tmp_path, "long", recording(points=201))
     write_run(tmp_path, "short")
-    assert opened(tmp_path).ranges() == [[0.0, 20.0]]
+    assert opened(tmp_path).ranges() == [[0.0, 20.0]] * 2
 
 
 def test_a_gap_stays_a_gap(opened: Open, tmp_path: Path) -> None:
@@ -219,7 +252,7 @@ def test_a_long_line_is_decimated_to_its_extremes_and_the_page_says_so(opened: O
     run["plant.depth"][12_345] = -9.0
     write_run(tmp_path, "long", run)
     page = opened(tmp_path / "long.json")
-    assert "2 of 2 lines are decimated" in page.one("#drawn").text
+    assert "3 of 3 lines are decimated" in page.one("#drawn").text
     assert "each of 2000 columns of time" in page.one("#drawn").text
     line = page.line("plant.depth")
     drawn = dict(zip(line["x"], line["y"], strict=True))
@@ -232,7 +265,7 @@ def test_a_long_line_is_decimated_to_its_extremes_and_the_page_says_so(opened: O
 
 
 def test_many_long_runs_are_there_in_seconds(opened: Open, tmp_path: Path) -> None:
-    """Five runs of 15 501 points and 20 signals, most of them drawn: 91 lines."""
+    """Five runs of 15 501 points and 20 signals, most of them drawn: 96 lines."""
     for i in range(5):
         write_run(tmp_path, f"run{i}", recording(15_501, 0.02, 0.1 * i, signals=20))
     page = opened(tmp_path)
@@ -243,8 +276,8 @@ def test_many_long_runs_are_there_in_seconds(opened: Open, tmp_path: Path) -> No
     begin = time.perf_counter()
     page.click(page.one("[aria-label='all or none of the signals in N']"))
     redrawn = time.perf_counter() - begin
-    assert len(page.shown()) == 5 * (1 + 17) + 1  # depth, forces; the reference is one line
-    print(f"loaded in {loaded:.1f} s, 91 lines drawn in {redrawn:.1f} s")
+    assert len(page.shown()) == 5 * (2 + 17) + 1  # depth, its error, forces; the reference is one line
+    print(f"loaded in {loaded:.1f} s, 96 lines drawn in {redrawn:.1f} s")
     assert max(loaded, redrawn) < 15.0  # some 2 s here; a busy machine with one core takes several times that
 
 

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from orchestration.report import SweepResult, found_results
+from orchestration.report.result import common_metrics, paired_differences
 from orchestration.sweep import table
 
 from .made_up import FAILED, write_sweep
@@ -166,3 +169,45 @@ def test_texts_are_varied_too(opened: Open, tmp_path: Path) -> None:
     assert [group.text for group in page.all(".groups > span")] == ["\u25a0 pi", "\u25a0 none"]
     assert len(page.all(".distributions tbody tr")) == 2 * len(bars)
     assert any(row.text.startswith("plant.sensor_seed all ") for row in page.all(".correlations tbody tr"))
+
+
+def test_several_sweeps_stand_in_one_table_with_overlaid_histograms_and_paired_differences(
+    opened: Open, tmp_path: Path
+) -> None:
+    """The same samples with an RMSE that is 0.5 cm larger; one of them varies another value there."""
+    base, other = write_sweep(tmp_path, 40, "base"), write_sweep(tmp_path, 40, "other", shift=0.5)
+    read, _ = table.read(other)
+    rows = read.to_pylist()
+    rows[3]["plant.inertia"] += 1.0
+    table.write((json.dumps(row).encode() for row in rows), read.schema, other)
+    page = opened(base, other)
+    pairs = 40 - len(FAILED) - 1
+    shown = [row.text.split() for row in page.all(".compared tbody tr") if row.text.startswith("rmse")]
+    assert [row[:4] for row in shown] == [["rmse", "cm", name, "38"] for name in ("base", "other")]
+    assert float(shown[1][4]) - float(shown[0][4]) == pytest.approx(0.5, abs=1e-3)  # shown with five digits
+    (row,) = [row for row in page.all(".paired tbody tr") if row.text.startswith("other rmse")]
+    _, _, unit, count, median, low, high, p = row.text.split()
+    assert (unit, count, median, low, high) == ("cm", str(pairs), "0.5", "0.5", "0.5")
+    tests = len(page.all(".paired tbody tr"))
+    assert float(p) < 1e-3 * tests  # all differences have one sign
+    (row,) = [row for row in page.all(".paired tbody tr") if row.text.startswith("other holding_thrust")]
+    assert row.text.split()[4:] == ["0", "0", "0", "1"]
+    counts = page.run(
+        "return [...document.querySelectorAll('#sweeps-compared .histograms .plot')]"
+        ".map(({chart}) => chart.data.slice(1).map((bars) => bars.reduce((sum, count) => sum + count, 0)))"
+    )
+    assert counts == [[38, 38]] * len(counts)
+    assert [group.text for group in page.all("#sweeps-compared .groups > span")] == ["■ base", "■ other"]
+    page.click(page.all(".paired th button")[4])
+    assert page.all(".paired tbody tr")[-1].text.startswith("other rmse")
+
+
+def test_sweeps_that_vary_nothing_in_common_have_no_pairs(tmp_path: Path) -> None:
+    (one,) = found_results([write_sweep(tmp_path, 5)])
+    assert isinstance(one, SweepResult)
+    varied = {f"other.{name}": values for name, values in one.varied.items()}
+    rows = paired_differences([one, replace(one, name="other", varied=varied)])
+    assert [row["test"].pairs for row in rows] == [0] * len(one.metrics)
+    assert common_metrics([one]) == {}
+    units = {**one.units, "rmse": "m"}
+    assert "rmse" not in common_metrics([one, replace(one, units=units)])

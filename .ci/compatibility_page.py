@@ -1,0 +1,81 @@
+"""Prints the site's page reference/compatibility.md, which importer runs which FMUs, by a table of tests."""
+
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from fmus.registry import block_names
+
+DATA = Path(__file__).parent.parent / "tests" / "importers" / "interfaces.toml"
+INTERFACES = ("CS 2.0", "ME 2.0", "CS 3.0", "ME 3.0", "CS 2.0, python")
+_HEAD = """\
+# Importers and interfaces
+
+Every native FMU has co-simulation (CS) and model exchange (ME), of FMI 2.0 or, with `l1-depth build --fmi 3`,
+of FMI 3.0. FMUs of [the python flavour](../how-to/importing/README.md#the-python-flavour) have co-simulation
+of FMI 2.0. `python .ci/compatibility_page.py` prints this page."""
+_WORDS = """\
+- *run*: by the test below, in this project's CI. *scalars*: no arrays.
+- *by hand*: once, as stated below; no test repeats it.
+- *listed*: by [fmi-standard.org](https://fmi-standard.org/tools/) in June 2026, and not run.
+- *prototype*: OMSimulator merged [CS 3.0](https://github.com/OpenModelica/OMSimulator/pull/1414) and
+  [ME 3.0](https://github.com/OpenModelica/OMSimulator/pull/1523) under this name; not run.
+- libcosim has an open request for [FMI 3.0](https://github.com/open-simulation-platform/libcosim/issues/741)."""
+_RUNS = "## What was run\n\nVersions are those that this page was made with. `Drift` is a block of the test."
+
+Table = Mapping[str, Mapping[str, Any]]
+
+
+def table() -> Table:
+    """Importer -> what it does with each interface, and the names of its page and distribution."""
+    return tomllib.loads(DATA.read_text(encoding="utf-8"))
+
+
+def page() -> str:
+    """The page with its line end."""
+    tools = table()
+    matrix = [(_linked(name, tool), *(_word(tool[i]) for i in INTERFACES)) for name, tool in tools.items()]
+    runs = [
+        (name, interface, _names(run["fmus"]), _how(tool, run))
+        for name, tool in tools.items()
+        for interface in INTERFACES
+        if isinstance(run := tool[interface], dict)
+    ]
+    heads = ("Importer", "Interface", "FMUs", "How")
+    parts = [_HEAD, _table(("Importer", *INTERFACES), matrix), _WORDS, _RUNS, _table(heads, runs)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _linked(name: str, tool: Mapping[str, Any]) -> str:
+    return f"[{name}](../how-to/importing/{tool['page']})" if "page" in tool else name
+
+
+def _word(entry: Any) -> str:
+    """What the matrix has of an interface."""
+    if isinstance(entry, str):
+        return entry
+    return ", ".join(["by hand" if "by_hand" in entry else "run", *filter(None, [entry.get("limit")])])
+
+
+def _names(fmus: Any) -> str:
+    return f"all {len(block_names())}" if fmus == "all" else ", ".join(f"`{name}`" for name in fmus)
+
+
+def _how(tool: Mapping[str, Any], run: Mapping[str, Any]) -> str:
+    if "by_hand" in run:
+        return f"by hand: {run['by_hand']}"
+    distribution = tool["distribution"]
+    try:
+        return f"{distribution} {version(distribution)}: `{run['test'].replace('::', '`<br>`')}`"
+    except PackageNotFoundError:  # where the site is made without the extra `test`
+        return f"{distribution}: `{run['test'].replace('::', '`<br>`')}`"
+
+
+def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    return "\n".join(f"| {' | '.join(line)} |" for line in (heads, ["---"] * len(heads), *rows))
+
+
+if __name__ == "__main__":
+    print(page(), end="")
