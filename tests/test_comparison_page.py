@@ -25,7 +25,7 @@ from orchestration.score.tune import LARGEST_IMPROVEMENT
 from orchestration.score.vehicle import built
 from orchestration.system.system import Port
 from orchestration.system.values import value_range
-from tests.test_docs import long_cells, long_sentences
+from tests.page_text import long_cells, long_sentences
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / ".ci"))

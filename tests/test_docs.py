@@ -11,12 +11,13 @@ from pathlib import Path
 import pytest
 
 from .page_examples import examples
+from .page_text import long_cells, long_sentences
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
 TEXTS = [*PAGES, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 MADE_WITH_THE_SITE = re.compile(
-    r"docs/(downloads/|gallery/|explanation/(figure_|comparison\.md)|live\.html"
+    r"docs/(downloads/|gallery/|live\.html|explanation/(figure_|comparison\.md)"
     r"|reference/(commands|blocks|compatibility|controllers|fmi2|keys|protocol|vehicles|api/orchestration)\.md)"
 )
 TOOL_PAGES = [
@@ -192,30 +193,6 @@ def help_text() -> str:
 def test_every_command_shown_exists(page: Path, help_text: str) -> None:
     shown = re.findall(r"(?:^ {4}|^|`)l1-depth (\w+)", page.read_text(encoding="utf-8"), re.MULTILINE)
     assert set(shown) <= set(re.findall(r"\w+", help_text))
-
-
-def _blocks(text: str) -> list[str]:
-    """Returns paragraphs, items, headings and rows of tables, without code blocks and targets of links."""
-    text = re.sub(r"^```.*?^```$|<!--.*?-->", "\n", text, flags=re.M | re.DOTALL)
-    text = re.sub(r"\n\n(?: {4}.*\n+)+", "\n\n", text)
-    text = re.sub(r"\]\([^)]*\)", "]", text)
-    text = re.sub(r"^ *(?:[-*]|\d+\.) ", "\n", text, flags=re.M)
-    text = re.sub(r"^(?:\||#+ ).*$", r"\n\g<0>\n", text, flags=re.M)
-    return [" ".join(block.split()) for block in re.split(r"\n\s*\n", text) if block.strip()]
-
-
-def long_sentences(text: str) -> list[str]:
-    """Returns the sentences of more than 25 words outside code and tables; `code` counts as a word."""
-    prose = [re.sub(r"`[^`]*`", "code", block) for block in _blocks(text) if not block.startswith("|")]
-    sentences = [one for block in prose for one in re.split(r"(?<=[.!?])[)*\"]*\s+", block)]
-    return [sentence for sentence in sentences if len(sentence.split()) > 25]
-
-
-def long_cells(text: str) -> list[str]:
-    """Returns the cells of tables of more than 120 characters, without link targets."""
-    rows = [block for block in _blocks(text) if block.startswith("|")]
-    cells = [cell.strip() for row in rows for cell in re.split(r"(?<!\\)\|", row)]
-    return [cell for cell in cells if len(cell) > 120]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=_name)

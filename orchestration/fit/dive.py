@@ -16,7 +16,6 @@ from orchestration.system.signals import Table
 DATA = "data"  # before the name of a column, as a component
 TIME, DEPTHS = "time", ("measured_depth", "depth")
 LONG_GAP = 1.0  # s, from which a gap in the commands is told
-_FACTORS = {"": 1.0, "m": 1e-3, "c": 1e-2, "k": 1e3}  # of a prefix of the unit in the title of a column
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ def read_dive(path: Path, vehicle: Vehicle, mapping: Mapping[str, str] | None = 
     columns = _columns(file, vehicle, mapping)
     units = [_unit(name, vehicle) for name in columns]
     indices = [file.titles.index(title) for title in columns.values()]
-    factors = [_factor(file, i, unit) for i, unit in zip(indices, units, strict=True)]
+    factors = [file.factor(i, unit) for i, unit in zip(indices, units, strict=True)]
     times = file.numbers(indices[0])[:, 0] * factors[0]
     _check_ascending(file, times)
     depths, *commands = file.numbers(*indices[1:], gaps=True).T * np.array(factors[1:])[:, None]
@@ -113,17 +112,6 @@ def _columns(file: DataFile, vehicle: Vehicle, mapping: Mapping[str, str]) -> di
 
 def _unit(name: str, vehicle: Vehicle) -> str:
     return {TIME: "s", DEPTHS[0]: "m"}.get(name) or vehicle.variables[name].unit or ""
-
-
-def _factor(file: DataFile, index: int, expected: str) -> float:
-    """Returns what converts a column to a unit; a title without a unit has the expected one."""
-    unit = file.units[index]
-    factors = {prefix + expected: factor for prefix, factor in _FACTORS.items() if expected or not prefix}
-    if unit and unit not in factors:
-        raise OrchestrationError(
-            f"{file.path}:1: {file.titles[index]} is in {unit}: expected {' or '.join(factors) or 'no unit'}"
-        )
-    return factors.get(unit, 1.0)
 
 
 def _check_ascending(file: DataFile, times: np.ndarray) -> None:

@@ -3,7 +3,8 @@
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,12 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from fmus.errors import nearest
-from orchestration.errors import OrchestrationError
+from orchestration.errors import OrchestrationError, ScenarioError
 from orchestration.report.result import RunResult, SweepResult, read_sweep, toml
 from orchestration.results.files import is_recording
 from orchestration.results.formats import RecordingFormat
 from orchestration.results.recording import Recording
+from orchestration.scenarios.data_file import PREFIXES, read_data_file
 from orchestration.scenarios.file_tables import Table, checked
 from orchestration.sweep import table
 
@@ -46,7 +48,13 @@ def found_results(paths: Iterable[Path]) -> list[RunResult | SweepResult]:
     Raises OrchestrationError for a path that does not exist or holds no result.
     """
     files = dict.fromkeys(file for path in paths for file in _files(path))
-    results = _without_copies({file: _read(file) for file in files})
+    measured = [file for file in files if file.suffix == ".csv" and not is_recording(file)]
+    read = {file: _read(file) for file in files if file not in measured}
+    units = {
+        unit for result in read.values() if isinstance(result, RunResult) for unit in result.recording.units
+    }
+    read |= {file: _measured(file, units) for file in measured}
+    results = _without_copies({file: read[file] for file in files})
     names = _names(list(results))
     return [replace(result, name=names[file]) for file, result in results.items()]
 
@@ -128,8 +136,30 @@ def _run(document: Path) -> RunResult:
     )
 
 
+def _measured(file: Path, units: Collection[str]) -> RunResult:
+    """Returns the columns of numbers of a CSV file of another program, over its first one, the time.
+
+    units: those of other signals on the page, to which prefixes of units are converted
+    """
+    data = read_data_file(file)
+    if not data.titles:
+        raise OrchestrationError(f"{file}:1: expected a first line of titles, got numbers or nothing")
+    time = data.numbers(0)[:, 0] * data.factor(0, "s")
+    columns: dict[str, tuple[str, np.ndarray]] = {}
+    for i, (title, own) in enumerate(zip(data.titles[1:], data.units[1:], strict=True), start=1):
+        unit = own if own in units else next((u for u in units if own in {p + u for p in PREFIXES if u}), own)
+        with suppress(ScenarioError):  # a column of texts
+            columns[title] = unit, data.numbers(i, gaps=True)[:, 0] * data.factor(i, unit)
+    values = np.array([column for _, column in columns.values()]).reshape(len(columns), len(time)).T
+    recording = Recording(tuple(columns), tuple(unit for unit, _ in columns.values()), time, values)
+    return RunResult(file.stem, _with_times(file, recording), is_measured=True)
+
+
 def _recording(file: Path) -> Recording:
-    recording = Recording.read(file)
+    return _with_times(file, Recording.read(file))
+
+
+def _with_times(file: Path, recording: Recording) -> Recording:
     if not len(recording.time):
         raise OrchestrationError(f"{file}: expected at least one communication point, got none")
     if not np.isfinite(recording.time).all():

@@ -72,7 +72,7 @@ def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
             "columns": COLUMNS,
             "runs": [{**run_data(run), "label": labels[run.name]} for run in runs],
             "sweeps": [{**sweep_data(sweep), "label": labels[sweep.name]} for sweep in swept],
-            "compared": compared,
+            "compared": list(compared.items()),
         },
     )
 
@@ -264,6 +264,7 @@ def run_data(run: RunResult) -> dict[str, Any]:
     return {
         "name": run.name,
         "time": packed(recording.time),
+        "is_measured": run.is_measured,
         "signals": signals,
         "in_metrics": sorted(
             {
@@ -271,7 +272,7 @@ def run_data(run: RunResult) -> dict[str, Any]:
                 for call in run.scenario.get("metrics", {}).values()
                 for key in SIGNALS
                 if key in call
-            }.union(name for name, _, _ in errors.values())
+            }.union((name for name, _, _ in errors.values()), recording.numbers if run.is_measured else ())
         ),
     }
 

@@ -33,6 +33,7 @@ class RunResult:
 
     name: unique on a page; scenario: resolved, as TOML has it; provenance: FMUs, algorithm, step size
     metric_units: by the names of the metrics, "" where a unit is not known
+    is_measured: whether it is a log of another program, whose empty cells are no readings
     """
 
     name: str
@@ -41,6 +42,7 @@ class RunResult:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     metrics: Mapping[str, float] = field(default_factory=dict)
     metric_units: Mapping[str, str] = field(default_factory=dict)
+    is_measured: bool = False
 
     @property
     def title(self) -> str:

@@ -18,6 +18,8 @@ import numpy as np
 from fmus.errors import nearest
 from orchestration.errors import ScenarioError
 
+PREFIXES = {"": 1.0, "m": 1e-3, "c": 1e-2, "k": 1e3}
+"""Prefix of a unit in the title of a column -> its factor."""
 _DELIMITERS = "\t;|"
 _ABSENT = ("", "-", "na", "n/a", "nan", "null", "none")
 _TITLE = re.compile(r"(.+?)\s+[\[(]([^\[\]()]*)[\])]", re.DOTALL)  # with its unit
@@ -40,6 +42,18 @@ class DataFile:
         if title not in self.titles:
             raise ScenarioError(f"{self.path}:1: no column {title!r}; {nearest(title, self.titles)}")
         return self.titles.index(title)
+
+    def factor(self, index: int, expected: str) -> float:
+        """Returns what converts a column to a unit; a title without a unit has the expected one.
+
+        Raises ScenarioError for another unit.
+        """
+        unit = self.units[index]
+        factors = {prefix + expected: factor for prefix, factor in PREFIXES.items() if expected or not prefix}
+        if unit and unit not in factors:
+            expectation = " or ".join(factors) or "no unit"
+            raise ScenarioError(f"{self.path}:1: {self.titles[index]} is in {unit}: expected {expectation}")
+        return factors.get(unit, 1.0)
 
     def numbers(self, *indices: int, gaps: bool = False) -> np.ndarray:
         """Returns columns, shape (rows, columns); a time of ISO 8601 as seconds after that of the first row.

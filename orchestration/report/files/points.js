@@ -93,6 +93,6 @@ function histogram(place, groups, x = "") {
   });
   chart(place, lines, {
     x, y: "samples",
-    more: { scales: { x: { range: [least, least + count * width] }, y: { range: (u, low, high) => [0, 1.05 * high] } }, cursor: { sync: null } },
+    more: { scales: { x: { range: [least, least + count * width] }, y: { range: (u, low, high) => [0, 1.05 * high] } }, axes: [{ space: 30 }, {}], cursor: { sync: null } },
   });
 }

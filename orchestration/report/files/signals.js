@@ -18,7 +18,7 @@ function signalsSection() {
   const errors = new Map(page.runs.flatMap((run) => run.signals).filter((signal) => signal.error_of).map((signal) => [panelOf(signal), signal.error_of]));
   const beside = new Map([...errors, ...[...errors].map(([error, unit]) => [unit, error])]); // the panels of a signal and its error
   const inBrackets = (unit) => (errors.has(unit) ? unit : `[${unit}]`);
-  const chosenRuns = ticks(document.getElementById("choose-runs"), "", page.runs.map((run, i) => [run.name, i < FEW_RUNS, run.label]));
+  const chosenRuns = ticks(document.getElementById("choose-runs"), "", page.runs.map((run, i) => [run.name, i < FEW_RUNS || run.is_measured, run.label]));
   const chosenSignals = new Map(units.map((unit) => [unit, ticks(document.getElementById("choose-signals"), unit, names(unit))]));
 
   /** Names of a unit's signals in any run, each with whether it is shown at first. */
@@ -99,7 +99,7 @@ function signalsSection() {
         const shared = equal.length > 0 && groups.size === 1;
         const whose = shared ? "all" : [run, ...equal].map((each) => each.label).join(" = ");
         const label = page.runs.length > 1 ? `${name}, ${whose}` : name;
-        found.push({ label, name, run: shared ? null : page.runs.indexOf(run), down: of(run).down, thinned: Boolean(of(run).steps), x, y });
+        found.push({ label, name, run: shared ? null : page.runs.indexOf(run), down: of(run).down, thinned: Boolean(of(run).steps), series: { spanGaps: run.is_measured }, x, y });
       }
     }
     return found;

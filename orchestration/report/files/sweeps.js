@@ -22,7 +22,7 @@ function swatches(section, names) {
 
 const comparedSweeps = document.getElementById("sweeps-compared");
 if (comparedSweeps) {
-  const places = Object.entries(page.compared).map(([name, unit]) => [name, histogramPlace(comparedSweeps, titled(name, unit))]);
+  const places = page.compared.map(([name, unit]) => [name, histogramPlace(comparedSweeps, titled(name, unit))]);
   const draw = () => counted(async () => {
     swatches(comparedSweeps, page.sweeps.map((sweep) => sweep.label));
     for (const [name, plot] of places) {

@@ -97,8 +97,11 @@ def test_a_missing_file_offers_the_nearest(tmp_path: Path) -> None:
         ("x.json", b"{}", "expected the .json that l1-depth run writes"),
         ("x.json", b"[1]", "expected the .json that l1-depth run writes"),
         ("x.json", b"\xff", "expected the .json that l1-depth run writes"),
-        ("x.csv", b"", "as first column, got []"),
-        ("x.csv", b"a,b\n", "as first column, got ['a']"),
+        ("x.csv", b"", "expected a first line of titles, got numbers or nothing"),
+        ("x.csv", b"0.0,1.0\n", "expected a first line of titles, got numbers or nothing"),
+        ("x.csv", b"a,b\n", "expected at least one communication point"),
+        ("x.csv", b"a,b\nx,1\n", "expected numbers in column 1, got 'x,1'"),
+        ("x.csv", b"a [min],b\n0,1\n", "a is in min: expected s or ms or cs or ks"),
         ("x.csv", b"time [s],a.x\n", "expected at least one communication point"),
         ("x.csv", b"time [s],a.x\n0.0,1.0\n0.0,1.0\n", "expected times that increase"),
         ("x.csv", b"time [s],a.x\nnan,1.0\n", "expected finite times"),
@@ -111,6 +114,29 @@ def test_what_is_no_result_is_refused(name: str, content: bytes, complaint: str,
         found_results([tmp_path / name])
     assert complaint in str(refusal.value)
     assert name in str(refusal.value)
+
+
+def test_a_log_of_another_program_has_the_units_of_the_runs_beside_it(tmp_path: Path) -> None:
+    """A German one: its depth is in cm; a column of texts is left out, an empty cell is no reading."""
+    log = tmp_path / "dive.csv"
+    log.write_text(
+        "Zeit;Tiefe [cm];Strom [mA];Notiz\n"
+        "2026-05-04T12:00:00;12,5;300;los\n"
+        "2026-05-04T12:00:00.5;;310;\n"
+        "2026-05-04T12:00:02;-1;320;Ende\n"
+    )
+    run, measured = found_results([write_run(tmp_path, "run"), log])
+    assert isinstance(run, RunResult)
+    assert isinstance(measured, RunResult)
+    assert (run.is_measured, measured.is_measured, measured.name) == (False, True, "dive")
+    kept = measured.recording
+    assert (kept.names, kept.units) == (("Tiefe", "Strom"), ("m", "mA"))  # no run has a current
+    np.testing.assert_array_equal(kept.time, [0.0, 0.5, 2.0])
+    np.testing.assert_array_equal(kept["Tiefe"], [0.125, math.nan, -0.01])
+    (alone,) = found_results([log])
+    assert isinstance(alone, RunResult)
+    assert alone.recording.units == ("cm", "mA")
+    assert names(tmp_path) == ["run"]  # in a folder, what l1-depth writes
 
 
 @pytest.mark.parametrize("key", ["scenario", "run", "metrics"])

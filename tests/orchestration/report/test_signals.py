@@ -287,3 +287,17 @@ def test_a_recording_alone_and_one_of_a_single_point_are_drawn(opened: Open, tmp
     page = opened(tmp_path / "point.parquet", tmp_path / "alone.csv")
     assert {"plant.depth, point", "plant.depth, alone"} <= set(page.shown())
     assert "does not say what was run" in str(page.one("#what-was-run").get_property("textContent"))
+
+
+def test_measured_data_lie_over_the_run_and_are_joined_across_empty_cells(
+    opened: Open, tmp_path: Path
+) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text("time,depth [cm]\n0,150\n4,\n8,150\n")
+    page = opened(write_run(tmp_path, "run"), log)
+    assert "depth, log" in page.shown()
+    assert captions(page)[0] == "Signals in m"
+    assert page.line("depth, log") == {"x": [0, 4, 8], "y": [1.5, None, 1.5]}
+    colour = looks(page)["depth, log"][0]
+    plot = page.one("#panels .plot")
+    assert any(page.has_ink(plot, 4.0 + 0.05 * i, 1.5, colour) for i in range(8))  # a dash of it

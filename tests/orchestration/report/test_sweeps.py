@@ -197,6 +197,8 @@ def test_several_sweeps_stand_in_one_table_with_overlaid_histograms_and_paired_d
         ".map(({chart}) => chart.data.slice(1).map((bars) => bars.reduce((sum, count) => sum + count, 0)))"
     )
     assert counts == [[38, 38]] * len(counts)
+    captions = [caption.text for caption in page.all("#sweeps-compared .histograms figcaption")]
+    assert captions[:2] == ["settling_time [s]", "rmse [cm]"]  # in the order of the table
     assert [group.text for group in page.all("#sweeps-compared .groups > span")] == ["■ base", "■ other"]
     page.click(page.all(".paired th button")[4])
     assert page.all(".paired tbody tr")[-1].text.startswith("other rmse")
