@@ -1,5 +1,7 @@
 """What the command live refuses before it compiles, and its sliders; report/test_live.py opens its pages."""
 
+import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -62,3 +64,24 @@ def test_an_input_that_something_drives_has_no_slider(scenario_fmus: None) -> No
     loaded = scenario.load(scenario.find("hold-force-step"))
     assert "plant.external_force" in loaded.experiment.signals
     assert "plant.external_force" not in {s.name for s in default_sliders(loaded)}
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "runs"),
+    [
+        ("nominal-extended", [], ["Nominal, extended L1 (PI)", "controller.augmentation=none"]),
+        ("nominal-l1", [], ["Nominal, plain L1"]),
+        ("nominal-l1", ["--beside", "plant.inertia=7"], ["Nominal, plain L1", "plant.inertia=7"]),
+    ],
+)
+def test_the_run_beside_has_another_value(
+    name: str, options: list[str], runs: list[str], command: Callable[..., Any], scenario_fmus: None
+) -> None:
+    """By default a controller whose extension is on stands beside itself without."""
+    assert command("live", name, *options, "--out", "page.html").stdout == "page.html\n"
+    text = Path("page.html").read_text(encoding="utf-8")
+    (data,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', text)
+    written = json.loads(data)["runs"]
+    assert [run["label"] for run in written] == runs
+    differences = [pair for pair in zip(*(run["values"] for run in written), strict=True) if len({*pair}) > 1]
+    assert len(differences) == len(runs) - 1
