@@ -25,11 +25,12 @@ GAINS = (
     [
         (
             ["--slider", "plant.mas"],
-            "--slider plant.mas: expected a parameter or a constant input; nearest is",
+            "a constant input of type Real; nearest is 'plant.inertia'",
         ),
         (["--slider", "plant.depth"], "--slider plant.depth: expected a parameter or a constant input"),
         (["--slider", "plant.voltage[1]"], "--slider plant.voltage[1]: expected a parameter or a constant"),
-        (["--slider", "plant.sensor_seed"], "expected a variable of type Real, got Integer"),
+        (["--slider", "controller.depth_reference"], "--slider controller.depth_reference: expected a"),
+        (["--slider", "plant.sensor_seed"], "--slider plant.sensor_seed: expected a parameter"),
         (["--slider", "plant.inertia=7:5"], "plant.inertia=7:5: expected finite limits, the lower one first"),
         (["--slider", "plant.inertia=5"], "--slider plant.inertia=5: expected NAME or NAME=LOW:HIGH"),
         (["--slider", "plant.inertia=-5:5"], "--slider plant.inertia=-5:5: expected limits within"),
@@ -58,6 +59,17 @@ def test_gains_vehicle_and_disturbances_have_sliders(scenario_fmus: None) -> Non
     assert (sliders["plant.thrust"].low, sliders["plant.thrust"].high) == (0.2, 0.3)
     gain = sliders["controller.proportional_gain"]
     assert gain.high / gain.low == pytest.approx(16.0, rel=1e-15)
+
+
+def test_a_range_of_a_slider_ends_where_that_of_its_variable_does(scenario_fmus: None) -> None:
+    one = scenario.load(scenario.find("nominal-extended"), settings={"controller.voltage_limit": 9e5})
+    (slider,) = [s for s in default_sliders(one) if s.name == "controller.voltage_limit"]
+    assert (slider.low, slider.high) == (9e5 / 4.0, 1e6)
+
+
+def test_thrusters_that_differ_have_no_slider_in_common(scenario_fmus: None) -> None:
+    one = scenario.load(scenario.find("nominal-extended"), settings={"plant.thruster_gain[1]": 0.2})
+    assert "plant.thrust" not in {s.name for s in default_sliders(one)}
 
 
 def test_an_input_that_something_drives_has_no_slider(scenario_fmus: None) -> None:
