@@ -85,27 +85,26 @@ def live_page(runs: Mapping[str, Scenario], sliders: Sequence[str] = ()) -> str:
 
 def default_sliders(scenario: Scenario) -> Iterator[FreeParameter]:
     """Yields gains that the scenario sets, what the vehicle's description varies, and disturbances."""
-    prepared = scenario.prepared
-    values = _values(prepared)
+    prepared, settable = scenario.prepared, _settable(scenario.prepared)
+    ranges: dict[str, tuple[float, float]] = {}
+    variables: dict[str, tuple[str, ...]] = {}
     for name in scenario.experiment.parameters:
-        value = values[name]
-        is_gain = name.startswith(f"{_CONTROLLER}.") and not name.endswith(".internal_step")
-        if is_gain and isinstance(value, float) and value:
+        value = settable.get(name)
+        if name.startswith(f"{_CONTROLLER}.") and not name.endswith(".internal_step") and value:
             low, high = sorted((value / _SPAN, value * _SPAN))
-            yield FreeParameter(name, low, high)
-    if PLANT not in scenario.system.components:
-        return
-    description = description_of(description_file(str(scenario.system.components[PLANT])))
-    driven = {target.name for _, target in prepared.system.connections} | {*scenario.experiment.signals}
-    for key, varied in description.vary.items():
-        variables = tuple(varied["variables"])
-        low, high = varied.get("low", -math.inf), varied.get("high", math.inf)
-        if varied["distribution"] != "integers" and not driven & {*variables}:
-            yield FreeParameter(f"{PLANT}.{key}", low, high, variables=variables)
-    for key, (low, high) in _DISTURBANCES.items():
-        name = f"{PLANT}.{key}"
-        if name in prepared.system.ports and name not in driven:
-            yield FreeParameter(name, low, high)
+            ranges[name] = low, high
+    if PLANT in scenario.system.components:
+        description = description_of(description_file(str(scenario.system.components[PLANT])))
+        for key, varied in description.vary.items():
+            name = f"{PLANT}.{key}"
+            variables[name] = tuple(varied["variables"])
+            ranges[name] = varied.get("low", -math.inf), varied.get("high", math.inf)
+        ranges |= {f"{PLANT}.{key}": limits for key, limits in _DISTURBANCES.items()}
+    for name, (low, high) in ranges.items():
+        own = variables.get(name, (name,))
+        if len({settable.get(variable) for variable in own}) == 1 and own[0] in settable:
+            least, most = value_range(prepared.system.ports[own[0]])
+            yield FreeParameter(name, max(low, least), min(high, most), variables=own)
 
 
 def _check_differs_in_values(first: Scenario, other: Scenario) -> None:
@@ -119,16 +118,18 @@ def _check_differs_in_values(first: Scenario, other: Scenario) -> None:
 
 def _with_limits(prepared: PreparedRun, sliders: Sequence[FreeParameter]) -> Iterator[FreeParameter]:
     """Yields the sliders, each variable once, with their units and finite limits around their values."""
-    values, taken = _values(prepared), set[str]()
+    settable, taken = _settable(prepared), set[str]()
     for slider in sliders:
         variables = slider.variables or (slider.name,)
         if taken & {*variables}:
             continue
         taken |= {*variables}
-        for name in variables:
-            _check_can_be_set(prepared, name)
-        port = prepared.system.ports[variables[0]]
-        value = float(_value(values, port))
+        if variables[0] not in settable:
+            expected = (
+                f"expected a parameter or a constant input of type Real; {nearest(slider.name, settable)}"
+            )
+            raise ScenarioError(f"--slider {slider.name}: {expected}")
+        port, value = prepared.system.ports[variables[0]], settable[variables[0]]
         low, high = value_range(port)
         around = min(value, 0.0) * 2.0, max(value, 0.0) * 2.0 or 1.0
         low = slider.low if math.isfinite(slider.low) else max(low, around[0])
@@ -138,18 +139,14 @@ def _with_limits(prepared: PreparedRun, sliders: Sequence[FreeParameter]) -> Ite
         yield replace(limited, low=min(limited.low, value), high=max(limited.high, value), start=value)
 
 
-def _check_can_be_set(prepared: PreparedRun, name: str) -> None:
-    values = {**_values(prepared), **_parameters(prepared)}
-    if name not in values:
-        raise ScenarioError(
-            f"--slider {name}: expected a parameter or a constant input; {nearest(name, values)}"
-        )
-    if (kind := prepared.system.ports[name].variable.type) != "Real":
-        raise ScenarioError(f"--slider {name}: expected a variable of type Real, got {kind}")
-
-
-def _parameters(prepared: PreparedRun) -> dict[str, Port]:
-    return {n: p for n, p in prepared.system.ports.items() if p.variable.causality == "parameter"}
+def _settable(prepared: PreparedRun) -> dict[str, float]:
+    """Returns the values of parameters and constant inputs that are Reals, by name."""
+    given = {port.name: value for port, value in prepared.settings}
+    return {
+        name: float(_value(given, port))
+        for name, port in prepared.system.ports.items()
+        if port.variable.type == "Real" and (port.variable.causality == "parameter" or name in given)
+    }
 
 
 def _values(prepared: PreparedRun) -> dict[str, FmiValue]:

@@ -193,7 +193,13 @@ __attribute__((export_name("run"))) int run(void) {
         point = loop_run(&wiring, point, end);
         if (report[FAILURE]) break;
     }
-    if (!report[FAILURE] && (report[TERMINATED] || make_changes(point))) loop_exchange_and_record(&wiring, point);
-    if (report[FAILURE]) fail(FAILURES[report[FAILURE]], report[COMPONENT], wiring.points[point]);
+    if (!report[FAILURE]) {
+        if (!report[TERMINATED] && !make_changes(point)) return (int)report[RECORDED];
+        loop_exchange_and_record(&wiring, point);
+    }
+    if (report[FAILURE])
+        fail(FAILURES[report[FAILURE]], report[COMPONENT], wiring.points[point]);
+    else
+        message[0] = '\0'; /* FMUs log also what is no failure */
     return (int)report[RECORDED];
 }

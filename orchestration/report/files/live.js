@@ -44,7 +44,9 @@ function runAll(program) {
     const begun = performance.now();
     results = page.runs.map((run) => {
       const own = Float64Array.from(run.values);
-      page.sliders.forEach(({ indices }, i) => indices.forEach((index) => (own[index] = values[i])));
+      page.sliders.forEach(({ indices }, i) => {
+        for (const index of indices) if (own[index] === page.runs[0].values[index]) own[index] = values[i]; // else it is what differs
+      });
       return simulate(program, own);
     });
     const each = (performance.now() - begun) / page.runs.length;

@@ -171,6 +171,17 @@ def test_runs_beside_each_other_have_the_numbers_of_native_runs(open_live: Open)
     assert np.abs(first["plant.depth"] - second["plant.depth"]).max() > 0.01
 
 
+def test_a_slider_leaves_what_differs_between_runs(open_live: Open) -> None:
+    light, heavy = (
+        with_experiment(loaded("nominal-l1", **{"plant.inertia": value}), stop_time=10.0)
+        for value in (5.5, 7.0)
+    )
+    page = open_live(light, replace(heavy, title="heavy"))
+    assert_equal(page, native(light), native(heavy))
+    lighter = loaded("nominal-l1", **{"plant.inertia": move(page, "plant.inertia", 0.1)})
+    assert_equal(page, native(with_experiment(lighter, stop_time=10.0)), native(heavy))
+
+
 @pytest.mark.parametrize(
     ("name", "settings"),
     [
