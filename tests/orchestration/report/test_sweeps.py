@@ -170,7 +170,10 @@ def test_texts_are_varied_too(opened: Open, tmp_path: Path) -> None:
         ".map(({chart}) => chart.series.slice(1).map((bars) => bars.label))"
     )
     assert bars == [names] * len(bars)  # apart, and in colours that the legend names
-    assert [group.text for group in page.all(".groups > span")] == ["\u25a0 pi", "\u25a0 none"]
+    assert [" ".join(group.text.split()) for group in page.all(".groups > span")] == [
+        "\u25a0 pi",
+        "\u25a0 none",
+    ]
     assert len(page.all(".distributions tbody tr")) == 2 * len(bars)
     assert any(row.text.startswith("plant.sensor_seed all ") for row in page.all(".correlations tbody tr"))
 
@@ -203,7 +206,10 @@ def test_several_sweeps_stand_in_one_table_with_overlaid_histograms_and_paired_d
     assert counts == [[38, 38]] * len(counts)
     captions = [caption.text for caption in page.all("#sweeps-compared .histograms figcaption")]
     assert captions[:2] == ["settling_time [s]", "rmse [cm]"]  # in the order of the table
-    assert [group.text for group in page.all("#sweeps-compared .groups > span")] == ["■ base", "■ other"]
+    assert [" ".join(group.text.split()) for group in page.all("#sweeps-compared .groups > span")] == [
+        "■ base",
+        "■ other",
+    ]
     page.click(page.all(".paired th button")[4])
     assert page.all(".paired tbody tr")[-1].text.startswith("other rmse")
 
