@@ -8,7 +8,7 @@ The prediction error x_tilde = x_hat - x and the matched part eta of the predict
 between two measurements, with x a straight line, u the control that the plant received, and phi and the
 projection factors g constant. Without A_m x_tilde this turns s and eta by the angle h sqrt(kappa B_m' P B_m),
 which is exact for any angle; A_m x_tilde acts for half the time before and half after (Strang). So neither
-frequency nor damping of the fast loop depends on the step. docs/explanation/theory.md derives it.
+frequency nor damping of the fast loop depends on the step. docs/explanation/theory.md describes the step.
 """
 
 from dataclasses import dataclass

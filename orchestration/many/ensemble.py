@@ -39,9 +39,9 @@ class Ensemble(LoadedSystem):
     """Many instances of a system of native FMUs that this user built, in groups that step at once.
 
     Every instance has the bits of its own run by a `Simulator`: the exporter writes the same operations for
-    both, compiled without fused ones. Elementary functions are those of the C library; "Ensembles" in
-    docs/reference/master.md has the exceptions. Steps are as long, and what an event sets acts from the next
-    step. The sign of a NaN alone is left open. Both libraries must use one C library.
+    both, compiled without fused ones. Elementary functions are those of the C library. Steps are as long, and
+    what an event sets acts from the next step. The sign of a NaN alone is left open. Both libraries must use
+    one C library. docs/how-to/ensembles.md has what is refused.
 
     The equations are compiled from the sources in the FMUs, once for each FMU, and kept in the user's cache.
     A context manager, which frees the FMUs that the initial values are taken from.

@@ -19,7 +19,7 @@ from orchestration.system.faults import Effect, Fault
 from orchestration.system.prepared_run import PreparedRun, prepare
 from orchestration.system.signals import values_at
 
-QUIET = 3e-3  # m; largest standard deviation while holding, docs/fidelity.md
+QUIET = 3e-3  # m; largest standard deviation while holding, docs/explanation/margins.md
 MOVED = 0.04  # m, the band of the paper's settling time; a mean farther away holds something else
 _JUDGED = (
     0.4  # of the time for which the reference is constant, its last part: 100 s to 140 s of 40 s to 140 s
