@@ -23,6 +23,15 @@ _WORDS = """\
 - *prototype*: OMSimulator merged [CS 3.0](https://github.com/OpenModelica/OMSimulator/pull/1414) and
   [ME 3.0](https://github.com/OpenModelica/OMSimulator/pull/1523) under this name; not run.
 - libcosim has an open request for [FMI 3.0](https://github.com/open-simulation-platform/libcosim/issues/741)."""
+_AGREEMENT = """\
+## How well they agree
+
+The depth in `nominal-extended` and `nominal-l1`, beside that of this master. `python -m tests.importers`
+measures it anew for the importers that it finds."""
+_DID_NOT_RUN = """\
+fmi4c stepped `RovDepthPlant`: its depth was this master's to the last bit. PyFMI 2.5, OMSimulator 3.0.0,
+FMI++, CoFMPy 1.0.0, energysim 2.1.9.1, syssimx 0.4.3 and PyCosimLibrary 0.0.5 did not run the two
+FMUs of the loop (November 2026)."""
 _RUNS = "## What was run\n\nVersions are those that this page was made with. `Drift` is a block of the test."
 
 Table = Mapping[str, Mapping[str, Any]]
@@ -44,7 +53,10 @@ def page() -> str:
         if isinstance(run := tool[interface], dict)
     ]
     heads = ("Importer", "Interface", "FMUs", "How")
+    agreement = [tool["agreement"] for tool in tools.values() if "agreement" in tool]
+    agreed = ("Importer", "Exchanges", "Times", "Depth differs by at most")
     parts = [_HEAD, _table(("Importer", *INTERFACES), matrix), _WORDS, _RUNS, _table(heads, runs)]
+    parts += [_DID_NOT_RUN, _AGREEMENT, _table(agreed, agreement)]
     return "\n\n".join(parts) + "\n"
 
 

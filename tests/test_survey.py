@@ -30,7 +30,7 @@ def test_the_page_agrees_with_the_results_that_it_shows() -> None:
     page = FOLDER.with_suffix(".md").read_text(encoding="utf-8")
     results = json.loads((FOLDER / "results.json").read_text(encoding="utf-8"))
     assert re.findall(r"^<!-- survey: (.*) -->$", page, re.M) == list(results)
-    tools, errors, deviations = (rows[1:] for rows in results.values())
+    tools, errors, deviations = (results[name][1:] for name in ("tools", "errors", "deviations"))
     assert {row[0]: int(row[3]) for row in tools} == Counter(fmu["tool"] for fmu in survey.listed())
     judged, clean = (sum(int(row[column]) for row in tools) for column in (4, 5))
     assert f"takes steps | {judged} |" in page

@@ -12,7 +12,8 @@ from fmus.fmi.description import start_value
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.exchange.web_program import program
-from orchestration.report.render import packed, page
+from orchestration.report.embedded import packed
+from orchestration.report.render import page
 from orchestration.results.files import points_down
 from orchestration.results.metrics import SIGNALS
 from orchestration.scenarios import free_parameter

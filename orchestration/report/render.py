@@ -9,7 +9,6 @@ import hashlib
 import json
 import math
 import re
-import zlib
 from collections.abc import Mapping, Sequence
 from importlib import metadata
 from itertools import takewhile
@@ -19,21 +18,18 @@ from typing import Any
 import numpy as np
 
 from fmus.extras import imports_of
+from orchestration.report.embedded import COLUMNS, run_data, sweep_data
 from orchestration.report.result import (
     RunResult,
     SweepResult,
     common_metrics,
     correlations,
     distributions,
-    groups_of,
     of_succeeded,
     paired_differences,
-    strongest,
     toml,
 )
-from orchestration.results.files import points_down
 from orchestration.results.metric_units import shown
-from orchestration.results.metrics import SIGNALS
 from orchestration.sweep.table import HEADINGS, categorical
 
 with imports_of("report", "a report"):
@@ -192,113 +188,3 @@ def flat(content: Mapping[str, Any], before: str = "") -> dict[str, str]:
                 value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
             )
     return texts
-
-
-def packed(values: np.ndarray) -> str:
-    """Doubles -> base64 of zlib of their bytes, all first bytes before all second ones and so on.
-
-    Neighbours in time share sign and exponent, so that these bytes compress well side by side.
-    """
-    bytes_of_values = np.ascontiguousarray(values, dtype="<f8").view(np.uint8).reshape(-1, 8)
-    return base64.b64encode(zlib.compress(bytes_of_values.T.tobytes())).decode("ascii")
-
-
-COLUMNS = 2000
-"""Columns of pixels of a chart: a screen shows no more of one of them than its least and largest value."""
-
-
-def drawn_points(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Returns the indices of both ends and, of each column of time, the least and largest value, and a gap.
-
-    Of no more than two points a column they are all indices.
-    """
-    if len(values) <= 2 * COLUMNS:
-        return np.arange(len(values))
-    column = ((time - time[0]) * (COLUMNS / (time[-1] - time[0]))).astype(int)
-    finite = np.where(np.isfinite(values), values, np.nan)
-    order = np.lexsort((finite, column))  # within a column by value, gaps last
-    starts = np.flatnonzero(np.diff(column, prepend=-1))
-    largest = starts + np.maximum(np.add.reduceat(np.isfinite(finite).astype(int), starts), 1) - 1
-    lasts = np.append(starts[1:], len(values)) - 1
-    return np.unique(np.concatenate([[0, len(values) - 1], order[starts], order[largest], order[lasts]]))
-
-
-def tracking_errors(run: RunResult) -> dict[str, tuple[str, str, np.ndarray]]:
-    """Returns signal -> name, unit and values of its error, scaled as an RMSE or a peak error of the run."""
-    errors: dict[str, tuple[str, str, np.ndarray]] = {}
-    for metric, call in run.scenario.get("metrics", {}).items():
-        signal, reference = call.get("signal"), call.get("reference")
-        is_error = call.get("function") in ("rmse", "peak_error")
-        if is_error and {signal, reference} <= set(run.recording.numbers) and signal not in errors:
-            values = call.get("scale", 1.0) * (run.recording[signal] - run.recording[reference])
-            errors[signal] = f"{signal} - {reference}", run.metric_units.get(metric, ""), values
-    return errors
-
-
-def _signal_data(
-    name: str, unit: str, time: np.ndarray, values: np.ndarray, error_of: str = ""
-) -> dict[str, Any]:
-    """Returns what is drawn of a signal; error_of: the unit of the signal whose tracking error it is."""
-    kept = drawn_points(time, values)
-    return {
-        "name": name,
-        "unit": unit or "1",
-        "error_of": error_of,
-        "down": not error_of and points_down(name, unit),
-        "values": packed(values[kept]),
-        "steps": packed(np.diff(kept, prepend=0)) if len(kept) < len(time) else "",
-    }
-
-
-def run_data(run: RunResult) -> dict[str, Any]:
-    """Returns the data that the page's script draws of a run."""
-    recording = run.recording
-    signals = [
-        _signal_data(name, recording.unit(name), recording.time, recording[name])
-        for name in recording.numbers
-    ]
-    errors = tracking_errors(run)
-    for of, (name, unit, values) in errors.items():
-        at = recording.numbers.index(of) + 1  # beside what it is the error of
-        signals.insert(at, _signal_data(name, unit, recording.time, values, recording.unit(of) or "1"))
-    return {
-        "name": run.name,
-        "time": packed(recording.time),
-        "is_measured": run.is_measured,
-        "signals": signals,
-        "in_metrics": sorted(
-            {
-                str(call[key])
-                for call in run.scenario.get("metrics", {}).values()
-                for key in SIGNALS
-                if key in call
-            }.union((name for name, _, _ in errors.values()), recording.numbers if run.is_measured else ())
-        ),
-    }
-
-
-def sweep_data(sweep: SweepResult) -> dict[str, Any]:
-    """Returns the data that the page's script draws of a sweep."""
-    categories = categorical(sweep.varied)
-    return {
-        "name": sweep.name,
-        "samples": packed(sweep.samples),
-        "errors": {int(n): error for n, error in zip(sweep.samples, sweep.errors, strict=True) if error},
-        "columns": [
-            {
-                "name": name,
-                "unit": sweep.units.get(name, ""),
-                "kind": kind,
-                "values": list(map(str, values)) if name in categories else packed(np.asarray(values)),
-                "absent": sweep.absent.get(name, ""),
-            }
-            for kind, columns in (("varied", sweep.varied), ("metric", sweep.metrics))
-            for name, values in columns.items()
-        ],
-        "groups": [
-            {"name": ", ".join(group), "members": indices.tolist()}
-            for group, indices in groups_of(sweep).items()
-        ],
-        "first": strongest(correlations(sweep)),
-        "command": sweep.command,
-    }

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from orchestration.report.render import packed, page
+from orchestration.report.embedded import packed
+from orchestration.report.render import page
 from orchestration.score import score_view
 from orchestration.score.score import ScoreResult
 from orchestration.score.score_document import OF_A_ROW, Score

@@ -24,7 +24,7 @@ from tests.printing import print_tables
 
 
 def main(
-    markdown: Annotated[bool, typer.Option(help="Print the table of docs/how-to/ssp.md.")] = False,
+    markdown: Annotated[bool, typer.Option(help="Print a table of Markdown.")] = False,
 ) -> None:
     """Run two packages in every importer of the extra `test` and compare the depth with this master's."""
     count = len(IMPORTERS) * len(SCENARIOS)

@@ -36,7 +36,7 @@ async function inflated(text) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-/** The inverse of `packed` in render.py: numbers from planes of bytes. */
+/** The inverse of `packed` in embedded.py: numbers from planes of bytes. */
 async function unpacked(text) {
   const planes = await inflated(text);
   const count = planes.length / 8;

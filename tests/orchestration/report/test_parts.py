@@ -19,7 +19,8 @@ from hypothesis.extra.numpy import arrays
 
 from orchestration.errors import OrchestrationError
 from orchestration.report import RunResult, SweepResult, found_results
-from orchestration.report.render import COLUMNS, differences, drawn_points, packed, run_data, shortened
+from orchestration.report.embedded import COLUMNS, drawn_points, packed, run_data
+from orchestration.report.render import differences, shortened
 from orchestration.report.result import correlations, distributions, strongest, toml
 from orchestration.scenarios import scenario
 

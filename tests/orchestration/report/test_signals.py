@@ -293,11 +293,12 @@ def test_measured_data_lie_over_the_run_and_are_joined_across_empty_cells(
     opened: Open, tmp_path: Path
 ) -> None:
     log = tmp_path / "log.csv"
-    log.write_text("time,depth [cm]\n0,150\n4,\n8,150\n")
+    log.write_text("time,depth [cm]\n0,-80\n4,\n8,-80\n")
     page = opened(write_run(tmp_path, "run"), log)
     assert "depth, log" in page.shown()
     assert captions(page)[0] == "Signals in m"
-    assert page.line("depth, log") == {"x": [0, 4, 8], "y": [1.5, None, 1.5]}
+    assert page.line("depth, log") == {"x": [0, 4, 8], "y": [-0.8, None, -0.8]}
     colour = looks(page)["depth, log"][0]
+    page.write("#from", "3.9").write("#to", "4.1")
     plot = page.one("#panels .plot")
-    assert any(page.has_ink(plot, 4.0 + 0.05 * i, 1.5, colour) for i in range(8))  # a dash of it
+    assert any(page.has_ink(plot, 3.95 + 0.01 * i, -0.8, colour) for i in range(10))

@@ -13,6 +13,7 @@ import pytest
 
 from orchestration.report import SweepResult, found_results
 from orchestration.report.result import common_metrics, paired_differences
+from orchestration.score.statistics import paired
 from orchestration.sweep import table
 
 from .made_up import FAILED, write_sweep
@@ -58,6 +59,9 @@ def test_every_metric_has_its_histogram_of_the_samples_that_succeeded(
     )
     metrics = [name for name in rows[0] if not name.startswith(("plant.", "sample", "warned", "error"))]
     assert counts == [len(rows) - len(FAILED)] * len(metrics)
+    bins = swept.run("return document.querySelectorAll('.histograms .plot')[arguments[0]].chart.data", 1)
+    of_rmse, edges = np.histogram([row["rmse"] for row in succeeded(rows)], bins=20)
+    assert bins == [pytest.approx(edges[:-1]), of_rmse.tolist()]
     captions = [caption.text for caption in swept.all(".histograms figcaption")]
     assert [caption.split(" [")[0] for caption in captions] == metrics
     assert "rmse [cm]" in captions
@@ -166,7 +170,10 @@ def test_texts_are_varied_too(opened: Open, tmp_path: Path) -> None:
         ".map(({chart}) => chart.series.slice(1).map((bars) => bars.label))"
     )
     assert bars == [names] * len(bars)  # apart, and in colours that the legend names
-    assert [group.text for group in page.all(".groups > span")] == ["\u25a0 pi", "\u25a0 none"]
+    assert [" ".join(group.text.split()) for group in page.all(".groups > span")] == [
+        "\u25a0 pi",
+        "\u25a0 none",
+    ]
     assert len(page.all(".distributions tbody tr")) == 2 * len(bars)
     assert any(row.text.startswith("plant.sensor_seed all ") for row in page.all(".correlations tbody tr"))
 
@@ -199,9 +206,25 @@ def test_several_sweeps_stand_in_one_table_with_overlaid_histograms_and_paired_d
     assert counts == [[38, 38]] * len(counts)
     captions = [caption.text for caption in page.all("#sweeps-compared .histograms figcaption")]
     assert captions[:2] == ["settling_time [s]", "rmse [cm]"]  # in the order of the table
-    assert [group.text for group in page.all("#sweeps-compared .groups > span")] == ["■ base", "■ other"]
+    assert [" ".join(group.text.split()) for group in page.all("#sweeps-compared .groups > span")] == [
+        "■ base",
+        "■ other",
+    ]
     page.click(page.all(".paired th button")[4])
     assert page.all(".paired tbody tr")[-1].text.startswith("other rmse")
+
+
+def test_the_intervals_of_a_metric_hold_together(tmp_path: Path) -> None:
+    (one,) = found_results([write_sweep(tmp_path, 30)])
+    assert isinstance(one, SweepResult)
+    random = np.random.default_rng(1)
+    first, *others = (
+        replace(one, name=name, metrics={"rmse": random.normal(size=30)}, errors=("",) * 30) for name in "abc"
+    )
+    for row, other in zip(paired_differences([first, *others]), others, strict=True):
+        assert row["test"] == paired(other.metrics["rmse"], first.metrics["rmse"], comparisons=2)
+        assert row["test"].interval != paired(other.metrics["rmse"], first.metrics["rmse"]).interval
+        assert row["p"] >= row["test"].p
 
 
 def test_sweeps_that_vary_nothing_in_common_have_no_pairs(tmp_path: Path) -> None:
