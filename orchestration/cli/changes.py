@@ -23,7 +23,7 @@ def _fmu_option(component: str) -> Any:
     return typer.Option(
         metavar="FMU",
         help=f"Put this {component}, an .fmu, a block, its .py file or a class FILE.py:Class, "
-        "in the place of the scenario's.",
+        "in the place of that of the scenario or the protocol.",
     )
 
 
@@ -73,7 +73,7 @@ class Changes:
             typer.Option(
                 metavar="FILE",
                 help="Take the values of this parameter file, .toml, below those of --set; "
-                "of an .ssp package the parameter set of this name.",
+                "of an .ssp package, which run takes, the parameter set of this name.",
             ),
         ] = "",
     ) -> "Changes":

@@ -39,7 +39,11 @@ def design(
     changes: Changes = NO_CHANGES,
     bandwidth: Annotated[
         float,
-        typer.Option(metavar="RAD/S", help="Of A_m and of PID; by default the largest that fits.", min=0.0),
+        typer.Option(
+            metavar="RAD/S",
+            help="Bandwidth of the reference model A_m of L1, and of PID; 0 takes the largest that fits.",
+            min=0.0,
+        ),
     ] = 0.0,
     phase_margin: Annotated[
         float, typer.Option(metavar="DEG", help="Least phase margin in every corner.", min=1.0, max=80.0)
