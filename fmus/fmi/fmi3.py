@@ -1,4 +1,4 @@
-"""The library of an FMI 3.0 co-simulation FMU behind the functions of FMI 2.0, in C: `fmi3_calls.c`.
+"""The library of an FMI 3.0 FMU behind the functions of FMI 2.0, in C: `fmi3_calls.c`.
 
 So the loop, saved states and errors are the same for both standards.
 """
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from fmus.errors import ExportError, FmuLoadError
-from fmus.fmi.binding import Library, declare, signatures
+from fmus.fmi.binding import CO_SIMULATION, MODEL_EXCHANGE, Library, declare, signatures
 from fmus.fmi.callbacks import Callbacks, log_message
 from fmus.fmi.fmi3_description import TYPES
 from fmus.fmi.model_description import Element
@@ -35,10 +35,26 @@ _FUNCTIONS = (
     "SerializeFMUState",
     "DeserializeFMUState",
     "DoStep",
+    "EnterEventMode",
+    "EnterContinuousTimeMode",
+    "SetTime",
+    "CompletedIntegratorStep",
+    "GetContinuousStates",
+    "SetContinuousStates",
+    "GetContinuousStateDerivatives",
+    "GetEventIndicators",
+    "GetNominalsOfContinuousStates",
+    "UpdateDiscreteStates",
     *(f"{verb}{name}" for name in TYPES for verb in ("Get", "Set")),
 )
-_INSTANTIATE = "fmi3InstantiateCoSimulation"
+_OF_ONE_INTERFACE = slice(_FUNCTIONS.index("DoStep"), _FUNCTIONS.index("UpdateDiscreteStates") + 1)
+_INSTANTIATE = {CO_SIMULATION: "fmi3InstantiateCoSimulation", MODEL_EXCHANGE: "fmi3InstantiateModelExchange"}
 _POINTER, _SIZE, _FLAG = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_bool
+# types of the arguments of an instantiation before and after those that both interfaces have
+_FOR_ONE_INTERFACE: dict[int, tuple[list[Any], list[Any]]] = {
+    CO_SIMULATION: ([_FLAG, _FLAG, _POINTER, _SIZE], [_POINTER]),
+    MODEL_EXCHANGE: ([], []),
+}
 _Log = ctypes.CFUNCTYPE(None, _POINTER, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
 _log = _Log(
     lambda environment, status, category, text: log_message(environment, None, status, category, text)
@@ -49,28 +65,30 @@ _loading = threading.Lock()
 class Fmi3Library(Library):
     """A loaded library of FMI 3.0; functions of FMI 2.0 for its instances are attributes.
 
-    elements: of the model description, for variables
+    interface: fmi2Type, whose functions it must have; elements: of the model description, for variables
     Raises FmuLoadError if the functions of FMI 2.0 cannot be compiled, else what `Library` raises.
     """
 
-    instantiates = _INSTANTIATE
-
-    def __init__(self, path: Path, elements: Sequence[Element] = ()) -> None:
+    def __init__(self, path: Path, interface: int = CO_SIMULATION, elements: Sequence[Element] = ()) -> None:
         with _loading:
             calls = _calls()
         if isinstance(calls, Exception):
             raise FmuLoadError(f"FMI 3.0 takes a library of {_SOURCE}, which a wheel has: {calls}") from calls
         self._calls, self._functions = calls, ctypes.CDLL(str(path.resolve()))
-        names = (_INSTANTIATE, *(f"fmi3{name}" for name in _FUNCTIONS))
+        self.instantiates = _INSTANTIATE[interface]
+        others = _FUNCTIONS[_OF_ONE_INTERFACE][1:] if interface == CO_SIMULATION else ("DoStep",)
+        names = [self.instantiates, *(f"fmi3{name}" for name in _FUNCTIONS if name not in others)]
         if missing := [name for name in names if not hasattr(self._functions, name)]:
             self.unload()
             raise AttributeError(f"{path.name} lacks {', '.join(missing)}: expected them in FMI 3.0")
-        functions = (getattr(self._functions, name) for name in names[1:])
+        functions = (getattr(self._functions, f"fmi3{name}", 0) for name in _FUNCTIONS)
         addresses = [ctypes.cast(function, _POINTER).value or 0 for function in functions]
         self._addresses, self._elements = np.array(addresses, np.int64), np.array(elements, np.int64)
-        self._instantiate = self._functions.fmi3InstantiateCoSimulation
+        self._instantiate = getattr(self._functions, self.instantiates)
         self._instantiate.restype = _POINTER
-        self._instantiate.argtypes = [*[ctypes.c_char_p] * 3, *[_FLAG] * 4, _POINTER, _SIZE, *[_POINTER] * 3]
+        before, after = _FOR_ONE_INTERFACE[interface]
+        arguments = [*[ctypes.c_char_p] * 3, _FLAG, _FLAG, *before, _POINTER, _POINTER, *after]
+        self._instantiate.argtypes = arguments
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._calls, name)
@@ -80,10 +98,10 @@ class Fmi3Library(Library):
     ) -> int | None:
         environment = callbacks.structure.componentEnvironment
         folder = f"{resources}{os.sep}".encode() if resources.is_dir() else None  # 2.3.1
-        flags = (False, logging_on, False, False)  # visible, logging, event mode, early return
-        instance = self._instantiate(
-            name.encode(), guid.encode(), folder, *flags, None, 0, environment, _log, None
-        )
+        arguments = name.encode(), guid.encode(), folder, False, logging_on  # not visible
+        # no event mode, no early return, no intermediate updates
+        before, after = ([kind() for kind in kinds] for kinds in _FOR_ONE_INTERFACE[interface])
+        instance = self._instantiate(*arguments, *before, environment, _log, *after)
         arrays = self._addresses.ctypes.data, self._elements.ctypes.data, len(self._elements)
         return instance and self._calls.fmi3_behind(instance, *arrays, _log, environment)
 
@@ -106,7 +124,8 @@ def _calls() -> ctypes.CDLL | Exception:
         calls = compiled_library.load(Path(__file__).with_name(_SOURCE))
     except (ExportError, OSError) as error:
         return error
-    declare(calls, signatures())
+    for interface in _INSTANTIATE:
+        declare(calls, signatures(interface))
     calls.fmi3_behind.restype, calls.fmi3_refused.restype = _POINTER, ctypes.c_char_p
     calls.fmi3_behind.argtypes = [_POINTER, _POINTER, _POINTER, _SIZE, _POINTER, _POINTER]
     calls.fmi3_refused.argtypes = [_POINTER]

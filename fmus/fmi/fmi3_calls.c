@@ -1,5 +1,4 @@
-/* An instance of an FMI 3.0 co-simulation FMU behind the functions of FMI 2.0 that the master calls, from its loop and
-   from Python. Clauses are those of FMI 3.0.2.
+/* An instance of an FMI 3.0 FMU behind the functions of FMI 2.0 that the master calls, from its loop and from Python. Clauses are those of FMI 3.0.2.
 
    FMI 3.0 transfers whole arrays. The master knows their elements as scalars, row by row (2.2.7.1), each with a number
    of its own in place of a value reference. Scalars of neighbouring whole arrays of one type are one call; a part of an
@@ -43,10 +42,13 @@ typedef fmi3Status Transfer(fmi3Instance instance, const fmi3ValueReference *ref
 /* In the order of `_FUNCTIONS` of fmi3.py. */
 #define FUNCTIONS(X)                                                                                            \
     X(FreeInstance) X(EnterInitializationMode) X(ExitInitializationMode) X(Terminate) X(Reset) X(GetFMUState)   \
-    X(SetFMUState) X(FreeFMUState) X(SerializedFMUStateSize) X(SerializeFMUState) X(DeserializeFMUState) X(DoStep)
+    X(SetFMUState) X(FreeFMUState) X(SerializedFMUStateSize) X(SerializeFMUState) X(DeserializeFMUState)        \
+    X(DoStep) X(EnterEventMode) X(EnterContinuousTimeMode) X(SetTime) X(CompletedIntegratorStep)                \
+    X(GetContinuousStates) X(SetContinuousStates) X(GetContinuousStateDerivatives) X(GetEventIndicators)        \
+    X(GetNominalsOfContinuousStates) X(UpdateDiscreteStates)
 #define MEMBER(Name) fmi3##Name##TYPE *Name;
 typedef struct {
-    FUNCTIONS(MEMBER)
+    FUNCTIONS(MEMBER) /* NULL for those of the other interface */
     Transfer *transfer[String + 1][2]; /* get, set */
 } Functions;
 
@@ -271,6 +273,38 @@ SAME(SerializeFMUstate, SerializeFMUState, (Instance * a, fmi3FMUState state, fm
      (a->instance, state, bytes, size))
 SAME(DeSerializeFMUstate, DeserializeFMUState, (Instance * a, fmi3Byte bytes[], size_t size, fmi3FMUState *state),
      (a->instance, bytes, size, state))
+
+SAME(EnterEventMode, EnterEventMode, (Instance * a), (a->instance))
+SAME(EnterContinuousTimeMode, EnterContinuousTimeMode, (Instance * a), (a->instance))
+SAME(SetTime, SetTime, (Instance * a, double time), (a->instance, time))
+SAME(SetContinuousStates, SetContinuousStates, (Instance * a, const double x[], size_t n), (a->instance, x, n))
+#define VECTOR(Old, Name) SAME(Old, Name, (Instance * a, double values[], size_t n), (a->instance, values, n))
+VECTOR(GetContinuousStates, GetContinuousStates)
+VECTOR(GetDerivatives, GetContinuousStateDerivatives)
+VECTOR(GetEventIndicators, GetEventIndicators)
+VECTOR(GetNominalsOfContinuousStates, GetNominalsOfContinuousStates)
+
+EXPORT int fmi2CompletedIntegratorStep(Instance *a, int is_final, int *enters_event_mode, int *terminates) {
+    fmi3Boolean enters = fmi3False, ends = fmi3False;
+    const fmi3Status status = a->call->CompletedIntegratorStep(a->instance, is_final != 0, &enters, &ends);
+    *enters_event_mode = enters;
+    *terminates = ends;
+    return noted(a, status, "fmi3CompletedIntegratorStep");
+}
+
+typedef struct {
+    int is_needed, terminates, nominals_changed, states_changed, has_next;
+    double next;
+} EventInfo; /* as fmi2EventInfo */
+
+EXPORT int fmi2NewDiscreteStates(Instance *a, EventInfo *info) {
+    fmi3Boolean is_needed = fmi3False, ends = fmi3False, nominals = fmi3False, states = fmi3False, has_next = fmi3False;
+    fmi3Float64 next = 0;
+    const fmi3Status status =
+        a->call->UpdateDiscreteStates(a->instance, &is_needed, &ends, &nominals, &states, &has_next, &next);
+    *info = (EventInfo){is_needed, ends, nominals, states, has_next, next};
+    return noted(a, status, "fmi3UpdateDiscreteStates");
+}
 
 /* Of this file */
 

@@ -6,7 +6,7 @@ Arrays become scalars, row by row: `m[1,2]` is an element of `m`. Their value re
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from itertools import product
 from xml.etree.ElementTree import Element as Xml
 
@@ -54,8 +54,10 @@ _MOST_SCALARS = 1_000_000
 def fmi3_description(root: Xml) -> ModelDescription:
     """Returns the content of a modelDescription.xml; ValueError says what of it cannot be read."""
     interface = root.find("CoSimulation")
+    is_model_exchange = interface is None
+    interface = root.find("ModelExchange") if is_model_exchange else interface
     if interface is None:
-        raise ValueError("CoSimulation is missing: expected an FMU for co-simulation, or one of FMI 2.0")
+        raise ValueError("neither CoSimulation nor ModelExchange: expected one of them at least")
     types = {declared.name: declared for declared in map(_simple_type, root.findall("TypeDefinitions/*"))}
     elements: list[Element] = []
     variables: list[ScalarVariable] = []
@@ -80,15 +82,15 @@ def fmi3_description(root: Xml) -> ModelDescription:
         guid=root.get("instantiationToken", ""),
         description=root.get("description"),
         generationTool=root.get("generationTool"),
-        coSimulation=_co_simulation(interface),
+        coSimulation=_co_simulation(interface, is_model_exchange),
         defaultExperiment=default_experiment(root),
         unitDefinitions=[unit(element) for element in root.findall("UnitDefinitions/Unit")],
         modelVariables=variables,
         outputs=[*_unknowns(root, "Output", by_reference)],
         initialUnknowns=[*_unknowns(root, "InitialUnknown", by_reference)],
-        numberOfContinuousStates=0,
-        numberOfEventIndicators=0,
-        is_model_exchange=False,
+        numberOfContinuousStates=len([*_unknowns(root, "ContinuousStateDerivative", by_reference)]),
+        numberOfEventIndicators=len([*_unknowns(root, "EventIndicator", by_reference)]),
+        is_model_exchange=is_model_exchange,
         elements=elements,
         left_out={required(xml, "name"): xml.tag for xml in listed if xml.tag in _LEFT_OUT},
     )
@@ -103,7 +105,8 @@ def _index(xml: Xml) -> int:
     return TYPES.index(name)
 
 
-def _co_simulation(element: Xml) -> CoSimulation:
+def _co_simulation(element: Xml, is_model_exchange: bool) -> CoSimulation:
+    """Returns the interface, one for model exchange as a solver makes it: it takes any step."""
     capabilities = {
         f.name: element.get(_CAPABILITIES.get(f.name, f.name)) in ("true", "1")
         for f in fields(CoSimulation)[1:]
@@ -112,7 +115,8 @@ def _co_simulation(element: Xml) -> CoSimulation:
     absent = dict.fromkeys(
         ("canInterpolateInputs", "canRunAsynchronuously", "providesDirectionalDerivative"), False
     )
-    return CoSimulation(required(element, "modelIdentifier"), **capabilities | absent)
+    found = CoSimulation(required(element, "modelIdentifier"), **capabilities | absent)
+    return replace(found, canHandleVariableCommunicationStepSize=True) if is_model_exchange else found
 
 
 def _simple_type(element: Xml) -> SimpleType:

@@ -280,7 +280,7 @@ def _library(path: Path, description: ModelDescription, folder: Path) -> Library
         raise FmuLoadError(f"{path} has no binary for {platform}{named}: it has {available}{hint}")
     needed = [name for name in names if name == member or name.startswith("resources/")]
     extract_archive(path, folder, needed if is_independent(description) else None)
-    if fmi == 3:
-        return Fmi3Library(folder / member, description.elements)
     interface = binding.MODEL_EXCHANGE if description.is_model_exchange else binding.CO_SIMULATION
+    if fmi == 3:
+        return Fmi3Library(folder / member, interface, description.elements)
     return Library(folder / member, interface)

@@ -1,5 +1,6 @@
 """Scalars of FMI 3.0 are set and read in any order, whole arrays and parts of them."""
 
+import ctypes
 import os
 import re
 import subprocess
@@ -8,7 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from fmpy.fmi2 import fmi2EventInfo
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -187,3 +190,45 @@ def test_any_calls_are_clean_under_sanitizers(tool: Callable[[str], str], tmp_pa
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "1 passed" in done.stdout
+
+
+def test_events_of_model_exchange_have_the_flags_of_fmi_2() -> None:
+    """Each flag alone, from functions of FMI 3.0 that stand in for those of an FMU."""
+    flag, pointer, number = ctypes.c_bool, ctypes.POINTER(ctypes.c_bool), ctypes.POINTER(ctypes.c_double)
+    told: list[bool] = []
+
+    def completed(_: Any, is_final: bool, *flags: Any) -> int:
+        return write(flags) if is_final else 3
+
+    def update(_: Any, *results: Any) -> int:
+        results[-1][0] = 2.5
+        return write(results[:-1])
+
+    def write(flags: Any) -> int:
+        for place, value in zip(flags, told, strict=True):
+            place[0] = value
+        return 0
+
+    functions = {
+        "CompletedIntegratorStep": ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, flag, pointer, pointer)(
+            completed
+        ),
+        "UpdateDiscreteStates": ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, *[pointer] * 5, number)(
+            update
+        ),
+    }
+    addresses = [ctypes.cast(functions.get(name, 0), ctypes.c_void_p).value or 0 for name in fmi3._FUNCTIONS]
+    table, calls = np.array(addresses, np.int64), fmi3._calls()
+    assert isinstance(calls, ctypes.CDLL)
+    instance = calls.fmi3_behind(None, table.ctypes.data, table.ctypes.data, 0, None, None)
+    enters, ends, info = ctypes.c_int(), ctypes.c_int(), fmi2EventInfo()
+    both = ctypes.byref(enters), ctypes.byref(ends)
+    for told in ([True, False], [False, True]):
+        assert calls.fmi2CompletedIntegratorStep(instance, 1, *both) == 0
+        assert [enters.value, ends.value] == told
+    for i in range(5):
+        told = [i == j for j in range(5)]
+        assert calls.fmi2NewDiscreteStates(instance, ctypes.byref(info)) == 0
+        assert [getattr(info, field[0]) for field in info._fields_] == [*told, 2.5]
+    assert calls.fmi2CompletedIntegratorStep(instance, 0, *both) == 3
+    assert calls.fmi3_refused(instance) == b"fmi3CompletedIntegratorStep"

@@ -40,7 +40,7 @@ RECORDED = ("m.x", "m.v", "m.stairs", "m.turns", "m.above")
 def model_exchange_alone(path: Path, folder: Path) -> Path:
     """The FMU without its interface for co-simulation."""
     content = members(path)
-    xml = re.sub(rb"<CoSimulation\b.*?</CoSimulation>", b"", content[XML], flags=re.DOTALL)
+    xml = re.sub(rb"<CoSimulation\b([^>]*/>|.*?</CoSimulation>)", b"", content[XML], flags=re.DOTALL)
     assert xml != content[XML]
     return write(content | {XML: xml}, folder / path.name)
 
@@ -51,9 +51,10 @@ def exchange(folder: Path, mutation: str = "", flags: str = "") -> System:
     return System({"m": write_slave(folder, mutation, flags, changes, "Exchange")})
 
 
-@pytest.fixture
-def ball(tmp_path: Path) -> System:
-    return System({"ball": model_exchange_alone(builder.build_block(BALL, tmp_path), tmp_path)})
+@pytest.fixture(params=[2, 3])
+def ball(tmp_path: Path, request: pytest.FixtureRequest) -> System:
+    file = builder.build_block(BALL, tmp_path, fmi=request.param)
+    return System({"ball": model_exchange_alone(file, tmp_path)})
 
 
 def largest_difference(first: Recording, second: Recording) -> float:
@@ -82,7 +83,8 @@ def test_a_plant_converges_to_co_simulation_with_the_tolerance_of_the_solver(
     assert largest_difference(simulate(system, **settings), reference) < 1e-5  # by default 1e-9
 
 
-def test_a_scenario_runs_with_it_in_closed_loop(scenario_fmus: None, built: Fmus, tmp_path: Path) -> None:
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_scenario_runs_with_it_in_closed_loop(scenario_fmus: None, tmp_path: Path, fmi: int) -> None:
     """Internal steps of 1 ms of co-simulation have errors of 1e-6 m in this loop. Larger ones change which
     step of 2 mm the sensor rounds to, after which the depths differ by 1e-3 m.
     """
@@ -91,7 +93,7 @@ def test_a_scenario_runs_with_it_in_closed_loop(scenario_fmus: None, built: Fmus
         "metrics": dict.fromkeys(("holding_thrust", "settling_time", "overshoot"), False),
         "parameters": {"plant.internal_step": 1e-3},
     }
-    vehicle = model_exchange_alone(built["RovDepthPlant"], tmp_path)
+    vehicle = model_exchange_alone(builder.build_block("RovDepthPlant", tmp_path, fmi=fmi), tmp_path)
     own = load_scenario("nominal-l1", short)
     other = load_scenario("nominal-l1", short | {"components": {"plant": str(vehicle)}})
     expected, recording = (simulate(s.system, s.experiment) for s in (own, other))
@@ -114,6 +116,20 @@ def test_a_ball_bounces_where_the_closed_form_has_it(ball: System) -> None:
     rows = [int(np.argmin(np.abs(recording["time"] - time))) for time in bounces]
     assert recording["ball.bounces"][rows].tolist() == [*bounces.values()]
     assert recording["ball.reading"][3] == pytest.approx(0.75, abs=1e-6)  # of 0.25 s
+
+
+def test_both_standards_have_the_same_bits(tmp_path: Path) -> None:
+    """With an array of inputs, an input that changes, a sampled sensor, and a last step that is shorter."""
+    recordings = []
+    for fmi in (2, 3):
+        file = builder.build_block("RovDepthPlant", tmp_path, fmi=fmi)
+        system = System({"plant": model_exchange_alone(file, tmp_path)})
+        settings: dict[str, Any] = {"stop_time": 1.01, "step_size": 0.02, "open_inputs": "start"}
+        changes = (Event(0.5, {"plant.external_force": -2.0}),)
+        recordings.append(simulate(system, inputs={"plant.voltage[2]": 1.5}, events=changes, **settings))
+    assert recordings[1].names == recordings[0].names
+    assert recordings[1].values.tobytes() == recordings[0].values.tobytes()
+    assert np.ptp(recordings[0]["plant.depth"]) > 1e-3
 
 
 def test_a_time_event_may_be_a_rounding_error_after_a_communication_point(tmp_path: Path) -> None:
