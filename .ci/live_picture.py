@@ -26,8 +26,8 @@ def picture(folder: Path) -> Image.Image:
     ]
     with chromium(*programs, folder / "browser") as driver:
         driver.set_window_size(*_SIZE)
-        OpenedPage(driver, page)
         driver.execute_cdp_cmd("Emulation.setScrollbarsHidden", {"hidden": True})
+        OpenedPage(driver, page)
         return Image.open(io.BytesIO(driver.get_screenshot_as_png()))
 
 
