@@ -1,4 +1,4 @@
-"""What a page embeds of runs and sweeps for its scripts to draw."""
+"""Data of runs and sweeps that a page embeds for its scripts to draw."""
 
 import base64
 import zlib
