@@ -92,6 +92,7 @@ class Calls(Beside):
         asked = self.one_wrong(data, references)
         values += [1.0 if kind == "R" else 1] * (self.count(asked) - len(values))
         self.call(slot, "set", kind, self.array(data, asked), self.array(data, values))
+        self.call(slot, "get", kind, references, True)
 
     @rule(data=st.data(), slot=st.integers(0, 1))
     def get_values(self, data: Any, slot: int) -> None:
@@ -134,7 +135,7 @@ class Calls(Beside):
     def get_output_derivatives(self, data: Any, slot: int) -> None:
         if not self.is_time(data, slot, STEPPING, TERMINATED):
             return
-        outputs = [v for v in self.variables if v.causality == "output"]
+        outputs = [v for v in self.by_kind["R"] if v.causality == "output"]
         references = self.one_wrong(data, self.some(data, slot, outputs))
         orders, out = self.array(data, self.orders(data, len(references))), not data.draw(SELDOM)
         self.call(slot, "get_output_derivatives", self.array(data, references), orders, out)
@@ -145,10 +146,12 @@ class Calls(Beside):
             return
         reals = self.by_kind["R"]
         unknown = self.one_wrong(data, self.some(data, slot, [v for v in reals if not v.settable]))
-        known = self.one_wrong(data, self.some(data, slot, self.settable("R")))
+        known = self.some(data, slot, self.settable("R"))
+        known = self.one_wrong(data, [*known, *known[: data.draw(st.integers(0, 1))]])
         name = data.draw(st.sampled_from(self.derivatives))
         seeded = known if name == "directional_derivative" else unknown
-        seed = [data.draw(st.sampled_from((1.0, 0.0, -2.5, HUGE, NAN))) for _ in range(self.count(seeded))]
+        numbers = st.sampled_from((1.0, 0.5, -2.5, 1.0, 0.5, -2.5, 0.0, HUGE, NAN))
+        seed = [data.draw(numbers) for _ in range(self.count(seeded))]
         known, out = self.array(data, known), not data.draw(SELDOM)
         self.call(slot, name, self.array(data, unknown), known, self.array(data, seed), out)
 
