@@ -21,6 +21,21 @@ from fmus.fmi.model_description import Element
 from fmus.native import compiled_library
 
 _SOURCE = "fmi3_calls.c"
+_OF_INTERFACE = {
+    CO_SIMULATION: ("DoStep",),
+    MODEL_EXCHANGE: (
+        "EnterEventMode",
+        "EnterContinuousTimeMode",
+        "SetTime",
+        "CompletedIntegratorStep",
+        "GetContinuousStates",
+        "SetContinuousStates",
+        "GetContinuousStateDerivatives",
+        "GetEventIndicators",
+        "GetNominalsOfContinuousStates",
+        "UpdateDiscreteStates",
+    ),
+}
 # in the order of `Functions` of the source
 _FUNCTIONS = (
     "FreeInstance",
@@ -34,20 +49,9 @@ _FUNCTIONS = (
     "SerializedFMUStateSize",
     "SerializeFMUState",
     "DeserializeFMUState",
-    "DoStep",
-    "EnterEventMode",
-    "EnterContinuousTimeMode",
-    "SetTime",
-    "CompletedIntegratorStep",
-    "GetContinuousStates",
-    "SetContinuousStates",
-    "GetContinuousStateDerivatives",
-    "GetEventIndicators",
-    "GetNominalsOfContinuousStates",
-    "UpdateDiscreteStates",
+    *(name for names in _OF_INTERFACE.values() for name in names),
     *(f"{verb}{name}" for name in TYPES for verb in ("Get", "Set")),
 )
-_OF_ONE_INTERFACE = slice(_FUNCTIONS.index("DoStep"), _FUNCTIONS.index("UpdateDiscreteStates") + 1)
 _INSTANTIATE = {CO_SIMULATION: "fmi3InstantiateCoSimulation", MODEL_EXCHANGE: "fmi3InstantiateModelExchange"}
 _POINTER, _SIZE, _FLAG = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_bool
 # types of the arguments of an instantiation before and after those that both interfaces have
@@ -76,7 +80,7 @@ class Fmi3Library(Library):
             raise FmuLoadError(f"FMI 3.0 takes a library of {_SOURCE}, which a wheel has: {calls}") from calls
         self._calls, self._functions = calls, ctypes.CDLL(str(path.resolve()))
         self.instantiates = _INSTANTIATE[interface]
-        others = _FUNCTIONS[_OF_ONE_INTERFACE][1:] if interface == CO_SIMULATION else ("DoStep",)
+        others = _OF_INTERFACE[MODEL_EXCHANGE if interface == CO_SIMULATION else CO_SIMULATION]
         names = [self.instantiates, *(f"fmi3{name}" for name in _FUNCTIONS if name not in others)]
         if missing := [name for name in names if not hasattr(self._functions, name)]:
             self.unload()

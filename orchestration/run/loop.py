@@ -242,10 +242,11 @@ def _do_step(wiring: Wiring, c: int, end: float) -> bool:
     size = fixed_size if fixed_size > 0.0 else end - start
     wiring.report[Report.BUSY] = c + 1
     do_step = _function(_step_type, int(wiring.do_step[c]))
-    before = time.perf_counter()
+    times = wiring.step_times if isinstance(wiring.step_times, np.ndarray) else None
+    before = 0.0 if times is None else time.perf_counter()
     status = do_step(int(wiring.instances[c]), start, size, 1)
-    if isinstance(wiring.step_times, np.ndarray):
-        wiring.step_times[:, c] += 1.0, time.perf_counter() - before
+    if times is not None:
+        times[:, c] += 1.0, time.perf_counter() - before
     if status == DISCARD and not wiring.error_logged[c] and _terminates_at(wiring, c, end):
         wiring.report[Report.TERMINATED] = c + 1
         status = OK

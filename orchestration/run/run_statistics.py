@@ -31,18 +31,20 @@ class RunStatistics:
             self._phases[name] = time.perf_counter() - start
 
     def report(self, end_time: float, is_sequential: bool) -> dict[str, Any]:
-        """Returns phases and FMUs for the provenance of a recording.
+        """Returns phases and FMUs for the provenance of a recording, without a step the phases alone.
 
         end_time: simulated time [s] that was reached
         is_sequential: whether FMUs stepped one after another; the rest of the loop is the time between them
         """
-        stepping, simulated = self._phases.get("stepping", 0.0), end_time - self.start_time
+        if "stepping" not in self._phases:
+            return {"phases_s": self._phases}
+        stepping, simulated = self._phases["stepping"], end_time - self.start_time
         counts, times = self.steps.tolist()
         rest = {"rest_of_loop_s": stepping - sum(times)} if is_sequential else {}
         return {
             "phases_s": self._phases,
             "simulated_s": simulated,
-            "real_time_factor": simulated / stepping if stepping else 0.0,
+            "real_time_factor": simulated / stepping,
             "fmus": {
                 name: {"steps": int(count), "wall_s": wall}
                 for name, count, wall in zip(self._components, counts, times, strict=True)

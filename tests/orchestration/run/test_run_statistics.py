@@ -14,7 +14,7 @@ from orchestration.system.experiment import AlgorithmName, Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import coupled
-from tests.shared_builds import Build
+from tests.shared_builds import Build, Fmus
 
 EXPERIMENT = Experiment(1.0, 0.1)
 PHASES = ["loading", "initialisation", "stepping"]
@@ -99,6 +99,16 @@ def test_a_run_that_fails_has_the_statistics_of_its_part(rogue: Build) -> None:
     found = failure.value.recording.provenance["statistics"]
     assert steps(found) == {"one": 6 + 1}  # that failed
     assert found["simulated_s"] == pytest.approx(0.6)
+
+
+def test_a_run_that_fails_before_its_first_step_has_no_factor(built: Fmus) -> None:
+    """Its parameters contradict each other."""
+    experiment = Experiment(
+        6.0, 0.1, start_time=5.0, parameters={"plant.net_weight": 100.0}, open_inputs="start"
+    )
+    with pytest.raises(SimulationError, match="net_weight below weight") as failure:
+        simulate(System({"plant": built["RovDepthPlant"]}, []), experiment, statistics=True)
+    assert [*failure.value.recording.provenance["statistics"]] == ["phases_s"]
 
 
 def test_a_resumed_run_counts_from_its_checkpoint(linear: Build, tmp_path: Path) -> None:
