@@ -15,6 +15,7 @@ import numpy as np
 
 from fmus.extras import imports_of
 from orchestration.errors import SystemDefinitionError
+from orchestration.many.device import device_of
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator
 from orchestration.scenarios.task import Task, task_of
@@ -39,13 +40,15 @@ class _Agent:
     _runs: Any  # an Episode, or what `task_runs` gives
     _done: Any
     _terminated: Any
+    _arrays: Any = np  # module of the arrays of values, actions and rewards
 
     def _plan(self, task: Task) -> tuple[EpisodePlan, Box, Box]:
         """Returns the plan of all episodes, and the spaces of one environment."""
         plan = EpisodePlan(task)
         observations, inputs = _spaces(plan)
         self._task, self._names = task, plan.names
-        self._middle, self._half = 0.5 * (inputs.low + inputs.high), 0.5 * (inputs.high - inputs.low)
+        self._middle = self._arrays.asarray(0.5 * (inputs.low + inputs.high))
+        self._half = self._arrays.asarray(0.5 * (inputs.high - inputs.low))
         return plan, observations, Box(-1.0, 1.0, inputs.shape, np.float64)
 
     def _own_units(self, action: Array, space: Space[Array]) -> Array:
@@ -70,7 +73,7 @@ class _Agent:
         return self._task.reward(before, self._values, self._time - start)
 
     def _observation(self) -> Array:
-        return np.array([self._values[name] for name in self._task.observations]).T
+        return np.array([self._values[name] for name in self._task.observations])
 
     def _info(self) -> dict[str, Any]:
         return {"time": self._time}
@@ -122,18 +125,24 @@ class FmuVectorEnv(_Agent, VectorEnv[Array, Array, Array]):
 
     ensemble: whether they step together, with the same values: by default where they can and their FMUs are
     compiled for that; True compiles them, and raises EnsembleError where they cannot
+    where: "processor", or "gpu" for an ensemble on the GPU of this machine: observations and rewards are then
+    arrays of CuPy, and actions those or any others with DLPack on that GPU, as of PyTorch and JAX
     """
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
-    def __init__(self, task: Task, num_envs: int, ensemble: bool | None = None) -> None:
+    def __init__(
+        self, task: Task, num_envs: int, ensemble: bool | None = None, where: str = "processor"
+    ) -> None:
         if not isinstance(num_envs, int | np.integer) or num_envs < 1:
             raise SystemDefinitionError(f"num_envs = {num_envs!r}: expected a whole number from 1 on")
         self.num_envs = num_envs
+        device = device_of(where)
+        self._arrays = device.arrays if device else np
         plan, self.single_observation_space, self.single_action_space = self._plan(task)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._runs = task_runs(plan, num_envs, ensemble)
+        self._runs = task_runs(plan, num_envs, ensemble, device)
         self._randoms: list[np.random.Generator] = []
 
     def reset(
@@ -157,8 +166,10 @@ class FmuVectorEnv(_Agent, VectorEnv[Array, Array, Array]):
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         """Takes one action in each environment; those that were done begin an episode, with a reward of 0."""
-        values = self._own_units(actions, self.action_space)
-        rewards, is_running = np.zeros(self.num_envs), ~self._done
+        if self._arrays is not np and not isinstance(actions, np.ndarray):
+            actions = self._arrays.from_dlpack(actions)
+        values = self._own_units(self._arrays.asarray(actions), self.action_space)
+        rewards, is_running = self._arrays.zeros(self.num_envs), ~self._done
         if self._done.any():
             self._runs.reset(self._randoms, self._done)
         if is_running.any():
@@ -168,10 +179,14 @@ class FmuVectorEnv(_Agent, VectorEnv[Array, Array, Array]):
         for _ in range(self._task.steps):
             if not is_running.any():
                 break
-            rewards += np.where(is_running, self._step(is_running), 0.0)
+            reward = self._step(is_running)
+            rewards += np.where(self._arrays.asarray(is_running), reward, 0.0)
             is_running &= ~self._done
         truncated = self._done & ~self._terminated
         return self._observation(), rewards, self._terminated, truncated, self._info()
+
+    def _observation(self) -> Array:
+        return np.stack([self._values[name] for name in self._task.observations], axis=-1)
 
     def recordings(self) -> list[Recording]:
         """Returns the recording of the present episode of each environment until now."""
@@ -212,9 +227,13 @@ def _scenario_env(*arguments: Any, **settings: Any) -> FmuEnv:
 
 
 def _scenario_envs(
-    *arguments: Any, num_envs: int = 1, ensemble: bool | None = None, **settings: Any
+    *arguments: Any,
+    num_envs: int = 1,
+    ensemble: bool | None = None,
+    where: str = "processor",
+    **settings: Any,
 ) -> FmuVectorEnv:
-    return FmuVectorEnv(task_of(*arguments, **settings), num_envs, ensemble)
+    return FmuVectorEnv(task_of(*arguments, **settings), num_envs, ensemble, where)
 
 
 gymnasium.register(

@@ -224,7 +224,8 @@ static INLINED Outcome data_step(Data *d, StepCache *cache, double t, double h, 
         }
         model_step(t + i * internal, internal, x, u, p, c, numbers, next);
         if (i + 1 == count) break;
-        x = memcpy(reached, next, N_STATES * sizeof *next);
+        memcpy(reached, next, N_STATES * sizeof *next);
+        x = reached;
     }
     model_output(t + h, next, p, c, outputs);
     const Outcome outcome = checked(next, outputs, broken);

@@ -9,13 +9,15 @@ from fmus.fmi.description import describe, is_independent
 from fmus.fmi.variable_types import FmiValue
 from fmus.platforms import instruction_sets
 from orchestration.errors import EnsembleError, OrchestrationError, SystemDefinitionError
-from orchestration.many.ensemble_loop import EnsembleLoop, check_memory, loop_library
+from orchestration.many.device import Device, DeviceLoop, DeviceProgram
+from orchestration.many.ensemble_loop import EnsembleLoop, loop_library
 from orchestration.many.job import ENTRIES
 from orchestration.many.lane_library import LANES, aligned, is_compiled, lane_library
 from orchestration.many.stepped_ensemble import EnsembleRecording, SteppedEnsemble
 from orchestration.run.initialisation import initialise
 from orchestration.run.simulator import LoadedSystem
 from orchestration.system.experiment import Experiment
+from orchestration.system.experiment_checks import check_fits
 from orchestration.system.prepared_run import PreparedRun, check_for, prepare_checked
 from orchestration.system.signals import Signal
 from orchestration.system.system import Port, System
@@ -47,13 +49,15 @@ class Ensemble(LoadedSystem):
     A context manager, which frees the FMUs that the initial values are taken from.
 
     instructions: "x86-64-v4", "x86-64-v3" or "portable", by default the best that this processor has
+    device: what runs the instances in place of this processor, as `gpu()`: elementary functions are then
+    those of the device
 
     Raises EnsembleError for any other FMU, or without a compiler.
     """
 
     _kind = "ensemble"
 
-    def __init__(self, system: System, instructions: str | None = None) -> None:
+    def __init__(self, system: System, instructions: str | None = None, device: Device | None = None) -> None:
         available = instruction_sets()
         self.instructions = instructions or available[0]
         if self.instructions not in available:
@@ -65,10 +69,15 @@ class Ensemble(LoadedSystem):
                     f"{name}: {system.components[name]}: expected a native FMU that "
                     "l1-depth build wrote for this user; Simulator runs any FMU"
                 )
-        loop_library(self.instructions)
-        self._libraries = {
-            name: lane_library(name, path, self.instructions) for name, path in system.components.items()
-        }
+        self._device, self._libraries = device, dict[str, Any]()
+        self._loop_class = DeviceLoop if device else EnsembleLoop
+        if device:
+            self._functions: Any = DeviceProgram(device, system.components)
+            self._libraries |= self._functions.components
+        else:
+            self._functions = loop_library(self.instructions)
+            for name, path in system.components.items():
+                self._libraries[name] = lane_library(name, path, self.instructions)
         for name, library in self._libraries.items():
             if library.wholes:
                 raise EnsembleError(
@@ -112,8 +121,9 @@ class Ensemble(LoadedSystem):
         check_supported(prepared)
         count, varied = len(experiments), _varied(experiments)
         of_signals = [name for name in varied if name in prepared.experiment.signals]
-        check_memory(prepared, self._libraries, count, len(of_signals))
-        signals = {name: _signal_lanes(prepared, name, varied.pop(name)) for name in of_signals}
+        self._check_memory(prepared, count, len(of_signals))
+        lanes = count if self._device else LANES
+        signals = {name: _signal_lanes(prepared, name, varied.pop(name), lanes) for name in of_signals}
         values: Values = {name: [value] * count for name, value in prepared.external.items()}
         values |= {name: _checked_values(system.ports[name], column) for name, column in varied.items()}
         for name, of_all in signals.items():
@@ -121,6 +131,17 @@ class Ensemble(LoadedSystem):
         run = SteppedEnsemble(self._initialised(prepared, values, signals, count), count)
         run.failures = {i: self._reason(prepared, values, i) for i in run.failures}
         return run
+
+    def _check_memory(self, prepared: PreparedRun, count: int, varied: int) -> None:
+        """Raises SystemDefinitionError for more than there is; varied: signals of each instance."""
+        points, columns = prepared.shape
+        signals = f" and {varied} signals" if varied else ""
+        check_fits(
+            8 * self._loop_class.words(prepared, self._libraries, count, varied),
+            f"{count} instances of {points} communication points of {columns} variables{signals}",
+            "record fewer variables, or run fewer instances at once",
+            self._device.free_bytes() if self._device else None,
+        )
 
     def _initialised(
         self, prepared: PreparedRun, values: Values, signals: Signals, count: int
@@ -137,12 +158,11 @@ class Ensemble(LoadedSystem):
         else:
             raise OrchestrationError(f"none of {count} instances can begin; the last: {reason}")
         common = {name: self._values(name) for name in self._libraries}
-        loop = EnsembleLoop(prepared, self._libraries, self.instructions, common, signals, count)
+        loop = self._loop_class(self._functions, prepared, self._libraries, common, signals, count)
         for name, of_all in values.items():
-            padded = np.array([*of_all, *of_all[-1:] * (-count % LANES)], float)
-            loop.values(prepared.system.ports[name])[:] = padded.reshape(-1, LANES)
+            loop.put(prepared.system.ports[name], np.array(of_all, float))
         for name, library in self._libraries.items():
-            steps = loop.memory[name][:, LANES * library.internal_step :][:, :LANES]
+            steps = loop.of_reference(name, library.internal_step)
             if (steps != steps[0, 0]).any():
                 raise EnsembleError(
                     f"{name}.internal_step: expected one for all instances; Simulator has many"
@@ -259,20 +279,20 @@ def _checked_values(port: Port, values: Sequence[Any]) -> list[FmiValue]:
     return checked
 
 
-def _signal_lanes(prepared: PreparedRun, name: str, signals: Sequence[Signal]) -> np.ndarray:
+def _signal_lanes(prepared: PreparedRun, name: str, signals: Sequence[Signal], of_group: int) -> np.ndarray:
     """Returns the signal of each instance at each point, shape (groups, points, lanes).
 
     Raises SystemDefinitionError for one that fails or has a value that the input cannot have, EnsembleError
     for a number that is no item.
     """
-    lanes = aligned(-(-len(signals) // LANES), len(prepared.points), LANES)
+    lanes = aligned(-(-len(signals) // of_group), len(prepared.points), of_group)
     for instance, signal in enumerate(signals):
         try:
             values = prepared.values_of_signal(name, signal)
         except SystemDefinitionError as error:
             raise SystemDefinitionError(f"instance {instance}: {error}") from error
         _check_items(prepared.system.ports[name], values)
-        group, lane = divmod(instance, LANES)
+        group, lane = divmod(instance, of_group)
         lanes[group, :, lane : None if instance + 1 == len(signals) else lane + 1] = values[:, None]
     return lanes
 

@@ -10,9 +10,8 @@ import numpy as np
 
 from fmus.errors import ExportError
 from orchestration.errors import EnsembleError
-from orchestration.many.lane_library import LANES, LaneLibrary, aligned, load_compiled
+from orchestration.many.lane_library import LANES, aligned, load_compiled
 from orchestration.system.experiment import Algorithm
-from orchestration.system.experiment_checks import check_fits
 from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.system import ConnectionGroup, LinearTransformation, Port
 
@@ -24,6 +23,7 @@ _LARGEST = np.finfo(float).max
 class EnsembleLoop:
     """The groups of `count` instances, ready to run.
 
+    functions: of `loop_library`
     values: component -> its variables by value reference, which all instances have in common
     varied: driven input -> the signal of each instance at each point, shape (groups, points, lanes)
 
@@ -36,31 +36,48 @@ class EnsembleLoop:
 
     def __init__(
         self,
+        functions: Any,
         prepared: PreparedRun,
-        libraries: Mapping[str, LaneLibrary],
-        instructions: str,
+        libraries: Mapping[str, Any],
         values: Mapping[str, Array],
         varied: Mapping[str, Array],
         count: int,
     ) -> None:
-        self.prepared, self.libraries, self._varied = prepared, libraries, varied
-        self._functions = loop_library(instructions)
-        groups, (points, columns) = -(-count // LANES), prepared.shape
-        self.memory = {name: library.memory(groups, values[name]) for name, library in libraries.items()}
+        self._functions, self.prepared, self.libraries = functions, prepared, libraries
+        self._varied, self._count = varied, count
         order = list(libraries)
         ends = sorted(prepared.system.connections, key=lambda ends: order.index(ends[1].component))
         self.connections = [(source.name, target.name) for source, target in ends]
+        self._allocate(values)
+
+    def _allocate(self, values: Mapping[str, Array]) -> None:
+        groups, (points, columns) = -(-self._count // LANES), self.prepared.shape
+        self.memory = {name: library.memory(groups, values[name]) for name, library in self.libraries.items()}
         self.rows = aligned(groups, columns, points, LANES)
         self.recorded, self.failure = np.full((groups, LANES), points), np.zeros((groups, LANES), np.int64)
         self._groups = [self._group(group) for group in range(groups)]
+
+    @staticmethod
+    def words(prepared: PreparedRun, libraries: Mapping[str, Any], count: int, varied: int) -> int:
+        """Returns how many words of eight bytes so many instances take, with the recording made of them.
+
+        varied: signals that each has of its own
+        """
+        groups, (points, columns) = -(-count // LANES), prepared.shape
+        memory = sum(library.words for library in libraries.values())
+        return groups * (LANES * points * (2 * columns + varied) + memory)
 
     def exchange(self, point: int) -> None:
         """Sets what signals and connections drive at a communication point, and records it."""
         for group, _ in self._groups:
             self._functions.ensemble_exchange(group, point)
 
-    def run_points(self, group: int, first: int, last: int) -> None:
-        """Runs a group from one communication point to another, with the changes of events."""
+    def run_points(self, first: int, last: int) -> None:
+        """Runs all from one communication point to another, with the changes of events."""
+        for group in range(len(self._groups)):
+            self._run_group(group, first, last)
+
+    def _run_group(self, group: int, first: int, last: int) -> None:
         is_end = last + 1 == len(self.prepared.points)
         changes = (p for p in self.prepared.changes if first < p and (p < last or (is_end and p == last)))
         starts = sorted({first, *changes})
@@ -69,7 +86,13 @@ class EnsembleLoop:
             self._functions.ensemble_run(self._groups[group][0], start, end)
 
     def _group(self, group: int) -> tuple[ctypes.Array[ctypes.c_int64], list[Any]]:
-        """Returns the structure `Group` of ensemble.c, and what its addresses refer to.
+        """Returns the structure `Group` of ensemble.c, and what its addresses refer to."""
+        members = self._members(group)
+        values = [m.ctypes.data if isinstance(m, np.ndarray) else m for m in members.values()]
+        return (ctypes.c_int64 * len(values))(*values), list(members.values())
+
+    def _members(self, group: int) -> dict[str, Any]:
+        """Returns the members of the structure `Group` of ensemble.c by their names, in their order.
 
         Counts, then arrays. step, memory: of each component the address of its function and of the group.
         Variables are addresses of their lanes. Connections into component c are first[c]..first[c+1]-1, with
@@ -84,7 +107,7 @@ class EnsembleLoop:
         changes = [prepared.system.transformations.get(target, _UNCHANGED) for _, target in connections]
         limits = np.array([prepared.input_ranges[target] for _, target in connections]).reshape(-1, 2)
         minimum, maximum = np.ascontiguousarray(limits.T).clip(-_LARGEST, _LARGEST)
-        members: dict[str, Any] = {
+        return {
             "n_points": len(prepared.points),
             "n_components": len(components),
             "n_signals": len(experiment.signals),
@@ -92,8 +115,7 @@ class EnsembleLoop:
             "n_columns": len(prepared.recorded),
             "gauss_seidel": int(experiment.algorithm is Algorithm.GAUSS_SEIDEL),
             "points": prepared.points,
-            "step": _integers([library.step for library in self.libraries.values()]),
-            "memory": _integers([self.memory[name][group].ctypes.data for name in components]),
+            **self._components(group),
             "first": _integers([0, *np.cumsum([owners.count(name) for name in components])]),
             "source_component": _integers(sources),
             "source": self._addresses(group, [source for source, _ in connections]),
@@ -104,15 +126,21 @@ class EnsembleLoop:
             "offset": np.array([change.offset or -0.0 for change in changes], float),
             "signal_values": prepared.signal_values,
             "signal": self._addresses(group, list(experiment.signals)),
-            "varied_values": _integers([values[group].ctypes.data for values in self._varied.values()]),
+            "varied_values": self._addresses_of([values[group] for values in self._varied.values()]),
             "varied": self._addresses(group, list(self._varied)),
             "column": self._addresses(group, prepared.recorded),
             "rows": self.rows[group],
             "recorded": self.recorded[group],
             "failure": self.failure[group],
         }
-        values = [m.ctypes.data if isinstance(m, np.ndarray) else m for m in members.values()]
-        return (ctypes.c_int64 * len(values))(*values), list(members.values())
+
+    def _components(self, group: int) -> dict[str, Array]:
+        steps = [library.step for library in self.libraries.values()]
+        memory = self._addresses_of([self.memory[name][group] for name in self.libraries])
+        return {"step": _integers(steps), "memory": memory}
+
+    def _addresses_of(self, arrays: Sequence[Array]) -> Array:
+        return _integers([array.ctypes.data for array in arrays])
 
     def _addresses(self, group: int, names: Sequence[str]) -> Array:
         """Returns the addresses of the lanes of variables."""
@@ -120,9 +148,8 @@ class EnsembleLoop:
         first = {name: memory[group].ctypes.data for name, memory in self.memory.items()}
         return _integers([first[p.component] + 8 * LANES * int(p.variable.valueReference) for p in ports])
 
-    def reason(self, instance: int) -> str:
-        """Returns why an instance ended early."""
-        failure, count = self.failure.ravel()[instance], self.recorded.ravel()[instance]
+    def reason(self, count: int, failure: int) -> str:
+        """Returns why an instance ended early, of its values of `ends`."""
         time = f"t = {self.prepared.points[count - 1]:.9g} s"
         if failure < 0:
             source, target = self.connections[-1 - failure]
@@ -132,8 +159,28 @@ class EnsembleLoop:
 
     def values(self, port: Port) -> Array:
         """Returns a variable of all instances, shape (groups, lanes): a view of the memory."""
-        first = LANES * int(port.variable.valueReference)
-        return self.memory[port.component][:, first : first + LANES]
+        return self.of_reference(port.component, int(port.variable.valueReference))
+
+    def of_reference(self, component: str, reference: int) -> Array:
+        """Returns the variable of a value reference, as `values`."""
+        return self.memory[component][:, LANES * reference : LANES * (reference + 1)]
+
+    def put(self, port: Port, values: Array) -> None:
+        """Sets a variable of all instances; values: shape (instances,)."""
+        lanes = self.values(port)
+        lanes[:] = np.resize(values, lanes.shape)
+
+    def signals(self, count: int) -> Array:
+        """Returns the first values that were recorded, shape (columns, instances, count).
+
+        A signal of a run is contiguous, so that a sum along time rounds as that of the run alone.
+        """
+        of_signals = self.rows[:, :, :count].transpose(1, 0, 3, 2).copy()
+        return of_signals.reshape(len(of_signals), self.failure.size, count)[:, : self._count]
+
+    def ends(self) -> tuple[Array, Array]:
+        """Returns `recorded` and `failure`, shape (instances,)."""
+        return self.recorded.ravel()[: self._count], self.failure.ravel()[: self._count]
 
     def initialise(self, group: ConnectionGroup | None = None) -> None:
         """Computes what follows from parameters and inputs, and exchanges it over connections.
@@ -142,9 +189,7 @@ class EnsembleLoop:
         """
         connections = group.connections if group else ()
         for component in {source.component for source, _ in connections} or self.libraries:
-            for index, memory in enumerate(self.memory[component]):
-                refused = self.libraries[component].initialise(memory, float(self.prepared.points[0]))
-                self._note_refused(index, component, refused)
+            self._initialise(component)
         for source, target in connections:
             value = self.values(source)
             transformation = self.prepared.system.transformations.get(target.name)
@@ -156,13 +201,21 @@ class EnsembleLoop:
             bad = ~((arriving >= low) & (arriving <= high) & np.isfinite(arriving))
             self.failure[bad], self.recorded[bad] = number, 0
 
+    def _initialise(self, component: str) -> None:
+        for index, memory in enumerate(self.memory[component]):
+            refused = self.libraries[component].initialise(memory, float(self.prepared.points[0]))
+            self._note_refused(index, component, refused)
+
     def _change(self, group: int, point: int) -> None:
         """Sets what events change at a communication point."""
         changes = self.prepared.changes.get(point, ())
         for port, value in changes:
             self.values(port)[group] = float(value)
         for component in {port.component for port, _ in changes}:
-            self.libraries[component].parameters_changed(self.memory[component][group])
+            self._parameters_changed(group, component)
+
+    def _parameters_changed(self, group: int, component: str) -> None:
+        self.libraries[component].parameters_changed(self.memory[component][group])
 
     def _note_refused(self, group: int, component: str, refused: int) -> None:
         """Notes that the instances of the refused lanes do not begin."""
@@ -170,23 +223,6 @@ class EnsembleLoop:
             if refused >> lane & 1 and not self.failure[group, lane]:
                 self.failure[group, lane] = 1 + list(self.libraries).index(component)
                 self.recorded[group, lane] = 0
-
-
-def check_memory(
-    prepared: PreparedRun, libraries: Mapping[str, LaneLibrary], count: int, varied: int
-) -> None:
-    """Raises SystemDefinitionError for more than the memory of this machine.
-
-    count: of instances, each with so many varied signals, and its rows beside the recording made of them
-    """
-    groups, (points, columns) = -(-count // LANES), prepared.shape
-    words = LANES * points * (2 * columns + varied) + sum(library.words for library in libraries.values())
-    signals = f" and {varied} signals" if varied else ""
-    check_fits(
-        8 * groups * words,
-        f"{count} instances of {points} communication points of {columns} variables{signals}",
-        "record fewer variables, or run fewer instances at once",
-    )
 
 
 def _integers(values: Sequence[int]) -> Array:

@@ -25,7 +25,7 @@ LANES = 8
 _SOURCE, _HEADERS = "lanes.c", ("lane_functions.h", "lane_sine.h")
 _OF_FMU = ("variables.h", "model.h", "model_lanes.h")
 _MAGIC, _FORMAT, _GUID, _HEAD = b"L1-STATE", 3, 16, 52  # snapshot.h: magic, format, then the GUID
-_FIRST_VALUE = 5  # word of `Data` in instance.h
+FIRST_VALUE = 5  # word of `Data` in instance.h
 _MOST_LIBRARIES = 64
 
 
@@ -73,12 +73,17 @@ class LaneLibrary:
 
     def values(self, state: bytes) -> np.ndarray:
         """Returns the variables of an instance by value reference, from its serialised FMU state."""
-        words = np.frombuffer(state, "<f8", offset=_HEAD, count=(len(state) - _HEAD) // 8)
-        if not state.startswith(_MAGIC + bytes([_FORMAT])) or len(words) < self.variables + self.states:
-            raise EnsembleError("a state of another version of l1-depth: build the FMU again")
-        if state[_GUID:_HEAD] != self._guid:
-            raise EnsembleError("the FMU was built again: expected a new Ensemble of it")
-        return words[_FIRST_VALUE : _FIRST_VALUE + self.variables]
+        return data_words(state, self._guid, self.variables + self.states)[FIRST_VALUE:][: self.variables]
+
+
+def data_words(state: bytes, guid: bytes, least: int) -> np.ndarray:
+    """Returns `Data` of instance.h, of so many words at least, from a serialised FMU state."""
+    words = np.frombuffer(state, "<f8", offset=_HEAD, count=(len(state) - _HEAD) // 8)
+    if not state.startswith(_MAGIC + bytes([_FORMAT])) or len(words) < least:
+        raise EnsembleError("a state of another version of l1-depth: build the FMU again")
+    if state[_GUID:_HEAD] != guid:
+        raise EnsembleError("the FMU was built again: expected a new Ensemble of it")
+    return words
 
 
 def aligned(*shape: int) -> np.ndarray:

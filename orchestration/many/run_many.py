@@ -16,7 +16,8 @@ from typing import Any
 
 from fmus.fmi.description import describe, is_independent
 from fmus.operating_system import usable_processors
-from orchestration.errors import FmuWarning
+from orchestration.errors import EnsembleError, FmuWarning
+from orchestration.many.device import GPU, PROCESSOR, device_of
 from orchestration.many.job import Batches, ClosedError, Done, Finished, Job, Place, Reduce, Run
 from orchestration.many.lane_library import LANES
 from orchestration.many.runners import Isolated, Runner, Simulated, Vectorised, vector_limits
@@ -39,6 +40,7 @@ def run_many(
     vectorise: bool | None = None,
     timeout: float | None = None,
     cluster: str = "",
+    where: str = PROCESSOR,
 ) -> Iterator[Any]:
     """Yields the recording of each experiment, or a `Failure` with the reason, in the order given.
 
@@ -55,27 +57,45 @@ def run_many(
     timeout: longest time [s] of a run
     cluster: address of a Dask scheduler whose workers make the runs, such as tcp://host:8786; `workers`,
     `isolate` and `vectorise` are then its own affair
+    where: "processor", or "gpu" for native FMUs of this exporter on the GPU of this machine, in one process
+    and without a timeout
     Raises what `simulate` raises before a run, for the first experiment; EnsembleError with `vectorise=True`
-    where vectors cannot be used.
+    where vectors cannot be used, and with "gpu" where that cannot make the runs.
     """
     reduce, all_experiments = reduce or recordings_of, list(experiments)
     if not all_experiments:
         return
     job = Job(system, all_experiments[0], timeout)
     runs = [Run(i, experiment, reduce) for i, experiment in enumerate(all_experiments)]
-    with _place(cluster, workers or usable_processors(), isolate, vectorise) as place:
+    if where == GPU:
+        if others := [name for name, value in _without_gpu(isolate, vectorise, timeout, cluster) if value]:
+            raise EnsembleError(f"runs on a GPU: expected no {', '.join(others)}")
+        vectorise = True
+    with _place(cluster, workers or usable_processors(), isolate, vectorise, where) as place:
         for done in in_order(place, job, runs):
             yield done.result
 
 
+def _without_gpu(
+    isolate: bool, vectorise: bool | None, timeout: float | None, cluster: str
+) -> list[tuple[str, bool]]:
+    """Returns the names of settings that a GPU does not have, and whether they are given."""
+    return [
+        ("isolate", isolate),
+        ("vectorise = False", vectorise is False),
+        ("timeout", timeout is not None),
+        ("cluster", bool(cluster)),
+    ]
+
+
 def _place(
-    cluster: str, workers: int, isolate: bool, vectorise: bool | None
+    cluster: str, workers: int, isolate: bool, vectorise: bool | None, where: str
 ) -> AbstractContextManager[Place]:
     if cluster:
         from orchestration.many.cluster import remote  # Dask is slow to import
 
         return remote(cluster)
-    return LocalRuns(workers, isolate, vectorise)
+    return LocalRuns(workers, isolate, vectorise, where=where)
 
 
 def in_order(place: Place, job: Job, runs: Sequence[Run]) -> Generator[Done, None, None]:
@@ -104,6 +124,8 @@ class LocalRuns(AbstractContextManager["LocalRuns"]):
     pays; True raises EnsembleError where they cannot
     note: called with what makes the runs
     expected: runs that will follow, of which it depends whether vectors pay; by default those at hand
+    where: "processor", or "gpu": on the GPU of this machine wherever they can, with `vectorise=True` an
+    EnsembleError where they cannot. They have no timeout there: the native FMUs that it takes come to an end
     """
 
     def __init__(
@@ -113,7 +135,9 @@ class LocalRuns(AbstractContextManager["LocalRuns"]):
         vectorise: bool | None = None,
         note: Callable[[str], object] = lambda text: None,
         expected: int = 0,
+        where: str = PROCESSOR,
     ) -> None:
+        self._device = device_of(where)
         self._workers, self._isolate, self._vectorise = workers, isolate, vectorise
         self._note, self._expected = note, expected
         self._job: Job | None = None  # for which the runners are open
@@ -176,7 +200,8 @@ class LocalRuns(AbstractContextManager["LocalRuns"]):
         is_open = self._job is not None and job.is_like(self._job)
         if is_open and (self._limits or count < LANES):
             return self._in_process or self._isolated
-        limits, reason = vector_limits(job, max(count, self._expected), self._workers, self._vectorise)
+        expected = max(count, self._expected)
+        limits, reason = vector_limits(job, expected, self._workers, self._vectorise, self._device)
         if is_open and not limits:
             return self._in_process or self._isolated
         self._free()
@@ -186,6 +211,11 @@ class LocalRuns(AbstractContextManager["LocalRuns"]):
         self._job, self._limits = job, limits
         job = job.with_packed_fmus().with_unpacked_fmus(Path(folder))
         independent = all(is_independent(describe(path)) for path in job.system.components.values())
+        if self._device and limits:
+            self._note("the GPU")
+            runner = Vectorised(job, bool(self._vectorise), self._device)
+            self._in_process = (self._loaded.enter_context(runner),)
+            return self._in_process
         makers = "ensembles" if limits else "simulators"
         if independent and not (job.timeout or self._isolate):
             self._note(f"{self._workers} threads of {makers}{reason}")

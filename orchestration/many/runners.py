@@ -16,6 +16,7 @@ import cloudpickle
 
 from fmus.fmi.process import Parent, ProcessEndedError, WorkerProcess
 from orchestration.errors import EnsembleError, OrchestrationError, SweepError
+from orchestration.many.device import Device
 from orchestration.many.ensemble import Ensemble, check_ensemble, shape
 from orchestration.many.job import BATCH_S, ENDED, TOO_LONG, ClosedError, Done, Failure, Job, Run
 from orchestration.many.lane_library import LANES
@@ -23,6 +24,7 @@ from orchestration.results.recording import Recording
 from orchestration.run.simulator import Simulator
 
 _BATCH_BYTES = 2**24  # of recorded values, if a group of vectors has less
+_TEMPORARIES = 8  # times the memory of what a device records, for it, its systems, and what metrics compute
 
 
 class Simulated(AbstractContextManager["Simulated"]):
@@ -77,12 +79,13 @@ class Simulated(AbstractContextManager["Simulated"]):
 
 
 def vector_limits(
-    job: Job, count: int, workers: int, vectorise: bool | None = None
+    job: Job, count: int, workers: int, vectorise: bool | None = None, device: Device | None = None
 ) -> tuple[tuple[int, ...], str]:
-    """Decides whether runs step together in vectors, and compiles these.
+    """Decides whether runs step together in vectors, or on a device, and compiles these.
 
     count: of the runs; workers: how many make them side by side
     vectorise: by default where they can and it pays; True raises EnsembleError where they cannot
+    device: on which they step wherever they can
     Returns how many runs a group of vectors has, and a batch at most; or nothing, and the reason.
     """
     if vectorise is False:
@@ -90,8 +93,12 @@ def vector_limits(
     try:
         if job.not_in_vectors:
             raise EnsembleError(job.not_in_vectors)
-        group_bytes = check_ensemble(job.system, job.base, count, bool(vectorise), threads=workers)
-        Ensemble(job.system).close()
+        is_asked_for = bool(vectorise or device)
+        group_bytes = check_ensemble(job.system, job.base, count, is_asked_for, threads=workers)
+        Ensemble(job.system, device=device).close()
+        if device:
+            at_once = min(count, max(1, device.free_bytes() * LANES // (_TEMPORARIES * group_bytes)))
+            return (at_once, at_once), ""
         return (LANES, LANES * max(1, _BATCH_BYTES // group_bytes)), ""
     except EnsembleError as reason:
         if vectorise:
@@ -107,11 +114,12 @@ class Vectorised(AbstractContextManager["Vectorised"]):
     result of its `reduce`, for its reason.
     is_asked_for: whether experiments that an ensemble cannot run raise EnsembleError; otherwise they are
     simulated one after another
+    device: on which they step, in place of this processor
     """
 
-    def __init__(self, job: Job, is_asked_for: bool = False) -> None:
+    def __init__(self, job: Job, is_asked_for: bool = False, device: Device | None = None) -> None:
         self._is_asked_for = is_asked_for
-        self._ensemble, self._alone = Ensemble(job.system), Simulated(job)
+        self._ensemble, self._alone = Ensemble(job.system, device=device), Simulated(job)
 
     def run(self, runs: Sequence[Run]) -> list[Done]:
         """Returns all runs."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.many.ensemble_loop import EnsembleLoop
-from orchestration.results.recording import Recording
+from orchestration.results.recording import Recording, on_host
 from orchestration.run.run_recording import make_recording
 from orchestration.system.system import Port
 from orchestration.system.values import fmi_value, possible_values, value_range
@@ -39,7 +39,7 @@ class EnsembleRecording(Recording):
     def run(self, index: int) -> Recording:
         """Returns that of one instance, until its end."""
         count = self.counts[index]
-        time, values = self.time[:count], self.values[index, :count]
+        time, values = self.time[:count], on_host(self.values[index, :count])
         return Recording(self.names, self.units, time, values, self.provenance, self.strings)
 
 
@@ -93,8 +93,7 @@ class SteppedEnsemble:
         self.point = len(self.points) - 1
 
     def _run_to(self, last: int) -> None:
-        for group in range(len(self._loop.rows)):
-            self._loop.run_points(group, self.point, last)
+        self._loop.run_points(self.point, last)
         self._note_failures()
 
     def reader(self, *names: str) -> Callable[[], Any]:
@@ -133,8 +132,7 @@ class SteppedEnsemble:
                     )
                 _check(port, of_instances)
             for port, of_instances in zip(ports, values, strict=True):
-                lanes = self._loop.values(port)
-                lanes[:] = np.resize(of_instances, lanes.shape)
+                self._loop.put(port, of_instances)
 
         return write
 
@@ -144,16 +142,14 @@ class SteppedEnsemble:
         return self._recording()
 
     def _note_failures(self) -> None:
-        for instance in np.flatnonzero(self._loop.failure.ravel()[: self._count]).tolist():
-            self.failures.setdefault(instance, self._loop.reason(instance))
+        counts, failures = self._loop.ends()
+        for instance in np.flatnonzero(failures).tolist():
+            self.failures.setdefault(instance, self._loop.reason(counts[instance], failures[instance]))
 
     def _recording(self) -> EnsembleRecording:
         points = self.point + 1
-        # a signal of a run is contiguous, so that a sum along time rounds as that of the run alone
-        of_signals = self._loop.rows[:, :, :points].transpose(1, 0, 3, 2).copy()
-        of_lanes = of_signals.reshape(len(of_signals), self._loop.failure.size, points)
-        values = of_lanes[:, : self._count].transpose(1, 2, 0)
-        counts = np.minimum(self._loop.recorded.ravel()[: self._count], points)
+        values = self._loop.signals(points).transpose(1, 2, 0)
+        counts = np.minimum(self._loop.ends()[0], points)
         for instance in self.failures:
             values[instance, counts[instance] :] = np.nan
         common = make_recording(self._prepared, values, points, is_final=True)

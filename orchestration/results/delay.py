@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from orchestration.errors import ScenarioError
-from orchestration.results.recording import Recording, along_time
+from orchestration.results.recording import Recording, along_time, on_host
 
 _PARTS = 60  # of the search: a signal leads if it is nearer at one part of lead than at 0
 _LAG_ERROR_S = 1e-4  # of the search where points are not equally spaced
@@ -37,20 +37,21 @@ def shift_lag(recording: Recording, signal: str, reference: str, largest: float)
             f"largest = {largest:g}: expected less than the {time[-1] - time[0]:g} s of the run"
         )
     if target.ndim > 1 and (target == target[0]).all():
-        target = target[0]  # of all runs
+        target = on_host(target[0])  # of all runs
     step = float(time[-1] - time[0]) / (len(time) - 1)
     gaps = np.diff(time)
     gaps -= step
     if np.abs(gaps, out=gaps).max() <= _EQUAL * step:
         steps = largest / step
-        nearest = step * _nearest_delays(values, target, math.ceil(steps - _NEAR), steps)
+        nearest = step * on_host(_nearest_delays(values, target, math.ceil(steps - _NEAR), steps))
     else:
-        runs = zip(values, np.broadcast_to(target, values.shape), strict=True)
+        values = on_host(values)
+        runs = zip(values, np.broadcast_to(on_host(target), values.shape), strict=True)
         nearest = np.array([_searched_delay(time, *run, largest) for run in runs])
     is_lag = nearest <= largest - 2.0 * _LAG_ERROR_S
     for run in (nearest * _PARTS < largest).nonzero()[0]:
-        of_run = target if target.ndim == 1 else target[run]
-        is_lag[run] &= not _leads(time, values[run], of_run, largest)
+        of_run = target if target.ndim == 1 else on_host(target[run])
+        is_lag[run] &= not _leads(time, on_host(values[run]), of_run, largest)
     return np.where(is_lag, nearest, math.nan).reshape(recording[signal].shape[:-1])
 
 
@@ -64,18 +65,21 @@ def _nearest_delays(signals: np.ndarray, reference: np.ndarray, count: int, larg
         return np.full(len(signals), math.nan)
     points, length = signals.shape[-1], _length(signals.shape[-1])
     sums = _sums_of_reference if reference.size <= _MOST_POINTS else _sums_of_reference.__wrapped__
-    level, spectrum, squares, changes = sums(reference.tobytes(), points, count)
-    padded = np.zeros((len(signals), length))
+    of_reference = sums(on_host(reference).tobytes(), points, count)
+    level, spectrum, squares, changes = (np.asarray(one, like=signals) for one in of_reference)
+    padded = np.zeros_like(signals, shape=(len(signals), length), order="C")
     np.subtract(signals[:, count:], level, out=padded[:, count:points])
     spectra = np.fft.rfft(padded)
     spectra *= spectrum
-    products = np.fft.irfft(spectra, length, out=padded)[:, : count + 1]
+    out: dict[str, Any] = {"out": padded} if isinstance(padded, np.ndarray) else {}  # CuPy's has none
+    products = np.fft.irfft(spectra, length, **out)[:, : count + 1]
     distances = squares - 2.0 * products
-    ends = np.minimum(largest - np.arange(count), 1.0)
+    ends = np.asarray(np.minimum(largest - np.arange(count), 1.0), like=signals)
     slopes = distances[:, 1:] - distances[:, :-1] - changes
     parts = (-0.5 * slopes / np.where(changes > 0.0, changes, 1.0)).clip(0.0, ends)
     best = np.argmin(distances[:, :-1] + parts * (slopes + parts * changes), axis=-1)
-    return np.where(changes.any(axis=-1), best + parts[np.arange(len(parts)), best], math.nan)
+    part = np.take_along_axis(parts, best[:, None], axis=-1)[:, 0]
+    return np.where(changes.any(axis=-1), best + part, math.nan)
 
 
 def _length(points: int) -> int:

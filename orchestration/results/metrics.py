@@ -47,8 +47,8 @@ def settling_time(
     Not a number if the signal is outside the band at the end of the window.
     """
     inside = _window(recording, window)
-    time = recording.time[inside]
     outside = ~(np.abs(recording[signal][..., inside] - target) <= band)  # as is what is not a number
+    time = np.asarray(recording.time[inside], like=outside)
     last = len(time) - 1 - np.argmax(outside[..., ::-1], axis=-1)
     return np.where(outside[..., -1], math.nan, np.where(outside.any(axis=-1), time[last], time[0]))
 
@@ -101,7 +101,8 @@ def mean(recording: Recording, signal: str, window: list[float] | None = None) -
 def effort(recording: Recording, signal: str, window: list[float] | None = None) -> Any:
     """Returns the integral of |signal| dt, by the trapezoidal rule."""
     inside = _window(recording, window)
-    return np.trapezoid(np.abs(recording[signal][..., inside]), recording.time[inside])
+    values = recording[signal][..., inside]
+    return np.trapezoid(np.abs(values), np.asarray(recording.time[inside], like=values))
 
 
 @along_time
@@ -147,7 +148,8 @@ def _error(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns (time, signal - reference) of the window."""
     inside = _window(recording, window)
-    return recording.time[inside], (recording[signal] - recording[reference])[..., inside]
+    error = (recording[signal] - recording[reference])[..., inside]
+    return np.asarray(recording.time[inside], like=error), error
 
 
 @run_by_run
@@ -190,7 +192,8 @@ def total_variation(
         count = round((time[-1] - time[0]) / every)
         sampling_times = time[0] + every * np.arange(count + 1)
         indices = np.searchsorted(time, sampling_times - 1e-6 * every).clip(max=len(time) - 1)
-        values = np.take(values, indices, axis=-1)  # in C order, unlike values[..., indices]
+        # in C order, unlike values[..., indices]
+        values = np.take(values, np.asarray(indices, like=values), axis=-1)
     return np.abs(np.diff(values)).sum(axis=-1)
 
 

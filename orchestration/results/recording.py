@@ -28,7 +28,8 @@ class Recording(files.Columns):
     """A recording: signals over time, of one run or of many runs with the same communication points.
 
     names: "component.variable"; units: same order, "" where the FMU gives none
-    time: shape (n,) [s]; values: shape (n, len(names)), of many runs (runs, n, len(names))
+    time: shape (n,) [s]; values: shape (n, len(names)), of many runs (runs, n, len(names)), which may be an
+    array of a GPU; those of one run never are
     provenance: FMUs, algorithm and settings of the run, as plain data
     strings: String -> the strings that it can have; its column of `values` holds their indices
     """
@@ -56,7 +57,7 @@ class Recording(files.Columns):
 
     def run(self, index: int) -> "Recording":
         """Returns the recording of one of many runs."""
-        return replace(self, values=self.values[index])
+        return replace(self, values=on_host(self.values[index]))
 
     def __repr__(self) -> str:
         return _as_text(self.units, self.time, {name: self[name] for name in self.names})
@@ -127,15 +128,23 @@ class Recording(files.Columns):
         return Recording(**vars(files.read(Path(path))))
 
 
+def on_host(values: Any) -> np.ndarray:
+    """Returns an array of NumPy: the same one, or a copy of one of a GPU."""
+    return values.get() if hasattr(values, "get") else values
+
+
 def along_time(
     function: Callable[Concatenate[Recording, P], Any],
 ) -> Callable[Concatenate[Recording, P], Any]:
-    """Decorates a metric that computes along the last axis of signals: a float, or shape (runs,)."""
+    """Decorates a metric that computes along the last axis of signals: a float, or shape (runs,).
+
+    It computes where the signals are, on a GPU too: with functions of NumPy, but none of its arrays.
+    """
 
     @wraps(function)
     def metric(recording: Recording, /, *arguments: P.args, **named: P.kwargs) -> Any:
         value = function(recording, *arguments, **named)
-        return float(value) if recording.run_count is None else value
+        return float(value) if recording.run_count is None else on_host(value)
 
     return metric
 

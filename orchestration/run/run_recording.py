@@ -33,7 +33,7 @@ def make_recording(
     if not (is_final and count == rows.shape[-2]):
         values, time = values.copy(), time.copy()
     is_string = np.array([ports[name].variable.type == "String" for name in prepared.recorded], bool)
-    if not strings:
+    if not strings and is_string.any():
         values[..., is_string] = 0.0
     return Recording(
         names=prepared.recorded,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from orchestration.errors import EnsembleError, OrchestrationError
+from orchestration.many.device import Device
 from orchestration.many.ensemble import Ensemble, check_ensemble
 from orchestration.many.stepped_ensemble import SteppedEnsemble
 from orchestration.results.recording import Recording
@@ -145,16 +146,20 @@ class SimulatedRuns:
 class EnsembleRuns:
     """Runs as instances of an ensemble: all are at the same point, and end together.
 
+    device: on which they step, and on which values are then arrays
     Raises EnsembleError for a task that is for simulators.
     """
 
-    def __init__(self, plan: EpisodePlan, count: int, is_asked_for: bool) -> None:
+    def __init__(
+        self, plan: EpisodePlan, count: int, is_asked_for: bool, device: Device | None = None
+    ) -> None:
         self._count, task = count, plan.task
+        self._arrays = device.arrays if device else np
         for name in (*task.seeds, *task.vary):
             if name.endswith(".internal_step"):
                 raise EnsembleError(f"{name}: expected one for all environments that step together")
         check_ensemble(task.system, plan.experiment, count, is_asked_for, task.actions)
-        self._episode = Episode(plan, Ensemble(task.system))
+        self._episode = Episode(plan, Ensemble(task.system, device=device))
 
     def reset(self, randoms: Sequence[np.random.Generator], which: Array) -> None:
         """Begins another episode in all."""
@@ -170,9 +175,10 @@ class EnsembleRuns:
 
     def look(self) -> Look:
         """Returns what there is to see at the present point."""
-        values, *others = self._episode.look()
-        time, is_done, is_terminated = (np.full(self._count, value) for value in others)
-        return np.array([np.broadcast_to(v, self._count) for v in values]), time, is_done, is_terminated
+        values, time, *others = self._episode.look()
+        is_done, is_terminated = (np.full(self._count, value) for value in others)
+        on_device = [np.broadcast_to(self._arrays.asarray(v), self._count) for v in values]
+        return np.stack(on_device), self._arrays.full(self._count, time), is_done, is_terminated
 
     def recordings(self) -> list[Recording]:
         """Returns the recordings of the present episodes."""
@@ -184,11 +190,16 @@ class EnsembleRuns:
         self._episode.engine.close()
 
 
-def task_runs(plan: EpisodePlan, count: int, ensemble: bool | None) -> SimulatedRuns | EnsembleRuns:
+def task_runs(
+    plan: EpisodePlan, count: int, ensemble: bool | None, device: Device | None = None
+) -> SimulatedRuns | EnsembleRuns:
     """Returns so many runs: instances of an ensemble where they can be and that pays, else simulators.
 
     ensemble: True also where it does not pay, EnsembleError where it cannot be; False never
+    device: on which the instances step, EnsembleError where they cannot
     """
+    if device:
+        return EnsembleRuns(plan, count, True, device)
     if ensemble is not False:
         try:
             return EnsembleRuns(plan, count, bool(ensemble))

@@ -129,11 +129,11 @@ def check_memory(system: CheckedSystem, experiment: Experiment) -> None:
     )
 
 
-def check_fits(size: int, what: str, advice: str) -> None:
-    """Raises SystemDefinitionError for more bytes than the memory of this machine has."""
-    memory = memory_size()
+def check_fits(size: int, what: str, advice: str, of_device: int | None = None) -> None:
+    """Raises SystemDefinitionError for more bytes than the memory of this machine has, or of a device."""
+    memory, owner = (memory_size(), "this machine") if of_device is None else (of_device, "the device")
     if memory and size > memory:
         raise SystemDefinitionError(
-            f"{what} take {size / 1e9:.3g} GB: expected at most the {memory / 1e9:.3g} GB of this machine; "
+            f"{what} take {size / 1e9:.3g} GB: expected at most the {memory / 1e9:.3g} GB of {owner}; "
             f"{advice}"
         )

@@ -10,12 +10,14 @@ import pytest
 
 from orchestration.errors import EnsembleError
 from orchestration.gym import FmuVectorEnv, Task, task_of
-from orchestration.many import ensemble
+from orchestration.many import device, ensemble
 from orchestration.many.ensemble import check_ensemble
+from orchestration.results.recording import on_host
 from orchestration.scenarios import scenario, task_runs
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.signals import Ramps
 from orchestration.system.system import System
+from tests.orchestration.many.host_device import HostDevice
 from tests.shared_builds import Build
 
 VOLTAGES = ("plant.voltage[1]", "plant.voltage[2]")
@@ -34,17 +36,19 @@ def task(scenario_fmus: None) -> Task:
     return replace(task, experiment=short, seeds=["plant.sensor_seed"], vary=vary, steps=3)
 
 
-def episodes(task: Task, count: int, ensemble: bool) -> list[Any]:
+def episodes(task: Task, count: int, ensemble: bool, where: str = "processor") -> list[Any]:
     """What environments return under actions that are the same each time, over more than two episodes."""
     actions = np.random.default_rng(1).uniform(-1.2, 1.2, (80, count, len(task.actions)))
-    with closing(FmuVectorEnv(task, count, ensemble)) as envs:
+    if where == "gpu":
+        actions = [HostDevice.arrays.asarray(action) for action in actions]
+    with closing(FmuVectorEnv(task, count, ensemble, where)) as envs:
         returned: list[Any] = [*envs.reset(seed=7)[:1]]
         for action in actions:
             observations, rewards, terminated, truncated, info = envs.step(action)
             returned += [observations, rewards, terminated, truncated, info["time"]]
         returned += [recording.values for recording in envs.recordings()]
         returned.append(envs.reset()[0])
-    return returned
+    return [on_host(array) for array in returned]
 
 
 def with_events(task: Task) -> Task:
@@ -95,14 +99,14 @@ def of_connected_inputs(task: Task) -> Task:
     ],
 )
 def test_they_have_the_bits_of_environments_with_a_simulator_each(
-    task: Task, changed: Callable[[Task], Task]
+    task: Task, changed: Callable[[Task], Task], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Ten: a group and a part of one."""
+    """Ten: a group and a part of one. So do those on a device, by the program of a GPU."""
+    monkeypatch.setattr(device, "gpu", HostDevice)
     chosen = changed(task)
     alone, together = (episodes(chosen, 10, ensemble) for ensemble in (False, True))
-    assert [array.tobytes() for array in together] == [
-        np.ascontiguousarray(array).tobytes() for array in alone
-    ]
+    for others in (alone, episodes(chosen, 10, True, "gpu")):
+        assert [array.tobytes() for array in together] == [np.asarray(a).tobytes() for a in others]
     assert sum(array.any() for array in together[4::5]) >= 2  # truncated
 
 

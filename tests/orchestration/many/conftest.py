@@ -4,6 +4,8 @@ from pathlib import Path
 import pytest
 
 from orchestration import Ensemble, System
+from orchestration.many.device import Device
+from tests.orchestration.many.host_device import HostDevice
 from tests.orchestration.many.instances import CONNECTIONS
 from tests.shared_builds import built_once, session_folder
 
@@ -16,3 +18,9 @@ def system(built: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) 
         session_folder(tmp_path_factory, "ensemble") / "vehicle", lambda path: Ensemble(vehicle).close()
     )
     return vehicle
+
+
+@pytest.fixture(params=[None, HostDevice()], ids=["processor", "device"])
+def device(request: pytest.FixtureRequest) -> Device | None:
+    """Where an ensemble runs: in vectors, or by the program of a GPU."""
+    return request.param

@@ -24,6 +24,7 @@ from fmus.store import record_build
 from orchestration import Ensemble, Event, Experiment, Fault, Offset, Ramps, Simulator, System
 from orchestration.errors import EnsembleError, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.many import ensemble_loop
+from orchestration.many.device import Device
 from orchestration.many.ensemble import check_ensemble
 from orchestration.many.lane_library import LANES, lane_library
 from orchestration.many.run_many import run_many
@@ -61,10 +62,10 @@ def varied(count: int) -> dict[str, list[Any]]:
     }
 
 
-def test_37_instances_have_the_bits_of_37_runs(system: System) -> None:
+def test_37_instances_have_the_bits_of_37_runs(system: System, device: Device | None) -> None:
     """37: four groups and a part of one."""
     experiments = instances(DIVE, varied(37))
-    with Ensemble(system) as ensemble, Simulator(system) as simulator:
+    with Ensemble(system, device=device) as ensemble, Simulator(system) as simulator:
         assert_same_bits(ensemble.run(experiments), simulator, experiments)
 
 
@@ -80,9 +81,9 @@ def test_37_instances_have_the_bits_of_37_runs(system: System) -> None:
         {"start_time": 1.0, "record": ("plant.inertia", "controller.depth_reference", "plant.sensor_ideal")},
     ],
 )
-def test_other_experiments_too(system: System, more: dict[str, Any]) -> None:
+def test_other_experiments_too(system: System, more: dict[str, Any], device: Device | None) -> None:
     experiments = instances(replace(DIVE, **more), varied(3))
-    with Ensemble(system) as ensemble, Simulator(system) as simulator:
+    with Ensemble(system, device=device) as ensemble, Simulator(system) as simulator:
         assert_same_bits(ensemble.run(experiments), simulator, experiments)
 
 
@@ -131,9 +132,9 @@ def test_without_a_compiler_the_ensemble_is_refused(system: System, monkeypatch:
         Ensemble(system)
 
 
-def failed(system: System, experiments: Sequence[Experiment]) -> EnsembleRecording:
+def failed(system: System, device: Device | None, experiments: Sequence[Experiment]) -> EnsembleRecording:
     """An ensemble of which only the instance of index 1 fails, and the others have the bits of their runs."""
-    with Ensemble(system) as ensemble, Simulator(system) as simulator:
+    with Ensemble(system, device=device) as ensemble, Simulator(system) as simulator:
         recorded = ensemble.run(experiments)
         assert list(recorded.failures) == [1]
         for instance in (0, 2):
@@ -142,9 +143,11 @@ def failed(system: System, experiments: Sequence[Experiment]) -> EnsembleRecordi
     return recorded
 
 
-def test_an_instance_that_cannot_begin_is_named_and_disturbs_no_other(system: System) -> None:
+def test_an_instance_that_cannot_begin_is_named_and_disturbs_no_other(
+    system: System, device: Device | None
+) -> None:
     weights = {"plant.net_weight": [-1.0, 30.0, -1.2], "plant.weight": [29.0, 29.0, 29.43]}
-    recorded = failed(system, instances(DIVE, weights))
+    recorded = failed(system, device, instances(DIVE, weights))
     assert "net_weight" in recorded.failures[1]
     assert np.isnan(recorded["plant.depth"][1]).all()
     assert len(recorded.run(1).time) == 0
@@ -192,10 +195,12 @@ def growing(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_an_instance_whose_output_becomes_infinite_fails_though_its_state_is_finite(growing: Path) -> None:
+def test_an_instance_whose_output_becomes_infinite_fails_though_its_state_is_finite(
+    growing: Path, device: Device | None
+) -> None:
     """exp(300 n) from n = 3 on."""
     experiment = Experiment(0.5, 0.1, open_inputs="start")
-    recorded = failed(System({"one": growing}), instances(experiment, {"one.a": [1.0, 300.0, -0.5]}))
+    recorded = failed(System({"one": growing}), device, instances(experiment, {"one.a": [1.0, 300.0, -0.5]}))
     assert recorded.counts.tolist() == [6, 3, 6]
 
 
@@ -222,23 +227,27 @@ def test_an_fmu_that_was_built_without_equations_for_vectors_runs_in_simulators(
         list(run_many(system, experiments, vectorise=True))
 
 
-def test_the_range_of_an_input_is_that_of_values_it_is_given_not_of_the_last_point(growing: Path) -> None:
+def test_the_range_of_an_input_is_that_of_values_it_is_given_not_of_the_last_point(
+    growing: Path, device: Device | None
+) -> None:
     """5.5 at 0.5 s, where nothing is set any more; and where it is, it ends the instance."""
     system = System({"one": growing, "two": growing}, [("one.y", "two.u")])
     beyond = {"one.a": [math.log(5.5) / 5.0, 0.1]}
     experiment = Experiment(0.5, 0.1, open_inputs="start")
     experiments = instances(experiment, beyond)
-    with Ensemble(system) as ensemble, Simulator(system) as simulator:
+    with Ensemble(system, device=device) as ensemble, Simulator(system) as simulator:
         assert_same_bits(ensemble.run(experiments), simulator, experiments)
         longer = ensemble.run([replace(one, stop_time=0.6) for one in experiments])
     assert [*longer.failures] == [0]
     assert longer.counts.tolist() == [6, 7]
 
 
-def test_an_initial_value_beyond_all_numbers_ends_one_instance_without_a_warning(system: System) -> None:
+def test_an_initial_value_beyond_all_numbers_ends_one_instance_without_a_warning(
+    system: System, device: Device | None
+) -> None:
     scaled = System(system.components, [(*CONNECTIONS[0], {"factor": 1e308})])
     vary = {"plant.initial_depth": [0.0, 20.0], "plant.sensor_noise": [0.0, 0.0]}
-    with Ensemble(scaled) as ensemble, warnings.catch_warnings():
+    with Ensemble(scaled, device=device) as ensemble, warnings.catch_warnings():
         warnings.simplefilter("error")
         recorded = ensemble.run(instances(replace(DIVE, stop_time=0.02), vary))
     assert "measured_depth" in recorded.failures[1]
@@ -287,20 +296,22 @@ def until_failure(system: System, experiment: Experiment) -> Recording:
 
 
 def test_an_instance_whose_parameters_become_contradictory_ends_where_its_own_run_ends(
-    system: System,
+    system: System, device: Device | None
 ) -> None:
     experiment = replace(DIVE, events=(Event(2.0, WITHOUT_BUOYANCY),))
     experiments = instances(experiment, WEIGHTS)
-    recorded = failed(system, experiments)
+    recorded = failed(system, device, experiments)
     alone = until_failure(system, experiments[1])
     assert recorded.run(1).values.tobytes() == alone.values.tobytes()
 
 
-def test_an_instance_that_cannot_go_on_ends_where_its_own_run_ends(system: System) -> None:
+def test_an_instance_that_cannot_go_on_ends_where_its_own_run_ends(
+    system: System, device: Device | None
+) -> None:
     """A voltage beyond its input's range."""
     far = replace(DIVE, parameters={**DIVE.parameters, "plant.sensor_noise": 0.0})
     experiments = instances(far, {"plant.initial_depth": [0.0, 1e300, 0.1]})
-    recorded = failed(system, experiments)
+    recorded = failed(system, device, experiments)
     alone = until_failure(system, experiments[1])
     assert recorded.run(1).values.tobytes() == alone.values.tobytes()
     assert np.isnan(recorded["plant.depth"][1, len(recorded.run(1).time) :]).all()
@@ -317,8 +328,13 @@ def test_an_instance_that_cannot_go_on_ends_where_its_own_run_ends(system: Syste
         ({"error_estimate": True, "stop_time": 4.0}, "error_estimate"),
     ],
 )
-def test_what_only_a_simulator_has_is_refused(system: System, more: dict[str, Any], name: str) -> None:
-    with Ensemble(system) as ensemble, pytest.raises(EnsembleError, match=f"{name}: .*Simulator"):
+def test_what_only_a_simulator_has_is_refused(
+    system: System, more: dict[str, Any], name: str, device: Device | None
+) -> None:
+    with (
+        Ensemble(system, device=device) as ensemble,
+        pytest.raises(EnsembleError, match=f"{name}: .*Simulator"),
+    ):
         ensemble.run(instances(replace(DIVE, **more), varied(2)))
 
 
@@ -332,8 +348,10 @@ def test_what_only_a_simulator_has_is_refused(system: System, more: dict[str, An
         ({"plant.internal_step": [0.02, 0.01]}, "plant.internal_step: expected one for all"),
     ],
 )
-def test_what_cannot_differ_is_refused(system: System, vary: dict[str, Any], problem: str) -> None:
-    with Ensemble(system) as ensemble:
+def test_what_cannot_differ_is_refused(
+    system: System, vary: dict[str, Any], problem: str, device: Device | None
+) -> None:
+    with Ensemble(system, device=device) as ensemble:
         with pytest.raises(SystemDefinitionError, match=re.escape(problem)):
             ensemble.run(instances(DIVE, vary))
         assert not ensemble.run([DIVE, DIVE]).failures

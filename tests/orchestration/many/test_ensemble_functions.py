@@ -25,11 +25,20 @@ from fmus.registry import block_names
 from fmus.store import record_build
 from orchestration import Ensemble, Event, Experiment, Simulator, System
 from orchestration.errors import EnsembleError, OrchestrationError, SimulationError
+from orchestration.many.device import Device
 from orchestration.many.lane_library import LANES
+from tests.orchestration.many.host_device import HostDevice
 from tests.orchestration.many.instances import assert_same_bits, instances
 from tests.shared_builds import with_libraries
 
 pytestmark = pytest.mark.slow
+
+
+Engine = tuple[str, Device | None]
+ENGINES: list[Engine] = [
+    *((name, None) for name in instruction_sets()),
+    (instruction_sets()[0], HostDevice()),
+]
 
 
 class Gear(IntEnum):
@@ -179,20 +188,22 @@ def system(tmp_path_factory: pytest.TempPathFactory) -> System:
     return build(tmp_path_factory.mktemp("functions") / "Functions.fmu")
 
 
-@pytest.mark.parametrize("instructions", instruction_sets())
-def test_functions_choices_and_types_have_the_bits_of_single_runs(system: System, instructions: str) -> None:
+@pytest.mark.parametrize("engine", ENGINES)
+def test_functions_choices_and_types_have_the_bits_of_single_runs(system: System, engine: Engine) -> None:
     numbers = (0.0, -0.0, 1.0, -2.5, 1e-310, 200.0)
     cases = list(itertools.product(numbers, (True, False), (Gear.LOW, Gear.HIGH), (0.5, -3.0)))
     names = ("block.a", "block.is_on", "block.gear", "block.u")
     experiment = Experiment(20.0, 0.1, open_inputs="start")
-    with Ensemble(system, instructions) as ensemble, Simulator(system) as simulator:
+    with Ensemble(system, *engine) as ensemble, Simulator(system) as simulator:
         vary: dict[str, Any] = dict(zip(names, zip(*cases, strict=True), strict=True))
         experiments = instances(experiment, vary, inputs=["block.u"])
         assert_same_bits(ensemble.run(experiments), simulator, experiments)
 
 
 @pytest.mark.parametrize("name", block_names())
-def test_every_shipped_block_has_the_bits_of_single_runs(name: str, built: Mapping[str, Path]) -> None:
+def test_every_shipped_block_has_the_bits_of_single_runs(
+    name: str, built: Mapping[str, Path], device: Device | None
+) -> None:
     """At random parameters and inputs, and up to where a run ends early."""
     block, rng = load_block(name), random.Random(1)
     names = [f"block.{v.name}" for v in (*block.of_causality("parameter"), *block.of_causality("input"))]
@@ -206,7 +217,8 @@ def test_every_shipped_block_has_the_bits_of_single_runs(name: str, built: Mappi
     vary = dict(zip(names, zip(*rows, strict=True), strict=True))
     experiment = Experiment(50 * block.step_size, block.step_size, open_inputs="start")
     experiments = instances(experiment, vary, names[len(flatten(block.parameters())) :])
-    with Ensemble(System({"block": built[name]})) as ensemble, Simulator(ensemble.system) as simulator:
+    system = System({"block": built[name]})
+    with Ensemble(system, device=device) as ensemble, Simulator(system) as simulator:
         recorded = ensemble.run(experiments)
         assert len(recorded.failures) < LANES
         for instance, experiment in enumerate(experiments):

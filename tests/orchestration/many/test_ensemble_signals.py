@@ -11,6 +11,8 @@ import pytest
 
 from orchestration import Constant, Cosine, Ensemble, Event, Experiment, Ramps, Simulator, System, Table
 from orchestration.errors import SystemDefinitionError
+from orchestration.many.device import Device
+from orchestration.results.recording import on_host
 from orchestration.system.signals import Signal
 from tests.orchestration.many.instances import CURRENT, REFERENCE, assert_same_bits, instances
 
@@ -45,20 +47,22 @@ VARY: dict[str, Any] = {"plant.inertia": INERTIAS, REFERENCE: SIGNALS, CURRENT: 
         {"record": (CURRENT, "controller.tracking_error", REFERENCE, "plant.roll")},
     ],
 )
-def test_each_instance_has_the_bits_of_the_run_with_its_signals(system: System, more: dict[str, Any]) -> None:
+def test_each_instance_has_the_bits_of_the_run_with_its_signals(
+    system: System, more: dict[str, Any], device: Device | None
+) -> None:
     experiments = instances(replace(DIVE, **more), VARY)
-    with Ensemble(system) as ensemble, Simulator(system) as simulator:
+    with Ensemble(system, device=device) as ensemble, Simulator(system) as simulator:
         assert_same_bits(ensemble.run(experiments), simulator, experiments)
         alone = [replace(DIVE, **more)]  # the signals are those of the experiment again
         assert_same_bits(ensemble.run(alone), simulator, alone)
 
 
-def test_instances_led_step_by_step_have_their_signals(system: System) -> None:
+def test_instances_led_step_by_step_have_their_signals(system: System, device: Device | None) -> None:
     """What is read has the value of the present point, also that of a connection."""
     names = [REFERENCE, "plant.voltage[1]", "plant.roll", "plant.depth"]
     vary = {name: values for name, values in VARY.items() if name != CURRENT}
     without = replace(DIVE, signals={REFERENCE: Constant(0.0), "plant.roll": Cosine(0.1, 3.0)})
-    with Ensemble(system) as ensemble:
+    with Ensemble(system, device=device) as ensemble:
         run = ensemble.start(instances(without, vary), [CURRENT])
         read = run.reader(*names)
         values = [read()]
@@ -70,8 +74,11 @@ def test_instances_led_step_by_step_have_their_signals(system: System) -> None:
         own = replace(instances(without, vary)[instance], inputs={CURRENT: 0.0}, record=names)
         with Simulator(system) as simulator:
             one = simulator.run(own)
-        assert np.array(values)[:, :, instance].tobytes() == one.values.tobytes()
-        assert recorded[REFERENCE][instance].tobytes() == one[REFERENCE].tobytes()
+        assert (
+            np.array([[on_host(v) for v in row] for row in values])[:, :, instance].tobytes()
+            == one.values.tobytes()
+        )
+        assert on_host(recorded[REFERENCE][instance]).tobytes() == one[REFERENCE].tobytes()
 
 
 @pytest.mark.parametrize(
@@ -87,9 +94,9 @@ def test_instances_led_step_by_step_have_their_signals(system: System) -> None:
     ],
 )
 def test_what_is_no_signal_of_an_instance_is_refused(
-    system: System, vary: dict[str, Any], problem: str
+    system: System, vary: dict[str, Any], problem: str, device: Device | None
 ) -> None:
-    with Ensemble(system) as ensemble:
+    with Ensemble(system, device=device) as ensemble:
         with pytest.raises(SystemDefinitionError, match=re.escape(problem)):
             ensemble.run(instances(DIVE, vary))
         assert not ensemble.run(instances(DIVE, {REFERENCE: KINDS})).failures

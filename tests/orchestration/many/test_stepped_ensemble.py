@@ -7,6 +7,7 @@ import pytest
 
 from orchestration import Ensemble, Event, Experiment, Ramps, Simulator, System
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
+from orchestration.many.device import Device
 from tests.orchestration.many.instances import CURRENT, REFERENCE, instances
 
 EFFICIENCY = "plant.thruster_efficiency[1]"
@@ -30,10 +31,12 @@ INERTIAS = [5.0, 5.5, 7.0]
 
 
 @pytest.mark.parametrize("inputs", [{}, {CURRENT: 0.1}])
-def test_every_step_has_the_bits_of_a_simulator(system: System, inputs: dict[str, float]) -> None:
+def test_every_step_has_the_bits_of_a_simulator(
+    system: System, inputs: dict[str, float], device: Device | None
+) -> None:
     """Three instances, another inertia of each and another current at each step."""
     experiment, currents = replace(DIVE, inputs=inputs), np.random.default_rng(2).normal(0.0, 0.1, (60, 3))
-    with Ensemble(system) as ensemble:
+    with Ensemble(system, device=device) as ensemble:
         run = ensemble.start(instances(experiment, {INERTIA: INERTIAS}), [CURRENT])
         read_all, write = run.reader(*READ), run.writer(CURRENT)
         read, half, points = [read_all()], [], [run.time]
@@ -64,8 +67,8 @@ def test_every_step_has_the_bits_of_a_simulator(system: System, inputs: dict[str
             assert of_ensemble.time.tolist() == one.time.tolist() == points
 
 
-def test_what_is_set_has_the_range_of_the_input(system: System) -> None:
-    with Ensemble(system) as ensemble:
+def test_what_is_set_has_the_range_of_the_input(system: System, device: Device | None) -> None:
+    with Ensemble(system, device=device) as ensemble:
         run = ensemble.start([DIVE] * 9, [EFFICIENCY])
         read, write = run.reader(EFFICIENCY), run.writer(EFFICIENCY)
         for wrong in (np.nan, 1.5):
