@@ -84,17 +84,26 @@ def score(
         typer.Option(metavar="S", help="End a run that takes longer; by default that of the protocol."),
     ] = None,
     workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
+    gpu: shared.GpuOption = False,
 ) -> None:
     """Score a controller on the simulated vehicle: terminal tables, score.json and an interactive page."""
     from orchestration.score import score as scoring
 
+    where = shared.place_of_runs(gpu)
     protocol = chosen_protocol(changes, protocol_file)
     chosen = scored_controllers(controllers, no_rates, changes)
     shared.check_writable(out)
     total = scoring.run_count(len(chosen), protocol, full)
     with shared.progress("score", total) as bar:
         result = scoring.score_controllers(
-            chosen, protocol, full=full, seed=seed, timeout=timeout, workers=workers, progress=bar.advance
+            chosen,
+            protocol,
+            full=full,
+            seed=seed,
+            timeout=timeout,
+            workers=workers,
+            where=where,
+            progress=bar.advance,
         )
     print_score(result.document)
     scored, file = result.document.scored, out / "score.json"
@@ -123,6 +132,7 @@ def compare(
     cases: CasesOption = "",
     seeds: SeedsOption = _SEEDS,
     evaluations: EvaluationsOption = 40,
+    gpu: shared.GpuOption = False,
 ) -> None:
     """Score all controllers of the protocol, each with the gains that it comes with, and tuned.
 
@@ -130,6 +140,7 @@ def compare(
     """
     from orchestration.score import score as scoring
 
+    where = shared.place_of_runs(gpu)
     protocol = chosen_protocol(changes, protocol_file)
     scored_controllers([], False, changes)
     shared.check_writable(out)
@@ -139,11 +150,11 @@ def compare(
 
         shared.refuse_without_effect("--fronts", {"--full": full, "--seed": seed is not None})
         protocol = with_cost(protocol, cost_of_options(bounds, cases))
-        return write_fronts(protocol, listed(laws), seeds, evaluations, workers, out)
+        return write_fronts(protocol, listed(laws), (seeds, evaluations), (workers, where), out)
     others = {"--laws": laws, "--bound": bounds, "--cases": cases, "--seeds": seeds != _SEEDS}
     shared.refuse_without_effect("compare without --fronts", others)
     with shared.progress("compare", scoring.run_count(len(protocol.controllers), protocol, full)) as bar:
-        result = scoring.compare(protocol, full, seed, workers, bar.advance)
+        result = scoring.compare(protocol, full, seed, workers, where, bar.advance)
     document = result.document
     shown = scoring.shown_tables(document).items()
     print_tables(
@@ -248,23 +259,25 @@ def scored_controllers(names: Sequence[str], no_rates: bool, changes: Changes) -
 
 
 def write_fronts(
-    protocol: "Protocol", names: Sequence[str], seeds: int, evaluations: int, workers: int, out: Path
+    protocol: "Protocol", names: Sequence[str], effort: tuple[int, int], runs: tuple[int, str], out: Path
 ) -> None:
     """Searches the fronts of laws and writes fronts.json and fronts.svg.
 
+    effort: seeds, and evaluations for each gain; runs: how many are made at once, and where
     Their journals are removed at the end; until then the same command continues.
     """
     from orchestration.results.figures import front_figure
     from orchestration.score.closed_loop import built_in
     from orchestration.score.fronts import LARGEST_ERROR, LARGEST_SPREAD, LEVELS, front_of_law
 
+    (seeds, evaluations), (workers, where) = effort, runs
     names = [built_in(protocol, name).name for name in names or protocol.controllers]
     journals = {name: out / f"{name}.front.jsonl" for name in names}
     total = LEVELS * seeds * evaluations * sum(len(protocol.controllers[name].gains) for name in names)
     with shared.progress("fronts", total, kept="evaluations") as bar:
         how = range(1, seeds + 1), evaluations, workers
         laws = [
-            front_of_law(protocol, name, *how, path, lambda done, _: bar.advance(done))
+            front_of_law(protocol, name, *how, path, lambda done, _: bar.advance(done), where)
             for name, path in journals.items()
         ]
     document = {

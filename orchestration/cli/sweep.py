@@ -50,6 +50,10 @@ def sweep(
             metavar="ADDRESS", help="Run on the Dask cluster at this address instead, tcp://HOST:PORT."
         ),
     ] = "",
+    gpu: Annotated[
+        bool,
+        typer.Option("--gpu", help="Run all samples on this machine's NVIDIA GPU (extra gpu)."),
+    ] = False,
     recordings: Annotated[
         str,
         typer.Option(
@@ -76,9 +80,12 @@ def sweep(
     alone |= {"--recordings": recordings, "--restart": restart, "--ensemble": ensemble}
     if sample is not None:
         shared.refuse_without_effect("--sample", alone)
-    if scheduler:
-        local_options = {"--workers": workers, "--isolated": isolated, "--ensemble": ensemble}
-        shared.refuse_without_effect("--scheduler", local_options)
+    local_options = {"--workers": workers, "--isolated": isolated, "--ensemble": ensemble is not None}
+    for option, is_given in {"--gpu": gpu, "--scheduler": bool(scheduler)}.items():
+        if is_given:
+            shared.refuse_without_effect(option, local_options)
+            local_options |= {option: True}
+    where = shared.place_of_runs(gpu)
     planned = plan(chosen_scenario.load(name, flavour, changes))
     if sample is not None:
         _run_one(planned, sample, out)
@@ -96,7 +103,8 @@ def sweep(
 
         place = cluster.remote(scheduler)
     else:
-        place = LocalRuns(workers or usable_processors(), isolated, ensemble, notes.append)
+        in_vectors = True if gpu else ensemble
+        place = LocalRuns(workers or usable_processors(), isolated, in_vectors, notes.append, where=where)
     with shared.progress("sweep", planned.count, kept="samples") as bar:
         path = run_samples(planned, out, place, recorded, restart, bar.advance)
     results, provenance = table.read(path)

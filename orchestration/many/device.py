@@ -94,7 +94,7 @@ def gpu() -> Gpu:
 
 
 def device_of(where: str) -> Device | None:
-    """Returns the GPU, None for "processor"; raises EnsembleError for another place, and what `gpu` raises."""
+    """Returns the GPU, None for "processor"; raises EnsembleError for another, and what `gpu` raises."""
     if where not in (PROCESSOR, GPU):
         raise EnsembleError(f"where = {where!r}: expected {PROCESSOR!r} or {GPU!r}")
     return gpu() if where == GPU else None

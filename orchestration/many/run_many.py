@@ -68,24 +68,12 @@ def run_many(
     job = Job(system, all_experiments[0], timeout)
     runs = [Run(i, experiment, reduce) for i, experiment in enumerate(all_experiments)]
     if where == GPU:
-        if others := [name for name, value in _without_gpu(isolate, vectorise, timeout, cluster) if value]:
-            raise EnsembleError(f"runs on a GPU: expected no {', '.join(others)}")
+        if isolate or cluster or vectorise is False:
+            raise EnsembleError("runs on a GPU: expected neither isolate, cluster nor vectorise=False")
         vectorise = True
     with _place(cluster, workers or usable_processors(), isolate, vectorise, where) as place:
         for done in in_order(place, job, runs):
             yield done.result
-
-
-def _without_gpu(
-    isolate: bool, vectorise: bool | None, timeout: float | None, cluster: str
-) -> list[tuple[str, bool]]:
-    """Returns the names of settings that a GPU does not have, and whether they are given."""
-    return [
-        ("isolate", isolate),
-        ("vectorise = False", vectorise is False),
-        ("timeout", timeout is not None),
-        ("cluster", bool(cluster)),
-    ]
 
 
 def _place(

@@ -93,6 +93,8 @@ def vector_limits(
     try:
         if job.not_in_vectors:
             raise EnsembleError(job.not_in_vectors)
+        if device and vectorise and job.timeout:
+            raise EnsembleError(f"a GPU ends no run: expected no timeout, got {job.timeout:g} s")
         is_asked_for = bool(vectorise or device)
         group_bytes = check_ensemble(job.system, job.base, count, is_asked_for, threads=workers)
         Ensemble(job.system, device=device).close()
