@@ -19,7 +19,7 @@ Arguments in bold are required; the others show their default value, if they hav
 
 _NOTES = {
     "Signals": "The values have the unit of the input; times are in s.",
-    "Faults": '`input` is "component.variable". It acts from `start` to `end` [s], by default always.',
+    "Faults": 'A fault acts on `input`, "component.variable", from `start` to `end` [s], by default always.',
     "Metrics": (
         '`signal` and `reference` are "component.variable". `window` is [start, end] [s], by default all. '
         "The unit follows from the signal; `unit` names another one, such as that of a `scale`."
@@ -73,7 +73,7 @@ def _kinds(node: Node, tables: Node) -> str:
         rows.append(
             (first, ", ".join(sorted(arguments, key=lambda a: not a.startswith("**"))), _text(definition))
         )
-    return table(("", "arguments", "meaning"), rows)
+    return table(("entry", "arguments", "meaning"), rows)
 
 
 def _argument(name: str, node: Node, definition: Node) -> str:

@@ -124,7 +124,7 @@ class Block:
 
     @classmethod
     def of_module(cls, module: str, name: str, description: str, **given: Any) -> "Block":
-        """Returns the block of a module, at whose end it stands: BLOCK = Block.of_module(__name__, ...).
+        """Returns the block of a module, at whose end it stands: `BLOCK = Block.of_module(__name__, ...)`.
 
         Its parts are what the module defines as Parameters, Calculated, Inputs, Continuous, State, Outputs,
         initial_state, step, output, calculate, requirements, derivative, integrate, crossings and GUIDE, as
