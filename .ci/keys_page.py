@@ -21,7 +21,7 @@ _NOTES = {
     "Signals": "The values have the unit of the input; times are in s.",
     "Faults": 'A fault acts on `input`, "component.variable", from `start` to `end` [s], by default always.',
     "Metrics": (
-        '`signal` and `reference` are "component.variable". `window` is [start, end] [s], by default all. '
+        '`signal` and `reference` are "component.variable". `window` is `[start, end]` in s, by default all. '
         "The unit follows from the signal; `unit` names another one, such as that of a `scale`."
     ),
     "Distributions of a sweep": (

@@ -60,7 +60,7 @@ def design(
     """Design L1, its PI extension and PID for a vehicle, and check them in every corner of its ranges.
 
     Writes two parameter files, PLANT-l1.toml and PLANT-pid.toml.
-    For example, l1-depth design --plant RovDepthPlant --phase-margin 30 asks for more margin.
+    For example, l1-depth design --plant RovDepthPlant writes results/RovDepthPlant-l1.toml and -pid.toml.
     """
     from orchestration.cli.score import chosen_vehicle
     from orchestration.design import parameter_file, rules, vehicle_data
