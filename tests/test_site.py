@@ -107,4 +107,5 @@ def test_the_pages_of_python_have_each_argument_as_an_item(archive: Path) -> Non
 def test_the_page_of_commands_has_whole_sentences_and_no_types_of_python(archive: Path) -> None:
     page = (archive / "documentation" / "reference" / "commands.html").read_text(encoding="utf-8")
     assert not re.findall(r"\.\.\.</li>", page)
-    assert not re.findall(r"list\[|&lt;(?:str|path)&gt;", page)
+    assert "[default: one for each core; x&gt;=1]" in page
+    assert not re.findall(r"list\[|&lt;(?:str|path|int|float)\b", page)

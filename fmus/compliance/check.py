@@ -39,7 +39,7 @@ def check(
     bool, typer.Option("--write-baseline", help="Write the present findings to the --baseline.") ] = False,
     fail_on: Annotated[Level, typer.Option(help="Fail for findings of this level and above.")] = Level.ERROR,
     strict: Annotated[bool, typer.Option("--strict", help="Fail if a rule is not judged.")] = False,
-    timeout: Annotated[float, typer.Option(metavar="S", min=0.1, help="Longest time of a rule [s].")] = 30.0,
+    timeout: Annotated[float, typer.Option(min=0.1, help="Longest time of a rule [s].")] = 30.0,
     quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False, rule: Annotated[ str,
     typer.Option("--explain", metavar="RULE", help="Show what a rule claims and its sentences of FMI."),
     ] = "",

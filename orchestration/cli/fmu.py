@@ -199,9 +199,7 @@ def _built(orders: Sequence[BuildRequest], current: Current) -> Generator[Sequen
 
 
 def verify(
-    fmu: Annotated[
-        Path, typer.Argument(metavar="FMU", help="A native FMU of this project, with its sources.")
-    ],
+    fmu: Annotated[Path, typer.Argument(metavar="FMU", help="A native FMU of this project, with sources.")],
 ) -> None:
     """Compile the sources inside an FMU again, and compare each library inside with the new one.
 

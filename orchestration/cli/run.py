@@ -200,9 +200,7 @@ def report(
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="Write this page.")] = Path("report.html"),
-    title: Annotated[
-        str, typer.Option(metavar="TEXT", help="Give the page this title, not the names of the results.")
-    ] = "",
+    title: Annotated[str, typer.Option(help="Give the page this title, not the names of the results.")] = "",
 ) -> None:
     """Write results as one interactive HTML page that needs no network.
 
@@ -228,15 +226,7 @@ def scenarios() -> None:
 
 def reproduce(
     out: shared.OutFolder = Path("results"),
-    workers: Annotated[
-        int,
-        typer.Option(
-            help="Number of scenarios that run at once.",
-            min=1,
-            metavar="NUMBER",
-            show_default=shared.ONE_FOR_EACH_CORE,
-        ),
-    ] = usable_processors(),
+    workers: Annotated[int, typer.Option(help="Scenarios that run at once.", min=1)] = usable_processors(),
     flavour: shared.FlavourOption = Flavour.NATIVE,
     formats: shared.FigureFormatsOption = "png",
 ) -> None:
@@ -261,15 +251,9 @@ def reproduce(
 
 
 def identify(
-    seed: Annotated[
-        int, typer.Option(metavar="NUMBER", help="Seed of the random starting points.", min=0)
-    ] = 1,
-    evaluations: Annotated[
-        int, typer.Option(metavar="NUMBER", help="Number of pairs of runs in all.", min=2)
-    ] = 80,
-    starts: Annotated[
-        int, typer.Option(metavar="NUMBER", help="Number of these pairs for starting points.", min=1)
-    ] = 10,
+    seed: Annotated[int, typer.Option(help="Seed of the random starting points.", min=0)] = 1,
+    evaluations: Annotated[int, typer.Option(help="Number of pairs of runs in all.", min=2)] = 80,
+    starts: Annotated[int, typer.Option(help="Number of these pairs for starting points.", min=1)] = 10,
     out: Annotated[Path, typer.Option(metavar="FILE", help="Write this parameter file.")] = Path(
         "identified.toml"
     ),

@@ -45,19 +45,12 @@ RatesOption = Annotated[
 ]
 BoundOption = Annotated[
     list[str],
-    typer.Option(
-        "--bound",
-        metavar="METRIC=NUMBER",
-        help="Largest value of a metric in the cost, or least delay_margin [s].",
-    ),
+    typer.Option("--bound", metavar="METRIC=NUMBER", help="Limit a metric, or delay_margin [s] from below."),
 ]
 CasesOption = Annotated[
-    str,
-    typer.Option("--cases", metavar="NAME,...", help="Compute the cost over these cases of the protocol."),
+    str, typer.Option("--cases", metavar="NAME,...", help="Compute the cost over these protocol cases.")
 ]
-SeedsOption = Annotated[
-    int, typer.Option(metavar="NUMBER", help="Number of seeds that the search begins from.", min=1)
-]
+SeedsOption = Annotated[int, typer.Option(metavar="NUMBER", help="Number of seeds of the search.", min=1)]
 _SEEDS = 5
 EvaluationsOption = Annotated[
     int,
@@ -90,12 +83,7 @@ def score(
         float | None,
         typer.Option(metavar="S", help="End a run that takes longer; by default that of the protocol."),
     ] = None,
-    workers: Annotated[
-        int,
-        typer.Option(
-            help="Number of processes.", min=1, metavar="NUMBER", show_default=shared.ONE_FOR_EACH_CORE
-        ),
-    ] = usable_processors(),
+    workers: Annotated[int, typer.Option(help="Number of processes.", min=1)] = usable_processors(),
 ) -> None:
     """Score a controller on the simulated vehicle: terminal tables, score.json and an interactive page.
 
@@ -126,18 +114,12 @@ def score(
 def compare(
     full: FullOption = False,
     seed: SeedOption = None,
-    workers: Annotated[
-        int,
-        typer.Option(
-            help="Number of processes.", min=1, metavar="NUMBER", show_default=shared.ONE_FOR_EACH_CORE
-        ),
-    ] = usable_processors(),
+    workers: Annotated[int, typer.Option(help="Number of processes.", min=1)] = usable_processors(),
     out: shared.OutFolder = Path("results"),
     changes: Changes = NO_CHANGES,
     protocol_file: ProtocolOption = None,
     fronts: Annotated[
-        bool,
-        typer.Option("--fronts", help="Search the Pareto front of error and total variation of each law."),
+        bool, typer.Option("--fronts", help="Search each law's Pareto front of error and total variation.")
     ] = False,
     laws: Annotated[str, typer.Option(metavar="NAME,...", help="Search the fronts of these laws only.")] = "",
     bounds: BoundOption = [],  # noqa: B006  (Typer copies it)

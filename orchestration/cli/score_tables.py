@@ -66,10 +66,7 @@ def _parts(shown: ScoreTable, width: int) -> list[Table]:
         + 2 * _PADDING
         + sum(
             max(len(text) for text in texts)
-            for texts in (
-                [row.title for row in shown.rows],
-                ["Inputs", *(row.symbols for row in shown.rows)],
-            )
+            for texts in ([row.title for row in shown.rows], ["Inputs", *(row.symbols for row in shown.rows)])
         )
     )
     count = max(1, (width - first) // _COLUMN_WIDTH)

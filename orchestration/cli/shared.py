@@ -35,7 +35,6 @@ def shipped_scenarios() -> list[str]:
 FlavourOption = Annotated[
     Flavour, typer.Option(help="Use compiled code or Python in the FMUs of this project.")
 ]
-ONE_FOR_EACH_CORE = "one for each core"
 OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Write to this folder.")]
 ScenarioArgument = Annotated[
     str,

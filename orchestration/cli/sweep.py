@@ -26,17 +26,12 @@ def sweep(
     out: shared.OutFolder = Path("results"),
     workers: Annotated[
         int | None,
-        typer.Option(
-            metavar="NUMBER",
-            help="Number of samples that run at once on this machine; by default one for each core.",
-            min=1,
-        ),
+        typer.Option(help="Samples that run at once on this machine; by default one for each core.", min=1),
     ] = None,
     isolated: Annotated[
         bool,
         typer.Option(
-            "--isolated",
-            help="Run every FMU in a process of its own, also those known to be safe in this one.",
+            "--isolated", help="Run every FMU in its own process, also those known to be safe in this one."
         ),
     ] = False,
     ensemble: Annotated[
@@ -147,11 +142,7 @@ def margins(
         typer.Option(metavar="S S", help="Judge it between these two times [s]; by default in a hold."),
     ] = None,
     quiet: Annotated[
-        float,
-        typer.Option(
-            metavar="NUMBER",
-            help="Largest standard deviation of a settled signal, in the unit of the signal.",
-        ),
+        float, typer.Option(help="Largest standard deviation of a settled signal, in the signal's unit.")
     ] = 3e-3,
     theory: Annotated[
         bool, typer.Option("--theory", help="Give what follows from the design alone, without many runs.")

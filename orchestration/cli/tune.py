@@ -49,12 +49,7 @@ def tune(
     ] = [],  # noqa: B006  (Typer copies it)
     evaluations: EvaluationsOption = 100,
     seeds: SeedsOption = 5,
-    workers: Annotated[
-        int,
-        typer.Option(
-            help="Number of processes.", min=1, metavar="NUMBER", show_default=shared.ONE_FOR_EACH_CORE
-        ),
-    ] = usable_processors(),
+    workers: Annotated[int, typer.Option(help="Number of processes.", min=1)] = usable_processors(),
     out: shared.OutFolder = Path("results"),
     restart: Annotated[
         bool, typer.Option("--restart", help="Discard the evaluations of an earlier tuning of that name.")

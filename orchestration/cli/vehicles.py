@@ -49,10 +49,7 @@ def design(
         float, typer.Option(metavar="DEG", help="Least phase margin in every corner.", min=1.0, max=80.0)
     ] = 20.0,
     draws: Annotated[
-        int,
-        typer.Option(
-            metavar="NUMBER", help="Number of further runs, with random values within the ranges.", min=0
-        ),
+        int, typer.Option(metavar="NUMBER", help="Further runs, at random values in the ranges.", min=0)
     ] = 20,
     seed: Annotated[int, typer.Option(metavar="NUMBER", help="Seed of the random values.", min=0)] = 1,
     out: shared.OutFolder = Path("results"),
@@ -175,15 +172,7 @@ def fit(
     step_size: Annotated[
         float | None, typer.Option(metavar="SECONDS", help="Communication step; by default that of the FMU.")
     ] = None,
-    workers: Annotated[
-        int,
-        typer.Option(
-            help="Number of dives that run at once.",
-            min=1,
-            metavar="NUMBER",
-            show_default=shared.ONE_FOR_EACH_CORE,
-        ),
-    ] = usable_processors(),
+    workers: Annotated[int, typer.Option(help="Dives that run at once.", min=1)] = usable_processors(),
     out: shared.OutFolder = Path("results"),
 ) -> None:
     """Fit parameters of a vehicle to measured depth and commands, with intervals.
