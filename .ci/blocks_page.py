@@ -8,6 +8,7 @@ from typing import Any
 
 from fmus import numerics
 from fmus.block import Block, NoValues, variable
+from fmus.block.guide import Guide
 from fmus.block.units import BASE_UNITS, UnitDefinition, unit
 
 _HEAD = """\
@@ -22,6 +23,13 @@ _FURTHER = [
     "deg", "deg/s", "rev/min", "mm", "km/h", "knot", "h", "l/min", "kN", "Nm", "bar", "kPa", "kWh", "A.h",
     "degC", "degF", "%",
 ]  # fmt: skip
+_KINDS: dict[Any, str] = {
+    type: "a class with `@dataclass(frozen=True)`",
+    str: "a text",
+    str | None: "a text",
+    float: "a number [s]",
+    Guide: "a `Guide`, from `fmus.block.guide`",
+}
 
 
 class Mode(IntEnum):
@@ -90,8 +98,7 @@ def _block_fields() -> str:
         default = member.default
         is_required = default is MISSING
         shown = "" if is_required or callable(default) or default is None else f"`{default!r}`"
-        kind = "a function" if callable(default) or member.name in ("initial_state", "output") else ""
-        kind = "a class with `@dataclass(frozen=True)`" if member.type in (type, "type") else kind
+        kind = _KINDS.get(member.type, "a function")
         shown = "no variables" if default is NoValues else shown
         shown = "" if member.name == "guide" else shown
         rows.append((f"`{member.name}`", kind, "required" if is_required else shown or "may be left out"))
@@ -135,9 +142,9 @@ def _units() -> str:
     table = _table(("Unit", "Base units of FMI", "Factor", "Offset"), rows)
     return (
         f"Coherent units of the base units of FMI 2.0: {known}.\n\n"
-        "Any other that these base units can express: Pint knows them (`pip install 'l1-depth[units]'`).\n"
+        "With Pint, all others that these base units can express (`pip install 'l1-depth[units]'`).\n"
         "The value in base units is factor times value plus offset. Some of them:\n\n"
-        f"{table}\n\nA misspelt unit gets the nearest one."
+        f"{table}\n\nThe error for an unknown unit names the nearest known one."
     )
 
 

@@ -45,7 +45,7 @@ _OF_A_CASE = ("rmse", "total_variation")
 def reduced(document: dict[str, Any]) -> dict[str, Any]:
     """Returns the document with the metrics of the tables, and of tuned controllers the RMSE run by run.
 
-    Those as they come keep the draws of the nominal case.
+    Those with default gains keep the draws of the nominal case.
     """
     return {
         **document,
@@ -130,7 +130,7 @@ class Numbers:
         return row.plants
 
     def correlation(self, case: str) -> float:
-        """Returns the rank correlation with the nominal RMSE, the lesser of tuned and as they come."""
+        """Returns the rank correlation with the nominal RMSE, the lesser of tuned and default gains."""
         pair, kinds = (next(iter(self.cases)), case), (self.tuned, self.start)
         errors = ([[row.cases[name].metrics["rmse"] for row in rows] for name in pair] for rows in kinds)
         return min(comparison_fronts.rank_correlation(*columns) for columns in errors)

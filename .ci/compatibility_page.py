@@ -19,6 +19,7 @@ of FMI 2.0. `python .ci/compatibility_page.py` prints this page."""
 _WORDS = """\
 - *run*: by the test below, in this project's CI. *scalars*: no arrays.
 - *by hand*: once, as stated below; no test repeats it.
+- *no*: the importer has no such interface, or cannot load these FMUs. *not run*: nobody tried it.
 - *listed*: by [fmi-standard.org](https://fmi-standard.org/tools/) in June 2026, and not run.
 - *prototype*: OMSimulator merged [CS 3.0](https://github.com/OpenModelica/OMSimulator/pull/1414) and
   [ME 3.0](https://github.com/OpenModelica/OMSimulator/pull/1523) under this name; not run.
@@ -27,7 +28,7 @@ _AGREEMENT = """\
 ## How well they agree
 
 The depth in `nominal-extended` and `nominal-l1`, beside that of this master. `python -m tests.importers`
-measures it anew for the importers that it finds."""
+measures it again for the importers that are installed."""
 _DID_NOT_RUN = """\
 fmi4c stepped `RovDepthPlant`: its depth was this master's to the last bit. PyFMI 2.5, OMSimulator 3.0.0,
 FMI++, CoFMPy 1.0.0, energysim 2.1.9.1, syssimx 0.4.3 and PyCosimLibrary 0.0.5 did not run the two

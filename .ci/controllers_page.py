@@ -14,8 +14,8 @@ _HEAD = """\
 The blocks that take the place of `L1DepthController` on the
 [depth control interface](depth-control-interface.md), as in
 `l1-depth run nominal-extended --controller PidDepthController`.
-They share its allocation, limit of the voltages and anti-windup; all but ADRC share its observer.
-So a comparison is one of laws. `L1DepthController` has the law of [theory](../explanation/theory.md).
+They have the same allocation, limit of the voltages and anti-windup, and all but ADRC the same observer.
+So a comparison of them is one of laws. `L1DepthController` has the law of [theory](../explanation/theory.md).
 `L1HeavePitchController` has it for the depth and again for the pitch.
 `python .ci/controllers_page.py` prints this page from the code.
 
@@ -28,10 +28,11 @@ So a comparison is one of laws. `L1DepthController` has the law of [theory](../e
 | M, D | inertia and linear damping that a design assumes |
 | sat | limit to -1 .. 1 |
 
-An integrator holds where it would widen a saturation of the thrusters. An estimate is driven by the force
-that they deliver.
+An integrator holds its value where it would increase a saturation of the thrusters. Estimators get the
+force that the thrusters deliver.
 
-The gains are start values with their derivation in the last column. They are not tuned."""
+The gains are start values; the last column has their derivation. They are not tuned. Of a vector, elements
+that are alike share a row; of a table the first point is shown."""
 
 _TABLE = re.compile(r"_table_\w+\[")
 
@@ -75,7 +76,7 @@ def _what_they_share() -> str:
         if line in lines
     ]
     variables = {v.name: v for block in _BLOCKS for v in block.of_causality("parameter") if v.name in names}
-    text = "Of several of these blocks; `L1DepthController` has all of these parameters too."
+    text = "Several of these blocks have this. `L1DepthController` has all of these parameters too."
     table = _parameters(variables.values())
     return "\n\n".join(("## What they share", text, _code(equations), table, _list(sentences)))
 
@@ -107,13 +108,21 @@ def _code(lines: Iterable[str]) -> str:
 
 
 def _parameters(variables: Iterable[BlockVariable]) -> str:
-    rows = [("parameter", "start", "unit", "meaning", "source"), ("---",) * 5]
+    names = dict[tuple[str, ...], list[str]]()  # by the cells that follow: alike elements share a row
     for v in variables:
         if _TABLE.search(v.name) and not v.name.endswith("[1]"):
             continue  # of a table the first point stands for all
         unit = "" if v.unit in (None, "1") else v.unit
         start = v.enumeration(v.start).name.lower() if v.enumeration else repr(v.start)
-        rows.append((f"`{v.name}`", start, unit, v.description, v.source))
+        start = f"{v.start:.10g}" if isinstance(v.start, float) else start
+        array = v.name.partition("[")[0]
+        of_row = array, start, unit, v.description, v.source
+        alike = names.setdefault(of_row, [])
+        alike.append(v.name.removeprefix(array) if alike else v.name)
+        if _TABLE.search(v.name):
+            alike.append("...")
+    rows = [("parameter", "start", "unit", "meaning", "source"), ("---",) * 5]
+    rows += [(", ".join(f"`{name}`" for name in alike), *row) for (_, *row), alike in names.items()]
     return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |" for row in rows)
 
 

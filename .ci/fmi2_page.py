@@ -19,17 +19,18 @@ _HEAD = """\
 # FMI 2.0.5, sentence by sentence
 
 Sentences of FMI 2.0.5 that bind an FMU, by clause and in our words, with the rules of `l1-depth check`
-that check them ([what the check does](compliance.md)), or the reason why they cannot be seen from outside.
+that check them ([what the check does](compliance.md)), or the reason why none does.
 The text of the standard is public: repository `modelica/fmi-standard`, tag `v2.0.5`.
 `python .ci/fmi2_page.py` prints this page from the code.
-`python -m tests.mutants` breaks, one after the other, sentences that have a mutant, and prints which rules
-find it."""
+`python -m tests.mutants` makes FMUs that each break one sentence, where there is such a mutant, and prints
+which rules find it."""
 
+_NOT_CHECKED = "not checked"
 _OFF = ", ".join(f"`{name}`" for name in rule_table()["off"])
 _LEVELS = f"""\
-The level of a rule is the consequence of breaking it. *error*: an importer that keeps the standard fails,
-crashes or gets a wrong result. *deviation*: a sentence demands it, but no importer known to us stumbles over
-it. *advice*: no sentence demands it. These rules are left out unless `--only` asks for them,
+The level of a rule is the consequence of breaking it. *error*: an importer that follows the standard fails,
+crashes or gets a wrong result. *deviation*: a sentence demands it, but no known importer fails because
+of it. *advice*: no sentence demands it. These rules are left out unless `--only` asks for them,
 since most FMUs break them at no cost: {_OFF}."""
 
 
@@ -42,9 +43,12 @@ def page() -> str:
 
 def _counts(entries: Sequence[Sentence], rules: Sequence[Rule]) -> str:
     checked = sum(bool(entry.rules) for entry in entries)
+    left_out = sum(entry.not_observable.startswith(_NOT_CHECKED) for entry in entries)
     counts = Counter(rule.level for rule in rules)
+    unseen = len(entries) - checked - left_out
     return (
-        f"{len(entries)} sentences: {checked} are checked, {len(entries) - checked} cannot be observed. "
+        f"{len(entries)} sentences: {checked} are checked, {unseen} cannot be observed, "
+        f"{left_out} are not checked for the reason given. "
         f"{len(rules)} rules: "
         f"{counts[Level.ERROR]} errors, {counts[Level.DEVIATION]} deviations, {counts[Level.ADVICE]} advice."
     )
@@ -63,7 +67,8 @@ def _checked_by(entry: Sentence) -> str:
     if entry.rules:
         names = ", ".join(f"`{name}`" for name in entry.rules)
         return f"{names} ({NO_DEMANDS[entry.no_demand]})" if entry.no_demand else names
-    return f"not observable: {entry.not_observable}"
+    reason = entry.not_observable
+    return reason if reason.startswith(_NOT_CHECKED) else f"not observable: {reason}"
 
 
 def _rules(rules: Sequence[Rule]) -> str:
@@ -77,7 +82,8 @@ def _rules(rules: Sequence[Rule]) -> str:
         )
         for rule in rules
     ]
-    return f"## Rules\n\n{_LEVELS}\n\n{_table(('Rule', 'Clause', 'What holds', 'Level', 'Reason'), rows)}"
+    heads = ("Rule", "Clause", "What holds", "Level", "Reason for the level")
+    return f"## Rules\n\n{_LEVELS}\n\n{_table(heads, rows)}"
 
 
 def _clauses(rule: Rule) -> str:

@@ -17,6 +17,19 @@ Every key of a [scenario file](scenarios.md), from its
 [JSON schema](../downloads/scenario.schema.json). `python .ci/keys_page.py` prints this page.
 Arguments in bold are required; the others show their default value, if they have one."""
 
+_NOTES = {
+    "Signals": "The values have the unit of the input; times are in s.",
+    "Faults": 'A fault acts on `input`, "component.variable", from `start` to `end` [s], by default always.',
+    "Metrics": (
+        '`signal` and `reference` are "component.variable". `window` is `[start, end]` in s, by default all. '
+        "The unit follows from the signal; `unit` names another one, such as that of a `scale`."
+    ),
+    "Distributions of a sweep": (
+        "The values have the unit of what is varied; with `relative` they are factors of its value. "
+        "`truncate` draws within the range of the variable."
+    ),
+}
+
 
 def page() -> str:
     """The whole page."""
@@ -32,7 +45,7 @@ def page() -> str:
         _HEAD,
         f"## Keys\n\n{_keys(keys, tables)}",
         f"## Experiment\n\n{_keys(tables['ExperimentTable']['properties'], tables)}",
-        *(f"## {title}\n\n{_kinds(node, tables)}" for title, node in alternatives.items()),
+        *(f"## {title}\n\n{_NOTES[title]}\n\n{_kinds(node, tables)}" for title, node in alternatives.items()),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -60,7 +73,7 @@ def _kinds(node: Node, tables: Node) -> str:
         rows.append(
             (first, ", ".join(sorted(arguments, key=lambda a: not a.startswith("**"))), _text(definition))
         )
-    return table(("", "arguments", "meaning"), rows)
+    return table(("entry", "arguments", "meaning"), rows)
 
 
 def _argument(name: str, node: Node, definition: Node) -> str:

@@ -183,20 +183,20 @@ def _live(working: Path) -> Contents:
 
 def _commands(working: Path) -> Contents:
     """The page of all commands and options, from the program itself."""
-    page = "\n".join(
-        downloads.run(
-            "python",
-            "-m",
-            "typer",
-            "orchestration.cli.app",
-            "utils",
-            "docs",
-            "--name",
-            "l1-depth",
-            folder=working,
-        )
-    )
-    return {"reference/commands.md": page.replace("# `l1-depth`", "# Command line", 1)}
+    app = "orchestration.cli.app"
+    lines = downloads.run("python", "-m", "typer", app, "utils", "docs", "--name", "l1-depth", folder=working)
+    return {"reference/commands.md": commands_page("\n".join(lines))}
+
+
+def commands_page(printed: str) -> str:
+    """Returns what Typer prints, with whole sentences in its list and without types of Python."""
+    page = printed.replace("# `l1-depth`", "# Command line", 1)
+    for name, sentence in re.findall(r"^## `l1-depth (\w+)`\n\n(.*)$", page, re.M):
+        page = re.sub(rf"^\* `{name}`: .*$", f"* [`{name}`](#l1-depth-{name}): {sentence}", page, flags=re.M)
+    page = re.sub(r"^(\* `[^-`<]+) <(?:str|path|list\[\w+\])>`", r"\1`", page, flags=re.M)
+    page = re.sub(r" <(?:int|float)(?: range)?>`", " NUMBER`", page).replace(" <str>`", " TEXT`")
+    # the default is that of the machine that makes the page
+    return re.sub(r"(`--workers NUMBER`: .*\[default: )\d+", r"\1one for each core", page)
 
 
 def _names() -> Contents:

@@ -36,7 +36,7 @@ REFERENCE_RATES = (
     " The loop then follows a ramp with a lag, as the equations say."
 )
 HELD_CONTROL = (
-    "The controller is told what its own voltages deliver, held from one communication point to the next:"
+    "The controller calculates what its own voltages deliver, held from one communication point to the next:"
     " internal_step should not be shorter than a communication step."
 )
 OBSERVER_SOURCE = Source("R. Penoyer: The alpha-beta filter, C User's Journal 11(7), 1993 (the observer).")

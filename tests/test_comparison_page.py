@@ -160,7 +160,7 @@ def test_the_indices_are_of_the_vehicles_of_the_fronts(fronts: Any) -> None:
 
 
 def test_the_cases_that_repeat_the_nominal_one_are_those_that_do(document: Score) -> None:
-    """Over the tuned controllers and over those as they come; the search needs its cases all the same."""
+    """Over the tuned controllers and those with default gains; the search needs its cases all the same."""
     kinds = [score.part(document, which).rows for which in (score.TUNED, score.START)]
     repeating = set[str]()
     for case, info in document.protocol.cases.items():

@@ -93,3 +93,19 @@ def test_the_site_loads_nothing_from_another_server(archive: Path) -> None:
         loaded += re.findall(r"<link[^>]*\shref=\"?([^\s\">]+)", text)
         assert loaded
         assert not [address for address in loaded if re.match(r"(https?:)?//", address)]
+
+
+def test_the_pages_of_python_have_each_argument_as_an_item(archive: Path) -> None:
+    """Markdown would run them together, and the parser of a style would take some for headings."""
+    folder = archive / "documentation" / "reference" / "api"
+    pages = {path.stem: path.read_text(encoding="utf-8") for path in folder.glob("*.html")}
+    assert "<li><code>step_sizes</code>: component" in pages["orchestration"]
+    assert "<li><code>progress</code>: called" in pages["orchestration"]
+    assert not [name for name, text in pages.items() if "<details" in text]
+
+
+def test_the_page_of_commands_has_whole_sentences_and_no_types_of_python(archive: Path) -> None:
+    page = (archive / "documentation" / "reference" / "commands.html").read_text(encoding="utf-8")
+    assert not re.findall(r"\.\.\.</li>", page)
+    assert "[default: one for each core; x&gt;=1]" in page
+    assert not re.findall(r"list\[|&lt;(?:str|path|int|float)\b", page)

@@ -64,14 +64,14 @@ class Block:
         sign where the derivative has a corner or a jump
 
     `step` is then called after `integrate`, for what is sampled at t + h and for what the state copies from
-    inputs; for model exchange with h = 0. What is sampled, and all else that changes at events alone, goes
-    through `sampled` and `at_events` of `fmus.numerics`: `derivative` and `crossings` get the state with what
-    `step` makes of the inputs besides.
+    inputs; for model exchange with h = 0. What changes at samples or events alone goes through `sampled` or
+    `at_events` of `fmus.numerics`. Between events, `derivative` and `crossings` get a state in which what
+    `step` copies from the inputs is up to date; what they change is as it was at the last event.
 
     `Parameters` has an `internal_step` [s], the longest step that `step` may be asked for; a block that
     declares none is given one that starts at `step_size`.
     stop_time, step_size: of the experiment that the FMU suggests, in s.
-    guide: what the documentation says besides the variables.
+    guide: text of the documentation beside the variables: equations, advice, limits, sources.
     version, author, license: of the model, as its author gives them.
     """
 
@@ -124,7 +124,7 @@ class Block:
 
     @classmethod
     def of_module(cls, module: str, name: str, description: str, **given: Any) -> "Block":
-        """Returns the block of a module, at whose end it stands: BLOCK = Block.of_module(__name__, ...).
+        """Returns the block of a module, at whose end it stands: `BLOCK = Block.of_module(__name__, ...)`.
 
         Its parts are what the module defines as Parameters, Calculated, Inputs, Continuous, State, Outputs,
         initial_state, step, output, calculate, requirements, derivative, integrate, crossings and GUIDE, as

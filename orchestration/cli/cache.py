@@ -24,20 +24,22 @@ def cache(
     kinds: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="KIND...",
-            help=f"Of these kinds alone: {', '.join(_CONTENT)}.",
+            metavar="KIND",
+            help=f"Only these kinds: {', '.join(_CONTENT)}.",
             autocompletion=lambda: [*_CONTENT],
         ),
     ] = None,
 ) -> None:
     """Show or clear what is kept between commands: where it is, and how large.
 
-    What is cleared is made again when it is needed, so it can be cleared at any time, also while other
-    commands run. The records of builds are cleared only where they are named: without its record,
-    an FMU runs like one of another tool.
+    Cleared entries are made again when they are needed. So the cache can be cleared at any time, also while
+    other commands run. Records of builds are cleared only if their kind is named: an FMU without its record
+    runs like one of another tool.
 
-    What was used longest ago is removed by itself. Your results are not in the cache: an interrupted sweep or
-    tuning continues from the files beside its results.
+    The entries that were used longest ago are removed automatically. Results are not in the cache: an
+    interrupted sweep or tuning continues from the files beside its results.
+
+    For example, l1-depth cache clear libraries removes the compiled code of runs.
     """
     for kind in kinds or ():
         if kind not in _CONTENT:

@@ -65,15 +65,15 @@ class Changes:
         ] = [],  # noqa: B006
         open_inputs: Annotated[
             OpenInputs | None,
-            typer.Option(help="Let inputs that nothing drives keep the start values of their FMUs."),
+            typer.Option(help="Whether undriven inputs are an error, or keep their start values."),
         ] = None,
         plant: Annotated[str, _fmu_option(PLANT)] = "",
         parameters: Annotated[
             str,
             typer.Option(
                 metavar="FILE",
-                help="Take the values of this parameter file, .toml, below those of --set; "
-                "of an .ssp package, which run takes, the parameter set of this name.",
+                help="Take the values of this parameter file, .toml; --set has precedence. "
+                "With run and an .ssp package: the name of one of its parameter sets.",
             ),
         ] = "",
     ) -> "Changes":

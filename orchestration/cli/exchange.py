@@ -28,7 +28,10 @@ def package(
     version: Annotated[SspVersion, typer.Option("--ssp", help="Version of SSP.")] = SspVersion.V1,
     changes: Changes = NO_CHANGES,
 ) -> None:
-    """Write a scenario as an SSP package, with a parameter set for each scenario of its system."""
+    """Write a scenario as an SSP package, with a parameter set for each scenario of its system.
+
+    For example, l1-depth package nominal-extended writes nominal-extended.ssp.
+    """
     from orchestration.cli import chosen_scenario
     from orchestration.cli.package_fmus import build_ramp_source, build_started
     from orchestration.exchange import ssp_write
@@ -46,7 +49,10 @@ def export(
     out: OutFolder = Path(),
     changes: Changes = NO_CHANGES,
 ) -> None:
-    """Write the closed loop of a scenario as a script that builds it in another tool, with its FMUs."""
+    """Write the closed loop of a scenario as a script that builds it in another tool, with its FMUs.
+
+    For example, l1-depth export simulink --out model writes model/import_l1_depth.m and the FMUs.
+    """
     from orchestration.cli import chosen_scenario
     from orchestration.exchange import simulink
 

@@ -29,10 +29,13 @@ check = compliance.check
 
 
 def new(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Of the file, such as pid or depth_pid.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the file, such as pid or depth_pid.")],
     vehicle: Annotated[bool, typer.Option("--vehicle", help="Write an underwater vehicle.")] = False,
 ) -> None:
-    """Write a block to start from, NAME.py, and its test: a PID controller of depth, or a vehicle."""
+    """Write a block to start from, NAME.py, and its test: a PID controller of depth, or a vehicle.
+
+    For example, l1-depth new depth_pid writes depth_pid.py and test_depth_pid.py.
+    """
     from fmus.block.block_file import write_new_block
 
     for path in write_new_block(name, Path(), vehicle):
@@ -43,7 +46,7 @@ def build(
     names: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[NAME|FILE.py|FILE.py:CLASS]...",
+            metavar="NAME|FILE.py|FILE.py:CLASS",
             help="Installed blocks, Python files with blocks, or Python classes that control; "
             "all installed blocks by default.",
             autocompletion=block_names,
@@ -105,7 +108,10 @@ def build(
         ),
     ] = 2,
 ) -> None:
-    """Build the FMU of each block, NAME.fmu."""
+    """Build the FMU of each block, NAME.fmu.
+
+    For example, l1-depth build ExamplePlant --fmi 3 writes fmus-built/fmi3/ExamplePlant.fmu.
+    """
     if cache:
         refuse_without_effect("--cache", {"--reals-only": reals_only, "--out": out, "--fmi": fmi != 2})
     if all_platforms:
@@ -193,9 +199,13 @@ def _built(orders: Sequence[BuildRequest], current: Current) -> Generator[Sequen
 
 
 def verify(
-    fmu: Annotated[Path, typer.Argument(metavar="FMU", help="A native FMU of ours, with its sources.")],
+    fmu: Annotated[Path, typer.Argument(metavar="FMU", help="A native FMU of this project, with sources.")],
 ) -> None:
-    """Compile the sources inside an FMU again, and compare each library inside with the new one."""
+    """Compile the sources inside an FMU again, and compare each library inside with the new one.
+
+    Prints a line for each library. The exit status is 0 if all are the same, else 1.
+    For example, l1-depth verify fmus-built/ExamplePlant.fmu compares the libraries of one FMU.
+    """
     from fmus.fmi.description import describe
     from fmus.native import verify
 
@@ -218,7 +228,10 @@ def inspect(
     ],
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
 ) -> None:
-    """Show what an FMU is, and each variable with its unit, range and start value."""
+    """Show what an FMU is, and each variable with its unit, range and start value.
+
+    For example, l1-depth inspect RovDepthPlant shows an installed block.
+    """
     from fmus.fmi.description import describe
     from orchestration.scenarios.fmu_files import build_missing, fmu_file
     from orchestration.scenarios.read_layers import named_fmu

@@ -43,7 +43,7 @@ def run(
     formats: shared.FigureFormatsOption = "png",
     real_time: Annotated[
         float | None,
-        typer.Option(metavar="FACTOR", help="Keep pace with the clock; 2 is twice as fast as it."),
+        typer.Option(metavar="FACTOR", help="Run at this factor of real time; 2 is twice as fast."),
     ] = None,
     timeout: Annotated[
         float | None,
@@ -67,7 +67,11 @@ def run(
         bool, typer.Option("--statistics", help="Measure the time of each phase and of each FMU's steps.")
     ] = False,
 ) -> None:
-    """Run one scenario, and write its recording (CSV or Parquet), its metrics (JSON) and a figure."""
+    """Run one scenario, and write its recording (CSV or Parquet), its metrics (JSON) and a figure.
+
+    The columns of the recording have the units of the FMUs, in their heads.
+    For example, l1-depth run nominal-l1 writes nominal-l1.csv, nominal-l1.json and nominal-l1.png to results.
+    """
     from orchestration.cli import chosen_scenario
     from orchestration.run.checkpoint import Checkpoints, read_checkpoint
     from orchestration.scenarios import run_files
@@ -163,7 +167,10 @@ def live(
     ] = [],  # noqa: B006
     changes: Changes = NO_CHANGES,
 ) -> None:
-    """Write a scenario as one HTML page that runs its FMUs in the browser, with sliders for its values."""
+    """Write a scenario as one HTML page that runs its FMUs in the browser, with sliders for its values.
+
+    For example, l1-depth live nominal-extended --slider controller.adaptation_gain=10:1000 adds a slider.
+    """
     from orchestration.cli import chosen_scenario
     from orchestration.report.live_page import live_page
 
@@ -188,14 +195,17 @@ def report(
     results: Annotated[
         list[Path],
         typer.Argument(
-            metavar="RESULT...",
+            metavar="RESULT",
             help="What run, reproduce or sweep has written: .json, .csv, .parquet or a folder.",
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="Write this page.")] = Path("report.html"),
     title: Annotated[str, typer.Option(help="Give the page this title, not the names of the results.")] = "",
 ) -> None:
-    """Write results as one interactive HTML page that needs no network."""
+    """Write results as one interactive HTML page that needs no network.
+
+    For example, l1-depth report results --out paper.html shows every result in a folder.
+    """
     from orchestration import report as page
 
     write_text_atomically(out, page.render(page.found_results(results), title))
@@ -203,7 +213,10 @@ def report(
 
 
 def scenarios() -> None:
-    """List the scenarios that ship with the package."""
+    """List the scenarios that ship with the package.
+
+    For example, l1-depth run nominal-l1 runs one of them.
+    """
     from orchestration.scenarios.read_layers import shipped
     from orchestration.scenarios.toml_file import read_toml
 
@@ -213,11 +226,15 @@ def scenarios() -> None:
 
 def reproduce(
     out: shared.OutFolder = Path("results"),
-    workers: Annotated[int, typer.Option(help="Run so many scenarios at once.", min=1)] = usable_processors(),
+    workers: Annotated[int, typer.Option(help="Scenarios that run at once.", min=1)] = usable_processors(),
     flavour: shared.FlavourOption = Flavour.NATIVE,
     formats: shared.FigureFormatsOption = "png",
 ) -> None:
-    """Run the shipped scenarios, but not their sweeps, and give the tables and figures of the paper."""
+    """Run the shipped scenarios, but not their sweeps, and give the tables and figures of the paper.
+
+    Writes the recordings and metrics of the scenarios, figures 3, 5 and 6, and summary.json.
+    For example, l1-depth reproduce --formats pdf writes the figures as PDF.
+    """
     from orchestration.cli.chosen_scenario import build_missing_fmus
     from orchestration.scenarios import run_files
     from orchestration.scenarios.published import comparison_table
@@ -234,14 +251,17 @@ def reproduce(
 
 
 def identify(
-    seed: Annotated[int, typer.Option(help="Draw the starting points from this seed.", min=0)] = 1,
-    evaluations: Annotated[int, typer.Option(help="Allow so many pairs of runs in all.", min=2)] = 80,
-    starts: Annotated[int, typer.Option(help="Spend so many pairs of runs on starting points.", min=1)] = 10,
+    seed: Annotated[int, typer.Option(help="Seed of the random starting points.", min=0)] = 1,
+    evaluations: Annotated[int, typer.Option(help="Number of pairs of runs in all.", min=2)] = 80,
+    starts: Annotated[int, typer.Option(help="Number of these pairs for starting points.", min=1)] = 10,
     out: Annotated[Path, typer.Option(metavar="FILE", help="Write this parameter file.")] = Path(
         "identified.toml"
     ),
 ) -> None:
-    """Fit the gains that the paper does not publish to the nominal row of its Table 1."""
+    """Fit the gains that the paper does not publish to the nominal row of its Table 1.
+
+    For example, l1-depth identify --seed 2 begins from other gains and writes identified.toml.
+    """
     from orchestration.cli import chosen_scenario
     from orchestration.fit import identify as identification
 

@@ -36,7 +36,7 @@ SeedOption = Annotated[
     int | None,
     typer.Option(
         metavar="NUMBER",
-        help="Repeat a score by its seed, from which noise, times and plants follow; by default it is drawn.",
+        help="Seed of noise, times and plants; the same seed repeats a score. By default it is random.",
         min=0,
     ),
 ]
@@ -45,17 +45,17 @@ RatesOption = Annotated[
 ]
 BoundOption = Annotated[
     list[str],
-    typer.Option("--bound", metavar="METRIC=NUMBER", help="Bound a metric of the cost, or delay_margin."),
+    typer.Option("--bound", metavar="METRIC=NUMBER", help="Limit a metric, or delay_margin [s] from below."),
 ]
 CasesOption = Annotated[
-    str, typer.Option("--cases", metavar="NAME,...", help="Take the cost over these cases of the protocol.")
+    str, typer.Option("--cases", metavar="NAME,...", help="Compute the cost over these protocol cases.")
 ]
-SeedsOption = Annotated[int, typer.Option(metavar="NUMBER", help="Search from so many seeds.", min=1)]
+SeedsOption = Annotated[int, typer.Option(metavar="NUMBER", help="Number of seeds of the search.", min=1)]
 _SEEDS = 5
 EvaluationsOption = Annotated[
     int,
     typer.Option(
-        metavar="NUMBER", help="Evaluate so many for each free gain, seed and bound of a front.", min=1
+        metavar="NUMBER", help="Evaluations for each free gain, each seed and each bound of a front.", min=1
     ),
 ]
 ProtocolOption = Annotated[
@@ -69,7 +69,7 @@ def score(
     controllers: Annotated[
         list[str],
         typer.Argument(
-            metavar="CONTROLLER...",
+            metavar="CONTROLLER",
             help="An .fmu, a block, its .py file or a class FILE.py:Class; or several.",
         ),
     ],
@@ -83,10 +83,13 @@ def score(
         float | None,
         typer.Option(metavar="S", help="End a run that takes longer; by default that of the protocol."),
     ] = None,
-    workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
+    workers: Annotated[int, typer.Option(help="Number of processes.", min=1)] = usable_processors(),
     gpu: shared.GpuOption = False,
 ) -> None:
-    """Score a controller on the simulated vehicle: terminal tables, score.json and an interactive page."""
+    """Score a controller on the simulated vehicle: terminal tables, score.json and an interactive page.
+
+    For example, l1-depth score PidDepthController writes results/score.json and results/score.html.
+    """
     from orchestration.score import score as scoring
 
     where = shared.place_of_runs(gpu)
@@ -120,23 +123,24 @@ def score(
 def compare(
     full: FullOption = False,
     seed: SeedOption = None,
-    workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
+    workers: Annotated[int, typer.Option(help="Number of processes.", min=1)] = usable_processors(),
     out: shared.OutFolder = Path("results"),
     changes: Changes = NO_CHANGES,
     protocol_file: ProtocolOption = None,
     fronts: Annotated[
-        bool, typer.Option("--fronts", help="Search the front of error and total variation of each law.")
+        bool, typer.Option("--fronts", help="Search each law's Pareto front of error and total variation.")
     ] = False,
-    laws: Annotated[str, typer.Option(metavar="NAME,...", help="Take the fronts of these laws alone.")] = "",
+    laws: Annotated[str, typer.Option(metavar="NAME,...", help="Search the fronts of these laws only.")] = "",
     bounds: BoundOption = [],  # noqa: B006  (Typer copies it)
     cases: CasesOption = "",
     seeds: SeedsOption = _SEEDS,
     evaluations: EvaluationsOption = 40,
     gpu: shared.GpuOption = False,
 ) -> None:
-    """Score all controllers of the protocol, each with the gains that it comes with, and tuned.
+    """Score all controllers of the protocol, each with its default gains and with tuned gains.
 
     Writes comparison.json and an interactive page. With --fronts: fronts.json and fronts.svg.
+    For example, l1-depth compare --fronts --laws l1,pid searches the fronts of two laws.
     """
     from orchestration.score import score as scoring
 

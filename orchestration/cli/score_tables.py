@@ -66,7 +66,7 @@ def _parts(shown: ScoreTable, width: int) -> list[Table]:
         + 2 * _PADDING
         + sum(
             max(len(text) for text in texts)
-            for texts in ([row.title for row in shown.rows], ["Told", *(row.told for row in shown.rows)])
+            for texts in ([row.title for row in shown.rows], ["Inputs", *(row.symbols for row in shown.rows)])
         )
     )
     count = max(1, (width - first) // _COLUMN_WIDTH)
@@ -80,13 +80,13 @@ def _table(shown: ScoreTable, columns: range) -> Table:
     title = Text(shown.title if columns[0] == 0 else f"{shown.title}, continued")
     table = Table(title=title, box=SIMPLE_HEAD)
     table.add_column("", no_wrap=True)
-    table.add_column("Told")
+    table.add_column("Inputs")
     for column in (shown.columns[index] for index in columns):
         heading = f"{column.title} [{column.unit}]" if column.unit else column.title
         table.add_column(Text(heading), justify="right", width=_COLUMN_WIDTH - _PADDING)
     for row, cells in zip(shown.rows, shown.cells, strict=True):
         label = Text(row.title, "bold" if row.scored else "")
-        table.add_row(label, row.told, *(_cell(cells[index]) for index in columns))
+        table.add_row(label, row.symbols, *(_cell(cells[index]) for index in columns))
     return table
 
 

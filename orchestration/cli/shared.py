@@ -33,7 +33,7 @@ def shipped_scenarios() -> list[str]:
 
 
 FlavourOption = Annotated[
-    Flavour, typer.Option(help="Take FMUs of our blocks that run compiled code, or Python.")
+    Flavour, typer.Option(help="Use compiled code or Python in the FMUs of this project.")
 ]
 GpuOption = Annotated[
     bool,

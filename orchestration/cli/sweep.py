@@ -26,21 +26,19 @@ def sweep(
     out: shared.OutFolder = Path("results"),
     workers: Annotated[
         int | None,
-        typer.Option(
-            help="Run so many samples at once on this machine; by default one for each core.", min=1
-        ),
+        typer.Option(help="Samples that run at once on this machine; by default one for each core.", min=1),
     ] = None,
     isolated: Annotated[
         bool,
         typer.Option(
-            "--isolated", help="Run FMUs in processes apart, also those that are known to need none."
+            "--isolated", help="Run every FMU in its own process, also those known to be safe in this one."
         ),
     ] = False,
     ensemble: Annotated[
         bool | None,
         typer.Option(
             "--ensemble/--no-ensemble",
-            help="Step samples of native FMUs together, in vectors, with the same rows; "
+            help="Step many samples of native FMUs together, in vectors, with the same results; "
             "by default where it is faster.",
         ),
     ] = None,
@@ -71,7 +69,11 @@ def sweep(
     flavour: shared.FlavourOption = Flavour.NATIVE,
     changes: Changes = NO_CHANGES,
 ) -> None:
-    """Run the samples of a scenario that has a table [sweep]; an interrupted sweep continues."""
+    """Run the samples of a scenario that has a table [sweep]; an interrupted sweep continues.
+
+    Writes SCENARIO.sweep.parquet, a row for each sample.
+    For example, l1-depth sweep monte-carlo writes results/monte-carlo.sweep.parquet.
+    """
     from orchestration.cli import chosen_scenario
     from orchestration.sweep.plan import plan
     from orchestration.sweep.run import recorded_signals
@@ -145,10 +147,10 @@ def margins(
     ] = "",
     window: Annotated[
         tuple[float, float] | None,
-        typer.Option(metavar="S S", help="Judge it in this time; by default where its reference holds."),
+        typer.Option(metavar="S S", help="Judge it between these two times [s]; by default in a hold."),
     ] = None,
     quiet: Annotated[
-        float, typer.Option(help="Largest standard deviation that counts as quiet, in the signal's unit.")
+        float, typer.Option(help="Largest standard deviation of a settled signal, in the signal's unit.")
     ] = 3e-3,
     theory: Annotated[
         bool, typer.Option("--theory", help="Give what follows from the design alone, without many runs.")
@@ -160,7 +162,11 @@ def margins(
         ),
     ] = "",
 ) -> None:
-    """Give the delay and gain margins of a scenario, by runs and, for our L1 controllers, in theory."""
+    """Give the delay and gain margins of a scenario, by runs and, for L1 controllers, in theory.
+
+    Delays are in seconds, gains are factors.
+    For example, l1-depth margins nominal-extended --theory makes only a few runs.
+    """
     from orchestration.cli import chosen_scenario
     from orchestration.margins.fmu_margins import runs_needed
     from orchestration.margins.hold import Hold

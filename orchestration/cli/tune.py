@@ -36,7 +36,7 @@ def tune(
         str,
         typer.Argument(
             metavar="CONTROLLER",
-            help="Of the protocol; or an .fmu, a block, its .py file or a class FILE.py:Class.",
+            help="A controller of the protocol, an .fmu, a block, its .py file or a class FILE.py:Class.",
         ),
     ],
     free: Annotated[
@@ -49,7 +49,7 @@ def tune(
     ] = [],  # noqa: B006  (Typer copies it)
     evaluations: EvaluationsOption = 100,
     seeds: SeedsOption = 5,
-    workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
+    workers: Annotated[int, typer.Option(help="Number of processes.", min=1)] = usable_processors(),
     out: shared.OutFolder = Path("results"),
     restart: Annotated[
         bool, typer.Option("--restart", help="Discard the evaluations of an earlier tuning of that name.")
@@ -59,7 +59,7 @@ def tune(
     plants: Annotated[
         int,
         typer.Option(
-            metavar="NUMBER", help="Take the worst fifth of so many plants in place of cases.", min=0
+            metavar="NUMBER", help="Compute the cost over the worst fifth of this many plants.", min=0
         ),
     ] = 0,
     protocol_file: ProtocolOption = None,
@@ -67,7 +67,11 @@ def tune(
     gpu: shared.GpuOption = False,
     changes: Changes = NO_CHANGES,
 ) -> None:
-    """Search the gains of least cost on practice cases of the protocol; an interrupted tuning continues."""
+    """Search the gains of least cost over cases of the protocol; an interrupted tuning continues.
+
+    Writes CONTROLLER.toml, a parameter file.
+    For example, l1-depth tune pid.py --free kp=1:100 searches one gain of a block in a Python file.
+    """
     from orchestration.scenarios.free_parameter import parse
     from orchestration.score import tune_problem
     from orchestration.score.closed_loop import ClosedLoop

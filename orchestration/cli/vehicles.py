@@ -49,12 +49,16 @@ def design(
         float, typer.Option(metavar="DEG", help="Least phase margin in every corner.", min=1.0, max=80.0)
     ] = 20.0,
     draws: Annotated[
-        int, typer.Option(metavar="NUMBER", help="Run so many draws within the ranges, too.", min=0)
+        int, typer.Option(metavar="NUMBER", help="Further runs, at random values in the ranges.", min=0)
     ] = 20,
-    seed: Annotated[int, typer.Option(metavar="NUMBER", help="Seed of the draws.", min=0)] = 1,
+    seed: Annotated[int, typer.Option(metavar="NUMBER", help="Seed of the random values.", min=0)] = 1,
     out: shared.OutFolder = Path("results"),
 ) -> None:
-    """Design L1, its PI extension and PID for a vehicle, and check them in every corner of its ranges."""
+    """Design L1, its PI extension and PID for a vehicle, and check them in every corner of its ranges.
+
+    Writes two parameter files, PLANT-l1.toml and PLANT-pid.toml.
+    For example, l1-depth design --plant RovDepthPlant writes results/RovDepthPlant-l1.toml and -pid.toml.
+    """
     from orchestration.cli.score import chosen_vehicle
     from orchestration.design import parameter_file, rules, vehicle_data
 
@@ -168,10 +172,14 @@ def fit(
     step_size: Annotated[
         float | None, typer.Option(metavar="SECONDS", help="Communication step; by default that of the FMU.")
     ] = None,
-    workers: Annotated[int, typer.Option(help="Run so many dives at once.", min=1)] = usable_processors(),
+    workers: Annotated[int, typer.Option(help="Dives that run at once.", min=1)] = usable_processors(),
     out: shared.OutFolder = Path("results"),
 ) -> None:
-    """Fit parameters of a vehicle to measured depth and commands, with intervals."""
+    """Fit parameters of a vehicle to measured depth and commands, with intervals.
+
+    Writes a parameter file PLANT-fit.toml, the simulated dives (CSV) and an HTML page.
+    For example, l1-depth fit RovDepthPlant --data dive.csv --free inertia fits one parameter.
+    """
     import tomli_w
 
     from orchestration.cli.score import chosen_vehicle

@@ -154,7 +154,7 @@ def _error(
 
 @run_by_run
 def energy_residual(recording: Recording, signal: str, flow: str, window: list[float] | None = None) -> float:
-    """Returns the energy that exchanging an effort, the signal, and a flow at points creates (`power.py`)."""
+    """Returns the energy that exchanging an effort, the signal, and a flow at points creates."""
     inside = _window(recording, window)
     return float(energy_residuals(recording, signal, flow)[inside.start : inside.stop - 1].sum())
 

@@ -108,11 +108,11 @@ class Simulator(LoadedSystem):
     """A system whose FMUs stay loaded over many runs, made at once or step by step; a context manager.
 
     The FMUs are loaded for the first run and reset for the next; after a failure they are loaded anew.
-    compiled: whether the communication loop runs compiled, or in Python: slower, with the same results to the
-    last bit
-    threads: that step the FMUs of a Jacobi run side by side, with the same results; 1 for one after another.
-    None for as many as make it faster, if that is measured, and one for FMUs that may share memory. Of `run`
-    alone: what is led step by step has one thread
+    compiled: whether the communication loop is compiled; in Python it is slower, with the same results to the
+        last bit
+    threads: number of threads that step the FMUs of a Jacobi run, with the same results; by default as many
+        as make `run` faster, if that is measured, and one for FMUs that may share memory. A run that the
+        caller steps has one thread
     Raises FmuLoadError for a file that is no FMU.
     """
 

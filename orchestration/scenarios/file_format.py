@@ -92,9 +92,9 @@ class ExperimentTable(Table):
     extrapolation: int = _OPTIONAL
     """Order, 0 or 1, in which inputs are carried on between communication points."""
     tolerance: float = _OPTIONAL
-    """Of the error that exchanging at steps brings; steps are then as short as that needs."""
+    """Largest error by exchanging values at points, relative to max(|value|, nominal); varies the step."""
     fmu_tolerance: float = _OPTIONAL
-    """Relative, handed to the FMUs for their solvers; without it they use their own."""
+    """Relative tolerance of the solvers in the FMUs; by default their own."""
     initialisation: Annotated[Initialisation, Strict(False)] = _OPTIONAL
     """How loops of initial values are solved."""
     open_inputs: Annotated[OpenInputs, Strict(False)] = _OPTIONAL
@@ -148,7 +148,7 @@ class ScenarioFile(Table):
     """A scenario of l1-depth: components, connections, an experiment, and what is measured."""
 
     title: str = ""
-    """For readers; by default the name of the file."""
+    """Title in results and figures; by default the name of the file."""
     base: str = ""
     """A shipped scenario, or a file relative to this one: what this file does not give is taken from it."""
     parameter_files: list[str] = []

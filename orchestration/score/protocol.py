@@ -129,12 +129,12 @@ class Protocol:
 
     @cached_property
     def cases(self) -> dict[str, Case]:
-        """The cases of the table that the vehicle can play, by name, at the first practice seed."""
+        """The cases of the table that can run on the vehicle, by name, at the first practice seed."""
         return {name: self._case(name) for name in self.tables.cases if name not in self.left_out}
 
     @cached_property
     def left_out(self) -> dict[str, str]:
-        """The cases that the vehicle cannot play, by name -> why."""
+        """The cases that cannot run on the vehicle, by name -> why."""
         return {name: reason for name in self.tables.cases if (reason := self._lacking(name))}
 
     def _lacking(self, name: str) -> str:

@@ -36,15 +36,18 @@ class MetricInfo(Part):
 
     title: str
     unit: str
+    """Unit of its values and statistics."""
     meaning: str
     """Its definition."""
     greatest_is_best: bool = False
+    """Whether the largest value is marked as the best, not the smallest."""
 
 
 class CaseInfo(Part):
     """The description of a case."""
 
     title: str
+    """Name in tables and figures."""
     tuned_on: bool
     """Built-in controllers are tuned on this case: its metrics are no test of them."""
     repeats_nominal: bool = False
@@ -55,12 +58,15 @@ class ProtocolInfo(Part):
     """The protocol that every metric here is of."""
 
     version: str
+    """Version of the protocol."""
     statement: str
-    """What the metrics tell about, and what they do not."""
+    """What the metrics are evidence for, and what they are not."""
     metrics: dict[str, MetricInfo]
+    """Metric -> its description."""
     cases: dict[str, CaseInfo]
+    """Case -> its description."""
     left_out: dict[str, str] = {}
-    """Title of a case that the vehicle cannot play -> what it lacks."""
+    """Title of a case that cannot run on the vehicle -> what the vehicle lacks."""
     failure: dict[str, float]
     """Metric -> a run with more of it failed, as does one that does not settle or ends early."""
 
@@ -69,15 +75,18 @@ class CaseResult(Part):
     """One run."""
 
     metrics: dict[str, Number] = {}
+    """Metric -> value; null if it is not a number."""
     failed: list[str] = []
-    """Why it counts as failed; empty if it does not."""
+    """Reasons why it counts as failed; empty if it does not."""
 
 
 class MetricOverRuns(Part):
     """A metric over the plants or the draws of a case: statistics of its distribution, and its values."""
 
     median: Number
+    """Median of the values."""
     p95: Number
+    """95th percentile of the values."""
     cvar: Number
     """Mean of the worst 5 %; null if a run without a value is among them."""
     values: list[Number]
@@ -88,6 +97,7 @@ class ManyRuns(Part):
     """Runs of --full: the plants, or a case with seeds and times that are drawn."""
 
     count: int
+    """Number of the runs."""
     failure_rate: float
     """Share of the runs that failed."""
     failure_interval: tuple[float, float]
@@ -95,6 +105,7 @@ class ManyRuns(Part):
     failed: dict[str, list[str]] = {}
     """Number of a run -> why it counts as failed."""
     metrics: dict[str, MetricOverRuns]
+    """Metric -> its statistics over these runs."""
 
 
 _SYMBOLS = {
@@ -109,9 +120,11 @@ class Row(Part):
     """One controller."""
 
     name: str
+    """Name in the protocol, or of the file."""
     title: str
+    """Name in tables and figures."""
     connected: list[str] = []
-    """What it is told of the reference and of the depth rate, by names of the depth control interface."""
+    """Its connected inputs among reference, its derivatives and depth rate, by names of the interface."""
     scored: bool
     """Whether it is what the command was given, not one of the protocol."""
     fmu: dict[str, Any]
@@ -125,17 +138,19 @@ class Row(Part):
     delay_margin: Number = math.nan
     """Median of `delay_margins`; null if the nominal case fails or a draw has none."""
     delay_margins: list[Number] = []
-    """Longest additional delay [s] of the nominal case, of --full in each draw; null if it is not quiet."""
+    """Longest additional delay [s] of the nominal case, of --full in each draw; null if unsettled."""
     microseconds: Number = math.nan
-    """Of a communication step of the controller's FMU with the inputs of the nominal run, on this machine."""
+    """Time [us] of a communication step of the controller's FMU in the nominal run, on this machine."""
     cases: dict[str, CaseResult] = {}
+    """Case -> the result of its one run."""
     draws: dict[str, ManyRuns] = {}
     """Case that does not repeat the nominal one -> its runs with drawn seeds and times, of --full."""
     plants: ManyRuns | None = None
+    """Runs of the nominal case on random plants, of --full."""
 
     @property
-    def told(self) -> str:
-        """Symbols of what the controller is told."""
+    def symbols(self) -> str:
+        """Symbols of `connected`."""
         return ", ".join(_SYMBOLS.get(name, name) for name in self.connected) or "-"
 
 
@@ -143,32 +158,40 @@ class PairedDifference(Part):
     """A metric of one controller minus that of another one, over the same plants."""
 
     scored: str
+    """Name of the first controller."""
     other: str
+    """Name of the controller whose metric is subtracted."""
     metric: str
+    """Name of the metric."""
     pairs: int
     """Plants on which both have a value."""
     median_difference: Number
+    """Median over the pairs, in the unit of the metric."""
     interval: tuple[Number, Number]
-    """Of the median difference; the intervals of a metric hold together with 95 %."""
+    """Confidence interval of the median difference; those of a metric hold together with 95 %."""
     margin: Number
     """A difference below it counts as none: 5 % of the lesser median."""
     verdict: Verdict
-    """Of the interval: beyond the margin ("lower", "higher"), within it ("equal"), or neither ("open")."""
+    """Interval beyond the margin ("lower", "higher"), within it ("equal"), or neither ("open")."""
     p: Number
-    """Of Wilcoxon's signed-rank test."""
+    """p-value of Wilcoxon's signed-rank test."""
     p_holm: Number
-    """The same, corrected for the number of pairs."""
+    """p-value corrected for the number of pairs of controllers (Holm)."""
 
 
 class Score(Part):
     """The score that `l1-depth score` writes."""
 
     made_by: str
+    """Program and version that wrote the file."""
     seed: int = 0
-    """What its seeds, times and plants follow from: `--seed` repeats them."""
+    """Seed of noise, times and plants: `--seed` repeats them."""
     protocol: ProtocolInfo
+    """Description of the protocol: metrics and cases."""
     rows: list[Row]
+    """Results, one entry for each controller."""
     differences: list[PairedDifference] = []
+    """Paired differences between controllers, of --full."""
 
     @property
     def scored(self) -> list[Row]:

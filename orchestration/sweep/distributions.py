@@ -60,6 +60,7 @@ def _within(quantile: Callable[[np.ndarray], np.ndarray], low: float, high: floa
 
 
 def normal(mean: float, std: float, low: float = -math.inf, high: float = math.inf) -> Distribution:
+    """Returns the normal distribution; std: standard deviation."""
     from scipy.special import ndtr, ndtri  # which take longer to import than to draw
 
     _positive("std", std)
@@ -81,6 +82,7 @@ def lognormal(median: float, sigma: float, low: float = 0.0, high: float = math.
 
 
 def uniform(low: float, high: float) -> Distribution:
+    """Returns the uniform distribution from low to high."""
     _ascending(low, high)
     return _within(lambda q: q * (high - low) + low, low, high)
 
@@ -95,6 +97,7 @@ def loguniform(low: float, high: float) -> Distribution:
 
 
 def triangular(low: float, mode: float, high: float) -> Distribution:
+    """Returns the triangular distribution from low to high, with the most probable value mode."""
     _ascending(low, high)
     if not low <= mode <= high:
         raise ScenarioError(f"mode = {mode!r}: expected {low:g}..{high:g}")

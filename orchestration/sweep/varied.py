@@ -116,7 +116,7 @@ class ValuesTable(Table):
 
 
 class LinspaceTable(Table):
-    """A table of the equally spaced values of a grid."""
+    """A table of the equally spaced values of a grid: linspace has the first, the last and their number."""
 
     linspace: Annotated[list[float], Field(min_length=3, max_length=3)]
     """[first, last, how many]"""

@@ -63,7 +63,7 @@ async function drawPareto() {
   const [least, largest] = [Math.min(...margins), Math.max(...margins)];
   const points = rows.map((row) => ({
     x: value(row, "rmse"), y: value(row, "total_variation"), name: row.name,
-    text: [`${row.title}, told ${row.connected.join(", ")}`, `RMSE ${value(row, "rmse").toPrecision(3)} cm`, `total variation ${value(row, "total_variation").toPrecision(4)} N`, `delay margin ${row.delay_margin?.toPrecision(3) ?? "-"} s`].join("\n"),
+    text: [`${row.title}, inputs: ${row.connected.join(", ")}`, `RMSE ${value(row, "rmse").toPrecision(3)} cm`, `total variation ${value(row, "total_variation").toPrecision(4)} N`, `delay margin ${row.delay_margin?.toPrecision(3) ?? "-"} s`].join("\n"),
     label: row.scored || best.includes(row) ? row.title : "", size: row.scored ? 7 : 4.5,
     mark: failed(row) ? "cross" : row.connected.length > 1 ? "diamond" : "circle",
     color: Number.isFinite(row.delay_margin) ? `hsl(${240 - 220 * ((row.delay_margin - least) / (largest - least || 1))} 70% ${dark() ? 65 : 42}%)` : "#888888",

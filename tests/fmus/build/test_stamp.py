@@ -394,6 +394,7 @@ def test_an_fmu_without_a_record_of_its_build_is_built_again_where_it_can_be(
 ) -> None:
     """It would run like one of another tool, as one does in a folder of the administrator's."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(builder, "BuildCache", partial(BuildCache, begun=LATER))
     fmu = builder.build_block("ExamplePlant", tmp_path / "built").read_bytes()
     shutil.rmtree(store.folder(store.BUILDS))
     with monkeypatch.context() as of_another_user:

@@ -97,10 +97,10 @@ def test_who_differentiates_the_reference_stands_in_one_table_with_who_is_told_i
     small: Protocol, protocol: Protocol, knowing: Callable[..., Controller]
 ) -> None:
     mine, honest = knowing("mine", differentiates=True), knowing("honest")
-    told = tuned(protocol, "pid-rates")
-    document = score_controllers([mine, honest], small, beside=[told], seed=5).document
+    with_rates = tuned(protocol, "pid-rates")
+    document = score_controllers([mine, honest], small, beside=[with_rates], seed=5).document
     rows = {row.name: row for row in document.rows}
-    assert (rows["mine"].told, rows["pid-rates"].told) == ("r", "r, r', r''")
+    assert (rows["mine"].symbols, rows["pid-rates"].symbols) == ("r", "r, r', r''")
     errors = {name: row.cases["nominal"].metrics["rmse"] for name, row in rows.items()}
     assert errors["mine"] < 0.9 * errors["honest"]  # what it gains
     marks = {row.name: of_metric(document, "rmse").cells[i][0].is_best for i, row in enumerate(document.rows)}
