@@ -32,7 +32,7 @@ KERNELS = ("sizes", "exchange", "run", "initialise", "change")
 _CACHE = "gpu"
 _THREADS = 128  # of a block: a system needs most of a thread's registers
 # no fused operations: a product and a sum are rounded as in the FMU
-_OPTIONS = ("--std=c++14", "--fmad=false", "--device-as-default-execution-space", "--diag-suppress=177")
+OPTIONS = ("--std=c++14", "--fmad=false", "--device-as-default-execution-space", "--diag-suppress=177")
 
 
 class Device(Protocol):
@@ -70,7 +70,7 @@ class Gpu:
         self.arrays = cupy
 
     def kernels(self, program: str) -> Mapping[str, Kernel]:
-        module = self.arrays.RawModule(code=program, options=_OPTIONS)
+        module = self.arrays.RawModule(code=program, options=OPTIONS)
         return {name: self._kernel(module.get_function(f"ensemble_{name}_all")) for name in KERNELS}
 
     def _kernel(self, function: Any) -> Kernel:

@@ -19,7 +19,7 @@ _FUNCTIONS = {
     np.fft.irfft, np.fft.rfft, np.max, np.mean, np.min, np.shape, np.stack, np.std, np.sum, np.take,
     np.take_along_axis, np.trapezoid, np.where, np.zeros_like,
 }  # fmt: skip
-_OPTIONS = ("-std=c++14", "-shared", "-O2", "-ffp-contract=off", "-fno-math-errno", "-nostdlib++")
+_OPTIONS = ("-std=c++14", "-shared", "-O1", "-ffp-contract=off", "-fno-math-errno", "-nostdlib++")
 _COMPILED: dict[str, ctypes.CDLL] = {}
 
 
