@@ -89,7 +89,7 @@ class CalledInstance(binding.BoundInstance):
         ]
         structure = type(self.callbacks.structure).from_buffer_copy(self.callbacks.structure)
         name, guid, location = strings
-        self._tell("fmi2Instantiate", options.get("name", "instance"), options.get("guid"))
+        self._tell("fmi2Instantiate", (options.get("name", "instance"), options.get("guid")))
         address = self.library.fmi2Instantiate(
             name, self.interface, guid, location, ctypes.byref(structure),
             0, int(options.get("logging", False)),
@@ -103,7 +103,7 @@ class CalledInstance(binding.BoundInstance):
     def check_status(self, function: str, status: int) -> None:
         self.last_status = status
 
-    def _tell(self, function: str, *arguments: Any) -> None:
+    def _tell(self, function: str, arguments: Sequence[Any]) -> None:
         """Announces a call, with the function that brought the instance where it is, and its callbacks."""
         after = f" after {self.mode}" if self.mode else ""
         if kind := self._options.get("callbacks"):
@@ -119,7 +119,7 @@ class CalledInstance(binding.BoundInstance):
         """Calls a function, and notes if one that is watched writes into an array that is constant to it."""
         is_result = function.startswith(_RETURN_ARRAYS)
         self.function = function
-        self._tell(function, *(arguments[:-1] if is_result else arguments))
+        self._tell(function, arguments[:-1] if is_result else arguments)
         arrays = [x for x in arguments if isinstance(x, ctypes.Array)] if self.watched else []
         if is_result:
             arrays = arrays[:-1]
@@ -265,7 +265,7 @@ class CalledInstance(binding.BoundInstance):
 
     def free(self) -> None:
         if self.handle is not None and self.last_status != binding.FATAL:
-            self._tell("fmi2FreeInstance")
+            self._tell("fmi2FreeInstance", ())
             self.status("fmi2FreeInstance")
         self.handle = None
         self.callbacks.close()

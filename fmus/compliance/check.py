@@ -3,6 +3,7 @@
 The head of this file imports what declares the options; the check itself is imported when it runs.
 """
 
+import gc
 import sys
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from fmus.compliance.rule import Level, Result
+from fmus.compliance.rule import ALLOCATIONS, Level, Result
 
 if TYPE_CHECKING:
     from fmus.compliance.report import Checked
@@ -125,6 +126,7 @@ def _judged(
     from fmus.compliance.library_reader import close_reader
 
     results = dict[Path, list[Result]]()
+    gc.set_threshold(ALLOCATIONS)
     try:
         with _progress(quiet, len(fmus)) as show:
             for number, path in enumerate(fmus, 1):

@@ -4,6 +4,7 @@ It judges nothing, and what it sends is not trusted: the FMU can do to it whatev
 """
 
 import ctypes
+import gc
 import mmap
 import os
 import sys
@@ -14,7 +15,7 @@ from typing import Any
 from fmus.compliance.called_instance import CalledInstance
 from fmus.compliance.model_exchange import ModelExchangeInstance
 from fmus.compliance.process_settings import ProcessSettings
-from fmus.compliance.rule import defect
+from fmus.compliance.rule import ALLOCATIONS, defect
 from fmus.compliance.script import STEPS
 from fmus.fmi.binding import CO_SIMULATION, DISCARD, ERROR, FATAL, WARNING, Library
 from fmus.fmi.callbacks import CountingAllocator
@@ -183,6 +184,7 @@ def call_fmu(parent: Parent) -> None:
     folder, *arguments = parent.receive()
     os.chdir(folder)  # where the FMU writes files
     limit_process(MOST_MEMORY, MOST_OF_A_FILE)
+    gc.set_threshold(ALLOCATIONS)
     printed = _print_to(Path(folder, "printed"))
     called = Path(folder, CALLED)
     called.write_bytes(bytes(_ANNOUNCED))

@@ -53,8 +53,9 @@ def shown(argument: Any) -> str:
         case int() | str():
             return str(argument)
         case ctypes.Array():
-            texts = argument._type_ in (ctypes.c_char, ctypes.c_char_p)  # the FMU may leave wrong addresses
-            return "[...]" if texts else str(argument[:8])
+            if argument._type_ in (ctypes.c_char, ctypes.c_char_p):  # the FMU may leave wrong addresses
+                return "[...]"
+            return f"[{', '.join(map(shown, argument[:8]))}]"
     return ""
 
 

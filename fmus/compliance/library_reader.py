@@ -10,13 +10,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib.util import find_spec
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
-from fmus.compliance.fmu_file import FmuFile
 from fmus.errors import MissingExtraError
 from fmus.extras import imports_of
 from fmus.fmi.process import Parent, ProcessEndedError, WorkerProcess
+
+if TYPE_CHECKING:
+    from fmus.compliance.fmu_file import FmuFile  # which the process that reads does without
 
 LIMIT_S = 60.0  # for the import of LIEF, and for a library where no other limit is given
 Member = tuple[str, bytes]  # path of a library in an FMU, and its content
@@ -142,14 +144,14 @@ def _facts(path: str, parsed: Any) -> Library:
     return Library(path, machine, exports, imports, tuple(needed), tuple(search_paths))
 
 
-_readings: WeakKeyDictionary[FmuFile, Reading] = WeakKeyDictionary()
+_readings: WeakKeyDictionary["FmuFile", Reading] = WeakKeyDictionary()
 
 
-def no_library(fmu: FmuFile) -> str:
+def no_library(fmu: "FmuFile") -> str:
     return "" if fmu.libraries() else "there is no library"
 
 
-def start_reading(fmu: FmuFile, timeout: float = LIMIT_S) -> Reading:
+def start_reading(fmu: "FmuFile", timeout: float = LIMIT_S) -> Reading:
     """Starts LIEF's reading of the FMU's libraries at the first call, and returns it.
 
     timeout: seconds for each library. Raises what `FmuFile.read` does, OSError without a process.

@@ -218,10 +218,10 @@ class ModelExchangeInstance(CalledInstance):
                 raise _StepEndsError(f"{_TOO_MANY} {_MOST_SUBSTEPS} substeps in a step")
             is_last = size >= end - t
             new_t = end if is_last else t + size
-            trial = self._trial(x, slopes, t, new_t)
+            trial = self._trial(x, slopes, t, new_t, size <= least)
             is_crossing = trial is not None and _signs(z) != _signs(trial[1])
-            if trial is None or ((is_crossing or trial[2] > 1) and size > least):
-                if trial is None and size <= least:
+            if trial is None or (is_crossing and size > least):
+                if size <= least:
                     raise _StepEndsError("the FMU discards states, or gives no numbers, in smallest substeps")
                 size = min(size, end - t) / 2
                 continue
@@ -241,17 +241,24 @@ class ModelExchangeInstance(CalledInstance):
                 slopes = self._read(_DERIVATIVES)
         return t, "time event" if t == self._next_event else "communication point"
 
-    def _trial(self, x: Sequence[float], slopes: Sequence[float], t: float, end: float) -> _Trial | None:
+    def _trial(
+        self, x: Sequence[float], slopes: Sequence[float], t: float, end: float, is_smallest: bool
+    ) -> _Trial | None:
         """Returns states, indicators and the error over its tolerance at the end of a substep.
 
-        None if the FMU discards something, or what it gives is not finite.
+        None if the error is too large, unless the substep is as small as any, if the FMU discards something,
+        or what it gives is not finite.
         """
-        h = end - t
+        h, tolerance = end - t, _TOLERANCE * self._roughness
         try:
             self._checked(self.set_time, end)
             euler = _sum(x, h, slopes)
             others = self._vector_at(euler, _DERIVATIVES)
             new = _sum(_sum(x, h / 2, slopes), h / 2, others)
+            sizes = (abs(a - b) / (tolerance * max(abs(a), 1e-3)) for a, b in zip(euler, new, strict=True))
+            error = max(sizes, default=0.0)
+            if error > 1 and not is_smallest:
+                return None
             z = self._vector_at(new, _INDICATORS)
         except _StepEndsError:
             if self.last_status != DISCARD:
@@ -260,9 +267,7 @@ class ModelExchangeInstance(CalledInstance):
             return None
         if not all(map(math.isfinite, [*new, *z])):
             return None
-        tolerance = _TOLERANCE * self._roughness
-        sizes = (abs(a - b) / (tolerance * max(abs(a), 1e-3)) for a, b in zip(euler, new, strict=True))
-        return new, z, max(sizes, default=0.0)
+        return new, z, error
 
     def _vector_at(self, x: Sequence[float], function: str) -> list[float]:
         """Sets states, if there are any, and returns a vector there."""

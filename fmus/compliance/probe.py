@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -246,7 +247,8 @@ class Probe:
             self.play_each(list(new.values()))
             known |= new
         for key, script in zip(keys, scripts, strict=True):
-            script.take("play", 0, known[key].answers)
+            if script is not known[key]:
+                script.take("play", 0, known[key].answers)
 
     def creates(self, **options: Any) -> tuple[bool, list[Message]]:
         """Whether the FMU creates an instance, which is freed again, and its messages."""
@@ -277,7 +279,7 @@ class Probe:
         """Returns the time of communication point number i [s]."""
         return self.start_time + i * self.step_size
 
-    @property
+    @cached_property
     def outputs(self) -> list[Variable]:
         return [v for v in self.fmu.variables if v.causality == "output"]
 

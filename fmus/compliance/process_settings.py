@@ -5,8 +5,10 @@ import gc
 import itertools
 import locale
 import os
+import re
 import signal
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,8 @@ _LINES = {  # of /proc/self/status
     "signal mask": ("SigBlk",),
     "processors": ("Cpus_allowed_list",),
 }
+_LINE = re.compile(rf"^({'|'.join(itertools.chain(*_LINES.values()))}):\s*(.*)$", re.MULTILINE)
+_STREAMS = [_SELF / "fd" / number for number in "012"]
 _WIDTH = 26  # of the first column of /proc/self/limits
 _RESTORED = ("working directory", "file mode mask", "locale")
 _TINY = 2.2250738585072014e-308  # half of it is below the normal numbers
@@ -33,6 +37,13 @@ def _function(library: Any, name: str, result: Any = ctypes.c_int, *arguments: A
     if function is not None:
         function.restype, function.argtypes = result, list(arguments)
     return function
+
+
+@cache  # it hardly ever changes, and is read around every call that is watched
+def _limits(text: str) -> dict[str, str]:
+    """Returns the limits that /proc/self/limits lists, by the names of their settings."""
+    lines = text.splitlines()[1:]
+    return {f"limit {line[:_WIDTH].strip()}": " ".join(line[_WIDTH:].split()) for line in lines}
 
 
 class ProcessSettings:
@@ -111,13 +122,10 @@ class ProcessSettings:
             settings["priority"] = str(os.getpriority(os.PRIO_PROCESS, 0))
             settings["environment"] = self._environment_now()
         with suppress(OSError):
-            lines = dict(line.split(":", 1) for line in (_SELF / "status").read_text().splitlines())
-            for name, of in _LINES.items():
-                settings[name] = " ".join(lines[one].strip() for one in of)
-            for limit in (_SELF / "limits").read_text().splitlines()[1:]:
-                settings[f"limit {limit[:_WIDTH].strip()}"] = " ".join(limit[_WIDTH:].split())
-            streams = (_SELF / "fd" / number for number in "012")
-            to = (str(stream.readlink()) if stream.is_symlink() else "closed" for stream in streams)
+            lines = dict(_LINE.findall((_SELF / "status").read_text()))
+            settings |= {name: " ".join(lines[one] for one in of) for name, of in _LINES.items()}
+            settings |= _limits((_SELF / "limits").read_text())
+            to = (str(one.readlink()) if one.is_symlink() else "closed" for one in _STREAMS)
             settings["standard streams"] = " ".join(to)
         return settings
 

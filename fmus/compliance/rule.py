@@ -108,6 +108,9 @@ def defect(error: Exception) -> str:
     return f"{DEFECT} ({type(error).__name__}: {error}), which tells nothing of the FMU: please report it"
 
 
+ALLOCATIONS = 50_000
+"""Number of objects between two collections of garbage: a check keeps most of what it makes."""
+
 DEFECT = "the rule failed by a defect of this checker"
 OUTCOMES = ("passed", "not applicable", "not judged", *reversed(Level))
 RULES: dict[str, Rule] = {}  # by name, of the modules that are imported; `registered` imports all

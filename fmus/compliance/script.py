@@ -2,7 +2,8 @@
 
 import itertools
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 from fmus.compliance.rule import NotJudgedError
@@ -53,7 +54,7 @@ class Message:
     given_name: str = ""
 
 
-@dataclass
+@dataclass(slots=True)
 class Reply:
     """Reply to a call; `status` is None until it was made.
 
@@ -66,8 +67,8 @@ class Reply:
     state: str
     status: int | None = None
     value: Any = None
-    messages: list[Message] = field(default_factory=list)
-    changed: list[list[str]] = field(default_factory=list)
+    messages: Sequence[Message] = ()
+    changed: Sequence[Sequence[str]] = ()
     printed: int = 0
     is_step: bool = False
     reason: str = ""
@@ -91,6 +92,13 @@ class Reply:
     def problem(self) -> str:
         """Problem of the call, or of a step of many calls none of which failed, in words."""
         return self.reason or f"{self.function}{self.words} {self.status_name}: expected ok; {self.logged}"
+
+
+@cache
+def _elements(function: str, count: int) -> list[Variable]:
+    """Returns the elements of a vector of model exchange, with names for messages."""
+    names = (f"element {i} of {function}" for i in range(1, count + 1))
+    return [Variable(0, {"name": name}, "", {}, {}) for name in names]
 
 
 class Reading:
@@ -315,8 +323,7 @@ class Script:
         reading = Reading({}, {})
         for function in functions:
             if count := self.probe.fmu.vector_length(function):
-                elements = (f"element {i} of {function}" for i in range(1, count + 1))
-                reading.groups[function] = [Variable(0, {"name": name}, "", {}, {}) for name in elements]
+                reading.groups[function] = _elements(function, count)
                 reading.replies[function] = self.call("vector", function)
         return reading
 
@@ -353,8 +360,8 @@ class Script:
                 if status and self.probe.fmu.is_model_exchange:  # a step is many calls
                     reply.state = _MODES.get(mode, reply.state)
                     reply.reason = reply.value if isinstance(reply.value, str) else ""
-                reply.status, reply.changed, reply.printed = int(status), changed, int(printed)
-                reply.messages = [Message(*message) for message in messages]
+                reply.status, reply.changed, reply.printed = int(status), changed or (), int(printed)
+                reply.messages = tuple(Message(*message) for message in messages)
             except (TypeError, ValueError):  # the FMU can write to the process that answers
                 raise CallError(f"the process of the FMU answers {str(answer)[:100]!r}") from None
 

@@ -146,7 +146,8 @@ class Library:
             )
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._functions, name)
+        function = self.__dict__[name] = getattr(self._functions, name)  # found at once the next time
+        return function
 
     def instantiate(
         self, interface: int, name: str, guid: str, resources: Path, callbacks: Callbacks, logging_on: bool

@@ -48,13 +48,14 @@ def _values_in_runs(probe: Probe) -> Iterator[tuple[str, str, Any]]:
     plays = [do.played(probe, [*start, *itertools.chain(*few)], logging=True)]
     with suppress(NotApplicableError, NotJudgedError):
         plays.append(do.over_the_experiment(probe))
+    outputs = do.number_outputs(probe)
     for play in plays:
         for when, where, reading in play.observed:
             for name, value in reading.values.items() if reading.ok else ():
                 yield when + where, name, value
         for reply in play.replies:
             observed: list[Any] = reply.value if reply.is_step and isinstance(reply.value, list) else []
-            for v, (least, t, largest, other_t) in zip(do.number_outputs(probe), observed, strict=False):
+            for v, (least, t, largest, other_t) in zip(outputs, observed, strict=False):
                 yield f"in the default experiment, at {t:g} s", v.name, least
                 yield f"in the default experiment, at {other_t:g} s", v.name, largest
 
