@@ -262,6 +262,7 @@ def test_the_master_loads_nothing_that_running_does_not_need() -> None:
 DISTRIBUTIONS = {
     "PIL": "pillow",
     "annotated_types": "pydantic",
+    "cupy": "cupy-cuda12x",
     "distributed": "dask",
     "pydantic_core": "pydantic",  # which pins it to one version, and whose documentation imports from it
     "tomli_w": "tomli-w",
@@ -270,7 +271,7 @@ EXTRAS = {
     "fmus.block": {"units"},
     "fmus.compliance": {"check"},
     "orchestration.gym": {"gym"},
-    "orchestration.many": {"sweep"},
+    "orchestration.many": {"gpu", "sweep"},
     "orchestration.report": {"report"},
     "orchestration.results": {"tables"},
     "orchestration.score": {"study"},
@@ -332,7 +333,7 @@ def test_what_is_declared_is_imported() -> None:
     declared = project()
     imported = {name: third_party(path) for name, path in MODULES.items()}
     assert declared[""] <= set().union(*imported.values()) | {"fmpy"}  # files alone, in platforms.py
-    for extra in ("check", "gym", "report", "study", "sweep", "tables", "units"):
+    for extra in ("check", "gpu", "gym", "report", "study", "sweep", "tables", "units"):
         rooms = [name for name, extras in EXTRAS.items() if extra in extras]
         users = [names for module, names in imported.items() if room(module) in rooms]
         assert declared[extra] <= set().union(*users), f"the extra {extra!r}"

@@ -14,6 +14,7 @@ _CONTENT = {
     store.BUILDS: "records of what you built: unchanged FMUs are not built again, and run in ensembles",
     store.FMUS: "FMUs that scenarios run",
     "libraries": "compiled code of runs and ensembles",
+    "gpu": "compiled code of runs on a GPU",
 }
 
 

@@ -36,7 +36,7 @@ OPTIONS = ("--std=c++14", "--fmad=false", "--device-as-default-execution-space",
 
 
 class Device(Protocol):
-    """What runs programs of C++.
+    """A GPU, or in tests this processor: it runs programs of C++.
 
     arrays: a module of arrays with the interface of NumPy, and `get` for a copy of it as one of NumPy
     """
