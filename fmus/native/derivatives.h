@@ -70,7 +70,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
     static const char *const function = "fmi2GetDirectionalDerivative";
     static Derivatives *const functions[] = {model_initial_forward, model_step_forward, model_exchange_forward};
     Instance *instance = c;
-    double along[N_VARIABLES + 1] = {0}, result[N_VARIABLES + 1]; /* the last ones by the time */
+    double along[N_SEEDS] = {0}, result[N_SEEDS];
     if (!are_allowed(instance, IS_INITIALIZED, REAL, vUnknown_ref, nUnknown, dvUnknown, function)) return fmi2Error;
     if (!are_allowed(instance, IS_INITIALIZED, REAL, vKnown_ref, nKnown, dvKnown, function)) return fmi2Error;
     const int is_initial = instance->data.mode == INITIALIZATION;
