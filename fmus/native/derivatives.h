@@ -11,8 +11,8 @@ static const int INPUTS_FROM_TO[] = {FIRST_INPUT, FIRST_OUTPUT};
 
 static int is_input(int64_t reference) { return reference >= INPUTS_FROM_TO[0] && reference < INPUTS_FROM_TO[1]; }
 
-static int are_allowed(Instance *instance, int modes, Type type, const fmi2ValueReference references[], size_t count,
-                       const void *values, const char *function) {
+static OUTLINED int are_allowed(Instance *instance, int modes, Type type, const fmi2ValueReference references[],
+                                size_t count, const void *values, const char *function) {
     return is_allowed(instance, modes, function) && are_given(instance, references, count, values, function) &&
            are_of_type(instance, type, references, count, function);
 }
