@@ -163,9 +163,9 @@ def c_functions(
     it anew where the argument has changed. Second result: how many numbers there are in k.
     """
     operations, arguments = operations_of(function), function.name_in()
-    varies = _follows_from(operations, {*arguments} - {*held})
+    varies = follows_from(operations, {*arguments} - {*held})
     constants = _constants(operations, varies)
-    calls = _calls_of_inputs(operations, varies, _follows_from(operations, {*arguments} - {*held, inputs}))
+    calls = _calls_of_inputs(operations, varies, follows_from(operations, {*arguments} - {*held, inputs}))
     count = len(constants) + 2 * len(calls)
     known = [*(o for o in operations if o.name != "RESULT"), Operation("CONST", text="NAN")]
     numbers = constants + [len(known) - 1] * 2 * len(calls)
@@ -181,7 +181,7 @@ def c_functions(
     ], count
 
 
-def _follows_from(operations: Sequence[Operation], names: Collection[str]) -> list[bool]:
+def follows_from(operations: Sequence[Operation], names: Collection[str]) -> list[bool]:
     """Returns for each operation whether it follows from one of these arguments."""
     follows: list[bool] = []
     for operation in operations:

@@ -8,7 +8,14 @@ import casadi
 
 from fmus.block import Block
 from fmus.block.variables import BlockVariable
+from fmus.build.c_functions import follows_from
+from fmus.build.operations import operations_of
 from fmus.build.symbolic import Traced, traced
+
+_STEEP = {
+    "SQRT", "POW", "CONSTPOW", "ASIN", "ACOS", "ACOSH", "ATANH", "ATAN2", "HYPOT", "LOG", "LOG1P", "INV",
+}  # fmt: skip
+"""Operations whose derivatives may be infinite or no numbers, as that of a quotient by its divisor."""
 
 
 class Mode(NamedTuple):
@@ -80,23 +87,44 @@ class Sensitivities:
         self.step = Mode(arguments, known, calculated(x, x))
         # without continuous states outputs are the same at all times
         self.exchange = Mode(arguments, known, calculated(x, held(x))) if count else self.step
+        # of all states, those that are no variables behind the time
+        places = [*range(self._count, self._count + x.numel())]
+        places[:count] = [v.value_reference for v in block.states[:count]]
+        before, after = (dict(zip(places, casadi.vertsplit(s), strict=True)) for s in (x, start))
+        self._start = Mode(arguments, inputs | time, inputs | time | after)
+        self._whole = Mode(arguments, known | before, before | self.step.unknown)
 
     def functions(self, fmi: int) -> dict[str, casadi.Function]:
         """Returns the functions of an FMU of a version of the standard, by name.
 
-        Those of FMI 2.0 are forward alone, and in all modes of calculated parameters, too.
+        Those of FMI 2.0 are forward alone. Where there is start_KIND in place of initial_KIND, derivatives of
+        initialization are those of the initial state, and of step mode. The functions of step mode then have
+        seeds and results of the rest of the state, too, behind that of the time.
         """
-        modes = {"initial": self.initial, "step": self.step}
+        modes, size = {"initial": self.initial, "step": self.step}, self._count
+        if self._is_smooth():
+            modes, size = {"start": self._start, "step": self._whole}, size + self._whole.arguments[1].numel()
         if self.exchange is not self.step:
             modes["exchange"] = self.exchange
-        more, kinds = (self._calculated, ("forward",)) if fmi == 2 else ({}, ("forward", "adjoint"))
         functions: dict[str, casadi.Function] = {}
         for name, mode in modes.items():
+            more = {} if name == "start" else self._calculated
             of_all = mode._replace(unknown=more | mode.unknown)
-            for kind in kinds:
+            for kind in ("forward",) if fmi == 2 else ("forward", "adjoint"):
                 own = f"{name}_{kind}"
-                functions[own] = of_all.derivative(own, self._count, kind == "adjoint")
+                functions[own] = of_all.derivative(own, size, kind == "adjoint")
         return functions
+
+    def _is_smooth(self) -> bool:
+        """Whether no seed 0 of the state can meet an infinite slope in step mode, which gives no number."""
+        column = _column(self.step.unknown)
+        operations = operations_of(
+            casadi.Function("unknown", self.step.arguments, [column], [*"txup"], ["y"])
+        )
+        follows = follows_from(operations, "x")
+        steep = (o.arguments for o in operations if o.name in _STEEP)
+        divisors = (o.arguments[1:] for o in operations if o.name == "DIV")
+        return not any(follows[number] for numbers in (*steep, *divisors) for number in numbers)
 
 
 def _at(variables: tuple, values: casadi.SX) -> dict[int, casadi.SX]:

@@ -5,7 +5,7 @@ parameters `c`, inputs `u`, state `x`, outputs `y`, times `t` and `h` in s.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache, reduce
 from typing import Any
 
@@ -22,6 +22,13 @@ from fmus.build.right_derivative import right_derivative
 from fmus.errors import ExportError
 from fmus.numerics.symbols import unsimplified
 
+_INITIAL = """static void model_initial_{kind}(double t, const double *x, const double *u, const double *p,
+                                 const double *v, double *along) {{
+    double between[{size}];
+    model_{first}(t, x, u, p, v, between);
+    model_{second}(t, x, u, p, between, along);
+}}
+"""
 _ABOUT_LANES = "/* Equations in vectors, for ensembles: an importer compiles those of model_code.h. */\n"
 
 
@@ -133,7 +140,9 @@ class Traced:
         lanes = [vector.function(f) for f in of_runs]
         memory = f"enum {{ N_MEMORY = {vector.memory} }};\n"
         return {
-            "model_code.h": "\n".join([size, *map(scalar.function, (*step, *code.values()))]),
+            "model_code.h": "\n".join(
+                [size, *map(scalar.function, (*step, *code.values())), *_initial(derivatives)]
+            ),
             "model_lanes.h": "\n".join([_ABOUT_LANES, size, memory, *lanes]),
         }
 
@@ -178,6 +187,14 @@ def traced(block: Block) -> Traced:
             )
             raise ExportError(f"block {block.name!r} cannot be traced: {reason}") from error
         raise ExportError(f"block {block.name!r} cannot be traced: {error}") from error
+
+
+def _initial(derivatives: dict[str, casadi.Function]) -> Iterator[str]:
+    """Yields the functions of initialization that are one after the other of two functions."""
+    for kind in ("forward", "adjoint"):
+        if start := derivatives.get(f"start_{kind}"):
+            first, second = (start.name(), f"step_{kind}")[:: 1 if kind == "forward" else -1]
+            yield _INITIAL.format(kind=kind, first=first, second=second, size=start.numel_out(0))
 
 
 def _column(value: Any) -> casadi.SX:

@@ -11,8 +11,8 @@ static const int INPUTS_FROM_TO[] = {FIRST_INPUT, FIRST_OUTPUT};
 
 static int is_input(int64_t reference) { return reference >= INPUTS_FROM_TO[0] && reference < INPUTS_FROM_TO[1]; }
 
-static int are_allowed(Instance *instance, int modes, Type type, const fmi2ValueReference references[], size_t count,
-                       const void *values, const char *function) {
+static OUTLINED int are_allowed(Instance *instance, int modes, Type type, const fmi2ValueReference references[],
+                                size_t count, const void *values, const char *function) {
     return is_allowed(instance, modes, function) && are_given(instance, references, count, values, function) &&
            are_of_type(instance, type, references, count, function);
 }
@@ -70,7 +70,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
     static const char *const function = "fmi2GetDirectionalDerivative";
     static Derivatives *const functions[] = {model_initial_forward, model_step_forward, model_exchange_forward};
     Instance *instance = c;
-    double along[N_VARIABLES + 1] = {0}, result[N_VARIABLES + 1]; /* the last ones by the time */
+    double along[N_SEEDS] = {0}, result[N_SEEDS];
     if (!are_allowed(instance, IS_INITIALIZED, REAL, vUnknown_ref, nUnknown, dvUnknown, function)) return fmi2Error;
     if (!are_allowed(instance, IS_INITIALIZED, REAL, vKnown_ref, nKnown, dvKnown, function)) return fmi2Error;
     const int is_initial = instance->data.mode == INITIALIZATION;

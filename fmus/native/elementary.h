@@ -7,11 +7,14 @@
 #include <stdint.h>
 #include <string.h>
 
-/* Inlined wherever it is called: what its caller computes too is computed once. */
+/* INLINED wherever it is called: what its caller computes too is computed once. OUTLINED: never, because steps of
+ * co-simulation do not call it, and each copy takes time to compile. */
 #ifdef __GNUC__
 #define INLINED inline __attribute__((always_inline))
+#define OUTLINED __attribute__((noinline))
 #else
 #define INLINED inline
+#define OUTLINED
 #endif
 
 static inline uint64_t bits_of(double x) {

@@ -8,8 +8,8 @@
 
 /* Whether a call with an array of `expected` numbers can be carried out; until the initialization ends, states follow
  * parameters and inputs, but nominal values, which are there before it, do not. */
-static int is_vector(Instance *instance, int modes, const double values[], size_t count, size_t expected,
-                     const char *function) {
+static OUTLINED int is_vector(Instance *instance, int modes, const double values[], size_t count, size_t expected,
+                              const char *function) {
     int broken = 0;
     if (!is_of(instance, EXCHANGE, function) || !is_allowed(instance, modes, function)) return 0;
     if (count != expected) {
@@ -27,7 +27,7 @@ static void copy(double to[], const double from[], int count) {
     for (int i = 0; i < count; i++) to[i] = from[i];
 }
 
-static Status to_mode(Instance *instance, int modes, Mode mode, const char *function) {
+static OUTLINED Status to_mode(Instance *instance, int modes, Mode mode, const char *function) {
     if (!is_of(instance, EXCHANGE, function) || !is_allowed(instance, modes, function)) return ERROR;
     instance->data.mode = mode;
     return OK;
@@ -118,7 +118,8 @@ Status FMI(GetNominalsOfContinuousStates)(void *c, double x_nominal[], size_t nx
 }
 
 /* Copies numbers that have been calculated; what is not finite is discarded, so that the solver takes a shorter step. */
-static Status give(Instance *instance, const double numbers[], int count, double values[], const char *function) {
+static OUTLINED Status give(Instance *instance, const double numbers[], int count, double values[],
+                            const char *function) {
     if (!are_finite(numbers, count))
         return refuse(instance, DISCARD, "%s at %s s: not finite; take shorter steps", function,
                       DECIMAL(instance->data.time));

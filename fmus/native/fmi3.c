@@ -226,7 +226,7 @@ static fmi3Status derive(Instance *instance, int is_adjoint, const fmi3ValueRefe
     static Derivatives *const functions[][2] = {{model_initial_forward, model_initial_adjoint},
                                                 {model_step_forward, model_step_adjoint},
                                                 {model_exchange_forward, model_exchange_adjoint}};
-    double along[N_VARIABLES] = {0}, result[N_VARIABLES];
+    double along[N_SEEDS] = {0}, result[N_SEEDS];
     if (!are_elements(instance, IS_INITIALIZED, REAL, from, nFrom, seed, nSeed, function)) return fmi3Error;
     if (!are_elements(instance, IS_INITIALIZED, REAL, to, nTo, sensitivity, nSensitivity, function)) return fmi3Error;
     if (!are_roles(instance, is_adjoint ? from : to, is_adjoint ? nFrom : nTo, is_unknown, "unknown", function))

@@ -174,7 +174,7 @@ static void data_hold(const Data *d, const double *state, const double *c, doubl
 
 /* Outputs, and until stepping begins the initial state, which follow parameters and inputs. In continuous-time mode
  * discrete ones rest (2.2.7). */
-static Outcome data_refresh(Data *d, int *broken) {
+static OUTLINED Outcome data_refresh(Data *d, int *broken) {
     double fresh[N_CALCULATED + 1], state[N_STATES + 1], outputs[N_OUTPUTS + 1];
     const double *p = d->value, *c;
     Outcome outcome;
@@ -240,7 +240,7 @@ static INLINED Outcome data_step(Data *d, StepCache *cache, double t, double h, 
 /* An event of model exchange: samples that are due are taken. `next`: the time of the next [s], infinite if none
  * is known; `jumped`: whether continuous states have changed. A model without derivative steps: each internal step, with
  * the inputs that were there at its beginning, is one sample. */
-static Outcome data_event(Data *d, StepCache *cache, int *jumped, double *next, int *broken) {
+static OUTLINED Outcome data_event(Data *d, StepCache *cache, int *jumped, double *next, int *broken) {
     const Data before = *d;
     Outcome outcome = DONE;
     *jumped = 0;

@@ -46,7 +46,7 @@ typedef struct {
 } Log;
 
 /* The mask of a category's name, 0 if there is none of this name. */
-static unsigned log_category(const char *name) {
+static OUTLINED unsigned log_category(const char *name) {
     for (size_t i = 0; name && i < N_LOG_CATEGORIES; i++)
         if (!strcmp(name, LOG_CATEGORIES[i].name)) return LOG_CATEGORIES[i].mask;
     return 0;
@@ -77,7 +77,7 @@ static void log_send(const Log *log, Status status, const char *format, va_list 
 }
 
 /* The shortest decimal that is this number again, also where the host's locale has a decimal comma. */
-static const char *shortest(double number, char *text, size_t size) {
+static OUTLINED const char *shortest(double number, char *text, size_t size) {
     for (int digits = 1; digits <= 17; digits++) {
         snprintf(text, size, "%.*g", digits, number);
         if (strtod(text, NULL) == number) break;

@@ -44,7 +44,7 @@ static const char *mode_name(int mode) {
                                     : "error";
 }
 
-static int not_allowed(Instance *instance, const char *function) {
+static OUTLINED int not_allowed(Instance *instance, const char *function) {
     refuse(instance, ERROR, "%s is not allowed in the state '%s'", function, mode_name((int)instance->data.mode));
     return 0;
 }
@@ -53,23 +53,26 @@ static INLINED int is_allowed(Instance *instance, int modes, const char *functio
     return instance && ((instance->data.mode & modes) || not_allowed(instance, function));
 }
 
-/* Whether the instance is one for this interface, whatever its state. */
-static int is_of(Instance *instance, int face, const char *function) {
-    if (!instance || !instance->data.face == !face) return instance != NULL;
+static OUTLINED int not_of(Instance *instance, int face, const char *function) {
     refuse(instance, ERROR, "%s: expected an instance for %s", function, face ? "model exchange" : "co-simulation");
     return 0;
 }
 
-static Status missing(Instance *instance, const char *function, const char *argument) {
+/* Whether the instance is one for this interface, whatever its state. */
+static INLINED int is_of(Instance *instance, int face, const char *function) {
+    return instance && (!instance->data.face == !face || not_of(instance, face, function));
+}
+
+static OUTLINED Status missing(Instance *instance, const char *function, const char *argument) {
     return refuse(instance, ERROR, "%s: %s is NULL", function, argument);
 }
 
-static Status no_item(Instance *instance, Status status, int reference, const char *function) {
+static OUTLINED Status no_item(Instance *instance, Status status, int reference, const char *function) {
     const Variable *v = VARIABLES + reference;
     return refuse(instance, status, "%s: %s is another number: expected %s", function, v->name, v->expected);
 }
 
-static Status contradictory(Instance *instance, int broken, const char *function) {
+static OUTLINED Status contradictory(Instance *instance, int broken, const char *function) {
     if (broken >= N_REQUIREMENTS)
         return no_item(instance, ERROR, FIRST_CALCULATED + broken - N_REQUIREMENTS, function);
     return refuse(instance, ERROR, "%s: parameters of " MODEL_NAME ": expected %s", function, REQUIRED[broken]);
@@ -77,7 +80,7 @@ static Status contradictory(Instance *instance, int broken, const char *function
 
 /* 4.2.2: a step that cannot begin is an error, one that does not reach its end is discarded.
  * broken: a pointer, because the outcome, which sets it, may be evaluated after the other arguments. */
-static Status report(Instance *instance, Outcome outcome, const int *broken, const char *function, double h) {
+static OUTLINED Status report(Instance *instance, Outcome outcome, const int *broken, const char *function, double h) {
     const int is_stepping = (instance->data.mode & (STEPPING | EVENT | CONTINUOUS_TIME)) != 0;
     if (outcome == DONE) return OK;
     if (outcome == CONTRADICTORY) return contradictory(instance, *broken, function);

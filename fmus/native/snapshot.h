@@ -61,7 +61,7 @@ static void serialize(const Snapshot *snapshot, unsigned char *bytes) {
 static int is_flag(int64_t word) { return word == 0 || word == 1; }
 
 /* Whether an instance could have this state. */
-static int is_consistent(const Data *d) {
+static OUTLINED int is_consistent(const Data *d) {
     int good = d->mode >= INSTANTIATED && d->mode <= CONTINUOUS_TIME && (d->mode & (d->mode - 1)) == 0;
     good = good && d->face >= CO_SIMULATION && d->face <= EXCHANGE;
     good = good && (d->mode & (EVENT | CONTINUOUS_TIME) ? d->face == EXCHANGE

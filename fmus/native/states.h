@@ -6,7 +6,7 @@
 #include "refusals.h"
 #include "snapshot.h"
 
-static const Snapshot *own_snapshot(Instance *instance, void *FMUState, const char *function) {
+static OUTLINED const Snapshot *own_snapshot(Instance *instance, void *FMUState, const char *function) {
     const Snapshot *snapshot = FMUState;
     if (!is_allowed(instance, OUTSIDE_STEPS, function)) return NULL;
     if (snapshot && !strcmp(snapshot->guid, MODEL_GUID)) return snapshot;

@@ -30,8 +30,8 @@ static INLINED Status do_step(Instance *instance, double t, double h) {
 }
 
 /* 4.2.1: order 0 is not allowed. */
-static int are_orders(Instance *instance, const unsigned references[], const int order[], size_t count,
-                      const char *function) {
+static OUTLINED int are_orders(Instance *instance, const unsigned references[], const int order[], size_t count,
+                               const char *function) {
     if (count && !order) return missing(instance, function, "order"), 0;
     for (size_t i = 0; i < count; i++) {
         if (order[i] >= 1) continue;
@@ -42,7 +42,7 @@ static int are_orders(Instance *instance, const unsigned references[], const int
     return 1;
 }
 
-static int are_outputs(Instance *instance, const unsigned references[], size_t count, const char *function) {
+static OUTLINED int are_outputs(Instance *instance, const unsigned references[], size_t count, const char *function) {
     for (size_t i = 0; i < count; i++) {
         if (references[i] >= FIRST_OUTPUT && references[i] < N_VALUES) continue;
         refuse(instance, ERROR, "%s: %s: expected an output", function, VARIABLES[references[i]].name);
@@ -52,7 +52,7 @@ static int are_outputs(Instance *instance, const unsigned references[], size_t c
 }
 
 /* 4.2.1: the first derivatives of all outputs at the current time of the instance. */
-static Status output_rates(Instance *instance, double rate[], const char *function) {
+static OUTLINED Status output_rates(Instance *instance, double rate[], const char *function) {
     double fresh[N_CALCULATED + 1];
     const double *v = instance->data.value;
     int broken = 0;

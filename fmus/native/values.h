@@ -16,7 +16,7 @@ static int has_type(unsigned reference, Type type) {
     return reference < N_VARIABLES && ACCESS[reference].type == type;
 }
 
-static Status not_of_type(Instance *instance, Type type, unsigned reference, const char *function) {
+static OUTLINED Status not_of_type(Instance *instance, Type type, unsigned reference, const char *function) {
     if (reference >= N_VARIABLES)
         return refuse(instance, ERROR, "%s: value reference %u: expected 0..%d of " MODEL_NAME, function, reference,
                       N_VARIABLES - 1);
@@ -65,8 +65,8 @@ static int can_be_set(const Data *d, unsigned reference, Type type, double value
 
 /* Refuses the first wrong type, or else the value at `index`, which is the first refused value.
  * 2.1.2: a value reference that cannot be set is an error; 2.1.7: a value out of range may be discarded. */
-static Status cannot_be_set(Instance *instance, Type type, const unsigned references[], size_t count,
-                                size_t index, double value, const char *function) {
+static OUTLINED Status cannot_be_set(Instance *instance, Type type, const unsigned references[], size_t count,
+                                     size_t index, double value, const char *function) {
     if (!are_of_type(instance, type, references, count, function)) return ERROR;
     const Variable *v = VARIABLES + references[index];
     if (is_state(references[index]) && instance->data.mode == CONTINUOUS_TIME)
@@ -82,7 +82,7 @@ static Status cannot_be_set(Instance *instance, Type type, const unsigned refere
 
 /* What no table holds: continuous states, their derivatives and, in FMI 3.0, time and event indicators, which are
  * calculated when they are read. */
-static Status get_locals(Instance *instance, double locals[], const char *function) {
+static OUTLINED Status get_locals(Instance *instance, double locals[], const char *function) {
     double fresh[N_CALCULATED + 1];
     const Data *d = &instance->data;
     int broken = 0;

@@ -60,7 +60,8 @@ enum {
     N_VALUES = FIRST_OUTPUT + N_OUTPUTS,
     FIRST_DERIVATIVE = N_VALUES + N_CONTINUOUS,
     TIME = FIRST_DERIVATIVE + N_CONTINUOUS, /* then event indicators */
-    N_VARIABLES = TIME + N_OTHERS
+    N_VARIABLES = TIME + N_OTHERS,
+    N_SEEDS = TIME + 1 + N_STATES /* of derivatives: of the variables, the time, and states that are no variables */
 };
 
 /* Read from memory: of a model without states, a compiler would call the comparison below always false. */

@@ -1,15 +1,16 @@
 """Which initial values follow from which parameters and inputs; traced functions grow as the block does."""
 
-from dataclasses import field, make_dataclass
+from dataclasses import dataclass, field, make_dataclass
 from typing import Any
 
+import casadi
 import pytest
 
 from fmus.block import Block, variable
 from fmus.build import builder
 from fmus.build.sensitivities import sensitivities
 from fmus.build.symbolic import traced
-from fmus.numerics import tanh
+from fmus.numerics import maximum, sqrt, tanh
 
 
 def test_the_plant_starts_independently_of_its_voltages() -> None:
@@ -69,3 +70,34 @@ def test_the_operations_of_a_wide_block_grow_with_its_width() -> None:
 def test_a_block_of_three_hundred_variables_is_built(tmp_path: Any) -> None:
     assert len(wide_block(100).variables) == 301
     assert builder.build_block(wide_block(100), tmp_path).stat().st_size > 0
+
+
+@pytest.mark.parametrize("of_root", [sqrt, lambda level: 1.0 / maximum(1.0 / level, 1.0)])
+def test_a_steep_function_of_a_state_at_0_leaves_derivatives_by_parameters_numbers(of_root: Any) -> None:
+    """A seed 0 times an infinite slope is no number: such states have no seeds."""
+
+    @dataclass(frozen=True)
+    class Gains:
+        gain: float = variable(3.0, "Gain")
+
+    @dataclass(frozen=True)
+    class State:
+        level: float = 0.0
+
+    @dataclass(frozen=True)
+    class Outputs:
+        flow: float = variable(0.0, "Flow")
+
+    def step(t: Any, h: Any, s: State, u: Any, p: Any, c: Any) -> State:
+        return State(s.level + h)
+
+    def output(t: Any, s: State, p: Any, c: Any) -> Outputs:
+        return Outputs(p.gain + of_root(s.level))
+
+    block = Block("Tank", "Tank", parameters=Gains, state=State, outputs=Outputs, step=step, output=output)
+    flow = block.variables[-1].value_reference
+    functions = sensitivities(block).functions(2)
+    for function in (functions["initial_forward"], functions["step_forward"]):
+        seed = [1.0] + [0.0] * (function.numel_in(4) - 1)
+        along = function(0.0, 0.0, casadi.DM(0, 1), [3.0, 0.02], seed)
+        assert float(along[flow]) == 1.0

@@ -49,8 +49,19 @@ _traced = cache(Traced)
 
 
 @cache
-def _derivatives(block: Block, fmi: int) -> dict[str, casadi.Function]:
-    return sensitivities(block).functions(fmi)
+def _derivatives(block: Block) -> dict[str, casadi.Function]:
+    """Of initialization and step mode; calculated parameters have derivatives in both."""
+    modes, size = sensitivities(block), len(block.variables) + len(block.states) + 1
+    calculated = {
+        v.value_reference: modes.initial.unknown[v.value_reference]
+        for v in block.of_causality("calculatedParameter")
+    }
+    step = modes.step._replace(unknown=calculated | modes.step.unknown)
+    return {
+        f"{name}_{kind}": mode.derivative(name, size, kind == "adjoint")
+        for name, mode in (("initial", modes.initial), ("step", step))
+        for kind in ("forward", "adjoint")
+    }
 
 
 @dataclass
@@ -76,7 +87,7 @@ class Model:
 
     def __init__(self, block: Block, logging: bool) -> None:
         self.block, self._traced = block, _traced(block)
-        self._derivatives = _derivatives(block, self.fmi)
+        self._derivatives = _derivatives(block)
         count = {c: len(block.of_causality(c)) for c in ("parameter", "calculatedParameter", "input")}
         self.calculated = slice(count["parameter"], count["parameter"] + count["calculatedParameter"])
         self.inputs = slice(self.calculated.stop, self.calculated.stop + count["input"])
