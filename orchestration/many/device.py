@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from fmus import store
-from fmus.extras import imports_of
+from fmus.extras import require
 from fmus.fmi.description import describe
 from orchestration.errors import EnsembleError
 from orchestration.many.ensemble_loop import EnsembleLoop
@@ -61,8 +61,7 @@ class Gpu:
 
     def __init__(self) -> None:
         os.environ.setdefault("CUPY_CACHE_DIR", str(store.folder(_CACHE)))
-        with imports_of("gpu", "runs on a GPU"):
-            import cupy
+        cupy: Any = require("cupy", "gpu", "runs on a GPU")
         try:
             cupy.cuda.runtime.getDeviceCount()
         except cupy.cuda.runtime.CUDARuntimeError as error:

@@ -10,6 +10,7 @@ import pytest
 from orchestration import load_scenario
 from orchestration.gym import FmuVectorEnv, task_of
 from orchestration.many.run_many import LocalRuns
+from orchestration.results.recording import on_host
 from orchestration.sweep import table
 from orchestration.sweep.plan import plan
 from orchestration.sweep.run import sweep
@@ -44,8 +45,8 @@ def test_environments_have_the_observations_and_rewards_of_the_processor() -> No
         closing(FmuVectorEnv(task, 1000, where="gpu")) as there,
     ):
         observations = here.reset(seed=7)[0], there.reset(seed=7)[0]
-        np.testing.assert_allclose(observations[1].get(), observations[0], rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(on_host(observations[1]), observations[0], rtol=1e-12, atol=1e-15)
         for action in actions:
             expected, found = here.step(action), there.step(action)
             for one, other in zip(expected[:2], found[:2], strict=True):
-                np.testing.assert_allclose(other.get(), one, rtol=1e-12, atol=1e-15)
+                np.testing.assert_allclose(on_host(other), one, rtol=1e-12, atol=1e-15)
