@@ -10,13 +10,21 @@ from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differ
 from fmus.compliance.fmu_file import MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
-from fmus.compliance.rules.events import Event, change, discrete_variables, no_states, of_events
+from fmus.compliance.rules.events import (
+    Event,
+    change,
+    discrete_variables,
+    elements_of_vectors,
+    no_states,
+    of_events,
+)
 from fmus.compliance.script import VECTORS, Action, Reading, Script
-from fmus.compliance.values import same, unless_claimed
+from fmus.compliance.values import same, texts, unless_claimed
 from fmus.compliance.variable import Variable
 
 _STATES, _DERIVATIVES, _INDICATORS, _NOMINALS = VECTORS
 _SOLVED = 1e-5  # relative, of large values: what an iterative solver in the FMU may change
+_SMALL = 1e-2  # of the largest element: what is smaller is compared against that
 _MOST_STATES = 20  # that are moved alone
 _NOT_NEEDED = "completedIntegratorStepNotNeeded"
 _rule = partial(behaviour_rule, interface=MODEL_EXCHANGE)
@@ -157,11 +165,13 @@ def completed_step_without_need_has_no_effect(probe: Probe) -> Iterator[str]:
     yield from differences(probe, [_row(f"after {reply.function}", (*first, read)), called])
 
 
-@_rule_of_rows("2.2.8", condition=no_states)
-def vectors_have_the_order_of_the_description(probe: Probe) -> Iterator[Row]:
-    """States and derivatives as vectors have the values and the order of the variables of Derivatives."""
-    derivatives, states = probe.fmu.state_derivatives.keys(), probe.fmu.state_derivatives.values()
-    if len(states) != probe.fmu.vector_length(_STATES):
+@_rule("2.2.8", condition=no_states)
+def vectors_have_the_order_of_the_description(probe: Probe) -> Iterator[str]:
+    """States and derivatives as vectors have the values and the order of the variables of Derivatives, also
+    after events, and where continuous-time mode ends.
+    """
+    elements = elements_of_vectors(probe.fmu)
+    if len(elements[_STATES]) != probe.fmu.vector_length(_STATES):
         raise NotJudgedError("Derivatives lists variables that are derivatives of none")
 
     def vector(function: str, variables: list[Variable]) -> Action:
@@ -170,9 +180,19 @@ def vectors_have_the_order_of_the_description(probe: Probe) -> Iterator[Row]:
             (when, "", Reading({function: variables}, {function: script.call("vector", function)}))
         )
 
-    listed = [[probe.fmu.variables[index - 1] for index in indices] for indices in (states, derivatives)]
-    varied = (vector(*pair) for pair in zip((_STATES, _DERIVATIVES), listed, strict=True))
-    yield _row("", (_go(0.5), *varied), (_go(0.5), *map(do.read, listed)), again="{}, as read")
+    varied, read = (vector(*pair) for pair in elements.items()), map(do.read, elements.values())
+    row = _row("", (_go(0.5), *varied), (_go(0.5), *read), again="{}, as read")
+
+    def unlike(event: Event) -> Iterator[str]:
+        for when, where in (("values", "at {}"), ("left", "where the continuous-time mode after {} ends")):
+            vectors = event.elements.get(when, {})
+            scale = _SMALL * max(map(abs, vectors.values()), default=0.0)
+            for name, x in vectors.items():
+                if not same(a := getattr(event, when)[name], x, _SOLVED, scale):
+                    got, expected = texts(a, x)
+                    yield f"{name} is {got} {where.format(event.words)}: expected {expected}, its element"
+
+    yield from [*differences(probe, [row])] or of_events(probe, unlike)
 
 
 @_rule("3.1")
