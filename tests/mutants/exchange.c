@@ -22,6 +22,7 @@ enum { FIXED, TUNABLE, INPUT, DISCRETE_INPUT, STATE, OTHER };
 typedef struct {
     double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept, kept_v, kept_k, kept_time, derived_x, before, timed, later_v;
     int above_read, set, is_kept, is_read, up, stairs, turns, above, below, rising, stiff, state, set_up, iteration, evaluations, derivatives;
+    const void *owner;
 } Data;
 typedef struct {
     unsigned reference;
@@ -210,6 +211,10 @@ static int settable(const Model *m, const Variable *v) {
             if (!v) return error(m, "no such variable");                                                     \
             values[i] = *(type *)((char *)&m->d + v->offset);                                                \
             if (v->offset == O(a)) values[i] = (type)acceleration(&m->d);                                    \
+            if (IS("memory of the importer is taken for a moment") && m->callbacks.allocateMemory)           \
+                m->callbacks.freeMemory(m->callbacks.allocateMemory(1, 1));                                  \
+            if (IS("a variable stays where time is set alone") && v->offset == O(a))                         \
+                values[i] += (type)(0.05 * m->d.timed);                                                      \
             if (IS("a state by reference is that before an event") && v->offset == O(v) && m->d.state == EVENT) \
                 values[i] = (type)m->d.before;                                                               \
             if (IS("a derivative by reference is wrong after an event") && v->offset == O(a) && m->d.stairs > 5) \
@@ -274,6 +279,7 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
         d->next += PERIOD;
         info->newDiscreteStatesNeeded = fmi2True;
     }
+    if (IS("events never end for another input") && !d->up) info->newDiscreteStatesNeeded = fmi2True;
     if (IS("events never end") && d->stairs > 1) info->newDiscreteStatesNeeded = fmi2True;
     if (IS("an event ends too early") && d->stairs > 1 && ++d->iteration == 2) d->turns++;
     d->before = d->v;
@@ -409,11 +415,14 @@ VECTOR(EventIndicators, READ, 2, level(d), floor_level(d))
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) {
     if (!*state) *state = calloc(1, sizeof(Data));
     memcpy(*state, &((Model *)c)->d, sizeof(Data));
+    if (IS("bytes of another instance are refused")) ((Data *)*state)->owner = c;
     return fmi2OK;
 }
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
     Model *m = c;
     const Data before = m->d;
+    if (IS("a state of long before is refused") && before.stairs > ((Data *)state)->stairs + 6)
+        return error(m, "too old");
     m->d = *(Data *)state;
     if (IS("states without the next event")) m->d.next = before.next;
     return fmi2OK;
@@ -433,6 +442,7 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte b
     return fmi2OK;
 }
 fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t n, fmi2FMUstate *state) {
+    if (((const Data *)bytes)->owner && ((const Data *)bytes)->owner != c) return error(c, "another instance");
     if (!*state) *state = calloc(1, sizeof(Data));
     memcpy(*state, bytes, sizeof(Data));
     return fmi2OK;
