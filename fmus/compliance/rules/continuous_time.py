@@ -113,13 +113,18 @@ def _row(
 @_rule("3.2.1")
 def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
     """Derivatives and event indicators follow from time, states and inputs alone: setting time and states
-    back gives them again, and another time, or other states at the same time, give those of it.
+    back gives them again, and another time, or other states at the same time, give those of it. So do
+    continuous variables after another time.
     """
     back = _go(0.3), do.expect(_read), _go(0.6), _ask, _go(0.3), _read, _read
     ways = [None, *range(min(probe.fmu.vector_length(_STATES), _MOST_STATES))]
     moved = chain(*((_move(0.3), _ask, _move(0.9, alone), _read) for alone in ways))
     fresh = chain(*((_move(0.9, alone), do.read_vectors(_FOLLOWING[::-1])) for alone in ways))
-    later = (_go(0.3), _ask, _set_time(0.6), _read), (_set_time(0.6), _move(0.3), _read)
+    follow = do.read([v for v in probe.fmu.variables if v.kind == "Real" and v.variability == "continuous"])
+    later = (
+        (_go(0.3), _ask, _set_time(0.6), _read, _set_time(0.8), follow),
+        (_set_time(0.6), _move(0.3), _read, _set_time(0.8), _move(0.3), follow),
+    )
     same_time = "after states were set at the same time, as in a new instance"
     rows = [
         _row("after time and states were set back", back),
