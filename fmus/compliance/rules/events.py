@@ -8,11 +8,13 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+from fmus.compliance import actions as do
+from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.fmu_file import MODEL_EXCHANGE, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule, rule_of
 from fmus.compliance.script import KINDS, VECTORS
-from fmus.compliance.values import references_of, same, texts
+from fmus.compliance.values import other_values, references_of, same, settable_while_stepping, texts
 from fmus.compliance.variable import Variable, is_true
 
 _STEPS = 50  # of the run
@@ -198,10 +200,16 @@ def nominals_are_positive(event: Event) -> Iterator[str]:
 
 @_rule("3.2.2")
 def events_come_to_an_end(probe: Probe) -> Iterator[str]:
-    """newDiscreteStatesNeeded becomes false after some calls of fmi2NewDiscreteStates."""
-    _, ended = _run(probe)
-    if "iterations" in ended:
-        yield f"{ended}: expected newDiscreteStatesNeeded false"
+    """newDiscreteStatesNeeded becomes false after some calls of fmi2NewDiscreteStates, also after an input or
+    a tunable parameter was set to another value.
+    """
+    ends = [_run(probe)[1]]
+    for v, x in other_values(settable_while_stepping(probe.fmu)[:MOST_VARIABLES]):
+        reply = do.played(probe, [do.begin, do.set_values([(v, x)]), do.step()]).replies[-1]
+        ends.append(f"after {v.name} was set {reply.reason}")
+    for reason in ends:
+        if "iterations" in reason:
+            yield f"{reason}: expected newDiscreteStatesNeeded false"
 
 
 @_rule("advice: an importer of several FMUs calls it as often as one of them needs")
