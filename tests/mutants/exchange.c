@@ -20,7 +20,7 @@ enum { FIXED, TUNABLE, INPUT, DISCRETE_INPUT, STATE, OTHER };
 #define ORDER "the order of states is another"
 
 typedef struct {
-    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept, kept_v, kept_k, kept_time, derived_x, before, timed, later_v;
+    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept, kept_v, kept_k, kept_time, derived_x, before, timed, later_v, first_k;
     int above_read, set, is_kept, is_read, up, stairs, turns, above, below, rising, stiff, state, set_up, iteration, evaluations, derivatives;
     const void *owner;
 } Data;
@@ -76,7 +76,9 @@ static void evaluate(Data *d) {
     if (IS("values stay in event mode once they are read") && d->is_read && d->state == EVENT) return;
     if (IS("values stay in continuous-time mode once they are read") && d->is_read && d->state == CONT) return;
     if (IS("instances share an input")) d->u = shared;
-    d->a = d->u - d->k * d->x + 0.1 * d->stairs * (d->up ? 1 : -1);
+    if (d->state <= INIT) d->first_k = d->k;
+    const double k = IS("a tunable parameter acts from initialization mode alone") ? d->first_k : d->k;
+    d->a = d->u - k * d->x + 0.1 * d->stairs * (d->up ? 1 : -1);
     if (FLAG("a relation of a parameter") && (d->state == EVENT ? d->k > 4.01 : d->stiff)) d->a += 1;
     if (IS("relations follow states where continuous time begins") && d->state == CONT && d->time == d->last_event)
         d->above = d->x > 0.1;

@@ -15,6 +15,7 @@ from fmus.compliance.rules.events import (
     change,
     discrete_variables,
     elements_of_vectors,
+    follow_at_once,
     no_states,
     of_events,
 )
@@ -120,7 +121,7 @@ def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
     ways = [None, *range(min(probe.fmu.vector_length(_STATES), _MOST_STATES))]
     moved = chain(*((_move(0.3), _ask, _move(0.9, alone), _read) for alone in ways))
     fresh = chain(*((_move(0.9, alone), do.read_vectors(_FOLLOWING[::-1])) for alone in ways))
-    follow = do.read([v for v in probe.fmu.variables if v.kind == "Real" and v.variability == "continuous"])
+    follow = do.read(follow_at_once(probe.fmu))
     later = (
         (_go(0.3), _ask, _set_time(0.6), _read, _set_time(0.8), follow),
         (_set_time(0.6), _move(0.3), _read, _set_time(0.8), _move(0.3), follow),

@@ -6,13 +6,15 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import chain
 from typing import Any
 
 from fmus.compliance import actions as do
 from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.fmu_file import MODEL_EXCHANGE, FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import NotJudgedError, behaviour_rule, rule_of
+from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule, rule_of
+from fmus.compliance.rules.finite_differences import NOISE, values_of
 from fmus.compliance.script import KINDS, VECTORS
 from fmus.compliance.values import other_values, references_of, same, settable_while_stepping, texts
 from fmus.compliance.variable import Variable, is_true
@@ -35,6 +37,11 @@ def _no_indicators(fmu: FmuFile) -> str:
 
 def discrete_variables(fmu: FmuFile) -> list[Variable]:
     return [v for v in fmu.variables if v.variability == "discrete" and v.causality != "input"]
+
+
+def follow_at_once(fmu: FmuFile) -> list[Variable]:
+    """Returns the continuous variables, which follow from time, states, inputs and parameters."""
+    return [v for v in fmu.variables if v.kind == "Real" and v.variability == "continuous"]
 
 
 def elements_of_vectors(fmu: FmuFile) -> dict[str, list[Variable]]:
@@ -107,7 +114,7 @@ def _run(probe: Probe, again: bool = False) -> tuple[list[Event], str]:
         end = probe.stop_time if math.isfinite(probe.stop_time) else probe.start_time + 1.0
         size = (end - probe.start_time) / _STEPS
         vectors = elements_of_vectors(probe.fmu)
-        variables = *discrete_variables(probe.fmu), *itertools.chain(*vectors.values())
+        variables = *discrete_variables(probe.fmu), *chain(*vectors.values())
         groups = {kind: [v for v in variables if v.base_kind == kind] for kind in KINDS}
         observing = {kind: references_of(group) for kind, group in groups.items() if group}
         script = probe.script(observed=observing, again=again, logging=True).begin()
@@ -204,12 +211,52 @@ def events_come_to_an_end(probe: Probe) -> Iterator[str]:
     a tunable parameter was set to another value.
     """
     ends = [_run(probe)[1]]
-    for v, x in other_values(settable_while_stepping(probe.fmu)[:MOST_VARIABLES]):
-        reply = do.played(probe, [do.begin, do.set_values([(v, x)]), do.step()]).replies[-1]
-        ends.append(f"after {v.name} was set {reply.reason}")
+    pairs = other_values(settable_while_stepping(probe.fmu)[:MOST_VARIABLES])
+    reals = [pair for pair in pairs if pair[0].kind == "Real"]  # which have many values, and seldom cases
+    for some in (reals, *([pair] for pair in pairs if pair not in reals)):
+        failure = do.played(probe, [do.begin, do.set_values(some), do.step()]).failure
+        names = ", ".join(v.name for v, _ in some)
+        ends.append(f"after {names} was set {failure.reason if failure else ''}")
     for reason in ends:
         if "iterations" in reason:
             yield f"{reason}: expected newDiscreteStatesNeeded false"
+
+
+@_rule("3.1")
+def tunable_parameters_have_an_effect(probe: Probe) -> Iterator[str]:
+    """If a tunable parameter changes a continuous output, or a derivative, where it is set in initialization
+    mode, and neither states nor discrete variables, it changes that also where it is set in event mode: after
+    a step, or late.
+    """
+    elements, is_continuous = elements_of_vectors(probe.fmu), {v.name for v in follow_at_once(probe.fmu)}
+    chosen = {v.name for v in (*probe.outputs, *elements[VECTORS[1]])} & is_continuous
+    kept = {v.name for v in (*discrete_variables(probe.fmu), *elements[VECTORS[0]])}
+
+    def changed(row: dict[str, Any], other: dict[str, Any], names: Iterable[str]) -> set[str]:
+        return {name for name in names if not same(row[name], other[name], NOISE)}
+
+    def played(*pairs: do.Pair) -> list[list[dict[str, Any]]]:
+        """Returns readings of a usual run, of one with other values at first, and of one with them later."""
+        change, read = do.set_values(pairs), do.read_all()
+        late = read, do.step(), read, *([do.leap(1), read] if len(pairs) == 1 else [])
+        early = do.initialise, change, do.exit_initialization_mode, read
+        return values_of(probe, [(do.begin, *late), early, (do.begin, change, *late)])
+
+    others = do.others_accepted(probe, settable_while_stepping(probe.fmu), do.begin)
+    tunable = [pair for pair in others if pair[0].causality == "parameter"]
+    if not tunable:
+        raise NotApplicableError("there is no tunable parameter")
+    runs = played(*tunable)
+    if all(runs) and not changed(runs[1][0], runs[2][0], chosen):
+        return
+    for v, x in tunable:
+        usual, early, late = played((v, x))
+        if usual and early and late and not changed(usual[0], early[0], kept):
+            names = changed(usual[0], early[0], chosen)
+            names -= {*chain(*(changed(a, b, names) for a, b in zip(usual, late, strict=True)))}
+            for name in sorted(names):
+                modes = "where it is set in initialization mode, and not where it is set in event mode"
+                yield f"{v.name} acts on {name} {modes}: expected the same effect"
 
 
 @_rule("advice: an importer of several FMUs calls it as often as one of them needs")
