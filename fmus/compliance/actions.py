@@ -112,12 +112,14 @@ def run_all(steps: int, when: str = "") -> Action:
     return lambda script: [script.write([step(), read_all(when, f", step {i + 1}")]) for i in range(steps)]
 
 
-def read_slopes(outputs: Sequence[Variable], when: str = "") -> Action:
-    """Reads first derivatives of outputs, if there are any, in one call."""
+def read_slopes(outputs: Sequence[Variable], when: str = "", order: int = 1) -> Action:
+    """Reads derivatives of one order of outputs, if there are any, in one call; values are of order 0."""
+    if not order:
+        return read(outputs, when)
 
     def action(script: Script) -> None:
         if outputs:
-            reply = script.call("output_derivatives", values.references_of(outputs), 1)
+            reply = script.call("output_derivatives", values.references_of(outputs), order)
             script.observed.append((when, "", Reading({"Real": list(outputs)}, {"Real": reply})))
 
     return action

@@ -147,10 +147,6 @@ class CalledInstance(binding.BoundInstance):
         self._settings.restore()
         return changed
 
-    def held_blocks(self) -> int:
-        """Returns the number of blocks of memory of `allocateMemory` that are in use, of all instances."""
-        return len(self._memory.held)
-
     # calls
 
     def get(self, kind: str, references: Sequence[int]) -> list[Any]:
@@ -232,9 +228,10 @@ class CalledInstance(binding.BoundInstance):
         self.last_status = status.value
 
     def status_of(self, kind: str, status_kind: int) -> Any:
-        """Returns the value of fmi2GetXXXStatus; XXX is the type `kind`."""
+        """Returns the value of fmi2GetXXXStatus; XXX is the type `kind`; notes if a string is missing."""
         value = _STATUS_TYPES[kind]()
         self.call(f"fmi2Get{kind}Status", status_kind, ctypes.byref(value))
+        self.note(UNWRITTEN, self.last_status == binding.OK and value.value is None)
         return value.value.hex() if isinstance(value.value, bytes) else value.value
 
     def directional_derivatives(

@@ -39,7 +39,8 @@ class Row:
     usual: actions; what they read is expected, after what the varied run itself expects, and over again;
       None for as many steps as outputs are read
     tolerance: relative; None is that of the default experiment
-    options: of the instance; beside: actions on other instances, which take turns with it
+    options: of the instance; beside: actions on other instances, which take turns with it; those with none
+      are created before it
     may_fail: whether the FMU may refuse a call, and then nothing can be compared
     again: what is expected, in words, of a value
     start: where its runs begin
@@ -87,7 +88,8 @@ def differences(probe: Probe, rows: Iterable[Row]) -> Iterator[str]:
         return
     for row, usual, plays in written:
         if row.beside:
-            probe.play(*plays, keep_going=True)
+            first_idle = sorted(plays, key=lambda play: bool(play.calls))
+            probe.play(*first_idle, keep_going=True)
         try:
             yield from verdict(probe, row, usual, plays)
         except NotJudgedError as reason:

@@ -27,10 +27,10 @@ MOST_OF_A_FILE = 1 << 30  # bytes
 CALLED = "called"  # a file of the working folder: the call that is under way, and the time at which it began
 _ANNOUNCED = 400  # bytes of that file
 _DEFECTS = (TypeError, LookupError, NameError, AssertionError, ctypes.ArgumentError)
-_OBSERVATIONS = ("observed_events", "held_blocks")  # which call nothing
+_EVENTS = "observed_events"  # which calls nothing
 _AFTER_A_FAILURE = {  # status -> methods of `CalledInstance`, and plain functions, that FMI allows then
-    DISCARD: (*_OBSERVATIONS, "free_fmu_state", "set_debug_logging", "get", "status_of", "fmi2Terminate"),
-    ERROR: (*_OBSERVATIONS, "free_fmu_state", "set_debug_logging"),
+    DISCARD: (_EVENTS, "free_fmu_state", "set_debug_logging", "get", "status_of", "fmi2Terminate"),
+    ERROR: (_EVENTS, "free_fmu_state", "set_debug_logging"),
 }
 
 
@@ -75,6 +75,10 @@ class LoadedFmu:
     def held_blocks(self) -> int:
         """Returns the number of blocks of memory of `allocateMemory` that are in use."""
         return len(self._memory.held)
+
+    def given_blocks(self) -> int:
+        """Returns how many blocks of memory `allocateMemory` has given."""
+        return self._memory.given
 
     def foreign_frees(self) -> int:
         """Returns how often an address was freed that is not in use."""

@@ -187,10 +187,13 @@ class ModelExchangeInstance(CalledInstance):
         self._next_event = last["nextEventTime"] if last["nextEventTimeDefined"] else math.inf
 
     def _note(self, when: str) -> None:
-        """Notes the observed variables in the latest event: their values after it, or where it is left."""
+        """Notes the observed variables in the latest event, with states and derivatives as vectors: their
+        values after it, or where it is left.
+        """
         if self._events:
             references = self._options["observed"].items()
-            self._events[-1][when] = {kind: self._checked(self.get, kind, some) for kind, some in references}
+            values = {kind: self._checked(self.get, kind, some) for kind, some in references}
+            self._events[-1][when] = values | {name: self._read(name) for name in (_STATES, _DERIVATIVES)}
 
     def _state_vectors(self) -> list[list[float]]:
         return [self._read(_STATES), self._read("fmi2GetNominalsOfContinuousStates")]

@@ -222,10 +222,14 @@ class Script:
         self.begin().write(self.lead)
         return self
 
-    def leap(self, thirds: int) -> "Script":
-        """Adds a part of the default experiment: usual steps, or few of other sizes for model exchange."""
+    def leap(self, thirds: int, is_whole: bool = False) -> "Script":
+        """Adds a part of the default experiment: usual steps, or few of other sizes for model exchange.
+
+        is_whole: whether it is that of all steps, however many
+        """
         most = _MOST_LEAPT // 4 if self.probe.fmu.is_model_exchange else _MOST_LEAPT
-        count = min(self.probe.steps_of_experiment // 3, most) * thirds
+        third = self.probe.steps_of_experiment // 3
+        count = (third if is_whole else min(third, most)) * thirds
         if not self.probe.fmu.is_model_exchange:
             return self.go_on(count)
         ends = [self._step + count * i // _LEAPS for i in range(_LEAPS + 1)]

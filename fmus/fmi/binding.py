@@ -19,7 +19,7 @@ from fmus.platforms import (
 )
 
 OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)  # fmi2Status
-DO_STEP_STATUS, LAST_SUCCESSFUL_TIME, TERMINATED = 0, 2, 3  # fmi2StatusKind
+DO_STEP_STATUS, PENDING_STATUS, LAST_SUCCESSFUL_TIME, TERMINATED = range(4)  # fmi2StatusKind
 _STATUS_NAMES = ("ok", "warning", "discard", "error", "fatal", "pending")
 
 # type of the functions that transfer numbers -> ctypes element, as fmi2TypesPlatform.h has it

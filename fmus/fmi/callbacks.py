@@ -62,12 +62,13 @@ class Log(list[tuple[int, str]]):
 class CountingAllocator:
     """Allocator of memory for FMUs that counts it.
 
-    held: address -> block, of those in use; foreign_frees: how often another address was freed
+    held: address -> block, of those in use; given: how many were given
+    foreign_frees: how often another address was freed
     """
 
     def __init__(self) -> None:
         self.held: dict[int, Any] = {}
-        self.foreign_frees = 0
+        self.given = self.foreign_frees = 0
         self.allocate = AllocateMemory(self._allocate)
         self.free = FreeMemory(self._free)
 
@@ -75,6 +76,7 @@ class CountingAllocator:
         block = ctypes.create_string_buffer(max(count * size, 1))
         address = ctypes.addressof(block)
         self.held[address] = block
+        self.given += 1
         return address
 
     def _free(self, address: int | None) -> None:

@@ -20,8 +20,9 @@ enum { FIXED, TUNABLE, INPUT, DISCRETE_INPUT, STATE, OTHER };
 #define ORDER "the order of states is another"
 
 typedef struct {
-    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept, kept_v, kept_k, kept_time, derived_x, before, timed, later_v;
+    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept, kept_v, kept_k, kept_time, derived_x, before, timed, later_v, first_k;
     int above_read, set, is_kept, is_read, up, stairs, turns, above, below, rising, stiff, state, set_up, iteration, evaluations, derivatives;
+    const void *owner;
 } Data;
 typedef struct {
     unsigned reference;
@@ -75,7 +76,9 @@ static void evaluate(Data *d) {
     if (IS("values stay in event mode once they are read") && d->is_read && d->state == EVENT) return;
     if (IS("values stay in continuous-time mode once they are read") && d->is_read && d->state == CONT) return;
     if (IS("instances share an input")) d->u = shared;
-    d->a = d->u - d->k * d->x + 0.1 * d->stairs * (d->up ? 1 : -1);
+    if (d->state <= INIT) d->first_k = d->k;
+    const double k = IS("a tunable parameter acts from initialization mode alone") ? d->first_k : d->k;
+    d->a = d->u - k * d->x + 0.1 * d->stairs * (d->up ? 1 : -1);
     if (FLAG("a relation of a parameter") && (d->state == EVENT ? d->k > 4.01 : d->stiff)) d->a += 1;
     if (IS("relations follow states where continuous time begins") && d->state == CONT && d->time == d->last_event)
         d->above = d->x > 0.1;
@@ -210,6 +213,14 @@ static int settable(const Model *m, const Variable *v) {
             if (!v) return error(m, "no such variable");                                                     \
             values[i] = *(type *)((char *)&m->d + v->offset);                                                \
             if (v->offset == O(a)) values[i] = (type)acceleration(&m->d);                                    \
+            if (IS("memory of the importer is taken for a moment") && m->callbacks.allocateMemory)           \
+                m->callbacks.freeMemory(m->callbacks.allocateMemory(1, 1));                                  \
+            if (IS("a variable stays where time is set alone") && v->offset == O(a))                         \
+                values[i] += (type)(0.05 * m->d.timed);                                                      \
+            if (IS("a state by reference is that before an event") && v->offset == O(v) && m->d.state == EVENT) \
+                values[i] = (type)m->d.before;                                                               \
+            if (IS("a derivative by reference is wrong after an event") && v->offset == O(a) && m->d.stairs > 5) \
+                values[i] += (type)(m->d.time > m->d.last_event);                                                \
             if (IS("time in multiples of 1 ms") && v->offset == O(time))                                     \
                 values[i] = (type)(1e-3 * floor(1e3 * m->d.time + 0.5));                                                \
             if (IS("out of range for a moment") && v->offset == O(stairs) && fabs(m->d.time - 2.3) < 0.05)   \
@@ -270,6 +281,7 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
         d->next += PERIOD;
         info->newDiscreteStatesNeeded = fmi2True;
     }
+    if (IS("events never end for another input") && !d->up) info->newDiscreteStatesNeeded = fmi2True;
     if (IS("events never end") && d->stairs > 1) info->newDiscreteStatesNeeded = fmi2True;
     if (IS("an event ends too early") && d->stairs > 1 && ++d->iteration == 2) d->turns++;
     d->before = d->v;
@@ -405,11 +417,14 @@ VECTOR(EventIndicators, READ, 2, level(d), floor_level(d))
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) {
     if (!*state) *state = calloc(1, sizeof(Data));
     memcpy(*state, &((Model *)c)->d, sizeof(Data));
+    if (IS("bytes of another instance are refused")) ((Data *)*state)->owner = c;
     return fmi2OK;
 }
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
     Model *m = c;
     const Data before = m->d;
+    if (IS("a state of long before is refused") && before.stairs > ((Data *)state)->stairs + 6)
+        return error(m, "too old");
     m->d = *(Data *)state;
     if (IS("states without the next event")) m->d.next = before.next;
     return fmi2OK;
@@ -429,6 +444,7 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte b
     return fmi2OK;
 }
 fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t n, fmi2FMUstate *state) {
+    if (((const Data *)bytes)->owner && ((const Data *)bytes)->owner != c) return error(c, "another instance");
     if (!*state) *state = calloc(1, sizeof(Data));
     memcpy(*state, bytes, sizeof(Data));
     return fmi2OK;

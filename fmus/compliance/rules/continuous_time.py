@@ -10,13 +10,21 @@ from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differ
 from fmus.compliance.fmu_file import MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
-from fmus.compliance.rules.events import Event, change, discrete_variables, no_states, of_events
-from fmus.compliance.script import VECTORS, Action, Reading, Script
-from fmus.compliance.values import same, unless_claimed
-from fmus.compliance.variable import Variable
+from fmus.compliance.rules.events import (
+    Event,
+    change,
+    discrete_variables,
+    elements_of_vectors,
+    follow_at_once,
+    no_states,
+    of_events,
+)
+from fmus.compliance.script import VECTORS, Action, Script
+from fmus.compliance.values import same, texts, unless_claimed
 
 _STATES, _DERIVATIVES, _INDICATORS, _NOMINALS = VECTORS
 _SOLVED = 1e-5  # relative, of large values: what an iterative solver in the FMU may change
+_SMALL = 1e-2  # of the largest element: what is smaller is compared against that
 _MOST_STATES = 20  # that are moved alone
 _NOT_NEEDED = "completedIntegratorStepNotNeeded"
 _rule = partial(behaviour_rule, interface=MODEL_EXCHANGE)
@@ -105,13 +113,18 @@ def _row(
 @_rule("3.2.1")
 def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
     """Derivatives and event indicators follow from time, states and inputs alone: setting time and states
-    back gives them again, and another time, or other states at the same time, give those of it.
+    back gives them again, and another time, or other states at the same time, give those of it. So do
+    continuous variables after another time.
     """
     back = _go(0.3), do.expect(_read), _go(0.6), _ask, _go(0.3), _read, _read
     ways = [None, *range(min(probe.fmu.vector_length(_STATES), _MOST_STATES))]
     moved = chain(*((_move(0.3), _ask, _move(0.9, alone), _read) for alone in ways))
     fresh = chain(*((_move(0.9, alone), do.read_vectors(_FOLLOWING[::-1])) for alone in ways))
-    later = (_go(0.3), _ask, _set_time(0.6), _read), (_set_time(0.6), _move(0.3), _read)
+    follow = do.read(follow_at_once(probe.fmu))
+    later = (
+        (_go(0.3), _ask, _set_time(0.6), _read, _set_time(0.8), follow),
+        (_set_time(0.6), _move(0.3), _read, _set_time(0.8), _move(0.3), follow),
+    )
     same_time = "after states were set at the same time, as in a new instance"
     rows = [
         _row("after time and states were set back", back),
@@ -157,22 +170,24 @@ def completed_step_without_need_has_no_effect(probe: Probe) -> Iterator[str]:
     yield from differences(probe, [_row(f"after {reply.function}", (*first, read)), called])
 
 
-@_rule_of_rows("2.2.8", condition=no_states)
-def vectors_have_the_order_of_the_description(probe: Probe) -> Iterator[Row]:
-    """States and derivatives as vectors have the values and the order of the variables of Derivatives."""
-    derivatives, states = probe.fmu.state_derivatives.keys(), probe.fmu.state_derivatives.values()
-    if len(states) != probe.fmu.vector_length(_STATES):
+@_rule("2.2.8", condition=no_states)
+def vectors_have_the_order_of_the_description(probe: Probe) -> Iterator[str]:
+    """States and derivatives as vectors have the values and the order of the variables of Derivatives, after
+    events, and where continuous-time mode ends.
+    """
+    if len(elements_of_vectors(probe.fmu)[_STATES]) != probe.fmu.vector_length(_STATES):
         raise NotJudgedError("Derivatives lists variables that are derivatives of none")
 
-    def vector(function: str, variables: list[Variable]) -> Action:
-        when = f"as an element of {function}"
-        return lambda script: script.observed.append(
-            (when, "", Reading({function: variables}, {function: script.call("vector", function)}))
-        )
+    def unlike(event: Event) -> Iterator[str]:
+        for when, where in (("values", "at {}"), ("left", "where the continuous-time mode after {} ends")):
+            vectors = event.elements.get(when, {})
+            scale = _SMALL * max(map(abs, vectors.values()), default=0.0)
+            for name, x in vectors.items():
+                if not same(a := getattr(event, when)[name], x, _SOLVED, scale):
+                    got, expected = texts(a, x)
+                    yield f"{name} is {got} {where.format(event.words)}: expected {expected}, its element"
 
-    listed = [[probe.fmu.variables[index - 1] for index in indices] for indices in (states, derivatives)]
-    varied = (vector(*pair) for pair in zip((_STATES, _DERIVATIVES), listed, strict=True))
-    yield _row("", (_go(0.5), *varied), (_go(0.5), *map(do.read, listed)), again="{}, as read")
+    return of_events(probe, unlike)
 
 
 @_rule("3.1")

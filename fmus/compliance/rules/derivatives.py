@@ -27,20 +27,21 @@ def _orders(fmu: FmuFile) -> str:
     return "" if fmu.output_derivative_order > 0 else "maxOutputDerivativeOrder is 0"
 
 
-def _output_slopes(probe: Probe, part: float = 1.0) -> dict[str, finite.Slopes]:
-    """Returns the slopes of continuous outputs after steps of a part of the step size; none where short steps
-    fail. Raises CallError where steps of the usual size fail.
+def _output_slopes(probe: Probe, order: int, part: float = 1.0) -> dict[str, finite.Slopes]:
+    """Returns derivatives of an order of continuous outputs beside the slopes of those of one less, after
+    steps of a part of the step size; none where short steps fail. Raises CallError where steps of the usual
+    size fail.
     """
     size, outputs = part * probe.step_size, values.continuous_reals(probe, "output")
     steps = (do.call("do_step", probe.point(0) + i * size, size) for i in range(_STEPS if outputs else 0))
-    read = do.read(outputs), do.read_slopes(outputs)
+    read = do.read_slopes(outputs, order=order - 1), do.read_slopes(outputs, order=order)
     script = do.played(probe, [do.begin, *chain(*((step, *read) for step in steps))], logging=True)
     if (failure := script.failure) and part == 1.0:
         raise CallError(failure.problem)
     rows = [] if failure else [reading.values for *_, reading in script.observed]
     series = ((v.name, *([row[v.name] for row in rows[k::2]] for k in range(2))) for v in outputs)
     return {
-        name: finite.Slopes(xs, slopes, size)
+        name: finite.Slopes(xs, slopes, size, order)
         for name, xs, slopes in series
         if xs and all(map(math.isfinite, xs))
     }
@@ -48,16 +49,17 @@ def _output_slopes(probe: Probe, part: float = 1.0) -> dict[str, finite.Slopes]:
 
 @behaviour_rule("4.2.1", condition=_orders)
 def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
-    """The first derivative of an output is 0, where its order is lower, or its slope: near the difference
-    quotients before and after it.
+    """A derivative of an output is 0, where its order is lower, or the slope of what is of one order less:
+    near the difference quotients before and after it, the higher the order the less near.
     """
-    short = _output_slopes(probe, _SHORT) if probe.fmu.claims(finite.ANY_STEP) else {}
-    for name, slopes in _output_slopes(probe).items():
-        wrong = slopes.wrong()
-        if wrong and (not short or (name in short and short[name].wrong())):
-            yield f"{name}: {wrong}"
-        if not wrong and slopes.are_late():
-            yield f"{name}: its derivative is that of the step's begin: expected that of its end"
+    for order in range(1, probe.fmu.output_derivative_order + 1):
+        short = _output_slopes(probe, order, _SHORT) if probe.fmu.claims(finite.ANY_STEP) else {}
+        for name, slopes in _output_slopes(probe, order).items():
+            of, wrong = name if order == 1 else f"{name}, order {order}", slopes.wrong()
+            if wrong and (not short or (name in short and short[name].wrong())):
+                yield f"{of}: {wrong}"
+            if order == 1 and not wrong and slopes.are_late():
+                yield f"{of}: its derivative is that of the step's begin: expected that of its end"
 
 
 # derivatives of inputs

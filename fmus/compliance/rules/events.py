@@ -6,13 +6,17 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import chain
 from typing import Any
 
+from fmus.compliance import actions as do
+from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.fmu_file import MODEL_EXCHANGE, FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import NotJudgedError, behaviour_rule, rule_of
+from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule, rule_of
+from fmus.compliance.rules.finite_differences import NOISE, values_of
 from fmus.compliance.script import KINDS, VECTORS
-from fmus.compliance.values import references_of, same, texts
+from fmus.compliance.values import other_values, references_of, same, settable_while_stepping, texts
 from fmus.compliance.variable import Variable, is_true
 
 _STEPS = 50  # of the run
@@ -35,8 +39,22 @@ def discrete_variables(fmu: FmuFile) -> list[Variable]:
     return [v for v in fmu.variables if v.variability == "discrete" and v.causality != "input"]
 
 
-def _states(fmu: FmuFile) -> list[Variable]:
-    return [fmu.variables[index - 1] for index in fmu.state_derivatives.values()]
+def follow_at_once(fmu: FmuFile) -> list[Variable]:
+    """Returns the continuous variables, which follow from time, states, inputs and parameters."""
+    return [v for v in fmu.variables if v.kind == "Real" and v.variability == "continuous"]
+
+
+def elements_of_vectors(fmu: FmuFile) -> dict[str, list[Variable]]:
+    """Returns function -> the variables that are elements of its vector: states, and their derivatives."""
+    indices = fmu.state_derivatives.values(), fmu.state_derivatives.keys()
+    return {
+        name: [fmu.variables[i - 1] for i in some] for name, some in zip(VECTORS[:2], indices, strict=True)
+    }
+
+
+def _by_name(groups: dict[str, list[Variable]], values: dict[str, Sequence[Any]]) -> dict[str, Any]:
+    pairs = ((groups[key], some) for key, some in values.items())
+    return {v.name: x for group, some in pairs for v, x in zip(group, some, strict=False)}
 
 
 @dataclass
@@ -45,8 +63,9 @@ class Event:
 
     words: in messages; previous: the event before; infos: fmi2EventInfo of each iteration
     vectors: states and their nominal values, before the first iteration and after each
-    values, again, left: discrete variables and states after the last iteration, after one more, and where
-      continuous-time mode ends; begin, indicators: states and event indicators where that mode begins
+    values, again, left: discrete variables, states and derivatives after the last iteration, after one more,
+      and where continuous-time mode ends; begin, indicators: states and event indicators where that begins
+    elements: states and derivatives as elements of vectors, by the same words
     completed: states before and after each completed step in it
     crossing: event indicators before a change of sign and after it, and read once more
     """
@@ -60,6 +79,7 @@ class Event:
     values: dict[str, Any] = field(default_factory=dict[str, Any])
     again: dict[str, Any] = field(default_factory=dict[str, Any])
     left: dict[str, Any] = field(default_factory=dict[str, Any])
+    elements: dict[str, dict[str, float]] = field(default_factory=dict[str, dict[str, float]])
     begin: Sequence[float] = ()
     indicators: Sequence[float] = ()
     completed: Sequence[Sequence[Sequence[float]]] = ()
@@ -93,7 +113,8 @@ def _run(probe: Probe, again: bool = False) -> tuple[list[Event], str]:
     def played() -> tuple[list[Event], str]:
         end = probe.stop_time if math.isfinite(probe.stop_time) else probe.start_time + 1.0
         size = (end - probe.start_time) / _STEPS
-        variables = *discrete_variables(probe.fmu), *_states(probe.fmu)
+        vectors = elements_of_vectors(probe.fmu)
+        variables = *discrete_variables(probe.fmu), *chain(*vectors.values())
         groups = {kind: [v for v in variables if v.base_kind == kind] for kind in KINDS}
         observing = {kind: references_of(group) for kind, group in groups.items() if group}
         script = probe.script(observed=observing, again=again, logging=True).begin()
@@ -105,8 +126,9 @@ def _run(probe: Probe, again: bool = False) -> tuple[list[Event], str]:
         events = list[Event]()
         for fields in observed.value or []:
             for when in {"values", "again", "left"} & fields.keys():
-                pairs = ((groups[kind], some) for kind, some in fields[when].items())
-                fields[when] = {v.name: x for group, some in pairs for v, x in zip(group, some, strict=True)}
+                elements = _by_name(vectors, {name: fields[when].pop(name) for name in vectors})
+                fields.setdefault("elements", {})[when] = elements
+                fields[when] = _by_name(groups, fields[when])
             t = fields["time"] if math.isfinite(fields["time"]) else probe.start_time
             fields["words"] = f"the {fields['cause']} at {t:g} s"
             events.append(Event(**fields, previous=events[-1] if events else None))
@@ -166,7 +188,7 @@ def states_that_stay_are_not_announced(event: Event) -> Iterator[str]:
 def states_that_change_at_events_have_reinit(probe: Probe) -> Iterator[str]:
     """A state that changes at an event after the start has reinit."""
     events = [event for event in _run(probe)[0] if event.cause != "start"]
-    for i, v in enumerate(_states(probe.fmu)):
+    for i, v in enumerate(elements_of_vectors(probe.fmu)[VECTORS[0]]):
         changed = (e for e in events if len({vectors[0][i] for vectors in e.vectors}) > 1)
         for event in itertools.islice(changed, 1 - is_true(v.get("reinit"))):
             yield f"{v.name} changes at {event.words}: expected reinit=true"
@@ -185,18 +207,65 @@ def nominals_are_positive(event: Event) -> Iterator[str]:
 
 @_rule("3.2.2")
 def events_come_to_an_end(probe: Probe) -> Iterator[str]:
-    """newDiscreteStatesNeeded becomes false after some calls of fmi2NewDiscreteStates."""
-    _, ended = _run(probe)
-    if "iterations" in ended:
-        yield f"{ended}: expected newDiscreteStatesNeeded false"
+    """newDiscreteStatesNeeded becomes false after some calls of fmi2NewDiscreteStates, also after an input or
+    a tunable parameter was set to another value.
+    """
+    ends = [_run(probe)[1]]
+    pairs = other_values(settable_while_stepping(probe.fmu)[:MOST_VARIABLES])
+    reals = [pair for pair in pairs if pair[0].kind == "Real"]  # which have many values, and seldom cases
+    for some in (reals, *([pair] for pair in pairs if pair not in reals)):
+        failure = do.played(probe, [do.begin, do.set_values(some), do.step()]).failure
+        names = ", ".join(v.name for v, _ in some)
+        ends.append(f"after {names} was set {failure.reason if failure else ''}")
+    for reason in ends:
+        if "iterations" in reason:
+            yield f"{reason}: expected newDiscreteStatesNeeded false"
+
+
+@_rule("3.1")
+def tunable_parameters_have_an_effect(probe: Probe) -> Iterator[str]:
+    """If a tunable parameter changes a continuous output, or a derivative, where it is set in initialization
+    mode, and neither states nor discrete variables, it changes that also where it is set in event mode: after
+    a step, or late.
+    """
+    elements, is_continuous = elements_of_vectors(probe.fmu), {v.name for v in follow_at_once(probe.fmu)}
+    chosen = {v.name for v in (*probe.outputs, *elements[VECTORS[1]])} & is_continuous
+    kept = {v.name for v in (*discrete_variables(probe.fmu), *elements[VECTORS[0]])}
+
+    def changed(row: dict[str, Any], other: dict[str, Any], names: Iterable[str]) -> set[str]:
+        return {name for name in names if not same(row[name], other[name], NOISE)}
+
+    def played(*pairs: do.Pair) -> list[list[dict[str, Any]]]:
+        """Returns readings of a usual run, of one with other values at first, and of one with them later."""
+        change, read = do.set_values(pairs), do.read_all()
+        late = read, do.step(), read, *([do.leap(1), read] if len(pairs) == 1 else [])
+        early = do.initialise, change, do.exit_initialization_mode, read
+        return values_of(probe, [(do.begin, *late), early, (do.begin, change, *late)])
+
+    others = do.others_accepted(probe, settable_while_stepping(probe.fmu), do.begin)
+    tunable = [pair for pair in others if pair[0].causality == "parameter"]
+    if not tunable:
+        raise NotApplicableError("there is no tunable parameter")
+    runs = played(*tunable)
+    if all(runs) and not changed(runs[1][0], runs[2][0], chosen):
+        return
+    for v, x in tunable:
+        usual, early, late = played((v, x))
+        if usual and early and late and not changed(usual[0], early[0], kept):
+            names = changed(usual[0], early[0], chosen)
+            names -= {*chain(*(changed(a, b, names) for a, b in zip(usual, late, strict=True)))}
+            for name in sorted(names):
+                modes = "where it is set in initialization mode, and not where it is set in event mode"
+                yield f"{v.name} acts on {name} {modes}: expected the same effect"
 
 
 @_rule("advice: an importer of several FMUs calls it as often as one of them needs")
 def ended_events_stay_ended(probe: Probe) -> Iterator[str]:
     """One more call of fmi2NewDiscreteStates changes nothing where newDiscreteStatesNeeded is false."""
+    derivatives = {v.name for v in elements_of_vectors(probe.fmu)[VECTORS[1]]}  # near 0 they are roundings
     for event in _run(probe, again=True)[0]:
         for name, b in event.again.items():
-            if not same(a := event.values[name], b, _SOLVED):
+            if name not in derivatives and not same(a := event.values[name], b, _SOLVED):
                 where = f"by one more fmi2NewDiscreteStates at {event.words}"
                 yield f"{name} changes from {a!r} to {b!r} {where}: expected newDiscreteStatesNeeded before"
 

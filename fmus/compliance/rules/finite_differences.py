@@ -83,9 +83,15 @@ def followers(
 
 
 class Slopes:
-    """Derivatives at communication points beside the slopes of the values before and after them."""
+    """Derivatives at communication points beside the slopes of the values before and after them.
 
-    def __init__(self, values: Sequence[float], derivatives: Sequence[float], step_size: float) -> None:
+    order: of the derivatives; one that is higher may be rough
+    """
+
+    def __init__(
+        self, values: Sequence[float], derivatives: Sequence[float], step_size: float, order: int = 1
+    ) -> None:
+        self._rough = _ROUGH * 10.0 ** (order - 1)
         self._values, self._derivatives, self._step_size = values, derivatives, step_size
         self._sides = list(itertools.pairwise((b - a) / step_size for a, b in itertools.pairwise(values)))
         self._rounding = NOISE * max(map(abs, values)) / step_size
@@ -100,7 +106,7 @@ class Slopes:
         return f"its derivative is {shown[0]}: expected about {shown[1]}..{shown[2]}, its slopes"
 
     def _is_wrong(self, derivative: float, before: float, after: float) -> bool:
-        margin = 2 * abs(after - before) + _ROUGH * max(abs(before), abs(after)) + self._rounding
+        margin = 2 * abs(after - before) + self._rough * max(abs(before), abs(after)) + self._rounding
         return not min(before, after) - margin <= derivative <= max(before, after) + margin
 
     def are_late(self) -> bool:

@@ -14,7 +14,7 @@ from fmus.compliance.rows import add_rows, row
 from fmus.compliance.rules.call_table import NAME, tour
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, Action, CallError, Message, Reply, Script
 from fmus.compliance.values import refused_reference, unknown_reference
-from fmus.fmi.binding import DISCARD, ERROR, OK, PENDING, WARNING, status_name
+from fmus.fmi.binding import DISCARD, ERROR, OK, PENDING, PENDING_STATUS, WARNING, status_name
 
 _REFERENCE = re.compile(r"#([ribs])(\d+)#")
 _KINDS = {"r": "Real", "i": "Integer", "b": "Boolean", "s": "String"}
@@ -105,10 +105,13 @@ def _is_of_floating_point(change: _Change, _: Probe) -> str:
 
 
 def _changes(probe: Probe) -> Iterator[_Change]:
-    """Yields what functions change in the tour of the states, and in the default experiment; the number of
-    bytes is printed after them.
+    """Yields what functions change in the tour of the states, where the status of a step is asked for, and in
+    the default experiment; the number of bytes is printed after them.
     """
     scripts = [tour(probe).script]
+    if not probe.fmu.is_model_exchange:
+        pending = do.call("status_of", "String", PENDING_STATUS)
+        scripts.append(do.played(probe, [do.begin, do.step(), pending], watched=True))
     with suppress(rule.NotApplicableError, rule.NotJudgedError):
         scripts.append(do.over_the_experiment(probe))
     for reply in (reply for script in scripts for reply in script.everything):

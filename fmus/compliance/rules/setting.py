@@ -9,6 +9,7 @@ from fmus.compliance.actions import MOST_VARIABLES, Action
 from fmus.compliance.differential import OF_EXPERIMENT, Row, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError
+from fmus.compliance.rules.events import follow_at_once
 from fmus.compliance.script import KINDS
 from fmus.compliance.variable import is_true
 
@@ -172,7 +173,7 @@ def values_follow_what_is_set(probe: Probe) -> Iterator[Row]:
             # an event iteration ends first, after which relations that follow what is set are frozen
             iterate, into = ((), ()) if begin[1:] else ((do.call("new_discrete_states"),) * 3, (enter,))
             set_all = do.start, *begin[1:], do.glance(readable), do.set_values(values.other_values(settable))
-            follow = [v for v in fmu.variables if v.kind == "Real" and v.variability == "continuous"]
+            follow = follow_at_once(fmu)
             usual = *set_all, *iterate, *into, do.set_time, do.read(follow)
             when = f"where it had been read in {mode} before others were set"
             yield Row(when, (*set_all, *iterate, do.read(follow)), usual, tolerance=_ROUNDED, may_fail=True)
