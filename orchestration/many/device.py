@@ -70,7 +70,11 @@ class Gpu:
 
     def kernels(self, program: str) -> Mapping[str, Kernel]:
         module = self.arrays.RawModule(code=program, options=OPTIONS)
-        return {name: self._kernel(module.get_function(f"ensemble_{name}_all")) for name in KERNELS}
+        try:
+            return {name: self._kernel(module.get_function(f"ensemble_{name}_all")) for name in KERNELS}
+        except self.arrays.cuda.compiler.CompileException as error:
+            first = str(error).strip().partition("\n")[0]
+            raise EnsembleError(f"FMUs do not compile for the GPU: {first}; build them again") from error
 
     def _kernel(self, function: Any) -> Kernel:
         def run(address: int, threads: int, first: int, last: int) -> None:

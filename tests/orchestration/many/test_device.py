@@ -4,9 +4,11 @@ import ctypes
 import importlib
 import importlib.util
 import random
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -225,6 +227,62 @@ def test_without_a_gpu_one_sentence_says_what_is_missing() -> None:
     error = EnsembleError if importlib.util.find_spec("cupy") else MissingExtraError
     with pytest.raises(error, match=r"^no GPU: .*processor|runs on a GPU needs? cupy: pip install"):
         next(run_many(scenario.system, [scenario.experiment], where="gpu"))
+
+
+class CompileError(Exception):
+    """As CuPy's."""
+
+
+class DriverError(Exception):
+    """As CuPy's."""
+
+
+def fake_cupy(problem: Exception | None, launches: list[tuple[Any, ...]]) -> Any:
+    """What `Gpu` takes of CuPy: a count of devices, and a module whose functions note their launches."""
+
+    def module(code: str, options: Sequence[str]) -> Any:
+        def function(name: str) -> Any:
+            if isinstance(problem, CompileError):
+                raise problem
+            return lambda *launch: launches.append((code, tuple(options), name, *launch))
+
+        return SimpleNamespace(get_function=function)
+
+    def count() -> int:
+        if isinstance(problem, DriverError):
+            raise problem
+        return 1
+
+    runtime = SimpleNamespace(getDeviceCount=count, CUDARuntimeError=DriverError)
+    compiler = SimpleNamespace(CompileException=CompileError)
+    return SimpleNamespace(RawModule=module, cuda=SimpleNamespace(runtime=runtime, compiler=compiler))
+
+
+@pytest.mark.parametrize(
+    ("problem", "message"),
+    [
+        (DriverError("cudaErrorNoDevice"), "^no GPU: cudaErrorNoDevice; without --gpu the processor makes"),
+        (
+            CompileError("program.cu(3): error: x\nmore"),
+            r"^FMUs do not compile for the GPU: program\.cu\(3\): er",
+        ),
+    ],
+)
+def test_what_is_wrong_with_the_gpu_is_one_line(
+    problem: Exception, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "cupy", fake_cupy(problem, []))
+    with pytest.raises(EnsembleError, match=message) as error:
+        device.Gpu().kernels("code")
+    assert "\n" not in str(error.value)
+
+
+def test_a_kernel_is_launched_with_a_thread_for_each_instance(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In blocks of 128, the last of which may be a part: device.h leaves out what is beyond."""
+    launches = list[tuple[Any, ...]]()
+    monkeypatch.setitem(sys.modules, "cupy", fake_cupy(None, launches))
+    device.Gpu().kernels("code")["run"](4711, 257, 3, 9)
+    assert launches == [("code", device.OPTIONS, "ensemble_run_all", (3,), (128,), (4711, 257, 3, 9))]
 
 
 @pytest.mark.slow
