@@ -8,6 +8,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "elementary.h"
+
 /* Names of the standard that the including file implements: FMI(Reset) is fmi2Reset where STANDARD is fmi2, and
  * NAME(Reset) is its text. Names that differ are those of FMI 3.0, which fmi2.c translates. */
 #define PASTED(prefix, name) prefix##name
