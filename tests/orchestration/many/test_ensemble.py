@@ -236,10 +236,21 @@ def test_the_range_of_an_input_is_that_of_values_it_is_given_not_of_the_last_poi
     experiment = Experiment(0.5, 0.1, open_inputs="start")
     experiments = instances(experiment, beyond)
     with Ensemble(system, device=device) as ensemble, Simulator(system) as simulator:
-        assert_same_bits(ensemble.run(experiments), simulator, experiments)
+        assert_same_bits(recorded := ensemble.run(experiments), simulator, experiments)
         longer = ensemble.run([replace(one, stop_time=0.6) for one in experiments])
+    assert not recorded.failures
     assert [*longer.failures] == [0]
     assert longer.counts.tolist() == [6, 7]
+
+
+def test_of_two_reasons_at_one_point_the_first_is_named(growing: Path, device: Device | None) -> None:
+    """At 0.1 s exp(400) goes beyond the range of the input, and the step that follows makes exp(800)."""
+    system = System({"one": growing, "two": growing}, [("one.y", "two.u")])
+    experiments = instances(Experiment(0.5, 0.1, open_inputs="start"), {"one.a": [0.1, 400.0]})
+    with Ensemble(system, device=device) as ensemble:
+        recorded = ensemble.run(experiments)
+    assert [*recorded.failures] == [1]
+    assert recorded.failures[1].startswith("one.y -> two.u at t = 0.1 s: ")
 
 
 def test_an_initial_value_beyond_all_numbers_ends_one_instance_without_a_warning(
