@@ -73,7 +73,7 @@ class _Agent:
         return self._task.reward(before, self._values, self._time - start)
 
     def _observation(self) -> Array:
-        return np.array([self._values[name] for name in self._task.observations])
+        return self._arrays.array([self._values[name] for name in self._task.observations]).T
 
     def _info(self) -> dict[str, Any]:
         return {"time": self._time}
@@ -184,9 +184,6 @@ class FmuVectorEnv(_Agent, VectorEnv[Array, Array, Array]):
             is_running &= ~self._done
         truncated = self._done & ~self._terminated
         return self._observation(), rewards, self._terminated, truncated, self._info()
-
-    def _observation(self) -> Array:
-        return np.stack([self._values[name] for name in self._task.observations], axis=-1)
 
     def recordings(self) -> list[Recording]:
         """Returns the recording of the present episode of each environment until now."""

@@ -177,8 +177,10 @@ class EnsembleRuns:
         """Returns what there is to see at the present point."""
         values, time, *others = self._episode.look()
         is_done, is_terminated = (np.full(self._count, value) for value in others)
-        on_device = [np.broadcast_to(self._arrays.asarray(v), self._count) for v in values]
-        return np.stack(on_device), self._arrays.full(self._count, time), is_done, is_terminated
+        of_all = self._arrays.empty((len(values), self._count))
+        for i, value in enumerate(values):
+            of_all[i] = value
+        return of_all, self._arrays.full(self._count, time), is_done, is_terminated
 
     def recordings(self) -> list[Recording]:
         """Returns the recordings of the present episodes."""

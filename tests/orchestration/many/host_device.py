@@ -16,7 +16,7 @@ from orchestration.many.device import KERNELS, Kernel
 # what CuPy has of NumPy, as far as runs and metrics need it
 _FUNCTIONS = {
     np.abs, np.any, np.argmax, np.argmin, np.asarray, np.atleast_2d, np.broadcast_to, np.copyto, np.diff,
-    np.fft.irfft, np.fft.rfft, np.max, np.mean, np.min, np.shape, np.stack, np.std, np.sum, np.take,
+    np.fft.irfft, np.fft.rfft, np.max, np.mean, np.min, np.shape, np.std, np.sum, np.take,
     np.take_along_axis, np.trapezoid, np.where, np.zeros_like,
 }  # fmt: skip
 _OPTIONS = ("-std=c++14", "-shared", "-O1", "-ffp-contract=off", "-fno-math-errno", "-nostdlib++")
@@ -47,8 +47,6 @@ class StrictArray(NDArrayOperatorsMixin):
             return StrictArray(np.array(*arguments, **settings))
         if function is np.shape:
             return self.shape
-        if function is np.stack:
-            arguments = ([*map(_plain, arguments[0])], *arguments[1:])
         plain = {name: _plain(value) for name, value in settings.items()}
         return StrictArray(function(*map(_plain, arguments), **plain))
 
@@ -114,6 +112,9 @@ class _Arrays:
         if name not in ("empty", "full", "zeros"):
             raise AttributeError(name)
         return lambda *arguments, **settings: StrictArray(getattr(np, name)(*arguments, **settings))
+
+    def array(self, rows: Any) -> StrictArray:
+        return StrictArray(np.array([*map(_plain, rows)]))
 
     def asarray(self, values: Any) -> StrictArray:
         return values if isinstance(values, StrictArray) else StrictArray(np.array(values))
