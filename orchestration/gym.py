@@ -15,7 +15,7 @@ import numpy as np
 
 from fmus.extras import imports_of
 from orchestration.errors import SystemDefinitionError
-from orchestration.many.device import device_of
+from orchestration.many.device import PROCESSOR, device_of
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator
 from orchestration.scenarios.task import Task, task_of
@@ -132,7 +132,7 @@ class FmuVectorEnv(_Agent, VectorEnv[Array, Array, Array]):
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
     def __init__(
-        self, task: Task, num_envs: int, ensemble: bool | None = None, where: str = "processor"
+        self, task: Task, num_envs: int, ensemble: bool | None = None, where: str = PROCESSOR
     ) -> None:
         if not isinstance(num_envs, int | np.integer) or num_envs < 1:
             raise SystemDefinitionError(f"num_envs = {num_envs!r}: expected a whole number from 1 on")
@@ -227,7 +227,7 @@ def _scenario_envs(
     *arguments: Any,
     num_envs: int = 1,
     ensemble: bool | None = None,
-    where: str = "processor",
+    where: str = PROCESSOR,
     **settings: Any,
 ) -> FmuVectorEnv:
     return FmuVectorEnv(task_of(*arguments, **settings), num_envs, ensemble, where)

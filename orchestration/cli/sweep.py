@@ -31,7 +31,7 @@ def sweep(
     isolated: Annotated[
         bool,
         typer.Option(
-            "--isolated", help="Run every FMU in its own process, also those known to be safe in this one."
+            "--isolated", help="Run FMUs in worker processes, also those known to be safe in this one."
         ),
     ] = False,
     ensemble: Annotated[

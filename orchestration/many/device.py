@@ -29,7 +29,6 @@ Kernel = Callable[[int, int, int, int], object]
 """Runs a function of device_loop.h for so many threads: address, threads, and its two last arguments."""
 PROCESSOR, GPU = "processor", "gpu"
 KERNELS = ("sizes", "exchange", "run", "initialise", "change")
-_CACHE = "gpu"
 _THREADS = 128  # of a block: a system needs most of a thread's registers
 # no fused operations: a product and a sum are rounded as in the FMU
 OPTIONS = ("--std=c++14", "--fmad=false", "--device-as-default-execution-space", "--diag-suppress=177")
@@ -60,7 +59,7 @@ class Gpu:
     """The GPU of this machine. EnsembleError if there is none, OrchestrationError without CuPy."""
 
     def __init__(self) -> None:
-        os.environ.setdefault("CUPY_CACHE_DIR", str(store.folder(_CACHE)))
+        os.environ.setdefault("CUPY_CACHE_DIR", str(store.folder(GPU)))
         cupy: Any = require("cupy", "gpu", "runs on a GPU")
         try:
             cupy.cuda.runtime.getDeviceCount()

@@ -1,4 +1,4 @@
-/* The communication loop of an ensemble on a device, as that of ensemble.c: each thread runs one system, which it copies.
+/* The communication loop of an ensemble on a device, as that of ensemble.c: each thread runs one system.
  * The structure is made by `DeviceLoop`; what is an address of lanes in ensemble.c is the place of a word of `System`. */
 
 /* COMPONENTS(X) has an X(i) for each component, whose functions are those of device_component.h in the namespace ci. */
@@ -69,10 +69,8 @@ static void exchange(const Batch *batch, System *system, int64_t i, int64_t poin
 
 /* Set what signals and connections drive at the communication point `first`, and record it. */
 static void ensemble_exchange(Batch *batch, int64_t i, int64_t first, int64_t last) {
-    System system = batch->systems[i];
     (void)last;
-    exchange(batch, &system, i, first);
-    batch->systems[i] = system;
+    exchange(batch, batch->systems + i, i, first);
 }
 
 /* From one communication point to another; the last one of all is exchanged and recorded, too. */
