@@ -1,8 +1,9 @@
 """Rules of variables: names, causality, start values, derivatives, alias sets. FMI 2.0.5, 2.2.7 and 2.2.9."""
 
+import math
 import re
 from collections.abc import Iterable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rows import add_rows, anything, elements, row
@@ -20,6 +21,8 @@ _QUOTED_NAME, _QUOTED_ESCAPE = re.compile(_QUOTED), re.compile(_ESCAPE)
 _INDEXED = re.compile(rf"{_QUOTED}|({_INDICES})")
 _ELEMENT = re.compile(rf"(der\()?(.+){_INDICES}((?:,\d+)?\)?)")
 _VALUES = {"Boolean": is_true, "Real": number, "Integer": integer}
+_BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd")
+_ROUNDED = 1e-6  # relative: tools write factors with as few as seven digits
 _NO_LINE = re.compile(r"|.*[\r\n\t].*", re.DOTALL)  # what is no name by any convention
 
 
@@ -91,6 +94,28 @@ def _unlike(expected: str, attribute: str, v: Variable, fmu: FmuFile) -> str:
     others = {x.name: getattr(x, attribute) for x in (v, of) if getattr(x, attribute) != expected}
     listed = ", ".join(f"{name} ({other})" for name, other in others.items())
     return f"derivative of {of.name}: {listed}: expected {expected}" if others else ""
+
+
+def _base(unit: Any) -> tuple[dict[str, float], float] | None:
+    """Returns the exponents of base units but rad, and the factor; None for what has none."""
+    base = None if unit is None else unit.find("BaseUnit")
+    if base is None:
+        return None
+    exponents = {name: number(base.get(name, "0")) or 0.0 for name in _BASE_UNITS}
+    return exponents, number(base.get("factor", "1")) or 0.0
+
+
+def _unit_of_a_derivative(v: Variable, fmu: FmuFile) -> str:
+    """Returns what is wrong with the unit of a derivative: its values are those of a variable per second."""
+    of = fmu.derivatives[v.index]
+    got, base = (_base(fmu.units.get(x.get("unit") or "")) for x in (v, of))
+    if got is None or base is None:
+        return ""
+    exponents, factor = base
+    exponents["s"] -= 1
+    if got[0] == exponents and math.isclose(got[1], factor, rel_tol=_ROUNDED):
+        return ""
+    return f"{v.get('unit')}: expected that of {of.name}, {of.get('unit')}, per second"
 
 
 class _AliasSet(NamedTuple):
@@ -189,6 +214,8 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
         (lambda v, fmu: _unlike("Real", "kind", v, fmu), "{name}, {value}"),
         (lambda v, fmu: v.index in fmu.state_derivatives and _unlike("continuous", "variability", v, fmu),
          "{name}, {value}")),
+    row("derivative-units", lambda fmu: [v for v in fmu.variables if v.index in fmu.derivatives],
+        (_unit_of_a_derivative, "{name} has the unit {value}")),
     row("states-are-local-or-outputs", lambda fmu: [fmu.variables[index - 1] for index in sorted(fmu.states)],
         (lambda v, _: v.causality not in ("local", "output"),
          "{name} is a continuous-time state and {causality}: expected local or output")),
