@@ -27,6 +27,7 @@ class Start(NamedTuple):
 
 
 AT_FIRST = Start("", ())
+LATE = ", late in a run"
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ def _other_starts(probe: Probe) -> Iterator[Start]:
     late, saves = (do.leap(2),), probe.fmu.claims("canGetAndSetFMUstate")
     for words, lead, usual in (
         (", in a run", (do.leap(1),), (do.leap(1),)),
-        (", late in a run", late, late),
+        (LATE, late, late),
         (", after fmi2Reset late in a run", (*late, do.reset, do.begin), ()),
         *([(", from a state set back late in a run", (*late, *back), late)] if saves else []),
     ):

@@ -623,6 +623,7 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
     Slave *s = c;
     Data *d = &s->d;
     NEED(STEP | TERM | FAIL | CANC | STEPFAIL);
+    if (IS("derivatives of outputs are refused late") && d->time > 2.8) return err(s, "no");
     for (size_t i = 0; i < n; i++) {
         if (o[i] < 1) return err(s, "order");
         double first, second;

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.differential import Row
+from fmus.compliance.differential import LATE, Row, starts
 from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
 from fmus.compliance.script import VECTORS, Action, Reply, Script
@@ -146,7 +146,8 @@ TABLE = (
 
 
 class Tour(NamedTuple):
-    """The calls that the states from instantiated to terminated allow, with a tolerance and a stop time.
+    """The calls that the states from instantiated to terminated allow, with a tolerance and a stop time, at
+    the begin of a run and late in it.
 
     script: with settings of the process watched; failed: replies of calls that it leaves out, as they fail
     """
@@ -179,7 +180,8 @@ def _tour(
     """Returns the script of a tour, and the replies of each row in each state but those left out."""
     tolerance = TOLERANCE if run_with_tolerance(probe).succeeded else None
     initialise = do.set_up(1000, tolerance), do.enter_initialization_mode
-    leads = [(), initialise, (do.exit_initialization_mode,), (do.step(),), (do.step(),)]
+    late = next((start.lead for start in starts(probe) if start.words == LATE), ())
+    leads = [(), initialise, (do.exit_initialization_mode,), (do.step(),), (*late, do.step())]
     states, last = "IMBCCT", (do.step(), do.terminate)
     if probe.fmu.is_model_exchange:
         leads[3:3] = (do.enter_continuous_time_mode,), (do.enter_event_mode,)
