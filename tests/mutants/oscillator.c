@@ -636,6 +636,7 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
         else if (IS("derivatives of any variable")) first = second = 0;
         else return err(s, "no output");
         if (IS("derivatives of outputs of the step's begin")) first = vr[i] == 301 ? d->vel_before : first;
+        if (IS("late second derivatives of outputs are wrong") && d->time > 2.8) second *= -1;
         if (IS("second derivatives of outputs are wrong")) second *= -1;
         if (IS("second derivatives of outputs are their values") && vr[i] == 301) second = d->pos;
         if (FLAG("backward differences") && vr[i] == 301) first = (d->vel + d->vel_before) / 2;

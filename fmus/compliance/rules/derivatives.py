@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import chain
+from itertools import chain, product
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.differential import Row, differential
+from fmus.compliance.differential import Row, Start, differential, starts
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import behaviour_rule
@@ -27,15 +27,19 @@ def _orders(fmu: FmuFile) -> str:
     return "" if fmu.output_derivative_order > 0 else "maxOutputDerivativeOrder is 0"
 
 
-def _output_slopes(probe: Probe, order: int, part: float = 1.0) -> dict[str, finite.Slopes]:
+def _output_slopes(probe: Probe, order: int, start: Start, part: float = 1.0) -> dict[str, finite.Slopes]:
     """Returns derivatives of an order of continuous outputs beside the slopes of those of one less, after
-    steps of a part of the step size; none where short steps fail. Raises CallError where steps of the usual
-    size fail.
+    steps of a part of the step size from a start of runs; none where short steps fail. Raises CallError where
+    steps of the usual size fail.
     """
     size, outputs = part * probe.step_size, values.continuous_reals(probe, "output")
-    steps = (do.call("do_step", probe.point(0) + i * size, size) for i in range(_STEPS if outputs else 0))
     read = do.read_slopes(outputs, order=order - 1), do.read_slopes(outputs, order=order)
-    script = do.played(probe, [do.begin, *chain(*((step, *read) for step in steps))], logging=True)
+
+    def step(i: int) -> Action:
+        return lambda script: script.call("do_step", script.time + i * size, size)
+
+    steps = chain(*((step(i), *read) for i in range(_STEPS if outputs else 0)))
+    script = do.played(probe, [do.begin, *start.lead, *steps], logging=True)
     if (failure := script.failure) and part == 1.0:
         raise CallError(failure.problem)
     rows = [] if failure else [reading.values for *_, reading in script.observed]
@@ -50,12 +54,15 @@ def _output_slopes(probe: Probe, order: int, part: float = 1.0) -> dict[str, fin
 @behaviour_rule("4.2.1", condition=_orders)
 def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
     """A derivative of an output is 0, where its order is lower, or the slope of what is of one order less:
-    near the difference quotients before and after it, the higher the order the less near.
+    near the difference quotients before and after it, the higher the order the less near; at the begin of a
+    run and later in it.
     """
-    for order in range(1, probe.fmu.output_derivative_order + 1):
-        short = _output_slopes(probe, order, _SHORT) if probe.fmu.claims(finite.ANY_STEP) else {}
-        for name, slopes in _output_slopes(probe, order).items():
-            of, wrong = name if order == 1 else f"{name}, order {order}", slopes.wrong()
+    orders = range(1, probe.fmu.output_derivative_order + 1)
+    for start, order in product(starts(probe)[:3] if orders else (), orders):
+        short = _output_slopes(probe, order, start, _SHORT) if probe.fmu.claims(finite.ANY_STEP) else {}
+        for name, slopes in _output_slopes(probe, order, start).items():
+            of, wrong = f"{name}, order {order}" if order > 1 else name, slopes.wrong()
+            of += start.words
             if wrong and (not short or (name in short and short[name].wrong())):
                 yield f"{of}: {wrong}"
             if order == 1 and not wrong and slopes.are_late():
