@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Concatenate, ParamSpec
 
 from fmus.compliance import values
@@ -227,6 +227,16 @@ def number_outputs(probe: Probe) -> list[Variable]:
 def others_accepted(probe: Probe, variables: Sequence[Variable], *before: Action) -> list[Pair]:
     """Returns variables with other values that the FMU accepts at once after some actions."""
     return accepted_together(probe, values.other_values(variables[:MOST_VARIABLES]), *before)
+
+
+def others_in_turn(probe: Probe, variables: Sequence[Variable], *before: Action) -> Iterator[list[Pair]]:
+    """Yields sets of variables and values that the FMU accepts at once after some actions: those near the
+    start values first, then each of those far from them.
+    """
+    ways = ([(v, x) for x in (values.other_value(v), *values.far_values(v))] for v in variables)
+    for some in itertools.zip_longest(*ways):
+        pairs = [pair for pair in some if pair and pair[1] is not None]
+        yield accepted_together(probe, pairs, *before)
 
 
 def accepted_together(probe: Probe, pairs: Sequence[Pair], *before: Action) -> list[Pair]:

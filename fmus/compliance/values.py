@@ -205,25 +205,28 @@ def differing(
     expected: Iterable[Reading | Given], got: Iterable[Reading], when: str, tolerance: float = 0.0,
     again: str = "{} again", where: Sequence[str] = (),
 ) -> Iterator[str]:  # fmt: skip
-    """Yields each variable's first value that is not the same; a tolerance is relative to the largest number,
-    a large one to the variable's own, or a hundredth of the largest; to the value itself where it is given.
+    """Yields each variable's first value that is not the same; a tolerance is relative to the variable's
+    largest, or to its nominal value, but at most to the largest of all, or for a large tolerance to a
+    hundredth of it; to the value itself where it is given.
 
     again: what is expected, in words, of the value; where: words for each reading, if not its number
     """
     pairs = [(row.values, other.values, row) for row, other in zip(expected, got, strict=True)]
     if all(row == other for row, other, _ in pairs):
         return
-    scales: dict[str, float] = {}
+    scales, nominals = dict[str, float](), dict[str, float]()
     for row, _, source in pairs:
-        for name, value in row.items() if isinstance(source, Reading) else ():
-            if isinstance(value, float) and math.isfinite(value):
-                scales[name] = max(abs(value), scales.get(name, 0.0))
-    least = (_SMALL if tolerance >= _LARGE else 1.0) * max(scales.values(), default=0.0)
+        if isinstance(source, Reading):
+            nominals |= {v.name: v.nominal for group in source.groups.values() for v in group}
+            for name, value in row.items():
+                if isinstance(value, float) and math.isfinite(value):
+                    scales[name] = max(abs(value), scales.get(name, 0.0))
+    most = (_SMALL if tolerance >= _LARGE else 1.0) * max(scales.values(), default=0.0)
     named = set()
     for i, (row, other, _) in enumerate(pairs):
         for name, value in other.items():
             value_read, value_expected = read_value(value), read_value(row[name])
-            scale = max(scales.get(name, 0.0), least)
+            scale = max(scales.get(name, 0.0), min(nominals.get(name, 0.0), most))
             if name not in named and not same(value_expected, value_read, tolerance, scale):
                 named.add(name)
                 new, old = (text[:_LONGEST_TEXT] for text in texts(value_read, value_expected))

@@ -104,10 +104,12 @@ def change(
     return ""
 
 
-def _run(probe: Probe, again: bool = False) -> tuple[list[Event], str]:
+def _run(probe: Probe, again: bool = False, has_others: bool = False) -> tuple[list[Event], str]:
     """Returns the events of a run up to the stop time, played once, and the reason why it ended before.
 
     again: whether the end of each event is tried once more
+    has_others: whether inputs and tunable parameters get other values from the middle on, one set after the
+      other
     """
 
     def played() -> tuple[list[Event], str]:
@@ -117,8 +119,13 @@ def _run(probe: Probe, again: bool = False) -> tuple[list[Event], str]:
         variables = *discrete_variables(probe.fmu), *chain(*vectors.values())
         groups = {kind: [v for v in variables if v.base_kind == kind] for kind in KINDS}
         observing = {kind: references_of(group) for kind, group in groups.items() if group}
+        others = settable_while_stepping(probe.fmu)[:MOST_VARIABLES] if has_others else []
+        turns = [*filter(None, do.others_in_turn(probe, others, do.begin, do.step()))]
+        names = ", ".join(v.name for v, _ in chain(*turns[:1]))
+        middle = {_STEPS // 2 + i * (_STEPS // 2) // len(turns): pairs for i, pairs in enumerate(turns)}
         script = probe.script(observed=observing, again=again, logging=True).begin()
-        for i in range(_STEPS):
+        for i in range(_STEPS if turns or not has_others else 0):
+            script.write([do.set_values(middle.get(i, ()))])
             script.call("do_step", probe.start_time + i * size, size)
         observed = script.call("observed_events")
         with suppress(NotJudgedError):  # a step that is discarded ends the run
@@ -131,15 +138,18 @@ def _run(probe: Probe, again: bool = False) -> tuple[list[Event], str]:
                 fields[when] = _by_name(groups, fields[when])
             t = fields["time"] if math.isfinite(fields["time"]) else probe.start_time
             fields["words"] = f"the {fields['cause']} at {t:g} s"
+            if names and t > probe.start_time + size * (_STEPS // 2 - 0.5):
+                fields["words"] += f", in a run in which {names} got other values"
             events.append(Event(**fields, previous=events[-1] if events else None))
         return events, next((r.reason for r in script.replies if r.reason), "")
 
-    return probe.once("run of model exchange", played, again)
+    return probe.once("run of model exchange", played, again, has_others)
 
 
 def of_events(probe: Probe, about: Callable[[Event], Iterable[str]]) -> Iterator[str]:
-    """Returns the messages about the events of the run."""
-    return (message for event in _run(probe)[0] for message in about(event))
+    """Yields the messages about the events of the run; without any, of that with other values."""
+    found = [message for event in _run(probe)[0] for message in about(event)]
+    yield from found or chain(*map(about, _run(probe, has_others=True)[0]))
 
 
 _event_rule = partial(rule_of, of_events, interface=MODEL_EXCHANGE)
@@ -210,7 +220,7 @@ def events_come_to_an_end(probe: Probe) -> Iterator[str]:
     """newDiscreteStatesNeeded becomes false after some calls of fmi2NewDiscreteStates, also after an input or
     a tunable parameter was set to another value.
     """
-    ends = [_run(probe)[1]]
+    ends = [_run(probe)[1], _run(probe, has_others=True)[1]]
     pairs = other_values(settable_while_stepping(probe.fmu)[:MOST_VARIABLES])
     reals = [pair for pair in pairs if pair[0].kind == "Real"]  # which have many values, and seldom cases
     for some in (reals, *([pair] for pair in pairs if pair not in reals)):

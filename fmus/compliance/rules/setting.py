@@ -1,7 +1,7 @@
 """Start values, setting variables, what is read then, and what fmi2Reset gives back."""
 
 from collections.abc import Iterable, Iterator
-from itertools import chain, zip_longest
+from itertools import chain
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
@@ -93,7 +93,9 @@ def values_are_set_together(probe: Probe) -> Iterator[Row]:
 
 @differential("2.1.6")
 def values_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
-    """Values that are set when instantiated or in initialization mode are read afterwards."""
+    """Values that are set when instantiated or in initialization mode are read afterwards, and have the same
+    effect in both states.
+    """
     readable = values.readable_in_initialization(probe.fmu)
     instantiated = [v for v in values.settable_before(probe.fmu) if v.initial == "exact"]
     for chosen, before, after, when in (
@@ -105,6 +107,12 @@ def values_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
         later = [(v, x) for v, x in taken if v not in readable and values.keeps_its_value(v)]
         end = do.read_as(at_once), do.exit_initialization_mode, do.read_as(later)
         yield _set_and_read(when, *before, do.set_values(taken), *after, *end)
+    taken = do.others_accepted(probe, instantiated, do.initialise)
+    end = do.exit_initialization_mode, do.read_all(), do.run_all(2)
+    sets, when = do.set_values(taken), "where values were set in initialization mode"
+    varied, usual = (do.initialise, sets, *end), (sets, do.initialise, *end)
+    again = "{}, as if they had been set when instantiated"
+    yield Row(when, varied, usual, tolerance=_ROUNDED, may_fail=True, again=again)
 
 
 def _set_and_read(when: str, *actions: do.Action) -> Row:
@@ -118,10 +126,7 @@ def inputs_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
     a value.
     """
     chosen = values.settable_while_stepping(probe.fmu)[:MOST_VARIABLES]
-    ways = ([(v, x) for x in (values.other_value(v), *values.far_values(v))] for v in chosen)
-    for some in zip_longest(*ways):
-        pairs = [pair for pair in some if pair and pair[1] is not None]
-        taken = do.accepted_together(probe, pairs, do.begin, do.step())
+    for taken in do.others_in_turn(probe, chosen, do.begin, do.step()):
         actions = do.begin, do.step(), do.set_values(taken), do.step(), do.read_as(taken)
         yield _set_and_read("at a communication point", *actions)
     if probe.fmu.is_model_exchange:
