@@ -2,10 +2,12 @@
 
 from collections.abc import Iterator, Sequence
 from functools import partial
-from itertools import chain
+from itertools import chain, cycle, pairwise
 from typing import Any
 
 from fmus.compliance import actions as do
+from fmus.compliance import values
+from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differential, starts
 from fmus.compliance.fmu_file import MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
@@ -114,13 +116,18 @@ def _row(
 def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
     """Derivatives and event indicators follow from time, states and inputs alone: setting time and states
     back gives them again, and another time, or other states at the same time, give those of it. So do
-    continuous variables after another time.
+    continuous variables after another time, in whatever order they are read.
     """
     back = _go(0.3), do.expect(_read), _go(0.6), _ask, _go(0.3), _read, _read
     ways = [None, *range(min(probe.fmu.vector_length(_STATES), _MOST_STATES))]
     moved = chain(*((_move(0.3), _ask, _move(0.9, alone), _read) for alone in ways))
     fresh = chain(*((_move(0.9, alone), do.read_vectors(_FOLLOWING[::-1])) for alone in ways))
-    follow = do.read(follow_at_once(probe.fmu))
+    variables = sorted(follow_at_once(probe.fmu), key=lambda v: v.reference or 0)  # aliases side by side
+    follow, pairs = do.read(variables), [*pairwise(variables[:MOST_VARIABLES])]
+    first, second = (
+        chain(*((_go(part), do.read(pair[::order])) for part, pair in zip(cycle((0.3, 0.6)), pairs)))
+        for order in (1, -1)
+    )
     later = (
         (_go(0.3), _ask, _set_time(0.6), _read, _set_time(0.8), follow),
         (_set_time(0.6), _move(0.3), _read, _set_time(0.8), _move(0.3), follow),
@@ -130,6 +137,7 @@ def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
         _row("after time and states were set back", back),
         _row("after fmi2SetTime alone", *later, again="{}, as where states are set after it"),
         _row(same_time, (_go(0.3), *moved), (_set_time(0.3), *fresh)),
+        _row("where another variable is read with it", [*first], [*second]),
     ]
 
     def read_twice(event: Event) -> Iterator[str]:
@@ -192,7 +200,7 @@ def vectors_have_the_order_of_the_description(probe: Probe) -> Iterator[str]:
 
 @_rule("3.1")
 def discrete_variables_are_frozen(probe: Probe) -> Iterator[str]:
-    """Discrete variables do not change in continuous-time mode, whatever time and states are."""
+    """Discrete variables do not change in continuous-time mode, whatever time, states and inputs are."""
     chosen = discrete_variables(probe.fmu)
     read = do.read(chosen)
 
@@ -203,8 +211,11 @@ def discrete_variables_are_frozen(probe: Probe) -> Iterator[str]:
 
         return action
 
+    inputs = values.continuous_reals(probe, "input")
+    sets = (do.set_values([(v, x)]) for v in inputs for x in (*values.far_values(v), values.start_value(v)))
     moved = mirrored(1), read, mirrored(-1), read
-    varied = do.start, do.expect(read), do.enter_continuous_time_mode, *moved, _set_time(0.5), *moved
+    first = do.start, do.expect(read), do.enter_continuous_time_mode
+    varied = *first, *moved, _set_time(0.5), *moved, *chain(*((change, read) for change in sets))
     row = Row("in continuous-time mode", varied, (), may_fail=True)
 
     def left(event: Event) -> Iterator[str]:

@@ -112,6 +112,11 @@ def values_belong_to_references(probe: Probe) -> Iterator[Row]:
         *(do.read([v, v], "read twice in one call") for v in some),
     ]
     yield Row("", (do.start, do.step(2), do.expect(do.read(variables)), *otherwise), (), "", again="{}")
+    others = do.others_accepted(probe, values.settable_while_stepping(probe.fmu), do.begin, do.step())
+    for change in ((), others):  # after which the first that is read computes values
+        first = do.begin, do.step(), do.set_values(change)
+        usual, varied = ((*first, do.read(some)) for some in (variables, variables[::-1]))
+        yield Row("read first in another order", varied, usual, may_fail=True, again="{}")
 
 
 @differential("2.1.6")
