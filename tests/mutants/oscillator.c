@@ -282,7 +282,6 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const 
     Slave *s = c;
     if (FLAG("logs its calls")) say(s, fmi2OK, 0, "fmi2SetDebugLogging");
     if (IS("debug logging is refused after an error") && s->d.state == FAIL) return err(s, "x");
-    if (IS("debug logging off is for all") && !on) n = 0;
     unsigned chosen = n ? 0 : 63;
     for (size_t i = 0; i < n; i++)
         for (int k = 0; k < 6; k++)
@@ -292,7 +291,8 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const 
         s->keeps = 1;
     }
     if (on) s->enabled = n ? chosen : 63;
-    else s->enabled &= ~chosen;
+    else if (IS("logging is turned off for the categories alone")) s->enabled &= ~chosen;
+    else s->enabled = 0;
     enabled_in_all = s->enabled;
     return fmi2OK;
 }

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from fmus.compliance import actions as do
 from fmus.compliance import rule
-from fmus.compliance.differential import Row, differential
+from fmus.compliance.differential import LATE, Row, differential, starts
 from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rows import add_rows, row
@@ -248,6 +248,7 @@ def _played_with_logging(probe: Probe) -> Iterator[_Run]:
     all_names = do.call("set_debug_logging", True, names[::-1])
     another = "where fmi2SetDebugLogging of another instance turned logging"
     again = do.reset, do.begin, do.step()
+    late = next((start.lead for start in starts(probe) if start.words == LATE), ())
     # words; enabled categories; loggingOn at first; settings of logging, and those of another instance
     rows: list[tuple[str, Set[str | None], bool, Sequence[Action], Sequence[Action]]] = [
         ("where logging is on", everything, False, [on], []),
@@ -260,9 +261,10 @@ def _played_with_logging(probe: Probe) -> Iterator[_Run]:
     for name in names:
         alone, without = (do.call("set_debug_logging", is_on, [name]) for is_on in (True, False))
         rows.append((f"where {name!r} alone is enabled", {name}, False, [alone], []))
-        rows.append((f"where {name!r} alone was disabled", everything - {name}, False, [on, without], []))
+        when = f"where logging was turned off with the category {name!r}"
+        rows.append((when, set(), False, [on, without], []))
     for when, enabled, logging, settings, others in rows:
-        actions = do.pause, *settings, *_CALLS_THAT_LOG, *(() if settings else again)
+        actions = do.pause, *settings, do.begin, *late, *_CALLS_THAT_LOG[1:], *(() if settings else again)
         scripts = [probe.script(*some, logging=logging) for some in (others, actions) if some]
         if len(scripts) == 1 or not probe.fmu.claims(ONLY_ONCE):
             with suppress(CallError):  # no second instance

@@ -38,14 +38,20 @@ def variables_can_be_read(probe: Probe) -> Iterator[str]:
                 return
 
 
+def _values(probe: Probe) -> list[tuple[str, str, Any]]:
+    """Returns what `_values_in_runs` yields, played once."""
+    return probe.once("values in runs", lambda: [*_values_in_runs(probe)])
+
+
 def _values_in_runs(probe: Probe) -> Iterator[tuple[str, str, Any]]:
-    """Yields when, name and value: of the outputs in initialization mode, of all variables after some steps
-    and in a run over the default experiment, and what is least and largest of each output in that.
+    """Yields when, name and value: of the outputs in initialization mode, of all variables after it, after
+    some steps and in a run over the default experiment, and what is least and largest of each output in that.
     """
     ends = zip(_STEPS, itertools.accumulate(_STEPS), strict=True)
     few = [(do.step(count), do.read_all(f"after {end} steps")) for count, end in ends]
     start = do.initialise, do.read(probe.outputs, "in initialization mode"), do.exit_initialization_mode
-    plays = [do.played(probe, [*start, *itertools.chain(*few)], logging=True)]
+    begin = *start, do.read_all("after initialisation")
+    plays = [do.played(probe, [*begin, *itertools.chain(*few)], logging=True)]
     with suppress(NotApplicableError, NotJudgedError):
         plays.append(do.over_the_experiment(probe))
     outputs = do.number_outputs(probe)
@@ -63,7 +69,7 @@ def _values_in_runs(probe: Probe) -> Iterator[tuple[str, str, Any]]:
 def _wrong_values(probe: Probe, expected: Callable[[Variable, Any], str]) -> Iterator[str]:
     """Yields values of variables that are wrong. expected: what is expected of one, if it is."""
     variables = {v.name: v for v in probe.fmu.variables}
-    for when, name, value in probe.once("values in runs", lambda: [*_values_in_runs(probe)]):
+    for when, name, value in _values(probe):
         if text := expected(variables[name], value) if name in variables else "":
             yield f"{name} is {values.texts(value)[0]} {when}: expected {text}"
 
@@ -130,22 +136,27 @@ def final_values_after_terminate(probe: Probe) -> Iterator[Row]:
 # values that change only when they may
 
 
-@differential("2.2.7")
-def fixed_values_stay(probe: Probe) -> Iterator[Row]:
+@behaviour_rule("2.2.7")
+def fixed_values_stay(probe: Probe) -> Iterator[str]:
     """Constants have their start value after steps; fixed and tunable variables, and inputs, change only if
     the importer sets them: fixed ones do not follow inputs and tunable parameters, tunable ones no inputs.
     """
-    variables = probe.fmu.variables
+    variables, kept = probe.fmu.variables, ("constant", "fixed", "tunable")
+    held = {v.name: v for v in variables if v.variability in kept or v.causality == "input"}
+    first = {v.name: x for v, x in values.start_values(held.values()) if v.variability == "constant"}
+    for when, name, read in _values(probe):
+        value = values.read_value(read)
+        if name in held and not values.same(before := first.setdefault(name, value), value, _ROUNDED):
+            what = "as it is a constant" if held.pop(name).variability == "constant" else "as before"
+            got, expected = values.texts(value, before)
+            yield f"{name} is {got} {when}: expected {expected}, {what}"
+    yield from differences(probe, _rows_of_what_stays(probe))
+
+
+def _rows_of_what_stays(probe: Probe) -> Iterator[Row]:
+    """Yields rows in which other variables get other values."""
+    settable, variables = values.settable_while_stepping(probe.fmu), probe.fmu.variables
     fixed, tunable = ([v for v in variables if v.variability == kind] for kind in ("fixed", "tunable"))
-    chosen = [v for v in variables if v.variability in ("fixed", "tunable") or v.causality == "input"]
-    constants = values.start_values(v for v in variables if v.variability == "constant")
-    for first, read, tolerance, again in (
-        ((), do.read_as(constants), _ROUNDED, "{}, as it is a constant"),
-        ((do.expect(do.read(chosen)),), do.read(chosen), ROUNDING, "{} as before"),
-    ):
-        varied = do.begin, *first, *itertools.chain(*((do.step(count), read) for count in _STEPS))
-        yield Row("after steps", varied, (), "", tolerance, again=again)
-    settable = values.settable_while_stepping(probe.fmu)
     rows = ("input", [*fixed, *tunable], "inputs"), ("parameter", fixed, "tunable parameters")
     for causality, chosen, what in rows:
         changed = [v for v in settable if v.causality == causality] if chosen else []
