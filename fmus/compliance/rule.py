@@ -200,7 +200,7 @@ def repeated(names: Iterable[Any]) -> dict[Any, int]:
 MODULES = (
     "archive", "files", "description", "variables", "structure",
     "lifecycle", "calls", "value", "setting", "step",
-    "environment", "messages", "state", "derivatives", "effects", "continuous_time", "events",
+    "environment", "messages", "state", "derivatives", "effects", "events", "continuous_time",
 )  # fmt: skip
 """Modules of `fmus.compliance.rules`, in the order in which their rules are judged and told."""
 

@@ -16,17 +16,14 @@ from fmus.compliance.rules.events import (
     Event,
     change,
     discrete_variables,
-    elements_of_vectors,
     follow_at_once,
-    no_states,
     of_events,
 )
 from fmus.compliance.script import VECTORS, Action, Script
-from fmus.compliance.values import same, texts, unless_claimed
+from fmus.compliance.values import same, unless_claimed
 
 _STATES, _DERIVATIVES, _INDICATORS, _NOMINALS = VECTORS
 _SOLVED = 1e-5  # relative, of large values: what an iterative solver in the FMU may change
-_SMALL = 1e-2  # of the largest element: what is smaller is compared against that
 _MOST_STATES = 20  # that are moved alone
 _NOT_NEEDED = "completedIntegratorStepNotNeeded"
 _rule = partial(behaviour_rule, interface=MODEL_EXCHANGE)
@@ -176,26 +173,6 @@ def completed_step_without_need_has_no_effect(probe: Probe) -> Iterator[str]:
     over, options = (do.begin, *(do.leap(1), do.read_all()) * 3), {"needs_completed": True}
     called = Row(f"where {reply.function} is called", over, over, tolerance=OF_EXPERIMENT, options=options)
     yield from differences(probe, [_row(f"after {reply.function}", (*first, read)), called])
-
-
-@_rule("2.2.8", condition=no_states)
-def vectors_have_the_order_of_the_description(probe: Probe) -> Iterator[str]:
-    """States and derivatives as vectors have the values and the order of the variables of Derivatives, after
-    events, and where continuous-time mode ends.
-    """
-    if len(elements_of_vectors(probe.fmu)[_STATES]) != probe.fmu.vector_length(_STATES):
-        raise NotJudgedError("Derivatives lists variables that are derivatives of none")
-
-    def unlike(event: Event) -> Iterator[str]:
-        for when, where in (("values", "at {}"), ("left", "where the continuous-time mode after {} ends")):
-            vectors = event.elements.get(when, {})
-            scale = _SMALL * max(map(abs, vectors.values()), default=0.0)
-            for name, x in vectors.items():
-                if not same(a := getattr(event, when)[name], x, _SOLVED, scale):
-                    got, expected = texts(a, x)
-                    yield f"{name} is {got} {where.format(event.words)}: expected {expected}, its element"
-
-    return of_events(probe, unlike)
 
 
 @_rule("3.1")

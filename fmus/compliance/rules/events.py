@@ -158,6 +158,27 @@ _event_rule = partial(rule_of, of_events, interface=MODEL_EXCHANGE)
 # states and their nominal values
 
 
+@_rule("2.2.8", condition=no_states)
+def vectors_have_the_order_of_the_description(probe: Probe) -> Iterator[str]:
+    """States and derivatives as vectors have the values and the order of the variables of Derivatives, after
+    events, and where continuous-time mode ends.
+    """
+    of_vectors = elements_of_vectors(probe.fmu)
+    if len(of_vectors[VECTORS[0]]) != probe.fmu.vector_length(VECTORS[0]):
+        raise NotJudgedError("Derivatives lists variables that are derivatives of none")
+
+    nominals = {v.name: v.nominal for v in chain(*of_vectors.values())}
+
+    def unlike(event: Event) -> Iterator[str]:
+        for when, where in (("values", "at {}"), ("left", "where the continuous-time mode after {} ends")):
+            for name, x in event.elements.get(when, {}).items():
+                if not same(a := getattr(event, when)[name], x, _SOLVED, nominals[name]):
+                    got, expected = texts(a, x)
+                    yield f"{name} is {got} {where.format(event.words)}: expected {expected}, its element"
+
+    return of_events(probe, unlike)
+
+
 @_event_rule("3.2.2", condition=no_states)
 def changes_of_states_are_announced(event: Event) -> Iterator[str]:
     """If fmi2NewDiscreteStates changes a state, valuesOfContinuousStatesChanged is true, and

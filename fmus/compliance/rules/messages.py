@@ -3,17 +3,19 @@
 import re
 from collections.abc import Iterator, Sequence, Set
 from contextlib import suppress
+from itertools import chain
 from typing import NamedTuple
 
 from fmus.compliance import actions as do
-from fmus.compliance import rule
+from fmus.compliance import rule, values
+from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.differential import LATE, Row, differential, starts
 from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rows import add_rows, row
 from fmus.compliance.rules.call_table import NAME, tour
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, Action, CallError, Message, Reply, Script
-from fmus.compliance.values import refused_reference, unknown_reference
+from fmus.compliance.values import keeps_its_value, refused_reference, unknown_reference
 from fmus.fmi.binding import DISCARD, ERROR, OK, PENDING, PENDING_STATUS, WARNING, status_name
 
 _REFERENCE = re.compile(r"#([ribs])(\d+)#")
@@ -130,8 +132,17 @@ def _refusals(probe: Probe) -> list[Reply]:
     return list(probe.shared.refusals.values())
 
 
+def _set_odd_parameters(probe: Probe) -> None:
+    """Sets Real parameters to 0 and to another sign, within their limits, which the FMU may refuse."""
+    parameters = [v for v in values.settable_before(probe.fmu) if keeps_its_value(v) and v.kind == "Real"]
+    starts = values.start_values(parameters[:MOST_VARIABLES])
+    pairs = [(v, x) for v, start in starts for x in (0.0, -start) if x != start and v.low <= x <= v.high]
+    do.played(probe, chain(*((do.set_values([pair]), do.reset) for pair in pairs)), logging=True)
+
+
 def _refused(probe: Probe) -> list[Reply]:
     """Returns replies with logging that are warning, discard or error; discarded steps have a rule."""
+    _set_odd_parameters(probe)
     replies = [*probe.shared.refusals.values(), *tour(probe).script.replies, *tour(probe).failed]
     refused = [reply for reply in replies if reply.status not in (None, OK, PENDING)]
     return [reply for reply in refused if not reply.reason and (not reply.is_step or reply.status != DISCARD)]
@@ -215,7 +226,7 @@ add_rows(__name__, rule.Stage.BEHAVIOUR, last=True, rows=(
     row("refusals-are-logged", _refused,
      # fmi2SetDebugLogging may have turned logging off
      (lambda reply, _: not reply.messages and reply.function != "fmi2SetDebugLogging",
-      "{function} {status_name} and logged nothing: expected the reason")),
+      "{function}{words} {status_name} and logged nothing: expected the reason")),
     row("messages-of-refusals-are-no-information", _refused,
      (lambda r, _: r.messages and all(m.status == OK for m in r.messages) and status_name(r.status or OK),
       "{function} {status_name} and logged {subject.logged!r:.60} with the status ok: expected {value}")),

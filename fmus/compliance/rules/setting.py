@@ -8,10 +8,11 @@ from fmus.compliance import values
 from fmus.compliance.actions import MOST_VARIABLES, Action
 from fmus.compliance.differential import OF_EXPERIMENT, Row, differential
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import NotApplicableError
+from fmus.compliance.rule import NotApplicableError, behaviour_rule
 from fmus.compliance.rules.events import follow_at_once
 from fmus.compliance.script import KINDS
 from fmus.compliance.variable import is_true
+from fmus.fmi.binding import WARNING
 
 _ROUNDED = 1e-6  # relative: tools write start values with as few as seven digits
 _EXACT = 1e-12
@@ -140,6 +141,17 @@ def inputs_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
         sets = (do.set_values([(v, values.start_value(v)), (v, x)]) for v, x in near)
         first = do.start, do.enter_continuous_time_mode, *sets
         yield _set_and_read("twice in continuous-time mode", *first, do.read_as(near))
+
+
+@behaviour_rule("2.1.3")
+def warnings_end_nothing(probe: Probe) -> Iterator[str]:
+    """After an input or a tunable parameter that the FMU takes with fmi2Warning, a step is made."""
+    chosen = values.settable_while_stepping(probe.fmu)[:MOST_VARIABLES]
+    for pair in ((v, x) for v in chosen for x in values.far_values(v)):
+        script = do.played(probe, (do.begin, do.step(), do.set_values([pair]), do.step(), do.glance_all))
+        (warned,) = [r for call, r in script.pairs if call[0] == "set"]
+        if warned.status == WARNING and (failure := script.failure):
+            yield f"after {warned.function}{warned.words} {warned.status_name}: {failure.problem}"
 
 
 @differential("2.1.2")

@@ -168,7 +168,7 @@ def two_steps_are_one_of_twice_the_size(probe: Probe) -> Iterator[str]:
             return
 
 
-@behaviour_rule("advice: 2.2.5, what a user runs first")
+@behaviour_rule("2.2.5, 4.1.1")
 def default_experiment_runs(probe: Probe) -> Iterator[str]:
     """The steps of DefaultExperiment succeed up to its stop time, as far as they take about a second."""
     if not probe.states_step_size or not math.isfinite(probe.stop_time):
