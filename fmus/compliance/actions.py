@@ -2,16 +2,21 @@
 
 import itertools
 import math
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Concatenate, ParamSpec
 
 from fmus.compliance import values
 from fmus.compliance.probe import Probe
+from fmus.compliance.rule import NotApplicableError
 from fmus.compliance.script import Action, Given, Reading, Script
 from fmus.compliance.variable import Variable
 from fmus.fmi.binding import ERROR
 
 MOST_VARIABLES = 50  # that are changed in a rule
+_MOST_LEAPT, _LEAPS, _ROUGHNESS = 100, 8, 300.0  # steps, and times their tolerances
+_FEWEST_STEPS, _MEASURED_STEPS, _MOST_STEPS = 10, 40, 5_000  # of a run over the default experiment
+_LONGEST_RUN_S = 1.0
 P = ParamSpec("P")
 Pair = tuple[Variable, Any]
 
@@ -21,31 +26,122 @@ def _action(method: Callable[Concatenate[Script, P], object]) -> Callable[P, Act
     return lambda *args, **kwargs: lambda script: method(script, *args, **kwargs)
 
 
-begin: Action = Script.begin
-start: Action = Script.start
-initialise: Action = Script.initialise
-enter_initialization_mode: Action = Script.enter_initialization_mode
-exit_initialization_mode: Action = Script.exit_initialization_mode
-enter_event_mode: Action = Script.enter_event_mode
-enter_continuous_time_mode: Action = Script.enter_continuous_time_mode
-pause: Action = Script.pause
-forbidden: Action = Script.forbidden
-terminate: Action = Script.terminate
-reset: Action = Script.reset
-call, step, leap = _action(Script.call), _action(Script.step), _action(Script.leap)
-go_on = _action(Script.go_on)
-save, restore, copy = _action(Script.save), _action(Script.restore), _action(Script.copy)
-read_bytes, glance, plain = _action(Script.read_bytes), _action(Script.read), _action(Script.plain)
+call = _action(Script.call)
+glance = _action(Script.read)
 
 
-def set_up(stop: int, tolerance: float | None = None, start: int = 0) -> Action:
+def plain(function: str) -> Action:
+    """Calls a function of FMI without arguments."""
+    return call("call", function)
+
+
+enter_initialization_mode = plain("fmi2EnterInitializationMode")
+enter_event_mode = plain("fmi2EnterEventMode")
+enter_continuous_time_mode = plain("fmi2EnterContinuousTimeMode")
+terminate, reset = plain("fmi2Terminate"), plain("fmi2Reset")
+
+
+def exit_initialization_mode(script: Script) -> None:
+    """Goes to where steps are allowed."""
+    script.call("exit_initialization_mode")
+    script.state = "event mode" if script.probe.fmu.is_model_exchange else "step complete"
+    script.next_step = 0
+
+
+def initialise(script: Script) -> None:
+    """Sets the experiment up and enters initialization mode."""
+    script.call("set_up_experiment", script.probe.start_time)
+    enter_initialization_mode(script)
+
+
+def begin(script: Script) -> None:
+    """Initialises, up to where steps are allowed."""
+    script.write([initialise, exit_initialization_mode])
+
+
+def start(script: Script) -> None:
+    """Initialises, and goes on to where the runs of a row begin."""
+    script.has_started = True
+    script.write([begin, *script.lead])
+
+
+def forbidden(script: Script) -> None:
+    script.is_forbidden = True
+
+
+def pause(script: Script) -> None:
+    """Ends a part: scripts that are played together take turns."""
+    script.parts.append(len(script.calls))
+
+
+@_action
+def leap(script: Script, thirds: int, is_whole: bool = False) -> None:
+    """Adds a part of the default experiment: usual steps, or few of other sizes for model exchange.
+
+    is_whole: whether it is that of all steps, however many
+    """
+    most = _MOST_LEAPT // 4 if script.probe.fmu.is_model_exchange else _MOST_LEAPT
+    third = steps_of_experiment(script.probe) // 3
+    count = (third if is_whole else min(third, most)) * thirds
+    if not script.probe.fmu.is_model_exchange:
+        script.write([go_on(count)])
+        return
+    ends = [script.next_step + count * i // _LEAPS for i in range(_LEAPS + 1)]
+    for before, end in itertools.pairwise(map(script.probe.point, ends)):
+        script.call("do_step", before, end - before, False, _ROUGHNESS)
+    script.next_step += count
+
+
+@_action
+def step(script: Script, count: int = 1, no_going_back: bool = False) -> None:
+    """Adds steps of the default experiment's size, from where the script is."""
+    for _ in range(count):
+        script.call("do_step", script.time, script.probe.step_size, no_going_back)
+        script.next_step += 1
+
+
+@_action
+def go_on(script: Script, count: int, observed: Sequence[tuple[str, list[int]]] = ()) -> None:
+    """Adds steps of the default experiment's size in one call, up to the first that fails.
+
+    observed: see `CalledInstance.do_steps`
+    """
+    probe = script.probe
+    script.call("do_steps", probe.start_time, probe.step_size, script.next_step, count, observed)
+    script.next_step += count
+
+
+@_action
+def save(script: Script, slot: int = 0) -> None:
+    script.call("get_fmu_state", slot)
+    script.saved[slot] = script.next_step, script.state
+
+
+@_action
+def restore(script: Script, slot: int = 0) -> None:
+    """Sets a saved state back: the next step is the one that followed when it was saved."""
+    script.call("set_fmu_state", slot)
+    script.next_step, script.state = script.saved[slot]
+
+
+@_action
+def copy(script: Script, slot: int, other: int) -> None:
+    """Makes another saved state of the bytes of one."""
+    script.call("copy_fmu_state", slot, other)
+    script.saved[other] = script.saved[slot]
+
+
+@_action
+def read_bytes(script: Script, source: Script) -> None:
+    """Makes a saved state of the bytes of one of another script that was played."""
+    script.call("deserialize_fmu_state", 0, source.content)
+    script.saved[0] = source.saved[0]
+
+
+@_action
+def set_up(script: Script, stop: int, tolerance: float | None = None, start: int = 0) -> None:
     """Sets the experiment up, from the communication point of a number to that of another."""
-
-    def action(script: Script) -> None:
-        times = script.probe.point(start), script.probe.point(stop)
-        script.call("set_up_experiment", *times, tolerance)
-
-    return action
+    script.call("set_up_experiment", script.probe.point(start), script.probe.point(stop), tolerance)
 
 
 def begin_until(stop: int, tolerance: float | None = None, start: int = 0) -> tuple[Action, ...]:
@@ -86,20 +182,6 @@ def read_vectors(functions: Iterable[str], when: str = "") -> Action:
     return lambda script: script.observed.append((when, "", script.read_vectors(functions)))
 
 
-def go_on_reading(steps: int, readings: int, when: str = "", observed: Sequence[Variable] = ()) -> Action:
-    """Makes many steps, in which all variables are read a few times, and those observed after each."""
-    ends = [steps * i // readings for i in range(readings + 1)]
-    groups = itertools.groupby(observed, lambda v: v.base_kind)
-    of_kinds = [(kind, values.references_of(variables)) for kind, variables in groups]
-
-    def action(script: Script) -> None:
-        for before, end in itertools.pairwise(ends):
-            script.go_on(end - before, of_kinds)
-            script.write([read_all(when, f", at {script.time:g} s")])
-
-    return action
-
-
 def run(steps: int, when: str = "") -> Action:
     """Makes steps, and reads the outputs after each."""
     return lambda script: [
@@ -112,39 +194,30 @@ def run_all(steps: int, when: str = "") -> Action:
     return lambda script: [script.write([step(), read_all(when, f", step {i + 1}")]) for i in range(steps)]
 
 
-def read_slopes(outputs: Sequence[Variable], when: str = "", order: int = 1) -> Action:
+@_action
+def read_slopes(script: Script, outputs: Sequence[Variable], when: str = "", order: int = 1) -> None:
     """Reads derivatives of one order of outputs, if there are any, in one call; values are of order 0."""
     if not order:
-        return read(outputs, when)
-
-    def action(script: Script) -> None:
-        if outputs:
-            reply = script.call("output_derivatives", values.references_of(outputs), order)
-            script.observed.append((when, "", Reading({"Real": list(outputs)}, {"Real": reply})))
-
-    return action
+        script.write([read(outputs, when)])
+    elif outputs:
+        reply = script.call("output_derivatives", values.references_of(outputs), order)
+        script.observed.append((when, "", Reading({"Real": list(outputs)}, {"Real": reply})))
 
 
-def read_as(pairs: Sequence[Pair], when: str = "") -> Action:
+@_action
+def read_as(script: Script, pairs: Sequence[Pair], when: str = "") -> None:
     """Reads variables that should have the values given."""
-
-    def action(script: Script) -> None:
-        script.expected.append(Given({v.name: x for v, x in pairs}))
-        script.write([read([v for v, _ in pairs], when)])
-
-    return action
+    script.expected.append(Given({v.name: x for v, x in pairs}))
+    script.write([read([v for v, _ in pairs], when)])
 
 
-def expect(*actions: Action) -> Action:
+@_action
+def expect(script: Script, *actions: Action) -> None:
     """Takes what actions read as what is expected later."""
-
-    def action(script: Script) -> None:
-        first = len(script.observed)
-        script.write(actions)
-        script.expected += [reading for *_, reading in script.observed[first:]]
-        del script.observed[first:]
-
-    return action
+    first = len(script.observed)
+    script.write(actions)
+    script.expected += script.readings[first:]
+    del script.observed[first:]
 
 
 def ignore(*actions: Action) -> Action:
@@ -173,16 +246,13 @@ def set_at_once(pairs: Sequence[Pair]) -> list[Action]:
     ]
 
 
-def set_derivatives(value: float = 1.0, order: int = 1) -> Action:
-    """Sets derivatives of one order, of all continuous Real inputs, if the FMU interpolates."""
-
-    def action(script: Script) -> None:
-        references = values.references_of(values.continuous_reals(script.probe, "input"))
-        if references and script.probe.fmu.claims(values.INTERPOLATES):
-            count = len(references)
-            script.call("set_input_derivatives", references, [order] * count, [value] * count)
-
-    return action
+@_action
+def set_derivatives(script: Script, value: float = 1.0) -> None:
+    """Sets first derivatives, of all continuous Real inputs, if the FMU interpolates."""
+    references = values.references_of(values.continuous_reals(script.probe, "input"))
+    if references and script.probe.fmu.claims(values.INTERPOLATES):
+        count = len(references)
+        script.call("set_input_derivatives", references, [1] * count, [value] * count)
 
 
 def error(action: Action, finding: str = "", *statuses: int) -> Action:
@@ -195,9 +265,20 @@ def error(action: Action, finding: str = "", *statuses: int) -> Action:
     return lambda script: script.errors.extend((reply, finding, expected) for reply in script.write([action]))
 
 
+def refused_reference(probe: Probe) -> int:
+    """Returns an unknown value reference, after the FMU was asked once for its value, whatever it answered.
+
+    Raises NotJudgedError if that ended the process, which `wrong-references-are-refused` tells.
+    """
+    reference = values.unknown_reference(probe.fmu)
+    asked = probe.script(begin, forbidden, call("get", "Real", [reference]))
+    probe.once("read of a value reference that no variable has", lambda: asked.play(keep_going=True))
+    return reference
+
+
 def fail(script: Script) -> None:
     """Makes a call that returns error."""
-    script.write([error(call("get", "Real", [values.refused_reference(script.probe)]))])
+    script.write([error(call("get", "Real", [refused_reference(script.probe)]))])
 
 
 def played(probe: Probe, actions: Iterable[Action], **options: Any) -> Script:
@@ -213,10 +294,39 @@ def over_the_experiment(probe: Probe) -> Script:
     second.
     """
     stop = probe.stop_time if math.isfinite(probe.stop_time) else None
-    set_up = call("set_up_experiment", probe.start_time, stop)
-    steps = go_on_reading(probe.steps_of_experiment, 8, "in the default experiment", number_outputs(probe))
-    start = set_up, enter_initialization_mode, exit_initialization_mode
-    return played(probe, [*start, steps], logging=True, watched=True)
+    groups = itertools.groupby(number_outputs(probe), lambda v: v.base_kind)
+    observed = [(kind, values.references_of(variables)) for kind, variables in groups]
+    ends = [steps_of_experiment(probe) * i // 8 for i in range(9)]
+    steps = (
+        (go_on(end - before, observed), read_all("in the default experiment", f", at {probe.point(end):g} s"))
+        for before, end in itertools.pairwise(ends)
+    )
+    begin = call("set_up_experiment", probe.start_time, stop), enter_initialization_mode
+    actions = *begin, exit_initialization_mode, *itertools.chain(*steps)
+    return played(probe, actions, logging=True, watched=True)
+
+
+def steps_of_experiment(probe: Probe) -> int:
+    """Returns the number of usual steps up to the stop time of the default experiment, or of those that take
+    about a second; measured once for all rules. Raises NotApplicableError where they are few.
+    """
+
+    def measured() -> int:
+        span = min(probe.stop_time - probe.start_time, _MOST_STEPS * probe.step_size)
+        steps = int(span / probe.step_size + 1e-6)
+        first = min(steps, _MEASURED_STEPS)
+        if first < _FEWEST_STEPS:
+            raise NotApplicableError("the default experiment has too few steps")
+        script = probe.script(begin, go_on(first))
+        start = time.monotonic()
+        probe.play_each([script])
+        seconds = (time.monotonic() - start) / first
+        # for model exchange, the run of events reaches the stop time
+        part = 4 if probe.fmu.is_model_exchange else 1
+        budget = min(_LONGEST_RUN_S / part, (probe.process.deadline - time.monotonic()) / 10)
+        return min(steps, _MOST_STEPS // part, max(first, int(budget / seconds)))
+
+    return probe.once("run of many steps", measured)
 
 
 def number_outputs(probe: Probe) -> list[Variable]:
@@ -260,10 +370,10 @@ def _takes(probe: Probe, pairs: Sequence[Pair], before: Sequence[Action]) -> boo
 
     def finish(script: Script) -> None:
         if script.state == "instantiated":
-            script.initialise()
+            initialise(script)
         if script.state == "initialization mode":
-            script.exit_initialization_mode()
-        script.step()
+            exit_initialization_mode(script)
+        script.write([step()])
 
     script = probe.script(*before, set_values(pairs), finish)
     probe.play_each([script])

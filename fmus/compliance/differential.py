@@ -11,7 +11,7 @@ from fmus.compliance import actions as do
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Check, NotApplicableError, NotJudgedError, rule_of
 from fmus.compliance.script import Action, CallError, Script
-from fmus.compliance.values import differing, steadily
+from fmus.compliance.values import differing
 from fmus.fmi.binding import DISCARD
 
 ROUNDING = 1e-9  # relative: of values that are computed again
@@ -169,7 +169,7 @@ def verdict(probe: Probe, row: Row, usual: Script, plays: Sequence[Script]) -> I
             yield f"{prefix}: {failure.problem}" if prefix else failure.problem
             return
         messages = list(_unlike(probe, row, usual, play))
-        yield from steadily(probe, messages) if messages and usual.observed else messages
+        yield from _steadily(probe, messages) if messages and usual.observed else messages
     for reply, finding, expected in errors:
         if finding and reply.status not in (None, *expected):
             text = finding.format(reply=reply)
@@ -177,12 +177,33 @@ def verdict(probe: Probe, row: Row, usual: Script, plays: Sequence[Script]) -> I
 
 
 def _unlike(probe: Probe, row: Row, usual: Script, play: Script) -> Iterator[str]:
-    if not all(reading.ok for *_, reading in play.observed):
+    if not all(reading.ok for reading in play.readings):
         raise NotJudgedError("a call fails that may")
     tolerance = probe.tolerance if row.tolerance is None else row.tolerance
-    expected = [*play.expected, *(reading for *_, reading in usual.observed)]
+    expected = [*play.expected, *usual.readings]
     compared = [(*seen, one) for one, seen in zip(itertools.cycle(expected), play.observed, strict=False)]
     for when, group in itertools.groupby(compared, lambda parts: parts[0]):
         _, where, after, before = zip(*group, strict=True)
         words = f"{when or row.when}{row.start.words}"
         yield from differing(before, after, words, tolerance, row.again, where)
+
+
+def _unsteady(probe: Probe) -> set[str]:
+    """Returns the names of the variables that differ from instance to instance: clocks of the computer."""
+
+    def names() -> set[str]:
+        run = do.begin, *(do.step(), do.read(probe.fmu.variables)) * 3
+        scripts = [probe.script(*run) for _ in range(2)]
+        probe.play_each(scripts)
+        if not all(script.succeeded for script in scripts):
+            raise NotJudgedError("a run fails")
+        first, second = (script.readings for script in scripts)
+        return {message.split(" is ", 1)[0] for message in differing(first, second, "")}
+
+    return probe.once("comparison of two runs", names)
+
+
+def _steadily(probe: Probe, messages: Iterable[str]) -> Iterator[str]:
+    """Returns the messages about variables that are the same in every instance."""
+    unsteady = _unsteady(probe)
+    return (message for message in messages if message.split(" is ", 1)[0] not in unsteady)

@@ -3,9 +3,7 @@
 import itertools
 import math
 import re
-import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,13 +15,11 @@ from fmus.compliance.rule import NotApplicableError, NotJudgedError
 from fmus.compliance.script import USUAL_NAME, Action, CallError, Message, Reply, Script
 from fmus.compliance.variable import Variable, number
 from fmus.fmi import binding
-from fmus.fmi.binding import DISCARD, ERROR
+from fmus.fmi.binding import DISCARD
 
 T = TypeVar("T")
 _LICENCE = re.compile("licen[cs]e", re.IGNORECASE)
 _MOST_MESSAGES = 10_000
-_FEWEST_STEPS, _MEASURED_STEPS, _MOST_STEPS = 10, 40, 5_000  # of a run over the default experiment
-_LONGEST_RUN_S = 1.0
 _TOLERANCE, _MOST_TOLERANCE = 1e-4, 1e-3
 _OF_CAPABILITIES = {  # capability -> functions that no importer calls without it
     "canGetAndSetFMUstate": "GetFMUstate SetFMUstate FreeFMUstate",
@@ -147,28 +143,6 @@ class Probe:
             if failure := script.failure:
                 self._judge_failure(script, failure)
 
-    def play_usual_steps(self, script: Script) -> None:
-        """Plays a script of equal steps of the default experiment's size.
-
-        Raises as `play` does, and NotJudgedError where the FMU may refuse that size (4.2.2), now and from
-        now on in each script that fails by a step: it discards it, or its description states none.
-        """
-        try:
-            self.play(script)
-        except (CallError, DiscardedStepError) as error:
-            if self.fmu.is_model_exchange:
-                if isinstance(error, DiscardedStepError):
-                    self.shared.refused_steps = str(error)
-                raise
-            failure = script.failure
-            may_refuse = (DISCARD,) if self.states_step_size else (DISCARD, ERROR)
-            if not failure or not failure.is_step or failure.status not in may_refuse:
-                raise
-            stated = "it states in DefaultExperiment" if self.states_step_size else "is not stated by it"
-            reason = f"the FMU refuses the step size {self.step_size:g} s, which {stated}"
-            self.shared.refused_steps = reason
-            raise NotJudgedError(reason) from None
-
     def note_failure(self, reply: Reply, rule: str) -> None:
         """Notes, for all rules, that a function fails in a state, which a rule tells."""
         self.shared.failing[reply.function, reply.state] = rule
@@ -206,37 +180,6 @@ class Probe:
         for message in (m for reply in script.everything for m in reply.messages) if is_usual else ():
             if len(log) < _MOST_MESSAGES:
                 log[replace(message, given_name=name)] = None
-
-    def find_discarded_step(self, steps: int) -> None:
-        """Notes, for all rules, whether the FMU discards one of some equal steps of the usual size."""
-        script = self.script().begin().step(steps)
-        with suppress(NotJudgedError):  # a step beyond the stop time
-            self.play_each([script])
-        failure = script.failure
-        if failure and failure.is_step and failure.status == DISCARD:
-            self.shared.discards = failure.reason or "the FMU discards a step of the usual size"
-
-    @property
-    def steps_of_experiment(self) -> int:
-        """The number of usual steps up to the stop time of the default experiment, or those that take about
-        a second; measured once for all rules. Raises NotApplicableError where they are few.
-        """
-        return self.once("run of many steps", self._steps_of_experiment)
-
-    def _steps_of_experiment(self) -> int:
-        span = min(self.stop_time - self.start_time, _MOST_STEPS * self.step_size)
-        steps = int(span / self.step_size + 1e-6)
-        first = min(steps, _MEASURED_STEPS)
-        if first < _FEWEST_STEPS:
-            raise NotApplicableError("the default experiment has too few steps")
-        script = self.script().begin().go_on(first)
-        begin = time.monotonic()
-        self.play_each([script])
-        seconds = (time.monotonic() - begin) / first
-        # for model exchange, the run of events reaches the stop time
-        part = 4 if self.fmu.is_model_exchange else 1
-        budget = min(_LONGEST_RUN_S / part, (self.process.deadline - time.monotonic()) / 10)
-        return min(steps, _MOST_STEPS // part, max(first, int(budget / seconds)))
 
     def play_once(self, scripts: Sequence[Script]) -> None:
         """Plays scripts as `play_each`; those with the calls of one that was played so have its answers."""

@@ -1,6 +1,5 @@
 """Calls on one instance of an FMU, written down first and played in one message."""
 
-import itertools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -12,7 +11,6 @@ from fmus.fmi.binding import WARNING, status_name
 
 USUAL_NAME = "instance"
 KINDS = ("Real", "Integer", "Boolean", "String")
-_MOST_LEAPT, _LEAPS, _ROUGHNESS = 100, 8, 300.0  # steps, and times their tolerances
 STEPS = ("do_step", "do_steps")
 VECTORS = (
     "fmi2GetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndicators",
@@ -20,6 +18,11 @@ VECTORS = (
 )  # fmt: skip
 UNWRITTEN = "values"  # among what a call changed: those that were asked for were not
 ARGUMENTS = "arguments"  # among what a call changed
+_STATES = {  # function, or method -> state that it leads to; `actions` has those of other calls
+    "fmi2EnterInitializationMode": "initialization mode", "fmi2EnterEventMode": "event mode",
+    "fmi2EnterContinuousTimeMode": "continuous-time mode", "fmi2Terminate": "terminated",
+    "fmi2Reset": "instantiated",
+}  # fmt: skip
 _MODES = {  # function -> mode of model exchange that it leads to
     "fmi2ExitInitializationMode": "event mode", "fmi2EnterEventMode": "event mode",
     "fmi2EnterContinuousTimeMode": "continuous-time mode",
@@ -142,6 +145,7 @@ class Script:
     errors: calls that return error, each with words for a finding if it does not, and what it may return
     lead: actions that lead `start` from the first communication point to where runs begin
     has_started: whether `start` was written
+    next_step: number of the next step of the usual size; saved: slot -> that number and the state
     """
 
     def __init__(self, probe: Any, options: dict[str, Any]) -> None:
@@ -152,8 +156,8 @@ class Script:
         self.is_forbidden = False
         self.state = "instantiated"
         self.parts = [0]
-        self._step = 0
-        self._saved: dict[int, tuple[int, str]] = {}  # slot -> number of the next step, state
+        self.next_step = 0
+        self.saved: dict[int, tuple[int, str]] = {}
         self.expected: list[Reading | Given] = []
         self.observed: list[tuple[str, str, Reading]] = []
         self.ignored: list[Reply] = []
@@ -171,15 +175,6 @@ class Script:
             action(self)
         return self.replies[first:]
 
-    def forbidden(self) -> "Script":
-        self.is_forbidden = True
-        return self
-
-    def pause(self) -> "Script":
-        """Ends a part: scripts that are played together take turns."""
-        self.parts.append(len(self.calls))
-        return self
-
     def part(self, index: int) -> list[tuple[Any, ...]]:
         """Returns the calls of a part; none if there are fewer parts."""
         ends = [*self.parts[1:], len(self.calls)]
@@ -190,112 +185,7 @@ class Script:
         reply = Reply("", self.state, is_step=method in STEPS)
         self.calls.append((method, *arguments))
         self.replies.append(reply)
-        return reply
-
-    def plain(self, function: str) -> Reply:
-        """Adds a call of a function of FMI without arguments."""
-        return self.call("call", function)
-
-    def enter_initialization_mode(self) -> "Script":
-        self.call("enter_initialization_mode")
-        self.state = "initialization mode"
-        return self
-
-    def exit_initialization_mode(self) -> "Script":
-        self.call("exit_initialization_mode")
-        self.state = "event mode" if self.probe.fmu.is_model_exchange else "step complete"
-        return self
-
-    def initialise(self) -> "Script":
-        """Sets the experiment up and enters initialization mode."""
-        self.call("set_up_experiment", self.probe.start_time)
-        return self.enter_initialization_mode()
-
-    def begin(self) -> "Script":
-        """Initialises, up to where steps are allowed."""
-        self._step = 0
-        return self.initialise().exit_initialization_mode()
-
-    def start(self) -> "Script":
-        """Initialises, and goes on to where the runs of a row begin."""
-        self.has_started = True
-        self.begin().write(self.lead)
-        return self
-
-    def leap(self, thirds: int, is_whole: bool = False) -> "Script":
-        """Adds a part of the default experiment: usual steps, or few of other sizes for model exchange.
-
-        is_whole: whether it is that of all steps, however many
-        """
-        most = _MOST_LEAPT // 4 if self.probe.fmu.is_model_exchange else _MOST_LEAPT
-        third = self.probe.steps_of_experiment // 3
-        count = (third if is_whole else min(third, most)) * thirds
-        if not self.probe.fmu.is_model_exchange:
-            return self.go_on(count)
-        ends = [self._step + count * i // _LEAPS for i in range(_LEAPS + 1)]
-        for before, end in itertools.pairwise(map(self.probe.point, ends)):
-            self.call("do_step", before, end - before, False, _ROUGHNESS)
-        self._step += count
-        return self
-
-    def step(self, count: int = 1, no_going_back: bool = False) -> "Script":
-        """Adds steps of the default experiment's size, from where the script is."""
-        for _ in range(count):
-            t = self.probe.point(self._step)
-            self.call("do_step", t, self.probe.step_size, no_going_back)
-            self._step += 1
-        return self
-
-    def go_on(self, count: int, observed: Sequence[tuple[str, list[int]]] = ()) -> "Script":
-        """Adds steps of the default experiment's size in one call, up to the first that fails.
-
-        observed: see `CalledInstance.do_steps`
-        """
-        self.call("do_steps", self.probe.start_time, self.probe.step_size, self._step, count, observed)
-        self._step += count
-        return self
-
-    def save(self, slot: int = 0) -> "Script":
-        self.call("get_fmu_state", slot)
-        self._saved[slot] = self._step, self.state
-        return self
-
-    def restore(self, slot: int = 0) -> "Script":
-        """Sets a saved state back: the next step is the one that followed when it was saved."""
-        self.call("set_fmu_state", slot)
-        self._step, self.state = self._saved[slot]
-        return self
-
-    def copy(self, slot: int, other: int) -> "Script":
-        """Makes another saved state of the bytes of one."""
-        self.call("copy_fmu_state", slot, other)
-        self._saved[other] = self._saved[slot]
-        return self
-
-    def read_bytes(self, source: "Script", slot: int = 0) -> "Script":
-        """Makes a saved state of the bytes of the same slot of another script that was played."""
-        self.call("deserialize_fmu_state", slot, source.content)
-        self._saved[slot] = source._saved[slot]
-        return self
-
-    def enter_event_mode(self) -> "Script":
-        self.plain("fmi2EnterEventMode")
-        self.state = "event mode"
-        return self
-
-    def enter_continuous_time_mode(self) -> "Script":
-        self.plain("fmi2EnterContinuousTimeMode")
-        self.state = "continuous-time mode"
-        return self
-
-    def terminate(self) -> Reply:
-        reply = self.plain("fmi2Terminate")
-        self.state = "terminated"
-        return reply
-
-    def reset(self) -> Reply:
-        reply = self.plain("fmi2Reset")
-        self.state, self._step = "instantiated", 0
+        self.state = _STATES.get(arguments[0] if method == "call" else method, self.state)
         return reply
 
     def set(self, variable: Variable, value: Any) -> Reply:
@@ -334,11 +224,7 @@ class Script:
     @property
     def time(self) -> float:
         """Time at which the next step begins [s]."""
-        return self.probe.point(self._step)
-
-    def run(self, steps: int) -> list[Reading]:
-        """Returns readings of the outputs after each of some steps."""
-        return [self.step().read(self.probe.outputs) for _ in range(steps)]
+        return self.probe.point(self.next_step)
 
     # playing
 
@@ -375,9 +261,9 @@ class Script:
         return [self.creation, *self.replies, self.end]
 
     @property
-    def pairs(self) -> Iterable[tuple[tuple[Any, ...], Reply]]:
-        """Calls with their replies."""
-        return zip(self.calls, self.replies, strict=True)
+    def readings(self) -> list[Reading]:
+        """Readings to be compared."""
+        return [reading for *_, reading in self.observed]
 
     @property
     def succeeded(self) -> bool:

@@ -7,7 +7,7 @@ from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Condition, NotJudgedError
+from fmus.compliance.rule import Condition
 from fmus.compliance.script import Given, Reading
 from fmus.compliance.variable import Variable
 
@@ -144,22 +144,6 @@ def unknown_reference(fmu: FmuFile) -> int:
     return far if far <= _LARGEST_REFERENCE else next(i for i in itertools.count() if i not in used)
 
 
-def refused_reference(probe: Probe) -> int:
-    """Returns an unknown value reference, after the FMU was asked once for its value, whatever it answered.
-
-    Raises NotJudgedError if that ended the process, which `wrong-references-are-refused` tells.
-    """
-    reference = unknown_reference(probe.fmu)
-
-    def asked() -> None:
-        script = probe.script().begin().forbidden()
-        script.call("get", "Real", [reference])
-        script.play(keep_going=True)
-
-    probe.once("read of a value reference that no variable has", asked)
-    return reference
-
-
 def is_utf_8(content: bytes) -> bool:
     try:
         content.decode("utf-8")
@@ -232,23 +216,3 @@ def differing(
                 new, old = (text[:_LONGEST_TEXT] for text in texts(value_read, value_expected))
                 place = where[i] if where else f", step {i + 1}" if len(pairs) > 1 else ""
                 yield f"{name} is {new} {when}{place}: expected {again.format(old)}"
-
-
-def _unsteady(probe: Probe) -> set[str]:
-    """Returns the names of the variables that differ from instance to instance: clocks of the computer."""
-
-    def names() -> set[str]:
-        one, other = probe.script().begin(), probe.script().begin()
-        first, second = ([s.step().read(probe.fmu.variables) for _ in range(3)] for s in (one, other))
-        probe.play_each([one, other])
-        if not one.succeeded or not other.succeeded:
-            raise NotJudgedError("a run fails")
-        return {message.split(" is ", 1)[0] for message in differing(first, second, "")}
-
-    return probe.once("comparison of two runs", names)
-
-
-def steadily(probe: Probe, messages: Iterable[str]) -> Iterator[str]:
-    """Returns the messages about variables that are the same in every instance."""
-    unsteady = _unsteady(probe)
-    return (message for message in messages if message.split(" is ", 1)[0] not in unsteady)

@@ -110,7 +110,7 @@ def wrong_references_are_refused(probe: Probe) -> Iterator[Row]:
     """A value reference that no variable has is an error to read and to set, also for derivatives; the
     instance is freed then.
     """
-    reference = values.refused_reference(probe)
+    reference = do.refused_reference(probe)
     finding = _finding("error", f" of the value reference {reference}, which is none,")
     calls = [("CE", do.call("get", kind, [reference])) for kind in KINDS]
     calls += [("M", do.call("set", kind, [reference], [_NOTHING[kind]])) for kind in KINDS]
@@ -160,7 +160,7 @@ def last_successful_time_is_right(probe: Probe) -> Iterator[str]:
     """
     if not probe.states_step_size:
         raise NotJudgedError("no step size is stated, and an internal step may be longer than others")
-    script = probe.script().begin().step(3)
+    script = probe.script(do.begin, do.step(3))
     time = script.call("status_of", "Real", LAST_SUCCESSFUL_TIME)
     terminated = script.call("status_of", "Boolean", TERMINATED)
     probe.play_each([script])

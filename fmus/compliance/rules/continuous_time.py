@@ -66,7 +66,7 @@ def _start(script: Script) -> _Start:
 
 def _enter(script: Script) -> None:
     """Goes to where the runs of a row begin, and enters continuous-time mode there."""
-    script.start().enter_continuous_time_mode()
+    script.write([do.start, do.enter_continuous_time_mode])
 
 
 def _set_time(part: float) -> Action:

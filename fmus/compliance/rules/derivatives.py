@@ -42,7 +42,7 @@ def _output_slopes(probe: Probe, order: int, start: Start, part: float = 1.0) ->
     script = do.played(probe, [do.begin, *start.lead, *steps], logging=True)
     if (failure := script.failure) and part == 1.0:
         raise CallError(failure.problem)
-    rows = [] if failure else [reading.values for *_, reading in script.observed]
+    rows = [] if failure else [reading.values for reading in script.readings]
     series = ((v.name, *([row[v.name] for row in rows[k::2]] for k in range(2))) for v in outputs)
     return {
         name: finite.Slopes(xs, slopes, size, order)

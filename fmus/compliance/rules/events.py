@@ -123,7 +123,7 @@ def _run(probe: Probe, again: bool = False, has_others: bool = False) -> tuple[l
         turns = [*filter(None, do.others_in_turn(probe, others, do.begin, do.step()))]
         names = ", ".join(v.name for v, _ in chain(*turns[:1]))
         middle = {_STEPS // 2 + i * (_STEPS // 2) // len(turns): pairs for i, pairs in enumerate(turns)}
-        script = probe.script(observed=observing, again=again, logging=True).begin()
+        script = probe.script(do.begin, observed=observing, again=again, logging=True)
         for i in range(_STEPS if turns or not has_others else 0):
             script.write([do.set_values(middle.get(i, ()))])
             script.call("do_step", probe.start_time + i * size, size)

@@ -26,7 +26,7 @@ def values_of(probe: Probe, runs: Iterable[Iterable[Action]]) -> list[list[Value
     """Returns the values of each reading of each run, played once for all rules; none of a run that fails."""
     scripts = [probe.script(*actions) for actions in runs]
     probe.play_once(scripts)
-    return [[r.values for *_, r in script.observed] if script.succeeded else [] for script in scripts]
+    return [[reading.values for reading in script.readings] if script.succeeded else [] for script in scripts]
 
 
 class Column:

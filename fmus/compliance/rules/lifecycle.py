@@ -5,15 +5,17 @@ other instances.
 import re
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import PurePath
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
 from fmus.compliance.differential import Row, differential
 from fmus.compliance.fmu_file import ONLY_ONCE, FmuFile
-from fmus.compliance.probe import Probe, refusal
+from fmus.compliance.probe import DiscardedStepError, Probe, refusal
 from fmus.compliance.rule import CANNOT_LOAD, RANDOM, NotJudgedError, behaviour_rule
 from fmus.compliance.script import CallError, Reply, Script
+from fmus.fmi.binding import DISCARD, ERROR
 
 _WRONG_GUID = "{00000000-0000-0000-0000-000000000000}"
 _NEW_STATES = "fmi2NewDiscreteStates"
@@ -82,15 +84,32 @@ def free_of_null_is_ignored(probe: Probe) -> Iterator[str]:
 @behaviour_rule("3.2.3, 4.2.2")
 def steps_and_terminates(probe: Probe) -> Iterator[str]:
     """It is initialised; equal steps of the default experiment's size succeed, then fmi2Terminate."""
-    script = probe.script(logging=True).begin().step(_STEPS)
-    script.terminate()
-    probe.find_discarded_step(_MANY_STEPS)
+    script = probe.script(do.begin, do.step(_STEPS), do.terminate, logging=True)
+    _find_discarded_step(probe)
     try:
-        probe.play_usual_steps(script)
-    except CallError:
-        if not (failure := script.failure):
+        script.play()
+    except (CallError, DiscardedStepError) as error:
+        failure, is_exchanged = script.failure, probe.fmu.is_model_exchange
+        if not failure:
             raise
+        # where its description states no step size, a slave may refuse one by an error too (4.2.2)
+        is_unstated = failure.is_step and not is_exchanged and not probe.states_step_size
+        if isinstance(error, DiscardedStepError) or (is_unstated and failure.status == ERROR):
+            stated = "it states in DefaultExperiment" if probe.states_step_size else "is not stated by it"
+            refused = f"the FMU refuses the step size {probe.step_size:g} s, which {stated}"
+            probe.shared.refused_steps = str(error) if is_exchanged else refused
+            raise NotJudgedError(probe.shared.refused_steps) from None
         yield f"in the state {failure.state!r}: {_cause(probe, script, failure)}"
+
+
+def _find_discarded_step(probe: Probe) -> None:
+    """Notes, for all rules, whether the FMU discards one of some equal steps of the usual size."""
+    script = probe.script(do.begin, do.step(_MANY_STEPS))
+    with suppress(NotJudgedError):  # a step beyond the stop time
+        probe.play_each([script])
+    failure = script.failure
+    if failure and failure.is_step and failure.status == DISCARD:
+        probe.shared.discards = failure.reason or "the FMU discards a step of the usual size"
 
 
 def _cause(probe: Probe, script: Script, failure: Reply) -> str:
@@ -136,10 +155,7 @@ def _compared(probe: Probe) -> tuple[list[str], bool]:
 
 
 def _differences(probe: Probe) -> Iterator[str]:
-    scripts = [probe.script().begin() for _ in range(2)]
-    first, second = (script.run(5) for script in scripts)
-    for script in scripts:
-        script.play()
+    first, second = (probe.script(do.begin, do.run(5)).play().readings for _ in range(2))
     yield from values.differing(first, second, "in a second instance")
 
 
@@ -171,7 +187,7 @@ def instances_follow_each_other(probe: Probe) -> Iterator[str]:
     """After some instances that were used and freed, fewer of a slow FMU, another one takes a step."""
     half = (time.monotonic() + probe.process.deadline) / 2
     for _ in range(_INSTANCES):
-        probe.script().begin().step().play()
+        probe.script(do.begin, do.step()).play()
         if time.monotonic() > half:
             break
     yield from ()

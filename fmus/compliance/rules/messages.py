@@ -15,7 +15,7 @@ from fmus.compliance.probe import Probe
 from fmus.compliance.rows import add_rows, row
 from fmus.compliance.rules.call_table import NAME, tour
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, Action, CallError, Message, Reply, Script
-from fmus.compliance.values import keeps_its_value, refused_reference, unknown_reference
+from fmus.compliance.values import keeps_its_value, unknown_reference
 from fmus.fmi.binding import DISCARD, ERROR, OK, PENDING, PENDING_STATUS, WARNING, status_name
 
 _REFERENCE = re.compile(r"#([ribs])(\d+)#")
@@ -59,7 +59,7 @@ def _formats(probe: Probe) -> list[Message]:
     """Returns messages with the formats that they are before printf."""
 
     def collected() -> list[Message]:
-        wrong = do.call("get", "Real", [refused_reference(probe)])
+        wrong = do.call("get", "Real", [do.refused_reference(probe)])
         options = {"name": _NAME_WITH_A_PERCENT_SIGN, "callbacks": "formats"}
         script = do.played(probe, [*_CALLS_THAT_LOG, wrong], logging=True, **options)
         return [m for reply in script.everything for m in reply.messages]

@@ -149,7 +149,8 @@ def warnings_end_nothing(probe: Probe) -> Iterator[str]:
     chosen = values.settable_while_stepping(probe.fmu)[:MOST_VARIABLES]
     for pair in ((v, x) for v in chosen for x in values.far_values(v)):
         script = do.played(probe, (do.begin, do.step(), do.set_values([pair]), do.step(), do.glance_all))
-        (warned,) = [r for call, r in script.pairs if call[0] == "set"]
+        pairs = zip(script.calls, script.replies, strict=True)
+        (warned,) = [reply for call, reply in pairs if call[0] == "set"]
         if warned.status == WARNING and (failure := script.failure):
             yield f"after {warned.function}{warned.words} {warned.status_name}: {failure.problem}"
 

@@ -93,7 +93,7 @@ def state_can_be_saved_often(_: Probe) -> Iterator[Row]:
 @behaviour_rule("2.1.8", condition=_saves)
 def freed_state_is_null(probe: Probe) -> Iterator[str]:
     """fmi2FreeFMUstate returns NULL in its argument."""
-    script = probe.script(logging=True).begin().step().save()
+    script = probe.script(do.begin, do.step(), do.save(), logging=True)
     freed = script.call("free_fmu_state", 0)
     script.play()
     if not freed.value:

@@ -75,7 +75,7 @@ def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
         failure = script.failure
         if failure and failure.status == DISCARD:  # then values are read of a time within the step
             continue
-        readings = zip(times, (reading for *_, reading in script.observed), strict=True)
+        readings = zip(times, script.readings, strict=True)
         for (t, where), reading in itertools.takewhile(lambda row: row[1].ok, readings):
             got = reading.values[v.name]
             if not abs(got - t) <= 1e-3 * probe.step_size + 1e-9 * abs(t):
@@ -104,7 +104,7 @@ def _runs(probe: Probe, v: Variable) -> Iterator[tuple[Script, Sequence[tuple[fl
     with suppress(NotApplicableError, NotJudgedError):  # then the times before are judged alone
         whole = do.over_the_experiment(probe)
         count = len(whole.observed)
-        ends = (probe.point(probe.steps_of_experiment * i // count) for i in range(1, count + 1))
+        ends = (probe.point(do.steps_of_experiment(probe) * i // count) for i in range(1, count + 1))
         yield whole, [(t, point) for t in ends]
 
 
@@ -131,7 +131,7 @@ def no_set_state_flag_changes_nothing(probe: Probe) -> Iterator[Row]:
 @behaviour_rule("4.3.1", condition=values.unless_claimed(_ANY_STEP))
 def variable_step_size(probe: Probe) -> Iterator[str]:
     """Steps of different sizes succeed one after the other; one that is longer may be discarded."""
-    script = probe.script(logging=True).begin()
+    script = probe.script(do.begin, logging=True)
     ends = [probe.start_time]
     for factor in (1.0, 0.5, 2.0, 0.25, 1.5):
         script.call("do_step", ends[-1], factor * probe.step_size)

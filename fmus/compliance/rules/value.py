@@ -23,10 +23,8 @@ def variables_can_be_read(probe: Probe) -> Iterator[str]:
     """After initialisation and after a step every variable can be read by its value reference and type: a
     Boolean is 0 or 1, and a String not NULL.
     """
-    script = probe.script(logging=True).begin()
-    first = script.read(probe.fmu.variables)
-    reading = script.step().read(probe.fmu.variables)
-    script.play()
+    read = do.read(probe.fmu.variables)
+    first, reading = probe.script(do.begin, read, do.step(), read, logging=True).play().readings
     kinds = {v.name: v.base_kind for v in probe.fmu.variables}
     for read, when in ((first, "initialisation"), (reading, "the first step")):
         for name, value in read.values.items():
