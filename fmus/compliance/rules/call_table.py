@@ -1,7 +1,6 @@
 """Table of the calls that the state machines of 3.2.3 and 4.2.4 allow, and how rules ask for calls."""
 
 from collections.abc import Callable, Container, Iterable, Iterator
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from fmus.compliance import actions as do
@@ -93,56 +92,26 @@ def vectors(probe: Probe, state: str) -> Iterator[Action]:
             yield do.call("vector", function)
 
 
-def _set_states(probe: Probe, _: str) -> Iterator[Action]:
-    if count := probe.fmu.vector_length(VECTORS[0]):
-        yield do.call("set_continuous_states", [0.0] * count)
-
-
 def _complete_step(probe: Probe, _: str) -> Iterator[Action]:
     if not probe.fmu.claims("completedIntegratorStepNotNeeded"):
         yield do.call("completed_integrator_step")
 
 
-def _one(action: Action) -> Calls:
-    return lambda *_: [action]
-
-
-@dataclass(frozen=True)
-class Allowed:
-    """Calls with usual arguments, which some states allow.
-
-    apart: those of them, on the tour, in which it makes no such call: it leads to another state, or a rule
-    of its own makes it
-    """
-
-    allowed: str
-    apart: str
-    calls: Calls
-
-
-# as the tables of 3.2.3 and 4.2.4 have it; fmi2Reset and fmi2FreeInstance are allowed in all states.
-# What reads comes before what sets: by 4.2.4 a slave may refuse fmi2Get* after fmi2Set* until fmi2DoStep
-TABLE = (
-    Allowed("IMBCEKT", "", _log),
-    Allowed("IMBCEKT", "", _save),
-    Allowed("MBCEKT", "", _get),
-    Allowed("BCT", "", _output_derivatives),
-    Allowed("MBCEKT", "", _directional_derivatives),
-    Allowed("IMEKT", "IMT", vectors),
-    Allowed("IMBCEK", "", _set),
-    Allowed("IMBC", "I", _one(do.set_derivatives(0.0))),
-    Allowed("EK", "EK", _one(do.set_time)),
-    Allowed("K", "K", _set_states),
-    Allowed("K", "", _complete_step),
-    Allowed("E", "", _one(do.call("new_discrete_states"))),
-    Allowed("I", "I", lambda probe, _: [do.call("set_up_experiment", probe.start_time)]),
-    Allowed("I", "I", _one(do.call("enter_initialization_mode"))),
-    Allowed("M", "M", _one(do.plain("fmi2ExitInitializationMode"))),
-    Allowed("EK", "EK", _one(do.plain("fmi2EnterEventMode"))),
-    Allowed("E", "E", _one(do.plain("fmi2EnterContinuousTimeMode"))),
-    Allowed("BC", "BC", _one(do.step())),
-    Allowed("BCEK", "BCEK", _one(do.plain("fmi2Terminate"))),
-)  # fmt: skip
+# calls that 3.2.3 and 4.2.4 allow, with usual arguments; what leads to another state, and what a rule of its
+# own makes, is left out. What reads comes before what sets: by 4.2.4 a slave may refuse fmi2Get* after
+# fmi2Set* until fmi2DoStep
+_ALLOWED: tuple[tuple[str, Calls], ...] = (
+    ("IMBCEKT", _log),
+    ("IMBCEKT", _save),
+    ("MBCEKT", _get),
+    ("BCT", _output_derivatives),
+    ("MBCEKT", _directional_derivatives),
+    ("EK", vectors),
+    ("IMBCEK", _set),
+    ("MBC", lambda *_: [do.set_derivatives(0.0)]),
+    ("K", _complete_step),
+    ("E", lambda *_: [do.call("new_discrete_states")]),
+)
 
 
 class Tour(NamedTuple):
@@ -181,18 +150,17 @@ def _tour(
     tolerance = TOLERANCE if run_with_tolerance(probe).succeeded else None
     initialise = do.set_up(1000, tolerance), do.enter_initialization_mode
     late = next((start.lead for start in starts(probe) if start.words == LATE), ())
-    leads = [(), initialise, (do.exit_initialization_mode,), (do.step(),), (*late, do.step())]
-    states, last = "IMBCCT", (do.step(), do.terminate)
+    steps, enter = ((do.step(),), (*late, do.step())), (do.enter_continuous_time_mode,)
+    states, later = "IMBCCT", (*steps, (do.step(), do.terminate))
     if probe.fmu.is_model_exchange:
-        leads[3:3] = (do.enter_continuous_time_mode,), (do.enter_event_mode,)
-        leads.append((do.enter_continuous_time_mode,))
-        states, last = "IMEKEEEKT", (do.terminate,)
+        states, later = "IMEKEEEKT", (enter, (do.enter_event_mode,), *steps, enter, (do.terminate,))
     script, rows = probe.script(name=NAME, logging=True, watched=True), dict[tuple[int, str], list[Reply]]()
-    for lead, state in zip((*leads, last), states, strict=True):
+    leads = (), initialise, (do.exit_initialization_mode,), *later
+    for lead, state in zip(leads, states, strict=True):
         script.write(lead)
-        for i, row in enumerate(TABLE):
-            if state in row.allowed and state not in row.apart and (i, state) not in left_out:
-                rows.setdefault((i, state), []).extend(script.write(row.calls(probe, state)))
+        for i, (allowed, calls) in enumerate(_ALLOWED):
+            if state in allowed and (i, state) not in left_out:
+                rows.setdefault((i, state), []).extend(script.write(calls(probe, state)))
     return script, rows
 
 
