@@ -30,15 +30,10 @@ call = _action(Script.call)
 glance = _action(Script.read)
 
 
-def plain(function: str) -> Action:
-    """Calls a function of FMI without arguments."""
-    return call("call", function)
-
-
-enter_initialization_mode = plain("fmi2EnterInitializationMode")
-enter_event_mode = plain("fmi2EnterEventMode")
-enter_continuous_time_mode = plain("fmi2EnterContinuousTimeMode")
-terminate, reset = plain("fmi2Terminate"), plain("fmi2Reset")
+enter_initialization_mode = call("fmi2EnterInitializationMode")
+enter_event_mode = call("fmi2EnterEventMode")
+enter_continuous_time_mode = call("fmi2EnterContinuousTimeMode")
+terminate, reset = call("fmi2Terminate"), call("fmi2Reset")
 
 
 def exit_initialization_mode(script: Script) -> None:
@@ -113,28 +108,28 @@ def go_on(script: Script, count: int, observed: Sequence[tuple[str, list[int]]] 
 
 @_action
 def save(script: Script, slot: int = 0) -> None:
-    script.call("get_fmu_state", slot)
+    script.call("save_state", slot)
     script.saved[slot] = script.next_step, script.state
 
 
 @_action
 def restore(script: Script, slot: int = 0) -> None:
     """Sets a saved state back: the next step is the one that followed when it was saved."""
-    script.call("set_fmu_state", slot)
+    script.call("set_state", slot)
     script.next_step, script.state = script.saved[slot]
 
 
 @_action
 def copy(script: Script, slot: int, other: int) -> None:
     """Makes another saved state of the bytes of one."""
-    script.call("copy_fmu_state", slot, other)
+    script.call("copy_state", slot, other)
     script.saved[other] = script.saved[slot]
 
 
 @_action
 def read_bytes(script: Script, source: Script) -> None:
     """Makes a saved state of the bytes of one of another script that was played."""
-    script.call("deserialize_fmu_state", 0, source.content)
+    script.call("state_of_bytes", 0, source.content)
     script.saved[0] = source.saved[0]
 
 
@@ -156,11 +151,11 @@ def in_state(name: str) -> Action:
 
 def set_time(script: Script) -> None:
     """Sets the time to what they are."""
-    script.call("set_time", script.time)
+    script.call("fmi2SetTime", script.time)
 
 
 def free_state(slot: int = 0) -> Action:
-    return call("free_fmu_state", slot)
+    return call("free_state", slot)
 
 
 def read(variables: Iterable[Variable], when: str = "", where: str = "") -> Action:
@@ -220,6 +215,11 @@ def expect(script: Script, *actions: Action) -> None:
     del script.observed[first:]
 
 
+def set_debug_logging(is_on: bool, *categories: str) -> Action:
+    names = [name.encode().hex() for name in categories]
+    return call("fmi2SetDebugLogging", int(is_on), len(names), names)
+
+
 def ignore(*actions: Action) -> Action:
     """Makes calls whose failure tells nothing."""
     return lambda script: script.ignored.extend(script.write(actions))
@@ -241,7 +241,7 @@ def set_at_once(pairs: Sequence[Pair]) -> list[Action]:
     for v, x in pairs:
         kinds.setdefault(v.base_kind, []).append((v, x.encode().hex() if isinstance(x, str) else x))
     return [
-        call("set", kind, values.references_of(v for v, _ in some), [x for _, x in some])
+        call(f"fmi2Set{kind}", values.references_of(v for v, _ in some), len(some), [x for _, x in some])
         for kind, some in kinds.items()
     ]
 
@@ -252,7 +252,7 @@ def set_derivatives(script: Script, value: float = 1.0) -> None:
     references = values.references_of(values.continuous_reals(script.probe, "input"))
     if references and script.probe.fmu.claims(values.INTERPOLATES):
         count = len(references)
-        script.call("set_input_derivatives", references, [1] * count, [value] * count)
+        script.call("fmi2SetRealInputDerivatives", references, count, [1] * count, [value] * count)
 
 
 def error(action: Action, finding: str = "", *statuses: int) -> Action:

@@ -34,7 +34,7 @@ def _not_numbers(count: int) -> Any:
     return (ctypes.c_double * count)(*[math.nan] * count)
 
 
-class CalledInstance(binding.BoundInstance):
+class CalledInstance(parts.StateSlots):
     """An instance of which each call may fail: `last_status` is its status.
 
     options: name, guid, location of the resources, logging (bool), and
@@ -55,10 +55,8 @@ class CalledInstance(binding.BoundInstance):
     ) -> None:  # fmt: skip
         self._options, self._settings, self._announce = options, settings, announce
         self.function = self.mode = ""
-        self._memory, self._noted = memory, set[str]()
+        self._noted = set[tuple[str, str, str]]()
         self._kept: list[Any] = []
-        self.states = parts.SavedStates(self)
-        self.last_status = 0
         self.watched = bool(options.get("watched"))
         kind = options.get("callbacks", "usual")
         log = parts.MessageLog(settings, self._noted)
@@ -113,10 +111,14 @@ class CalledInstance(binding.BoundInstance):
     def note(self, what: str, is_so: bool) -> None:
         """Notes what the FMU did wrong, if so, for `changed_settings`."""
         if is_so:
-            self._noted.add(f"{what} of {self.function}")
+            self._noted.add((what, self.function, ""))
 
     def call(self, function: str, *arguments: Any) -> None:
-        """Calls a function, and notes if one that is watched writes into an array that is constant to it."""
+        """Calls a function with lists as arrays, and notes if one that is watched writes into an array that
+        is constant to it. Strings are hexadecimal bytes; their memory is overwritten after the call.
+        """
+        strings: list[Any] = []
+        arguments = tuple(self._array(x, strings) if isinstance(x, list) else x for x in arguments)
         is_result = function.startswith(_RETURN_ARRAYS)
         self.function = function
         self._tell(function, arguments[:-1] if is_result else arguments)
@@ -128,6 +130,21 @@ class CalledInstance(binding.BoundInstance):
         if 0 <= self.last_status <= binding.WARNING and function.startswith(_CHANGES_OF_STATE):
             self.mode = function
         self.note(ARGUMENTS, before != [bytes(array) for array in arrays])
+        _overwrite(strings)
+
+    def _array(self, values: list[Any], strings: list[Any]) -> Any:
+        """Returns an array, or NULL without elements; its strings, if there are any, are added to others."""
+        if not values:
+            return None
+        if isinstance(values[0], str):
+            strings += [ctypes.create_string_buffer(bytes.fromhex(x)) for x in values]
+            kind, values = ctypes.c_char_p, [ctypes.cast(buffer, ctypes.c_char_p) for buffer in strings]
+        elif any(isinstance(x, float) for x in values):
+            kind = ctypes.c_double
+        else:
+            kind = ctypes.c_int if min(values) < 0 else ctypes.c_uint
+        self._kept += strings
+        return (kind * len(values))(*values)
 
     def new_messages(self) -> list[list[Any]]:
         """Returns [status, message, instance, category, right environment or not] of each new message."""
@@ -141,50 +158,32 @@ class CalledInstance(binding.BoundInstance):
 
         Of what was noted, the function is in the place of the value before.
         """
-        noted = [what.partition(" of ") for what in sorted(self._noted)]
-        changed = [*self._settings.changed(), *([what, function, ""] for what, _, function in noted)]
+        changed = [*self._settings.changed(), *map(list, sorted(self._noted))]
         self._noted.clear()
         self._settings.restore()
         return changed
 
     # calls
 
-    def get(self, kind: str, references: Sequence[int]) -> list[Any]:
+    def get(self, kind: str, references: list[int]) -> list[Any]:
         """Values; Strings as hexadecimal bytes, or nothing for NULL."""
-        values = self._guarded_values(kind, references)
+        count, function = len(references), f"fmi2Get{kind}"
+        element = binding.element_type(kind)
+        values = self.results(element, count, lambda array: self.call(function, references, count, array))
         return values if kind != "String" else [None if x is None else bytes(x).hex() for x in values]
 
-    def _guarded_values(self, kind: str, references: Sequence[int]) -> list[Any]:
-        """Returns the values, with an element behind them that the FMU may not write."""
-        count, size = len(references), ctypes.sizeof(binding.element_type(kind))
-        buffer = (binding.element_type(kind) * (count + 1))()
-        mark = bytes([_GUARD]) * size if self.watched and kind != "String" else b""
-        ctypes.memmove(buffer, mark * count, len(mark) * count)
-        ctypes.memset(ctypes.addressof(buffer) + count * size, _GUARD, size)
-        self.call(f"fmi2Get{kind}", binding.reference_array(references), count, buffer)
-        self.note(ARGUMENTS, bytes(buffer)[-size:] != bytes([_GUARD]) * size)
-        values = [bytes(buffer)[i * size : (i + 1) * size] for i in range(count)] if mark else []
+    def results(self, element: Any, count: int, call: Callable[[Any], None]) -> list[Any]:
+        """Returns what a call writes into an array, with an element behind it that the FMU may not write."""
+        size = ctypes.sizeof(element)
+        array = (element * (count + 1))()
+        mark = bytes([_GUARD]) * size if self.watched and element is not ctypes.c_char_p else b""
+        ctypes.memmove(array, mark * count, len(mark) * count)
+        ctypes.memset(ctypes.addressof(array) + count * size, _GUARD, size)
+        call(array)
+        self.note(ARGUMENTS, bytes(array)[-size:] != bytes([_GUARD]) * size)
+        values = [bytes(array)[i * size : (i + 1) * size] for i in range(count)] if mark else []
         self.note(UNWRITTEN, self.last_status == binding.OK and mark in values)
-        return buffer[:count]
-
-    def set(self, kind: str, references: Sequence[int], values: Sequence[Any]) -> None:
-        """Sets values. Strings are hexadecimal bytes; their memory is overwritten after the call."""
-        if kind != "String":
-            self.set_values(kind, references, values)
-            return
-        buffers = [ctypes.create_string_buffer(bytes.fromhex(value)) for value in values]
-        self._kept += buffers
-        self.set_values(kind, references, [ctypes.cast(b, ctypes.c_char_p) for b in buffers])
-        _overwrite(buffers)
-
-    def set_debug_logging(self, on: bool, categories: Sequence[str]) -> None:
-        """Calls fmi2SetDebugLogging; the memory of the categories is overwritten after the call."""
-        buffers = [ctypes.create_string_buffer(category.encode()) for category in categories]
-        names = [ctypes.cast(buffer, ctypes.c_char_p) for buffer in buffers]
-        array = (ctypes.c_char_p * len(names))(*names) if names else None
-        self._kept += [array, *buffers]
-        self.call("fmi2SetDebugLogging", int(on), len(names), array)
-        _overwrite(buffers)
+        return array[:count]
 
     def do_step(self, t: float, h: float, no_going_back: bool = False) -> str:
         """Advances from t to t + h seconds; a pending step is waited for. Returns no reason."""
@@ -235,29 +234,18 @@ class CalledInstance(binding.BoundInstance):
         return value.value.hex() if isinstance(value.value, bytes) else value.value
 
     def directional_derivatives(
-        self, unknowns: Sequence[int], knowns: Sequence[int], seed: Sequence[float]
+        self, unknowns: list[int], knowns: list[int], seed: list[float]
     ) -> list[float]:
         result = _not_numbers(len(unknowns))
-        arguments = (
-            binding.reference_array(unknowns), len(unknowns), binding.reference_array(knowns), len(knowns),
-            (ctypes.c_double * len(seed))(*seed), result,
-        )  # fmt: skip
+        arguments = unknowns, len(unknowns), knowns, len(knowns), seed, result
         self.call("fmi2GetDirectionalDerivative", *arguments)
         return list(result)
 
-    def set_input_derivatives(
-        self, references: Sequence[int], orders: Sequence[int], values: Sequence[float]
-    ) -> None:
-        count = len(references)
-        arrays = (ctypes.c_int * count)(*orders), (ctypes.c_double * count)(*values)
-        self.call("fmi2SetRealInputDerivatives", binding.reference_array(references), count, *arrays)
-
-    def output_derivatives(self, references: Sequence[int], order: int | Sequence[int]) -> list[float]:
-        """Returns derivatives of outputs, all of one order or each of its own."""
+    def output_derivatives(self, references: list[int], order: int) -> list[float]:
+        """Returns derivatives of outputs, all of one order."""
         count = len(references)
         result = _not_numbers(count)
-        orders = (ctypes.c_int * count)(*([order] * count if isinstance(order, int) else order))
-        self.call("fmi2GetRealOutputDerivatives", binding.reference_array(references), count, orders, result)
+        self.call("fmi2GetRealOutputDerivatives", references, count, [order] * count, result)
         return list(result)
 
     def free(self) -> None:

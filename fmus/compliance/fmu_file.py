@@ -70,7 +70,6 @@ class FmuFile:
         self.path = path
         self.members: list[zipfile.ZipInfo] = []
         self.archive_problem = self.description_problem = ""
-        self.xml = b""
         self.root: Any = etree.Element("none")  # fmiModelDescription, if there is one
         self._judged = ""
         try:
@@ -87,7 +86,6 @@ class FmuFile:
         if DESCRIPTION not in self.paths:
             return self.NO_DESCRIPTION
         try:
-            self.xml = self.read(DESCRIPTION, _LARGEST_DESCRIPTION)
             self.root = self.parsed(DESCRIPTION)
         except (BrokenMemberError, UnreadableMemberError) as error:
             return str(error)

@@ -9,6 +9,7 @@ import mmap
 import os
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +29,9 @@ CALLED = "called"  # a file of the working folder: the call that is under way, a
 _ANNOUNCED = 400  # bytes of that file
 _DEFECTS = (TypeError, LookupError, NameError, AssertionError, ctypes.ArgumentError)
 _EVENTS = "observed_events"  # which calls nothing
-_AFTER_A_FAILURE = {  # status -> methods of `CalledInstance`, and plain functions, that FMI allows then
-    DISCARD: (_EVENTS, "free_fmu_state", "set_debug_logging", "get", "status_of", "fmi2Terminate"),
-    ERROR: (_EVENTS, "free_fmu_state", "set_debug_logging"),
+_AFTER_A_FAILURE = {  # status -> functions, and methods of `CalledInstance`, that FMI allows then
+    DISCARD: (_EVENTS, "free_state", "fmi2SetDebugLogging", "get", "status_of", "fmi2Terminate"),
+    ERROR: (_EVENTS, "free_state", "fmi2SetDebugLogging"),
 }
 
 
@@ -72,17 +73,12 @@ class LoadedFmu:
         address = ctypes.cast(getattr(self._library, function), ctypes.CFUNCTYPE(ctypes.c_void_p))
         return address() == address()
 
-    def held_blocks(self) -> int:
-        """Returns the number of blocks of memory of `allocateMemory` that are in use."""
-        return len(self._memory.held)
-
-    def given_blocks(self) -> int:
-        """Returns how many blocks of memory `allocateMemory` has given."""
-        return self._memory.given
-
-    def foreign_frees(self) -> int:
-        """Returns how often an address was freed that is not in use."""
-        return self._memory.foreign_frees
+    def blocks(self) -> dict[str, int]:
+        """Returns the number of blocks of memory of `allocateMemory` that are in use, how many it has given,
+        and how often an address was freed that is not in use.
+        """
+        memory = self._memory
+        return {"held": len(memory.held), "given": memory.given, "foreign frees": memory.foreign_frees}
 
     def resources_in_use(self) -> dict[str, int]:
         """Returns open files and threads of the process, and bytes of its heap; what the system does not tell
@@ -130,10 +126,9 @@ class LoadedFmu:
         failed = 0
         for method, *arguments in calls:
             instance = self._instances[number]
-            is_saved = method != "set_fmu_state" or instance.states.holds(*arguments)
-            called = arguments[0] if method == "call" else method
-            recovers = called == "fmi2Reset" or (called == "set_fmu_state" and is_saved)
-            forbidden = failed and not recovers and called not in _AFTER_A_FAILURE.get(failed, ())
+            is_saved = method != "set_state" or instance.holds(*arguments)
+            recovers = method == "fmi2Reset" or (method == "set_state" and is_saved)
+            forbidden = failed and not recovers and method not in _AFTER_A_FAILURE.get(failed, ())
             if forbidden or not is_saved:
                 answers.append([])
                 continue
@@ -147,13 +142,10 @@ class LoadedFmu:
         return answers
 
     def _answer(self, instance: CalledInstance, method: str, arguments: Sequence[Any]) -> list[Any]:
-        owner = instance.states if hasattr(instance.states, method) else instance
-
-        def call() -> Any:
-            return getattr(owner, method)(*arguments)
-
+        is_function = method.startswith("fmi2")
+        action = partial(instance.call, method) if is_function else getattr(instance, method)
         instance.last_status = 0
-        observed = self._observed(instance, call)
+        observed = self._observed(instance, partial(action, *arguments))
         return [instance.last_status, *observed, instance.function, instance.mode]
 
     def _observed(self, instance: CalledInstance, action: Callable[[], Any]) -> list[Any]:

@@ -1,10 +1,11 @@
 """Parts of an instance under examination: its callbacks, which are observed, and its saved states."""
 
 import ctypes
-from typing import Any, Protocol
+from typing import Any
 
 from fmus.compliance.process_settings import ProcessSettings
-from fmus.fmi.callbacks import Log, Logger
+from fmus.fmi.binding import BoundInstance, Library
+from fmus.fmi.callbacks import Callbacks, Log, Logger
 
 _MOST_MESSAGES = 1000
 
@@ -12,10 +13,12 @@ _MOST_MESSAGES = 1000
 class MessageLog(Log):
     """Messages with the instance and the category that the FMU gave.
 
-    noted: gets a line if the FMU calls the logger with another control of floating point
+    noted: gets a row if the FMU calls the logger with another control of floating point
     """
 
-    def __init__(self, settings: ProcessSettings, noted: set[str], known_environment: bool = True) -> None:
+    def __init__(
+        self, settings: ProcessSettings, noted: set[tuple[str, str, str]], known_environment: bool = True
+    ) -> None:
         super().__init__()
         self._settings, self._noted, self._known_environment = settings, noted, known_environment
         self.messages: list[list[Any]] = []
@@ -24,7 +27,7 @@ class MessageLog(Log):
         self, status: int, message: str, instance: str | None = None, category: str | None = None
     ) -> None:
         if self._settings.floating_point_differs():
-            self._noted.add("floating-point control in a callback")
+            self._noted.add(("floating-point control in a callback", "", ""))
         if len(self.messages) < _MOST_MESSAGES:
             self.messages.append([status, message, instance, category, self._known_environment])
 
@@ -59,67 +62,61 @@ def shown(argument: Any) -> str:
     return ""
 
 
-class Instance(Protocol):
-    """An instance whose functions are called. last_status: of the latest call."""
+class StateSlots(BoundInstance):
+    """An instance whose saved states have numbered slots. last_status: of the latest call."""
 
-    last_status: int
+    last_status = 0
 
-    def call(self, function: str, *arguments: Any) -> None: ...
-
-
-class SavedStates:
-    """The states that were saved, each in a numbered slot."""
-
-    def __init__(self, instance: Instance) -> None:
-        self._instance = instance
+    def __init__(self, library: Library, callbacks: Callbacks) -> None:
+        super().__init__(library, callbacks)
         self._pointers: dict[int, ctypes.c_void_p] = {}
 
     def holds(self, slot: int) -> bool:
         """Whether a state was saved in a slot."""
         return bool(self._pointers.get(slot, ctypes.c_void_p()).value)
 
-    def get_fmu_state(self, slot: int) -> bool:
+    def save_state(self, slot: int) -> bool:
         """Saves the state in a slot, over the one there; returns whether the FMU gave an address."""
         pointer = self._pointers.setdefault(slot, ctypes.c_void_p())
-        self._instance.call("fmi2GetFMUstate", ctypes.byref(pointer))
+        self.call("fmi2GetFMUstate", ctypes.byref(pointer))
         return bool(pointer.value)
 
-    def set_fmu_state(self, slot: int) -> None:
-        self._instance.call("fmi2SetFMUstate", self._pointers[slot])
+    def set_state(self, slot: int) -> None:
+        self.call("fmi2SetFMUstate", self._pointers[slot])
 
-    def free_fmu_state(self, slot: int) -> bool:
+    def free_state(self, slot: int) -> bool:
         """Frees a saved state, or an empty slot; returns whether the FMU left NULL."""
         pointer = self._pointers.pop(slot, ctypes.c_void_p())
-        self._instance.call("fmi2FreeFMUstate", ctypes.byref(pointer))
+        self.call("fmi2FreeFMUstate", ctypes.byref(pointer))
         return not pointer.value
 
-    def serialized_fmu_state_size(self, slot: int) -> int:
+    def state_size(self, slot: int) -> int:
         size = ctypes.c_size_t()
-        self._instance.call("fmi2SerializedFMUstateSize", self._pointers[slot], ctypes.byref(size))
+        self.call("fmi2SerializedFMUstateSize", self._pointers[slot], ctypes.byref(size))
         return size.value
 
-    def serialize_fmu_state(self, slot: int, more: int = 0) -> list[Any]:
+    def state_bytes(self, slot: int, more: int = 0) -> list[Any]:
         """Returns [the state as hexadecimal bytes, whether nothing was written behind its size].
 
         more: bytes that it has beyond the size that the FMU gives
         """
-        size = self.serialized_fmu_state_size(slot) + more
-        if self._instance.last_status:
+        size = self.state_size(slot) + more
+        if self.last_status:
             return ["", True]
         content = ctypes.create_string_buffer(_GUARD_BYTE * (size + _GUARD), size + _GUARD)
-        self._instance.call("fmi2SerializeFMUstate", self._pointers[slot], content, size)
+        self.call("fmi2SerializeFMUstate", self._pointers[slot], content, size)
         return [content.raw[:size].hex(), content.raw[size:] == _GUARD_BYTE * _GUARD]
 
-    def deserialize_fmu_state(self, slot: int, content: str) -> bool:
+    def state_of_bytes(self, slot: int, content: str) -> bool:
         """Makes a saved state of bytes, which are overwritten after the call."""
         data = bytes.fromhex(content)
         buffer, pointer = ctypes.create_string_buffer(data, len(data)), ctypes.c_void_p()
-        self._instance.call("fmi2DeSerializeFMUstate", buffer, len(data), ctypes.byref(pointer))
+        self.call("fmi2DeSerializeFMUstate", buffer, len(data), ctypes.byref(pointer))
         ctypes.memset(buffer, ord("#"), len(data))
         self._pointers[slot] = pointer
         return bool(pointer.value)
 
-    def copy_fmu_state(self, slot: int, other: int) -> bool:
+    def copy_state(self, slot: int, other: int) -> bool:
         """Makes another saved state of the bytes of one."""
-        content, _ = self.serialize_fmu_state(slot)
-        return not self._instance.last_status and self.deserialize_fmu_state(other, content)
+        content, _ = self.state_bytes(slot)
+        return not self.last_status and self.state_of_bytes(other, content)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from fmus.compliance.called_instance import CalledInstance
-from fmus.compliance.script import ARGUMENTS, UNWRITTEN
+from fmus.compliance.script import UNWRITTEN
 from fmus.fmi.binding import DISCARD, MODEL_EXCHANGE, OK, WARNING
 
 _MOST_SUBSTEPS, _MOST_EVENTS, _MOST_ITERATIONS = 500, 100, 100
@@ -19,7 +19,6 @@ _TOLERANCE = 1e-3
 _TOO_MANY = "the explicit scheme of this checker needs more than"
 _STATES, _DERIVATIVES = "fmi2GetContinuousStates", "fmi2GetDerivatives"
 _INDICATORS = "fmi2GetEventIndicators"
-_GUARD = -1.2345678e-300  # an element that the FMU has not written
 _NO_BOOLEAN = -1234567  # a flag that the FMU has not written
 
 
@@ -59,28 +58,13 @@ class ModelExchangeInstance(CalledInstance):
         self._ends: dict[str, float] = {}
         self._events: list[dict[str, Any]] = []
         self._counts = self._options["states"], self._options["indicators"]
-        self._guarded = [(ctypes.c_double * (n + 1))(*[_GUARD] * (n + 1)) for n in self._counts]
 
     # single functions
 
-    def set_time(self, t: float) -> None:
-        self.call("fmi2SetTime", t)
-
-    def set_continuous_states(self, x: Sequence[float]) -> None:
-        self.call("fmi2SetContinuousStates", (ctypes.c_double * len(x))(*x), len(x))
-
     def vector(self, function: str) -> list[float]:
-        """Returns what a function gives: states, their derivatives or nominals, or event indicators.
-
-        Notes whether elements are not written, or one behind them is.
-        """
-        guarded = self._guarded[function == _INDICATORS]
-        array = type(guarded).from_buffer_copy(guarded)
-        self.call(function, array, len(array) - 1)
-        *values, behind = array[:]
-        self.note(ARGUMENTS, behind != _GUARD)
-        self.note(UNWRITTEN, self.last_status == OK and _GUARD in values)
-        return values
+        """Returns what a function gives: states, their derivatives or nominals, or event indicators."""
+        count = self._counts[function == _INDICATORS]
+        return self.results(ctypes.c_double, count, lambda array: self.call(function, array, count))
 
     def new_discrete_states(self) -> dict[str, Any]:
         """Returns the elements of fmi2EventInfo by name."""
@@ -245,7 +229,7 @@ class ModelExchangeInstance(CalledInstance):
         return t, "time event" if t == self._next_event else "communication point"
 
     def _trial(
-        self, x: Sequence[float], slopes: Sequence[float], t: float, end: float, is_smallest: bool
+        self, x: list[float], slopes: list[float], t: float, end: float, is_smallest: bool
     ) -> _Trial | None:
         """Returns states, indicators and the error over its tolerance at the end of a substep.
 
@@ -254,7 +238,7 @@ class ModelExchangeInstance(CalledInstance):
         """
         h, tolerance = end - t, _TOLERANCE * self._roughness
         try:
-            self._checked(self.set_time, end)
+            self._checked(self.call, "fmi2SetTime", end)
             euler = _sum(x, h, slopes)
             others = self._vector_at(euler, _DERIVATIVES)
             new = _sum(_sum(x, h / 2, slopes), h / 2, others)
@@ -272,10 +256,10 @@ class ModelExchangeInstance(CalledInstance):
             return None
         return new, z, error
 
-    def _vector_at(self, x: Sequence[float], function: str) -> list[float]:
+    def _vector_at(self, x: list[float], function: str) -> list[float]:
         """Sets states, if there are any, and returns a vector there."""
         if x:
-            self._checked(self.set_continuous_states, x)
+            self._checked(self.call, "fmi2SetContinuousStates", x, len(x))
         return self._read(function)
 
 

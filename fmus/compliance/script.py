@@ -18,7 +18,7 @@ VECTORS = (
 )  # fmt: skip
 UNWRITTEN = "values"  # among what a call changed: those that were asked for were not
 ARGUMENTS = "arguments"  # among what a call changed
-_STATES = {  # function, or method -> state that it leads to; `actions` has those of other calls
+_STATES = {  # function -> state that it leads to; `actions` has those of other calls
     "fmi2EnterInitializationMode": "initialization mode", "fmi2EnterEventMode": "event mode",
     "fmi2EnterContinuousTimeMode": "continuous-time mode", "fmi2Terminate": "terminated",
     "fmi2Reset": "instantiated",
@@ -181,16 +181,16 @@ class Script:
         return self.calls[self.parts[index] : ends[index]] if index < len(self.parts) else []
 
     def call(self, method: str, *arguments: Any) -> Reply:
-        """Adds a call of a method of `CalledInstance`."""
+        """Adds a call of a function of FMI, or of a method of `CalledInstance`; lists become arrays."""
         reply = Reply("", self.state, is_step=method in STEPS)
         self.calls.append((method, *arguments))
         self.replies.append(reply)
-        self.state = _STATES.get(arguments[0] if method == "call" else method, self.state)
+        self.state = _STATES.get(method, self.state)
         return reply
 
     def set(self, variable: Variable, value: Any) -> Reply:
         content = value.encode().hex() if isinstance(value, str) else value
-        reply = self.call("set", variable.base_kind, [variable.reference or 0], [content])
+        reply = self.call(f"fmi2Set{variable.base_kind}", [variable.reference or 0], 1, [content])
         reply.words = f" of {variable.name}"
         return reply
 

@@ -144,14 +144,6 @@ def unknown_reference(fmu: FmuFile) -> int:
     return far if far <= _LARGEST_REFERENCE else next(i for i in itertools.count() if i not in used)
 
 
-def is_utf_8(content: bytes) -> bool:
-    try:
-        content.decode("utf-8")
-    except UnicodeDecodeError:
-        return False
-    return True
-
-
 def other_values(variables: Iterable[Variable]) -> list[tuple[Variable, Any]]:
     """Returns each variable that has another legal value, with that value."""
     return [(v, x) for v in variables if (x := other_value(v)) is not None]

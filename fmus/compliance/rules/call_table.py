@@ -36,10 +36,10 @@ def _way(state: str) -> Iterable[Action]:
 
 def _log(probe: Probe, _: str) -> Iterator[Action]:
     categories = [c.get("name", "") for c in probe.fmu.root.iterfind("LogCategories/Category")]
-    yield do.call("set_debug_logging", False, [])
+    yield do.set_debug_logging(False)
     if categories:
-        yield do.call("set_debug_logging", True, categories)
-    yield do.call("set_debug_logging", True, [])
+        yield do.set_debug_logging(True, *categories)
+    yield do.set_debug_logging(True)
 
 
 def _save(probe: Probe, _: str) -> Iterator[Action]:
@@ -48,8 +48,8 @@ def _save(probe: Probe, _: str) -> Iterator[Action]:
         for method in methods:
             script.call(method, slot)
 
-    serialised = "serialized_fmu_state_size serialize_fmu_state " * probe.fmu.claims(_SERIALISES)
-    methods = f"get_fmu_state {serialised}set_fmu_state free_fmu_state".split()
+    serialised = "state_size state_bytes " * probe.fmu.claims(_SERIALISES)
+    methods = f"save_state {serialised}set_state free_state".split()
     if probe.fmu.claims(_SAVES):
         yield action
 

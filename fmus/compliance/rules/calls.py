@@ -47,7 +47,7 @@ def allowed_calls_succeed(probe: Probe) -> Iterator[str]:
 def _cause(probe: Probe, reply: Reply) -> str:
     """Returns the problem of a call, or of the call before that is the cause."""
     if reply.function == "fmi2SerializeFMUstate":
-        larger = probe.script(do.save(), do.call("serialize_fmu_state", 0, _MORE)).play(keep_going=True)
+        larger = probe.script(do.save(), do.call("state_bytes", 0, _MORE)).play(keep_going=True)
         if larger.succeeded:
             size = f"fmi2SerializedFMUstateSize is {len(larger.content) // 2 - _MORE}, which is too small"
             return f"{size}: {reply.function} fails with it, and succeeds with {_MORE} more; {reply.logged}"
@@ -76,7 +76,7 @@ def frees_in_every_state(probe: Probe) -> Iterator[str]:
 @differential("3.2.3", interface=MODEL_EXCHANGE)
 def event_mode_is_entered_from_itself(probe: Probe) -> Iterator[Row]:
     """fmi2EnterEventMode succeeds in event mode too, as the table of 3.2.3 has it."""
-    return table.in_states(probe, "E", do.plain("fmi2EnterEventMode"), do.call("new_discrete_states"))
+    return table.in_states(probe, "E", do.enter_event_mode, do.call("new_discrete_states"))
 
 
 @differential("3.2.3", interface=MODEL_EXCHANGE)
@@ -113,9 +113,9 @@ def wrong_references_are_refused(probe: Probe) -> Iterator[Row]:
     reference = do.refused_reference(probe)
     finding = _finding("error", f" of the value reference {reference}, which is none,")
     calls = [("CE", do.call("get", kind, [reference])) for kind in KINDS]
-    calls += [("M", do.call("set", kind, [reference], [_NOTHING[kind]])) for kind in KINDS]
+    calls += [("M", do.call(f"fmi2Set{kind}", [reference], 1, [_NOTHING[kind]])) for kind in KINDS]
     if probe.fmu.claims(INTERPOLATES):
-        calls.append(("C", do.call("set_input_derivatives", [reference], [1], [0.0])))
+        calls.append(("C", do.call("fmi2SetRealInputDerivatives", [reference], 1, [1], [0.0])))
     if probe.fmu.output_derivative_order > 0:
         calls.append(("C", do.call("output_derivatives", [reference], 1)))
     for states, action in calls:

@@ -71,7 +71,7 @@ def _enter(script: Script) -> None:
 
 def _set_time(part: float) -> Action:
     """Sets the time to a part of the step that begins there."""
-    return lambda script: script.call("set_time", _start(script).time(part))
+    return lambda script: script.call("fmi2SetTime", _start(script).time(part))
 
 
 def _move(part: float, alone: int | None = None) -> Action:
@@ -85,7 +85,7 @@ def _move(part: float, alone: int | None = None) -> Action:
         if alone is not None:
             states = [*others[:alone], states[alone], *others[alone + 1 :]]
         if states:
-            script.call("set_continuous_states", states)
+            script.call("fmi2SetContinuousStates", states, len(states))
 
     return action
 
@@ -184,7 +184,8 @@ def discrete_variables_are_frozen(probe: Probe) -> Iterator[str]:
     def mirrored(sign: int) -> Action:
         def action(script: Script) -> None:
             if states := _start(script).near(0.5):
-                script.call("set_continuous_states", [sign * (x or 1e-3) for x in states])
+                moved = [sign * (x or 1e-3) for x in states]
+                script.call("fmi2SetContinuousStates", moved, len(moved))
 
         return action
 

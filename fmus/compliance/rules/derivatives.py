@@ -92,7 +92,7 @@ def input_derivatives_have_an_effect(probe: Probe) -> Iterator[str]:
 
 def _step(probe: Probe, v: Variable, x: float, slope: float = 0.0) -> Sequence[Action]:
     """Returns actions that make a step with a value of an input, and a derivative unless that is 0."""
-    derivative = do.call("set_input_derivatives", values.references_of([v]), [1], [slope])
+    derivative = do.call("fmi2SetRealInputDerivatives", values.references_of([v]), 1, [1], [slope])
     begin = do.begin, do.step(), do.set_values([(v, x)])
     return *begin, *([derivative] if slope else []), do.step(), do.read(probe.outputs)
 

@@ -127,7 +127,7 @@ def _type_problem(v: Variable, fmu: FmuFile) -> str:
 
 
 add_rows(__name__, Stage.DESCRIPTION, rows=(
-    row("description-is-utf-8", lambda fmu: [(DESCRIPTION, fmu.xml)], _NOT_UTF_8),
+    row("description-is-utf-8", lambda fmu: [(DESCRIPTION, fmu.read(DESCRIPTION))], _NOT_UTF_8),
     row("other-xml-is-utf-8",
         lambda fmu: [(path, fmu.read(path)) for path in {BUILD_DESCRIPTION, TERMINALS} & fmu.paths],
         _NOT_UTF_8),

@@ -31,7 +31,7 @@ def arguments_of_instantiation_are_copied(probe: Probe) -> Iterator[str]:
     """Name, GUID and resource location are not used after fmi2Instantiate returned; a long name is kept
     whole.
     """
-    actions = do.call("set_debug_logging", True, []), do.begin, do.run(2), do.reset, do.begin, do.step()
+    actions = do.set_debug_logging(True), do.begin, do.run(2), do.reset, do.begin, do.step()
     script = do.played(probe, actions, name=_NAME, overwritten=True, logging=True)
     usual = do.played(probe, [do.begin, do.run(2)])
     yield from verdict(
@@ -57,7 +57,7 @@ def memory_functions_may_be_null(probe: Probe) -> Iterator[str]:
     called.
     """
     tour(probe)
-    if probe.ask("given_blocks"):
+    if probe.ask("blocks")["given"]:
         yield f"allocateMemory was called: expected no call, as {_OWN_MEMORY} is claimed"
     varied, options = (*_with_a_state(probe), do.terminate), {"callbacks": "no memory"}
     yield from differences(probe, [Row("without memory functions", varied, options=options)])
@@ -71,14 +71,14 @@ def memory_is_freed(probe: Probe) -> Iterator[str]:
     """An instance gives back by freeMemory what it took by allocateMemory, and nothing else, also if it is
     initialised again after fmi2Reset.
     """
-    held_before, frees_before = probe.ask("held_blocks"), probe.ask("foreign_frees")
+    before = probe.ask("blocks")
     actions = *_with_a_state(probe), do.terminate, do.reset, do.begin, do.step()
     probe.script(do.ignore(*actions)).play(keep_going=True)
-    held, foreign_frees = probe.ask("held_blocks"), probe.ask("foreign_frees")
-    if held > held_before:
-        yield f"{held - held_before} blocks are still held after fmi2FreeInstance: expected none"
-    if foreign_frees > frees_before:
-        yield f"{foreign_frees - frees_before} addresses were freed that were never given: expected none"
+    more = {name: count - before[name] for name, count in probe.ask("blocks").items()}
+    if more["held"] > 0:
+        yield f"{more['held']} blocks are still held after fmi2FreeInstance: expected none"
+    if more["foreign frees"] > 0:
+        yield f"{more['foreign frees']} addresses were freed that were never given: expected none"
 
 
 def _resources_in_use(probe: Probe) -> list[dict[str, int]]:
@@ -90,7 +90,7 @@ def _used_instances(probe: Probe, cycles: int) -> list[dict[str, int]]:
     """Uses some instances, the first of which warm the process up: in each, an instantiation fails, then
     values, steps, states and fmi2Reset are called.
     """
-    by_bytes = do.call("serialize_fmu_state", 0), do.copy(0, 1), do.free_state(1)
+    by_bytes = do.call("state_bytes", 0), do.copy(0, 1), do.free_state(1)
     copied = by_bytes if probe.fmu.claims("canSerializeFMUstate") else ()
     states = do.save(), do.save(), *copied, do.restore(), do.free_state()
     actions = (

@@ -115,7 +115,7 @@ def _find_discarded_step(probe: Probe) -> None:
 def _cause(probe: Probe, script: Script, failure: Reply) -> str:
     """Returns the problem of a call, or that initialization mode does not lead into event mode."""
     if failure is script.replies[2] and failure.function == _NEW_STATES:
-        exited = do.initialise, do.plain("fmi2ExitInitializationMode"), do.enter_event_mode
+        exited = do.initialise, do.call("fmi2ExitInitializationMode"), do.enter_event_mode
         if probe.script(*exited, do.call("new_discrete_states")).play(keep_going=True).succeeded:
             words = f"{_NEW_STATES} fails before fmi2EnterEventMode, and succeeds after it"
             return f"fmi2ExitInitializationMode does not lead into event mode: {words}; {failure.logged}"

@@ -255,8 +255,8 @@ def _runs_with_logging(probe: Probe) -> list[_Run]:
 def _played_with_logging(probe: Probe) -> Iterator[_Run]:
     declared = _declared(probe)
     names, everything = [name for name in declared if name != _ALL], {None, *declared}
-    on, off = (do.call("set_debug_logging", is_on, []) for is_on in (True, False))
-    all_names = do.call("set_debug_logging", True, names[::-1])
+    on, off = (do.set_debug_logging(is_on) for is_on in (True, False))
+    all_names = do.set_debug_logging(True, *names[::-1])
     another = "where fmi2SetDebugLogging of another instance turned logging"
     again = do.reset, do.begin, do.step()
     late = next((start.lead for start in starts(probe) if start.words == LATE), ())
@@ -270,7 +270,7 @@ def _played_with_logging(probe: Probe) -> Iterator[_Run]:
         (f"{another} on", set(), False, [], [on]),
     ]
     for name in names:
-        alone, without = (do.call("set_debug_logging", is_on, [name]) for is_on in (True, False))
+        alone, without = (do.set_debug_logging(is_on, name) for is_on in (True, False))
         rows.append((f"where {name!r} alone is enabled", {name}, False, [alone], []))
         when = f"where logging was turned off with the category {name!r}"
         rows.append((when, set(), False, [on, without], []))
@@ -323,7 +323,7 @@ def debug_logging_can_be_set(probe: Probe) -> Iterator[Row]:
     same.
     """
     choices = [*([category] for category in _declared(probe)), []]
-    calls = [do.call("set_debug_logging", on, choice) for on in (True, False) for choice in choices]
+    calls = [do.set_debug_logging(on, *choice) for on in (True, False) for choice in choices]
     yield Row("after fmi2SetDebugLogging", (*calls, do.begin, do.run(2)), failing="")
 
 
@@ -332,12 +332,12 @@ def reset_works_after_unknown_categories(_: Probe) -> Iterator[Row]:
     """After fmi2SetDebugLogging with a category that is not declared, which may be refused, fmi2Reset
     works.
     """
-    unknown = do.call("set_debug_logging", True, ["no category of this FMU"])
+    unknown = do.set_debug_logging(True, "no category of this FMU")
     yield Row("", (do.forbidden, do.ignore(unknown), do.reset, do.begin, do.step()), ())
 
 
 @differential("4.2.4")
 def debug_logging_is_allowed_after_an_error(_: Probe) -> Iterator[Row]:
     """fmi2SetDebugLogging succeeds after another function returned error."""
-    varied = do.begin, do.step(), do.fail, do.call("set_debug_logging", True, [])
+    varied = do.begin, do.step(), do.fail, do.set_debug_logging(True)
     yield Row("", varied, (), failing="after an error")

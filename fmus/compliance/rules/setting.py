@@ -150,7 +150,7 @@ def warnings_end_nothing(probe: Probe) -> Iterator[str]:
     for pair in ((v, x) for v in chosen for x in values.far_values(v)):
         script = do.played(probe, (do.begin, do.step(), do.set_values([pair]), do.step(), do.glance_all))
         pairs = zip(script.calls, script.replies, strict=True)
-        (warned,) = [reply for call, reply in pairs if call[0] == "set"]
+        (warned,) = [reply for call, reply in pairs if call[0].startswith("fmi2Set")]
         if warned.status == WARNING and (failure := script.failure):
             yield f"after {warned.function}{warned.words} {warned.status_name}: {failure.problem}"
 

@@ -94,7 +94,7 @@ def state_can_be_saved_often(_: Probe) -> Iterator[Row]:
 def freed_state_is_null(probe: Probe) -> Iterator[str]:
     """fmi2FreeFMUstate returns NULL in its argument."""
     script = probe.script(do.begin, do.step(), do.save(), logging=True)
-    freed = script.call("free_fmu_state", 0)
+    freed = script.call("free_state", 0)
     script.play()
     if not freed.value:
         yield "fmi2FreeFMUstate left the state's address: expected NULL"
@@ -127,7 +127,7 @@ def serialised_state_restores(probe: Probe) -> Iterator[str]:
     values, which has another address; they are as many as fmi2SerializedFMUstateSize gives, and reading them
     changes nothing until the state is set.
     """
-    size, to_bytes = do.call("serialized_fmu_state_size", 0), do.call("serialize_fmu_state", 0)
+    size, to_bytes = do.call("state_size", 0), do.call("state_bytes", 0)
     first = do.set_values(do.others_accepted(probe, values.settable_before(probe.fmu))), do.begin, do.step()
     moved = do.set_values(do.others_accepted(probe, values.settable_while_stepping(probe.fmu), *first))
     saved = *first, moved, do.step(), do.save()

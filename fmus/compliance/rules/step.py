@@ -46,7 +46,7 @@ def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[Row]:
 def undefined_arguments_are_ignored(probe: Probe) -> Iterator[Row]:
     """A tolerance or a stop time that is not defined is not looked at."""
     arguments = 0, 0.0, probe.start_time, 0, probe.start_time - 1.0
-    set_up = do.call("call", "fmi2SetupExperiment", *arguments)
+    set_up = do.call("fmi2SetupExperiment", *arguments)
     varied = set_up, do.enter_initialization_mode, do.exit_initialization_mode, do.run(2)
     failing = "with neither tolerance nor stop time defined"
     yield Row("where an undefined stop time lies before the start time", varied, failing=failing)
@@ -184,6 +184,6 @@ def default_experiment_runs(probe: Probe) -> Iterator[str]:
 @differential("4.2.2", condition=values.if_not_claimed(_ASYNCHRONOUS), interface=CO_SIMULATION)
 def steps_are_not_pending(probe: Probe) -> Iterator[Row]:
     """Without canRunAsynchronuously, fmi2DoStep does not return pending."""
-    step = do.call("call", "fmi2DoStep", probe.start_time, probe.step_size, 0)
+    step = do.call("fmi2DoStep", probe.start_time, probe.step_size, 0)
     finding = "{reply.function} {reply.status_name}: expected no pending step"
     yield from table.in_states(probe, "B", do.error(step, finding, *range(PENDING)))

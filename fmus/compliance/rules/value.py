@@ -102,7 +102,8 @@ def values_are_in_range(v: Variable, value: Any) -> str:
 @rule_of(_wrong_values, "2.1.2")
 def strings_are_utf_8(_: Variable, value: Any) -> str:
     """Strings that are read are UTF-8."""
-    return "UTF-8" if isinstance(value, bytes) and not values.is_utf_8(value) else ""
+    is_wrong = isinstance(value, bytes) and value.decode(errors="ignore").encode() != value
+    return "UTF-8" if is_wrong else ""
 
 
 @differential("2.1.2")
