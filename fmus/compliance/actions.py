@@ -9,7 +9,7 @@ from typing import Any, Concatenate, ParamSpec
 from fmus.compliance import values
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError
-from fmus.compliance.script import Action, Given, Reading, Script
+from fmus.compliance.script import Action, Reading, Script
 from fmus.compliance.variable import Variable
 from fmus.fmi.binding import ERROR
 
@@ -202,7 +202,7 @@ def read_slopes(script: Script, outputs: Sequence[Variable], when: str = "", ord
 @_action
 def read_as(script: Script, pairs: Sequence[Pair], when: str = "") -> None:
     """Reads variables that should have the values given."""
-    script.expected.append(Given({v.name: x for v, x in pairs}))
+    script.expected.append({v.name: x for v, x in pairs})
     script.write([read([v for v, _ in pairs], when)])
 
 

@@ -125,13 +125,8 @@ class Reading:
         return result
 
 
-@dataclass(frozen=True)
-class Given:
-    """Values that variables should have, in place of a reading of them."""
-
-    values: dict[str, Any]
-
-
+Expected = Reading | dict[str, Any]
+"""A reading, or the values that variables should have, by their names."""
 Action = Callable[["Script"], object]
 
 
@@ -158,7 +153,7 @@ class Script:
         self.parts = [0]
         self.next_step = 0
         self.saved: dict[int, tuple[int, str]] = {}
-        self.expected: list[Reading | Given] = []
+        self.expected: list[Expected] = []
         self.observed: list[tuple[str, str, Reading]] = []
         self.ignored: list[Reply] = []
         self.errors: list[tuple[Reply, str, Sequence[int]]] = []

@@ -8,11 +8,11 @@ from typing import Any
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Condition
-from fmus.compliance.script import Given, Reading
+from fmus.compliance.script import Expected, Reading
 from fmus.compliance.variable import Variable
 
 _TRUE = {"true": 1, "1": 1, "false": 0, "0": 0}
-INTERPOLATES = "canInterpolateInputs"
+ANY_STEP, INTERPOLATES = "canHandleVariableCommunicationStepSize", "canInterpolateInputs"
 _LARGEST_REFERENCE = 2**32 - 1
 _LEAST_INTEGER, _LARGEST_INTEGER = -(2**31), 2**31 - 1
 _LONG_TEXT = "Tiefe ä, \N{GREEK SMALL LETTER PI}, \N{GRINNING FACE}; " * 20
@@ -178,7 +178,7 @@ def same(a: Any, b: Any, tolerance: float = 0.0, scale: float = 0.0) -> bool:
 
 
 def differing(
-    expected: Iterable[Reading | Given], got: Iterable[Reading], when: str, tolerance: float = 0.0,
+    expected: Sequence[Expected], got: Iterable[Reading], when: str, tolerance: float = 0.0,
     again: str = "{} again", where: Sequence[str] = (),
 ) -> Iterator[str]:  # fmt: skip
     """Yields each variable's first value that is not the same; a tolerance is relative to the variable's
@@ -187,7 +187,8 @@ def differing(
 
     again: what is expected, in words, of the value; where: words for each reading, if not its number
     """
-    pairs = [(row.values, other.values, row) for row, other in zip(expected, got, strict=True)]
+    rows = [row if isinstance(row, dict) else row.values for row in expected]
+    pairs = [(row, other.values, source) for row, other, source in zip(rows, got, expected, strict=True)]
     if all(row == other for row, other, _ in pairs):
         return
     scales, nominals = dict[str, float](), dict[str, float]()

@@ -1,8 +1,11 @@
-"""Derivatives of outputs and of inputs in time, beside finite differences."""
+"""Derivatives of outputs and of inputs in time; finite differences beside which rules judge derivatives and
+dependencies: between runs that differ in one value alone, and between values of one run.
+"""
 
+import itertools
 import math
-from collections.abc import Iterator, Sequence
-from itertools import chain, product
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
@@ -10,14 +13,121 @@ from fmus.compliance.differential import Row, Start, differential, starts
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import behaviour_rule
-from fmus.compliance.rules import finite_differences as finite
 from fmus.compliance.script import Action, CallError
 from fmus.compliance.variable import Variable
 
+Values = dict[str, Any]
+NOISE = 1e-9  # relative to a value: an iteration may stop elsewhere
+_ROUNDING = 1e-12  # relative to a value: some thousand roundings of it
+_CLOSE, _SHARE = 1e-6, 0.1  # of a change: two values that are as close give changes that are as equal
+_ROUGH = 0.1  # relative: of slopes over a step, which is no limit
+_FAR = 10.0  # times: a derivative of one communication point, and not of the next
 _INTERPOLATES = values.unless_claimed(values.INTERPOLATES)
 _STEPS = 8
 _SHORT = 0.30901699  # of a step: no simple fraction, so that nothing that repeats with it stands still
 _BACKWARDS = 0.1  # of the effect of the input, at least
+
+
+# finite differences
+
+
+def values_of(probe: Probe, runs: Iterable[Iterable[Action]]) -> list[list[Values]]:
+    """Returns the values of each reading of each run, played once for all rules; none of a run that fails."""
+    scripts = [probe.script(*actions) for actions in runs]
+    probe.play_once(scripts)
+    return [[reading.values for reading in script.readings] if script.succeeded else [] for script in scripts]
+
+
+class Column:
+    """A column of the matrix d(unknown) / d(known) at a point: the values of unknowns in runs that differ in
+    the value of the known alone.
+
+    point: values of other knowns; before, after: actions before values are set, and up to where unknowns are
+      read; xs, rows: values of the known and of the unknowns, of the runs that succeed
+    """
+
+    def __init__(
+        self, probe: Probe, before: Sequence[Action], known: Variable, xs: Sequence[Any],
+        after: Sequence[Action], point: Sequence[do.Pair] = (),
+    ) -> None:  # fmt: skip
+        others = {v.index: (v, x) for v, x in point}
+        points = [(others | {known.index: (known, x)}).values() for x in xs]
+        readings = values_of(probe, [(*before, do.set_values(pairs), *after) for pairs in points])
+        self.xs = [x for x, run in zip(xs, readings, strict=True) if run]
+        self.rows = [run[-1] for run in readings if run]
+        self.is_whole = len(self.rows) == len(xs)
+
+    def quotients(self, name: str) -> list[float]:
+        """Returns the difference quotients of an unknown, each between another run and the first."""
+        others = zip(self.xs[1:], self.rows[1:], strict=True)
+        return [(row[name] - self.rows[0][name]) / (x - self.xs[0]) for x, row in others]
+
+    def rounding(self, name: str) -> float:
+        """Returns how far rounding of the unknown may change its quotients."""
+        return _ROUNDING * max(abs(row[name]) for row in self.rows) / abs(self.xs[1] - self.xs[0])
+
+    def changed(self, tolerance: float = NOISE) -> set[str]:
+        """Returns the names of the unknowns that differ between the first run and another."""
+        first, *others = self.rows
+        return {
+            name for row in others for name, x in first.items() if not values.same(x, row[name], tolerance)
+        }
+
+
+def followers(
+    probe: Probe, before: Sequence[Action], known: Variable, value: Any, after: Sequence[Action]
+) -> set[str]:
+    """Returns the names of the unknowns that change when a known has another value, by more than an iteration
+    leaves: not as much between two values that are almost one. Arguments as of `Column`.
+    """
+    start = values.start_value(known)
+    column = Column(probe, before, known, (start, value), after)
+    names = column.changed() if column.is_whole else set[str]()
+    if not names or not isinstance(start, float):
+        return names
+    near = Column(probe, before, known, (start, value, value + _CLOSE * (value - start)), after)
+    if not near.is_whole:
+        return names
+    a, b, c = near.rows
+    reals = (name for name in names if isinstance(a[name], float))
+    return names - {name for name in reals if abs(c[name] - b[name]) > _SHARE * abs(b[name] - a[name])}
+
+
+class Slopes:
+    """Derivatives at communication points beside the slopes of the values before and after them.
+
+    order: of the derivatives; one that is higher may be rough
+    """
+
+    def __init__(
+        self, xs: Sequence[float], derivatives: Sequence[float], step_size: float, order: int = 1
+    ) -> None:
+        self._rough = _ROUGH * 10.0 ** (order - 1)
+        self._derivatives = derivatives
+        self._sides = list(itertools.pairwise((b - a) / step_size for a, b in itertools.pairwise(xs)))
+        self._rounding = NOISE * max(map(abs, xs)) / step_size
+
+    def wrong(self) -> str:
+        """Returns a message if over half of the derivatives are wrong, and not 0."""
+        pairs = zip(self._derivatives[1:-1], self._sides, strict=True)
+        wrong = [(x, *sides) for x, sides in pairs if x and self._is_wrong(x, *sides)]
+        if len(wrong) <= (len(self._sides) + 1) // 2:  # a jump or an event is not a wrong derivative
+            return ""
+        shown = values.texts(*wrong[0])
+        return f"its derivative is {shown[0]}: expected about {shown[1]}..{shown[2]}, its slopes"
+
+    def _is_wrong(self, derivative: float, before: float, after: float) -> bool:
+        margin = 2 * abs(after - before) + self._rough * max(abs(before), abs(after)) + self._rounding
+        return not min(before, after) - margin <= derivative <= max(before, after) + margin
+
+    def are_late(self) -> bool:
+        """Whether each derivative is the mean slope around the communication point before, and not around its
+        own: nearer by far, and not for rounding.
+        """
+        means = [(before + after) / 2 for before, after in self._sides]
+        own = [abs(x - mean) for x, mean in zip(self._derivatives[2:-1], means[1:], strict=True)]
+        late = [abs(x - mean) for x, mean in zip(self._derivatives[2:-1], means, strict=False)]
+        return bool(own) and min(own) > _FAR * max([self._rounding, *late])
 
 
 # derivatives of outputs
@@ -27,7 +137,7 @@ def _orders(fmu: FmuFile) -> str:
     return "" if fmu.output_derivative_order > 0 else "maxOutputDerivativeOrder is 0"
 
 
-def _output_slopes(probe: Probe, order: int, start: Start, part: float = 1.0) -> dict[str, finite.Slopes]:
+def _output_slopes(probe: Probe, order: int, start: Start, part: float = 1.0) -> dict[str, Slopes]:
     """Returns derivatives of an order of continuous outputs beside the slopes of those of one less, after
     steps of a part of the step size from a start of runs; none where short steps fail. Raises CallError where
     steps of the usual size fail.
@@ -38,14 +148,14 @@ def _output_slopes(probe: Probe, order: int, start: Start, part: float = 1.0) ->
     def step(i: int) -> Action:
         return lambda script: script.call("do_step", script.time + i * size, size)
 
-    steps = chain(*((step(i), *read) for i in range(_STEPS if outputs else 0)))
+    steps = itertools.chain(*((step(i), *read) for i in range(_STEPS if outputs else 0)))
     script = do.played(probe, [do.begin, *start.lead, *steps], logging=True)
     if (failure := script.failure) and part == 1.0:
         raise CallError(failure.problem)
     rows = [] if failure else [reading.values for reading in script.readings]
     series = ((v.name, *([row[v.name] for row in rows[k::2]] for k in range(2))) for v in outputs)
     return {
-        name: finite.Slopes(xs, slopes, size, order)
+        name: Slopes(xs, slopes, size, order)
         for name, xs, slopes in series
         if xs and all(map(math.isfinite, xs))
     }
@@ -58,8 +168,8 @@ def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
     run and later in it.
     """
     orders = range(1, probe.fmu.output_derivative_order + 1)
-    for start, order in product(starts(probe)[:3] if orders else (), orders):
-        short = _output_slopes(probe, order, start, _SHORT) if probe.fmu.claims(finite.ANY_STEP) else {}
+    for start, order in itertools.product(starts(probe)[:3] if orders else (), orders):
+        short = _output_slopes(probe, order, start, _SHORT) if probe.fmu.claims(values.ANY_STEP) else {}
         for name, slopes in _output_slopes(probe, order, start).items():
             of, wrong = f"{name}, order {order}" if order > 1 else name, slopes.wrong()
             of += start.words
@@ -104,9 +214,7 @@ def _inputs_by_effect(probe: Probe) -> dict[str, list[Variable]]:
         start = values.start_value(v)
         slope = (value - start) / probe.step_size
         # held, with another value, and moving to that by its derivative
-        runs = finite.values_of(
-            probe, [_step(probe, v, *way) for way in ((start,), (value,), (start, slope))]
-        )
+        runs = values_of(probe, [_step(probe, v, *way) for way in ((start,), (value,), (start, slope))])
         held, raised, moving = (rows[0] for rows in runs) if all(runs) else ({}, {}, {})
         names = [name for name, x in held.items() if isinstance(x, float) and raised[name] != x]
         pairs = [(raised[name] - held[name], moving[name] - held[name]) for name in names]

@@ -14,7 +14,7 @@ from fmus.compliance.differential import starts
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, behaviour_rule
-from fmus.compliance.rules.finite_differences import NOISE, Column, followers, values_of
+from fmus.compliance.rules.derivatives import NOISE, Column, followers, values_of
 from fmus.compliance.script import Action, CallError, Reply
 from fmus.compliance.variable import Unknown, Variable
 

@@ -14,7 +14,7 @@ from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.fmu_file import MODEL_EXCHANGE, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule, rule_of
-from fmus.compliance.rules.finite_differences import NOISE, values_of
+from fmus.compliance.rules.derivatives import NOISE, values_of
 from fmus.compliance.script import KINDS, VECTORS
 from fmus.compliance.values import other_values, references_of, same, settable_while_stepping, texts
 from fmus.compliance.variable import Variable, is_true

@@ -12,8 +12,7 @@ from fmus.compliance.fmu_file import CO_SIMULATION, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.rules import call_table as table
-from fmus.compliance.rules.finite_differences import ANY_STEP as _ANY_STEP
-from fmus.compliance.rules.finite_differences import values_of
+from fmus.compliance.rules.derivatives import values_of
 from fmus.compliance.script import Script
 from fmus.compliance.variable import Variable
 from fmus.fmi.binding import DISCARD, PENDING
@@ -89,7 +88,7 @@ def _runs(probe: Probe, v: Variable) -> Iterator[tuple[Script, Sequence[tuple[fl
     initialised, point = "after initialisation with startTime {:g} s", "at the communication point {:g} s"
     # a slave of fixed internal steps may be behind after a fraction
     exchanged = (1.0, 2.0, 0.30901699) if probe.fmu.is_model_exchange else (1.0, 1.0, 1.0)
-    factors = (0.0, *((1.0, 2.0, 3.0) if probe.fmu.claims(_ANY_STEP) else exchanged))
+    factors = (0.0, *((1.0, 2.0, 3.0) if probe.fmu.claims(values.ANY_STEP) else exchanged))
     tolerance = table.LARGE_TOLERANCE if table.run_with_tolerance(probe).succeeded else None
     again = do.begin, do.step(), do.reset, *do.begin_until(1000, tolerance, start=3)
     for start, begin in ((0, (do.begin,)), (3, again)):
@@ -128,7 +127,7 @@ def no_set_state_flag_changes_nothing(probe: Probe) -> Iterator[Row]:
     yield Row(when, varied, (do.start, *(do.step(), read) * 3), failing="")
 
 
-@behaviour_rule("4.3.1", condition=values.unless_claimed(_ANY_STEP))
+@behaviour_rule("4.3.1", condition=values.unless_claimed(values.ANY_STEP))
 def variable_step_size(probe: Probe) -> Iterator[str]:
     """Steps of different sizes succeed one after the other; one that is longer may be discarded."""
     script = probe.script(do.begin, logging=True)
@@ -144,7 +143,7 @@ def variable_step_size(probe: Probe) -> Iterator[str]:
             yield f"a step of {size:g} s after one of {probe.step_size:g} s: {failure.problem}"
 
 
-@behaviour_rule("4.3.1", condition=values.unless_claimed(_ANY_STEP))
+@behaviour_rule("4.3.1", condition=values.unless_claimed(values.ANY_STEP))
 def two_steps_are_one_of_twice_the_size(probe: Probe) -> Iterator[str]:
     """A step reaches its end: after a step, two more bring continuous outputs about as far as one of twice
     the size, or many of no simple fraction of it.
