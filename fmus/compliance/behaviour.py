@@ -50,9 +50,10 @@ DEFAULT_TIMEOUT_S = 30.0
 _RANDOM_RUNS = "runs-are-not-random"
 _STEPS = "steps-and-terminates"
 _FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs
+_AFTER_OTHERS = "instances-follow-each-other"
 # by what these find, others are not judged
 _OF_CALLS = "allowed-calls-succeed", "statuses-are-legal", "wrong-references-are-refused"
-_AFTER_OTHERS = "instances-follow-each-other"
+_FIRST = *FUNDAMENTAL, _AFTER_OTHERS, *_OF_CALLS
 _MOST_HANGS, _MOST_SLOW = 3, 20  # then the rest is not judged: it would take minutes
 _NAMES = {CO_SIMULATION: "co-simulation", MODEL_EXCHANGE: "model exchange"}
 _OF_THE_HOST = ("ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EMFILE", "ENFILE", "EIO", "ENOMEM", "EAGAIN")
@@ -66,7 +67,7 @@ def judged(rule: Rule, subject: FmuFile | Probe, is_random: bool = False) -> Res
     try:
         if isinstance(subject, FmuFile) and (reason := rule.condition(subject)):
             return Result(rule, not_applicable=reason)
-        messages = rule.check(subject)
+        messages = rule.check(subject) or ()
         messages = messages_of(counted(messages) if isinstance(subject, Probe) else messages)
         return Result(rule, not_judged=RANDOM) if is_random else Result(rule, messages)
     except (TimeoutError, ProcessEndedError, MissingExtraError):
@@ -161,12 +162,7 @@ def _in_order(chosen: Sequence[Rule], applicable: Mapping[str, Rule]) -> list[Ru
                 add(need)
             ordered[name] = applicable[name]
 
-    for name in (
-        *FUNDAMENTAL,
-        _AFTER_OTHERS,
-        *_OF_CALLS,
-        *sorted(names, key=lambda name: applicable[name].last),
-    ):
+    for name in (*_FIRST, *sorted(names, key=lambda name: applicable[name].last)):
         add(name)
     return list(ordered.values())
 

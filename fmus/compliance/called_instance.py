@@ -10,7 +10,7 @@ from fmus.compliance import instance_parts as parts
 from fmus.compliance.process_settings import ProcessSettings
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, USUAL_NAME
 from fmus.fmi import binding
-from fmus.fmi.callbacks import AllocateMemory, Callbacks, CountingAllocator, FreeMemory, StepFinished
+from fmus.fmi.callbacks import AllocateMemory, Callbacks, CountingAllocator, FreeMemory
 
 _GUARD = 0xA5  # each byte behind an array
 _CHANGES_OF_STATE = (
@@ -60,23 +60,17 @@ class CalledInstance(parts.StateSlots):
         self.watched = bool(options.get("watched"))
         kind = options.get("callbacks", "usual")
         log = parts.MessageLog(settings, self._noted)
-        super().__init__(library, Callbacks(memory, log=log, environment=0 if kind == "fewest" else None))
+        is_usual = kind != "fewest"
+        super().__init__(library, Callbacks(memory, is_usual, log, None if is_usual else 0))
         self.messages = log
         CalledInstance._unknown = parts.MessageLog(settings, self._noted, False)
-        if kind != "fewest":
+        if is_usual:
             Callbacks(environment=0, log=CalledInstance._unknown)
-        self._fill(self.callbacks.structure, kind)
-
-    def _fill(self, structure: Any, kind: str) -> None:
-        if kind == "fewest":
-            structure.componentEnvironment = None
-        else:
-            structure.stepFinished = StepFinished(lambda environment, status: None)
+        structure = self.callbacks.structure
         if kind == "formats":
             structure.logger = parts.logger_of_formats(self.messages)
         if kind == "no memory":
-            structure.allocateMemory = AllocateMemory()
-            structure.freeMemory = FreeMemory()
+            structure.allocateMemory, structure.freeMemory = AllocateMemory(), FreeMemory()
 
     def create(self) -> bool:
         """Calls fmi2Instantiate; False if it returns NULL."""

@@ -122,10 +122,6 @@ class FmuFile:
             return "FMI 3.0: behaviour not judged, the description by schema and FMPy alone"
         return "" if self.version == "2.0" else "it is no FMU of FMI 2.0 or 3.0"
 
-    @property
-    def guid(self) -> str:
-        return self.root.get("guid", "")
-
     @cached_property
     def interfaces(self) -> dict[str, Mapping[str, str]]:
         return {

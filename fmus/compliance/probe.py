@@ -72,7 +72,13 @@ class Probe:
         self.process = FmuProcess((library, resources, interface, optional), one_instance)
         self._instances = itertools.count(1)
         self.shared = shared
-        self._options = _sizes(fmu) if fmu.is_model_exchange else {}
+        self._options: dict[str, Any] = {"guid": fmu.root.get("guid", "")}
+        if fmu.is_model_exchange:
+            self._options |= {
+                "states": fmu.vector_length("fmi2GetContinuousStates"),
+                "indicators": fmu.vector_length("fmi2GetEventIndicators"),
+                "needs_completed": not fmu.claims("completedIntegratorStepNotNeeded"),
+            }
         experiment = fmu.root.find("DefaultExperiment")
         get = experiment.get if experiment is not None else {}.get
         self.start_time = number(get("startTime")) or 0.0
@@ -92,7 +98,7 @@ class Probe:
 
         lead: see `Script`; options: of `CalledInstance`, but for the GUID of the description
         """
-        script = Script(self, {"guid": self.fmu.guid, **self._options, **options})
+        script = Script(self, {**self._options, **options})
         script.lead = lead
         script.write(actions)
         return script
@@ -197,7 +203,7 @@ class Probe:
         """Whether the FMU creates an instance, which is freed again, and its messages."""
         number = next(self._instances)
         (created, messages, *_), _ = self.process.calls(
-            [("create", number, {"guid": self.fmu.guid, **self._options, **options}), ("free", number)]
+            [("create", number, {**self._options, **options}), ("free", number)]
         )
         return created, [Message(*message) for message in messages]
 
@@ -225,15 +231,6 @@ class Probe:
     @cached_property
     def outputs(self) -> list[Variable]:
         return [v for v in self.fmu.variables if v.causality == "output"]
-
-
-def _sizes(fmu: FmuFile) -> dict[str, Any]:
-    """Returns the options of `ModelExchangeInstance`, from the description."""
-    return {
-        "states": fmu.vector_length("fmi2GetContinuousStates"),
-        "indicators": fmu.vector_length("fmi2GetEventIndicators"),
-        "needs_completed": not fmu.claims("completedIntegratorStepNotNeeded"),
-    }
 
 
 def _refused(messages: Sequence[Message]) -> Exception:

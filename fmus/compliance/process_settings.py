@@ -32,13 +32,6 @@ class MallocInformation(ctypes.Structure):
     _fields_ = (("numbers", ctypes.c_size_t * 10),)
 
 
-def _function(library: Any, name: str, result: Any = ctypes.c_int, *arguments: Any) -> Any:
-    function = getattr(library, name, None)
-    if function is not None:
-        function.restype, function.argtypes = result, list(arguments)
-    return function
-
-
 @cache  # it hardly ever changes, and is read around every call that is watched
 def _limits(text: str) -> dict[str, str]:
     """Returns the limits that /proc/self/limits lists, by the names of their settings."""
@@ -50,10 +43,11 @@ class ProcessSettings:
     """Settings of this process in the C library and the operating system, against what they were at first."""
 
     def __init__(self) -> None:
-        library: Any = ctypes.CDLL(None) if os.name == "posix" else None
-        self._flush = _function(library, "fflush", ctypes.c_int, ctypes.c_void_p)
-        linux = library if _SELF.is_dir() else None
-        self._heap = _function(linux, "mallinfo2", MallocInformation)
+        self._library: Any = ctypes.CDLL(None) if os.name == "posix" else None
+        linux = self._library if _SELF.is_dir() else None
+        self._heap = getattr(linux, "mallinfo2", None)
+        if self._heap is not None:
+            self._heap.restype = MallocInformation
         self._tiny = _TINY
         self._mathematics: Any = None
         with suppress(OSError):
@@ -69,8 +63,8 @@ class ProcessSettings:
 
     def flush(self) -> None:
         """Lets what was printed leave the buffers of the C library."""
-        if self._flush is not None:
-            self._flush(None)
+        if self._library is not None:
+            self._library.fflush(None)
 
     def _floating_point_now(self) -> str:
         """Returns what controls floating point; empty where that is not known."""

@@ -11,7 +11,7 @@ from typing import Any
 
 from fmus.compliance.sentences import levels, rule_table, titles
 
-Check = Callable[[Any], Iterable[str]]
+Check = Callable[[Any], Iterable[str] | None]
 Condition = Callable[[Any], str]  # why the rule does not apply to an FMU; nothing if it does
 
 
@@ -39,7 +39,7 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True)
 class Rule:
-    """One rule: `check` yields a message for each time that an FMU breaks it.
+    """One rule: `check` yields a message for each time that an FMU breaks it; or what it does must succeed.
 
     interface: the element of the interface that it is of alone; empty for a rule of both
     """

@@ -3,11 +3,12 @@
 import itertools
 from collections.abc import Iterator
 from statistics import median
+from typing import Any
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
 from fmus.compliance.actions import MOST_VARIABLES
-from fmus.compliance.differential import Row, differences, differential, verdict
+from fmus.compliance.differential import Row, differences, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.rules.call_table import tour
@@ -32,11 +33,10 @@ def arguments_of_instantiation_are_copied(probe: Probe) -> Iterator[str]:
     whole.
     """
     actions = do.set_debug_logging(True), do.begin, do.run(2), do.reset, do.begin, do.step()
-    script = do.played(probe, actions, name=_NAME, overwritten=True, logging=True)
-    usual = do.played(probe, [do.begin, do.run(2)])
-    yield from verdict(
-        probe, Row("after the arguments of fmi2Instantiate were overwritten", ()), usual, [script]
-    )
+    when = "after the arguments of fmi2Instantiate were overwritten"
+    options: dict[str, Any] = {"name": _NAME, "overwritten": True}
+    yield from differences(probe, [Row(when, actions, (do.begin, do.run(2)), options=options)])
+    script = do.played(probe, actions, logging=True, **options)
     names = {m.instance or "" for reply in script.replies for m in reply.messages}
     if any({*name} == {"#"} for name in names):
         yield "messages carry the overwritten instance name: expected a copy of it"
