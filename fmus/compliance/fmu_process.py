@@ -20,7 +20,7 @@ class FmuProcess:
 
     library: the paths of library and resources, fmi2Type, and the functions that may be missing
     deadline: of its answers, in `time.monotonic`; TimeoutError after that, ProcessEndedError after its end
-    one_instance: whether an instance is created in a new process, but beside others that it is called with
+    one_instance: whether instances are created in a new process, but for others of the same calls
     """
 
     def __init__(self, library: tuple[Path, Path, int, list[str]], one_instance: bool) -> None:
@@ -32,46 +32,16 @@ class FmuProcess:
         from fmus.compliance.instance import CALLED, call_fmu
 
         self._process = WorkerProcess(call_fmu, trusted=False)
-        self._has_created, self._alive = False, set[int]()
+        self._has_created = False
         self._called = self._process.folder / CALLED
         self._process.send((self._process.folder, *self._library))
 
     def calls(self, calls: Sequence[Call]) -> list[Any]:
         """Returns the results of calls of `LoadedFmu`. Raises CallError for the first that fails."""
-        if not self.one_instance:
-            return self._calls(calls)
-        results = []
-        for call in calls:
-            match call:
-                case "create", int(number), _:
-                    if self._has_created and not self._alive:
-                        self._start_anew()
-                    self._has_created = True
-                    self._alive.add(number)
-                case "free", int(number):
-                    self._alive.discard(number)
-            results += self._calls([call])
-        return results
-
-    def _start_anew(self) -> None:
-        """Continues in a new process; its start takes no time of the deadline."""
-        left = self.deadline - time.monotonic()
-        self.close()
-        self.deadline = time.monotonic() + START_S
-        self._start()
-        self._calls([])  # it has started
-        self.deadline = time.monotonic() + left
-
-    @contextmanager
-    def in_new_processes(self) -> Iterator[None]:
-        """Yields a context in which each instance is the first one of its process."""
-        before, self.one_instance, self._has_created = self.one_instance, True, True
-        try:
-            yield
-        finally:
-            self.one_instance = before
-
-    def _calls(self, calls: Sequence[Call]) -> list[Any]:
+        creates = any(method == "create" for method, *_ in calls)
+        if creates and self.one_instance and self._has_created:
+            self._start_anew()
+        self._has_created |= creates
         self._process.send(calls)
         try:
             answer = self._process.receive(max(0.0, self.deadline - time.monotonic()))
@@ -83,6 +53,24 @@ class FmuProcess:
             case [[*_], str(error)]:
                 raise DefectError(error) if error.startswith(DEFECT) else CallError(error)
         raise CallError(f"the process of the FMU sent {str(answer)[:100]!r}: expected results of the calls")
+
+    def _start_anew(self) -> None:
+        """Continues in a new process; its start takes no time of the deadline."""
+        left = self.deadline - time.monotonic()
+        self.close()
+        self.deadline = time.monotonic() + START_S
+        self._start()
+        self.calls([])  # it has started
+        self.deadline = time.monotonic() + left
+
+    @contextmanager
+    def in_new_processes(self) -> Iterator[None]:
+        """Yields a context in which each instance is the first one of its process."""
+        before, self.one_instance, self._has_created = self.one_instance, True, True
+        try:
+            yield
+        finally:
+            self.one_instance = before
 
     def hangs(self, seconds: float) -> bool:
         """Whether the call that is under way takes longer than that: if need be, this waits for its end."""

@@ -127,6 +127,7 @@ class Probe:
     def _play(self, groups: Sequence[Sequence[Script]], keep_going: bool) -> None:
         """Plays groups of scripts one after the other in one message, those of a group side by side."""
         turns = list[tuple[Script, int, Call]]()  # with the part of a script
+        answers = list[Any]()
         for scripts in groups:
             pairs = [(script, next(self._instances)) for script in scripts]
             turns += [(script, 0, ("create", number, script.options)) for script, number in pairs]
@@ -137,7 +138,8 @@ class Probe:
                 if script.part(part)
             ]
             turns += [(script, 0, ("free", number)) for script, number in pairs]
-        answers = self.process.calls([call for *_, call in turns])
+            if self.process.one_instance or scripts is groups[-1]:
+                answers += self.process.calls([call for *_, call in turns[len(answers) :]])
         for (script, part, (method, *_)), answer in zip(turns, answers, strict=True):
             if method == "create" and not answer[0]:
                 raise _refused([Message(*message) for message in answer[1]])
