@@ -36,6 +36,7 @@ from fmus.compliance.rule import (
 )
 from fmus.compliance.script import KINDS, CallError, DefectError
 from fmus.errors import HostError, MissingExtraError
+from fmus.files import extract_archive
 from fmus.fmi.binding import platform_name
 from fmus.fmi.process import ProcessEndedError
 
@@ -222,7 +223,7 @@ class _Judge:
         """Unpacks the FMU; returns the reason why it cannot be: `archive-is-zip` tells more."""
         try:
             with host_errors():
-                self._fmu.extract(self._folder)
+                extract_archive(self._fmu.path, self._folder)  # zipfile keeps odd paths inside it
         except HostError:
             raise
         except Exception as error:  # an archive that is damaged anywhere

@@ -17,10 +17,6 @@ _CHANGES_OF_STATE = (
     "fmi2Enter", "fmi2Exit", "fmi2DoStep", "fmi2Completed", "fmi2Terminate", "fmi2Reset", "fmi2SetFMUstate",
 )  # fmt: skip
 _RETURN_ARRAYS = ("fmi2Get", "fmi2Serialize")  # by the last array among their arguments
-_STATUS_TYPES = {
-    "": ctypes.c_int,
-    **{name: binding.element_type(name) for name in ("Real", "Integer", "Boolean", "String")},
-}  # fmt: skip
 
 
 def _overwrite(buffers: Sequence[Any]) -> None:
@@ -222,7 +218,7 @@ class CalledInstance(parts.StateSlots):
 
     def status_of(self, kind: str, status_kind: int) -> Any:
         """Returns the value of fmi2GetXXXStatus; XXX is the type `kind`; notes if a string is missing."""
-        value = _STATUS_TYPES[kind]()
+        value = binding.element_type(kind or "Integer")()
         self.call(f"fmi2Get{kind}Status", status_kind, ctypes.byref(value))
         self.note(UNWRITTEN, self.last_status == binding.OK and value.value is None)
         return value.value.hex() if isinstance(value.value, bytes) else value.value

@@ -11,7 +11,7 @@ from typing import Any
 
 from fmus.compliance.variable import Unknown, Variable, integer, is_true
 from fmus.extras import require
-from fmus.files import extract_archive, too_large
+from fmus.files import too_large
 from fmus.fmi.binding import library_member
 from fmus.fmi.variable_types import TYPES
 from fmus.platforms import FMPY
@@ -282,7 +282,3 @@ class FmuFile:
         if root.getroottree().docinfo.doctype:  # its entities can be bombs
             raise BrokenMemberError(f"{member} has a document type declaration: expected none")
         return root
-
-    def extract(self, folder: Path) -> None:
-        """Unpacks everything; zipfile keeps odd paths inside the folder. Raises what zipfile raises."""
-        extract_archive(self.path, folder)

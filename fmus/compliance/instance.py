@@ -64,14 +64,11 @@ class LoadedFmu:
     def load(self) -> None:
         """Does nothing: the library is loaded by now."""
 
-    def text(self, function: str) -> str:
-        """Returns the text of a function without arguments."""
-        return getattr(self._library, function)().decode("utf-8", "replace")
-
-    def is_static(self, function: str) -> bool:
-        """Whether a function without arguments returns the same address two times."""
+    def text(self, function: str) -> tuple[str, bool]:
+        """Returns the text of a function without arguments, and whether it has the same address twice."""
         address = ctypes.cast(getattr(self._library, function), ctypes.CFUNCTYPE(ctypes.c_void_p))
-        return address() == address()
+        text = getattr(self._library, function)().decode("utf-8", "replace")
+        return text, address() == address()
 
     def blocks(self) -> dict[str, int]:
         """Returns the number of blocks of memory of `allocateMemory` that are in use, how many it has given,

@@ -1,7 +1,7 @@
 """Rules of one shape as rows of data: what they look at, what is wrong with it, and the message if it is."""
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 from fmus.compliance.fmu_file import FmuFile, etree
 from fmus.compliance.rule import Check, Condition, Rule, Stage, add_rule, always
@@ -15,17 +15,13 @@ subject and the FMU, or the probe that calls it.
 """
 
 
-class Row(NamedTuple):
-    """One rule. clause: who demands it, if no sentence of FMI does."""
-
-    name: str
-    check: Check
-    clause: str
+Row = tuple[str, Check, str]
+"""Name, check and clause of one rule; the clause names who demands it, if no sentence of FMI does."""
 
 
 def row(name: str, subjects: Callable[[Any], Iterable[T]], *cases: Case[T], clause: str = "") -> Row:
     """Returns a rule that looks at subjects in an FMU: of each the first case that holds is told, once."""
-    return Row(name, lambda source: dict.fromkeys(_told(source, subjects(source), *cases)), clause)
+    return name, lambda source: dict.fromkeys(_told(source, subjects(source), *cases)), clause
 
 
 def add_rows(
@@ -35,9 +31,9 @@ def add_rows(
 
     options: last and interface, as of `rule`
     """
-    for r in rows:
-        clause = r.clause or ", ".join(dict.fromkeys(sentence.clause for sentence in sentences_of(r.name)))
-        add_rule(Rule(r.name, clause, "", stage, r.check, condition, module=module, **options))
+    for name, check, by in rows:
+        clause = by or ", ".join(dict.fromkeys(sentence.clause for sentence in sentences_of(name)))
+        add_rule(Rule(name, clause, "", stage, check, condition, module=module, **options))
 
 
 def _told(source: Any, subjects: Iterable[T], *cases: Case[T]) -> Iterator[str]:

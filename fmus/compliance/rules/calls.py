@@ -4,14 +4,12 @@ from collections.abc import Iterator
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.differential import Row, differential
 from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.rules import call_table as table
 from fmus.compliance.script import KINDS, Reply
-from fmus.compliance.values import INTERPOLATES, unless_claimed
 from fmus.fmi.binding import DISCARD, ERROR, FATAL, LAST_SUCCESSFUL_TIME, OK, TERMINATED, WARNING
 
 _MORE = 4096  # bytes than the size of a serialised state
@@ -93,7 +91,7 @@ def states_are_set_by_reference(probe: Probe) -> Iterator[Row]:
         yield from table.in_states(probe, "K", do.set_values([pair]))
 
 
-@differential("4.2.4", condition=unless_claimed(INTERPOLATES))
+@differential("4.2.4", condition=values.unless_claimed(values.INTERPOLATES))
 def input_derivatives_when_instantiated(probe: Probe) -> Iterator[Row]:
     """Derivatives of inputs can be set when instantiated: 4.2.4 allows it, although 4.2.1 gives them the
     restrictions of fmi2SetReal, which cannot set inputs there.
@@ -113,7 +111,7 @@ def wrong_references_are_refused(probe: Probe) -> Iterator[Row]:
     finding = _finding("error", f" of the value reference {reference}, which is none,")
     calls = [("CE", do.call("get", kind, [reference])) for kind in KINDS]
     calls += [("M", do.call(f"fmi2Set{kind}", [reference], 1, [_NOTHING[kind]])) for kind in KINDS]
-    if probe.fmu.claims(INTERPOLATES):
+    if probe.fmu.claims(values.INTERPOLATES):
         calls.append(("C", do.call("fmi2SetRealInputDerivatives", [reference], 1, [1], [0.0])))
     if probe.fmu.output_derivative_order > 0:
         calls.append(("C", do.call("output_derivatives", [reference], 1)))
@@ -125,7 +123,7 @@ def wrong_references_are_refused(probe: Probe) -> Iterator[Row]:
 def constants_cannot_be_set(probe: Probe) -> Iterator[Row]:
     """Setting a constant is an error."""
     constants = [v for v in probe.fmu.variables if v.variability == "constant"]
-    for v, x in values.start_values(constants[:MOST_VARIABLES]):
+    for v, x in values.start_values(constants[: do.MOST_VARIABLES]):
         refused = do.error(do.set_values([(v, x)]), _finding("error"))
         yield from table.in_states(probe, "M", refused)
 

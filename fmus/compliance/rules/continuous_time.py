@@ -7,7 +7,6 @@ from typing import Any
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differential, starts
 from fmus.compliance.fmu_file import MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
@@ -20,7 +19,6 @@ from fmus.compliance.rules.events import (
     of_events,
 )
 from fmus.compliance.script import VECTORS, Action, Script
-from fmus.compliance.values import same, unless_claimed
 
 _STATES, _DERIVATIVES, _INDICATORS, _NOMINALS = VECTORS
 _SOLVED = 1e-5  # relative, of large values: what an iterative solver in the FMU may change
@@ -120,7 +118,7 @@ def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
     moved = chain(*((_move(0.3), _ask, _move(0.9, alone), _read) for alone in ways))
     fresh = chain(*((_move(0.9, alone), do.read_vectors(_FOLLOWING[::-1])) for alone in ways))
     variables = sorted(follow_at_once(probe.fmu), key=lambda v: v.reference or 0)  # aliases side by side
-    follow, pairs = do.read(variables), [*pairwise(variables[:MOST_VARIABLES])]
+    follow, pairs = do.read(variables), [*pairwise(variables[: do.MOST_VARIABLES])]
     first, second = (
         chain(*((_go(part), do.read(pair[::order])) for part, pair in zip(cycle((0.3, 0.6)), pairs)))
         for order in (1, -1)
@@ -160,7 +158,7 @@ def time_goes_back_in_continuous_time(probe: Probe) -> Iterator[Row]:
     yield _row("after time was set back", varied, failing=failing)
 
 
-@_rule("3.3.1", condition=unless_claimed(_NOT_NEEDED))
+@_rule("3.3.1", condition=values.unless_claimed(_NOT_NEEDED))
 def completed_step_without_need_has_no_effect(probe: Probe) -> Iterator[str]:
     """With completedIntegratorStepNotNeeded, fmi2CompletedIntegratorStep asks for nothing and changes
     nothing.
@@ -198,7 +196,7 @@ def discrete_variables_are_frozen(probe: Probe) -> Iterator[str]:
 
     def left(event: Event) -> Iterator[str]:
         for v in chosen if event.left else ():
-            if not same(a := event.values[v.name], b := event.left[v.name]):
+            if not values.same(a := event.values[v.name], b := event.left[v.name]):
                 mode = f"in continuous-time mode after {event.words}"
                 yield f"{v.name} changes from {a!r} to {b!r} {mode}: expected {a!r}"
 

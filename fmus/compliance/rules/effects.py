@@ -9,7 +9,6 @@ from functools import partial
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.actions import Pair
 from fmus.compliance.differential import starts
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
@@ -18,12 +17,11 @@ from fmus.compliance.rules.derivatives import NOISE, Column, followers, values_o
 from fmus.compliance.script import Action, CallError, Reply
 from fmus.compliance.variable import Unknown, Variable
 
-_PARTIAL = "2.1.9"
-_PROVIDES = values.unless_claimed("providesDirectionalDerivative")
-_partial_rule = partial(behaviour_rule, _PARTIAL, _PROVIDES)
+_provides = values.unless_claimed("providesDirectionalDerivative")
+_partial_rule = partial(behaviour_rule, "2.1.9", _provides)
 _AT_FIRST, _STEPPING = ("InitialUnknowns",), ("Outputs", "Derivatives")
 _INITIALIZATION, _STEP = (do.initialise,), (do.begin, do.step())
-_MOST_KNOWNS, _MOST_DERIVED, _MOST_INPUTS = 100, 40, 20  # of one FMU: each costs runs
+_MOST_KNOWNS, _MOST_DERIVED = 100, 40  # of one FMU: each costs runs
 _DIFFERENCE = 1e-6  # relative change for a difference quotient: half the digits for truncation and rounding
 _AGREEMENT = 1e-4  # relative; a wrong derivative is wrong by much more
 _SUMMED = 1e-3  # relative: derivatives may be difference quotients of one side (2.1.9)
@@ -138,7 +136,7 @@ def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
 
 
 def _beside_quotients(
-    probe: Probe, exit_mode: Sequence[Action], groups: Sequence[_Group], others: Sequence[Pair] = ()
+    probe: Probe, exit_mode: Sequence[Action], groups: Sequence[_Group], others: Sequence[do.Pair] = ()
 ) -> Iterator[str]:
     """Yields messages of derivatives outside of difference quotients where knowns have their start values, or
     others. Raises CallError for a derivative that is refused at the start values.

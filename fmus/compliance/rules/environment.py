@@ -7,7 +7,6 @@ from typing import Any
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.differential import Row, differences, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
@@ -94,7 +93,7 @@ def _used_instances(probe: Probe, cycles: int) -> list[dict[str, int]]:
     copied = by_bytes if probe.fmu.claims("canSerializeFMUstate") else ()
     states = do.save(), do.save(), *copied, do.restore(), do.free_state()
     actions = (
-        do.set_values(values.start_values(values.settable_before(probe.fmu)[:MOST_VARIABLES])),
+        do.set_values(values.start_values(values.settable_before(probe.fmu)[:do.MOST_VARIABLES])),
         do.begin, do.step(3),
         *(states if probe.fmu.claims(_SAVES) else ()), do.terminate, do.reset, do.begin, do.step(2),
     )  # fmt: skip

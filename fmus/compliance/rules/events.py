@@ -10,7 +10,6 @@ from itertools import chain
 from typing import Any
 
 from fmus.compliance import actions as do
-from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.fmu_file import MODEL_EXCHANGE, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule, rule_of
@@ -119,7 +118,7 @@ def _run(probe: Probe, again: bool = False, has_others: bool = False) -> tuple[l
         variables = *discrete_variables(probe.fmu), *chain(*vectors.values())
         groups = {kind: [v for v in variables if v.base_kind == kind] for kind in KINDS}
         observing = {kind: references_of(group) for kind, group in groups.items() if group}
-        others = settable_while_stepping(probe.fmu)[:MOST_VARIABLES] if has_others else []
+        others = settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES] if has_others else []
         turns = [*filter(None, do.others_in_turn(probe, others, do.begin, do.step()))]
         names = ", ".join(v.name for v, _ in chain(*turns[:1]))
         middle = {_STEPS // 2 + i * (_STEPS // 2) // len(turns): pairs for i, pairs in enumerate(turns)}
@@ -242,7 +241,7 @@ def events_come_to_an_end(probe: Probe) -> Iterator[str]:
     a tunable parameter was set to another value.
     """
     ends = [_run(probe)[1], _run(probe, has_others=True)[1]]
-    pairs = other_values(settable_while_stepping(probe.fmu)[:MOST_VARIABLES])
+    pairs = other_values(settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES])
     reals = [pair for pair in pairs if pair[0].kind == "Real"]  # which have many values, and seldom cases
     for some in (reals, *([pair] for pair in pairs if pair not in reals)):
         failure = do.played(probe, [do.begin, do.set_values(some), do.step()]).failure

@@ -261,7 +261,7 @@ def included_files_exist(fmu: FmuFile) -> Iterator[str]:
                     yield f'{path}: #include "{included}": expected that file below sources'
 
 
-@rule("2.1.1", Stage.DESCRIPTION, condition=unreadable)
+@rule("2.1.1", Stage.DESCRIPTION)
 def source_prefix(fmu: FmuFile) -> Iterator[str]:
     """Sources that define FMI2_FUNCTION_PREFIX as a word define it as modelIdentifier with an underscore, and
     before they include fmi2Functions.h.
@@ -276,7 +276,7 @@ def source_prefix(fmu: FmuFile) -> Iterator[str]:
             yield f"{path} defines FMI2_FUNCTION_PREFIX: expected that before it includes fmi2Functions.h"
 
 
-@rule("2.1.1", Stage.DESCRIPTION, condition=unreadable)
+@rule("2.1.1", Stage.DESCRIPTION)
 def source_prefix_is_defined(fmu: FmuFile) -> Iterator[str]:
     """Sources that include fmi2Functions.h define FMI2_FUNCTION_PREFIX directly before that, or say how their
     build does.

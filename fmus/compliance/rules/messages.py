@@ -8,14 +8,12 @@ from typing import NamedTuple
 
 from fmus.compliance import actions as do
 from fmus.compliance import rule, values
-from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.differential import LATE, Row, differential, starts
 from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rows import add_rows, row
 from fmus.compliance.rules.call_table import NAME, tour
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, Action, CallError, Message, Reply, Script
-from fmus.compliance.values import keeps_its_value, unknown_reference
 from fmus.fmi.binding import DISCARD, ERROR, OK, PENDING, PENDING_STATUS, WARNING, status_name
 
 _REFERENCE = re.compile(r"#([ribs])(\d+)#")
@@ -81,7 +79,7 @@ def _undeclared(message: Message, probe: Probe) -> str:
 def _unknown_variable(message: Message, probe: Probe) -> str:
     found = _REFERENCE.findall(message.text.replace("##", ""))
     known = {(v.base_kind, v.reference) for v in probe.fmu.variables} if found else ()
-    asked = unknown_reference(probe.fmu) if found else 0  # the answer may name it
+    asked = values.unknown_reference(probe.fmu) if found else 0  # the answer may name it
     return next((f"#{k}{x}#" for k, x in found if int(x) != asked and (_KINDS[k], int(x)) not in known), "")
 
 
@@ -124,18 +122,12 @@ def _changes(probe: Probe) -> Iterator[_Change]:
             yield _Change(reply.function, _PRINTED, "", str(reply.printed))
 
 
-def _of_the_tour(probe: Probe) -> list[Reply]:
-    return tour(probe).script.replies
-
-
-def _refusals(probe: Probe) -> list[Reply]:
-    return list(probe.shared.refusals.values())
-
-
 def _set_odd_parameters(probe: Probe) -> None:
     """Sets Real parameters to 0 and to another sign, within their limits, which the FMU may refuse."""
-    parameters = [v for v in values.settable_before(probe.fmu) if keeps_its_value(v) and v.kind == "Real"]
-    starts = values.start_values(parameters[:MOST_VARIABLES])
+    parameters = [
+        v for v in values.settable_before(probe.fmu) if values.keeps_its_value(v) and v.kind == "Real"
+    ]
+    starts = values.start_values(parameters[: do.MOST_VARIABLES])
     pairs = [(v, x) for v, start in starts for x in (0.0, -start) if x != start and v.low <= x <= v.high]
     do.played(probe, chain(*((do.set_values([pair]), do.reset) for pair in pairs)), logging=True)
 
@@ -192,7 +184,7 @@ add_rows(__name__, rule.Stage.BEHAVIOUR, rows=(
       "{function} writes into an array that is constant, or behind one: expected that unchanged")),
     row("values-are-written", _changes, (lambda c, _: c.setting == UNWRITTEN,
       "{function} returned ok and left a value unwritten, or wrote no Boolean: expected each written")),
-    row("statuses-are-legal", _of_the_tour, _WRONG_STATUS),
+    row("statuses-are-legal", lambda probe: tour(probe).script.replies, _WRONG_STATUS),
     row("nothing-is-printed", _changes,
      (lambda c, _: c.setting == _PRINTED,
       "{function} prints {after} bytes to standard output or standard error: expected none"),
@@ -222,7 +214,7 @@ add_rows(__name__, rule.Stage.BEHAVIOUR, last=True, rows=(
     row("messages-have-a-text", _log,
      (lambda m, _: not m.text.strip(), "a message has no text"),
      clause="advice: a message is read for its text"),
-    row("refusals-have-legal-statuses", _refusals, _WRONG_STATUS),
+    row("refusals-have-legal-statuses", lambda probe: list(probe.shared.refusals.values()), _WRONG_STATUS),
     row("refusals-are-logged", _refused,
      # fmi2SetDebugLogging may have turned logging off
      (lambda reply, _: not reply.messages and reply.function != "fmi2SetDebugLogging",

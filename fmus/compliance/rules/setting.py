@@ -5,7 +5,6 @@ from itertools import chain
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.actions import MOST_VARIABLES, Action
 from fmus.compliance.differential import OF_EXPERIMENT, Row, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, behaviour_rule
@@ -19,7 +18,7 @@ _EXACT = 1e-12
 _MANY_SETS = "canHandleMultipleSetPerTimeInstant"
 
 
-def _rows_of_starts(probe: Probe, when: str, *before: Action) -> Iterator[Row]:
+def _rows_of_starts(probe: Probe, when: str, *before: do.Action) -> Iterator[Row]:
     """Yields rows of start values, read in initialization mode, or after it where only then they can be."""
     declared = values.start_values(
         v
@@ -73,7 +72,7 @@ def values_are_set_together(probe: Probe) -> Iterator[Row]:
     its own.
     """
     pairs = values.other_values(values.settable_in_initialization(probe.fmu))
-    of_kinds = [[pair for pair in pairs if pair[0].base_kind == kind][:MOST_VARIABLES] for kind in KINDS]
+    of_kinds = [[pair for pair in pairs if pair[0].base_kind == kind][: do.MOST_VARIABLES] for kind in KINDS]
     taken = do.accepted_together(probe, list(chain(*of_kinds)), do.initialise)
     several = [
         chosen for of_kind in of_kinds if len(chosen := [pair for pair in of_kind if pair in taken]) > 1
@@ -126,7 +125,7 @@ def inputs_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
     its start value, or far from it within its range; a String also if it is long or empty. The FMU may refuse
     a value.
     """
-    chosen = values.settable_while_stepping(probe.fmu)[:MOST_VARIABLES]
+    chosen = values.settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES]
     for taken in do.others_in_turn(probe, chosen, do.begin, do.step()):
         actions = do.begin, do.step(), do.set_values(taken), do.step(), do.read_as(taken)
         yield _set_and_read("at a communication point", *actions)
@@ -146,7 +145,7 @@ def inputs_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
 @behaviour_rule("2.1.3")
 def warnings_end_nothing(probe: Probe) -> Iterator[str]:
     """After an input or a tunable parameter that the FMU takes with fmi2Warning, a step is made."""
-    chosen = values.settable_while_stepping(probe.fmu)[:MOST_VARIABLES]
+    chosen = values.settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES]
     for pair in ((v, x) for v in chosen for x in values.far_values(v)):
         script = do.played(probe, (do.begin, do.step(), do.set_values([pair]), do.step(), do.glance_all))
         pairs = zip(script.calls, script.replies, strict=True)
@@ -159,7 +158,7 @@ def warnings_end_nothing(probe: Probe) -> Iterator[str]:
 def strings_are_copied(probe: Probe) -> Iterator[Row]:
     """A String that is set is copied: it is read as it was although its memory was overwritten."""
     chosen = [v for v in values.settable_in_initialization(probe.fmu) if v.base_kind == "String"]
-    kept = [v for v in chosen[:MOST_VARIABLES] if v.start and values.keeps_its_value(v)]
+    kept = [v for v in chosen[: do.MOST_VARIABLES] if v.start and values.keeps_its_value(v)]
     for pair in values.start_values(kept):
         set_start = do.initialise, do.set_values([pair]), do.exit_initialization_mode
         when = "after it was set and its memory overwritten"
@@ -181,7 +180,7 @@ def values_follow_what_is_set(probe: Probe) -> Iterator[Row]:
     for mode, begin, settable, readable in modes if fmu.is_model_exchange else modes[:1]:
         # without an effect of others, one variable may have none
         others = do.others_accepted(probe, settable, *begin) if enter not in begin else []
-        for v, x in values.other_values(settable[:MOST_VARIABLES]):
+        for v, x in values.other_values(settable[: do.MOST_VARIABLES]):
             first = *begin, *do.set_at_once([pair for pair in others if pair[0] is not v])
             end = do.set_values([(v, x)]), do.read(readable)
             when = f"where it had been read in {mode} before {v.name} was set"

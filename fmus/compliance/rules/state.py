@@ -10,12 +10,11 @@ from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import behaviour_rule
 
-_CLAUSE = "2.1.8"
 _SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
 _KEPT_ADDRESSES = 8  # of blocks of one size, for reuse: glibc keeps 7 of a thread
 _SET_BACK = "in the state that was set back"
 _saves, _serialises = values.unless_claimed(_SAVES), values.unless_claimed(_SERIALISES)
-_rule_of_states = partial(differential, _CLAUSE, condition=_saves)
+_rule_of_states = partial(differential, "2.1.8", condition=_saves)
 
 
 def _restored(probe: Probe, tolerance: float | None) -> Row:

@@ -8,7 +8,6 @@ from typing import Any
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.actions import MOST_VARIABLES
 from fmus.compliance.differential import ROUNDING, Row, differences, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule, rule_of
@@ -110,7 +109,7 @@ def strings_are_utf_8(_: Variable, value: Any) -> str:
 def values_belong_to_references(probe: Probe) -> Iterator[Row]:
     """A value does not depend on the order in which variables are read, so that aliases are equal."""
     variables = probe.fmu.variables
-    some = variables[:MOST_VARIABLES]
+    some = variables[: do.MOST_VARIABLES]
     otherwise = [
         do.read(variables[::-1], "read in another order"),
         *(do.read([b, a], "read with the variable before it") for a, b in itertools.pairwise(some)),
@@ -174,7 +173,7 @@ def tunable_values_are_computed_anew(probe: Probe) -> Iterator[str]:
     """
     tunable = [v for v in probe.fmu.variables if v.variability == "tunable"]
     computed = [v for v in tunable if v.causality in ("calculatedParameter", "output")]  # no local variable
-    pairs = values.other_values([v for v in tunable if v.causality == "parameter"][:MOST_VARIABLES])
+    pairs = values.other_values([v for v in tunable if v.causality == "parameter"][: do.MOST_VARIABLES])
     if not computed or not pairs:
         raise NotApplicableError("there is no tunable parameter, or none that is calculated")
 

@@ -26,10 +26,6 @@ _ROUNDED = 1e-6  # relative: tools write factors with as few as seven digits
 _NO_LINE = re.compile(r"|.*[\r\n\t].*", re.DOTALL)  # what is no name by any convention
 
 
-def _variables(fmu: FmuFile) -> tuple[Variable, ...]:
-    return fmu.variables
-
-
 def _not_structured(fmu: FmuFile) -> str:
     """Returns the reason why rules of structured names do not apply."""
     is_structured = fmu.root.get("variableNamingConvention") == "structured"
