@@ -10,14 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from fmus.compliance.findings import counted
-from fmus.compliance.fmu_file import (
-    CO_SIMULATION,
-    MODEL_EXCHANGE,
-    ONLY_ONCE,
-    BrokenMemberError,
-    FmuFile,
-    UnreadableMemberError,
-)
+from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE, ONLY_ONCE, BrokenMemberError, FmuFile
 from fmus.compliance.fmu_process import START_S
 from fmus.compliance.probe import NO_INSTANCE, Probe, Shared
 from fmus.compliance.rule import (
@@ -73,7 +66,7 @@ def judged(rule: Rule, subject: FmuFile | Probe, is_random: bool = False) -> Res
         return Result(rule, not_judged=RANDOM) if is_random else Result(rule, messages)
     except (TimeoutError, ProcessEndedError, MissingExtraError):
         raise
-    except (NotJudgedError, UnreadableMemberError, DefectError) as reason:
+    except (NotJudgedError, DefectError) as reason:
         return Result(rule, not_judged=str(reason))
     except NotApplicableError as reason:
         return Result(rule, not_applicable=str(reason))

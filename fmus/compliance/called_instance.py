@@ -4,6 +4,7 @@ import ctypes
 import math
 import time
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any
 
 from fmus.compliance import instance_parts as parts
@@ -23,6 +24,15 @@ def _overwrite(buffers: Sequence[Any]) -> None:
     """Overwrites strings that were arguments of a call: the FMU may not look at them any more."""
     for buffer in buffers:
         ctypes.memset(buffer, ord("#"), len(buffer) - 1)
+
+
+@cache
+def _guarded(element: Any, count: int, is_marked: bool) -> Any:
+    """Returns an array with a marked element behind it; is_marked: whether its own are marked too."""
+    array = (element * (count + 1))()
+    size = ctypes.sizeof(element) * (count + 1 if is_marked else 1)
+    ctypes.memset(ctypes.addressof(array) + ctypes.sizeof(array) - size, _GUARD, size)
+    return array
 
 
 def _not_numbers(count: int) -> Any:
@@ -104,11 +114,7 @@ class CalledInstance(parts.StateSlots):
             self._noted.add((what, self.function, ""))
 
     def call(self, function: str, *arguments: Any) -> None:
-        """Calls a function with lists as arrays, and notes if one that is watched writes into an array that
-        is constant to it. Strings are hexadecimal bytes; their memory is overwritten after the call.
-        """
-        strings: list[Any] = []
-        arguments = tuple(self._array(x, strings) if isinstance(x, list) else x for x in arguments)
+        """Calls a function, and notes if one that is watched writes into an array that is constant to it."""
         is_result = function.startswith(_RETURN_ARRAYS)
         self.function = function
         self._tell(function, arguments[:-1] if is_result else arguments)
@@ -120,6 +126,13 @@ class CalledInstance(parts.StateSlots):
         if 0 <= self.last_status <= binding.WARNING and function.startswith(_CHANGES_OF_STATE):
             self.mode = function
         self.note(ARGUMENTS, before != [bytes(array) for array in arrays])
+
+    def call_with_lists(self, function: str, *arguments: Any) -> None:
+        """Calls a function with lists as arrays. Strings are hexadecimal bytes; their memory is overwritten
+        after the call.
+        """
+        strings: list[Any] = []
+        self.call(function, *(self._array(x, strings) if isinstance(x, list) else x for x in arguments))
         _overwrite(strings)
 
     def _array(self, values: list[Any], strings: list[Any]) -> Any:
@@ -157,23 +170,21 @@ class CalledInstance(parts.StateSlots):
 
     def get(self, kind: str, references: list[int]) -> list[Any]:
         """Values; Strings as hexadecimal bytes, or nothing for NULL."""
-        count, function = len(references), f"fmi2Get{kind}"
-        element = binding.element_type(kind)
-        values = self.results(element, count, lambda array: self.call(function, references, count, array))
+        count, function, element = len(references), f"fmi2Get{kind}", binding.element_type(kind)
+        read = binding.reference_array(references)
+        values = self.results(element, count, lambda array: self.call(function, read, count, array))
         return values if kind != "String" else [None if x is None else bytes(x).hex() for x in values]
 
     def results(self, element: Any, count: int, call: Callable[[Any], None]) -> list[Any]:
         """Returns what a call writes into an array, with an element behind it that the FMU may not write."""
-        size = ctypes.sizeof(element)
-        array = (element * (count + 1))()
-        mark = bytes([_GUARD]) * size if self.watched and element is not ctypes.c_char_p else b""
-        ctypes.memmove(array, mark * count, len(mark) * count)
-        ctypes.memset(ctypes.addressof(array) + count * size, _GUARD, size)
+        is_marked = self.watched and element is not ctypes.c_char_p
+        guarded, size = _guarded(element, count, is_marked), ctypes.sizeof(element)
+        array = type(guarded).from_buffer_copy(guarded)
         call(array)
-        self.note(ARGUMENTS, bytes(array)[-size:] != bytes([_GUARD]) * size)
-        values = [bytes(array)[i * size : (i + 1) * size] for i in range(count)] if mark else []
-        self.note(UNWRITTEN, self.last_status == binding.OK and mark in values)
-        return array[:count]
+        self.note(ARGUMENTS, bytes(array)[-size:] != bytes(guarded)[-size:])
+        values = array[:count]
+        self.note(UNWRITTEN, is_marked and self.last_status == binding.OK and guarded[0] in values)
+        return values
 
     def do_step(self, t: float, h: float, no_going_back: bool = False) -> str:
         """Advances from t to t + h seconds; a pending step is waited for. Returns no reason."""
@@ -228,14 +239,14 @@ class CalledInstance(parts.StateSlots):
     ) -> list[float]:
         result = _not_numbers(len(unknowns))
         arguments = unknowns, len(unknowns), knowns, len(knowns), seed, result
-        self.call("fmi2GetDirectionalDerivative", *arguments)
+        self.call_with_lists("fmi2GetDirectionalDerivative", *arguments)
         return list(result)
 
     def output_derivatives(self, references: list[int], order: int) -> list[float]:
         """Returns derivatives of outputs, all of one order."""
         count = len(references)
         result = _not_numbers(count)
-        self.call("fmi2GetRealOutputDerivatives", references, count, [order] * count, result)
+        self.call_with_lists("fmi2GetRealOutputDerivatives", references, count, [order] * count, result)
         return list(result)
 
     def free(self) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from fmus.compliance.rule import NotJudgedError
 from fmus.compliance.variable import Unknown, Variable, integer, is_true
 from fmus.extras import require
 from fmus.files import too_large
@@ -57,10 +58,6 @@ class BrokenMemberError(ValueError):
     """A member has not the content that a rule needs, which is a finding of that rule."""
 
 
-class UnreadableMemberError(Exception):
-    """A member cannot be unpacked, which is a finding of the rules of the archive."""
-
-
 class FmuFile:
     """A file said to be an FMU; `archive_problem` and `description_problem` are empty if it can be read."""
 
@@ -87,7 +84,7 @@ class FmuFile:
             return self.NO_DESCRIPTION
         try:
             self.root = self.parsed(DESCRIPTION)
-        except (BrokenMemberError, UnreadableMemberError) as error:
+        except (BrokenMemberError, NotJudgedError) as error:
             return str(error)
         for date in filter(None, [self.root.get("generationDateAndTime")]):
             self.root.set("generationDateAndTime", date.strip())  # libxml2 does not collapse its blanks
@@ -250,11 +247,11 @@ class FmuFile:
     def read(self, member: str, most: int = _LARGEST_MEMBER) -> bytes:
         """Returns the content of a member.
 
-        Raises UnreadableMemberError, and BrokenMemberError where there is none, or one of more than `most`
-        bytes.
+        Raises NotJudgedError where it cannot be unpacked, which rules of the archive tell, BrokenMemberError
+        where there is none, or one of more than `most` bytes.
         """
         if self.too_large:
-            raise UnreadableMemberError(self.too_large)
+            raise NotJudgedError(self.too_large)
         with zipfile.ZipFile(self.path) as archive:
             try:
                 size = archive.getinfo(member).file_size
@@ -265,7 +262,7 @@ class FmuFile:
             try:
                 return archive.read(member)
             except Exception as error:  # each way of compression has its own errors
-                raise UnreadableMemberError(f"{member} cannot be unpacked: {error}") from error
+                raise NotJudgedError(f"{member} cannot be unpacked: {error}") from error
 
     def parsed(self, member: str, most: int = _LARGEST_DESCRIPTION) -> Any:
         """Returns the root element of an XML file. Raises what `read` does, and BrokenMemberError for what is

@@ -140,7 +140,7 @@ class LoadedFmu:
 
     def _answer(self, instance: CalledInstance, method: str, arguments: Sequence[Any]) -> list[Any]:
         is_function = method.startswith("fmi2")
-        action = partial(instance.call, method) if is_function else getattr(instance, method)
+        action = partial(instance.call_with_lists, method) if is_function else getattr(instance, method)
         instance.last_status = 0
         observed = self._observed(instance, partial(action, *arguments))
         return [instance.last_status, *observed, instance.function, instance.mode]

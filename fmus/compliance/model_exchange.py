@@ -259,7 +259,8 @@ class ModelExchangeInstance(CalledInstance):
     def _vector_at(self, x: list[float], function: str) -> list[float]:
         """Sets states, if there are any, and returns a vector there."""
         if x:
-            self._checked(self.call, "fmi2SetContinuousStates", x, len(x))
+            states = (ctypes.c_double * len(x))(*x)
+            self._checked(self.call, "fmi2SetContinuousStates", states, len(x))
         return self._read(function)
 
 
