@@ -28,8 +28,6 @@ def _action(method: Callable[Concatenate[Script, P], object]) -> Callable[P, Act
 
 call = _action(Script.call)
 glance = _action(Script.read)
-
-
 enter_initialization_mode = call("fmi2EnterInitializationMode")
 enter_event_mode = call("fmi2EnterEventMode")
 enter_continuous_time_mode = call("fmi2EnterContinuousTimeMode")
@@ -216,6 +214,7 @@ def expect(script: Script, *actions: Action) -> None:
 
 
 def set_debug_logging(is_on: bool, *categories: str) -> Action:
+    """Turns logging of some categories, or of all, on or off."""
     names = [name.encode().hex() for name in categories]
     return call("fmi2SetDebugLogging", int(is_on), len(names), names)
 

@@ -132,22 +132,10 @@ class CalledInstance(parts.StateSlots):
         after the call.
         """
         strings: list[Any] = []
-        self.call(function, *(self._array(x, strings) if isinstance(x, list) else x for x in arguments))
-        _overwrite(strings)
-
-    def _array(self, values: list[Any], strings: list[Any]) -> Any:
-        """Returns an array, or NULL without elements; its strings, if there are any, are added to others."""
-        if not values:
-            return None
-        if isinstance(values[0], str):
-            strings += [ctypes.create_string_buffer(bytes.fromhex(x)) for x in values]
-            kind, values = ctypes.c_char_p, [ctypes.cast(buffer, ctypes.c_char_p) for buffer in strings]
-        elif any(isinstance(x, float) for x in values):
-            kind = ctypes.c_double
-        else:
-            kind = ctypes.c_int if min(values) < 0 else ctypes.c_uint
+        arrays = (parts.array_of(x, strings) if isinstance(x, list) else x for x in arguments)
+        self.call(function, *arrays)
         self._kept += strings
-        return (kind * len(values))(*values)
+        _overwrite(strings)
 
     def new_messages(self) -> list[list[Any]]:
         """Returns [status, message, instance, category, right environment or not] of each new message."""

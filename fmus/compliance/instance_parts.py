@@ -62,6 +62,23 @@ def shown(argument: Any) -> str:
     return ""
 
 
+def array_of(values: list[Any], strings: list[Any]) -> Any:
+    """Returns an array of texts, Reals, or whole numbers with or without a sign; NULL without elements.
+
+    strings: gets the memory of the texts, which are hexadecimal bytes
+    """
+    if not values:
+        return None
+    if isinstance(values[0], str):
+        strings += [ctypes.create_string_buffer(bytes.fromhex(x)) for x in values]
+        kind, values = ctypes.c_char_p, [ctypes.cast(buffer, ctypes.c_char_p) for buffer in strings]
+    elif any(isinstance(x, float) for x in values):
+        kind = ctypes.c_double
+    else:
+        kind = ctypes.c_int if min(values) < 0 else ctypes.c_uint
+    return (kind * len(values))(*values)
+
+
 class StateSlots(BoundInstance):
     """An instance whose saved states have numbered slots. last_status: of the latest call."""
 

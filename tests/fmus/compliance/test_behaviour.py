@@ -2,16 +2,18 @@
 
 import re
 from collections.abc import Mapping
+from ctypes import c_double, c_int, c_uint
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import pytest
 
 from fmus.compliance import behaviour
 from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.instance_parts import array_of
 from fmus.compliance.rule import Result, Stage, registered
 from fmus.compliance.values import unknown_reference
 from tests.described_fmus import members
@@ -81,6 +83,23 @@ def test_capabilities_that_are_claimed_but_not_there_are_caught(
     content["modelDescription.xml"] = xml.encode()
     broken = broken_rules(write(content, tmp_path / "mutant.fmu"))
     assert "allowed-calls-succeed" in broken
+
+
+@pytest.mark.parametrize(
+    ("values", "kind"),
+    [([-1, 2], c_int), ([0, 2**32 - 1], c_uint), ([-0.5, 1.0], c_double), ([0, 0.5], c_double)],
+)
+def test_lists_are_arrays_of_the_type_that_holds_them(values: list[float], kind: type) -> None:
+    array = array_of(values, [])
+    assert array._type_ is kind
+    assert list(array) == values
+
+
+def test_lists_of_texts_are_arrays_of_their_bytes_and_empty_ones_are_null() -> None:
+    strings: list[Any] = []
+    array = array_of([b"a\xff".hex(), ""], strings)
+    assert list(array) == [b"a\xff", b""] == [buffer.value for buffer in strings]
+    assert array_of([], strings) is None
 
 
 @pytest.mark.parametrize(
