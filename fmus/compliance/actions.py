@@ -329,8 +329,8 @@ def steps_of_experiment(probe: Probe) -> int:
 
 
 def number_outputs(probe: Probe) -> list[Variable]:
-    """Returns the outputs that are numbers, by type."""
-    return [v for kind in ("Real", "Integer") for v in probe.outputs if v.base_kind == kind]
+    """Returns the outputs but Strings, by type."""
+    return [v for kind in ("Real", "Integer", "Boolean") for v in probe.outputs if v.base_kind == kind]
 
 
 def others_accepted(probe: Probe, variables: Sequence[Variable], *before: Action) -> list[Pair]:

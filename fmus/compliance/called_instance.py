@@ -47,6 +47,7 @@ class CalledInstance(parts.StateSlots):
       callbacks: "usual"; "fewest" without stepFinished and environment; "no memory" without memory functions;
         "formats" with messages before they are printed
       overwritten: whether all arguments of fmi2Instantiate are overwritten after the call
+      interface: fmi2Type, if not that of this class
       watched: whether settings of the process are compared before and after each call
     announce: gets each call before it is made, as a text
     function, mode: the latest that was called, and the latest that changed the state
@@ -89,7 +90,7 @@ class CalledInstance(parts.StateSlots):
         name, guid, location = strings
         self._tell("fmi2Instantiate", (options.get("name", "instance"), options.get("guid")))
         address = self.library.fmi2Instantiate(
-            name, self.interface, guid, location, ctypes.byref(structure),
+            name, options.get("interface", self.interface), guid, location, ctypes.byref(structure),
             0, int(options.get("logging", False)),
         )  # fmt: skip
         self.handle = ctypes.c_void_p(address) if address else None

@@ -124,8 +124,8 @@ def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
         for order in (1, -1)
     )
     later = (
-        (_go(0.3), _ask, _set_time(0.6), _read, _set_time(0.8), follow),
-        (_set_time(0.6), _move(0.3), _read, _set_time(0.8), _move(0.3), follow),
+        (_go(0.3), _ask, _set_time(0.6), _read, _set_time(0.2), follow, _read),
+        (_set_time(0.6), _move(0.3), _read, _set_time(0.2), _move(0.3), follow, _read),
     )
     same_time = "after states were set at the same time, as in a new instance"
     rows = [
@@ -148,8 +148,10 @@ def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
 @_rule_of_rows("3.2.2")
 def time_goes_back_in_continuous_time(probe: Probe) -> Iterator[Row]:
     """After a completed step without an event the FMU is in continuous-time mode still; time can be set back
-    as far as to the completed step before, and gives the derivatives of that time.
+    as far as to the completed step before, or to the event before, and gives the derivatives of that time.
     """
+    begin = _go(0.0), do.expect(_read), _go(0.3), _go(0.0), _read
+    yield _row("after time was set back to that of the event", begin, failing="back at the event's time")
     complete = [] if probe.fmu.claims(_NOT_NEEDED) else [do.call("complete_step")]
     first = _go(0.3), *complete, _go(0.5)
     yield _row("after a completed step without an event, in continuous-time mode still", (*first, _ask))
@@ -168,7 +170,7 @@ def completed_step_without_need_has_no_effect(probe: Probe) -> Iterator[str]:
     reply = do.played(probe, (_enter, *first)).replies[-1]
     if any(reply.value or ()):
         yield f"{reply.function} asks for event mode or an end of the simulation: expected neither"
-    over, options = (do.begin, *(do.leap(1), do.read_all()) * 3), {"needs_completed": True}
+    over, options = (do.begin, *(do.leap(1, True), do.read_all()) * 3), {"needs_completed": True}
     called = Row(f"where {reply.function} is called", over, over, tolerance=OF_EXPERIMENT, options=options)
     yield from differences(probe, [_row(f"after {reply.function}", (*first, read)), called])
 

@@ -46,8 +46,10 @@ def arguments_of_instantiation_are_copied(probe: Probe) -> Iterator[str]:
 @differential("2.1.5")
 def optional_callbacks_may_be_null(_: Probe) -> Iterator[Row]:
     """stepFinished and componentEnvironment may be NULL."""
-    varied, options = (do.begin, do.run(2), do.terminate), {"callbacks": "fewest"}
-    yield Row("without stepFinished and environment", varied, options=options)
+    actions, options = (do.start, do.run(2), do.terminate), {"callbacks": "fewest"}
+    when = "without stepFinished and environment"
+    yield Row(when, actions, actions, options=options)
+    yield Row(when, (do.begin, do.leap(3, True)), (), options=options)
 
 
 @behaviour_rule("4.3.1", condition=values.unless_claimed(_OWN_MEMORY))

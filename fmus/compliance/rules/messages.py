@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator, Sequence, Set
 from contextlib import suppress
 from itertools import chain
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from fmus.compliance import actions as do
 from fmus.compliance import rule, values
@@ -14,7 +14,17 @@ from fmus.compliance.probe import Probe
 from fmus.compliance.rows import add_rows, row
 from fmus.compliance.rules.call_table import NAME, tour
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, Action, CallError, Message, Reply, Script
-from fmus.fmi.binding import DISCARD, ERROR, OK, PENDING, PENDING_STATUS, WARNING, status_name
+from fmus.fmi.binding import (
+    CO_SIMULATION,
+    DISCARD,
+    ERROR,
+    MODEL_EXCHANGE,
+    OK,
+    PENDING,
+    PENDING_STATUS,
+    WARNING,
+    status_name,
+)
 
 _REFERENCE = re.compile(r"#([ribs])(\d+)#")
 _KINDS = {"r": "Real", "i": "Integer", "b": "Boolean", "s": "String"}
@@ -42,12 +52,19 @@ def _refusal(probe: Probe) -> list[Message]:
 
     def refused() -> list[Message]:
         told = list[Message]()
-        for logging, words in ((True, ""), (False, " with loggingOn = fmi2False")):
-            created, messages = probe.creates(name=NAME, guid="wrong", logging=logging)
-            if created:
+        is_single = len(probe.fmu.interfaces) == 1
+        other = CO_SIMULATION if probe.fmu.is_model_exchange else MODEL_EXCHANGE
+        ways: list[tuple[str, dict[str, Any]]] = [
+            ("", {"guid": "wrong", "logging": True}),
+            (" with loggingOn = fmi2False", {"guid": "wrong", "logging": False}),
+            *([(f" with fmuType {other}", {"interface": other, "logging": True})] * is_single),
+        ]
+        for words, options in ways:
+            created, messages = probe.creates(name=NAME, **options)
+            if created and not told:
                 raise rule.NotJudgedError("fmi2Instantiate returns an instance for a wrong GUID")
             silent = Message(ERROR, "", NAME, None, given_name=words)
-            told += [m for m in messages if m.text.strip()] or [silent]
+            told += [] if created else [m for m in messages if m.text.strip()] or [silent]
         return told
 
     return probe.once("refused instantiation", refused)

@@ -19,6 +19,7 @@ from fmus.fmi.binding import DISCARD, PENDING
 
 _ASYNCHRONOUS = "canRunAsynchronuously"
 _MORE_STEPS = (13, 47, 211)  # instead of two: for each internal step from the usual size to a hundredth
+_LEAST_TOLERANCE = 1e-12  # a slave may ignore it (2.1.6)
 _APART = 0.4  # of the change over two steps: a rough solver, but not half a step
 
 
@@ -53,8 +54,10 @@ def undefined_arguments_are_ignored(probe: Probe) -> Iterator[Row]:
 
 @differential("2.1.6")
 def tolerance_is_accepted(_: Probe) -> Iterator[Row]:
-    """A tolerance that is defined is accepted."""
+    """A tolerance that is defined is accepted, also one that the FMU does not reach."""
     yield Row(f"with the tolerance {table.TOLERANCE:g}", table.WITH_TOLERANCE, ())
+    varied = *do.begin_until(1000, _LEAST_TOLERANCE), do.step()
+    yield Row(f"with the tolerance {_LEAST_TOLERANCE:g}", varied, ())
 
 
 def _without_independent(fmu: FmuFile) -> str:
