@@ -221,7 +221,8 @@ class ModelExchangeInstance(CalledInstance):
                 if self._events:
                     self._events[-1].setdefault("completed", []).append([x, self._read(_STATES)])
             if is_crossing and self._events:
-                self._events[-1]["crossing"] = [before, z, self._read(_INDICATORS)]
+                after = self._read(_INDICATORS), slopes, self._read(_DERIVATIVES)
+                self._events[-1]["crossing"] = [before, z, *after]
             if enter or is_crossing:
                 return t, "step event" if enter else "state event"
             if t < end:

@@ -62,9 +62,12 @@ class Column:
         others = zip(self.xs[1:], self.rows[1:], strict=True)
         return [(row[name] - self.rows[0][name]) / (x - self.xs[0]) for x, row in others]
 
-    def rounding(self, name: str) -> float:
-        """Returns how far rounding of the unknown may change its quotients."""
-        return _ROUNDING * max(abs(row[name]) for row in self.rows) / abs(self.xs[1] - self.xs[0])
+    def rounding(self, unknown: Variable) -> float:
+        """Returns how far rounding of the unknown may change its quotients: terms of the size of its nominal
+        value may cancel.
+        """
+        size = max(unknown.nominal, *(abs(row[unknown.name]) for row in self.rows))
+        return _ROUNDING * size / abs(self.xs[1] - self.xs[0])
 
     def changed(self, tolerance: float = NOISE) -> set[str]:
         """Returns the names of the unknowns that differ between the first run and another."""

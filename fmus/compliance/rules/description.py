@@ -29,6 +29,7 @@ _STANDARD_CATEGORIES = (
     "logEvents", "logSingularLinearSystems", "logNonlinearSystems", "logDynamicStateSelection",
     "logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal", "logStatusPending", "logAll",
 )  # fmt: skip
+_LONGEST_IDENTIFIER = 100  # with folders and extension below 260, the longest path of Windows
 _TYPE_NAMES, _ITEM = "TypeDefinitions/SimpleType/@name", "TypeDefinitions/SimpleType/Enumeration/Item"
 
 
@@ -162,6 +163,10 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
         (lambda interface, _: not C_IDENTIFIER.fullmatch(interface.get("modelIdentifier")),
          "{subject.tag} modelIdentifier {modelIdentifier!r}: expected letters, digits and _, no digit first")
         ),
+    row("model-identifier-is-short", elements("*[@modelIdentifier]"),
+        (lambda interface, _: len(interface.get("modelIdentifier")) > _LONGEST_IDENTIFIER,
+         f"{{subject.tag}} modelIdentifier {{modelIdentifier!r:.60}}: expected at most {_LONGEST_IDENTIFIER}"
+         " characters")),
     row("capabilities-agree", elements("*[@canSerializeFMUstate]"),
         (lambda i, _: is_true(i.get("canSerializeFMUstate")) and not is_true(i.get("canGetAndSetFMUstate")),
          "{subject.tag} has canSerializeFMUstate: expected canGetAndSetFMUstate too")),

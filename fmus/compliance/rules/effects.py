@@ -163,7 +163,7 @@ def _beside_quotients(
         for v, derivative in zip(unknowns, reply.value, strict=True):
             quotients = column.quotients(v.name)
             low, high = min(quotients), max(quotients)
-            margin = _AGREEMENT * max(map(abs, [derivative, low, high])) + column.rounding(v.name) + NOISE
+            margin = _AGREEMENT * max(map(abs, [derivative, low, high])) + column.rounding(v) + NOISE
             if math.isfinite(high - low) and not low - margin <= derivative <= high + margin:
                 got = f"d {v.name} / d {known.name} is {derivative:.9g}{where}"
                 yield f"{got}: expected {low:.9g}..{high:.9g}"

@@ -66,7 +66,8 @@ class Event:
       and where continuous-time mode ends; begin, indicators: states and event indicators where that begins
     elements: states and derivatives as elements of vectors, by the same words
     completed: states before and after each completed step in it
-    crossing: event indicators before a change of sign and after it, and read once more
+    crossing: event indicators before a change of sign and after it, and read once more; derivatives before
+      and after it
     """
 
     cause: str
@@ -82,7 +83,7 @@ class Event:
     begin: Sequence[float] = ()
     indicators: Sequence[float] = ()
     completed: Sequence[Sequence[Sequence[float]]] = ()
-    crossing: Sequence[Sequence[float]] = ((), (), ())
+    crossing: Sequence[Sequence[float]] = ((), (), (), (), ())
 
     def changes(self, which: int, name: str) -> list[tuple[dict[str, Any], str]]:
         """Returns fmi2EventInfo of each iteration with a change in words, of states (0) or nominals (1)."""
@@ -328,6 +329,17 @@ def event_indicators_are_not_zero_at_restart(event: Event) -> Iterator[str]:
         for i, z in enumerate(event.indicators, 1):
             if z == 0.0:
                 yield f"after {event.words} event indicator {i} is 0: expected another value"
+
+
+@_event_rule("3.1", condition=no_states)
+def relations_are_frozen(event: Event) -> Iterator[str]:
+    """Derivatives do not jump in continuous-time mode where an event indicator changes its sign: a relation
+    changes in event mode alone.
+    """
+    for i, (a, b) in enumerate(zip(*event.crossing[3:], strict=True), 1):
+        if abs(a - b) > _JUMP * max(1.0, abs(a), abs(b)):
+            jump = f"derivative {i} jumps from {a:.6g} to {b:.6g}"
+            yield f"{jump} in continuous-time mode after {event.words}: expected that in event mode"
 
 
 @_rule("3.1", condition=_no_indicators)

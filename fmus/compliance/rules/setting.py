@@ -5,7 +5,7 @@ from itertools import chain
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.differential import OF_EXPERIMENT, Row, differential
+from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, behaviour_rule
 from fmus.compliance.rules.derivatives import values_of
@@ -16,6 +16,7 @@ from fmus.fmi.binding import WARNING
 
 _ROUNDED = 1e-6  # relative: tools write start values with as few as seven digits
 _EXACT = 1e-12
+_SETTERS = [f"fmi2Set{kind}" for kind in KINDS]
 _MANY_SETS = "canHandleMultipleSetPerTimeInstant"
 
 
@@ -192,11 +193,20 @@ def strings_are_copied(probe: Probe) -> Iterator[Row]:
         yield Row(when, (*set_start, do.read_as([pair])), (), "", again="{}, a copy")
 
 
-@differential("2.1.7")
-def values_follow_what_is_set(probe: Probe) -> Iterator[Row]:
-    """Values follow what is set, also if they had been read before that: in initialization mode, and for
-    model exchange in event mode, and in continuous-time mode after continuous inputs.
+@behaviour_rule("2.1.7")
+def values_follow_what_is_set(probe: Probe) -> Iterator[str]:
+    """Values can be set, and follow what is set, also if they had been read before that: in initialization
+    mode, and for model exchange in event mode, and in continuous-time mode after continuous inputs.
     """
+    rows = [*_rows_of_what_follows(probe)]
+    yield from differences(probe, rows)
+    for row in rows:
+        failure = do.played(probe, row.varied, logging=False).failure
+        if failure and failure.function in _SETTERS and do.played(probe, row.usual or ()).succeeded:
+            yield f"{row.when}: {failure.problem}"
+
+
+def _rows_of_what_follows(probe: Probe) -> Iterator[Row]:
     fmu, enter = probe.fmu, do.enter_continuous_time_mode
     modes = [
         ("initialization mode", (do.initialise,), values.settable_in_initialization(fmu),
@@ -212,7 +222,7 @@ def values_follow_what_is_set(probe: Probe) -> Iterator[Row]:
             end = do.set_values([(v, x)]), do.read(readable)
             when = f"where it had been read in {mode} before {v.name} was set"
             varied = *first, do.glance(readable), *end
-            yield Row(when, varied, (*first, *end), tolerance=_ROUNDED)
+            yield Row(when, varied, (*first, *end), tolerance=_ROUNDED, may_fail=True)
         if mode != "initialization mode":  # as if time had been set, which computes anew
             # an event iteration ends first, after which relations that follow what is set are frozen
             iterate, into = ((), ()) if begin[1:] else ((do.call("new_discrete_states"),) * 3, (enter,))
