@@ -18,7 +18,8 @@ from fmus.compliance.script import KINDS, VECTORS
 from fmus.compliance.values import other_values, references_of, same, settable_while_stepping, texts
 from fmus.compliance.variable import Variable, is_true
 
-_STEPS = 50  # of the run
+_STEPS, _FEW_STEPS = 50, 5  # of the run
+_NEAR = 1e-3  # of the run: solvers find events that time events follow at other times
 _SOLVED = 1e-6  # relative: what an iterative solver in the FMU may change
 _JUMP = 0.01  # of an indicator of the order of one, in a millionth of a step
 _NO_EVENT = "communication point"
@@ -104,7 +105,9 @@ def change(
     return ""
 
 
-def _run(probe: Probe, again: bool = False, has_others: bool = False) -> tuple[list[Event], str]:
+def _run(
+    probe: Probe, again: bool = False, has_others: bool = False, steps: int = _STEPS
+) -> tuple[list[Event], str]:
     """Returns the events of a run up to the stop time, played once, and the reason why it ended before.
 
     again: whether the end of each event is tried once more
@@ -114,7 +117,7 @@ def _run(probe: Probe, again: bool = False, has_others: bool = False) -> tuple[l
 
     def played() -> tuple[list[Event], str]:
         end = probe.stop_time if math.isfinite(probe.stop_time) else probe.start_time + 1.0
-        size = (end - probe.start_time) / _STEPS
+        size = (end - probe.start_time) / steps
         vectors = elements_of_vectors(probe.fmu)
         variables = *discrete_variables(probe.fmu), *chain(*vectors.values())
         groups = {kind: [v for v in variables if v.base_kind == kind] for kind in KINDS}
@@ -122,9 +125,9 @@ def _run(probe: Probe, again: bool = False, has_others: bool = False) -> tuple[l
         others = settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES] if has_others else []
         turns = [*filter(None, do.others_in_turn(probe, others, do.begin, do.step()))]
         names = ", ".join(v.name for v, _ in chain(*turns[:1]))
-        middle = {_STEPS // 2 + i * (_STEPS // 2) // len(turns): pairs for i, pairs in enumerate(turns)}
+        middle = {steps // 2 + i * (steps // 2) // len(turns): pairs for i, pairs in enumerate(turns)}
         script = probe.script(do.begin, observed=observing, again=again, logging=True)
-        for i in range(_STEPS if turns or not has_others else 0):
+        for i in range(steps if turns or not has_others else 0):
             script.write([do.set_values(middle.get(i, ()))])
             script.call("do_step", probe.start_time + i * size, size)
         observed = script.call("observed_events")
@@ -138,12 +141,12 @@ def _run(probe: Probe, again: bool = False, has_others: bool = False) -> tuple[l
                 fields[when] = _by_name(groups, fields[when])
             t = fields["time"] if math.isfinite(fields["time"]) else probe.start_time
             fields["words"] = f"the {fields['cause']} at {t:g} s"
-            if names and t > probe.start_time + size * (_STEPS // 2 - 0.5):
+            if names and t > probe.start_time + size * (steps // 2 - 0.5):
                 fields["words"] += f", in a run in which {names} got other values"
             events.append(Event(**fields, previous=events[-1] if events else None))
         return events, next((r.reason for r in script.replies if r.reason), "")
 
-    return probe.once("run of model exchange", played, again, has_others)
+    return probe.once("run of model exchange", played, again, has_others, steps)
 
 
 def of_events(probe: Probe, about: Callable[[Event], Iterable[str]]) -> Iterator[str]:
@@ -308,6 +311,21 @@ def next_events_are_ahead(event: Event) -> Iterator[str]:
     # at the start the time is not known
     if last.get("nextEventTimeDefined") and last["nextEventTime"] <= event.time:
         yield f"at {event.words} nextEventTime is {last['nextEventTime']:g} s: expected later"
+
+
+@_rule("3.1")
+def time_events_are_defined_anew(probe: Probe) -> Iterator[str]:
+    """Time events of a run with few communication points, at which event mode is entered, occur in one with
+    many: each event removes the next time event, which is defined anew.
+    """
+    (few, _), (many, _) = _run(probe, steps=_FEW_STEPS), _run(probe)
+    times = [event.time for event in many]
+    near = _NEAR * (times[-1] - probe.start_time) if times else 0.0
+    for event in few:
+        is_within = event.cause == "time event" and times and event.time < times[-1]
+        if is_within and not any(abs(event.time - t) <= near for t in times):
+            where = "in a run with more communication points"
+            yield f"{event.words} does not occur {where}: expected it there too"
 
 
 # event indicators
