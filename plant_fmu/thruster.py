@@ -134,11 +134,14 @@ class ThrusterParameters:
 def steady_force(p: ThrusterParameters, i: int, voltage: float, efficiency: float) -> float:
     """Returns the force [N] at which the submerged thruster settles under a constant voltage."""
     saturated = clip(voltage, -p.thruster_voltage_limit[i], p.thruster_voltage_limit[i])
-    size = maximum(absolute(saturated) - p.thruster_dead_zone[i], 0.0)
+    # by none of absolute and maximum: without a dead zone the slope at 0 V is the gain, theirs is 0
+    direction, zone = where(saturated < 0.0, -1.0, 1.0), p.thruster_dead_zone[i]
+    beyond = direction * saturated - absolute(sign(saturated)) * zone
+    size = where(direction * saturated < zone, 0.0, beyond)
     curvature = p.thruster_curvature[i]
     curve = (1.0 - curvature) + curvature * size / p.thruster_curve_voltage[i]
     ratio = where(saturated < 0.0, p.thruster_reverse_ratio[i], 1.0)
-    real = sign(saturated) * size * (curve * ratio)
+    real = direction * size * (curve * ratio)
     follows_table = logical_and(p.thruster_tabulated, logical_not(p.thruster_ideal))
     factor = where(follows_table, p.thruster_scale[i], p.thruster_gain[i])
     linear = where(p.thruster_ideal, voltage, real)

@@ -125,25 +125,37 @@ def _groups_at_first(fmu: FmuFile) -> Sequence[_Group]:
 @_partial_rule()
 def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
     """After initialisation with other values, the derivatives of continuous outputs and state derivatives in
-    step mode lie near difference quotients: those of runs with other inputs and states at first.
+    step mode lie near difference quotients: those of runs with other inputs and states at first; for model
+    exchange also in continuous-time mode late in a run, beside other inputs and states there.
     """
     settable = [v for v in values.settable_in_initialization(probe.fmu) if v.kind == "Real"]
     states = {v.index for v in _states(probe.fmu)}
     knowns = (v for v in settable if v.causality == "input" or v.index in states)
     groups = _by_known(probe.fmu, _STEPPING, knowns, lambda v: v.variability == "continuous")
     point = do.others_accepted(probe, settable, do.initialise)
-    return _beside_quotients(probe, (do.exit_initialization_mode,), groups, point)
+    yield from _beside_quotients(probe, (do.exit_initialization_mode,), groups, point)
+    if probe.fmu.is_model_exchange:
+        knowns = [*values.continuous_reals(probe, "input"), *_states(probe.fmu)]
+        groups = _by_known(probe.fmu, _STEPPING, knowns, lambda v: v.variability == "continuous")
+        for start in starts(probe)[2:3]:
+            begin = do.begin, *start.lead, do.enter_continuous_time_mode
+            (run,) = values_of(probe, [(*begin, do.read(knowns))])
+            point = [(v, run[0][v.name]) for v in knowns if run]
+            yield from _beside_quotients(probe, (do.set_time,), groups, point, begin)
 
 
 def _beside_quotients(
-    probe: Probe, exit_mode: Sequence[Action], groups: Sequence[_Group], others: Sequence[do.Pair] = ()
-) -> Iterator[str]:
+    probe: Probe, exit_mode: Sequence[Action], groups: Sequence[_Group], others: Sequence[do.Pair] = (),
+    begin: Sequence[Action] = _INITIALIZATION,
+) -> Iterator[str]:  # fmt: skip
     """Yields messages of derivatives outside of difference quotients where knowns have their start values, or
     others. Raises CallError for a derivative that is refused at the start values.
+
+    begin: leads to where values are set; exit_mode: from there to where unknowns are read
     """
     point = {v.index: (v, x) for v, x in (*values.start_values(known for known, _ in groups), *others)}
     judged = [(known, unknowns) for known, unknowns in groups if known.index in point]
-    replies = _derivatives(probe, (*_INITIALIZATION, do.set_values(point.values()), *exit_mode), judged)
+    replies = _derivatives(probe, (*begin, do.set_values(point.values()), *exit_mode), judged)
     refused = next((reply for reply in replies if not reply.ok), None)
     if refused and not exit_mode:
         raise CallError(refused.problem)
@@ -154,7 +166,7 @@ def _beside_quotients(
         _, start = point[known.index]
         width = _DIFFERENCE * max(1.0, abs(start))
         xs = [start, *(x for x in (start - width, start + width) if known.low <= x <= known.high)]
-        column = Column(probe, _INITIALIZATION, known, xs, (*exit_mode, read), others)
+        column = Column(probe, begin, known, xs, (*exit_mode, read), others)
         if not reply.ok or column.xs[:1] != [start] or len(column.xs) < 2:
             continue
         if column.changed(0.0) & {v.name for v in states if v is not known}:  # they follow the known at once
