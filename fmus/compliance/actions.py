@@ -73,7 +73,7 @@ def leap(script: Script, thirds: int, is_whole: bool = False) -> None:
 
     is_whole: whether it is that of all steps, however many
     """
-    most = _MOST_LEAPT // 4 if script.probe.fmu.is_model_exchange else _MOST_LEAPT
+    most = _MOST_LEAPT // 2 if script.probe.fmu.is_model_exchange else _MOST_LEAPT
     third = steps_of_experiment(script.probe) // 3
     count = (third if is_whole else min(third, most)) * thirds
     if not script.probe.fmu.is_model_exchange:
@@ -374,6 +374,6 @@ def _takes(probe: Probe, pairs: Sequence[Pair], before: Sequence[Action]) -> boo
             exit_initialization_mode(script)
         script.write([step()])
 
-    script = probe.script(*before, set_values(pairs), finish)
+    script = probe.script(*before, set_values(pairs), finish, logging=True)
     probe.play_each([script])
     return script.succeeded

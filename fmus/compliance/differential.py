@@ -113,7 +113,7 @@ def _crossed(probe: Probe, row: Row) -> Iterator[tuple[Row, Script, list[Script]
 
 def starts(probe: Probe) -> list[Start]:
     """Returns the states from which rows are played: at first; with most of the default experiment, and its
-    events, behind it; after fmi2Reset there; and of a state that was set back there.
+    events, behind it; and of a state that was set back there.
 
     Those are left out where a call fails, or which another rule finds to be others than they should be.
     """
@@ -125,9 +125,7 @@ def _other_starts(probe: Probe) -> Iterator[Start]:
     back = do.save(_SLOT), do.step(), do.restore(_SLOT), do.free_state(_SLOT)
     late, saves = (do.leap(2),), probe.fmu.claims("canGetAndSetFMUstate")
     for words, lead, usual in (
-        (", in a run", (do.leap(1),), (do.leap(1),)),
         (LATE, late, late),
-        (", after fmi2Reset late in a run", (*late, do.reset, do.begin), ()),
         *([(", from a state set back late in a run", (*late, *back), late)] if saves else []),
     ):
         row = Row("", (do.begin, *lead, *read), (do.begin, *usual, *read), tolerance=OF_EXPERIMENT)

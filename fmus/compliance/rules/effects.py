@@ -137,7 +137,7 @@ def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
     if probe.fmu.is_model_exchange:
         knowns = [*values.continuous_reals(probe, "input"), *_states(probe.fmu)]
         groups = _by_known(probe.fmu, _STEPPING, knowns, lambda v: v.variability == "continuous")
-        for start in starts(probe)[2:3]:
+        for start in starts(probe)[1:2]:
             begin = do.begin, *start.lead, do.enter_continuous_time_mode
             (run,) = values_of(probe, [(*begin, do.read(knowns))])
             point = [(v, run[0][v.name]) for v in knowns if run]
@@ -189,9 +189,10 @@ def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
     """
     unknowns = {section: probe.fmu.unknowns[section] for section in (*_AT_FIRST, *_STEPPING)}
     inputs, at_first = values.continuous_reals(probe, "input"), _groups_at_first(probe.fmu)
+    late = [(do.begin, *start.lead) for start in starts(probe)[1:2]]
     modes = (
         (_INITIALIZATION, _AT_FIRST, [*inputs, *(known for known, _ in at_first)]),
-        (_STEP, _STEPPING, [*inputs, *_states(probe.fmu)]),
+        *((way, _STEPPING, [*inputs, *_states(probe.fmu)]) for way in (_STEP, *late)),
     )
     judged = [
         (mode, [u for name in sections for u in unknowns[name] if u.variable.kind == "Real"], knowns)

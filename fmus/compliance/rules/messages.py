@@ -150,11 +150,11 @@ def _set_odd_parameters(probe: Probe) -> None:
 
 
 def _refused(probe: Probe) -> list[Reply]:
-    """Returns replies with logging that are warning, discard or error; discarded steps have a rule."""
+    """Returns replies with logging that are warning, discard or error."""
     _set_odd_parameters(probe)
     replies = [*probe.shared.refusals.values(), *tour(probe).script.replies, *tour(probe).failed]
     refused = [reply for reply in replies if reply.status not in (None, OK, PENDING)]
-    return [reply for reply in refused if not reply.reason and (not reply.is_step or reply.status != DISCARD)]
+    return [reply for reply in refused if not reply.reason]
 
 
 def _illegal(reply: Reply, probe: Probe) -> str:
@@ -267,8 +267,8 @@ def _played_with_logging(probe: Probe) -> Iterator[_Run]:
     on, off = (do.set_debug_logging(is_on) for is_on in (True, False))
     all_names = do.set_debug_logging(True, *names[::-1])
     another = "where fmi2SetDebugLogging of another instance turned logging"
-    again = do.reset, do.begin, do.step()
     late = next((start.lead for start in starts(probe) if start.words == LATE), ())
+    again = do.reset, do.begin, *late, do.step()
     # words; enabled categories; loggingOn at first; settings of logging, and those of another instance
     rows: list[tuple[str, Set[str | None], bool, Sequence[Action], Sequence[Action]]] = [
         ("where logging is on", everything, False, [on], []),

@@ -53,10 +53,20 @@ def _values_in_runs(probe: Probe) -> Iterator[tuple[str, str, Any]]:
                 yield f"in the default experiment, at {other_t:g} s", v.name, largest
 
 
+def _values_with_others(probe: Probe) -> Iterator[tuple[str, str, Any]]:
+    """Yields when, name and value of all variables after inputs and tunable parameters had other values."""
+    chosen, first = values.settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES], (do.begin, do.step())
+    sets = [do.set_values(pairs) for pairs in do.others_in_turn(probe, chosen, *first) if pairs]
+    after = itertools.chain(*((change, do.step(2), do.read_all()) for change in sets))
+    for reading in do.played(probe, (*first, *after)).readings:
+        for name, value in reading.values.items() if reading.ok else ():
+            yield "after steps with other inputs", name, value
+
+
 def _wrong_values(probe: Probe, expected: Callable[[Variable, Any], str]) -> Iterator[str]:
     """Yields values of variables that are wrong. expected: what is expected of one, if it is."""
     variables = {v.name: v for v in probe.fmu.variables}
-    for when, name, value in _values(probe):
+    for when, name, value in (*_values(probe), *_values_with_others(probe)):
         if text := expected(variables[name], value) if name in variables else "":
             yield f"{name} is {values.texts(value)[0]} {when}: expected {text}"
 
