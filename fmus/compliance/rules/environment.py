@@ -50,7 +50,7 @@ def optional_callbacks_may_be_null(probe: Probe) -> Iterator[str]:
     actions, options = (do.start, do.run(2), do.terminate), {"callbacks": "fewest"}
     when = "without stepFinished and environment"
     yield from differences(probe, [Row(when, actions, actions, options=options)])
-    failure = do.played(probe, (do.begin, do.leap(3, True)), **options).failure
+    failure = do.played(probe, (do.begin, do.leap(3, True)), logging=True, **options).failure
     if failure and failure.status != DISCARD:
         yield f"{when}: {failure.problem}"
 

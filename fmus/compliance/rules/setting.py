@@ -12,11 +12,12 @@ from fmus.compliance.rules.derivatives import values_of
 from fmus.compliance.rules.events import follow_at_once
 from fmus.compliance.script import KINDS
 from fmus.compliance.variable import is_true
-from fmus.fmi.binding import WARNING
+from fmus.fmi.binding import DISCARD, WARNING
 
 _ROUNDED = 1e-6  # relative: tools write start values with as few as seven digits
 _EXACT = 1e-12
 _SETTERS = [f"fmi2Set{kind}" for kind in KINDS]
+_EXIT = "fmi2ExitInitializationMode"  # where a combination of values may be refused
 _MANY_SETS = "canHandleMultipleSetPerTimeInstant"
 
 
@@ -180,11 +181,23 @@ def warnings_end_nothing(probe: Probe) -> Iterator[str]:
     taken = {(v.name, x) for pairs in turns for v, x in pairs}
     far = ((v, x) for v in chosen for x in values.far_values(v))
     for pair in (pair for pair in far if (pair[0].name, pair[1]) not in taken):
-        script = do.played(probe, (do.begin, do.step(), do.set_values([pair]), do.step(), do.glance_all))
+        way = do.begin, do.step(), do.set_values([pair]), do.step(), do.glance_all
+        script = do.played(probe, way, logging=True)
         pairs = zip(script.calls, script.replies, strict=True)
         (warned,) = [reply for call, reply in pairs if call[0].startswith("fmi2Set")]
         if warned.status == WARNING and (failure := script.failure):
             yield f"after {warned.function}{warned.words} {warned.status_name}: {failure.problem}"
+
+
+@behaviour_rule("advice: a value that the description allows")
+def every_choice_runs(probe: Probe) -> Iterator[str]:
+    """With each value that a Boolean or an Enumeration may have, and that the FMU takes, a step is made."""
+    chosen = [v for v in values.settable_in_initialization(probe.fmu) if v.base_kind == "Boolean" or v.items]
+    for one, x in ((v, x) for v in chosen[: do.MOST_VARIABLES] for x in values.far_values(v)):
+        way = do.initialise, do.set_values([(one, x)]), do.exit_initialization_mode, do.step()
+        failure = do.played(probe, way, logging=True).failure
+        if failure and failure.status != DISCARD and failure.function not in (*_SETTERS, _EXIT):
+            yield f"with {one.name} = {x}: {failure.problem}"
 
 
 @differential("2.1.2")
@@ -208,7 +221,8 @@ def values_follow_what_is_set(probe: Probe) -> Iterator[str]:
     for row in rows:
         failure = do.played(probe, row.varied, logging=False).failure
         if failure and failure.function in _SETTERS and do.played(probe, row.usual or ()).succeeded:
-            yield f"{row.when}: {failure.problem}"
+            told = do.played(probe, row.varied, logging=True).failure or failure
+            yield f"{row.when}: {told.problem}"
 
 
 def _rows_of_what_follows(probe: Probe) -> Iterator[Row]:
