@@ -27,8 +27,8 @@ enum { LABEL, TEXT, N_STRINGS };
 enum { INSTANTIATED = 1, INITIALIZATION = 2, STEPPING = 4, TERMINATED = 8, FAILED = 16, PENDING = 32, ALL = 31 };
 
 typedef struct {
-    double real[N_REALS], input_rate, last_successful_time, first_step;
-    int integer[N_INTEGERS], boolean[N_BOOLEANS], steps, state, stale, resets, is_set;
+    double real[N_REALS], input_rate, last_successful_time, first_step, old_y;
+    int integer[N_INTEGERS], boolean[N_BOOLEANS], steps, state, stale, resets, is_set, is_old;
     char label[64];
 } Data;
 
@@ -136,6 +136,11 @@ static void outputs(Data *d, double u) {
     if (IS("Booleans of 2")) d->boolean[NOT_B] = d->boolean[B] ? 0 : 2;
     if (IS("outputs of another range")) d->integer[COUNT] = -5;
     d->stale = 0;
+}
+
+/* what of y follows the time, where that is known */
+static void follow_time(Data *d) {
+    if (IS("outputs in initialization mode are those of time 0")) d->real[Y] += 0.1 * d->real[TIME];
 }
 
 static void refresh(Slave *s) {
@@ -333,6 +338,7 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     if (IS("initialisation fails")) return error(s, "no initial values");
     if (IS("values set in initialization mode are lost")) s->data.real[U] = 0.8;
     outputs(&s->data, s->data.real[U]);
+    follow_time(&s->data);
     s->data.state = STEPPING;
     if (unusual) {
         outputs(&s->data, s->data.real[U]);
@@ -407,6 +413,7 @@ enum { READABLE = INITIALIZATION | STEPPING | TERMINATED | FAILED };
                 return error(s, "is kept to itself");                                                  \
             value[i] = source;                                                                         \
         }                                                                                              \
+        if (*#Name == 'R') s->data.is_old = 0;                                                         \
         if (IS("reading is discarded") && s->data.state == TERMINATED) {                               \
             send(s, fmi2Discard, DISCARDS, "too late");                                                \
             return fmi2Discard;                                                                        \
@@ -416,6 +423,7 @@ enum { READABLE = INITIALIZATION | STEPPING | TERMINATED | FAILED };
 
 static double real_of(Slave *s, const Data *d, unsigned reference, size_t place) {
     if (IS("time stands still in late steps") && reference == TIME && d->real[TIME] > 5) return 5;
+    if (IS("an alias is stale where it is read first") && reference == Y && !place && s->data.is_old) return s->data.old_y;
     if (IS("values by place") && place == 1 && d->state & (STEPPING | TERMINATED)) return d->real[reference] + 1;
     if (IS("constants that are not") && reference == C && d->steps) return 4;
     if (IS("another constant") && reference == C) return 4;
@@ -472,6 +480,7 @@ static fmi2Status not_settable(Slave *s, int constant) {
                 continue;                                                                                    \
             }                                                                                                \
             store;                                                                                           \
+            if (d->state == FAILED) return fmi2Error;                                                        \
         }                                                                                                    \
         if (IS("setting loses the state") && d->state == STEPPING) d->real[X] = 1;                           \
         d->is_set = d->state == STEPPING;                                                                    \
@@ -481,6 +490,10 @@ static fmi2Status not_settable(Slave *s, int constant) {
 static void set_real(Slave *s, unsigned v, double value) {
     if (IS("inputs at communication points have no effect") && v == U && s->data.state == STEPPING) return;
     if (IS("tunable parameters have no effect") && v == RATE && s->data.state == STEPPING) return;
+    if (IS("a parameter of 0 is refused in silence") && v == RATE && value == 0) {
+        s->data.state = FAILED;
+        return;
+    }
     s->data.real[v] = value;
     shared.real[v] = value;
 }
@@ -513,6 +526,8 @@ static void integrate(Slave *s, double h) {
     shared.real[X] = d->real[X];
     if (!IS("derivatives of inputs have no effect")) u = d->real[U] + (IS("derivatives of inputs backwards") ? -1 : 1) * d->input_rate * h;
     d->steps++;
+    d->old_y = d->real[Y];
+    d->is_old = 1;
     if (IS("steps at random")) d->real[X] += 1e-3 * rand() / RAND_MAX;
     if (IS("steps follow the clock")) {
         struct timespec now;
@@ -555,6 +570,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_re
     }
     integrate(s, h);
     d->real[TIME] = t + h;
+    follow_time(d);
     d->last_successful_time = IS("another last successful time") ? t : t + h;
     if (IS("rounds in a step")) fesetround(FE_DOWNWARD);
     send(s, fmi2OK, EVENTS, IS("an event without number") ? "" : "step");
@@ -645,6 +661,7 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
         if ((vr[i] != X && vr[i] != Y) || order[i] < 1) return error(s, "no output, or order 0");
         value[i] = order[i] == 1 ? s->data.real[DER_X] : 0;
         if (unusual && vr[i] == Y && order[i] == 1) value[i] += 6.283185307179586 * cos(62.83185307179586 * s->data.real[TIME]);
+        if (IS("outputs in initialization mode are those of time 0") && vr[i] == Y && order[i] == 1) value[i] += 0.1;
         if (IS("wrong derivatives of outputs")) value[i] *= 2;
         if (IS("infinite derivatives of outputs")) value[i] = INFINITY;
     }

@@ -20,7 +20,7 @@ enum { FIXED, TUNABLE, INPUT, DISCRETE_INPUT, STATE, OTHER };
 #define ORDER "the order of states is another"
 
 typedef struct {
-    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept, kept_v, kept_k, kept_time, derived_x, before, timed, later_v, first_k;
+    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept, kept_v, kept_k, kept_time, derived_x, derived_v, before, timed, later_v, first_k;
     int above_read, set, is_kept, is_read, up, stairs, turns, above, below, rising, stiff, state, set_up, iteration, evaluations, derivatives;
     const void *owner;
 } Data;
@@ -80,12 +80,14 @@ static void evaluate(Data *d) {
     const double k = IS("a tunable parameter acts from initialization mode alone") ? d->first_k : d->k;
     d->a = d->u - k * d->x + 0.1 * d->stairs * (d->up ? 1 : -1);
     if (FLAG("a relation of a parameter") && (d->state == EVENT ? d->k > 4.01 : d->stiff)) d->a += 1;
+    if (IS("a relation in a derivative is not frozen")) d->a += d->state == CONT ? d->x > 0.1 : d->above;
     if (IS("relations follow states where continuous time begins") && d->state == CONT && d->time == d->last_event)
         d->above = d->x > 0.1;
     if (d->state != CONT) d->timed = d->time;
-    if (IS("values stay where time is set alone")) d->a += 0.05 * d->timed;
+    if (IS("values stay where time is set alone") || IS("values stay where time is set back")) d->a += 0.05 * d->timed;
     if (IS("derivatives have a history")) d->a += 1e-3 * d->derivatives;
     if (IS("relations are not frozen") && d->state == CONT) d->above = d->x > 0.1;
+    if (IS("a relation of an input is not frozen") && d->state == CONT && d->u > 0.5) d->above = 1;
     if (d->state == INIT || d->state == EVENT) d->above = d->x - 0.1 > 0, d->below = d->x + 0.3 < 0;
 }
 static double acceleration(Data *d);
@@ -212,6 +214,8 @@ static int settable(const Model *m, const Variable *v) {
             const Variable *v = variable(letter, r[i]);                                                      \
             if (!v) return error(m, "no such variable");                                                     \
             values[i] = *(type *)((char *)&m->d + v->offset);                                                \
+            if (IS("a value is that before the evaluation") && v->offset == O(v) && m->d.state == CONT)       \
+                values[i] = (type)m->d.derived_v;                                                            \
             if (v->offset == O(a)) values[i] = (type)acceleration(&m->d);                                    \
             if (IS("memory of the importer is taken for a moment") && m->callbacks.allocateMemory)           \
                 m->callbacks.freeMemory(m->callbacks.allocateMemory(1, 1));                                  \
@@ -282,6 +286,8 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
         info->newDiscreteStatesNeeded = fmi2True;
     }
     if (IS("events never end for another input") && !d->up) info->newDiscreteStatesNeeded = fmi2True;
+    if (IS("late events never end for another input") && !d->up && d->stairs > 9)
+        info->newDiscreteStatesNeeded = fmi2True;
     if (IS("events never end") && d->stairs > 1) info->newDiscreteStatesNeeded = fmi2True;
     if (IS("an event ends too early") && d->stairs > 1 && ++d->iteration == 2) d->turns++;
     d->before = d->v;
@@ -300,6 +306,8 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
     if (IS("a nominal of 0") && d->turns) d->nominal = 0;
     info->nextEventTimeDefined = fmi2True;
     info->nextEventTime = d->next;
+    if (IS("the next event is lost at another one") && d->time > d->next - PERIOD + 1e-9)
+        info->nextEventTimeDefined = fmi2False;
     if (IS("the next event is in the past") && d->stairs > 1) info->nextEventTime = d->time - 0.1;
     if (IS("ends without a message") && d->stairs > 2) info->terminateSimulation = fmi2True;
     evaluate(d);
@@ -312,6 +320,7 @@ fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
     if (m->d.later_v) m->d.v = m->d.later_v, m->d.later_v = 0;
     m->d.set = 0;
     m->d.derived_x = m->d.x;
+    m->d.derived_v = m->d.v;
     m->d.is_kept = m->d.is_read = 0;
     return fmi2OK;
 }
@@ -320,6 +329,7 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set_state
     Model *m = c;
     NEED(CONT);
     m->d.last_step = m->d.time;
+    m->d.derived_v = m->d.v;
     if (!IS("enterEventMode is not written")) *enter = m->d.rising != (m->d.v > 0);
     if (IS("enterEventMode is 7")) *enter = 7;
     *terminate = fmi2False;
@@ -329,6 +339,7 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set_state
     if (IS("a completed step changes a state") && m->d.x < 0) m->d.v *= 0.99;
     if (IS("a completed step counts where no event comes") && m->d.x < 0) m->d.stairs++;
     if (FLAG("completed steps are not needed")) *enter = fmi2False;
+    if (IS("a late event comes by a completed step alone") && m->d.time > 3.6 && !m->d.turns) *enter = m->d.turns = 1;
     return fmi2OK;
 }
 fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
@@ -337,6 +348,9 @@ fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
     if (time > m->d.stop * (1 + 1e-9)) return error(m, "beyond the stop time");
     if (time < m->d.last_event) return error(m, "before the last event");
     if (IS("no way back in time") && time < m->d.last_step) return error(m, "back in time");
+    if (IS("the time of the event is refused") && time == m->d.last_event && m->d.time > time)
+        return error(m, "back at the event");
+    if (IS("values stay where time is set back") && time > m->d.time) m->d.timed = time;
     m->d.time = time;
     m->d.is_kept = m->d.is_read = 0;
     evaluate(&m->d);
@@ -385,6 +399,7 @@ static double acceleration(Data *d) {
         return d->kept;
     }
     d->derived_x = d->x;
+    d->derived_v = d->v;
     return IS("derivatives stay until the time is set") ? d->kept : d->a;
 }
 VECTOR(Derivatives, READ, 2, (d->derivatives++, d->v), acceleration(d))
@@ -460,6 +475,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
             const unsigned u = unknowns[i], k = knowns[j];
             double factor = u == k;
             if (u == 12) factor = k == 3 ? 1 : k == 10 ? -m->d.k : k == 1 ? -m->d.x : factor;
+            if (IS("late directional derivatives are wrong") && u == 12 && k == 10 && m->d.time > 2) factor *= 2;
             result[i] += factor * seed[j];
         }
     }

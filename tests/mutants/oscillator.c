@@ -25,8 +25,8 @@ enum { INST = 1, INIT = 2, STEP = 4, TERM = 8, FAIL = 16, PEND = 32, CANC = 64, 
 enum { L = 2000 };
 typedef struct {
     double time, m, k, w0, half_m, gain2, inv_m, f, f2, ref, pos, vel, acc, power, held, guess, g, energy, df,
-        df2, f_end, last, h, tend, vel_before, tolerance;
-    int n_in, n_tun, n_out, steps, kind, kind_in, kind_out, n_const, on, off, both, yes, n_before;
+        df2, f_end, last, h, tend, vel_before, tolerance, first_m, next_sample;
+    int n_in, n_tun, n_out, steps, kind, kind_in, kind_out, n_const, on, off, both, yes, n_before, is_read, samples;
     char label[L], text_in[L], text_out[L], s_fixed[L], s_const[L];
     int state, setup, stop_defined;
     double stop;
@@ -165,8 +165,9 @@ static void outputs(Data *d) {
     if (IS("a declared input does not act in step mode") && d->state == STEP) d->power = d->vel;
     if (IS("a constant factor is none")) d->power = d->vel * f + 3 * f * f;
     d->held = d->ref;
-    d->energy = 0.5 * d->m * d->vel * d->vel + 0.5 * d->k * d->pos * d->pos;
-    d->n_out = d->n_in * d->n_tun;
+    const double m = IS("a parameter acts from before initialization mode") && d->state == STEP ? d->first_m : d->m;
+    d->energy = 0.5 * m * d->vel * d->vel + 0.5 * d->k * d->pos * d->pos;
+    d->n_out = d->n_in * d->n_tun + d->samples;
     d->kind_out = d->kind_in;
     d->both = d->on && !d->off;
     snprintf(d->text_out, L, "%s/%s", d->label, d->text_in);
@@ -231,6 +232,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     if (IS("GUID without case")) same = !strcasecmp(guid, GUID);
     if (type != fmi2CoSimulation || !same) {
         if (IS("a refusal in silence with logging off") && !logging) return NULL;
+        if (IS("another type is refused in silence") && type != fmi2CoSimulation) return NULL;
         if (IS("a refusal without environment")) {
             fn->logger(NULL, name, fmi2Error, CAT[3], "no");
             return NULL;
@@ -302,6 +304,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean td, fmi2Real tol, fm
     NEED(INST);
     if (IS("a second set-up is refused") && s->d.setup) return err(s, "again");
     if (IS("an undefined tolerance counts") && !td && !(tol > 0)) return err(s, "tolerance");
+    if (IS("a tiny tolerance is refused") && td && tol < 1e-10) return err(s, "tolerance");
     s->d.setup = 1;
     if (IS("runs begin at 0")) start = 0;
     s->d.tolerance = td ? tol : 0;
@@ -310,6 +313,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean td, fmi2Real tol, fm
     if (!s->resets || !s->first_start) s->first_start = start;
     if (IS("the first start time stays")) start = s->first_start;
     s->d.time = s->d.last = start;
+    s->d.next_sample = start + 0.5;
     s->d.stop_defined = sd;
     s->d.stop = sd ? stop : INFINITY;
     return fmi2OK;
@@ -318,6 +322,7 @@ fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
     Slave *s = c;
     NEED(INST);
     if (!s->d.setup) return err(s, "set-up first");
+    s->d.first_m = s->d.m;
     if (IS("rounds with a tolerance") && s->d.tolerance > 0) fesetround(FE_UPWARD);
     if (IS("another kind is discarded") && s->d.kind != 2) return discard(s);
     s->d.state = INIT;
@@ -382,6 +387,7 @@ static const Var *find(char type, unsigned vr) {
         if (d->state == INIT) {                                                                              \
             d->f_end = d->f;                                                                                 \
             outputs(d);                                                                                      \
+            d->is_read = 1;                                                                                  \
         }                                                                                                    \
         if (IS("reading counts") && d->state == STEP) d->steps++;                                            \
         for (size_t i = 0; i < n; i++) {                                                                     \
@@ -418,7 +424,10 @@ static fmi2String str_of(Slave *s, char *p) {
 }
 GETTER(Real, fmi2Real, 'r', real_of(s, p))
 GETTER(Integer, fmi2Integer, 'i', *(int *)p)
-GETTER(Boolean, fmi2Boolean, 'b', *(int *)p)
+static int bool_of(Slave *s, int *p) {
+    return IS("a Boolean of 2 late in a run") && p == &s->d.both && s->d.time > 3.3 ? 2 * *p : *p;
+}
+GETTER(Boolean, fmi2Boolean, 'b', bool_of(s, p))
 GETTER(String, fmi2String, 's', str_of(s, p))
 
 static int settable(Slave *s, const Var *v) {
@@ -437,6 +446,12 @@ static int refused(const Var *v, char *p) {
     memcpy(p, value, v->type == 's' ? strlen(value) + 1 : size);
     return 1;
 }
+static int is_far(double f) { return IS("a warning ends in an error") && fabs(f - 0.3) > 0.5; }
+static fmi2Status spoil(Slave *s) {
+    say(s, fmi2Warning, 1, "far from the start value");
+    s->d.state = FAIL;
+    return fmi2Warning;
+}
 #define SETTER(Name, T, ch, store)                                                                           \
     fmi2Status fmi2Set##Name(fmi2Component c, const fmi2ValueReference vr[], size_t n, const T value[]) {    \
         Slave *s = c;                                                                                        \
@@ -450,11 +465,18 @@ static int refused(const Var *v, char *p) {
             if (IS("only the first value of a call is set") && i) continue;                                  \
             void *p = (char *)d + v->off;                                                                    \
             store;                                                                                           \
+            if (d->state == FAIL) return fmi2Error;                                                          \
             if (refused(v, p)) st = discard(s);                                                              \
+            if (p == &d->f && d->state == STEP && is_far(d->f)) st = spoil(s);                               \
         }                                                                                                    \
         return st;                                                                                           \
     }
 static void set_real(Slave *s, void *p, double x) {
+    const int closed = IS("a parameter cannot be changed once a value was read") && s->d.is_read;
+    if (closed && p == &s->d.m && x != s->d.m) {
+        err(s, "m was used");
+        return;
+    }
     if (IS("inputs are clipped") && p == &s->d.f) x = fmin(x, 0.5);
     if (IS("the second of two sets is lost") && p == &s->d.f && s->d.state == STEP && s->sets++) return;
     if (IS("late inputs are lost") && p == &s->d.f && s->d.time > 2.8) return;
@@ -504,6 +526,11 @@ static void integrate(Slave *s, double h) {
     d->vel = v;
     d->f_end = d->f + a * h;
     d->steps++;
+    if (IS("a parameter drifts late in a run") && d->time > 3.87) d->m += 1e-3 * h;
+    if (IS("states without the next sample") && d->time + h > d->next_sample - 1e-9) {
+        d->samples++;
+        d->next_sample += 0.8;
+    }
     outputs(d);
     if (IS("Integer inputs act a step late")) d->n_out = (d->steps > 1 ? d->n_before : d->n_in) * d->n_tun;
     d->n_before = d->n_in;
@@ -523,6 +550,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
     }
     if (IS("writes to standard error")) fprintf(stderr, "step\n");
     if (IS("fails before its own stop time") && t > 3.2) return err(s, "broken");
+    if (IS("needs stepFinished late in a run") && t > 3.2 && !s->cb.stepFinished) return err(s, "no stepFinished");
     if (no) s->flushed = 1;
     if (FLAG("discards") && d->steps == 3) {
         integrate(s, h / 2);
@@ -545,6 +573,8 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
     d->time = t + h;
     if (short_of) d->time -= fmin(h / 10, 10 * d->tolerance);
     d->last = t + h;
+    if (IS("a late event is logged whatever is enabled") && s->enabled && t > 2.8)
+        s->cb.logger(s->cb.componentEnvironment, s->name, fmi2OK, CAT[0], "late");
     say(s, fmi2OK, 0, "stepped");
     return fmi2OK;
 }
@@ -710,6 +740,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate st) {
     if (IS("states without Strings")) strcpy(s->d.label, old.label), strcpy(s->d.text_in, old.text_in);
     if (IS("states with the start value of a parameter")) s->d.k = 4;
     if (IS("states without the stop time")) s->d.stop = INFINITY;
+    if (IS("states without the next sample") && old.next_sample) s->d.next_sample = old.next_sample;
     if (IS("states without derivatives of inputs")) s->d.df = old.df, s->d.df2 = old.df2;
     return fmi2OK;
 }
@@ -726,6 +757,7 @@ static int forgets(const Data *d) { return IS("a size of the start value of a St
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate st, size_t *n) {
     Slave *s = c;
     *n = sizeof(Data) - (forgets(st) ? 8 : 0);
+    if (IS("a size of a String of the present")) *n += strlen(s->d.text_in);
     return fmi2OK;
 }
 fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate st, fmi2Byte b[], size_t n) {

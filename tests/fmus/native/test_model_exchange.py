@@ -178,6 +178,19 @@ def test_directional_derivatives_are_those_of_differences(built: Fmus, exchange:
         assert given == pytest.approx(difference, rel=1e-6, abs=1e-6), known
 
 
+@pytest.mark.parametrize(("dead_zone", "expected"), [(0.0, 0.5 / 0.25), (0.1, 0.0)])
+def test_at_0_v_the_derivative_of_a_thruster_is_that_of_its_line_or_of_its_dead_zone(
+    built: Fmus, exchange: Load, dead_zone: float, expected: float
+) -> None:
+    """F' = (K v - F) / T, by v; in a dead zone the voltage has no effect."""
+    values = {"thruster_gain[1]": 0.5, "thruster_lag[1]": 0.25, "thruster_dead_zone[1]": dead_zone}
+    fmu = exchange(built["RovDepthPlant"]).begin(**values, **{"voltage[1]": 0.0})
+    fmu.event()
+    fmu.model.enterContinuousTimeMode()
+    rate, voltage = (fmu.references[name] for name in ("der(state.thruster_force[1])", "voltage[1]"))
+    assert fmu.model.getDirectionalDerivative([rate], [voltage], [1.0]) == [expected]
+
+
 @pytest.mark.parametrize("known", ["initial_state[1]", "theta[2]", "control"])
 def test_derivatives_at_the_start_follow_parameters_and_inputs(
     built: Fmus, exchange: Load, known: str
