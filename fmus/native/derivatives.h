@@ -87,7 +87,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
     const Data *d = &instance->data;
     if (is_initial) {
         int broken = 0;
-        const fmi2Status status = report(instance, data_refresh(&instance->data, &broken), &broken, function, 0);
+        const fmi2Status status = report(instance, data_refresh(&instance->data, &broken), &broken, function, 0, DISCARD);
         if (status != fmi2OK) return status;
     }
     functions[data_derived_in(d)](d->time, d->state, d->value + FIRST_INPUT, d->value, along, result);

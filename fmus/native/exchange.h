@@ -19,7 +19,7 @@ static OUTLINED int is_vector(Instance *instance, int modes, const double values
     }
     if (count && !values) return missing(instance, function, "the array"), 0;
     if (instance->data.mode != INITIALIZATION || modes == READABLE) return 1;
-    return report(instance, data_refresh(&instance->data, &broken), &broken, function, 0) == OK;
+    return report(instance, data_refresh(&instance->data, &broken), &broken, function, 0, DISCARD) == OK;
 }
 
 /* Of no numbers, both arrays may be NULL. */
@@ -46,7 +46,7 @@ Status FMI(EnterContinuousTimeMode)(void *c) {
     int broken = 0;
     if (to_mode(instance, EVENT, EVENT, NAME(EnterContinuousTimeMode)) != OK) return ERROR;
     const Outcome outcome = data_refresh(&instance->data, &broken);
-    if (outcome != DONE) return report(instance, outcome, &broken, NAME(EnterContinuousTimeMode), 0);
+    if (outcome != DONE) return report(instance, outcome, &broken, NAME(EnterContinuousTimeMode), 0, ERROR);
     data_leave_event(&instance->data);
     return to_mode(instance, EVENT, CONTINUOUS_TIME, NAME(EnterContinuousTimeMode));
 }
@@ -63,7 +63,7 @@ static Status update_discrete_states(Instance *instance, const char *null_argume
         return refuse(instance, ERROR, "%s: event at %s s: expected at most the stop time %s s", function,
                       DECIMAL(t), DECIMAL(instance->stop_time));
     const Outcome outcome = data_event(&instance->data, &instance->step_cache, jumped, next, &broken);
-    return report(instance, outcome, &broken, function, t - instance->data.start_time);
+    return report(instance, outcome, &broken, function, t - instance->data.start_time, ERROR);
 }
 
 /* 3.2.2; 3.2.3: in continuous-time mode. Without effect: completedIntegratorStepNotNeeded is true. */

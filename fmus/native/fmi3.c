@@ -237,7 +237,7 @@ static fmi3Status derive(Instance *instance, int is_adjoint, const fmi3ValueRefe
     const int is_initial = d->mode == INITIALIZATION;
     if (is_initial) {
         int broken = 0;
-        const fmi3Status status = report(instance, data_refresh(d, &broken), &broken, function, 0);
+        const fmi3Status status = report(instance, data_refresh(d, &broken), &broken, function, 0, DISCARD);
         if (status != fmi3OK) return status;
     }
     for (size_t i = 0; i < nFrom; i++)

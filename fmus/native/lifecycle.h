@@ -74,7 +74,7 @@ Status FMI(ExitInitializationMode)(void *c) {
     Status status;
     int broken = 0;
     if (!is_allowed(instance, INITIALIZATION, NAME(ExitInitializationMode))) return ERROR;
-    status = report(instance, data_refresh(&instance->data, &broken), &broken, NAME(ExitInitializationMode), 0);
+    status = report(instance, data_refresh(&instance->data, &broken), &broken, NAME(ExitInitializationMode), 0, ERROR);
     if (status == OK) begin(&instance->data);
     return status;
 }

@@ -79,12 +79,14 @@ static OUTLINED Status contradictory(Instance *instance, int broken, const char 
 }
 
 /* 4.2.2: a step that cannot begin is an error, one that does not reach its end is discarded.
- * broken: a pointer, because the outcome, which sets it, may be evaluated after the other arguments. */
-static OUTLINED Status report(Instance *instance, Outcome outcome, const int *broken, const char *function, double h) {
+ * most: of what 2.1.3 lets the function return, DISCARD or ERROR
+ * broken: a pointer, because the outcome, which sets it, may be evaluated after the other arguments */
+static OUTLINED Status report(Instance *instance, Outcome outcome, const int *broken, const char *function, double h,
+                              Status most) {
     const int is_stepping = (instance->data.mode & (STEPPING | EVENT | CONTINUOUS_TIME)) != 0;
     if (outcome == DONE) return OK;
     if (outcome == CONTRADICTORY) return contradictory(instance, *broken, function);
-    if (outcome == NO_ITEM) return no_item(instance, is_stepping ? DISCARD : ERROR, *broken, function);
+    if (outcome == NO_ITEM) return no_item(instance, is_stepping ? most : ERROR, *broken, function);
     if (outcome == TOO_MANY_STEPS)
         return refuse(instance, ERROR,
                       "%s: communication step size %s s: expected at most %s internal steps", function,
@@ -93,7 +95,7 @@ static OUTLINED Status report(Instance *instance, Outcome outcome, const int *br
         return refuse(instance, ERROR,
                       "%s: parameters and inputs of " MODEL_NAME ": state or outputs are not finite at the start",
                       function);
-    return refuse(instance, DISCARD,
+    return refuse(instance, most,
                   "%s at %s s: state or outputs are not finite any more; take shorter steps", function,
                   DECIMAL(instance->data.time));
 }

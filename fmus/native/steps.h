@@ -26,7 +26,7 @@ static INLINED Status do_step(Instance *instance, double t, double h) {
     if (check_step(instance, t, h) != OK) return ERROR;
     Data *data = &instance->data;
     const Outcome outcome = data_step(data, &instance->step_cache, t, h, data->value + FIRST_INPUT, &broken);
-    return outcome == DONE ? OK : report(instance, outcome, &broken, NAME(DoStep), h);
+    return outcome == DONE ? OK : report(instance, outcome, &broken, NAME(DoStep), h, DISCARD);
 }
 
 /* 4.2.1: order 0 is not allowed. */

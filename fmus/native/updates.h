@@ -58,7 +58,7 @@ static Status do_step_with_updates(Instance *instance, double t, double h, fmi3B
     }
     if (is_good && outcome == DONE) return OK;
     *d = before;
-    return is_good ? report(instance, outcome, &broken, NAME(DoStep), h)
+    return is_good ? report(instance, outcome, &broken, NAME(DoStep), h, DISCARD)
                    : refuse(instance, ERROR, NAME(DoStep) ": a call in the intermediate update was an error");
 }
 

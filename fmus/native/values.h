@@ -50,7 +50,7 @@ static Status refreshed(Instance *instance, Type type, const unsigned references
     if (!are_of_type(instance, type, references, count, function)) return ERROR;
     for (size_t i = 0; i < count; i++)
         if (!is_settable((int)references[i]))
-            return report(instance, data_refresh(&instance->data, &broken), &broken, function, 0);
+            return report(instance, data_refresh(&instance->data, &broken), &broken, function, 0, DISCARD);
     return OK;
 }
 

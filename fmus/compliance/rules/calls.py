@@ -104,8 +104,8 @@ def input_derivatives_when_instantiated(probe: Probe) -> Iterator[Row]:
 
 @differential("2.1.2")
 def wrong_references_are_refused(probe: Probe) -> Iterator[Row]:
-    """A value reference that no variable has is an error to read and to set, also for derivatives, and so is
-    the order 0 of one; the instance is freed then.
+    """A value reference that no variable has is an error to read and to set, also for derivatives; the
+    instance is freed then.
     """
     reference = do.refused_reference(probe)
     finding = _finding("error", f" of the value reference {reference}, which is none,")
@@ -117,14 +117,6 @@ def wrong_references_are_refused(probe: Probe) -> Iterator[Row]:
         calls.append(("C", do.call("output_derivatives", [reference], 1)))
     for states, action in calls:
         yield from table.in_states(probe, states, do.error(action, finding))
-    finding = _finding("error", " of order 0")
-    inputs, outputs = (values.references_of(values.continuous_reals(probe, c)) for c in ("input", "output"))
-    if probe.fmu.claims(values.INTERPOLATES) and inputs:
-        call = do.call("fmi2SetRealInputDerivatives", inputs[:1], 1, [0], [0.0])
-        yield from table.in_states(probe, "C", do.error(call, finding))
-    if probe.fmu.output_derivative_order > 0 and outputs:
-        call = do.call("output_derivatives", outputs[:1], 0)
-        yield from table.in_states(probe, "C", do.error(call, finding))
 
 
 @differential("2.1.2")

@@ -3,7 +3,6 @@
 import re
 from collections.abc import Iterator, Sequence, Set
 from contextlib import suppress
-from itertools import chain
 from typing import Any, NamedTuple
 
 from fmus.compliance import actions as do
@@ -146,7 +145,7 @@ def _set_odd_parameters(probe: Probe) -> None:
     ]
     starts = values.start_values(parameters[: do.MOST_VARIABLES])
     pairs = [(v, x) for v, start in starts for x in (0.0, -start) if x != start and v.low <= x <= v.high]
-    do.played(probe, chain(*((do.set_values([pair]), do.reset) for pair in pairs)), logging=True)
+    probe.play_once([probe.script(do.set_values([pair]), logging=True) for pair in pairs])
 
 
 def _refused(probe: Probe) -> list[Reply]:

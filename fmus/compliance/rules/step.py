@@ -150,30 +150,25 @@ def variable_step_size(probe: Probe) -> Iterator[str]:
 @behaviour_rule("4.3.1", condition=values.unless_claimed(values.ANY_STEP))
 def two_steps_are_one_of_twice_the_size(probe: Probe) -> Iterator[str]:
     """A step reaches its end: after a step, two more bring continuous outputs about as far as one of twice
-    the size, or many of no simple fraction of it, and many as far as one that is as long.
+    the size, or many of no simple fraction of it.
     """
     if not (chosen := values.continuous_reals(probe, "output")):
         raise NotApplicableError("there is no continuous output")
-    read = do.read(chosen)
-    for few, counts in ((2, (1, *_MORE_STEPS)), (_LONG, (1,))):
-        span = few * probe.step_size
-        steps = (
-            [do.call("do_step", probe.point(1) + i * span / n, span / n) for i in range(n)]
-            for n in (few, *counts)
-        )
-        usual, *others = values_of(probe, [(do.begin, do.step(), read, *equal, read) for equal in steps])
-        if few == 2 and not (usual and any(others)):
-            raise NotJudgedError("no step of twice the size succeeds")
-        before, after = usual or ({}, {})
-        changes = {n: x - before[n] for n, x in after.items() if abs(x - before[n]) > 1e-9 * abs(x)}
-        for n, run in zip(counts, others, strict=True):
-            is_elsewhere = (abs(run[1][name] - after[name]) > _APART * abs(x) for name, x in changes.items())
-            if run and changes and all(is_elsewhere):
-                name = min(changes)
-                shown = values.texts(run[1][name], after[name])
-                what = f"{name} is {shown[0]} after {n} step{'s' * (n > 1)} of {span / n:g} s"
-                yield f"{what}: expected about {shown[1]}, as after {few} of {probe.step_size:g} s"
-                return
+    counts, span, read = (2, 1, *_MORE_STEPS), 2 * probe.step_size, do.read(chosen)
+    steps = ([do.call("do_step", probe.point(1) + i * span / n, span / n) for i in range(n)] for n in counts)
+    usual, *others = values_of(probe, [(do.begin, do.step(), read, *equal, read) for equal in steps])
+    if not usual or not any(others):
+        raise NotJudgedError("no step of twice the size succeeds")
+    before, two = usual
+    changes = {name: x - before[name] for name, x in two.items() if abs(x - before[name]) > 1e-9 * abs(x)}
+    for n, run in zip(counts[1:], others, strict=True):
+        is_elsewhere = (abs(run[1][name] - two[name]) > _APART * abs(x) for name, x in changes.items() if run)
+        if run and changes and all(is_elsewhere):
+            name = min(changes)
+            shown = values.texts(run[1][name], two[name])
+            what = f"{name} is {shown[0]} after {n} step{'s' * (n > 1)} of {span / n:g} s"
+            yield f"{what}: expected about {shown[1]}, as after two of {probe.step_size:g} s"
+            return
 
 
 @behaviour_rule("2.2.5, 4.1.1")

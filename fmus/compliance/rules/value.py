@@ -125,7 +125,8 @@ def values_belong_to_references(probe: Probe) -> Iterator[Row]:
     ]
     yield Row("", (do.start, do.step(2), do.expect(do.read(variables)), *otherwise), (), "", again="{}")
     others = do.others_accepted(probe, values.settable_while_stepping(probe.fmu), do.begin, do.step())
-    for change in ((), others):  # after which the first that is read computes values
+    # after which the first that is read computes values; 4.2.4 has no reading between setting and a step
+    for change in ((), others) if probe.fmu.is_model_exchange else ((),):
         first = do.begin, do.step(), do.set_values(change)
         usual, varied = ((*first, do.read(some)) for some in (variables, variables[::-1]))
         yield Row("read first in another order", varied, usual, may_fail=True, again="{}")

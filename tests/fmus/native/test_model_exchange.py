@@ -428,22 +428,30 @@ def test_without_samples_no_event_is_announced(built: Fmus, exchange: Load) -> N
     assert exchange(built["ExamplePlant"]).begin().event() == (False, False, False, False, False, 0.0)
 
 
-def test_an_event_that_fails_changes_nothing(growth: Path, exchange: Load) -> None:
-    """The second of two samples that are due overflows; with one alone the instance goes on."""
+def test_an_event_that_fails_is_an_error_from_which_a_saved_state_leads_back(
+    growth: Path, exchange: Load
+) -> None:
+    """The second of two samples that are due overflows; with one alone the instance goes on. By 2.1.3 no
+    function of events may discard.
+    """
     fmu = exchange(growth).begin()
     fmu["factor"] = 1e200
     fmu.event()
     fmu.model.enterContinuousTimeMode()
     fmu.model.setTime(0.2)
     fmu.model.enterEventMode()
-    assert fmu.status(fmu.model.newDiscreteStates) == "discard"
+    before = fmu.model.getFMUState()
+    assert fmu.status(fmu.model.newDiscreteStates) == "error"
+    fmu.model.setFMUState(before)
     assert (fmu["value"], fmu["time"]) == (1.0, 0.2)
     fmu.model.setTime(0.1)
     assert fmu.event()[4:] == (True, 0.2)
     assert (fmu["value"], fmu["time"]) == (1e200, 0.1)
     fmu["factor"] = 0.5
     fmu.model.setTime(0.25)
-    assert fmu.status(fmu.model.newDiscreteStates) == "discard"  # the step began with the factor of before
+    before = fmu.model.getFMUState()
+    assert fmu.status(fmu.model.newDiscreteStates) == "error"  # the step began with the factor of before
+    fmu.model.setFMUState(before)
     fmu.model.setTime(0.15)
     assert fmu.event()[4:] == (True, 0.2)
     assert fmu["time"] == 0.15
