@@ -293,7 +293,7 @@ def over_the_experiment(probe: Probe) -> Script:
     second.
     """
     stop = probe.stop_time if math.isfinite(probe.stop_time) else None
-    groups = itertools.groupby(number_outputs(probe), lambda v: v.base_kind)
+    groups = itertools.groupby(comparable_outputs(probe), lambda v: v.base_kind)
     observed = [(kind, values.references_of(variables)) for kind, variables in groups]
     ends = [steps_of_experiment(probe) * i // 8 for i in range(9)]
     steps = (
@@ -328,8 +328,8 @@ def steps_of_experiment(probe: Probe) -> int:
     return probe.once("run of many steps", measured)
 
 
-def number_outputs(probe: Probe) -> list[Variable]:
-    """Returns the outputs but Strings, by type."""
+def comparable_outputs(probe: Probe) -> list[Variable]:
+    """Returns the outputs of which one value is the least, and one the largest, by type."""
     return [v for kind in ("Real", "Integer", "Boolean") for v in probe.outputs if v.base_kind == kind]
 
 

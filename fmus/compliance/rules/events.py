@@ -112,7 +112,7 @@ def _run(
 
     again: whether the end of each event is tried once more
     has_others: whether inputs and tunable parameters get other values from the middle on, one set after the
-      other
+      other; steps: their number, at whose ends the instance is in event mode
     """
 
     def played() -> tuple[list[Event], str]:
@@ -244,7 +244,7 @@ def events_come_to_an_end(probe: Probe) -> Iterator[str]:
     """newDiscreteStatesNeeded becomes false after some calls of fmi2NewDiscreteStates, also after an input or
     a tunable parameter was set to another value.
     """
-    ends = [_run(probe)[1], _run(probe, has_others=True)[1]]
+    ends = [_run(probe)[1], f"with other inputs {_run(probe, has_others=True)[1]}"]
     pairs = other_values(settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES])
     reals = [pair for pair in pairs if pair[0].kind == "Real"]  # which have many values, and seldom cases
     for some in (reals, *([pair] for pair in pairs if pair not in reals)):

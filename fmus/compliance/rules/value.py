@@ -41,7 +41,7 @@ def _values_in_runs(probe: Probe) -> Iterator[tuple[str, str, Any]]:
     plays = [do.played(probe, [*begin, *itertools.chain(*few)], logging=True)]
     with suppress(NotApplicableError, NotJudgedError):
         plays.append(do.over_the_experiment(probe))
-    outputs = do.number_outputs(probe)
+    outputs = do.comparable_outputs(probe)
     for play in plays:
         for when, where, reading in play.observed:
             for name, value in reading.values.items() if reading.ok else ():
