@@ -548,7 +548,6 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
         s->late = 1;
         return err(s, "stop time");
     }
-    if (IS("the fast kind takes no step") && d->kind == 5) return err(s, "fast");
     if (IS("writes to standard error")) fprintf(stderr, "step\n");
     if (IS("fails before its own stop time") && t > 3.2) return err(s, "broken");
     if (IS("needs stepFinished late in a run") && t > 3.2 && !s->cb.stepFinished) return err(s, "no stepFinished");

@@ -12,12 +12,11 @@ from fmus.compliance.rules.derivatives import values_of
 from fmus.compliance.rules.events import follow_at_once
 from fmus.compliance.script import KINDS
 from fmus.compliance.variable import is_true
-from fmus.fmi.binding import DISCARD, WARNING
+from fmus.fmi.binding import WARNING
 
 _ROUNDED = 1e-6  # relative: tools write start values with as few as seven digits
 _EXACT = 1e-12
 _SETTERS = [f"fmi2Set{kind}" for kind in KINDS]
-_EXIT = "fmi2ExitInitializationMode"  # where a combination of values may be refused
 _MANY_SETS = "canHandleMultipleSetPerTimeInstant"
 
 
@@ -189,17 +188,6 @@ def warnings_end_nothing(probe: Probe) -> Iterator[str]:
         (warned,) = [reply for call, reply in pairs if call[0].startswith("fmi2Set")]
         if warned.status == WARNING and (failure := script.failure):
             yield f"after {warned.function}{warned.words} {warned.status_name}: {failure.problem}"
-
-
-@behaviour_rule("advice: a value that the description allows")
-def every_choice_runs(probe: Probe) -> Iterator[str]:
-    """With each value that a Boolean or an Enumeration may have, and that the FMU takes, a step is made."""
-    chosen = [v for v in values.settable_in_initialization(probe.fmu) if v.base_kind == "Boolean" or v.items]
-    for one, x in ((v, x) for v in chosen[: do.MOST_VARIABLES] for x in values.far_values(v)):
-        way = do.initialise, do.set_values([(one, x)]), do.exit_initialization_mode, do.step()
-        failure = do.played(probe, way, logging=True).failure
-        if failure and failure.status != DISCARD and failure.function not in (*_SETTERS, _EXIT):
-            yield f"with {one.name} = {x}: {failure.problem}"
 
 
 @differential("2.1.2")
