@@ -112,12 +112,17 @@ def _crossed(probe: Probe, row: Row) -> Iterator[tuple[Row, Script, list[Script]
 
 
 def starts(probe: Probe) -> list[Start]:
-    """Returns the states from which rows are played: at first; with most of the default experiment, and its
-    events, behind it; and of a state that was set back there.
+    """Returns the states from which rows are played: at first; with up to two thirds of the default
+    experiment, and its events, behind it; and of a state that was set back there.
 
     Those are left out where a call fails, or which another rule finds to be others than they should be.
     """
     return probe.once("starts of runs", lambda: [AT_FIRST, *_other_starts(probe)])
+
+
+def late_lead(probe: Probe) -> Sequence[Action]:
+    """Returns the actions that lead late into a run; none where that is left out of `starts`."""
+    return next((start.lead for start in starts(probe) if start.words == LATE), ())
 
 
 def _other_starts(probe: Probe) -> Iterator[Start]:

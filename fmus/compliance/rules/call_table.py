@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.differential import LATE, Row, starts
+from fmus.compliance.differential import Row, late_lead
 from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
 from fmus.compliance.script import VECTORS, Action, Reply, Script
@@ -149,7 +149,7 @@ def _tour(
     """Returns the script of a tour, and the replies of each row in each state but those left out."""
     tolerance = TOLERANCE if run_with_tolerance(probe).succeeded else None
     initialise = do.set_up(1000, tolerance), do.enter_initialization_mode
-    late = next((start.lead for start in starts(probe) if start.words == LATE), ())
+    late = late_lead(probe)
     steps, enter = ((do.step(),), (*late, do.step())), (do.enter_continuous_time_mode,)
     states, later = "IMBCCT", (*steps, (do.step(), do.terminate))
     if probe.fmu.is_model_exchange:

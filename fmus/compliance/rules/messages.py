@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from fmus.compliance import actions as do
 from fmus.compliance import rule, values
-from fmus.compliance.differential import LATE, Row, differential, starts
+from fmus.compliance.differential import Row, differential, late_lead
 from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rows import add_rows, row
@@ -266,7 +266,7 @@ def _played_with_logging(probe: Probe) -> Iterator[_Run]:
     on, off = (do.set_debug_logging(is_on) for is_on in (True, False))
     all_names = do.set_debug_logging(True, *names[::-1])
     another = "where fmi2SetDebugLogging of another instance turned logging"
-    late = next((start.lead for start in starts(probe) if start.words == LATE), ())
+    late = late_lead(probe)
     again = do.reset, do.begin, *late, do.step()
     # words; enabled categories; loggingOn at first; settings of logging, and those of another instance
     rows: list[tuple[str, Set[str | None], bool, Sequence[Action], Sequence[Action]]] = [

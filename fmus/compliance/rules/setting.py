@@ -87,9 +87,8 @@ def start_time_counts_at_once(probe: Probe) -> Iterator[str]:
     def changed(start: int) -> dict[str, tuple[float, float]]:
         begin = do.set_up(1000, start=start), do.enter_initialization_mode
         (run,) = values_of(probe, [(*begin, read, *anew)])
-        pairs = {v.name: (run[0][v.name], run[1][v.name]) for v in outputs} if run else {}
-        nominals = {v.name: v.nominal for v in outputs}
-        return {n: pair for n, pair in pairs.items() if not values.same(*pair, _ROUNDED, nominals[n])}
+        pairs = [(v, run[0][v.name], run[1][v.name]) for v in outputs if run]
+        return {v.name: (a, b) for v, a, b in pairs if not values.same(a, b, _ROUNDED, v.nominal)}
 
     usual, other = changed(0), changed(3)
     for name in other.keys() - usual.keys():
