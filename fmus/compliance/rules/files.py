@@ -269,8 +269,10 @@ def source_prefix(fmu: FmuFile) -> Iterator[str]:
     identifiers = _identifiers(fmu)
     expected = [f"{identifier}_" for identifier in identifiers]
     for path, text in _sources(fmu).items() if expected else ():
-        for prefix in sorted({name.decode("ascii", "replace") for name in _PREFIX.findall(text)}):
-            if prefix not in expected and (prefix.endswith("_") or prefix in identifiers):
+        prefixes = {name.decode("ascii", "replace") for name in _PREFIX.findall(text)}
+        # one file may serve several FMUs by #if
+        for prefix in sorted(prefixes) if prefixes.isdisjoint(expected) else ():
+            if prefix.endswith("_") or prefix in identifiers:
                 yield f"{path} defines the prefix {prefix}: expected {' or '.join(expected)}"
         if _between(text) is None:
             yield f"{path} defines FMI2_FUNCTION_PREFIX: expected that before it includes fmi2Functions.h"
