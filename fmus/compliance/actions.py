@@ -14,7 +14,7 @@ from fmus.compliance.variable import Variable
 from fmus.fmi.binding import ERROR
 
 MOST_VARIABLES = 50  # that are changed in a rule
-_MOST_LEAPT, _LEAPS, _ROUGHNESS = 100, 8, 300.0  # steps, and times their tolerances
+_MOST_LEAPT, LEAPS, _ROUGHNESS = 100, 8, 300.0  # steps, and times their tolerances
 _FEWEST_STEPS, _MEASURED_STEPS, _MOST_STEPS = 10, 40, 5_000  # of a run over the default experiment
 _LONGEST_RUN_S = 1.0
 P = ParamSpec("P")
@@ -67,22 +67,46 @@ def pause(script: Script) -> None:
     script.parts.append(len(script.calls))
 
 
+def _steps_of_leap(probe: Probe, is_whole: bool = False) -> int:
+    """Returns the number of usual steps in a third of the default experiment, or as many as a leap has."""
+    most = _MOST_LEAPT // 2 if probe.fmu.is_model_exchange else _MOST_LEAPT
+    third = steps_of_experiment(probe) // 3
+    return third if is_whole else min(third, most)
+
+
+def _leap_to(script: Script, end: int) -> None:
+    """Goes to a communication point: by usual steps, or by a rough one for model exchange."""
+    if not script.probe.fmu.is_model_exchange:
+        script.write([go_on(end - script.next_step)])
+        return
+    t, script.next_step = script.time, end
+    script.call("do_step", t, script.time - t, False, _ROUGHNESS)
+
+
 @_action
 def leap(script: Script, thirds: int, is_whole: bool = False) -> None:
     """Adds a part of the default experiment: usual steps, or few of other sizes for model exchange.
 
     is_whole: whether it is that of all steps, however many
     """
-    most = _MOST_LEAPT // 2 if script.probe.fmu.is_model_exchange else _MOST_LEAPT
-    third = steps_of_experiment(script.probe) // 3
-    count = (third if is_whole else min(third, most)) * thirds
-    if not script.probe.fmu.is_model_exchange:
-        script.write([go_on(count)])
-        return
-    ends = [script.next_step + count * i // _LEAPS for i in range(_LEAPS + 1)]
-    for before, end in itertools.pairwise(map(script.probe.point, ends)):
-        script.call("do_step", before, end - before, False, _ROUGHNESS)
-    script.next_step += count
+    count, first = _steps_of_leap(script.probe, is_whole) * thirds, script.next_step
+    parts = LEAPS if script.probe.fmu.is_model_exchange else 1
+    for i in range(parts):
+        _leap_to(script, first + count * (i + 1) // parts)
+
+
+@_action
+def excite(
+    script: Script, sets: Sequence[Sequence[Pair]], observed: Sequence[Variable] | None = None
+) -> None:
+    """Sets values, and adds an eighth of the default experiment, as leaps have it, for each of some sets.
+
+    observed: variables that are read after each, if any are
+    """
+    for i, pairs in enumerate(sets):
+        script.write([set_values(pairs)])
+        _leap_to(script, 3 * _steps_of_leap(script.probe) * (i + 1) // LEAPS)
+        script.write([read(observed)] if observed is not None else [])
 
 
 @_action

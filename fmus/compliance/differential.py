@@ -2,12 +2,12 @@
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
 
 from fmus.compliance import actions as do
+from fmus.compliance.excitation import excitations
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Check, NotApplicableError, NotJudgedError, rule_of
 from fmus.compliance.script import Action, CallError, Script
@@ -27,7 +27,6 @@ class Start(NamedTuple):
 
 
 AT_FIRST = Start("", ())
-LATE = ", late in a run"
 
 
 @dataclass(frozen=True)
@@ -112,31 +111,38 @@ def _crossed(probe: Probe, row: Row) -> Iterator[tuple[Row, Script, list[Script]
 
 
 def starts(probe: Probe) -> list[Start]:
-    """Returns the states from which rows are played: at first; with up to two thirds of the default
-    experiment, and its events, behind it; and of a state that was set back there.
-
-    Those are left out where a call fails, or which another rule finds to be others than they should be.
+    """Returns the states from which rows are played: at first; and late in a run, with other inputs if
+    possible, and of a state that was set back there if another rule finds that right.
     """
     return probe.once("starts of runs", lambda: [AT_FIRST, *_other_starts(probe)])
 
 
 def late_lead(probe: Probe) -> Sequence[Action]:
-    """Returns the actions that lead late into a run; none where that is left out of `starts`."""
-    return next((start.lead for start in starts(probe) if start.words == LATE), ())
+    """Returns the actions that lead late into a run; none where `starts` has but the first state."""
+    return starts(probe)[-1].lead
 
 
 def _other_starts(probe: Probe) -> Iterator[Start]:
+    """Yields the first of some states late in a run that can be gone on from."""
+    back, saves = (do.save(_SLOT), do.step(), do.restore(_SLOT), do.free_state(_SLOT)), "canGetAndSetFMUstate"
+    excited = [(" with other inputs", do.excite(lead)) for lead in [excitations(probe).lead] if lead]
+    for words, lead in (*excited, ("", do.leap(2))):
+        if probe.fmu.claims(saves) and _is_steady(probe, (lead, *back), (lead,)):
+            yield Start(f", from a state set back late in a run{words}", (lead, *back))
+            return
+        if _is_steady(probe, (lead,), (lead,)):
+            yield Start(f", late in a run{words}", (lead,))
+            return
+
+
+def _is_steady(probe: Probe, lead: Sequence[Action], usual: Sequence[Action]) -> bool:
+    """Whether no call of a run fails that goes on after some actions, and it is as after the usual ones."""
     read = do.read_all(), do.step(8), do.read_all()
-    back = do.save(_SLOT), do.step(), do.restore(_SLOT), do.free_state(_SLOT)
-    late, saves = (do.leap(2),), probe.fmu.claims("canGetAndSetFMUstate")
-    for words, lead, usual in (
-        (LATE, late, late),
-        *([(", from a state set back late in a run", (*late, *back), late)] if saves else []),
-    ):
-        row = Row("", (do.begin, *lead, *read), (do.begin, *usual, *read), tolerance=OF_EXPERIMENT)
-        with suppress(CallError, NotJudgedError, NotApplicableError):
-            if not list(differences(probe, [row])):
-                yield Start(words, lead)
+    row = Row("", (do.begin, *lead, *read), (do.begin, *usual, *read), tolerance=OF_EXPERIMENT)
+    try:
+        return not list(differences(probe, [row]))
+    except (CallError, NotJudgedError, NotApplicableError):
+        return False
 
 
 def _write(probe: Probe, row: Row) -> tuple[Row, Script, list[Script]]:

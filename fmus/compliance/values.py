@@ -47,8 +47,11 @@ def start_values(variables: Iterable[Variable]) -> list[tuple[Variable, Any]]:
     return [(v, x) for v in variables if (x := start_value(v)) is not None]
 
 
-def other_value(v: Variable) -> Any:
-    """Returns a legal value near the start value but another one; None if there is none."""
+def other_value(v: Variable, part: float = _PART) -> Any:
+    """Returns a legal value near the start value but another one; None if there is none.
+
+    part: of the start value, or the nominal one if that is larger, by which a Real differs
+    """
     start = start_value(v)
     if start is None:
         return None
@@ -59,7 +62,7 @@ def other_value(v: Variable) -> Any:
     if v.base_kind == "Integer":
         near = sorted(v.items or (), key=lambda x: abs(x - start)) or (start + 1, start - 1)
         return next((x for x in near if x != start and _within(v, x)), None)
-    change = _PART * max(abs(start), v.nominal or 1.0)
+    change = part * max(abs(start), v.nominal or 1.0)
     span = [x for x in (v.number("max"), v.number("min")) if x is not None]
     change = min([change, *(abs(x - start) / 2 for x in span if x != start)])
     return next((x for x in (start + change, start - change) if _within(v, x) and x != start), None)

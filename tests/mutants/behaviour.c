@@ -337,6 +337,7 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     NEEDS(INITIALIZATION);
     if (IS("initialisation fails")) return error(s, "no initial values");
     if (IS("values set in initialization mode are lost")) s->data.real[U] = 0.8;
+    if (IS("derivatives of initialization mode are lost")) s->data.input_rate = 0;
     outputs(&s->data, s->data.real[U]);
     follow_time(&s->data);
     s->data.state = STEPPING;
@@ -504,9 +505,10 @@ static void set_string(Slave *s, const char *value) {
 }
 
 DEFINE_SET(Real, fmi2Real, N_REALS,
-           (v == GAIN || v == RATE || v == X || (v == Z && (unusual || d->state == INSTANTIATED) && !IS("approximations cannot be set"))), v == U,
+           ((v == GAIN && !(d->resets && IS("a parameter is refused after reset"))) || v == RATE || v == X || (v == Z && (unusual || d->state == INSTANTIATED) && !IS("approximations cannot be set"))), v == U,
            v == RATE && !IS("tunable parameters cannot be set"), v == C, set_real(s, v, value[i]))
-DEFINE_SET(Integer, fmi2Integer, N_INTEGERS, v == MODE, v == N, 0, 0, d->integer[v] = value[i])
+DEFINE_SET(Integer, fmi2Integer, N_INTEGERS, v == MODE, v == N, 0, 0,
+           (d->integer[v] = value[i], d->boolean[B] |= v == N && value[i] > 1 && IS("an input sets that of its reference")))
 DEFINE_SET(Boolean, fmi2Boolean, N_BOOLEANS, 0, v == B, 0, 0, d->boolean[v] = value[i])
 DEFINE_SET(String, fmi2String, N_STRINGS, v == LABEL, 0, 0, 0, set_string(s, value[i]))
 
@@ -521,10 +523,13 @@ static void integrate(Slave *s, double h) {
     for (int i = 0; i < PARTS; i++) {
         if (!IS("derivatives of inputs have no effect"))
             u = d->real[U] + (IS("derivatives of inputs backwards") ? -1 : 1) * d->input_rate * (i + 0.5) * h / PARTS;
+        if (IS("derivatives of inputs are of second order"))
+            u = d->real[U] + d->input_rate / 2 * pow((i + 0.5) * h / PARTS, 2);
         d->real[X] += whole / PARTS * slope(d, u) * (warm && d->resets ? 1 + 3e-5 : 1);
     }
     shared.real[X] = d->real[X];
     if (!IS("derivatives of inputs have no effect")) u = d->real[U] + (IS("derivatives of inputs backwards") ? -1 : 1) * d->input_rate * h;
+    if (IS("derivatives of inputs are of second order")) u = d->real[U] + d->input_rate / 2 * h * h;
     d->steps++;
     d->old_y = d->real[Y];
     d->is_old = 1;

@@ -285,6 +285,7 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
         d->next += PERIOD;
         info->newDiscreteStatesNeeded = fmi2True;
     }
+    if (IS("a Boolean input ends the run") && !d->up) return error(m, "not up");
     if (IS("events never end for another input") && !d->up) info->newDiscreteStatesNeeded = fmi2True;
     if (IS("late events never end for another input") && !d->up && d->stairs > 9)
         info->newDiscreteStatesNeeded = fmi2True;
@@ -301,10 +302,11 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
         d->rising = d->v > 0;
         d->turns++;
         d->nominal = d->rising ? 0.5 : 1;
-        info->nominalsOfContinuousStatesChanged = !IS("a change of nominals is not announced");
+        info->nominalsOfContinuousStatesChanged =
+            !IS("a change of nominals is not announced") && (d->up || !IS("a change of nominals for another input is not"));
     }
     if (IS("a nominal of 0") && d->turns) d->nominal = 0;
-    info->nextEventTimeDefined = fmi2True;
+    info->nextEventTimeDefined = !IS("time events are not announced");
     info->nextEventTime = d->next;
     if (IS("the next event is lost at another one") && d->time > d->next - PERIOD + 1e-9)
         info->nextEventTimeDefined = fmi2False;
@@ -338,7 +340,7 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set_state
     if (IS("a completed step that is not needed acts at a later event") && m->d.x < 0) m->d.e = 0.5;
     if (IS("a completed step changes a state") && m->d.x < 0) m->d.v *= 0.99;
     if (IS("a completed step counts where no event comes") && m->d.x < 0) m->d.stairs++;
-    if (FLAG("completed steps are not needed")) *enter = fmi2False;
+    if (FLAG("completed steps are not needed")) *enter = IS("a step event where no call is needed") && m->d.time > 3;
     if (IS("a late event comes by a completed step alone") && m->d.time > 3.6 && !m->d.turns) *enter = m->d.turns = 1;
     return fmi2OK;
 }

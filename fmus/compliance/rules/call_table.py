@@ -153,7 +153,8 @@ def _tour(
     steps, enter = ((do.step(),), (*late, do.step())), (do.enter_continuous_time_mode,)
     states, later = "IMBCCT", (*steps, (do.step(), do.terminate))
     if probe.fmu.is_model_exchange:
-        states, later = "IMEKEEEKT", (enter, (do.enter_event_mode,), *steps, enter, (do.terminate,))
+        iterated = do.step(), *enter  # the event of what was set is over
+        states, later = "IMEKEEEKT", (enter, (do.enter_event_mode,), *steps, iterated, (do.terminate,))
     script, rows = probe.script(name=NAME, logging=True, watched=True), dict[tuple[int, str], list[Reply]]()
     leads = (), initialise, (do.exit_initialization_mode,), *later
     for lead, state in zip(leads, states, strict=True):

@@ -55,9 +55,11 @@ def _cause(probe: Probe, reply: Reply) -> str:
 @differential("3.2.3, 4.2.4")
 def reset_in_every_state(probe: Probe) -> Iterator[Row]:
     """fmi2Reset is allowed when instantiated, in initialization mode, while stepping, after fmi2Terminate and
-    after an error.
+    after an error; start values can be set after it, as at first.
     """
-    return table.in_states(probe, "IMCEKTD", do.reset, do.begin, do.step())
+    pairs = values.start_values(values.settable_before(probe.fmu)[: do.MOST_VARIABLES])
+    again = do.in_state("instantiated after fmi2Reset"), do.set_values(do.accepted_together(probe, pairs))
+    return table.in_states(probe, "IMCEKTD", do.reset, *again, do.begin, do.step())
 
 
 @behaviour_rule("3.2.3, 4.2.4")

@@ -166,11 +166,17 @@ def completed_step_without_need_has_no_effect(probe: Probe) -> Iterator[str]:
     nothing.
     """
     read, complete = do.read_vectors(VECTORS[:3]), do.call("completed_integrator_step")
-    first = _go(0.5), do.expect(read), complete
+    first, options = (_go(0.5), do.expect(read), complete), {"needs_completed": True}
     reply = do.played(probe, (_enter, *first)).replies[-1]
     if any(reply.value or ()):
         yield f"{reply.function} asks for event mode or an end of the simulation: expected neither"
-    over, options = (do.begin, *(do.leap(1, True), do.read_all()) * 3), {"needs_completed": True}
+
+    def asked(event: Event) -> Iterator[str]:
+        if event.cause == "step event":
+            yield f"{reply.function} asks for {event.words}: expected that it need not be called"
+
+    yield from of_events(probe, asked, **options)
+    over = do.begin, *(do.leap(1, True), do.read_all()) * 3
     called = Row(f"where {reply.function} is called", over, over, tolerance=OF_EXPERIMENT, options=options)
     yield from differences(probe, [_row(f"after {reply.function}", (*first, read)), called])
 

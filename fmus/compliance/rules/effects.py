@@ -66,8 +66,8 @@ def dependencies_are_declared(probe: Probe) -> Iterator[str]:
     begin: Sequence[Action] = _INITIALIZATION
     modes = [("initialization mode", begin, "InitialUnknowns", settable)]
     for start in starts(probe) if probe.fmu.is_model_exchange else ():
-        mode, begin = f"event mode{start.words}", (do.begin, *start.lead)
-        modes += [(mode, begin, section, inputs) for section in _STEPPING]
+        begin = do.begin, *start.lead, do.set_values(values.start_values(inputs))
+        modes += [(f"event mode{start.words}", begin, section, inputs) for section in _STEPPING]
     for mode, actions, section, knowns in modes:
         unknowns, pairs = probe.fmu.unknowns[section], values.other_values(knowns[:_MOST_KNOWNS])
         read, taken = do.read([u.variable for u in unknowns]), do.accepted_together(probe, pairs, *actions)
@@ -137,10 +137,11 @@ def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
     if probe.fmu.is_model_exchange:
         knowns = [*values.continuous_reals(probe, "input"), *_states(probe.fmu)]
         groups = _by_known(probe.fmu, _STEPPING, knowns, lambda v: v.variability == "continuous")
-        for start in starts(probe)[1:2]:
+        for start in starts(probe)[1:]:
             begin = do.begin, *start.lead, do.enter_continuous_time_mode
             (run,) = values_of(probe, [(*begin, do.read(knowns))])
-            point = [(v, run[0][v.name]) for v in knowns if run]
+            # at a limit what is computed may be that of the side beyond
+            point = [(v, x) for v in knowns if run and v.low < (x := run[0][v.name]) < v.high]
             yield from _beside_quotients(probe, (do.set_time,), groups, point, begin)
 
 
@@ -189,7 +190,7 @@ def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
     """
     unknowns = {section: probe.fmu.unknowns[section] for section in (*_AT_FIRST, *_STEPPING)}
     inputs, at_first = values.continuous_reals(probe, "input"), _groups_at_first(probe.fmu)
-    late = [(do.begin, *start.lead) for start in starts(probe)[1:2]]
+    late = [(do.begin, *start.lead) for start in starts(probe)[1:]]
     modes = (
         (_INITIALIZATION, _AT_FIRST, [*inputs, *(known for known, _ in at_first)]),
         *((way, _STEPPING, [*inputs, *_states(probe.fmu)]) for way in (_STEP, *late)),

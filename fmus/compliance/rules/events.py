@@ -10,6 +10,7 @@ from itertools import chain
 from typing import Any
 
 from fmus.compliance import actions as do
+from fmus.compliance.excitation import excitations
 from fmus.compliance.fmu_file import MODEL_EXCHANGE, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule, rule_of
@@ -105,14 +106,11 @@ def change(
     return ""
 
 
-def _run(
-    probe: Probe, again: bool = False, has_others: bool = False, steps: int = _STEPS
-) -> tuple[list[Event], str]:
+def _run(probe: Probe, others: int = 0, steps: int = _STEPS, **options: Any) -> tuple[list[Event], str]:
     """Returns the events of a run up to the stop time, played once, and the reason why it ended before.
 
-    again: whether the end of each event is tried once more
-    has_others: whether inputs and tunable parameters get other values from the middle on, one set after the
-      other; steps: their number, at whose ends the instance is in event mode
+    others: number of the run with other inputs, if it is one; steps: their number, at whose ends the instance
+      is in event mode; options: of `ModelExchangeInstance`
     """
 
     def played() -> tuple[list[Event], str]:
@@ -122,13 +120,11 @@ def _run(
         variables = *discrete_variables(probe.fmu), *chain(*vectors.values())
         groups = {kind: [v for v in variables if v.base_kind == kind] for kind in KINDS}
         observing = {kind: references_of(group) for kind, group in groups.items() if group}
-        others = settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES] if has_others else []
-        turns = [*filter(None, do.others_in_turn(probe, others, do.begin, do.step()))]
-        names = ", ".join(v.name for v, _ in chain(*turns[:1]))
-        middle = {steps // 2 + i * (steps // 2) // len(turns): pairs for i, pairs in enumerate(turns)}
-        script = probe.script(do.begin, observed=observing, again=again, logging=True)
-        for i in range(steps if turns or not has_others else 0):
-            script.write([do.set_values(middle.get(i, ()))])
+        sets = [*chain(*excitations(probe).runs[others - 1 : others])] if others else []
+        begins = {i * steps // len(sets): pairs for i, pairs in enumerate(sets)}
+        script = probe.script(do.begin, observed=observing, logging=True, **options)
+        for i in range(steps if sets or not others else 0):
+            script.write([do.set_values(begins.get(i, ()))])
             script.call("do_step", probe.start_time + i * size, size)
         observed = script.call("observed_events")
         with suppress(NotJudgedError):  # a step that is discarded ends the run
@@ -141,18 +137,22 @@ def _run(
                 fields[when] = _by_name(groups, fields[when])
             t = fields["time"] if math.isfinite(fields["time"]) else probe.start_time
             fields["words"] = f"the {fields['cause']} at {t:g} s"
-            if names and t > probe.start_time + size * (steps // 2 - 0.5):
-                fields["words"] += f", in a run in which {names} got other values"
+            fields["words"] += " in a run with other inputs" if sets else ""
             events.append(Event(**fields, previous=events[-1] if events else None))
         return events, next((r.reason for r in script.replies if r.reason), "")
 
-    return probe.once("run of model exchange", played, again, has_others, steps)
+    return probe.once("run of model exchange", played, others, steps, options)
 
 
-def of_events(probe: Probe, about: Callable[[Event], Iterable[str]]) -> Iterator[str]:
-    """Yields the messages about the events of the run; without any, of that with other values."""
-    found = [message for event in _run(probe)[0] for message in about(event)]
-    yield from found or chain(*map(about, _run(probe, has_others=True)[0]))
+def runs(probe: Probe, **options: Any) -> Iterator[tuple[list[Event], str]]:
+    """Yields what `_run` returns, of a usual run and of some with other inputs."""
+    return (_run(probe, others, **options) for others in range(len(excitations(probe).runs) + 1))
+
+
+def of_events(probe: Probe, about: Callable[[Event], Iterable[str]], **options: Any) -> Iterator[str]:
+    """Yields the messages about the events of the first of `runs` with any."""
+    found = ([*chain(*map(about, events))] for events, _ in runs(probe, **options))
+    yield from next(filter(None, found), [])
 
 
 _event_rule = partial(rule_of, of_events, interface=MODEL_EXCHANGE)
@@ -221,7 +221,7 @@ def states_that_stay_are_not_announced(event: Event) -> Iterator[str]:
 @_rule("2.2.7", condition=no_states)
 def states_that_change_at_events_have_reinit(probe: Probe) -> Iterator[str]:
     """A state that changes at an event after the start has reinit."""
-    events = [event for event in _run(probe)[0] if event.cause != "start"]
+    events = [event for event in chain(*(some for some, _ in runs(probe))) if event.cause != "start"]
     for i, v in enumerate(elements_of_vectors(probe.fmu)[VECTORS[0]]):
         changed = (e for e in events if len({vectors[0][i] for vectors in e.vectors}) > 1)
         for event in itertools.islice(changed, 1 - is_true(v.get("reinit"))):
@@ -244,7 +244,8 @@ def events_come_to_an_end(probe: Probe) -> Iterator[str]:
     """newDiscreteStatesNeeded becomes false after some calls of fmi2NewDiscreteStates, also after an input or
     a tunable parameter was set to another value.
     """
-    ends = [_run(probe)[1], f"with other inputs {_run(probe, has_others=True)[1]}"]
+    usual, *others = (reason for _, reason in runs(probe))
+    ends = [usual, *(f"with other inputs {reason}" for reason in others)]
     pairs = other_values(settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES])
     reals = [pair for pair in pairs if pair[0].kind == "Real"]  # which have many values, and seldom cases
     for some in (reals, *([pair] for pair in pairs if pair not in reals)):
@@ -311,6 +312,26 @@ def next_events_are_ahead(event: Event) -> Iterator[str]:
     # at the start the time is not known
     if last.get("nextEventTimeDefined") and last["nextEventTime"] <= event.time:
         yield f"at {event.words} nextEventTime is {last['nextEventTime']:g} s: expected later"
+
+
+@_rule("3.1")
+def changes_have_events(probe: Probe) -> Iterator[str]:
+    """Discrete variables change at time, state and step events, and where something is set, at no other time
+    at which event mode is entered.
+    """
+    names, near = [v.name for v in discrete_variables(probe.fmu)], _NEAR * probe.step_size
+
+    def changed(event: Event) -> Iterator[str]:
+        before = event.previous
+        if event.cause != _NO_EVENT or before is None or not before.left:
+            return  # nothing was integrated before it
+        last = before.infos[-1] if before.infos else {}
+        is_late = last.get("nextEventTimeDefined") and abs(last["nextEventTime"] - event.time) <= near
+        for name in names if not is_late else ():
+            if not same(a := before.left.get(name), b := event.values.get(name), _SOLVED):
+                yield f"{name} changes from {a!r} to {b!r} at {event.words}: expected a time or state event"
+
+    return of_events(probe, changed)
 
 
 @_rule("3.1")

@@ -173,8 +173,9 @@ def several_instances(probe: Probe) -> Iterator[Row]:
     """Instances live side by side: values and steps of one, and its end, change nothing in another."""
     changed = do.set_others(values.settable_before(probe.fmu)), do.initialise
     moved = do.begin, do.set_others(values.settable_while_stepping(probe.fmu)), do.step()
-    beside = changed, moved, (do.begin, do.run(5))
-    yield Row("beside another instance", (do.begin, do.run(2), do.pause, do.run(3)), beside=beside)
+    usual = do.start, do.run(5)
+    beside = usual, changed, (changed[0], *moved)
+    yield Row("beside another instance", (do.start, do.run(2), do.pause, do.run(3)), usual, beside=beside)
     varied = do.begin, do.run(1), do.pause, do.pause, do.run(2)
     freed = do.begin, do.step(), do.pause, do.call("free")
     yield Row("after another instance was freed", varied, beside=(freed,))

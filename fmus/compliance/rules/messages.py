@@ -6,7 +6,7 @@ from contextlib import suppress
 from typing import Any, NamedTuple
 
 from fmus.compliance import actions as do
-from fmus.compliance import rule, values
+from fmus.compliance import excitation, rule, values
 from fmus.compliance.differential import Row, differential, late_lead
 from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
@@ -121,10 +121,10 @@ def _is_of_floating_point(change: _Change, _: Probe) -> str:
 
 
 def _changes(probe: Probe) -> Iterator[_Change]:
-    """Yields what functions change in the tour of the states, where the status of a step is asked for, and in
-    the default experiment; the number of bytes is printed after them.
+    """Yields what functions change in the tour of the states, in runs with other inputs, where the status
+    of a step is asked for, and in the default experiment; the number of bytes is printed after them.
     """
-    scripts = [tour(probe).script]
+    scripts = [tour(probe).script, *excitation.played(probe)]
     if not probe.fmu.is_model_exchange:
         pending = do.call("status_of", "String", PENDING_STATUS)
         scripts.append(do.played(probe, [do.begin, do.step(), pending], watched=True))

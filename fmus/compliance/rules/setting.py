@@ -12,7 +12,7 @@ from fmus.compliance.rules.derivatives import values_of
 from fmus.compliance.rules.events import follow_at_once
 from fmus.compliance.script import KINDS
 from fmus.compliance.variable import is_true
-from fmus.fmi.binding import WARNING
+from fmus.fmi.binding import ERROR, FATAL, WARNING
 
 _ROUNDED = 1e-6  # relative: tools write start values with as few as seven digits
 _EXACT = 1e-12
@@ -152,14 +152,19 @@ def _set_and_read(when: str, *actions: do.Action) -> Row:
 
 @differential("4.1.2")
 def inputs_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
-    """An input or tunable parameter that is set at a communication point has that value after the step: near
-    its start value, or far from it within its range; a String also if it is long or empty. The FMU may refuse
-    a value.
+    """An input or tunable parameter that is set at a communication point has that value after the step, and
+    the others keep theirs: near its start value, or far from it within its range; a String also if it is
+    long or empty. The FMU may refuse a value.
     """
     chosen = values.settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES]
     for taken in do.others_in_turn(probe, chosen, do.begin, do.step()):
-        actions = do.begin, do.step(), do.set_values(taken), do.step(), do.read_as(taken)
-        yield _set_and_read("at a communication point", *actions)
+        others, actions = chosen, [do.begin, do.step()]
+        for i, (v, x) in enumerate(taken, 1):
+            others = [other for other in others if other is not v]
+            when = f"after {v.name} was set at a communication point"
+            actions += do.expect(do.read(others)), do.set_values([(v, x)]), do.step()
+            actions += do.read(others, when), do.read_as(taken[:i], when)
+        yield Row("", actions, (), tolerance=_EXACT, may_fail=True, again="{}")
     if probe.fmu.is_model_exchange:
         chosen = [v for v in chosen if is_true(v.attributes.get(_MANY_SETS, "true"))]
     near = do.others_accepted(probe, chosen, do.begin, do.step())
@@ -174,19 +179,22 @@ def inputs_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
 
 
 @behaviour_rule("2.1.3")
-def warnings_end_nothing(probe: Probe) -> Iterator[str]:
-    """After an input or a tunable parameter that the FMU takes with fmi2Warning, a step is made."""
+def taken_values_end_nothing(probe: Probe) -> Iterator[str]:
+    """After an input or a tunable parameter that the FMU takes with fmi2Warning, or a Boolean that it takes,
+    in initialization mode or at a communication point, a step is made.
+    """
     chosen = values.settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES]
-    turns = do.others_in_turn(probe, chosen, do.begin, do.step())
-    taken = {(v.name, x) for pairs in turns for v, x in pairs}
-    far = ((v, x) for v in chosen for x in values.far_values(v))
-    for pair in (pair for pair in far if (pair[0].name, pair[1]) not in taken):
-        way = do.begin, do.step(), do.set_values([pair]), do.step(), do.glance_all
-        script = do.played(probe, way, logging=True)
-        pairs = zip(script.calls, script.replies, strict=True)
-        (warned,) = [reply for call, reply in pairs if call[0].startswith("fmi2Set")]
-        if warned.status == WARNING and (failure := script.failure):
-            yield f"after {warned.function}{warned.words} {warned.status_name}: {failure.problem}"
+    far = [(v, x) for v in chosen for x in values.far_values(v)]
+    for first, then in (((do.initialise,), (do.exit_initialization_mode,)), ((do.begin, do.step()), ())):
+        taken = {(v.name, x) for pairs in do.others_in_turn(probe, chosen, *first) for v, x in pairs}
+        for pair in (pair for pair in far if (pair[0].name, pair[1]) not in taken):
+            way = *first, do.set_values([pair]), *then, do.step(), do.glance_all
+            script = do.played(probe, way, logging=True)
+            pairs = zip(script.calls, script.replies, strict=True)
+            (reply,) = [reply for call, reply in pairs if call[0].startswith("fmi2Set")]
+            is_taken = reply.status == WARNING or (reply.ok and pair[0].base_kind == "Boolean")
+            if is_taken and (failure := script.failure) and failure.status in (ERROR, FATAL):
+                yield f"after {reply.function}{reply.words} {reply.status_name}: {failure.problem}"
 
 
 @differential("2.1.2")
@@ -249,6 +257,7 @@ def setting_the_same_changes_nothing(probe: Probe) -> Iterator[Row]:
     chosen = values.settable_while_stepping(probe.fmu)
     if not chosen:
         raise NotApplicableError("there is neither an input nor a tunable parameter")
-    varied = do.start, *(do.set_values(values.start_values(chosen)), do.run(1)) * 4
+    start = do.start, do.set_values(values.start_values(chosen))
+    varied = *start, *(do.run(1), do.set_values(values.start_values(chosen))) * 4
     when = "where inputs and tunable parameters were set to what they are"
-    yield Row(when, varied, (do.start, do.run(4)), "in the state {state!r}", values.RESTARTED)
+    yield Row(when, varied, (*start, do.run(4)), "in the state {state!r}", values.RESTARTED)

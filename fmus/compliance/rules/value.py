@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import Any
 
 from fmus.compliance import actions as do
-from fmus.compliance import values
+from fmus.compliance import excitation, values
 from fmus.compliance.differential import ROUNDING, Row, differences, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule, rule_of
@@ -54,10 +54,7 @@ def _values_in_runs(probe: Probe) -> Iterator[tuple[str, str, Any]]:
 
 def _values_with_others(probe: Probe) -> Iterator[tuple[str, str, Any]]:
     """Yields when, name and value of all variables after inputs and tunable parameters had other values."""
-    chosen, first = values.settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES], (do.begin, do.step())
-    sets = [do.set_values(pairs) for pairs in do.others_in_turn(probe, chosen, *first) if pairs]
-    after = itertools.chain(*((change, do.step(2), do.read_all()) for change in sets))
-    for reading in do.played(probe, (*first, *after)).readings:
+    for reading in itertools.chain(*(run.readings for run in excitation.played(probe))):
         for name, value in reading.values.items() if reading.ok else ():
             yield "after steps with other inputs", name, value
 

@@ -1,0 +1,122 @@
+"""Runs in which inputs and tunable parameters change: their values by lot, and where such runs lead."""
+
+import random
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from itertools import chain, pairwise, product
+from typing import Any, NamedTuple
+
+from fmus.compliance import actions as do
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import NotApplicableError, NotJudgedError
+from fmus.compliance.script import CallError, Script
+from fmus.compliance.values import other_value, settable_while_stepping, start_values
+
+_MOST_RUNS, _MOST_VAIN, _LONGEST_S = 18, 4, 0.4  # of all; of those in a row that show nothing new
+_CHANGING, _SLIGHT = 0.5, 0.1  # share of values that change in a part, and part by which some do
+_LATE = range(4, 7)  # of eight parts of a run: some is left for what follows
+_KINDS = 3  # of runs: inputs that change slightly, or far; and parameters, too
+_CHOSEN = 4
+_MOST_VALUES = 8  # of a variable that tells cases apart, and counts nothing
+Sets = Sequence[Sequence[do.Pair]]
+_Case = tuple[str, Any]  # name and value of a discrete variable
+_Run = tuple[Sets, Sequence[set[_Case]]]  # with the cases at the begin, and at each end of a part that is met
+
+
+class Excitations(NamedTuple):
+    """Runs by the values that are set for each of their parts.
+
+    runs: some whose discrete variables change as in few others; lead: the begin of a run, up to where
+    most of them have other values than at its start, and rare ones
+    """
+
+    runs: list[Sets]
+    lead: Sets
+
+
+def excitations(probe: Probe) -> Excitations:
+    """Returns runs in which inputs and tunable parameters have values by lot: those at the start, and others
+    that the FMU accepts. There is none where there are no others, or where calls of usual runs fail.
+    """
+
+    def chosen() -> Excitations:
+        with suppress(CallError, NotJudgedError, NotApplicableError):
+            return _chosen(_runs(probe))
+        return Excitations([], [])
+
+    return probe.once("runs with other inputs", chosen)
+
+
+def played(probe: Probe) -> list[Script]:
+    """Returns such runs, in which all variables are read after each part; played once for all rules."""
+    everything = probe.fmu.variables
+    runs = ([do.begin, do.excite(sets, everything)] for sets in excitations(probe).runs)
+    return [do.played(probe, run, logging=True, watched=True) for run in runs]
+
+
+def _runs(probe: Probe) -> list[_Run]:
+    chosen = settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES]
+    near, *far = [*do.others_in_turn(probe, chosen, do.begin, do.step())] or [[]]
+    others = [*chain(*far)]
+
+    def ways(pairs: Sequence[do.Pair]) -> list[list[do.Pair]]:
+        return [[(v, x), *(pair for pair in pairs if pair[0] is v)] for v, x in start_values(chosen)]
+
+    # what one FMU needs to get on is too much for another, and parameters may contradict others
+    slight = [(v, other_value(v, _SLIGHT)) if v.kind == "Real" else (v, x) for v, x in near]
+    inputs = ([way for way in ways(pairs) if way[0][0].causality == "input"] for pairs in (slight, others))
+    kinds = *inputs, ways(others)
+    discrete = [v for v in probe.fmu.variables if v.variability == "discrete" and v.causality != "input"]
+    observed = [v for v in discrete if v.kind != "Real"]
+    lots, until = random.Random(1), time.monotonic() + _LONGEST_S
+    runs, seen, vain = list[_Run](), set[_Case](), 0
+    while [*near, *others] and len(runs) < _MOST_RUNS and vain < _MOST_VAIN and time.monotonic() < until:
+        kind = kinds[len(runs) % _KINDS]
+        sets = [[lots.choice(way) for way in kind]]
+        for _ in range(do.LEAPS - 1):
+            drawn = [(lots.choice(way), lots.random() < _CHANGING) for way in kind]
+            sets.append(
+                [new if changes else old for (new, changes), old in zip(drawn, sets[-1], strict=True)]
+            )
+        script = probe.script(do.begin, do.read(observed), do.excite(sets, observed))
+        probe.play_each([script])
+        met = sum(reply.is_step and reply.ok for reply in script.replies)
+        places = [{*reading.values.items()} for reading in script.readings[: met + 1]]
+        runs.append((sets, places))
+        vain = 0 if set[_Case]().union(*places) - seen else vain + 1
+        seen.update(*places)
+    return runs
+
+
+def _chosen(runs: Sequence[_Run]) -> Excitations:
+    """Returns the runs and the begin of one that lead to the rarest cases, of all variables and of each."""
+    counts = Counter(chain(*(set[_Case]().union(*places) for _, places in runs)))
+    values = Counter(name for name, _ in counts)
+    rarities = {case: 1 / n if values[case[0]] <= _MOST_VALUES else 0.0 for case, n in counts.items()}
+    ends = [
+        (sum(1 + rarities[case] for case in place - first), sets[:i])
+        for number, (sets, (first, *places)) in enumerate(runs)
+        for i, place in enumerate(places, 1)
+        if i in _LATE and number % _KINDS < _KINDS - 1  # odd parameters are apt to be numerical trouble
+    ]
+    lead = max(ends, key=lambda end: end[0], default=(0.0, []))[1]
+    changes = [_changes(places, rarities) for _, places in runs]
+    numbers, chosen = Counter(chain(*changes)), list[Sets]()
+    while len(chosen) < _CHOSEN and (any(changes) or (runs and not chosen)):
+        best = max(range(len(runs)), key=lambda i: sum(1 / numbers[change] for change in changes[i]))
+        chosen.append(runs[best][0])
+        changes = [some - changes[best] for some in changes]
+    return Excitations(chosen, lead)
+
+
+def _changes(places: Sequence[set[_Case]], rarities: Mapping[_Case, float]) -> set[Any]:
+    """Returns the cases that variables with few of them leave and enter, and whether a call fails."""
+    changes = {
+        (old, new)
+        for before, after in pairwise(places)
+        for old, new in product(before - after, after - before)
+        if old[0] == new[0] and rarities[old]
+    }
+    return changes if len(places) > do.LEAPS else {*changes, "a call fails"}
