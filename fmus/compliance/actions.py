@@ -97,16 +97,16 @@ def leap(script: Script, thirds: int, is_whole: bool = False) -> None:
 
 @_action
 def excite(
-    script: Script, sets: Sequence[Sequence[Pair]], observed: Sequence[Variable] | None = None
+    script: Script, sets: Sequence[Sequence[Pair]], after: Callable[[Sequence[Pair]], Action] | None = None
 ) -> None:
     """Sets values, and adds an eighth of the default experiment, as leaps have it, for each of some sets.
 
-    observed: variables that are read after each, if any are
+    after: returns what follows the eighth of a set
     """
     for i, pairs in enumerate(sets):
         script.write([set_values(pairs)])
         _leap_to(script, 3 * _steps_of_leap(script.probe) * (i + 1) // LEAPS)
-        script.write([read(observed)] if observed is not None else [])
+        script.write([after(pairs)] if after else [])
 
 
 @_action

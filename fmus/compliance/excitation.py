@@ -14,7 +14,7 @@ from fmus.compliance.rule import NotApplicableError, NotJudgedError
 from fmus.compliance.script import CallError, Script
 from fmus.compliance.values import other_value, settable_while_stepping, start_values
 
-_MOST_RUNS, _MOST_VAIN, _LONGEST_S = 18, 4, 0.4  # of all; of those in a row that show nothing new
+_MOST_RUNS, _MOST_VAIN, _LONGEST_S = 18, 4, 0.8  # of all; of those in a row that show nothing new
 _CHANGING, _SLIGHT = 0.5, 0.1  # share of values that change in a part, and part by which some do
 _LATE = range(4, 7)  # of eight parts of a run: some is left for what follows
 _KINDS = 3  # of runs: inputs that change slightly, or far; and parameters, too
@@ -51,8 +51,8 @@ def excitations(probe: Probe) -> Excitations:
 
 def played(probe: Probe) -> list[Script]:
     """Returns such runs, in which all variables are read after each part; played once for all rules."""
-    everything = probe.fmu.variables
-    runs = ([do.begin, do.excite(sets, everything)] for sets in excitations(probe).runs)
+    read = do.read(probe.fmu.variables)
+    runs = ([do.begin, do.excite(sets, lambda _: read)] for sets in excitations(probe).runs)
     return [do.played(probe, run, logging=True, watched=True) for run in runs]
 
 
@@ -69,7 +69,7 @@ def _runs(probe: Probe) -> list[_Run]:
     inputs = ([way for way in ways(pairs) if way[0][0].causality == "input"] for pairs in (slight, others))
     kinds = *inputs, ways(others)
     discrete = [v for v in probe.fmu.variables if v.variability == "discrete" and v.causality != "input"]
-    observed = [v for v in discrete if v.kind != "Real"]
+    read = do.read([v for v in discrete if v.kind != "Real"])
     lots, until = random.Random(1), time.monotonic() + _LONGEST_S
     runs, seen, vain = list[_Run](), set[_Case](), 0
     while [*near, *others] and len(runs) < _MOST_RUNS and vain < _MOST_VAIN and time.monotonic() < until:
@@ -80,7 +80,7 @@ def _runs(probe: Probe) -> list[_Run]:
             sets.append(
                 [new if changes else old for (new, changes), old in zip(drawn, sets[-1], strict=True)]
             )
-        script = probe.script(do.begin, do.read(observed), do.excite(sets, observed))
+        script = probe.script(do.begin, read, do.excite(sets, lambda _: read))
         probe.play_each([script])
         met = sum(reply.is_step and reply.ok for reply in script.replies)
         places = [{*reading.values.items()} for reading in script.readings[: met + 1]]

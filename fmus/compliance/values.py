@@ -16,6 +16,7 @@ ANY_STEP, INTERPOLATES = "canHandleVariableCommunicationStepSize", "canInterpola
 _LARGEST_REFERENCE = 2**32 - 1
 _LEAST_INTEGER, _LARGEST_INTEGER = -(2**31), 2**31 - 1
 _LONG_TEXT = "Tiefe ä, \N{GREEK SMALL LETTER PI}, \N{GRINNING FACE}; " * 20
+_TINY = 1e-6  # beside a start value
 _PART = 0.01  # of a value or its nominal value: a change that is felt, and seldom refused
 
 
@@ -84,7 +85,9 @@ def far_values(v: Variable) -> list[Any]:
     if v.base_kind == "Boolean":
         return [1 - start]
     width = 3 * (abs(start) or v.nominal or 1.0)
-    values = min(start + width, v.high), max(start - width, v.low)
+    values = [min(start + width, v.high), max(start - width, v.low)]
+    # some tools state a limit such as 1e-60 for "above 0"
+    values = [x for x in values if x == 0.0 or abs(x) > _TINY * abs(start)]
     meant = [x for x in values if v.causality == "input" or x * start >= 0.0 or x in (v.low, v.high)]
     return [x for x in meant if _within(v, x) and x != start]
 

@@ -63,6 +63,7 @@ class Event:
     """An event, and the continuous-time mode after it, as `ModelExchangeInstance` observes them.
 
     words: in messages; previous: the event before; infos: fmi2EventInfo of each iteration
+    is_after_set: whether it ends a step before which something was set
     vectors: states and their nominal values, before the first iteration and after each
     values, again, left: discrete variables, states and derivatives after the last iteration, after one more,
       and where continuous-time mode ends; begin, indicators: states and event indicators where that begins
@@ -77,6 +78,7 @@ class Event:
     infos: list[dict[str, Any]]
     vectors: list[list[list[float]]]
     words: str = ""
+    is_after_set: bool = False
     previous: "Event | None" = None
     values: dict[str, Any] = field(default_factory=dict[str, Any])
     again: dict[str, Any] = field(default_factory=dict[str, Any])
@@ -138,6 +140,7 @@ def _run(probe: Probe, others: int = 0, steps: int = _STEPS, **options: Any) -> 
             t = fields["time"] if math.isfinite(fields["time"]) else probe.start_time
             fields["words"] = f"the {fields['cause']} at {t:g} s"
             fields["words"] += " in a run with other inputs" if sets else ""
+            fields["is_after_set"] = round((t - probe.start_time) / size, 6) - 1 in begins
             events.append(Event(**fields, previous=events[-1] if events else None))
         return events, next((r.reason for r in script.replies if r.reason), "")
 
@@ -316,14 +319,14 @@ def next_events_are_ahead(event: Event) -> Iterator[str]:
 
 @_rule("3.1")
 def changes_have_events(probe: Probe) -> Iterator[str]:
-    """Discrete variables change at time, state and step events, and where something is set, at no other time
-    at which event mode is entered.
+    """Discrete variables change at time, state and step events, and where something is set, or a step after
+    it, at no other time at which event mode is entered.
     """
     names, near = [v.name for v in discrete_variables(probe.fmu)], _NEAR * probe.step_size
 
     def changed(event: Event) -> Iterator[str]:
         before = event.previous
-        if event.cause != _NO_EVENT or before is None or not before.left:
+        if event.cause != _NO_EVENT or event.is_after_set or before is None or not before.left:
             return  # nothing was integrated before it
         last = before.infos[-1] if before.infos else {}
         is_late = last.get("nextEventTimeDefined") and abs(last["nextEventTime"] - event.time) <= near

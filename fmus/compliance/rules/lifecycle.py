@@ -173,9 +173,10 @@ def several_instances(probe: Probe) -> Iterator[Row]:
     """Instances live side by side: values and steps of one, and its end, change nothing in another."""
     changed = do.set_others(values.settable_before(probe.fmu)), do.initialise
     moved = do.begin, do.set_others(values.settable_while_stepping(probe.fmu)), do.step()
-    usual = do.start, do.run(5)
-    beside = usual, changed, (changed[0], *moved)
-    yield Row("beside another instance", (do.start, do.run(2), do.pause, do.run(3)), usual, beside=beside)
+    usual, another = (do.start, do.run(5)), (changed[0], *moved)
+    for beside in ((changed, another, usual), (usual, another)):  # the last one is made last, or begins last
+        varied = do.start, do.run(2), do.pause, do.run(3)
+        yield Row("beside another instance", varied, usual, beside=beside)
     varied = do.begin, do.run(1), do.pause, do.pause, do.run(2)
     freed = do.begin, do.step(), do.pause, do.call("free")
     yield Row("after another instance was freed", varied, beside=(freed,))

@@ -6,6 +6,7 @@ from itertools import chain
 from fmus.compliance import actions as do
 from fmus.compliance import values
 from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differential, starts
+from fmus.compliance.excitation import excitations
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, behaviour_rule
 from fmus.compliance.rules.derivatives import values_of
@@ -165,6 +166,9 @@ def inputs_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
             actions += do.expect(do.read(others)), do.set_values([(v, x)]), do.step()
             actions += do.read(others, when), do.read_as(taken[:i], when)
         yield Row("", actions, (), tolerance=_EXACT, may_fail=True, again="{}")
+    for sets in excitations(probe).runs:
+        run = do.begin, do.excite(sets, do.read_as)
+        yield _set_and_read("in a run", *run)
     if probe.fmu.is_model_exchange:
         chosen = [v for v in chosen if is_true(v.attributes.get(_MANY_SETS, "true"))]
     near = do.others_accepted(probe, chosen, do.begin, do.step())

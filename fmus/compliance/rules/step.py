@@ -21,6 +21,7 @@ _ASYNCHRONOUS = "canRunAsynchronuously"
 _MORE_STEPS = (13, 47, 211)  # instead of two: for each internal step from the usual size to a hundredth
 _LEAST_TOLERANCE = 1e-12  # a slave may ignore it (2.1.6)
 _LONG = 100  # usual steps in one
+_MOST_READ = 100  # steps after each of which the time is read
 _APART = 0.4  # of the change over two steps: a rough solver, but not half a step
 
 
@@ -106,9 +107,11 @@ def _runs(probe: Probe, v: Variable) -> Iterator[tuple[Script, Sequence[tuple[fl
     yield do.played(probe, at_first), [(probe.point(3), "in initialization mode with startTime {:g} s")]
     with suppress(NotApplicableError, NotJudgedError):  # then the times before are judged alone
         whole = do.over_the_experiment(probe)
-        count = len(whole.observed)
-        ends = (probe.point(do.steps_of_experiment(probe) * i // count) for i in range(1, count + 1))
-        yield whole, [(t, point) for t in ends]
+        count, steps = len(whole.observed), do.steps_of_experiment(probe)
+        yield whole, [(probe.point(steps * i // count), point) for i in range(1, count + 1)]
+        count = min(steps, _MOST_READ)
+        each = do.played(probe, [do.begin, *(do.step(), do.read([v])) * count])
+        yield each, [(probe.point(i), point) for i in range(1, count + 1)]
 
 
 @behaviour_rule("4.2.2", interface=CO_SIMULATION)

@@ -4,6 +4,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 from fmus.compliance import actions as do
@@ -59,10 +60,15 @@ def _values_with_others(probe: Probe) -> Iterator[tuple[str, str, Any]]:
             yield "after steps with other inputs", name, value
 
 
-def _wrong_values(probe: Probe, expected: Callable[[Variable, Any], str]) -> Iterator[str]:
-    """Yields values of variables that are wrong. expected: what is expected of one, if it is."""
+def _wrong_values(
+    probe: Probe, expected: Callable[[Variable, Any], str], has_others: bool = True
+) -> Iterator[str]:
+    """Yields values of variables that are wrong, also with other inputs, if so.
+
+    expected: what is expected of a value, if it is wrong
+    """
     variables = {v.name: v for v in probe.fmu.variables}
-    for when, name, value in (*_values(probe), *_values_with_others(probe)):
+    for when, name, value in (*_values(probe), *(_values_with_others(probe) if has_others else ())):
         if text := expected(variables[name], value) if name in variables else "":
             yield f"{name} is {values.texts(value)[0]} {when}: expected {text}"
 
@@ -75,7 +81,7 @@ def values_are_of_their_types(v: Variable, value: Any) -> str:
     return "a string, not NULL" if value is None else ""
 
 
-@rule_of(_wrong_values, "advice: other models expect numbers")
+@rule_of(partial(_wrong_values, has_others=False), "advice: other models expect numbers")
 def outputs_are_finite(v: Variable, value: Any) -> str:
     """The Real outputs are finite, in initialization mode and after steps."""
     is_wrong = v.causality == "output" and isinstance(value, float) and not math.isfinite(value)
@@ -147,7 +153,9 @@ def fixed_values_stay(probe: Probe) -> Iterator[str]:
     variables, kept = probe.fmu.variables, ("constant", "fixed", "tunable")
     held = {v.name: v for v in variables if v.variability in kept or v.causality == "input"}
     first = {v.name: x for v, x in values.start_values(held.values()) if v.variability == "constant"}
-    for when, name, read in _values(probe):
+    fixed = {name for name, v in held.items() if v.variability in kept[:2]}  # the others are set
+    with_others = (seen for seen in _values_with_others(probe) if seen[1] in fixed)
+    for when, name, read in (*_values(probe), *with_others):
         value = values.read_value(read)
         if name in held and not values.same(before := first.setdefault(name, value), value, _ROUNDED):
             what = "as it is a constant" if held.pop(name).variability == "constant" else "as before"
