@@ -281,14 +281,17 @@ class _Judge:
         An instance that is refused because of others before it is a finding of one rule.
         """
         rule, follow = result.rule, self.results.get(_AFTER_OTHERS)
-        refusal = next((m for m in result.messages if m.startswith(NO_INSTANCE)), "")
+        texts = *result.messages, result.not_judged  # the latter where it speaks of a licence
+        refusal = next((text for text in texts if text.startswith(NO_INSTANCE)), "")
         only_once = self._fmu.claims(ONLY_ONCE)
-        if not (result.messages if only_once else refusal and follow and follow.rule is not rule):
+        is_after_others = follow and not follow.not_judged and follow.rule is not rule
+        if not (result.messages if only_once else refusal and is_after_others):
             return
         alone = self.results[rule.name] = next(self._results([rule], is_alone=True))
-        self._is_alone = bool(refusal) and refusal not in alone.messages
+        self._is_alone = bool(refusal) and refusal not in (*alone.messages, alone.not_judged)
         is_error = rule.level is Level.ERROR  # others may have made calls that FMI forbids
-        if self._is_alone and is_error and follow and not (only_once or follow.messages):
+        is_told = only_once or refusal == result.not_judged
+        if self._is_alone and is_error and follow and not (is_told or follow.messages):
             self.results[_AFTER_OTHERS] = Result(
                 follow.rule, (f"{rule.name}, after other instances: {refusal}",)
             )
