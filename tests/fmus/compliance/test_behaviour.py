@@ -133,3 +133,17 @@ def test_findings_name_their_interface_unless_it_is_co_simulation_alone() -> Non
     rule = replace(rule, interface=model_exchange)
     reasons = {kind: Result(rule, not_applicable=f"as {kind}") for kind in (co_simulation, model_exchange)}
     assert joined(rule, reasons).not_applicable == "as ModelExchange"
+
+
+def test_an_instance_that_a_licence_refuses_after_others_is_tried_alone(tmp_path: Path) -> None:
+    begin = "(void)fmuResourceLocation, (void)visible;"
+    refusal = """
+    static int made;
+    if (++made > 20) {
+        functions->logger(functions->componentEnvironment, instanceName, fmi2Error, "", "no license");
+        return NULL;
+    }"""
+    rules = ["instances-follow-each-other", "values-that-are-set-are-read", "state-restores"]
+    chosen = examine(patched({begin: begin + refusal}, tmp_path), names=rules)
+    results = {result.rule.name: result for result in chosen}
+    assert [results[name].outcome for name in rules] == ["passed"] * 3, [results[name] for name in rules]
