@@ -320,21 +320,29 @@ def next_events_are_ahead(event: Event) -> Iterator[str]:
 @_rule("3.1")
 def changes_have_events(probe: Probe) -> Iterator[str]:
     """Discrete variables change at time, state and step events, and where something is set, or a step after
-    it, at no other time at which event mode is entered.
+    it, not whenever event mode is entered, but for a Real one that follows a continuous one.
     """
-    names, near = [v.name for v in discrete_variables(probe.fmu)], _NEAR * probe.step_size
+    variables, near = discrete_variables(probe.fmu), _NEAR * probe.step_size
 
-    def changed(event: Event) -> Iterator[str]:
+    def is_judged(event: Event) -> bool:
         before = event.previous
         if event.cause != _NO_EVENT or event.is_after_set or before is None or not before.left:
-            return  # nothing was integrated before it
+            return False  # nothing was integrated before it
         last = before.infos[-1] if before.infos else {}
-        is_late = last.get("nextEventTimeDefined") and abs(last["nextEventTime"] - event.time) <= near
-        for name in names if not is_late else ():
-            if not same(a := before.left.get(name), b := event.values.get(name), _SOLVED):
-                yield f"{name} changes from {a!r} to {b!r} at {event.words}: expected a time or state event"
+        return not last.get("nextEventTimeDefined") or abs(last["nextEventTime"] - event.time) > near
 
-    return of_events(probe, changed)
+    def changes(events: Iterable[Event]) -> Iterator[str]:
+        judged = [(event, event.previous.left) for event in events if event.previous and is_judged(event)]
+        for v in variables:
+            triples = [(event, left.get(v.name), event.values.get(v.name)) for event, left in judged]
+            changed = [triple for triple in triples if not same(*triple[1:], _SOLVED)]
+            if v.kind == "Real" and len(changed) > len(judged) / 2:
+                continue  # it follows a continuous one whenever event mode is entered
+            for event, a, b in changed:
+                yield f"{v.name} changes from {a!r} to {b!r} at {event.words}: expected a time or state event"
+
+    found = ([*changes(events)] for events, _ in runs(probe))
+    yield from next(filter(None, found), [])
 
 
 @_rule("3.1")
