@@ -14,12 +14,12 @@ from fmus.compliance.rule import NotApplicableError, NotJudgedError
 from fmus.compliance.script import CallError, Script
 from fmus.compliance.values import other_value, settable_while_stepping, start_values
 
-_MOST_RUNS, _MOST_VAIN, _LONGEST_S = 18, 4, 0.8  # of all; of those in a row that show nothing new
+_MOST_RUNS, _MOST_VAIN, _LONGEST_S = 18, 4, 0.8  # runs; in a row that show nothing new; all
 _CHANGING, _SLIGHT = 0.5, 0.1  # share of values that change in a part, and part by which some do
 _LATE = range(4, 7)  # of eight parts of a run: some is left for what follows
 _KINDS = 3  # of runs: inputs that change slightly, or far; and parameters, too
 _CHOSEN = 4
-_MOST_VALUES = 8  # of a variable that tells cases apart, and counts nothing
+_MOST_VALUES = 8  # of a variable that tells cases apart, not one that counts
 Sets = Sequence[Sequence[do.Pair]]
 _Case = tuple[str, Any]  # name and value of a discrete variable
 _Run = tuple[Sets, Sequence[set[_Case]]]  # with the cases at the begin, and at each end of a part that is met

@@ -147,15 +147,22 @@ def _run(probe: Probe, others: int = 0, steps: int = _STEPS, **options: Any) -> 
     return probe.once("run of model exchange", played, others, steps, options)
 
 
-def runs(probe: Probe, **options: Any) -> Iterator[tuple[list[Event], str]]:
+def _runs(probe: Probe, **options: Any) -> Iterator[tuple[list[Event], str]]:
     """Yields what `_run` returns, of a usual run and of some with other inputs."""
     return (_run(probe, others, **options) for others in range(len(excitations(probe).runs) + 1))
 
 
-def of_events(probe: Probe, about: Callable[[Event], Iterable[str]], **options: Any) -> Iterator[str]:
-    """Yields the messages about the events of the first of `runs` with any."""
-    found = ([*chain(*map(about, events))] for events, _ in runs(probe, **options))
+def _of_runs(
+    probe: Probe, about: Callable[[Sequence[Event]], Iterable[str]], **options: Any
+) -> Iterator[str]:
+    """Yields the messages about the first of `_runs` with any."""
+    found = ([*about(events)] for events, _ in _runs(probe, **options))
     yield from next(filter(None, found), [])
+
+
+def of_events(probe: Probe, about: Callable[[Event], Iterable[str]], **options: Any) -> Iterator[str]:
+    """Yields the messages about each event of the first of the runs with any."""
+    return _of_runs(probe, lambda events: chain(*map(about, events)), **options)
 
 
 _event_rule = partial(rule_of, of_events, interface=MODEL_EXCHANGE)
@@ -224,7 +231,7 @@ def states_that_stay_are_not_announced(event: Event) -> Iterator[str]:
 @_rule("2.2.7", condition=no_states)
 def states_that_change_at_events_have_reinit(probe: Probe) -> Iterator[str]:
     """A state that changes at an event after the start has reinit."""
-    events = [event for event in chain(*(some for some, _ in runs(probe))) if event.cause != "start"]
+    events = [event for event in chain(*(some for some, _ in _runs(probe))) if event.cause != "start"]
     for i, v in enumerate(elements_of_vectors(probe.fmu)[VECTORS[0]]):
         changed = (e for e in events if len({vectors[0][i] for vectors in e.vectors}) > 1)
         for event in itertools.islice(changed, 1 - is_true(v.get("reinit"))):
@@ -247,7 +254,7 @@ def events_come_to_an_end(probe: Probe) -> Iterator[str]:
     """newDiscreteStatesNeeded becomes false after some calls of fmi2NewDiscreteStates, also after an input or
     a tunable parameter was set to another value.
     """
-    usual, *others = (reason for _, reason in runs(probe))
+    usual, *others = (reason for _, reason in _runs(probe))
     ends = [usual, *(f"with other inputs {reason}" for reason in others)]
     pairs = other_values(settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES])
     reals = [pair for pair in pairs if pair[0].kind == "Real"]  # which have many values, and seldom cases
@@ -341,8 +348,7 @@ def changes_have_events(probe: Probe) -> Iterator[str]:
             for event, a, b in changed:
                 yield f"{v.name} changes from {a!r} to {b!r} at {event.words}: expected a time or state event"
 
-    found = ([*changes(events)] for events, _ in runs(probe))
-    yield from next(filter(None, found), [])
+    return _of_runs(probe, changes)
 
 
 @_rule("3.1")
