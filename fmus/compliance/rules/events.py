@@ -338,14 +338,21 @@ def changes_have_events(probe: Probe) -> Iterator[str]:
         last = before.infos[-1] if before.infos else {}
         return not last.get("nextEventTimeDefined") or abs(last["nextEventTime"] - event.time) > near
 
-    def changes(events: Iterable[Event]) -> Iterator[str]:
-        judged = [(event, event.previous.left) for event in events if event.previous and is_judged(event)]
+    def change_of(v: Variable, event: Event) -> tuple[Any, ...]:
+        left = event.previous.left if event.previous else {}
+        pair = left.get(v.name, x := event.values.get(v.name)), x
+        return () if same(*pair, _SOLVED) else pair
+
+    def changes(events: Sequence[Event]) -> Iterator[str]:
+        # what changes at a communication point may make another change a step later
+        others = [v for v in variables if v.kind != "Real"]
+        begun = {e.time for e in events if e.cause == _NO_EVENT and any(change_of(v, e) for v in others)}
+        judged = [e for e in events if is_judged(e) and e.previous and e.previous.time not in begun]
         for v in variables:
-            triples = [(event, left.get(v.name), event.values.get(v.name)) for event, left in judged]
-            changed = [triple for triple in triples if not same(*triple[1:], _SOLVED)]
+            changed = [(event, pair) for event in judged if (pair := change_of(v, event))]
             if v.kind == "Real" and len(changed) > len(judged) / 2:
                 continue  # it follows a continuous one whenever event mode is entered
-            for event, a, b in changed:
+            for event, (a, b) in changed:
                 yield f"{v.name} changes from {a!r} to {b!r} at {event.words}: expected a time or state event"
 
     return _of_runs(probe, changes)
