@@ -20,6 +20,12 @@ _CHANGES_OF_STATE = (
 _RETURN_ARRAYS = ("fmi2Get", "fmi2Serialize")  # by the last array among their arguments
 
 
+@cache
+def _kind(function: str) -> tuple[bool, bool]:
+    """Returns whether the last argument of a function is what it writes, and whether it changes the state."""
+    return function.startswith(_RETURN_ARRAYS), function.startswith(_CHANGES_OF_STATE)
+
+
 def _overwrite(buffers: Sequence[Any]) -> None:
     """Overwrites strings that were arguments of a call: the FMU may not look at them any more."""
     for buffer in buffers:
@@ -66,6 +72,7 @@ class CalledInstance(parts.StateSlots):
         self._kept: list[Any] = []
         self.watched = bool(options.get("watched"))
         kind = options.get("callbacks", "usual")
+        self._after = self._callbacks = f" (callbacks: {kind})" if "callbacks" in options else ""
         log = parts.MessageLog(settings, self._noted)
         is_usual = kind != "fewest"
         super().__init__(library, Callbacks(memory, is_usual, log, None if is_usual else 0))
@@ -104,10 +111,7 @@ class CalledInstance(parts.StateSlots):
 
     def _tell(self, function: str, arguments: Sequence[Any]) -> None:
         """Announces a call, with the function that brought the instance where it is, and its callbacks."""
-        after = f" after {self.mode}" if self.mode else ""
-        if kind := self._options.get("callbacks"):
-            after += f" (callbacks: {kind})"
-        self._announce(f"{function}({', '.join(filter(None, map(parts.shown, arguments)))}){after}")
+        self._announce(f"{function}({', '.join(filter(None, map(parts.shown, arguments)))}){self._after}")
 
     def note(self, what: str, is_so: bool) -> None:
         """Notes what the FMU did wrong, if so, for `changed_settings`."""
@@ -116,7 +120,7 @@ class CalledInstance(parts.StateSlots):
 
     def call(self, function: str, *arguments: Any) -> None:
         """Calls a function, and notes if one that is watched writes into an array that is constant to it."""
-        is_result = function.startswith(_RETURN_ARRAYS)
+        is_result, changes_state = _kind(function)
         self.function = function
         self._tell(function, arguments[:-1] if is_result else arguments)
         arrays = [x for x in arguments if isinstance(x, ctypes.Array)] if self.watched else []
@@ -124,9 +128,11 @@ class CalledInstance(parts.StateSlots):
             arrays = arrays[:-1]
         before = [bytes(array) for array in arrays]
         super().call(function, *arguments)
-        if 0 <= self.last_status <= binding.WARNING and function.startswith(_CHANGES_OF_STATE):
+        if changes_state and 0 <= self.last_status <= binding.WARNING:
             self.mode = function
-        self.note(ARGUMENTS, before != [bytes(array) for array in arrays])
+            self._after = f" after {function}{self._callbacks}"
+        if arrays:
+            self.note(ARGUMENTS, before != [bytes(array) for array in arrays])
 
     def call_with_lists(self, function: str, *arguments: Any) -> None:
         """Calls a function with lists as arrays. Strings are hexadecimal bytes; their memory is overwritten
@@ -170,9 +176,10 @@ class CalledInstance(parts.StateSlots):
         guarded, size = _guarded(element, count, is_marked), ctypes.sizeof(element)
         array = type(guarded).from_buffer_copy(guarded)
         call(array)
-        self.note(ARGUMENTS, bytes(array)[-size:] != bytes(guarded)[-size:])
         values = array[:count]
-        self.note(UNWRITTEN, is_marked and self.last_status == binding.OK and guarded[0] in values)
+        if self.watched:
+            self.note(ARGUMENTS, bytes(array)[-size:] != bytes(guarded)[-size:])
+            self.note(UNWRITTEN, is_marked and self.last_status == binding.OK and guarded[0] in values)
         return values
 
     def do_step(self, t: float, h: float, no_going_back: bool = False) -> str:

@@ -1,5 +1,6 @@
 """The process that calls an FMU: started, asked, timed and ended."""
 
+import struct
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -74,28 +75,28 @@ class FmuProcess:
 
     def hangs(self, seconds: float) -> bool:
         """Whether the call that is under way takes longer than that: if need be, this waits for its end."""
-        began = self._began()
+        began, _ = self._under_way()
         while began and time.time() - began < seconds:
             time.sleep(_POLL_S)
-            if self._began() != began:
+            if self._under_way()[0] != began:
                 return False
         return began > 0
 
-    def _began(self) -> float:
-        """Returns when the call that is under way began; 0 if there is none."""
+    def _under_way(self) -> tuple[float, bytes]:
+        """Returns when the call that is under way began, 0 if there is none, and which it is."""
+        from fmus.compliance.instance import BEGAN
+
         try:
-            return self._called.stat().st_mtime
-        except OSError:
-            return 0.0
+            content = self._called.read_bytes()
+            return BEGAN.unpack_from(content)[0], content[BEGAN.size :]
+        except (OSError, struct.error):
+            return 0.0, b""
 
     @property
     def call_under_way(self) -> str:
         """The call that is under way, with its arguments; empty if there is none."""
-        try:
-            content = self._called.read_bytes() if self._began() else b""
-        except OSError:
-            return ""
-        return content.decode("utf-8", "replace").strip(" \0")
+        began, call = self._under_way()
+        return call.split(b"\0", 1)[0].decode("utf-8", "replace") if began else ""
 
     def close(self) -> None:
         self._process.close()

@@ -7,7 +7,9 @@ import ctypes
 import gc
 import mmap
 import os
+import struct
 import sys
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -25,7 +27,8 @@ from fmus.operating_system import limit_process
 
 MOST_MEMORY = 4 << 30  # bytes
 MOST_OF_A_FILE = 1 << 30  # bytes
-CALLED = "called"  # a file of the working folder: the call that is under way, and the time at which it began
+CALLED = "called"  # a file of the working folder: when the call that is under way began, and which it is
+BEGAN = struct.Struct("d")  # seconds since the epoch; 0 if none is under way
 _ANNOUNCED = 400  # bytes of that file
 _DEFECTS = (TypeError, LookupError, NameError, AssertionError, ctypes.ArgumentError)
 _EVENTS = "observed_events"  # which calls nothing
@@ -44,19 +47,18 @@ def _failed(method: str, status: int) -> int:
 class LoadedFmu:
     """A loaded library with its instances by number.
 
-    printed: the file that holds what the process prints
+    printed: the file that holds what the process prints; announced: the file `CALLED`
     interface: fmi2Type; optional: functions that may be missing
     """
 
     def __init__(
-        self, printed: Path, library: Path, resources: Path, interface: int, optional: Sequence[str]
-    ) -> None:
+        self, announced: mmap.mmap, printed: Path, library: Path, resources: Path, interface: int,
+        optional: Sequence[str],
+    ) -> None:  # fmt: skip
         self._library = Library(library, interface, optional)
         self._resources, self._printed = resources, printed
         self._class = CalledInstance if interface == CO_SIMULATION else ModelExchangeInstance
-        self._called = str(printed.with_name(CALLED))
-        with Path(self._called).open("r+b") as file:
-            self._announced = mmap.mmap(file.fileno(), _ANNOUNCED)
+        self._announced = announced
         self._memory = CountingAllocator()
         self._settings = ProcessSettings()
         self._instances: dict[int, CalledInstance] = {}
@@ -99,7 +101,8 @@ class LoadedFmu:
 
     def _announce(self, call: str) -> None:
         """Writes the call that is about to be made into the file `CALLED`, for the case of a crash."""
-        self._announced[:] = call.encode()[:_ANNOUNCED].ljust(_ANNOUNCED)
+        content = call.encode()[: _ANNOUNCED - BEGAN.size - 1] + b"\0"
+        self._announced[BEGAN.size : BEGAN.size + len(content)] = content
 
     def create(self, number: int, options: dict[str, Any]) -> list[Any]:
         """Creates an instance; returns whether the FMU did, messages, changed settings, bytes printed.
@@ -151,7 +154,7 @@ class LoadedFmu:
         if instance.watched:
             self._settings.flush()
             printed = self._printed.stat().st_size
-        os.utime(self._called)
+        BEGAN.pack_into(self._announced, 0, time.time())
         value = action()
         if not instance.watched:
             self._settings.restore_floating_point()
@@ -179,22 +182,23 @@ def call_fmu(parent: Parent) -> None:
     limit_process(MOST_MEMORY, MOST_OF_A_FILE)
     gc.set_threshold(ALLOCATIONS)
     printed = _print_to(Path(folder, "printed"))
-    called = Path(folder, CALLED)
-    called.write_bytes(bytes(_ANNOUNCED))
+    with Path(folder, CALLED).open("w+b") as file:
+        file.truncate(_ANNOUNCED)
+        announced = mmap.mmap(file.fileno(), _ANNOUNCED)
     fmu = None
     while True:
         calls = parent.receive()
         results, error = [], None
-        os.utime(called)
+        BEGAN.pack_into(announced, 0, time.time())
         try:
             if calls and fmu is None:
-                fmu = LoadedFmu(printed, *arguments)
+                fmu = LoadedFmu(announced, printed, *arguments)
             results.extend(getattr(fmu, method)(*values) for method, *values in calls)
         except _DEFECTS as exception:
             error = defect(exception)
         except Exception as exception:  # whatever a foreign library makes of a call is a finding
             error = str(exception) or type(exception).__name__
-        os.utime(called, (0, 0))  # no call is under way
+        BEGAN.pack_into(announced, 0, 0.0)
         parent.send_json([results, error])
 
 

@@ -1,6 +1,7 @@
 """Parts of an instance under examination: its callbacks, which are observed, and its saved states."""
 
 import ctypes
+from collections.abc import Callable
 from typing import Any
 
 from fmus.compliance.process_settings import ProcessSettings
@@ -46,20 +47,22 @@ _GUARD = 64  # bytes behind a serialised state
 _GUARD_BYTE = b"\xa5"
 
 
+_SHOWN: dict[type, Callable[[Any], str]] = {
+    float: "{:.9g}".format, int: str, str: str, type(None): lambda _: "NULL",
+}  # fmt: skip
+_MOST_SHOWN = 8  # elements
+
+
 def shown(argument: Any) -> str:
     """Returns an argument of a call in a few characters; empty for an array of results or an address."""
-    match argument:
-        case None:
-            return "NULL"
-        case float():
-            return f"{argument:.9g}"
-        case int() | str():
-            return str(argument)
-        case ctypes.Array():
-            if argument._type_ in (ctypes.c_char, ctypes.c_char_p):  # the FMU may leave wrong addresses
-                return "[...]"
-            return f"[{', '.join(map(shown, argument[:8]))}]"
-    return ""
+    if show := _SHOWN.get(type(argument)):
+        return show(argument)
+    if not isinstance(argument, ctypes.Array):
+        return ""
+    if argument._type_ is ctypes.c_double:
+        return f"[{', '.join(map(_SHOWN[float], argument[:_MOST_SHOWN]))}]"
+    is_text = argument._type_ in (ctypes.c_char, ctypes.c_char_p)  # the FMU may leave wrong addresses
+    return "[...]" if is_text else str(argument[:_MOST_SHOWN])
 
 
 def array_of(values: list[Any], strings: list[Any]) -> Any:

@@ -44,18 +44,21 @@ class Column:
     the value of the known alone.
 
     point: values of other knowns; before, after: actions before values are set, and up to where unknowns are
-      read; xs, rows: values of the known and of the unknowns, of the runs that succeed
+      read; in_turn: whether one run has all values, one after another
+    xs, rows: values of the known and of the unknowns, of the runs that succeed
     """
 
     def __init__(
         self, probe: Probe, before: Sequence[Action], known: Variable, xs: Sequence[Any],
-        after: Sequence[Action], point: Sequence[do.Pair] = (),
+        after: Sequence[Action], point: Sequence[do.Pair] = (), in_turn: bool = False,
     ) -> None:  # fmt: skip
         others = {v.index: (v, x) for v, x in point}
-        points = [(others | {known.index: (known, x)}).values() for x in xs]
-        readings = values_of(probe, [(*before, do.set_values(pairs), *after) for pairs in points])
-        self.xs = [x for x, run in zip(xs, readings, strict=True) if run]
-        self.rows = [run[-1] for run in readings if run]
+        points = [(do.set_values((others | {known.index: (known, x)}).values()), *after) for x in xs]
+        runs = [itertools.chain(*points)] if in_turn else points
+        readings = values_of(probe, [(*before, *run) for run in runs])
+        rows = (readings[0] or [{}] * len(xs)) if in_turn else [run[-1] if run else {} for run in readings]
+        self.xs = [x for x, row in zip(xs, rows, strict=True) if row]
+        self.rows = [row for row in rows if row]
         self.is_whole = len(self.rows) == len(xs)
 
     def quotients(self, name: str) -> list[float]:

@@ -167,7 +167,7 @@ def _beside_quotients(
         _, start = point[known.index]
         width = _DIFFERENCE * max(1.0, abs(start))
         xs = [start, *(x for x in (start - width, start + width) if known.low <= x <= known.high)]
-        column = Column(probe, begin, known, xs, (*exit_mode, read), others)
+        column = Column(probe, begin, known, xs, (*exit_mode, read), others, in_turn=begin != _INITIALIZATION)
         if not reply.ok or column.xs[:1] != [start] or len(column.xs) < 2:
             continue
         if column.changed(0.0) & {v.name for v in states if v is not known}:  # they follow the known at once
