@@ -118,11 +118,9 @@ class Changes:
                 own = "NAME" if "." in name else name
                 raise ScenarioError(f"{name}: expected {' or '.join(f'{one}.{own}' for one in components)}")
 
-    def overrides(self, scenario: str) -> dict[str, Any]:
-        """Returns what is laid over the scenario of that name, besides components and settings."""
+    def overrides(self) -> dict[str, Any]:
+        """Returns what is laid over a scenario, besides components and settings."""
         overrides: dict[str, Any] = {}
-        if self.components:
-            overrides["title"] = self.title(scenario)
         if self.mapping:
             overrides["mapping"] = {component: dict(names) for component, names in self.mapping.items()}
         if self.open_inputs:
@@ -138,9 +136,14 @@ class Changes:
         options += [("--open-inputs", str(self.open_inputs))] if self.open_inputs else []
         return tuple(part for option in options for part in option)
 
-    def title(self, scenario: str) -> str:
-        """Returns the title of the results of the scenario of that name."""
-        return ", ".join([scenario, *(f"{name} {fmu_name(fmu)}" for name, fmu in self.components.items())])
+    def title(self, name: str, title: str) -> str:
+        """Returns the title of the results of a scenario: its own, unless that tells of an FMU that is
+        replaced, and what is changed.
+        """
+        fmus = (f"{component} {fmu_name(fmu)}" for component, fmu in self.components.items())
+        files = dict.fromkeys(file for x in self.settings.values() if (file := getattr(x, "file", "")))
+        values = (f"{n}={x}" for n, x in self.settings.items() if "." in n and not getattr(x, "file", ""))
+        return ", ".join([name if self.components else title, *fmus, *files, *values])
 
     def name(self, scenario: str) -> str:
         """Returns the name of the results: the scenario's, and that of each FMU that replaces one of it."""

@@ -40,7 +40,7 @@ def load(
         try:
             chosen = scenario.load(
                 path,
-                built.overrides(path.stem),
+                built.overrides(),
                 flavour,
                 settings=changes.settings,
                 build=lambda fmu: build_missing([fmu]),
@@ -50,7 +50,8 @@ def load(
                 print(f"l1-depth: warning: {warning.message}", file=sys.stderr)
     for warning in (w for w in caught if not issubclass(w.category, ScenarioWarning)):
         warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-    chosen = replace(chosen, name=built.name(chosen.name), arguments=arguments)
+    title = built.title(path.stem, chosen.title)
+    chosen = replace(chosen, name=built.name(chosen.name), title=title, arguments=arguments)
     build_missing_fmus([chosen])
     try:
         prepared = chosen.prepared

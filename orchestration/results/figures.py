@@ -180,7 +180,7 @@ def run_figure(
     """Draws every signal of a run that is a number, one panel for each unit; without estimates of errors."""
     with figure_style():
         figure = figure_of(recording)
-        figure.suptitle(title)
+        figure.suptitle(title, wrap=True)
         return write_figure(figure, path, formats, _DPI_OF_RUNS)
 
 

@@ -194,10 +194,12 @@ def test_an_assignment_without_name_or_value_is_refused(assignment: str) -> None
         Changes.of_options("", [assignment])
 
 
-def test_every_replaced_component_is_in_the_name_of_the_results() -> None:
+def test_what_is_changed_is_in_name_and_title_of_the_results() -> None:
     changes = Changes.of_options("lib/pid.fmu", ["plant=Other", "plant.inertia=3"])
     assert changes.name("nominal") == "nominal-pid-Other"
-    assert changes.title("nominal") == "nominal, controller pid, plant Other"
+    assert changes.title("nominal", "Plain L1") == "nominal, controller pid, plant Other, plant.inertia=3"
+    assert Changes.of_options(settings=["controller.kp=3"]).title("nominal", "P") == "P, controller.kp=3"
+    assert Changes().title("nominal", "Plain L1") == "Plain L1"
 
 
 def test_a_mapped_name_begins_with_its_component() -> None:
