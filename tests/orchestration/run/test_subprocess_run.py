@@ -210,11 +210,11 @@ def test_only_what_fmus_do_counts(linear: Build, tmp_path: Path) -> None:
 
 def test_an_interrupt_of_the_preparation_ends_the_run(linear: Build) -> None:
     """While the process begins, or the first signal is asked."""
+    system, experiment = System({"one": linear()}), Experiment(1e6, 1.0, signals={"one.u[1]": Sleeps(2.5)})
     timer = threading.Timer(1.5, os.kill, (os.getpid(), signal.SIGINT))
     timer.start()
-    experiment = Experiment(1e6, 1.0, signals={"one.u[1]": Sleeps(2.5)})
     with pytest.raises(SimulationError, match="interrupted") as caught:
-        simulate(System({"one": linear()}), experiment, timeout=TIMEOUT)
+        simulate(system, experiment, timeout=TIMEOUT)
     assert len(caught.value.recording.time) < 1_000_000
 
 
