@@ -52,6 +52,7 @@ _BYTES: list[tuple[str, str, int, list[Change]]] = [
      [_field(_CENTRAL, 8, lambda flags: flags | 8)]),
     ("a member in part 1 of a split archive", "archive-is-one-file", 8,
      [_field(_CENTRAL, 34, lambda _: 1)]),
+    ("the last part of a split archive", "archive-is-one-file", 8, [_field(b"PK\5\6", 4, lambda _: 1)]),
 ]  # fmt: skip
 
 

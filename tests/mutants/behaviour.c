@@ -302,7 +302,8 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const 
     if (IS("debug logging stays on") && !on) return fmi2OK;
     if (IS("categories are not enabled") && n) return fmi2OK;
     if (IS("all categories are enabled") && n) chosen = 15;
-    s->enabled = on ? (n ? chosen : 15) : 0;
+    if (IS("no names enable no category") && !n) chosen = 0;
+    s->enabled = on ? chosen : 0;
     return fmi2OK;
 }
 

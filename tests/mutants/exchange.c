@@ -20,7 +20,7 @@ enum { FIXED, TUNABLE, INPUT, DISCRETE_INPUT, STATE, OTHER };
 #define ORDER "the order of states is another"
 
 typedef struct {
-    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept, kept_v, kept_k, kept_time, derived_x, derived_v, before, timed, later_v, first_k;
+    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept, kept_v, kept_k, kept_time, derived_x, derived_v, before, timed, later_v, first_k, first_x;
     int above_read, set, is_kept, is_read, up, stairs, turns, above, below, rising, stiff, state, set_up, iteration, evaluations, derivatives;
     const void *owner;
 } Data;
@@ -48,6 +48,7 @@ typedef struct {
 
 static char mutation[100], flags[200];
 static double shared; /* input of all instances */
+static int stale;
 #define IS(n) (!strcmp(mutation, n))
 #define FLAG(n) (strstr(flags, n) != NULL)
 static const char *CATEGORIES[] = {"logEvents", "logStatusDiscard", "logStatusError"};
@@ -79,6 +80,7 @@ static void evaluate(Data *d) {
     if (d->state <= INIT) d->first_k = d->k;
     const double k = IS("a tunable parameter acts from initialization mode alone") ? d->first_k : d->k;
     d->a = d->u - k * d->x + 0.1 * d->stairs * (d->up ? 1 : -1);
+    if (FLAG("a hidden value of the start")) d->a += d->first_x;
     if (FLAG("a relation of a parameter") && (d->state == EVENT ? d->k > 4.01 : d->stiff)) d->a += 1;
     if (IS("a relation in a derivative is not frozen")) d->a += d->state == CONT ? d->x > 0.1 : d->above;
     if (IS("relations follow states where continuous time begins") && d->state == CONT && d->time == d->last_event)
@@ -171,6 +173,7 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     Model *m = c;
     NEED(INIT);
     m->d.rising = m->d.v > 0;
+    m->d.first_x = m->d.x;
     m->d.before = m->d.v;
     m->d.state = IS("initialization ends in continuous-time mode") ? CONT : EVENT;
     m->d.last_event = m->d.last_step = m->d.time;
@@ -210,13 +213,16 @@ static int settable(const Model *m, const Variable *v) {
         Model *m = c;                                                                                        \
         NEED(INIT | EVENT | CONT | TERM | FAIL);                                                             \
         m->d.is_read = 1;                                                                                    \
+        if (IS("one instance computes for all") && stale) evaluate(&m->d);                                   \
+        stale = 0;                                                                                           \
         for (size_t i = 0; i < n; i++) {                                                                     \
             const Variable *v = variable(letter, r[i]);                                                      \
             if (!v) return error(m, "no such variable");                                                     \
             values[i] = *(type *)((char *)&m->d + v->offset);                                                \
             if (IS("a value is that before the evaluation") && v->offset == O(v) && m->d.state == CONT)       \
                 values[i] = (type)m->d.derived_v;                                                            \
-            if (v->offset == O(a)) values[i] = (type)acceleration(&m->d);                                    \
+            if (v->offset == O(a) && !IS("one instance computes for all"))                                   \
+                values[i] = (type)acceleration(&m->d);                                                       \
             if (IS("memory of the importer is taken for a moment") && m->callbacks.allocateMemory)           \
                 m->callbacks.freeMemory(m->callbacks.allocateMemory(1, 1));                                  \
             if (IS("a variable stays where time is set alone") && v->offset == O(a))                         \
@@ -244,8 +250,14 @@ static int settable(const Model *m, const Variable *v) {
                 continue;                                                                                    \
             *(type *)((char *)&m->d + v->offset) = values[i];                                                \
             if (v->offset == O(u)) shared = m->d.u;                                                          \
+            if (IS("a discarded value is an error") && v->offset == O(u) && m->d.u > 0.7) {                  \
+                m->d.u = 0.2;                                                                                \
+                m->d.state = FAIL;                                                                           \
+                return say(m, fmi2Discard, 1, "u above 0.7"), fmi2Discard;                                   \
+            }                                                                                                \
         }                                                                                                    \
-        evaluate(&m->d);                                                                                     \
+        stale = 1;                                                                                           \
+        if (!IS("one instance computes for all")) evaluate(&m->d);                                           \
         return fmi2OK;                                                                                       \
     }
 ACCESS(Real, fmi2Real, 'r')

@@ -22,6 +22,19 @@ _TOP = (
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _ENCRYPTED, _DESCRIPTOR = 0x0001 | 0x0040 | 0x2000, 0x0008  # general purpose bits
 _NEWEST = 20  # version 2.0 of the zip format
+_LONGEST_END = 22 + 65535  # bytes of the end of the central directory, with its comment
+PLATFORM = re.compile(
+    r"(?:win|linux|darwin)(?:32|64)|(?:(?:aarch|riscv|ppc|x86_)(?:32|64)|x86)-(?:windows|linux|darwin)(?:-\w+)?"
+)
+
+
+def _last_part(fmu: FmuFile) -> int:
+    """Returns the number of the part that a member begins in, or the archive ends in; 0 if it is one file."""
+    with fmu.path.open("rb") as stream:
+        stream.seek(-min(_LONGEST_END, stream.seek(0, 2)), 2)
+        end = stream.read()
+    (last,) = struct.unpack_from("<H", end, end.rfind(b"PK\5\6") + 4)
+    return max([last, *(member.volume for member in fmu.members)])
 
 
 def unreadable(fmu: FmuFile) -> str:
@@ -34,6 +47,7 @@ def archive_is_zip(fmu: FmuFile) -> Iterator[str]:
     """The file is a zip archive, and every member unpacks to what its checksum says."""
     if problem := fmu.archive_problem or fmu.too_large:
         yield problem
+    if problem or _last_part(fmu):  # the latter is a rule of its own
         return
     with zipfile.ZipFile(fmu.path) as archive:
         for member in fmu.members:
@@ -79,8 +93,8 @@ add_rows(__name__, Stage.FILE, condition=unreadable, rows=(
                    "{filename}: version needed to extract is {value}: expected at most 2.0")),
     row("archive-is-not-encrypted", _headers,
         (lambda m, _: m.flag_bits & _ENCRYPTED, "{filename} is encrypted: expected a plain file")),
-    row("archive-is-one-file", lambda fmu: fmu.members,
-        (lambda m, _: m.volume, "{filename} begins in part {volume} of a split archive: expected one file")),
+    row("archive-is-one-file", lambda fmu: [_last_part(fmu)],
+        (lambda last, _: last and last + 1, "the archive has {value} parts: expected one file")),
     row("archive-has-no-links", lambda fmu: fmu.members,
         (lambda m, _: stat.S_ISLNK(m.external_attr >> 16),
          "{filename} is a symbolic link: expected a plain file")),
@@ -116,11 +130,13 @@ _TYPES = {"CoSimulation": CO_SIMULATION, "ModelExchange": MODEL_EXCHANGE}
 
 
 def _libraries(fmu: FmuFile) -> Sequence[Library]:
-    """Returns every library that LIEF can read. Raises NotJudgedError if it crashes or hangs on one."""
+    """Returns every library of a platform that LIEF can read. Raises NotJudgedError if it crashes or hangs on
+    one.
+    """
     libraries, failure = start_reading(fmu).result
     if failure:
         raise NotJudgedError(f"library-format{IS_BROKEN}")
-    return libraries
+    return [library for library in libraries if PLATFORM.fullmatch(fmu.libraries()[library.path])]
 
 
 @rule("2.3", Stage.LIBRARY, condition=no_library)

@@ -110,19 +110,22 @@ def input_derivatives_when_instantiated(probe: Probe) -> Iterator[Row]:
 
 @differential("2.1.2")
 def wrong_references_are_refused(probe: Probe) -> Iterator[Row]:
-    """A value reference that no variable has is an error to read and to set, also for derivatives; the
-    instance is freed then.
+    """A value reference that no variable has is an error to read and to set, also for derivatives, for those
+    of inputs also one of an output; the instance is freed then.
     """
     reference = do.refused_reference(probe)
     finding = _finding("error", f" of the value reference {reference}, which is none,")
-    calls = [("CE", do.call("get", kind, [reference])) for kind in KINDS]
-    calls += [("M", do.call(f"fmi2Set{kind}", [reference], 1, [_NOTHING[kind]])) for kind in KINDS]
+    calls = [("CE", do.call("get", kind, [reference]), finding) for kind in KINDS]
+    calls += [("M", do.call(f"fmi2Set{kind}", [reference], 1, [_NOTHING[kind]]), finding) for kind in KINDS]
     if probe.fmu.claims(values.INTERPOLATES):
-        calls.append(("C", do.call("fmi2SetRealInputDerivatives", [reference], 1, [1], [0.0])))
+        outputs = values.continuous_reals(probe, "output")[:1]
+        others = [(v.reference, _finding("error", f" of {v.name}, which is no input,")) for v in outputs]
+        for wrong, told in [(reference, finding), *others]:
+            calls.append(("C", do.call("fmi2SetRealInputDerivatives", [wrong], 1, [1], [0.0]), told))
     if probe.fmu.output_derivative_order > 0:
-        calls.append(("C", do.call("output_derivatives", [reference], 1)))
-    for states, action in calls:
-        yield from table.in_states(probe, states, do.error(action, finding))
+        calls.append(("C", do.call("output_derivatives", [reference], 1), finding))
+    for states, action, told in calls:
+        yield from table.in_states(probe, states, do.error(action, told))
 
 
 @differential("2.1.2")

@@ -14,6 +14,7 @@ from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, behaviour_rule
 from fmus.compliance.rules.derivatives import NOISE, Column, followers, values_of
+from fmus.compliance.rules.events import discrete_variables
 from fmus.compliance.script import Action, CallError, Reply
 from fmus.compliance.variable import Unknown, Variable
 
@@ -124,25 +125,27 @@ def _groups_at_first(fmu: FmuFile) -> Sequence[_Group]:
 
 @_partial_rule()
 def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
-    """After initialisation with other values, the derivatives of continuous outputs and state derivatives in
-    step mode lie near difference quotients: those of runs with other inputs and states at first; for model
-    exchange also in continuous-time mode late in a run, beside other inputs and states there.
+    """The derivatives of continuous outputs and state derivatives in step mode lie near difference quotients:
+    for co-simulation after initialisation with other values, those of runs with other inputs and states at
+    first; for model exchange in continuous-time mode, beside other inputs and states there.
     """
     settable = [v for v in values.settable_in_initialization(probe.fmu) if v.kind == "Real"]
-    states = {v.index for v in _states(probe.fmu)}
-    knowns = (v for v in settable if v.causality == "input" or v.index in states)
-    groups = _by_known(probe.fmu, _STEPPING, knowns, lambda v: v.variability == "continuous")
-    point = do.others_accepted(probe, settable, do.initialise)
-    yield from _beside_quotients(probe, (do.exit_initialization_mode,), groups, point)
+    states = _states(probe.fmu)
     if probe.fmu.is_model_exchange:
-        knowns = [*values.continuous_reals(probe, "input"), *_states(probe.fmu)]
-        groups = _by_known(probe.fmu, _STEPPING, knowns, lambda v: v.variability == "continuous")
-        for start in starts(probe)[1:]:
-            begin = do.begin, *start.lead, do.enter_continuous_time_mode
-            (run,) = values_of(probe, [(*begin, do.read(knowns))])
-            # at a limit what is computed may be that of the side beyond
-            point = [(v, x) for v in knowns if run and v.low < (x := run[0][v.name]) < v.high]
-            yield from _beside_quotients(probe, (do.set_time,), groups, point, begin)
+        knowns = [*values.continuous_reals(probe, "input"), *states]
+    else:
+        knowns = [v for v in settable if v.causality == "input" or v in states]
+    groups = _by_known(probe.fmu, _STEPPING, knowns, lambda v: v.variability == "continuous")
+    if not probe.fmu.is_model_exchange:
+        point = do.others_accepted(probe, settable, do.initialise)
+        yield from _beside_quotients(probe, (do.exit_initialization_mode,), groups, point)
+        return
+    for start in starts(probe):
+        begin = do.begin, *start.lead, do.enter_continuous_time_mode
+        (run,) = values_of(probe, [(*begin, do.read(knowns))])
+        # at a limit what is computed may be that of the side beyond
+        point = [(v, x) for v in knowns if run and v.low < (x := run[0][v.name]) < v.high]
+        yield from _beside_quotients(probe, (do.set_time,), groups, point, begin)
 
 
 def _beside_quotients(
@@ -161,8 +164,8 @@ def _beside_quotients(
     if refused and not exit_mode:
         raise CallError(refused.problem)
     # 4.2.4 lets only outputs and initial unknowns be read in initialization mode
-    states = _states(probe.fmu) if exit_mode else []
-    read = do.read({v.index: v for v in (*(v for _, group in judged for v in group), *states)}.values())
+    held = [*_states(probe.fmu), *discrete_variables(probe.fmu)] if exit_mode else []
+    read = do.read({v.index: v for v in (*(v for _, group in judged for v in group), *held)}.values())
     for (known, unknowns), reply in zip(judged, replies, strict=True):
         _, start = point[known.index]
         width = _DIFFERENCE * max(1.0, abs(start))
@@ -170,7 +173,7 @@ def _beside_quotients(
         column = Column(probe, begin, known, xs, (*exit_mode, read), others, in_turn=begin != _INITIALIZATION)
         if not reply.ok or column.xs[:1] != [start] or len(column.xs) < 2:
             continue
-        if column.changed(0.0) & {v.name for v in states if v is not known}:  # they follow the known at once
+        if column.changed(0.0) & {v.name for v in held if v is not known}:  # they follow the known at once
             continue
         where = f" in the state {reply.state!r}" if exit_mode else ""
         for v, derivative in zip(unknowns, reply.value, strict=True):

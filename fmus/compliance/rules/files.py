@@ -6,18 +6,15 @@ from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any
 
-from fmus.compliance.fmu_file import FmuFile, schema_errors
+from fmus.compliance.fmu_file import C_IDENTIFIER, FmuFile, schema_errors
 from fmus.compliance.rows import add_rows, elements, repeats, row
 from fmus.compliance.rule import Condition, Stage, rule
-from fmus.compliance.rules.archive import CLAUSE, unreadable
+from fmus.compliance.rules.archive import CLAUSE, PLATFORM, unreadable
 from fmus.compliance.variable import is_true
 
 BUILD_DESCRIPTION = "sources/buildDescription.xml"
 TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
 
-_PLATFORM = re.compile(
-    r"(?:win|linux|darwin)(?:32|64)|(?:(?:aarch|riscv|ppc|x86_)(?:32|64)|x86)-(?:windows|linux|darwin)(?:-\w+)?"
-)
 _EXTENSIONS = {"darwin": ".dylib", "win": ".dll", "linux": ".so"}
 _SOURCES = "sources/"
 _HEADERS = ("fmi2TypesPlatform.h", "fmi2FunctionTypes.h", "fmi2Functions.h")
@@ -65,7 +62,7 @@ def _extra(fmu: FmuFile) -> list[str]:
 
 def _extension(folder: str) -> str:
     """Returns the extension of shared libraries of a platform; "" for one that FMI does not name."""
-    is_known = _PLATFORM.fullmatch(folder)
+    is_known = PLATFORM.fullmatch(folder)
     return next((_EXTENSIONS[name] for name in _EXTENSIONS if is_known and name in folder), "")
 
 
@@ -77,7 +74,9 @@ _interfaces = elements("CoSimulation | ModelExchange")
 
 
 def _identifiers(fmu: FmuFile) -> list[str]:
-    return sorted({interface.get("modelIdentifier", "") for interface in _interfaces(fmu)} - {""})
+    """Returns the modelIdentifiers that are names of C."""
+    stated = {interface.get("modelIdentifier", "") for interface in _interfaces(fmu)}
+    return sorted(filter(C_IDENTIFIER.fullmatch, stated))
 
 
 def _missing_binary(interface: Any, fmu: FmuFile) -> str:
@@ -136,7 +135,7 @@ def _compiled(fmu: FmuFile, listed: list[str]) -> dict[str, bytes]:
 
 add_rows(__name__, Stage.FILE, condition=unreadable, rows=(
     row("platform-names", lambda fmu: fmu.platforms(),
-        (lambda folder, _: not _PLATFORM.fullmatch(folder),
+        (lambda folder, _: not PLATFORM.fullmatch(folder),
          "binaries/{subject}: expected win64, linux64, darwin64, aarch64-linux or the like")),
     row("headers-of-fmi-are-left-out", lambda fmu: [*_files(fmu, _SOURCES), *_files(fmu, "binaries/")],
         (lambda path, _: posixpath.basename(path) in _HEADERS,

@@ -170,13 +170,22 @@ def wrong_guid_is_refused(probe: Probe) -> Iterator[str]:
 
 @differential("4.3.1", condition=values.if_not_claimed(ONLY_ONCE))
 def several_instances(probe: Probe) -> Iterator[Row]:
-    """Instances live side by side: values and steps of one, and its end, change nothing in another."""
+    """Instances live side by side: values of one that are set or read, its steps and its end change nothing
+    in another.
+    """
     changed = do.set_others(values.settable_before(probe.fmu)), do.initialise
     moved = do.begin, do.set_others(values.settable_while_stepping(probe.fmu)), do.step()
     usual, another = (do.start, do.run(5)), (changed[0], *moved)
     for beside in ((changed, another, usual), (usual, another)):  # the last one is made last, or begins last
         varied = do.start, do.run(2), do.pause, do.run(3)
         yield Row("beside another instance", varied, usual, beside=beside)
+    modes = [((do.initialise,), values.settable_in_initialization, values.readable_in_initialization)]
+    if probe.fmu.is_model_exchange:
+        modes.append(((do.begin,), values.settable_while_stepping, lambda fmu: [*fmu.variables]))
+    for begin, settable, readable in modes:
+        read = *begin, do.glance(readable(probe.fmu))
+        first, last = (*read, do.set_others(settable(probe.fmu))), do.read(readable(probe.fmu))
+        yield Row("after another instance was read", (*first, do.pause, last), (*first, last), beside=(read,))
     varied = do.begin, do.run(1), do.pause, do.pause, do.run(2)
     freed = do.begin, do.step(), do.pause, do.call("free")
     yield Row("after another instance was freed", varied, beside=(freed,))

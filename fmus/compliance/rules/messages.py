@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator, Sequence, Set
 from contextlib import suppress
+from itertools import product
 from typing import Any, NamedTuple
 
 from fmus.compliance import actions as do
@@ -316,9 +317,12 @@ def no_messages_with_logging_off(probe: Probe) -> Iterator[str]:
 
 @rule.behaviour_rule("2.1.5")
 def chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
-    """Messages that arrive with all categories enabled arrive where their own, but logAll, is enabled."""
+    """Messages that arrive with all categories enabled, by name or without names, arrive where their own, but
+    logAll, is enabled.
+    """
     runs, categories = _runs_with_logging(probe), _declared(probe) or [None]
-    for usual, run in ((runs[0], run) for run in runs[1:]):
+    everything = [run for run in runs[:2] if run.enabled >= {*_declared(probe)}]
+    for usual, run in product(everything, runs):
         for category in [name for name in categories if name != _ALL]:
             if category in run.enabled and category in usual.sent and category not in run.sent:
                 text = usual.sent[category][:80]

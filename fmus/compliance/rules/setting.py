@@ -13,7 +13,7 @@ from fmus.compliance.rules.derivatives import values_of
 from fmus.compliance.rules.events import follow_at_once
 from fmus.compliance.script import KINDS
 from fmus.compliance.variable import is_true
-from fmus.fmi.binding import ERROR, FATAL, WARNING
+from fmus.fmi.binding import DISCARD, ERROR, FATAL, WARNING
 
 _ROUNDED = 1e-6  # relative: tools write start values with as few as seven digits
 _EXACT = 1e-12
@@ -183,21 +183,21 @@ def inputs_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
 
 
 @behaviour_rule("2.1.3")
-def taken_values_end_nothing(probe: Probe) -> Iterator[str]:
-    """After an input or a tunable parameter that the FMU takes with fmi2Warning, or a Boolean that it takes,
-    in initialization mode or at a communication point, a step is made.
+def setting_ends_nothing(probe: Probe) -> Iterator[str]:
+    """After an input or a tunable parameter that the FMU takes with fmi2Warning or discards, or a Boolean
+    that it takes, in initialization mode or at a communication point, a step is made.
     """
     chosen = values.settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES]
     far = [(v, x) for v in chosen for x in values.far_values(v)]
     for first, then in (((do.initialise,), (do.exit_initialization_mode,)), ((do.begin, do.step()), ())):
         taken = {(v.name, x) for pairs in do.others_in_turn(probe, chosen, *first) for v, x in pairs}
         for pair in (pair for pair in far if (pair[0].name, pair[1]) not in taken):
-            way = *first, do.set_values([pair]), *then, do.step(), do.glance_all
+            way = *first, do.ignore(do.set_values([pair])), *then, do.step(), do.glance_all
             script = do.played(probe, way, logging=True)
             pairs = zip(script.calls, script.replies, strict=True)
             (reply,) = [reply for call, reply in pairs if call[0].startswith("fmi2Set")]
-            is_taken = reply.status == WARNING or (reply.ok and pair[0].base_kind == "Boolean")
-            if is_taken and (failure := script.failure) and failure.status in (ERROR, FATAL):
+            goes_on = reply.status in (WARNING, DISCARD) or (reply.ok and pair[0].base_kind == "Boolean")
+            if goes_on and (failure := script.failure) and failure.status in (ERROR, FATAL):
                 yield f"after {reply.function}{reply.words} {reply.status_name}: {failure.problem}"
 
 

@@ -12,7 +12,7 @@ from fmus.compliance.fmu_file import CO_SIMULATION, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.rules import call_table as table
-from fmus.compliance.rules.derivatives import values_of
+from fmus.compliance.rules.derivatives import NOISE, values_of
 from fmus.compliance.script import Script
 from fmus.compliance.variable import Variable
 from fmus.fmi.binding import DISCARD, PENDING
@@ -163,11 +163,13 @@ def two_steps_are_one_of_twice_the_size(probe: Probe) -> Iterator[str]:
     if not usual or not any(others):
         raise NotJudgedError("no step of twice the size succeeds")
     before, two = usual
-    changes = {name: x - before[name] for name, x in two.items() if abs(x - before[name]) > 1e-9 * abs(x)}
+    changes = {name: x - before[name] for name, x in two.items() if abs(x - before[name]) > NOISE * abs(x)}
     for n, run in zip(counts[1:], others, strict=True):
-        is_elsewhere = (abs(run[1][name] - two[name]) > _APART * abs(x) for name, x in changes.items() if run)
-        if run and changes and all(is_elsewhere):
-            name = min(changes)
+        # what is the same to the last digit follows time alone
+        errors = {name: abs(run[1][name] - two[name]) for name in changes if run}
+        apart = {name: x for name, x in errors.items() if x > NOISE * abs(two[name])}
+        if apart and all(x > _APART * abs(changes[name]) for name, x in apart.items()):
+            name = min(apart)
             shown = values.texts(run[1][name], two[name])
             what = f"{name} is {shown[0]} after {n} step{'s' * (n > 1)} of {span / n:g} s"
             yield f"{what}: expected about {shown[1]}, as after two of {probe.step_size:g} s"

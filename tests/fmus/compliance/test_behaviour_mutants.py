@@ -281,7 +281,12 @@ def test_the_first_message_names_the_cause(name: str, expected: str, tmp_path: P
 
 
 @pytest.mark.parametrize(
-    "flags", ["", pytest.param("completed steps are not needed", marks=pytest.mark.slow)]
+    "flags",
+    [
+        "",
+        pytest.param("completed steps are not needed", marks=pytest.mark.slow),
+        pytest.param("a hidden value of the start", marks=pytest.mark.slow),
+    ],
 )
 def test_a_legal_fmu_for_model_exchange_breaks_no_rule(flags: str, tmp_path: Path) -> None:
     changes = EXCHANGE_CHANGES.get(flags, ())
