@@ -11,28 +11,50 @@ from typing import Any, NamedTuple
 from fmus.compliance import actions as do
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError
-from fmus.compliance.script import CallError, Script
-from fmus.compliance.values import other_value, settable_while_stepping, start_values
+from fmus.compliance.script import Action, CallError, Script
+from fmus.compliance.values import (
+    far_values,
+    other_value,
+    settable_in_initialization,
+    settable_while_stepping,
+    start_values,
+)
+from fmus.compliance.variable import Variable
 
 _MOST_RUNS, _MOST_VAIN, _LONGEST_S = 18, 4, 0.8  # runs; in a row that show nothing new; all
 _CHANGING, _SLIGHT = 0.5, 0.1  # share of values that change in a part, and part by which some do
 _LATE = range(4, 7)  # of eight parts of a run: some is left for what follows
-_KINDS = 3  # of runs: inputs that change slightly, or far; and parameters, too
+_KINDS = 3  # of runs: inputs that change slightly, or far; and parameters and the first states, too
+_INSIDE = 0.9  # of the way to a far start value of a state, which may be a limit
 _CHOSEN = 4
 _MOST_VALUES = 8  # of a variable that tells cases apart, not one that counts
 Sets = Sequence[Sequence[do.Pair]]
 _Case = tuple[str, Any]  # name and value of a discrete variable
-_Run = tuple[Sets, Sequence[set[_Case]]]  # with the cases at the begin, and at each end of a part that is met
+
+
+class Excitation(NamedTuple):
+    """A run by the values that are set: states in initialization mode, and others for each of its parts."""
+
+    states: Sequence[do.Pair]
+    sets: Sets
+
+    @property
+    def begin(self) -> Sequence[Action]:
+        """Actions that initialise the instance."""
+        return do.initialise, do.set_values(self.states), do.exit_initialization_mode
+
+
+_Run = tuple[Excitation, Sequence[set[_Case]]]  # with the cases at the begin, and at each end that is met
 
 
 class Excitations(NamedTuple):
-    """Runs by the values that are set for each of their parts.
+    """Some runs.
 
-    runs: some whose discrete variables change as in few others; lead: the begin of a run, up to where
-    most of them have other values than at its start, and rare ones
+    runs: those whose discrete variables change as in few others; lead: the values of the begin of a run, up
+    to where most of them have other values than at its start, and rare ones
     """
 
-    runs: list[Sets]
+    runs: list[Excitation]
     lead: Sets
 
 
@@ -52,7 +74,7 @@ def excitations(probe: Probe) -> Excitations:
 def played(probe: Probe) -> list[Script]:
     """Returns such runs, in which all variables are read after each part; played once for all rules."""
     read = do.read(probe.fmu.variables)
-    runs = ([do.begin, do.excite(sets, lambda _: read)] for sets in excitations(probe).runs)
+    runs = ([*run.begin, do.excite(run.sets, lambda _: read)] for run in excitations(probe).runs)
     return [do.played(probe, run, logging=True, watched=True) for run in runs]
 
 
@@ -61,13 +83,16 @@ def _runs(probe: Probe) -> list[_Run]:
     near, *far = [*do.others_in_turn(probe, chosen, do.begin, do.step())] or [[]]
     others = [*chain(*far)]
 
-    def ways(pairs: Sequence[do.Pair]) -> list[list[do.Pair]]:
-        return [[(v, x), *(pair for pair in pairs if pair[0] is v)] for v, x in start_values(chosen)]
+    def ways(pairs: Sequence[do.Pair], variables: Sequence[Variable] = chosen) -> list[list[do.Pair]]:
+        return [[(v, x), *(pair for pair in pairs if pair[0] is v)] for v, x in start_values(variables)]
 
     # what one FMU needs to get on is too much for another, and parameters may contradict others
     slight = [(v, other_value(v, _SLIGHT)) if v.kind == "Real" else (v, x) for v, x in near]
     inputs = ([way for way in ways(pairs) if way[0][0].causality == "input"] for pairs in (slight, others))
     kinds = *inputs, ways(others)
+    states = [v for v in settable_in_initialization(probe.fmu) if v.index in probe.fmu.states]
+    far_states = [(v, x + _INSIDE * (y - x)) for v, x in start_values(states) for y in far_values(v)]
+    first = ways(do.accepted_together(probe, far_states, do.initialise), states)
     discrete = [v for v in probe.fmu.variables if v.variability == "discrete" and v.causality != "input"]
     read = do.read([v for v in discrete if v.kind != "Real"])
     lots, until = random.Random(1), time.monotonic() + _LONGEST_S
@@ -80,11 +105,12 @@ def _runs(probe: Probe) -> list[_Run]:
             sets.append(
                 [new if changes else old for (new, changes), old in zip(drawn, sets[-1], strict=True)]
             )
-        script = probe.script(do.begin, read, do.excite(sets, lambda _: read))
+        run = Excitation([lots.choice(way) for way in first if kind is kinds[-1]], sets)
+        script = probe.script(*run.begin, read, do.excite(sets, lambda _: read))
         probe.play_each([script])
         met = sum(reply.is_step and reply.ok for reply in script.replies)
         places = [{*reading.values.items()} for reading in script.readings[: met + 1]]
-        runs.append((sets, places))
+        runs.append((run, places))
         vain = 0 if set[_Case]().union(*places) - seen else vain + 1
         seen.update(*places)
     return runs
@@ -96,14 +122,14 @@ def _chosen(runs: Sequence[_Run]) -> Excitations:
     values = Counter(name for name, _ in counts)
     rarities = {case: 1 / n if values[case[0]] <= _MOST_VALUES else 0.0 for case, n in counts.items()}
     ends = [
-        (sum(1 + rarities[case] for case in place - first), sets[:i])
-        for number, (sets, (first, *places)) in enumerate(runs)
+        (sum(1 + rarities[case] for case in place - first), run.sets[:i])
+        for number, (run, (first, *places)) in enumerate(runs)
         for i, place in enumerate(places, 1)
         if i in _LATE and number % _KINDS < _KINDS - 1  # odd parameters are apt to be numerical trouble
     ]
     lead = max(ends, key=lambda end: end[0], default=(0.0, []))[1]
     changes = [_changes(places, rarities) for _, places in runs]
-    numbers, chosen = Counter(chain(*changes)), list[Sets]()
+    numbers, chosen = Counter(chain(*changes)), list[Excitation]()
     while len(chosen) < _CHOSEN and (any(changes) or (runs and not chosen)):
         best = max(range(len(runs)), key=lambda i: sum(1 / numbers[change] for change in changes[i]))
         chosen.append(runs[best][0])

@@ -10,7 +10,7 @@ from itertools import chain
 from typing import Any
 
 from fmus.compliance import actions as do
-from fmus.compliance.excitation import excitations
+from fmus.compliance.excitation import Excitation, excitations
 from fmus.compliance.fmu_file import MODEL_EXCHANGE, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule, rule_of
@@ -122,9 +122,10 @@ def _run(probe: Probe, others: int = 0, steps: int = _STEPS, **options: Any) -> 
         variables = *discrete_variables(probe.fmu), *chain(*vectors.values())
         groups = {kind: [v for v in variables if v.base_kind == kind] for kind in KINDS}
         observing = {kind: references_of(group) for kind, group in groups.items() if group}
-        sets = [*chain(*excitations(probe).runs[others - 1 : others])] if others else []
+        run = excitations(probe).runs[others - 1] if others else Excitation((), ())
+        sets = run.sets
         begins = {i * steps // len(sets): pairs for i, pairs in enumerate(sets)}
-        script = probe.script(do.begin, observed=observing, logging=True, **options)
+        script = probe.script(*run.begin, observed=observing, logging=True, **options)
         for i in range(steps if sets or not others else 0):
             script.write([do.set_values(begins.get(i, ()))])
             script.call("do_step", probe.start_time + i * size, size)

@@ -166,9 +166,8 @@ def inputs_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
             actions += do.expect(do.read(others)), do.set_values([(v, x)]), do.step()
             actions += do.read(others, when), do.read_as(taken[:i], when)
         yield Row("", actions, (), tolerance=_EXACT, may_fail=True, again="{}")
-    for sets in excitations(probe).runs:
-        run = do.begin, do.excite(sets, do.read_as)
-        yield _set_and_read("in a run", *run)
+    for run in excitations(probe).runs:
+        yield _set_and_read("in a run", *run.begin, do.excite(run.sets, do.read_as))
     if probe.fmu.is_model_exchange:
         chosen = [v for v in chosen if is_true(v.attributes.get(_MANY_SETS, "true"))]
     near = do.others_accepted(probe, chosen, do.begin, do.step())
