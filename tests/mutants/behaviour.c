@@ -315,7 +315,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2R
     if (IS("an undefined stop time counts") && stop < start) return error(s, "stop time before start time");
     s->data.real[TIME] = IS("the start time is ignored") ? 0 : start;
     s->data.last_successful_time = start;
-    (void)tolerance;
+    if (IS("an undefined tolerance acts")) s->data.real[X] *= 1 + tolerance;
     s->stop_time = has_stop ? stop : INFINITY;
     if (IS("the stop time is reached too early") && has_stop) s->stop_time = stop - 0.05;
     return fmi2OK;
@@ -644,7 +644,7 @@ fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2S
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t n,
                                        const fmi2Integer order[], const fmi2Real value[]) {
     Slave *s = c;
-    NEEDS(INSTANTIATED | INITIALIZATION | STEPPING);
+    NEEDS(INSTANTIATED | INITIALIZATION | STEPPING | (IS("derivatives are taken when terminated") ? TERMINATED : 0));
     if (IS("derivatives of inputs are refused at first") && s->data.state == INSTANTIATED) return error(s, "not yet");
     if (IS("derivatives of inputs are refused")) return error(s, "no derivatives");
     for (size_t i = 0; i < n; i++) {

@@ -97,12 +97,18 @@ def states_are_set_by_reference(probe: Probe) -> Iterator[Row]:
         yield from table.in_states(probe, "K", do.set_values([pair]))
 
 
-@differential("4.2.4", condition=values.unless_claimed(values.INTERPOLATES))
-def input_derivatives_when_instantiated(probe: Probe) -> Iterator[Row]:
+@differential("4.2.1, 4.2.4", condition=values.unless_claimed(values.INTERPOLATES))
+def input_derivatives_in_each_state(probe: Probe) -> Iterator[Row]:
     """Derivatives of inputs can be set when instantiated: 4.2.4 allows it, although 4.2.1 gives them the
-    restrictions of fmi2SetReal, which cannot set inputs there.
+    restrictions of fmi2SetReal, which cannot set inputs there; after fmi2Terminate they are refused, if
+    inputs are.
     """
-    return table.in_states(probe, "I", do.set_derivatives(0.0), do.begin, do.step())
+    yield from table.in_states(probe, "I", do.set_derivatives(0.0), do.begin, do.step())
+    sets = do.set_values(values.start_values(values.continuous_reals(probe, "input")))
+    asked = do.played(probe, (do.begin, do.terminate, do.forbidden, sets))
+    if ERROR in {reply.status for reply in asked.replies}:
+        refused = do.error(do.set_derivatives(0.0), _finding("error, as of fmi2SetReal"))
+        yield from table.in_states(probe, "T", do.forbidden, refused)
 
 
 # wrong arguments

@@ -47,11 +47,15 @@ def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[Row]:
 @differential("2.1.6")
 def undefined_arguments_are_ignored(probe: Probe) -> Iterator[Row]:
     """A tolerance or a stop time that is not defined is not looked at."""
-    arguments = 0, 0.0, probe.start_time, 0, probe.start_time - 1.0
-    set_up = do.call("fmi2SetupExperiment", *arguments)
-    varied = set_up, do.enter_initialization_mode, do.exit_initialization_mode, do.run(2)
-    failing = "with neither tolerance nor stop time defined"
-    yield Row("where an undefined stop time lies before the start time", varied, failing=failing)
+    over = do.run(2), *(do.leap(1), do.read_all()) * 3
+    for tolerance, when in (
+        (0.0, "where an undefined stop time lies before the start time"),
+        (table.LARGE_TOLERANCE, f"where an undefined tolerance is {table.LARGE_TOLERANCE:g}"),
+    ):
+        arguments = 0, tolerance, probe.start_time, 0, probe.start_time - 1.0
+        begin = do.call("fmi2SetupExperiment", *arguments), do.enter_initialization_mode
+        varied = *begin, do.exit_initialization_mode, *over
+        yield Row(when, varied, (do.begin, *over), "with neither tolerance nor stop time defined")
 
 
 @differential("2.1.6")
