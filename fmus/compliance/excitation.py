@@ -9,16 +9,10 @@ from itertools import chain, pairwise, product
 from typing import Any, NamedTuple
 
 from fmus.compliance import actions as do
+from fmus.compliance import values
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError
 from fmus.compliance.script import Action, CallError, Script
-from fmus.compliance.values import (
-    far_values,
-    other_value,
-    settable_in_initialization,
-    settable_while_stepping,
-    start_values,
-)
 from fmus.compliance.variable import Variable
 
 _MOST_RUNS, _MOST_VAIN, _LONGEST_S = 18, 4, 0.8  # runs; in a row that show nothing new; all
@@ -79,19 +73,23 @@ def played(probe: Probe) -> list[Script]:
 
 
 def _runs(probe: Probe) -> list[_Run]:
-    chosen = settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES]
+    chosen = values.settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES]
     near, *far = [*do.others_in_turn(probe, chosen, do.begin, do.step())] or [[]]
     others = [*chain(*far)]
 
     def ways(pairs: Sequence[do.Pair], variables: Sequence[Variable] = chosen) -> list[list[do.Pair]]:
-        return [[(v, x), *(pair for pair in pairs if pair[0] is v)] for v, x in start_values(variables)]
+        return [
+            [(v, x), *(pair for pair in pairs if pair[0] is v)] for v, x in values.start_values(variables)
+        ]
 
     # what one FMU needs to get on is too much for another, and parameters may contradict others
-    slight = [(v, other_value(v, _SLIGHT)) if v.kind == "Real" else (v, x) for v, x in near]
+    slight = [(v, values.other_value(v, _SLIGHT)) if v.kind == "Real" else (v, x) for v, x in near]
     inputs = ([way for way in ways(pairs) if way[0][0].causality == "input"] for pairs in (slight, others))
     kinds = *inputs, ways(others)
-    states = [v for v in settable_in_initialization(probe.fmu) if v.index in probe.fmu.states]
-    far_states = [(v, x + _INSIDE * (y - x)) for v, x in start_values(states) for y in far_values(v)]
+    states = [v for v in values.settable_in_initialization(probe.fmu) if v.index in probe.fmu.states]
+    far_states = [
+        (v, x + _INSIDE * (y - x)) for v, x in values.start_values(states) for y in values.far_values(v)
+    ]
     first = ways(do.accepted_together(probe, far_states, do.initialise), states)
     discrete = [v for v in probe.fmu.variables if v.variability == "discrete" and v.causality != "input"]
     read = do.read([v for v in discrete if v.kind != "Real"])
@@ -119,8 +117,8 @@ def _runs(probe: Probe) -> list[_Run]:
 def _chosen(runs: Sequence[_Run]) -> Excitations:
     """Returns the runs and the begin of one that lead to the rarest cases, of all variables and of each."""
     counts = Counter(chain(*(set[_Case]().union(*places) for _, places in runs)))
-    values = Counter(name for name, _ in counts)
-    rarities = {case: 1 / n if values[case[0]] <= _MOST_VALUES else 0.0 for case, n in counts.items()}
+    cases = Counter(name for name, _ in counts)
+    rarities = {case: 1 / n if cases[case[0]] <= _MOST_VALUES else 0.0 for case, n in counts.items()}
     ends = [
         (sum(1 + rarities[case] for case in place - first), run.sets[:i])
         for number, (run, (first, *places)) in enumerate(runs)
