@@ -43,15 +43,15 @@ class Variable:
         """Whether causality and variability are a pair that FMI allows."""
         return self.legal_initial is not None
 
-    @property
+    @cached_property
     def causality(self) -> str:
         return self.attributes.get("causality", "local")
 
-    @property
+    @cached_property
     def variability(self) -> str:
         return self.attributes.get("variability", "continuous")
 
-    @property
+    @cached_property
     def initial(self) -> str:
         """Attribute initial as stated, if that is legal here, else the default; "" where there is none."""
 
@@ -80,17 +80,17 @@ class Variable:
         stated = self.number(attribute)
         return default if stated is None else stated
 
-    @property
+    @cached_property
     def low(self) -> float:
         """The attribute min; -inf without one."""
         return self._number("min", -math.inf)
 
-    @property
+    @cached_property
     def high(self) -> float:
         """The attribute max; inf without one."""
         return self._number("max", math.inf)
 
-    @property
+    @cached_property
     def nominal(self) -> float:
         """The attribute nominal; 1.0 without one."""
         return self._number("nominal", 1.0)
