@@ -461,6 +461,7 @@ static int settable(Slave *s, int before, int input, int tunable) {
 
 static fmi2Status not_settable(Slave *s, int constant) {
     if (IS("constants can be set") && constant) return fmi2OK;
+    if (IS("constants can be set at first") && constant && s->data.state == INSTANTIATED) return fmi2OK;
     return error(s, "cannot be set now");
 }
 
@@ -519,17 +520,18 @@ static void integrate(Slave *s, double h) {
     Data *d = &s->data;
     enum { PARTS = 10 };
     const double whole = IS("half a step") && h > 0.15 ? h / 2 : h;
+    const double before = IS("derivatives of inputs count from the start") ? d->steps * h : 0;
     double u = d->real[U];
     if (IS("states of all instances")) d->real[X] = shared.real[X] ? shared.real[X] : d->real[X];
     for (int i = 0; i < PARTS; i++) {
         if (!IS("derivatives of inputs have no effect"))
-            u = d->real[U] + (IS("derivatives of inputs backwards") ? -1 : 1) * d->input_rate * (i + 0.5) * h / PARTS;
+            u = d->real[U] + (IS("derivatives of inputs backwards") ? -1 : 1) * d->input_rate * (before + (i + 0.5) * h / PARTS);
         if (IS("derivatives of inputs are of second order"))
             u = d->real[U] + d->input_rate / 2 * pow((i + 0.5) * h / PARTS, 2);
         d->real[X] += whole / PARTS * slope(d, u) * (warm && d->resets ? 1 + 3e-5 : 1);
     }
     shared.real[X] = d->real[X];
-    if (!IS("derivatives of inputs have no effect")) u = d->real[U] + (IS("derivatives of inputs backwards") ? -1 : 1) * d->input_rate * h;
+    if (!IS("derivatives of inputs have no effect")) u = d->real[U] + (IS("derivatives of inputs backwards") ? -1 : 1) * d->input_rate * (before + h);
     if (IS("derivatives of inputs are of second order")) u = d->real[U] + d->input_rate / 2 * h * h;
     d->steps++;
     d->old_y = d->real[Y];
@@ -554,6 +556,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_re
     if (fabs(t - d->real[TIME]) > rounding && !IS("the start time is ignored")) return error(s, "communication point");
     if (t + h > s->stop_time + 1e-9 * fmax(1, fabs(t)) && !IS("steps beyond the stop time")) return error(s, "stop time");
     if (one_step_size && fabs(h - 0.1) > 1e-9) return error(s, "another step size than 0.1 s");
+    if (IS("a discarded step counts as successful") && d->steps >= 6) d->last_successful_time = t + h;
     if (discards_all || (discards_late && d->steps >= 6)) return discard(s, "discarded");
     if (needs_rate && d->real[RATE] < 0) abort();
     if (!d->first_step) d->first_step = h;

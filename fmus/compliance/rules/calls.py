@@ -8,9 +8,10 @@ from fmus.compliance import values
 from fmus.compliance.differential import Row, differential
 from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import NotJudgedError, behaviour_rule
+from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.rules import call_table as table
-from fmus.compliance.script import KINDS, Reply
+from fmus.compliance.rules.lifecycle import MANY_STEPS
+from fmus.compliance.script import KINDS, Action, Reply, Script
 from fmus.fmi.binding import DISCARD, ERROR, FATAL, LAST_SUCCESSFUL_TIME, OK, TERMINATED, WARNING
 
 _MORE = 4096  # bytes than the size of a serialised state
@@ -136,11 +137,11 @@ def wrong_references_are_refused(probe: Probe) -> Iterator[Row]:
 
 @differential("2.1.2")
 def constants_cannot_be_set(probe: Probe) -> Iterator[Row]:
-    """Setting a constant is an error."""
+    """Setting a constant is an error, when instantiated and in initialization mode."""
     constants = [v for v in probe.fmu.variables if v.variability == "constant"]
     for v, x in values.start_values(constants[: do.MOST_VARIABLES]):
         refused = do.error(do.set_values([(v, x)]), _finding("error"))
-        yield from table.in_states(probe, "M", refused)
+        yield from table.in_states(probe, "IM", refused)
 
 
 # what fmi2GetXXXStatus returns
@@ -168,7 +169,7 @@ def statuses_have_their_types(probe: Probe) -> Iterator[Row]:
 @behaviour_rule("4.2.3", interface=CO_SIMULATION)
 def last_successful_time_is_right(probe: Probe) -> Iterator[str]:
     """fmi2LastSuccessfulTime, where it is given, is the end of the last step; fmi2Terminated is then
-    false.
+    false. At the end of the default experiment, or of a step that is discarded, steps up to it succeed.
     """
     if not probe.states_step_size:
         raise NotJudgedError("no step size is stated, and an internal step may be longer than others")
@@ -183,3 +184,18 @@ def last_successful_time_is_right(probe: Probe) -> Iterator[str]:
         )
     if terminated.ok and terminated.value:
         yield "fmi2Terminated is true after steps that succeeded: expected false"
+    with suppress(NotApplicableError, NotJudgedError):
+        steps = MANY_STEPS if probe.shared.discards else do.steps_of_experiment(probe)
+        *_, last = _played(probe, do.go_on(steps), do.call("status_of", "Real", LAST_SUCCESSFUL_TIME)).replies
+        count = int((last.value - probe.start_time) / h + 1e-6) if last.ok else 0
+        if _played(probe, do.go_on(count)).failure:
+            what = f"fmi2LastSuccessfulTime is {last.value:.9g} s after a run"
+            yield f"{what}: expected less, as a step up to there is discarded"
+
+
+def _played(probe: Probe, *actions: Action) -> Script:
+    """Returns a run that was played, also if a step is discarded."""
+    script = probe.script(do.begin, *actions)
+    with suppress(NotJudgedError):
+        probe.play_each([script])
+    return script

@@ -26,6 +26,7 @@ _FAR = 10.0  # times: a derivative of one communication point, and not of the ne
 _INTERPOLATES = values.unless_claimed(values.INTERPOLATES)
 _STEPS = 8
 _SHORT = 0.30901699  # of a step: no simple fraction, so that nothing that repeats with it stands still
+_BEYOND = 1.5  # times the effect of the value that an input reaches: more is none of its steps
 _FELT = 0.1  # of the effect of the input, at least: of a response by n integrators it is 1 / (n + 1)
 
 
@@ -206,8 +207,12 @@ def input_derivatives(probe: Probe) -> Iterator[Row]:
 
 @behaviour_rule("4.2.1", condition=_INTERPOLATES)
 def input_derivatives_have_an_effect(probe: Probe) -> Iterator[str]:
-    """The derivative of an input that outputs follow moves them, in the direction of the input itself."""
+    """The derivative of an input that outputs follow moves them, in the direction of the input itself, and
+    not beyond where its value at the end of the step brings them.
+    """
     inputs = _inputs_by_effect(probe)
+    for v in inputs["too far"]:
+        yield f"the derivative of {v.name} moves outputs more than what it reaches in a step: expected less"
     if inputs["backwards"]:
         yield f"the derivative of {inputs['backwards'][0].name} moves outputs against the input in a step"
     for v in inputs["none"]:
@@ -224,7 +229,7 @@ def _step(probe: Probe, v: Variable, x: float, slope: float = 0.0) -> Sequence[A
 
 def _inputs_by_effect(probe: Probe) -> dict[str, list[Variable]]:
     """Returns continuous inputs by what their derivatives do to outputs that follow them."""
-    inputs: dict[str, list[Variable]] = {"right": [], "none": [], "backwards": []}
+    inputs: dict[str, list[Variable]] = {"right": [], "none": [], "backwards": [], "too far": []}
     for v, value in values.other_values(values.continuous_reals(probe, "input")):
         start = values.start_value(v)
         slope = (value - start) / probe.step_size
@@ -237,5 +242,7 @@ def _inputs_by_effect(probe: Probe) -> dict[str, list[Variable]]:
             effect, moved = max(pairs, key=lambda pair: abs(pair[0]))
             is_backwards = effect * moved < 0.0 and abs(moved) > _FELT * abs(effect)
             is_none = all(abs(moved) <= _FELT * abs(effect) for effect, moved in pairs)
-            inputs["none" if is_none else "backwards" if is_backwards else "right"].append(v)
+            is_far = all(abs(moved) > _BEYOND * abs(effect) for effect, moved in pairs)
+            kinds = {"none": is_none, "backwards": is_backwards, "too far": is_far, "right": True}
+            inputs[next(kind for kind, is_so in kinds.items() if is_so)].append(v)
     return inputs

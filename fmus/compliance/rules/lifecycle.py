@@ -19,7 +19,7 @@ from fmus.fmi.binding import DISCARD, ERROR
 
 _WRONG_GUID = "{00000000-0000-0000-0000-000000000000}"
 _NEW_STATES = "fmi2NewDiscreteStates"
-_STEPS, _MANY_STEPS, _INSTANCES = 5, 30, 10
+_STEPS, MANY_STEPS, _INSTANCES = 5, 30, 10
 _ELSEWHERE = "install what it needs, or check it on a machine that has it"
 # what the loaders of glibc, musl, macOS and Windows tell; undefined symbols are the library's own fault
 _OF_THE_MACHINE = re.compile(
@@ -102,7 +102,7 @@ def steps_and_terminates(probe: Probe) -> Iterator[str]:
 
 def _find_discarded_step(probe: Probe) -> None:
     """Notes, for all rules, whether the FMU discards one of some equal steps of the usual size."""
-    script = probe.script(do.begin, do.step(_MANY_STEPS))
+    script = probe.script(do.begin, do.step(MANY_STEPS))
     with suppress(NotJudgedError):  # a step beyond the stop time
         probe.play_each([script])
     failure = script.failure
