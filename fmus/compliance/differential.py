@@ -186,7 +186,7 @@ def verdict(probe: Probe, row: Row, usual: Script, plays: Sequence[Script]) -> I
 
 
 def _unlike(probe: Probe, row: Row, usual: Script, play: Script) -> Iterator[str]:
-    if not all(reading.ok for reading in play.readings):
+    if not all(reading.ok for reading in (*play.readings, *usual.readings)):
         raise NotJudgedError("a call fails that may")
     tolerance = probe.tolerance if row.tolerance is None else row.tolerance
     expected = [*play.expected, *usual.readings]

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from fmus.compliance.process_settings import ProcessSettings
-from fmus.fmi.binding import BoundInstance, Library
+from fmus.fmi.binding import OK, WARNING, BoundInstance, Library
 from fmus.fmi.callbacks import Callbacks, Log, Logger
 
 _MOST_MESSAGES = 1000
@@ -133,7 +133,7 @@ class StateSlots(BoundInstance):
         buffer, pointer = ctypes.create_string_buffer(data, len(data)), ctypes.c_void_p()
         self.call("fmi2DeSerializeFMUstate", buffer, len(data), ctypes.byref(pointer))
         ctypes.memset(buffer, ord("#"), len(data))
-        self._pointers[slot] = pointer
+        self._pointers[slot] = pointer if self.last_status in (OK, WARNING) else ctypes.c_void_p()
         return bool(pointer.value)
 
     def copy_state(self, slot: int, other: int) -> bool:

@@ -101,6 +101,7 @@ static void say(Slave *s, fmi2Status st, int cat, const char *text) {
     }
     if (IS("errors are information")) st = fmi2OK;
     if (IS("a blank of a text") && st == fmi2Error) format = "an error, 100% sure";
+    if (IS("a late blank of a number") && s->d.time > 2) format = "at 100% of it";
     if (IS("a percent sign at the end")) format = "done: 100 %";
     if (IS("a message of NULL")) format = NULL;
     if (IS("a message that is not UTF-8")) format = "Tiefe \xfc";

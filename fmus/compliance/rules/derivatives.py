@@ -233,10 +233,15 @@ def _inputs_by_effect(probe: Probe) -> dict[str, list[Variable]]:
     for v, value in values.other_values(values.continuous_reals(probe, "input")):
         start = values.start_value(v)
         slope = (value - start) / probe.step_size
-        # held, with another value, and moving to that by its derivative
-        runs = values_of(probe, [_step(probe, v, *way) for way in ((start,), (value,), (start, slope))])
-        held, raised, moving = (rows[0] for rows in runs) if all(runs) else ({}, {}, {})
-        names = [name for name, x in held.items() if isinstance(x, float) and raised[name] != x]
+        # held, with another value, half way to that, and moving to it by its derivative
+        ways = (start,), (value,), ((start + value) / 2,), (start, slope)
+        runs = values_of(probe, [_step(probe, v, *way) for way in ways])
+        held, raised, halfway, moving = (rows[0] for rows in runs) if all(runs) else ({},) * 4
+        names = [
+            name
+            for name, x in held.items()  # a solver that begins anew moves as much whatever is set
+            if isinstance(x, float) and abs(raised[name] - halfway[name]) > _FELT * abs(raised[name] - x)
+        ]
         pairs = [(raised[name] - held[name], moving[name] - held[name]) for name in names]
         if pairs:
             effect, moved = max(pairs, key=lambda pair: abs(pair[0]))

@@ -29,6 +29,7 @@ _STANDARD_CATEGORIES = (
     "logEvents", "logSingularLinearSystems", "logNonlinearSystems", "logDynamicStateSelection",
     "logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal", "logStatusPending", "logAll",
 )  # fmt: skip
+_RESERVED = re.compile(r"con|prn|aux|nul|(com|lpt)[1-9]", re.IGNORECASE)  # names of devices on Windows
 _LONGEST_IDENTIFIER = 100  # with folders and extension below 260, the longest path of Windows
 _TYPE_NAMES, _ITEM = "TypeDefinitions/SimpleType/@name", "TypeDefinitions/SimpleType/Enumeration/Item"
 
@@ -161,8 +162,9 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
         (_owner, "{value}: tool {name!r} occurs again in line {subject.sourceline}: expected once")),
     row("model-identifier", elements("*[@modelIdentifier]"),
         (lambda interface, _: not C_IDENTIFIER.fullmatch(interface.get("modelIdentifier")),
-         "{subject.tag} modelIdentifier {modelIdentifier!r}: expected letters, digits and _, no digit first")
-        ),
+         "{subject.tag} modelIdentifier {modelIdentifier!r}: expected letters, digits and _, no digit first"),
+        (lambda interface, _: _RESERVED.fullmatch(interface.get("modelIdentifier")),
+         "{subject.tag} modelIdentifier {modelIdentifier!r}: expected another, Windows reserves it")),
     row("model-identifier-is-short", elements("*[@modelIdentifier]"),
         (lambda interface, _: len(interface.get("modelIdentifier")) > _LONGEST_IDENTIFIER,
          f"{{subject.tag}} modelIdentifier {{modelIdentifier!r:.60}}: expected at most {_LONGEST_IDENTIFIER}"

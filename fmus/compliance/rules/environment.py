@@ -64,7 +64,7 @@ def memory_functions_may_be_null(probe: Probe) -> Iterator[str]:
     if probe.ask("blocks")["given"]:
         yield f"allocateMemory was called: expected no call, as {_OWN_MEMORY} is claimed"
     varied, options = (*_with_a_state(probe), do.terminate), {"callbacks": "no memory"}
-    yield from differences(probe, [Row("without memory functions", varied, options=options)])
+    yield from differences(probe, [Row("without memory functions", varied, varied, options=options)])
 
 
 # resources that fmi2FreeInstance frees

@@ -13,6 +13,7 @@ from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rows import add_rows, row
 from fmus.compliance.rules.call_table import NAME, tour
+from fmus.compliance.rules.lifecycle import MANY_STEPS
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, Action, CallError, Message, Reply, Script
 from fmus.fmi.binding import (
     CO_SIMULATION,
@@ -35,7 +36,8 @@ _CONVERSION = re.compile(  # of C, POSIX, glibc and Microsoft, without %n, which
     "[diouxXeEfFgGaAcCsSpm]"
 )
 _NAME_WITH_A_PERCENT_SIGN = "tank at 5%d"
-_BLANK_OF_TEXT = re.compile(r"%[-+#0]* [-+#0 ]*[scp](?=[a-zA-Z])")  # as in "100 % sure"; C gives it no effect
+# as in "100 % sure" or "5% of"; C gives the blank no effect
+_BLANK_OF_TEXT = re.compile(r"%[-+#0]* [-+#0 ]*[scpouxX](?=[a-zA-Z])")
 _PRINTED = "printed"
 _CALLS_THAT_LOG = do.begin, do.step(2), do.glance_all, do.terminate
 _SETTERS = "fmi2SetReal", "fmi2SetInteger", "fmi2SetBoolean", "fmi2SetString"
@@ -76,7 +78,8 @@ def _formats(probe: Probe) -> list[Message]:
     def collected() -> list[Message]:
         wrong = do.call("get", "Real", [do.refused_reference(probe)])
         options = {"name": _NAME_WITH_A_PERCENT_SIGN, "callbacks": "formats"}
-        script = do.played(probe, [*_CALLS_THAT_LOG, wrong], logging=True, **options)
+        calls = do.begin, do.step(MANY_STEPS), do.glance_all, do.terminate, wrong
+        script = do.played(probe, calls, logging=True, **options)
         return [m for reply in script.everything for m in reply.messages]
 
     return probe.once("log of formats", collected)
