@@ -93,7 +93,7 @@ def _runs(probe: Probe) -> list[_Run]:
     first = ways(do.accepted_together(probe, far_states, do.initialise), states)
     discrete = [v for v in probe.fmu.variables if v.variability == "discrete" and v.causality != "input"]
     read = do.read([v for v in discrete if v.kind != "Real"])
-    lots, until = random.Random(1), time.monotonic() + _LONGEST_S
+    lots, lots_of_states, until = random.Random(1), random.Random(2), time.monotonic() + _LONGEST_S
     runs, seen, vain = list[_Run](), set[_Case](), 0
     while [*near, *others] and len(runs) < _MOST_RUNS and vain < _MOST_VAIN and time.monotonic() < until:
         kind = kinds[len(runs) % _KINDS]
@@ -103,7 +103,7 @@ def _runs(probe: Probe) -> list[_Run]:
             sets.append(
                 [new if changes else old for (new, changes), old in zip(drawn, sets[-1], strict=True)]
             )
-        run = Excitation([lots.choice(way) for way in first if kind is kinds[-1]], sets)
+        run = Excitation([lots_of_states.choice(way) for way in first if kind is kinds[-1]], sets)
         script = probe.script(*run.begin, read, do.excite(sets, lambda _: read))
         probe.play_each([script])
         met = sum(reply.is_step and reply.ok for reply in script.replies)

@@ -140,8 +140,10 @@ def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
         point = do.others_accepted(probe, settable, do.initialise)
         yield from _beside_quotients(probe, (do.exit_initialization_mode,), groups, point)
         return
-    for start in starts(probe):
-        begin = do.begin, *start.lead, do.enter_continuous_time_mode
+    early, settable = (do.begin, do.step()), values.settable_while_stepping(probe.fmu)
+    others = do.set_values(do.others_accepted(probe, settable, *early))
+    for lead in ((do.step(), others, do.step()), *(start.lead for start in starts(probe)[1:])):
+        begin = do.begin, *lead, do.enter_continuous_time_mode
         (run,) = values_of(probe, [(*begin, do.read(knowns))])
         # at a limit what is computed may be that of the side beyond
         point = [(v, x) for v in knowns if run and v.low < (x := run[0][v.name]) < v.high]
