@@ -27,7 +27,7 @@ enum { LABEL, TEXT, N_STRINGS };
 enum { INSTANTIATED = 1, INITIALIZATION = 2, STEPPING = 4, TERMINATED = 8, FAILED = 16, PENDING = 32, ALL = 31 };
 
 typedef struct {
-    double real[N_REALS], input_rate, last_successful_time, first_step, old_y;
+    double real[N_REALS], input_rate, last_successful_time, first_step, first_rate, old_y;
     int integer[N_INTEGERS], boolean[N_BOOLEANS], steps, state, stale, resets, is_set, is_old;
     char label[64];
 } Data;
@@ -114,7 +114,10 @@ static void reset(Data *d) {
     d->stale = 1;
 }
 
-static double slope(const Data *d, double u) { return d->real[RATE] * (d->real[GAIN] * u - d->real[X]); }
+static double slope(const Data *d, double u) {
+    const int is_first = IS("a tunable parameter acts from the start alone") && d->state == STEPPING;
+    return (is_first ? d->first_rate : d->real[RATE]) * (d->real[GAIN] * u - d->real[X]);
+}
 
 static void outputs(Data *d, double u) {
     d->real[DER_X] = slope(d, u);
@@ -341,6 +344,7 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     if (IS("derivatives of initialization mode are lost")) s->data.input_rate = 0;
     outputs(&s->data, s->data.real[U]);
     follow_time(&s->data);
+    s->data.first_rate = s->data.real[RATE];
     s->data.state = STEPPING;
     if (unusual) {
         outputs(&s->data, s->data.real[U]);
