@@ -11,13 +11,7 @@ from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differ
 from fmus.compliance.fmu_file import MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
-from fmus.compliance.rules.events import (
-    Event,
-    change,
-    discrete_variables,
-    follow_at_once,
-    of_events,
-)
+from fmus.compliance.rules.events import Event, change, discrete_variables, follow_at_once, of_events
 from fmus.compliance.script import VECTORS, Action, Script
 
 _STATES, _DERIVATIVES, _INDICATORS, _NOMINALS = VECTORS

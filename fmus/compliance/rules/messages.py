@@ -15,17 +15,8 @@ from fmus.compliance.rows import add_rows, row
 from fmus.compliance.rules.call_table import NAME, tour
 from fmus.compliance.rules.lifecycle import MANY_STEPS
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN, Action, CallError, Message, Reply, Script
-from fmus.fmi.binding import (
-    CO_SIMULATION,
-    DISCARD,
-    ERROR,
-    MODEL_EXCHANGE,
-    OK,
-    PENDING,
-    PENDING_STATUS,
-    WARNING,
-    status_name,
-)
+from fmus.fmi import binding
+from fmus.fmi.binding import DISCARD, ERROR, OK, PENDING, WARNING, status_name
 
 _REFERENCE = re.compile(r"#([ribs])(\d+)#")
 _KINDS = {"r": "Real", "i": "Integer", "b": "Boolean", "s": "String"}
@@ -55,7 +46,7 @@ def _refusal(probe: Probe) -> list[Message]:
     def refused() -> list[Message]:
         told = list[Message]()
         is_single = len(probe.fmu.interfaces) == 1
-        other = CO_SIMULATION if probe.fmu.is_model_exchange else MODEL_EXCHANGE
+        other = binding.CO_SIMULATION if probe.fmu.is_model_exchange else binding.MODEL_EXCHANGE
         ways: list[tuple[str, dict[str, Any]]] = [
             ("", {"guid": "wrong", "logging": True}),
             (" with loggingOn = fmi2False", {"guid": "wrong", "logging": False}),
@@ -130,7 +121,7 @@ def _changes(probe: Probe) -> Iterator[_Change]:
     """
     scripts = [tour(probe).script, *excitation.played(probe)]
     if not probe.fmu.is_model_exchange:
-        pending = do.call("status_of", "String", PENDING_STATUS)
+        pending = do.call("status_of", "String", binding.PENDING_STATUS)
         scripts.append(do.played(probe, [do.begin, do.step(), pending], watched=True))
     with suppress(rule.NotApplicableError, rule.NotJudgedError):
         scripts.append(do.over_the_experiment(probe))
