@@ -291,12 +291,12 @@ def tunable_parameters_have_an_effect(probe: Probe) -> Iterator[str]:
 
     for v, x in tunable:
         usual, early, late = played([(v, x)], do.step(2), do.read_all())
-        others = {*(usual[0] if usual and late else ())} - {v.name}
-        if not early or not others or changed(usual[0], late[0], others):
+        names = {*(usual[0] if usual and late else ())} - {v.name}
+        if not early or not names or changed(usual[0], late[0], names):
             continue
         if changed(usual[0], early[0], [v.name for v in probe.outputs]):
             usual, _, late = played([(v, x)], do.leap(3, True), do.read_all())  # it may wait for an event
-            if usual and late and not changed(usual[0], late[0], others):
+            if usual and late and not changed(usual[0], late[0], names):
                 modes = "where it is set in initialization mode, and on nothing where it is set after it"
                 yield f"{v.name} acts on outputs {modes}: expected the same effect"
     if not probe.fmu.is_model_exchange:
