@@ -136,14 +136,12 @@ class Changes:
         options += [("--open-inputs", str(self.open_inputs))] if self.open_inputs else []
         return tuple(part for option in options for part in option)
 
-    def title(self, name: str, title: str) -> str:
-        """Returns the title of the results of a scenario: its own, unless that tells of an FMU that is
-        replaced, and what is changed.
-        """
+    def title(self, scenario: str) -> str:
+        """Returns the title of the results of a scenario of that title, or name if an FMU is replaced."""
         fmus = (f"{component} {fmu_name(fmu)}" for component, fmu in self.components.items())
         files = dict.fromkeys(file for x in self.settings.values() if (file := getattr(x, "file", "")))
         values = (f"{n}={x}" for n, x in self.settings.items() if "." in n and not getattr(x, "file", ""))
-        return ", ".join([name if self.components else title, *fmus, *files, *values])
+        return ", ".join([scenario, *fmus, *files, *values])
 
     def name(self, scenario: str) -> str:
         """Returns the name of the results: the scenario's, and that of each FMU that replaces one of it."""

@@ -50,8 +50,11 @@ def load(
                 print(f"l1-depth: warning: {warning.message}", file=sys.stderr)
     for warning in (w for w in caught if not issubclass(w.category, ScenarioWarning)):
         warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-    title = built.title(path.stem, chosen.title)
-    chosen = replace(chosen, name=built.name(chosen.name), title=title, arguments=arguments)
+    title = built.title(path.stem if built.components else chosen.title)
+    resolved = {**chosen.resolved, "title": title}
+    chosen = replace(
+        chosen, name=built.name(chosen.name), title=title, resolved=resolved, arguments=arguments
+    )
     build_missing_fmus([chosen])
     try:
         prepared = chosen.prepared

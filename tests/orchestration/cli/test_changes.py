@@ -72,6 +72,7 @@ def test_set_changes_parameters_and_inputs(
     scenario = json.loads((tmp_path / "results" / "short.json").read_text())["scenario"]
     assert scenario["parameters"]["controller.augmentation"] == "none"
     assert scenario["inputs"]["plant.buoyancy_change"] == 0.2
+    assert scenario["title"] == "Short, controller.augmentation=none, plant.buoyancy_change=0.2"
 
 
 def test_a_sweep_takes_the_same_options(
@@ -197,9 +198,9 @@ def test_an_assignment_without_name_or_value_is_refused(assignment: str) -> None
 def test_what_is_changed_is_in_name_and_title_of_the_results() -> None:
     changes = Changes.of_options("lib/pid.fmu", ["plant=Other", "plant.inertia=3"])
     assert changes.name("nominal") == "nominal-pid-Other"
-    assert changes.title("nominal", "Plain L1") == "nominal, controller pid, plant Other, plant.inertia=3"
-    assert Changes.of_options(settings=["controller.kp=3"]).title("nominal", "P") == "P, controller.kp=3"
-    assert Changes().title("nominal", "Plain L1") == "Plain L1"
+    assert changes.title("nominal") == "nominal, controller pid, plant Other, plant.inertia=3"
+    assert Changes.of_options(settings=["controller.kp=3"]).title("Plain L1") == "Plain L1, controller.kp=3"
+    assert Changes().title("Plain L1") == "Plain L1"
 
 
 def test_a_mapped_name_begins_with_its_component() -> None:
