@@ -13,9 +13,8 @@ from fmus.compliance import actions as do
 from fmus.compliance.excitation import Excitation, excitations
 from fmus.compliance.fmu_file import MODEL_EXCHANGE, FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule, rule_of
-from fmus.compliance.rules.derivatives import NOISE, values_of
-from fmus.compliance.script import KINDS, VECTORS, Action
+from fmus.compliance.rule import NotJudgedError, behaviour_rule, rule_of
+from fmus.compliance.script import KINDS, VECTORS
 from fmus.compliance.values import other_values, references_of, same, settable_while_stepping, texts
 from fmus.compliance.variable import Variable, is_true
 
@@ -266,56 +265,6 @@ def events_come_to_an_end(probe: Probe) -> Iterator[str]:
     for reason in ends:
         if "iterations" in reason:
             yield f"{reason}: expected newDiscreteStatesNeeded false"
-
-
-@behaviour_rule("2.2.7, 3.1")
-def tunable_parameters_have_an_effect(probe: Probe) -> Iterator[str]:
-    """If a tunable parameter changes an output in the first steps where it is set in initialization mode, it
-    changes something where it is set after it. For model exchange, if it changes a continuous output, or a
-    derivative, and neither states nor discrete variables, it changes that also where it is set in event mode:
-    after a step, or late.
-    """
-    others = do.others_accepted(probe, settable_while_stepping(probe.fmu), do.begin)
-    tunable = [pair for pair in others if pair[0].causality == "parameter"]
-    if not tunable:
-        raise NotApplicableError("there is no tunable parameter")
-
-    def changed(row: dict[str, Any], other: dict[str, Any], names: Iterable[str]) -> set[str]:
-        return {name for name in names if not same(row[name], other[name], NOISE)}
-
-    def played(pairs: Sequence[do.Pair], *end: Action) -> list[list[dict[str, Any]]]:
-        """Returns readings of a usual run, of one with other values at first, and of one with them later."""
-        change = do.set_values(pairs)
-        early = do.initialise, change, do.exit_initialization_mode
-        return values_of(probe, [(do.begin, *end), (*early, *end), (do.begin, change, *end)])
-
-    for v, x in tunable:
-        usual, early, late = played([(v, x)], do.step(2), do.read_all())
-        names = {*(usual[0] if usual and late else ())} - {v.name}
-        if not early or not names or changed(usual[0], late[0], names):
-            continue
-        if changed(usual[0], early[0], [v.name for v in probe.outputs]):
-            usual, _, late = played([(v, x)], do.leap(3, True), do.read_all())  # it may wait for an event
-            if usual and late and not changed(usual[0], late[0], names):
-                modes = "where it is set in initialization mode, and on nothing where it is set after it"
-                yield f"{v.name} acts on outputs {modes}: expected the same effect"
-    if not probe.fmu.is_model_exchange:
-        return
-    elements, is_continuous = elements_of_vectors(probe.fmu), {v.name for v in follow_at_once(probe.fmu)}
-    chosen = {v.name for v in (*probe.outputs, *elements[VECTORS[1]])} & is_continuous
-    kept = {v.name for v in (*discrete_variables(probe.fmu), *elements[VECTORS[0]])}
-    read = do.read_all()
-    runs = played(tunable, read)
-    if all(runs) and not changed(runs[1][0], runs[2][0], chosen):
-        return
-    for v, x in tunable:
-        usual, early, late = played([(v, x)], read, do.step(), read, do.leap(1), read)
-        if usual and early and late and not changed(usual[0], early[0], kept):
-            names = changed(usual[0], early[0], chosen)
-            names -= {*chain(*(changed(a, b, names) for a, b in zip(usual, late, strict=True)))}
-            for name in sorted(names):
-                modes = "where it is set in initialization mode, and not where it is set in event mode"
-                yield f"{v.name} acts on {name} {modes}: expected the same effect"
 
 
 @_rule("advice: an importer of several FMUs calls it as often as one of them needs")

@@ -9,7 +9,7 @@ from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differ
 from fmus.compliance.excitation import excitations
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, behaviour_rule
-from fmus.compliance.rules.derivatives import values_of
+from fmus.compliance.rules.derivatives import NOISE, values_of
 from fmus.compliance.rules.events import follow_at_once
 from fmus.compliance.script import KINDS
 from fmus.compliance.variable import is_true
@@ -264,3 +264,31 @@ def setting_the_same_changes_nothing(probe: Probe) -> Iterator[Row]:
     varied = *start, *(do.run(1), do.set_values(values.start_values(chosen))) * 4
     when = "where inputs and tunable parameters were set to what they are"
     yield Row(when, varied, (*start, do.run(4)), "in the state {state!r}", values.RESTARTED)
+
+
+@behaviour_rule("2.2.7, 3.1")
+def tunable_parameters_have_an_effect(probe: Probe) -> Iterator[str]:
+    """If a tunable parameter changes an output in the first steps where it is set in initialization mode, it
+    changes something where it is set after it: in these steps, or later.
+    """
+    others = do.others_accepted(probe, values.settable_while_stepping(probe.fmu), do.begin)
+    tunable = [(v, x) for v, x in others if v.causality == "parameter"]
+    if not tunable:
+        raise NotApplicableError("there is no tunable parameter")
+
+    def changed(name: str, begin: Iterable[do.Action], *end: do.Action) -> set[str]:
+        """Returns names of other variables that differ from a usual run, or of a run that fails."""
+        runs = values_of(probe, [(*some, *end, do.read_all()) for some in ((do.begin,), begin)])
+        if not all(runs):
+            return {"a run that fails"}
+        (usual,), (row,) = runs
+        return {n for n, x in usual.items() if n != name and not values.same(x, row[n], NOISE)}
+
+    outputs = {v.name for v in probe.outputs}
+    for v, x in tunable:
+        change, steps = do.set_values([(v, x)]), do.step(2)
+        early, late = (do.initialise, change, do.exit_initialization_mode), (do.begin, change)
+        ends = steps, do.leap(3, True)  # it may wait for an event
+        if outputs & changed(v.name, early, steps) and not any(changed(v.name, late, end) for end in ends):
+            modes = "where it is set in initialization mode, and on nothing where it is set after it"
+            yield f"{v.name} acts on outputs {modes}: expected the same effect"
