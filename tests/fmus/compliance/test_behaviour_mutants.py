@@ -64,6 +64,7 @@ def test_sources_of_another_language_beside_a_library_need_not_be_listed(tmp_pat
         ("", "logs its calls"),
         ("", "backward differences"),
         ("", "seven digits"),
+        ("", "begins anew where an input is set"),
     ],
 )
 def test_a_second_slave_that_refuses_what_is_not_allowed_breaks_no_rule(
