@@ -231,6 +231,7 @@ static int settable(const Model *m, const Variable *v) {
                 values[i] = (type)m->d.before;                                                               \
             if (IS("a derivative by reference is wrong after an event") && v->offset == O(a) && m->d.stairs > 5) \
                 values[i] += (type)(m->d.time > m->d.last_event);                                                \
+            if (IS("time is read from 0 on") && v->offset == O(time)) values[i] -= (type)0.5;                \
             if (IS("time in multiples of 1 ms") && v->offset == O(time))                                     \
                 values[i] = (type)(1e-3 * floor(1e3 * m->d.time + 0.5));                                                \
             if (IS("out of range for a moment") && v->offset == O(stairs) && fabs(m->d.time - 2.3) < 0.05)   \

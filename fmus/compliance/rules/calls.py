@@ -118,7 +118,7 @@ def input_derivatives_in_each_state(probe: Probe) -> Iterator[Row]:
 @differential("2.1.2")
 def wrong_references_are_refused(probe: Probe) -> Iterator[Row]:
     """A value reference that no variable has is an error to read and to set, also for derivatives, for those
-    of inputs also one of an output; the instance is freed then.
+    of inputs also one of an output, for those of outputs also the order 0; the instance is freed then.
     """
     reference = do.refused_reference(probe)
     finding = _finding("error", f" of the value reference {reference}, which is none,")
@@ -131,6 +131,9 @@ def wrong_references_are_refused(probe: Probe) -> Iterator[Row]:
             calls.append(("C", do.call("fmi2SetRealInputDerivatives", [wrong], 1, [1], [0.0]), told))
     if probe.fmu.output_derivative_order > 0:
         calls.append(("C", do.call("output_derivatives", [reference], 1), finding))
+        for v in values.continuous_reals(probe, "output")[:1]:
+            told = _finding("error", f" of {v.name} and order 0, which is none,")
+            calls.append(("C", do.call("output_derivatives", [v.reference], 0), told))
     for states, action, told in calls:
         yield from table.in_states(probe, states, do.error(action, told))
 

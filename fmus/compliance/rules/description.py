@@ -1,7 +1,9 @@
 """Rules of the model description but for variables: head, units, types. FMI 2.0.5, 2.2 and 4.3.1."""
 
+import math
 import re
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from typing import Any
 
 from fmus.compliance.fmu_file import C_IDENTIFIER, DESCRIPTION, FmuFile, fmpy_problems, schema_errors
@@ -31,6 +33,14 @@ _STANDARD_CATEGORIES = (
 )  # fmt: skip
 _RESERVED = re.compile(r"con|prn|aux|nul|(com|lpt)[1-9]", re.IGNORECASE)  # names of devices on Windows
 _LONGEST_IDENTIFIER = 100  # with folders and extension below 260, the longest path of Windows
+_ROUNDED = 1e-4  # relative
+_DISPLAYED = {  # factor and offset of a display unit; what it shows is factor value + offset
+    "degC of K": (1.0, -273.15), "degF of K": (1.8, -459.67), "deg of rad": (57.29578, 0.0),
+    "deg/s of rad/s": (57.29578, 0.0), "rpm of rad/s": (9.549297, 0.0), "rev/min of rad/s": (9.549297, 0.0),
+    "km/h of m/s": (3.6, 0.0), "mm of m": (1e3, 0.0), "cm of m": (1e2, 0.0), "km of m": (1e-3, 0.0),
+    "bar of Pa": (1e-5, 0.0), "kPa of Pa": (1e-3, 0.0), "MPa of Pa": (1e-6, 0.0), "kW of W": (1e-3, 0.0),
+    "min of s": (1 / 60, 0.0), "h of s": (1 / 3600, 0.0), "ms of s": (1e3, 0.0), "l of m3": (1e3, 0.0),
+}  # fmt: skip
 _TYPE_NAMES, _ITEM = "TypeDefinitions/SimpleType/@name", "TypeDefinitions/SimpleType/Enumeration/Item"
 
 
@@ -115,6 +125,18 @@ def _display_unit_problem(v: Variable, fmu: FmuFile) -> str:
     return "" if display in known else f"{display!r} of {unit!r} is ignored; {nearest(display, known)}"
 
 
+def _wrong_display_unit(display: Any, _: FmuFile) -> str:
+    """Returns factor and offset of a display unit that its name tells to be others, with those."""
+    unit, pairs = display.getparent().get("name"), (("factor", "1"), ("offset", "0"))
+    stated = [number(display.get(name, default)) or 0.0 for name, default in pairs]
+    known = _DISPLAYED.get(f"{display.get('name')} of {unit}")
+    # a factor of 0 is a rule of its own
+    if not known or not stated[0] or all(map(partial(math.isclose, rel_tol=_ROUNDED), stated, known)):
+        return ""
+    got, expected = (f"factor {factor:g} and offset {offset:g}" for factor, offset in (stated, known))
+    return f"{unit!r} has {got}: expected {expected}"
+
+
 def _starts_outside(v: Variable, _: FmuFile) -> bool:
     start = number(v.start)
     return start is not None and v.low <= v.high and not v.low <= start <= v.high
@@ -179,6 +201,8 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
          "display unit {name!r} of {value!r} is defined again in line {subject.sourceline}: expected once")),
     row("units-are-defined", _using_units, (_unit_problem, "{name}: {value}")),
     row("display-units-are-defined", _using_units, (_display_unit_problem, "{name}: displayUnit {value}")),
+    row("display-units-are-right", elements("UnitDefinitions/Unit/DisplayUnit"),
+        (_wrong_display_unit, "display unit {name!r} of {value}")),
     row("unit-factors", elements("UnitDefinitions/Unit/*"),
         (lambda e, _: number(e.get("factor", "1")) == 0 and f"unit {_owner(e)!r}: {e.tag}",
          "{value} with factor 0: expected another")),
