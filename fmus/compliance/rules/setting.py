@@ -286,7 +286,7 @@ def tunable_parameters_have_an_effect(probe: Probe) -> Iterator[str]:
 
     outputs = {v.name for v in probe.outputs}
     for v, x in tunable:
-        change, steps = do.set_values([(v, x)]), do.step(2)
+        change, steps = do.set_values([(v, x)]), do.step()
         early, late = (do.initialise, change, do.exit_initialization_mode), (do.begin, change)
         ends = steps, do.leap(3, True)  # it may wait for an event
         if outputs & changed(v.name, early, steps) and not any(changed(v.name, late, end) for end in ends):
