@@ -33,10 +33,11 @@ _STANDARD_CATEGORIES = (
 )  # fmt: skip
 _RESERVED = re.compile(r"con|prn|aux|nul|(com|lpt)[1-9]", re.IGNORECASE)  # names of devices on Windows
 _LONGEST_IDENTIFIER = 100  # with folders and extension below 260, the longest path of Windows
-_ROUNDED = 1e-4  # relative
+_ROUNDED = 1e-4  # relative: tools write factors with as few as five digits, and wrong ones are far away
+_DEGREES, _TURNS = math.degrees(1.0), 30 / math.pi  # in a radian, and in a minute at 1 rad/s
 _DISPLAYED = {  # factor and offset of a display unit; what it shows is factor value + offset
-    "degC of K": (1.0, -273.15), "degF of K": (1.8, -459.67), "deg of rad": (57.29578, 0.0),
-    "deg/s of rad/s": (57.29578, 0.0), "rpm of rad/s": (9.549297, 0.0), "rev/min of rad/s": (9.549297, 0.0),
+    "degC of K": (1.0, -273.15), "degF of K": (1.8, -459.67), "deg of rad": (_DEGREES, 0.0),
+    "deg/s of rad/s": (_DEGREES, 0.0), "rpm of rad/s": (_TURNS, 0.0), "rev/min of rad/s": (_TURNS, 0.0),
     "km/h of m/s": (3.6, 0.0), "mm of m": (1e3, 0.0), "cm of m": (1e2, 0.0), "km of m": (1e-3, 0.0),
     "bar of Pa": (1e-5, 0.0), "kPa of Pa": (1e-3, 0.0), "MPa of Pa": (1e-6, 0.0), "kW of W": (1e-3, 0.0),
     "min of s": (1 / 60, 0.0), "h of s": (1 / 3600, 0.0), "ms of s": (1e3, 0.0), "l of m3": (1e3, 0.0),

@@ -268,8 +268,8 @@ def setting_the_same_changes_nothing(probe: Probe) -> Iterator[Row]:
 
 @behaviour_rule("2.2.7, 3.1")
 def tunable_parameters_have_an_effect(probe: Probe) -> Iterator[str]:
-    """If a tunable parameter changes an output in the first steps where it is set in initialization mode, it
-    changes something where it is set after it: in these steps, or later.
+    """If a tunable parameter changes an output in the first step where it is set in initialization mode, it
+    changes something where it is set after it: in that step, or later.
     """
     others = do.others_accepted(probe, values.settable_while_stepping(probe.fmu), do.begin)
     tunable = [(v, x) for v, x in others if v.causality == "parameter"]
@@ -286,9 +286,9 @@ def tunable_parameters_have_an_effect(probe: Probe) -> Iterator[str]:
 
     outputs = {v.name for v in probe.outputs}
     for v, x in tunable:
-        change, steps = do.set_values([(v, x)]), do.step()
+        change, step = do.set_values([(v, x)]), do.step()
         early, late = (do.initialise, change, do.exit_initialization_mode), (do.begin, change)
-        ends = steps, do.leap(3, True)  # it may wait for an event
-        if outputs & changed(v.name, early, steps) and not any(changed(v.name, late, end) for end in ends):
+        ends = step, do.leap(3, True)  # it may wait for an event
+        if outputs & changed(v.name, early, step) and not any(changed(v.name, late, end) for end in ends):
             modes = "where it is set in initialization mode, and on nothing where it is set after it"
             yield f"{v.name} acts on outputs {modes}: expected the same effect"
