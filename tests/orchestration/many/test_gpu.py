@@ -22,7 +22,10 @@ BOUNDS = dict.fromkeys(("plant.voltage[1]", "plant.voltage[2]"), (-6.0, 6.0))
 def test_a_sweep_has_the_metrics_of_the_processor(tmp_path: Path) -> None:
     """To 1e-12: elementary functions differ in the last place.
 
-    Times are communication points, which change by one where a comparison falls otherwise.
+    The settling time is a communication point, which changes by one where a comparison falls otherwise.
+    The lag is the least of sums that a Fourier transform of 2^15 points gives. Each side rounds sums of
+    1268 m2 in 15 stages, and divides them by the changes of the reference, 4.1e-4 m2. Half of a step of
+    0.02 s times 15 * 2^-52 * 1268 / 4.1e-4 is 1e-10 s.
     """
     scenario = load_scenario("monte-carlo")
     planned = plan(replace(scenario, sweep={**scenario.sweep, "samples": 10_000}))
@@ -31,8 +34,9 @@ def test_a_sweep_has_the_metrics_of_the_processor(tmp_path: Path) -> None:
         for where in ("processor", "gpu")
     )
     assert here["sample"].equals(there["sample"])
-    for name in ("rmse", "holding_thrust", "lag", "control_effort", "total_variation"):
+    for name in ("rmse", "holding_thrust", "control_effort", "total_variation"):
         np.testing.assert_allclose(there[name], here[name], rtol=1e-12, err_msg=name)
+    np.testing.assert_allclose(there["lag"], here["lag"], rtol=0.0, atol=2e-10)
     apart = np.abs(there["settling_time"].to_numpy() - here["settling_time"].to_numpy())
     assert np.mean(apart > 1e-9) < 1e-3
 
