@@ -15,7 +15,7 @@ from fmus.compliance.rule import NotApplicableError, NotJudgedError
 from fmus.compliance.script import Action, CallError, Script
 from fmus.compliance.variable import Variable
 
-_MOST_RUNS, _MOST_VAIN, _LONGEST_S = 24, 4, 1.0  # runs; in a row that show nothing new; all
+_MOST_RUNS, _MOST_VAIN, _LONGEST_S = 24, 4, 3.0  # runs; in a row that show nothing new; all
 _CHANGING, _SLIGHT = 0.5, 0.1  # share of values that change in a part, and part by which some do
 _LATE = range(4, 7)  # of eight parts of a run: some is left for what follows
 _KINDS = 3  # of runs: inputs that change slightly, or far; and parameters and the first states, too

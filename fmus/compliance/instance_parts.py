@@ -14,7 +14,7 @@ _MOST_MESSAGES = 1000
 class MessageLog(Log):
     """Messages with the instance and the category that the FMU gave.
 
-    noted: gets a row if the FMU calls the logger with another control of floating point
+    noted: gets rows if the FMU calls the logger with other settings of the process
     """
 
     def __init__(
@@ -27,8 +27,7 @@ class MessageLog(Log):
     def add(
         self, status: int, message: str, instance: str | None = None, category: str | None = None
     ) -> None:
-        if self._settings.floating_point_differs():
-            self._noted.add(("floating-point control in a callback", "", ""))
+        self._noted |= {(f"{name} in a callback", *values) for name, *values in self._settings.differing()}
         if len(self.messages) < _MOST_MESSAGES:
             self.messages.append([status, message, instance, category, self._known_environment])
 

@@ -15,6 +15,7 @@ from fmus.fmi.binding import DISCARD, MODEL_EXCHANGE, OK, WARNING
 
 _MOST_SUBSTEPS, _MOST_EVENTS, _MOST_ITERATIONS = 500, 100, 100
 _LEAST = 1e-6  # smallest part of a step that is tried
+_HALVINGS, _MOST_OF_A_JUMP, _LEAST_JUMP = 20, 0.8, 0.01  # of a substep; of a change; relative
 _TOLERANCE = 1e-3
 _TOO_MANY = "the explicit scheme of this checker needs more than"
 _STATES, _DERIVATIVES = "fmi2GetContinuousStates", "fmi2GetDerivatives"
@@ -29,6 +30,7 @@ _INFOS = (
 
 
 _Trial = tuple[list[float], list[float], float]  # states, indicators, error over its tolerance
+_Point = tuple[float, list[float], list[float]]  # time, states, derivatives
 
 
 class EventInfo(ctypes.Structure):
@@ -212,6 +214,9 @@ class ModelExchangeInstance(CalledInstance):
                     raise _StepEndsError("the FMU discards states, or gives no numbers, in smallest substeps")
                 size = min(size, end - t) / 2
                 continue
+            if self._events:
+                end_of_it = new_t, trial[0], self._read(_DERIVATIVES)
+                self._events[-1].setdefault("jumps", []).extend(self._jumps((t, x, slopes), end_of_it))
             before, t, (x, z, error) = z, new_t, trial
             size *= 2 if error < 0.2 else 1
             enter = 0
@@ -221,8 +226,7 @@ class ModelExchangeInstance(CalledInstance):
                 if self._events:
                     self._events[-1].setdefault("completed", []).append([x, self._read(_STATES)])
             if is_crossing and self._events:
-                after = self._read(_INDICATORS), slopes, self._read(_DERIVATIVES)
-                self._events[-1]["crossing"] = [before, z, *after]
+                self._events[-1]["crossing"] = [before, z, self._read(_INDICATORS)]
             if enter or is_crossing:
                 return t, "step event" if enter else "state event"
             if t < end:
@@ -257,6 +261,30 @@ class ModelExchangeInstance(CalledInstance):
             return None
         return new, z, error
 
+    def _jumps(self, first: _Point, end: _Point) -> list[list[Any]]:
+        """Returns time, and derivatives before and after it, if one jumps between two points: half of the way
+        has most of its change, again and again.
+        """
+        if _difference(first, end) < _LEAST_JUMP:
+            return []
+        last, jumps = end, list[list[Any]]()
+        for _ in range(_HALVINGS):
+            x = _sum([a / 2 for a in first[1]], 0.5, last[1])
+            middle = self._at((first[0] + last[0]) / 2, x)
+            half = max((first, middle), (middle, last), key=lambda pair: _difference(*pair))
+            if _difference(*half) < _MOST_OF_A_JUMP * _difference(first, last):
+                break
+            first, last = half
+        else:
+            jumps = [[last[0], first[2], last[2]]]
+        self._at(*end[:2])
+        return jumps
+
+    def _at(self, t: float, x: list[float]) -> _Point:
+        """Sets time and states; returns them with the derivatives there."""
+        self._checked(self.call, "fmi2SetTime", t)
+        return t, x, self._vector_at(x, _DERIVATIVES)
+
     def _vector_at(self, x: list[float], function: str) -> list[float]:
         """Sets states, if there are any, and returns a vector there."""
         if x:
@@ -268,6 +296,12 @@ class ModelExchangeInstance(CalledInstance):
 def _sum(x: Sequence[float], factor: float, others: Sequence[float]) -> list[float]:
     """Returns x + factor others."""
     return [a + factor * b for a, b in zip(x, others, strict=True)]
+
+
+def _difference(one: _Point, other: _Point) -> float:
+    """Returns the largest change of a derivative, relative or absolute, whichever is less."""
+    pairs = zip(one[2], other[2], strict=True)
+    return max((abs(a - b) / max(1.0, abs(a), abs(b)) for a, b in pairs), default=0.0)
 
 
 def _signs(indicators: Sequence[float]) -> list[bool]:

@@ -74,9 +74,12 @@ class ProcessSettings:
         flushed = ", numbers near zero are flushed" if self._tiny / 2 == 0.0 else ""
         return f"rounding mode {rounding:#x}, traps {traps:#x}{flushed}"
 
-    def floating_point_differs(self) -> bool:
-        """Whether the control of floating point is another than when this was made."""
-        return self._floating_point_now() != self._floating_point
+    def differing(self) -> list[tuple[str, str, str]]:
+        """Returns setting, value when this was made, and value now, of those that differ in a callback."""
+        path = "working directory"
+        rows = [("floating-point control", self._floating_point, self._floating_point_now())]
+        rows.append((path, self._process[path], str(Path.cwd())))
+        return [(name, before, now) for name, before, now in rows if before != now]
 
     def changed(self) -> list[list[str]]:
         """Returns [setting, before, after] of those changed since this was made, or noticed last."""

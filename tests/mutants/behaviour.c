@@ -75,10 +75,13 @@ static void send(Slave *s, fmi2Status status, unsigned category, const char *tex
     if (IS("a status that is none")) status = 17;
     const int rounds = IS("rounds in a callback") || (IS("rounds in a late callback") && s->data.real[TIME] > 5);
     if (rounds) fesetround(FE_UPWARD);
+    char folder[3000];
+    const int moves = IS("another working directory in a callback") && getcwd(folder, sizeof folder) && !chdir("/");
     const fmi2CallbackLogger logger =
         IS("keeps the pointer to the callbacks") ? s->structure->logger : s->callbacks.logger;
     logger(environment, name, status, label, "%s", text);
     if (rounds) fesetround(FE_TONEAREST);
+    if (moves) (void)!chdir(folder);
 }
 
 static fmi2Status discard(Slave *s, const char *text) {
@@ -150,6 +153,7 @@ static void refresh(Slave *s) {
     Data *d = &s->data;
     if (!(d->state & (INSTANTIATED | INITIALIZATION))) return;
     if (!d->stale && IS("values that were read once do not follow")) return;
+    if (!d->stale && IS("beside start values, values that were read once do not follow") && d->real[GAIN] == 2) return;
     outputs(d, d->real[U]);
 }
 

@@ -21,7 +21,7 @@ enum { FIXED, TUNABLE, INPUT, DISCRETE_INPUT, STATE, OTHER };
 
 typedef struct {
     double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept, kept_v, kept_k, kept_time, derived_x, derived_v, before, timed, later_v, first_k, first_x;
-    int above_read, set, is_kept, is_read, up, stairs, turns, above, below, rising, stiff, state, set_up, iteration, evaluations, derivatives;
+    int above_read, set, is_new, is_kept, is_read, up, stairs, turns, above, below, rising, stiff, state, set_up, iteration, evaluations, derivatives;
     const void *owner;
 } Data;
 typedef struct {
@@ -48,6 +48,7 @@ typedef struct {
 
 static char mutation[100], flags[200];
 static double shared; /* input of all instances */
+static double computed;
 static int stale;
 #define IS(n) (!strcmp(mutation, n))
 #define FLAG(n) (strstr(flags, n) != NULL)
@@ -74,15 +75,18 @@ static fmi2Status need(Model *m, int states, const char *function) {
     if (need(m, states, __func__) != fmi2OK) return fmi2Error
 
 static void evaluate(Data *d) {
+    d->is_new = 1;
     if (IS("values stay in event mode once they are read") && d->is_read && d->state == EVENT) return;
     if (IS("values stay in continuous-time mode once they are read") && d->is_read && d->state == CONT) return;
     if (IS("instances share an input")) d->u = shared;
     if (d->state <= INIT) d->first_k = d->k;
     const double k = IS("a tunable parameter acts from initialization mode alone") ? d->first_k : d->k;
     d->a = d->u - k * d->x + 0.1 * d->stairs * (d->up ? 1 : -1);
+    if (FLAG("a product with an input")) d->a += d->u * d->x;
     if (FLAG("a hidden value of the start")) d->a += d->first_x;
     if (FLAG("a relation of a parameter") && (d->state == EVENT ? d->k > 4.01 : d->stiff)) d->a += 1;
     if (IS("a relation in a derivative is not frozen")) d->a += d->state == CONT ? d->x > 0.1 : d->above;
+    if (IS("a derivative jumps without an event")) d->a += d->time > 1.23;
     if (IS("relations follow states where continuous time begins") && d->state == CONT && d->time == d->last_event)
         d->above = d->x > 0.1;
     if (d->state != CONT) d->timed = d->time;
@@ -400,7 +404,11 @@ fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n
     }
 enum { READ = INIT | EVENT | CONT | TERM | FAIL };
 static double acceleration(Data *d) {
+    const int is_new = d->is_new;
     evaluate(d);
+    d->is_new = 0;
+    if (is_new) computed = d->a;
+    if (IS("instances compute into the same memory")) return computed;
     if (IS("derivatives follow a tunable parameter late")) {
         if (d->kept_time != d->time || d->state < EVENT) d->kept_k = d->k;
         d->kept_time = d->time;
@@ -490,6 +498,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
             const unsigned u = unknowns[i], k = knowns[j];
             double factor = u == k;
             if (u == 12) factor = k == 3 ? 1 : k == 10 ? -m->d.k : k == 1 ? -m->d.x : factor;
+            if (FLAG("a product with an input") && u == 12) factor += k == 3 ? m->d.x : k == 10 ? m->d.u : 0;
             if (IS("late directional derivatives are wrong") && u == 12 && k == 10 && m->d.time > 2) factor *= 2;
             result[i] += factor * seed[j];
         }

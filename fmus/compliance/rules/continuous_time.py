@@ -130,7 +130,7 @@ def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
     ]
 
     def read_twice(event: Event) -> Iterator[str]:
-        _, z, once_more, *_ = event.crossing
+        _, z, once_more = event.crossing
         scale = 1e-3 * max(map(abs, event.indicators), default=0.0)
         if words := change("event indicator", z, once_more, _SOLVED, scale):
             where = f"where the continuous-time mode after {event.words} ends"

@@ -145,9 +145,10 @@ def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
     for lead in ((do.step(), others, do.step()), *(start.lead for start in starts(probe)[1:])):
         begin = do.begin, *lead, do.enter_continuous_time_mode
         (run,) = values_of(probe, [(*begin, do.read(knowns))])
-        # at a limit what is computed may be that of the side beyond
+        # at a limit, where such a known stays, what is computed may be that of the side beyond
         point = [(v, x) for v in knowns if run and v.low < (x := run[0][v.name]) < v.high]
-        yield from _beside_quotients(probe, (do.set_time,), groups, point, begin)
+        here = [group for group in groups if group[0] in [v for v, _ in point]]
+        yield from _beside_quotients(probe, (do.set_time,), here, point, begin)
 
 
 def _beside_quotients(

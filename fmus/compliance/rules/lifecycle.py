@@ -183,13 +183,12 @@ def several_instances(probe: Probe) -> Iterator[Row]:
     if probe.fmu.is_model_exchange:
         modes.append(((do.begin,), values.settable_while_stepping, lambda fmu: [*fmu.variables]))
     for begin, settable, readable in modes:
-        read = *begin, do.glance(readable(probe.fmu))
+        glance, last = do.glance(readable(probe.fmu)), do.read(readable(probe.fmu))
         with suppress(NotJudgedError):  # a value that is refused is known
             others = do.set_values(do.others_accepted(probe, settable(probe.fmu), *begin))
-            first, last = (*read, others), do.read(readable(probe.fmu))
-            yield Row(
-                "after another instance was read", (*first, do.pause, last), (*first, last), beside=(read,)
-            )
+            for first in ((*begin, glance, others), (*begin, others, glance)):
+                varied, usual = (*first, do.pause, last), (*first, last)
+                yield Row("after another instance was read", varied, usual, beside=((*begin, glance),))
     varied = do.begin, do.run(1), do.pause, do.pause, do.run(2)
     freed = do.begin, do.step(), do.pause, do.call("free")
     yield Row("after another instance was freed", varied, beside=(freed,))

@@ -234,10 +234,12 @@ def _rows_of_what_follows(probe: Probe) -> Iterator[Row]:
         ("continuous-time mode", (do.begin, enter), values.continuous_reals(probe, "input"), fmu.variables),
     ]  # fmt: skip
     for mode, begin, settable, readable in modes if fmu.is_model_exchange else modes[:1]:
-        # without an effect of others, one variable may have none
         others = do.others_accepted(probe, settable, *begin) if enter not in begin else []
-        for v, x in values.other_values(settable[: do.MOST_VARIABLES]):
-            first = *begin, *do.set_at_once([pair for pair in others if pair[0] is not v])
+        pairs = values.other_values(settable[: do.MOST_VARIABLES])
+        # a variable may have an effect beside others alone, or an input without them alone
+        alone = [(pair, []) for pair in pairs if others and pair[0].causality == "input"]
+        for (v, x), beside in (*((pair, others) for pair in pairs), *alone):
+            first = *begin, *do.set_at_once([pair for pair in beside if pair[0] is not v])
             end = do.set_values([(v, x)]), do.read(readable)
             when = f"where it had been read in {mode} before {v.name} was set"
             varied = *first, do.glance(readable), *end

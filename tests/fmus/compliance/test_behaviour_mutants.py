@@ -9,12 +9,15 @@ from typing import cast
 
 import pytest
 
+from fmus.compliance import actions as do
 from fmus.compliance.behaviour import FUNDAMENTAL, behaviour
 from fmus.compliance.check import NO_VERDICT, main
+from fmus.compliance.differential import AT_FIRST, Start
 from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Rule, Stage, registered
+from fmus.compliance.rules import effects
 from fmus.compliance.rules.lifecycle import is_of_the_machine
 from fmus.compliance.sentences import levels
 from fmus.platforms import host_platform, library_name
@@ -89,6 +92,21 @@ def test_another_fmu_that_does_nothing_wrong_breaks_no_rule(
     slave: str, flags: str, changes: list[tuple[str, str]], tmp_path: Path
 ) -> None:
     assert broken_rules(write_slave(tmp_path, "", flags, changes, slave), is_static=False) == {}
+
+
+def test_directional_derivatives_are_judged_beside_an_input_that_is_at_its_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It stays there, as a value at a limit is not set for a difference quotient."""
+
+    def starts(probe: Probe) -> list[Start]:
+        (u,) = (v for v in probe.fmu.variables if v.name == "u")
+        return [AT_FIRST, Start("", (do.set_values([(u, 0.1)]), do.step()))]
+
+    monkeypatch.setattr(effects, "starts", starts)
+    limit = [('<Real start="0.2"/>', '<Real start="0.2" min="0.1"/>')]
+    fmu = write_slave(tmp_path, "", "a product with an input", limit, "Exchange")
+    assert broken_rules(fmu, is_static=False) == {}
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="patches a library of Linux")
