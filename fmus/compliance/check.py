@@ -23,28 +23,39 @@ NO_VERDICT, NOT_JUDGED = 3, 4  # exit status
 
 def check(
     fmus: Annotated[
-    list[Path] | None, typer.Argument(metavar="FMU", help="FMUs of any origin.", show_default=False)
-    ] = None, format_name: Annotated[ Literal["text", "json", "sarif", "junit", "github"],
-    typer.Option("--format", help="Format of what is printed, or of --out; github: annotations."), ] = "text",
+        list[Path] | None, typer.Argument(metavar="FMU", help="FMUs of any origin.", show_default=False)
+    ] = None,
+    format_name: Annotated[
+        Literal["text", "json", "sarif", "junit", "github"],
+        typer.Option("--format", help="Format of what is printed, or of --out; github: annotations."),
+    ] = "text",
     out: Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Write that format to a file, and print text.") ] = None,
+        Path | None, typer.Option(metavar="FILE", help="Write that format to a file, and print text.")
+    ] = None,
     every: Annotated[
-    bool, typer.Option("--all", help="Show every rule that is judged and every finding, also accepted.")
-    ] = False, only: Annotated[
-    str, typer.Option(metavar="RULE,RULE", help="Judge only these rules, also rules that are off.") ] = "",
+        bool, typer.Option("--all", help="Show every rule that is judged and every finding, also accepted.")
+    ] = False,
+    only: Annotated[
+        str, typer.Option(metavar="RULE,RULE", help="Judge only these rules, also rules that are off.")
+    ] = "",
     waivers: Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Accept the findings of this file (TOML).") ] = None,
+        Path | None, typer.Option(metavar="FILE", help="Accept the findings of this file (TOML).")
+    ] = None,
     baseline: Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Accept the findings that were written to this file.")
-    ] = None, write_baseline: Annotated[
-    bool, typer.Option("--write-baseline", help="Write the present findings to the --baseline.") ] = False,
+        Path | None, typer.Option(metavar="FILE", help="Accept the findings that were written to this file.")
+    ] = None,
+    write_baseline: Annotated[
+        bool, typer.Option("--write-baseline", help="Write the present findings to the --baseline.")
+    ] = False,
     fail_on: Annotated[Level, typer.Option(help="Fail for findings of this level and above.")] = Level.ERROR,
     strict: Annotated[bool, typer.Option("--strict", help="Fail if a rule is not judged.")] = False,
     timeout: Annotated[float, typer.Option(min=0.1, help="Longest time of a rule [s].")] = 30.0,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False, rule: Annotated[ str,
-    typer.Option("--explain", metavar="RULE", help="Show what a rule claims and its sentences of FMI."),
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
+    rule: Annotated[
+        str,
+        typer.Option("--explain", metavar="RULE", help="Show what a rule claims and its sentences of FMI."),
     ] = "",
-) -> None:  # fmt: skip
+) -> None:
     """Check FMUs against the rules of FMI 2.0.5, or the description of FMI 3.0 by its schema and FMPy.
 
     Exit status: 0; 1 for errors; 2 for wrong use or a missing file; 3 if this machine allows no verdict;
