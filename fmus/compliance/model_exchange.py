@@ -221,10 +221,11 @@ class ModelExchangeInstance(CalledInstance):
             size *= 2 if error < 0.2 else 1
             enter = 0
             if self._options["needs_completed"]:
+                states = [x, self._read(_STATES)] if self._events else []
                 enter, terminates = self._checked(self.completed_integrator_step, no_going_back)
                 self._terminate_if(terminates)
                 if self._events:
-                    self._events[-1].setdefault("completed", []).append([x, self._read(_STATES)])
+                    self._events[-1].setdefault("completed", []).append([*states, self._read(_STATES)])
             if is_crossing and self._events:
                 self._events[-1]["crossing"] = [before, z, self._read(_INDICATORS)]
             if enter or is_crossing:

@@ -67,7 +67,7 @@ class Event:
     values, again, left: discrete variables, states and derivatives after the last iteration, after one more,
       and where continuous-time mode ends; begin, indicators: states and event indicators where that begins
     elements: states and derivatives as elements of vectors, by the same words
-    completed: states before and after each completed step in it
+    completed: states that were set for each completed step in it, and those before and after it
     crossing: event indicators before a change of sign and after it, and read once more
     jumps: time, and derivatives before and after it, where they jump
     """
@@ -193,11 +193,11 @@ def vectors_have_the_order_of_the_description(probe: Probe) -> Iterator[str]:
     return of_events(probe, unlike)
 
 
-@_event_rule("3.2.2", condition=no_states)
+@_event_rule("3.2.1, 3.2.2", condition=no_states)
 def changes_of_states_are_announced(event: Event) -> Iterator[str]:
     """If fmi2NewDiscreteStates changes a state, valuesOfContinuousStatesChanged is true, and
     fmi2GetContinuousStates gives the new states; neither fmi2EnterContinuousTimeMode nor
-    fmi2CompletedIntegratorStep changes one.
+    fmi2CompletedIntegratorStep changes one, and fmi2SetContinuousStates sets each to the given value.
     """
     for info, words in event.changes(0, "state"):
         if words and not info["valuesOfContinuousStatesChanged"]:
@@ -205,8 +205,10 @@ def changes_of_states_are_announced(event: Event) -> Iterator[str]:
     if words := change("state", event.vectors[-1][0], event.begin, _SOLVED):
         what = f"{words} by fmi2EnterContinuousTimeMode"
         yield f"after {event.words} {what}: expected by fmi2NewDiscreteStates"
-    for before, after in event.completed:
-        if words := change("state", before, after, _SOLVED):
+    for given, before, after in event.completed:
+        if words := change("state", given, before, _SOLVED):
+            yield f"after {event.words} {words} by fmi2SetContinuousStates: expected what was set"
+        elif words := change("state", before, after, _SOLVED):
             what = f"{words} by fmi2CompletedIntegratorStep"
             yield f"after {event.words} {what}: expected that in event mode alone"
 
