@@ -169,6 +169,7 @@ static void outputs(Data *d) {
     d->held = d->ref;
     const double m = IS("a parameter acts from before initialization mode") && d->state == STEP ? d->first_m : d->m;
     d->energy = 0.5 * m * d->vel * d->vel + 0.5 * d->k * d->pos * d->pos;
+    if (IS("nothing is computed in initialization mode") && d->state == INIT) d->acc = d->power = 0;
     d->n_out = d->n_in * d->n_tun + d->samples;
     d->kind_out = d->kind_in;
     d->both = d->on && !d->off;
@@ -336,6 +337,7 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     s->d.f_end = s->d.f + s->d.df * 0;
     outputs(&s->d);
     s->d.state = STEP;
+    if (IS("nothing is computed in initialization mode")) outputs(&s->d);
     return fmi2OK;
 }
 fmi2Status fmi2Terminate(fmi2Component c) {

@@ -15,6 +15,7 @@ from fmus.compliance.script import KINDS, Action, Reply, Script
 from fmus.fmi.binding import DISCARD, ERROR, FATAL, LAST_SUCCESSFUL_TIME, OK, TERMINATED, WARNING
 
 _MORE = 4096  # bytes than the size of a serialised state
+_ORDER_0 = " of {} and order 0, which is none,"
 _NOTHING = {"Real": 0.0, "Integer": 0, "Boolean": 0, "String": ""}
 _STATUS_KINDS = {  # fmi2StatusKind -> its name, and the type of its function
     0: ("fmi2DoStepStatus", ""),
@@ -117,22 +118,25 @@ def input_derivatives_in_each_state(probe: Probe) -> Iterator[Row]:
 
 @differential("2.1.2")
 def wrong_references_are_refused(probe: Probe) -> Iterator[Row]:
-    """A value reference that no variable has is an error to read and to set, also for derivatives, for those
-    of inputs also one of an output, for those of outputs also the order 0; the instance is freed then.
+    """A value reference that no variable has is an error to read and to set, also for derivatives, whose
+    order 0 is one too, and for those of inputs the reference of an output; the instance is freed then.
     """
     reference = do.refused_reference(probe)
     finding = _finding("error", f" of the value reference {reference}, which is none,")
     calls = [("CE", do.call("get", kind, [reference]), finding) for kind in KINDS]
     calls += [("M", do.call(f"fmi2Set{kind}", [reference], 1, [_NOTHING[kind]]), finding) for kind in KINDS]
+    outputs = values.continuous_reals(probe, "output")[:1]
     if probe.fmu.claims(values.INTERPOLATES):
-        outputs = values.continuous_reals(probe, "output")[:1]
-        others = [(v.reference, _finding("error", f" of {v.name}, which is no input,")) for v in outputs]
-        for wrong, told in [(reference, finding), *others]:
-            calls.append(("C", do.call("fmi2SetRealInputDerivatives", [wrong], 1, [1], [0.0]), told))
+        wrong = [(reference, 1, finding)]
+        wrong += [(v.reference, 1, _finding("error", f" of {v.name}, which is no input,")) for v in outputs]
+        inputs = values.continuous_reals(probe, "input")[:1]
+        wrong += [(v.reference, 0, _finding("error", _ORDER_0.format(v.name))) for v in inputs]
+        for number, order, told in wrong:
+            calls.append(("C", do.call("fmi2SetRealInputDerivatives", [number], 1, [order], [0.0]), told))
     if probe.fmu.output_derivative_order > 0:
         calls.append(("C", do.call("output_derivatives", [reference], 1), finding))
-        for v in values.continuous_reals(probe, "output")[:1]:
-            told = _finding("error", f" of {v.name} and order 0, which is none,")
+        for v in outputs:
+            told = _finding("error", _ORDER_0.format(v.name))
             calls.append(("C", do.call("output_derivatives", [v.reference], 0), told))
     for states, action, told in calls:
         yield from table.in_states(probe, states, do.error(action, told))

@@ -12,9 +12,10 @@ from fmus.compliance import excitation, values
 from fmus.compliance.differential import ROUNDING, Row, differences, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule, rule_of
+from fmus.compliance.rules.derivatives import values_of
 from fmus.compliance.variable import Variable
 
-_ROUNDED = 1e-6
+_ROUNDED, _SOME = 1e-6, 2
 _STEPS = (1, 1, 4, 10)  # between the readings of a run
 
 
@@ -23,6 +24,25 @@ def variables_can_be_read(probe: Probe) -> None:
     """After initialisation and after a step every variable can be read by its value reference and type."""
     read = do.read(probe.fmu.variables)
     probe.script(do.begin, read, do.step(), read, logging=True).play()
+
+
+@behaviour_rule("2.1.7")
+def initial_values_are_computed(probe: Probe) -> Iterator[str]:
+    """In initialization mode calculated variables have their initial values: not each of some that can be
+    read has another one after it.
+    """
+    readable = values.readable_in_initialization(probe.fmu)
+    calculated = [v for v in readable if (v.variability, v.initial) == ("continuous", "calculated")]
+    settable, read = values.settable_in_initialization(probe.fmu), do.read(calculated)
+    others = do.set_values(do.others_accepted(probe, settable, do.initialise))
+    ways = ((do.initialise, *sets, read, do.exit_initialization_mode, read) for sets in ((), (others,)))
+    for first, after in filter(None, values_of(probe, ways)):
+        moved = [v for v in calculated if not values.same(first[v.name], after[v.name], _ROUNDED)]
+        stay = any(after[v.name] != 0.0 for v in calculated if v not in moved)
+        if len({v.reference for v in moved}) >= _SOME and not stay:
+            for v in moved:
+                got, expected = values.texts(first[v.name], after[v.name])
+                yield f"{v.name} is {got} in initialization mode: expected {expected}, as after it"
 
 
 def _values(probe: Probe) -> list[tuple[str, str, Any]]:
