@@ -9,6 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from fmus.native.toolchain import compile_library
+from fmus.platforms import host_platform, library_name
+from tests.mutants.base import XML, written
+from tests.mutants.mutant import broken_rules
+
 sys.path.insert(0, str(Path(__file__).parent.parent / "docs" / "explanation" / "survey"))
 import survey  # pyright: ignore[reportMissingImports]
 
@@ -38,6 +43,26 @@ def test_the_page_agrees_with_the_results_that_it_shows() -> None:
     means = [round(sum(int(row[2]) for row in rows) / len(rows)) for rows in (errors, deviations)]
     assert f"break {len(errors)} rules whose level is error, each on {means[0]} FMUs on average" in page
     assert f"and {len(deviations)} whose level is deviation, each on {means[1]}." in page
+
+
+FAULTS = dict(re.findall(r"/\* (\d+): ([a-z-]+)", (FOLDER / "reproductions.c").read_text(encoding="utf-8")))
+
+
+@pytest.mark.parametrize("number", ["0", *sorted(FAULTS, key=int)])
+def test_a_reproduction_breaks_the_rule_that_it_names_and_no_other(number: str, tmp_path: Path) -> None:
+    """With 0 it breaks none. The survey met each of these rules broken."""
+    assert [*map(int, sorted(FAULTS, key=int))] == [*range(1, 11)]
+    code = (FOLDER / "reproductions.c").read_text(encoding="utf-8")
+    texts = {"reproductions.c": f"#define REPRODUCTION {number}\n{code}"}
+    library = compile_library("reproductions", texts, ["reproductions.c"], host_platform())
+    members = {
+        XML: (FOLDER / "reproductions.xml").read_bytes(),
+        library_name("reproductions", host_platform()): library,
+    }
+    expected = {FAULTS[number]} if number in FAULTS else set[str]()
+    assert broken_rules(written(members, tmp_path), is_static=False).keys() == expected
+    results = (FOLDER / "results.json").read_text(encoding="utf-8")
+    assert all(f'"`{rule}`"' in results for rule in expected)
 
 
 def test_a_listed_fmu_is_checked_once_and_one_that_no_clone_holds_is_told(
