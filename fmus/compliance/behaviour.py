@@ -278,11 +278,11 @@ class _Judge:
     def _judge_without_instances_before(self, result: Result) -> None:
         """Judges a rule again where no instance was before, as 4.3.1 lets an FMU ask for, if it may matter.
 
-        An instance that is refused because of others before it is a finding of one rule.
+        An instance that is refused, or crashes, because of others before it is a finding of one rule.
         """
         rule, follow = result.rule, self.results.get(_AFTER_OTHERS)
         texts = *result.messages, result.not_judged  # the latter where it speaks of a licence
-        refusal = next((text for text in texts if text.startswith(NO_INSTANCE)), "")
+        refusal = next((text for text in texts if _gives_no_instance(text)), "")
         only_once = self._fmu.claims(ONLY_ONCE)
         is_after_others = follow and not follow.not_judged and follow.rule is not rule
         if not (result.messages if only_once else refusal and is_after_others):
@@ -329,6 +329,10 @@ class _Judge:
         loads = self.results.get("library-loads")
         gates = ["library-format", *(["library-exports"] if loads and loads.messages else [])]
         return next((f"{name}{IS_BROKEN}" for name in gates if name in broken), "")
+
+
+def _gives_no_instance(text: str) -> bool:
+    return text.startswith(NO_INSTANCE) or (text.startswith(ENDED) and ", in fmi2Instantiate(" in text)
 
 
 def _has_ended(result: Result) -> bool:

@@ -50,7 +50,7 @@ static char mutation[64];
 static int own_memory, asynchronous, finishes_all, one_step_size, discards_all, discards_late, warns, once, iterates, internal_steps, needs_rate,
     unusual, refuses_others, warm, reads_after_steps;
 static Data shared;
-static int instances, created, overwritten;
+static int instances, created, overwritten, ended;
 
 #define IS(name) (!strcmp(mutation, name))
 static const char *const CATEGORIES[] = {"logEvents", "logStatusWarning", "logStatusDiscard", "logStatusError"};
@@ -249,6 +249,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     if (IS("no second life") && instances++) return NULL;
     if (IS("no instance after many others") && created++ > 22) return NULL;
     if (IS("an instance after others crashes") && instances++ > 15) abort();
+    if (IS("an instance after one that was reset crashes") && ended) abort();
     Slave *s = functions->allocateMemory && functions->freeMemory && !own_memory
                    ? functions->allocateMemory(1, sizeof *s)
                    : calloc(1, sizeof *s);
@@ -287,6 +288,7 @@ void fmi2FreeInstance(fmi2Component c) {
     Slave *s = c;
     if (IS("free of NULL crashes") && !s) abort();
     if (!s) return;
+    ended |= s->resets > 0;
     if (IS("free crashes in initialization mode") && s->data.state == INITIALIZATION) abort();
     if (!IS("no second life")) instances--;
     if (IS("memory leaks")) return;
