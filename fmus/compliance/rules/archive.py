@@ -24,8 +24,7 @@ _ENCRYPTED, _DESCRIPTOR = 0x0001 | 0x0040 | 0x2000, 0x0008  # general purpose bi
 _NEWEST = 20  # version 2.0 of the zip format
 _LONGEST_END = 22 + 65535  # bytes of the end of the central directory, with its comment
 PLATFORM = re.compile(
-    r"(?:win|linux|darwin)(?:32|64)|(?:aarch|riscv|ppc)(?:32|64)-(?:windows|linux|darwin)(?:-\w+)?"
-    r"|x86(?:_64)?-(?:windows|linux|darwin)-\w+"  # without an ABI they have the names above
+    r"(?:win|linux|darwin)(?:32|64)|(?:(?:aarch|riscv|ppc|x86_)(?:32|64)|x86)-(?:windows|linux|darwin)(?:-\w+)?"
 )
 
 

@@ -16,6 +16,7 @@ BUILD_DESCRIPTION = "sources/buildDescription.xml"
 TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
 
 _EXTENSIONS = {"darwin": ".dylib", "win": ".dll", "linux": ".so"}
+_OF_FMI_3 = re.compile(r"x86(?:_64)?-(?:windows|linux|darwin)")  # which FMI 2.0 names as win64 and the like
 _SOURCES = "sources/"
 _HEADERS = ("fmi2TypesPlatform.h", "fmi2FunctionTypes.h", "fmi2Functions.h")
 _HEADERS_OF_OTHERS = re.compile(  # of the standard library of C, and of other versions of FMI
@@ -135,7 +136,8 @@ def _compiled(fmu: FmuFile, listed: list[str]) -> dict[str, bytes]:
 
 add_rows(__name__, Stage.FILE, condition=unreadable, rows=(
     row("platform-names", lambda fmu: fmu.platforms(),
-        (lambda folder, _: not PLATFORM.fullmatch(folder),
+        (lambda folder, fmu: not PLATFORM.fullmatch(folder)
+         or (fmu.version == "2.0" and _OF_FMI_3.fullmatch(folder)),
          "binaries/{subject}: expected win64, linux64, darwin64, aarch64-linux or the like")),
     row("headers-of-fmi-are-left-out", lambda fmu: [*_files(fmu, _SOURCES), *_files(fmu, "binaries/")],
         (lambda path, _: posixpath.basename(path) in _HEADERS,
