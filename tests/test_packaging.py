@@ -2,8 +2,10 @@
 
 import base64
 import hashlib
+import importlib
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -114,6 +116,15 @@ def read_only(venv: Path) -> list[str]:
 
 def installed_files(venv: Path) -> dict[str, bytes]:
     return {str(path): path.read_bytes() for path in venv.rglob("*") if path.is_file()}
+
+
+def test_an_isolated_build_has_the_compiler_and_the_headers_of_fmi(monkeypatch: pytest.MonkeyPatch) -> None:
+    """FMPy holds the headers; the other tests build where it is installed."""
+    monkeypatch.syspath_prepend(str(ROOT / ".ci"))
+    backend = importlib.import_module("build_backend")
+    monkeypatch.setattr(backend.build_meta, "get_requires_for_build_wheel", lambda _: [])
+    required = backend.get_requires_for_build_wheel()
+    assert {re.split("[<>=]", name)[0] for name in required} == {"ziglang", "fmpy"}
 
 
 def test_the_wheel_holds_every_file_and_the_libraries_of_five_platforms(wheel: Path) -> None:
