@@ -285,7 +285,7 @@ def test_a_call_that_fails_is_told_once_and_leaves_what_does_not_make_it_judged(
          "in the state 'event mode': fmi2ExitInitializationMode does not lead into event mode: "),
         ("a completed step ends continuous-time mode",
          "in the state 'continuous-time mode after a completed step': fmi2SetTime returned error"),
-        ("the size of a state is too small", "which is too small: fmi2SerializeFMUstate fails with it"),
+        ("the size of a state is too small", "fmi2SerializedFMUstateSize is 256, which is too small"),
         ("bytes are those of the present", "fmi2SerializeFMUstate gives other bytes of a saved state"),
         ("states change where continuous time begins", "by fmi2EnterContinuousTimeMode"),
         ("a flag of an event is not written", "fmi2NewDiscreteStates returned ok and left a value unwritten"),
