@@ -227,7 +227,8 @@ class _Judge:
         """Judges rules up to the first that the process does not survive, or after which none will do."""
         is_alone = self._is_alone
         for result in self._results(rules, is_alone):
-            self.results[result.rule.name] = result
+            shown = (message.replace(f"{self._folder}/", "") for message in result.messages)
+            self.results[result.rule.name] = replace(result, messages=tuple(shown))
             if not is_alone:
                 self._judge_without_instances_before(result)
             if self._is_alone != is_alone:

@@ -5,7 +5,7 @@ The head of this file imports what declares the options; the check itself is imp
 
 import gc
 import sys
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import date
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from fmus.compliance.rule import ALLOCATIONS, Level, Result
+from fmus.compliance.rule import ALLOCATIONS, Level, Result, repeated
 
 if TYPE_CHECKING:
     from fmus.compliance.report import Checked
@@ -69,6 +69,7 @@ def check(
     from fmus.compliance.rule import all_rules
     from fmus.compliance.sentences import rule_table
     from fmus.errors import HostError, OrchestrationError
+    from fmus.files import write_text_atomically
 
     names = [known.name for known in all_rules()]
     try:
@@ -77,22 +78,27 @@ def check(
             return
         check_lief()
         chosen = _chosen(only, names)
-        _refuse_wrong_use(fmus or [], baseline, write_baseline)
+        paths = list(dict.fromkeys(fmus or []))
+        outputs = {"--out": out, "--baseline": baseline if write_baseline else None}
+        _refuse_wrong_use(paths, baseline, write_baseline)
+        _refuse_outputs(outputs, [*paths, waivers])
         permitted = findings.read_waivers(waivers, names) if waivers else []
         known = findings.read_baseline(baseline) if baseline and not write_baseline else {}
         off = [] if chosen else rule_table()["off"]
         shown = chosen or [name for name in names if name not in off]
-        results = _judged(fmus or [], shown, timeout, quiet)
+        results = _judged(paths, shown, timeout, quiet)
         found, today = findings.findings_of(results), date.today()
         left = findings.without_known(findings.waived(found, permitted, today), known)
         checked = report.Checked(results, left, fail_on, off, every)
         of_chosen = [waiver for waiver in permitted if not chosen or waiver.rule in chosen]
         _tell(*findings.useless(of_chosen, found, today))
+        if not chosen and (gone := findings.no_longer_found(known, found, paths)):
+            _tell(f"{baseline}: {gone} findings are no longer found: --write-baseline leaves them out")
         with host_errors():
-            if baseline and write_baseline:
-                baseline.write_text(findings.baseline_text(left), encoding="utf-8")
-                _tell(f"{baseline}: written, with {len(checked.open)} findings")
             _print(checked, format_name, out)
+            if baseline and write_baseline:
+                write_text_atomically(baseline, findings.baseline_text(left))
+                _tell(f"{baseline}: written, with {len(checked.open)} findings")
         status = 0 if write_baseline else _status(checked, strict)
     except (ValueError, OSError, OrchestrationError, HostError) as error:
         _tell(str(error))
@@ -109,6 +115,8 @@ def _chosen(only: str, names: Sequence[str]) -> list[str]:
     from fmus.errors import nearest
 
     chosen = [name.strip() for name in only.split(",") if name.strip()]
+    if only and not chosen:
+        raise ValueError(f"--only {only}: expected names of rules")
     for name in chosen:
         if name not in names:
             raise ValueError(f"--only: no rule {name!r}: {nearest(name, names)}")
@@ -124,9 +132,24 @@ def _refuse_wrong_use(fmus: Sequence[Path], baseline: Path | None, write_baselin
         raise ValueError("--write-baseline: expected --baseline FILE too")
     if baseline and not write_baseline and not baseline.is_file():
         raise ValueError(f"--baseline {baseline}: no such file: write it once with --write-baseline")
+    if baseline and (names := repeated(path.name for path in fmus)):
+        raise ValueError(
+            f"--baseline: FMUs of one name, {', '.join(names)}: expected others, as it knows them"
+        )
     for path in fmus:
         if not path.is_file():
             describe(path)  # the error names the nearest FMU
+
+
+def _refuse_outputs(outputs: Mapping[str, Path | None], inputs: Sequence[Path | None]) -> None:
+    """Raises ValueError for a file that cannot be written, or that is read or written otherwise."""
+    used = [path.resolve() for path in inputs if path]
+    for option, path in outputs.items():
+        if path and path.is_dir():
+            raise ValueError(f"{option} {path}: it is a folder: expected a file")
+        if path and path.resolve() in used:
+            raise ValueError(f"{option} {path}: it is used otherwise: expected a file of its own")
+        used += [path.resolve()] if path else []
 
 
 def _judged(
@@ -166,13 +189,16 @@ def _progress(quiet: bool, count: int) -> Iterator[Callable[[str], None]]:
 
 
 def _print(checked: "Checked", format_name: str, out: Path | None) -> None:
+    """Prints the report, or the text beside a file of it; what cannot be encoded is escaped."""
     from fmus.compliance import report
+    from fmus.files import write_bytes_atomically
 
     document = report.FORMATS[format_name](checked)
+    shown = document if out is None else report.text(checked)
+    encoding = sys.stdout.encoding or "utf-8"
+    print(shown.encode(encoding, "backslashreplace").decode(encoding), end="")
     if out is not None:
-        out.write_text(document, encoding="utf-8")
-        document = report.text(checked)
-    print(document, end="")
+        write_bytes_atomically(out, document.encode("utf-8", "backslashreplace"))
 
 
 def _status(checked: "Checked", strict: bool) -> int:

@@ -5,11 +5,12 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, behaviour, judged
+from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, FUNDAMENTAL, behaviour, judged
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.library_reader import check_lief, close_reader, no_library, start_reading
 from fmus.compliance.rule import SCHEMA, Result, Stage, registered
 
+GATES = "archive-is-zip", "archive-has-description", "description-is-readable", *FUNDAMENTAL
 _STATIC = (Stage.FILE, Stage.DESCRIPTION, Stage.LIBRARY)
 
 
@@ -19,24 +20,31 @@ def examine(
     """Returns one result for every rule, in the order of `all_rules`.
 
     timeout: seconds that one behaviour, or LIEF for one library, may take; names: of the rules that are
-    judged, all by default. The process of LIEF stays for the next FMU until `close_reader`, or the end of
-    this process. Raises OSError if there is no such file, MissingExtraError without LIEF.
+    judged, all by default. Where one of these is not judged, broken ones of `GATES` are told too. The process
+    of LIEF stays for the next FMU until `close_reader`, or the end of this process. Raises OSError if there
+    is no such file, MissingExtraError without LIEF.
     """
     check_lief()
     with path.open("rb"):
         fmu = FmuFile(path)
+    of_archive = None if names is None else {*names, *GATES}
     runs = names is None or any(rule.name in names for rule in registered(Stage.BEHAVIOUR))
     try:
         with suppress(Exception):  # which is told when its libraries are judged
             if runs and not (_unread(fmu) or no_library(fmu)):
                 start_reading(fmu, timeout)
-        of_files = list(static_results(fmu, (Stage.FILE, Stage.DESCRIPTION), names))
+        of_files = list(static_results(fmu, (Stage.FILE, Stage.DESCRIPTION), of_archive))
         of_libraries = cache(lambda: list(static_results(fmu, (Stage.LIBRARY,), None if runs else names)))
-        of_behaviour = list(behaviour(fmu, timeout, of_libraries, names))
+        of_behaviour = list(behaviour(fmu, timeout, of_libraries, of_archive if runs else names))
     except BaseException:
         close_reader()  # its answers nobody will receive
         raise
-    return [r for r in (*of_files, *of_libraries(), *of_behaviour) if names is None or r.rule.name in names]
+    results = [*of_files, *of_libraries(), *of_behaviour]
+    chosen = [result for result in results if names is None or result.rule.name in names]
+    told = GATES if any(result.not_judged for result in chosen) else ()
+    return [
+        result for result in results if result in chosen or (result.rule.name in told and result.messages)
+    ]
 
 
 def static_results(

@@ -116,18 +116,20 @@ class Waiver:
         return self.until is not None and today > self.until
 
     def _matches(self, finding: Finding) -> bool:
-        is_fmu = any(fnmatchcase(name, self.fmu) for name in (finding.fmu.name, finding.fmu.as_posix()))
-        return is_fmu and self.rule == finding.rule.name and self.message in finding.message
+        pattern = self.fmu.removeprefix("./")
+        names = finding.fmu.name, finding.fmu.as_posix()
+        is_fmu = pattern in names or any(fnmatchcase(name, pattern) for name in names)
+        return is_fmu and self.rule == finding.rule.name and self.message in finding.text
 
 
 def read_waivers(path: Path, rules: Iterable[str]) -> list[Waiver]:
     """Returns the waivers of a TOML file, [[waiver]] each. Raises ValueError, OSError if there is no file."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:  # also what is no UTF-8
+    except (ValueError, RecursionError) as error:  # also what is no UTF-8
         raise ValueError(f"{path}: {error}: expected TOML") from None
     known, entries = list(rules), content.pop("waiver", [])
-    if content or not isinstance(entries, list):
+    if content or not (isinstance(entries, list) and all(isinstance(entry, dict) for entry in entries)):
         raise ValueError(f"{path}: {', '.join(content) or 'waiver'}: expected tables [[waiver]] alone")
     return [_waiver(entry, f"{path}, waiver {number}", known) for number, entry in enumerate(entries, 1)]
 
@@ -186,9 +188,12 @@ def baseline_text(findings: Iterable[Finding]) -> str:
 def read_baseline(path: Path) -> dict[str, int]:
     """Returns how often each finding of a baseline occurs. Raises ValueError, OSError if there is no file."""
     try:
-        return {key: int(count) for key, count in json.loads(path.read_text(encoding="utf-8")).items()}
-    except (AttributeError, TypeError, ValueError) as error:
+        counts = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: {error}: expected a file of --write-baseline") from None
+    if not isinstance(counts, dict) or any(type(count) is not int or count < 1 for count in counts.values()):
+        raise ValueError(f"{path}: expected a file of --write-baseline, which counts findings")
+    return counts
 
 
 def without_known(findings: Iterable[Finding], baseline: Mapping[str, int]) -> list[Finding]:
@@ -200,6 +205,13 @@ def without_known(findings: Iterable[Finding], baseline: Mapping[str, int]) -> l
         left[key] -= is_known
         compared.append(replace(finding, accepted=IN_BASELINE) if is_known else finding)
     return compared
+
+
+def no_longer_found(baseline: Mapping[str, int], findings: Iterable[Finding], fmus: Iterable[Path]) -> int:
+    """Returns how many findings of a baseline, about the FMUs that were checked, are no longer there."""
+    gone = Counter(baseline) - Counter(map(key_of, findings))
+    places = tuple(f"{fmu.name}: " for fmu in fmus)
+    return sum(count for key, count in gone.items() if key.startswith(places))
 
 
 def folded(findings: Iterable[Finding]) -> list[tuple[Finding, int]]:

@@ -275,7 +275,7 @@ class FmuFile:
         try:
             root = etree.fromstring(content, parser)
         except (etree.XMLSyntaxError, ValueError) as error:
-            raise BrokenMemberError(f"{member} is not well-formed: {error}") from None
+            raise BrokenMemberError(f"{member} is not well-formed: {getattr(error, 'msg', error)}") from None
         if root.getroottree().docinfo.doctype:  # its entities can be bombs
             raise BrokenMemberError(f"{member} has a document type declaration: expected none")
         return root

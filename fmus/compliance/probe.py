@@ -217,7 +217,7 @@ class Probe:
         """
         results, key = self.shared.results, f"{name} {of}"
         if key not in results:
-            results[key] = NotJudgedError(f"the {name} fails, which another rule tells")
+            results[key] = NotJudgedError(f"no {name}: a rule before did not finish that")
             try:
                 results[key] = make()
             except (NotApplicableError, NotJudgedError) as reason:

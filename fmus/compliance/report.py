@@ -1,6 +1,7 @@
 """Report of the check: lines for people, and documents for programs."""
 
 import json
+import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -9,6 +10,7 @@ from functools import cached_property
 from importlib.metadata import PackageNotFoundError, metadata
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 from xml.etree import ElementTree
 
 from fmus.compliance.findings import Finding, folded
@@ -86,8 +88,8 @@ def total(checked: Checked) -> str:
 
 def unloaded(results: Results) -> list[str]:
     """Returns each FMU whose library this machine cannot load, with the reason."""
-    loads = ((path, r) for path, of_fmu in results.items() for r in of_fmu if r.rule.name == "library-loads")
-    return [f"{path}: {r.not_judged}" for path, r in loads if r.not_judged.startswith(CANNOT_LOAD)]
+    reasons = ((path, r.not_judged) for path, of_fmu in results.items() for r in of_fmu)
+    return list(dict.fromkeys(f"{path}: {why}" for path, why in reasons if why.startswith(CANNOT_LOAD)))
 
 
 def not_judged(results: Sequence[Result]) -> str:
@@ -184,7 +186,7 @@ def sarif(checked: Checked) -> str:
 
 
 def _sarif_result(finding: Finding) -> dict[str, Any]:
-    location: dict[str, Any] = {"artifactLocation": {"uri": finding.fmu.as_posix()}}
+    location: dict[str, Any] = {"artifactLocation": {"uri": quote(os.fsencode(finding.fmu.as_posix()))}}
     region = {"region": {"startLine": finding.line}} if finding.line else {}
     member = {"logicalLocations": [{"name": DESCRIPTION}]} if finding.line else {}
     accepted = {"suppressions": [{"kind": "external", "justification": finding.accepted}]}
@@ -223,14 +225,14 @@ def junit(checked: Checked) -> str:
 
 
 def _case(checked: Checked, path: Path, result: Result, fails: bool) -> ElementTree.Element:
-    case = ElementTree.Element("testcase", name=result.rule.name, classname=path.name)
-    content = "\n".join(result.messages)
-    outcome = checked.outcome(path, result)
+    case = ElementTree.Element("testcase", name=result.rule.name, classname=path.as_posix())
+    of_rule = [finding for finding in checked.of(path) if finding.rule == result.rule]
+    texts = [finding.text for finding in of_rule if not finding.accepted]
+    content, outcome = "\n".join(texts), checked.outcome(path, result)
     if fails:
-        ElementTree.SubElement(case, "failure", message=result.messages[0]).text = content
+        ElementTree.SubElement(case, "failure", message=texts[0]).text = content
     elif outcome == _ACCEPTED:
-        reason = next(f.accepted for f in checked.of(path) if f.rule == result.rule)
-        ElementTree.SubElement(case, "skipped", message=reason)
+        ElementTree.SubElement(case, "skipped", message=of_rule[0].accepted)
     elif content:
         ElementTree.SubElement(case, "system-out").text = f"{outcome}: {content}"
     elif reason := _reason(result):

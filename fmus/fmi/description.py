@@ -40,6 +40,8 @@ def describe(path: Path) -> ModelDescription:
     It is read once while the file does not change: all who ask share it, and must not change it.
     """
     if not path.is_file():
+        if path.exists():
+            raise FmuLoadError(f"{path} is a folder, or no regular file: expected an FMU")
         folder = path.parent
         beside = [other.name for other in folder.glob("*.fmu")]
         for block, flavour in block_fmus([path]):

@@ -125,8 +125,14 @@ def _changes(probe: Probe) -> Iterator[_Change]:
         scripts.append(do.played(probe, [do.begin, do.step(), pending], watched=True))
     with suppress(rule.NotApplicableError, rule.NotJudgedError):
         scripts.append(do.over_the_experiment(probe))
+    told = set[tuple[str, str, str]]()
     for reply in (reply for script in scripts for reply in script.everything):
         for setting, before, after in reply.changed:
+            if (
+                reply.is_step and (setting, before, after) in told
+            ):  # the last call of several is not the cause
+                continue
+            told.add((setting, before, after))
             function = before if setting in (ARGUMENTS, UNWRITTEN) else reply.function
             yield _Change(function, setting, before, after)
         if reply.printed:

@@ -1,5 +1,6 @@
 """Waivers, baseline and folding are filters on one list of findings."""
 
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 
@@ -30,12 +31,19 @@ def waivers_of(folder: Path, text: str) -> list[Waiver]:
     return findings.read_waivers(path, RULES)
 
 
-@pytest.mark.parametrize("pattern", ["plant.fmu", "pl*.fmu", "a/plant.fmu", "*"])
+@pytest.mark.parametrize("pattern", ["plant.fmu", "pl*.fmu", "a/plant.fmu", "./a/plant.fmu", "./a/*", "*"])
 def test_a_waiver_names_an_fmu_or_a_pattern_and_gives_its_reason(pattern: str) -> None:
     waiver = Waiver(FIRST, pattern, "the tool writes it")
     others = [finding(rule=SECOND), finding()]
     assert accepted(findings.waived(others, [waiver], TODAY)) == ["", "waived: the tool writes it"]
     assert findings.useless([waiver], others, TODAY) == []
+
+
+def test_a_waiver_may_name_brackets_and_the_text_as_it_is_shown() -> None:
+    found = replace(finding(fmu="x[1].fmu"), maker="PythonFMU")
+    assert accepted(findings.waived([found], [Waiver(FIRST, "x[1].fmu", "r", found.text)], TODAY)) == [
+        "waived: r"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -90,6 +98,10 @@ def test_a_wrong_waiver_is_refused_with_what_was_expected(entry: str, message: s
 def test_what_is_no_waiver_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"waivers: expected tables \[\[waiver\]\] alone"):
         waivers_of(tmp_path, "[[waivers]]\nrule = 'x'\n")
+    with pytest.raises(ValueError, match=r"waiver: expected tables \[\[waiver\]\] alone"):
+        waivers_of(tmp_path, "waiver = ['x']")
+    with pytest.raises(ValueError, match="expected TOML"):
+        waivers_of(tmp_path, f"waiver = {'[' * 5000}{']' * 5000}")
 
 
 def baseline_of(found: list[Finding], folder: Path) -> dict[str, int]:
@@ -121,13 +133,23 @@ def test_what_a_baseline_does_not_hold_is_new(tmp_path: Path) -> None:
     assert accepted(findings.without_known([finding("same")] * 2, known)) == [IN_BASELINE, ""]
 
 
+def test_findings_of_a_baseline_that_are_gone_are_counted_for_the_fmus_that_were_checked(
+    tmp_path: Path,
+) -> None:
+    known = baseline_of([finding()] * 3 + [finding(fmu="other.fmu")], tmp_path)
+    left = [finding(), finding("new")]
+    assert findings.no_longer_found(known, left, [Path("b/plant.fmu"), Path("more.fmu")]) == 2
+
+
 def test_what_is_waived_is_not_in_the_baseline(tmp_path: Path) -> None:
     waived = findings.waived([finding()], [Waiver(FIRST, "*", "r")], TODAY)
     assert baseline_of(waived, tmp_path) == {}
     assert accepted(findings.without_known(waived, baseline_of([finding()], tmp_path))) == ["waived: r"]
 
 
-@pytest.mark.parametrize("text", ["[]", "{", '{"a": "b"}'])
+@pytest.mark.parametrize(
+    "text", ["[]", "{", '{"a": "3"}', '{"a": Infinity}', '{"a": 0}', '{"a": true}', "[" * 10**5]
+)
 def test_what_is_no_baseline_is_refused(text: str, tmp_path: Path) -> None:
     path = tmp_path / "baseline.json"
     path.write_text(text)

@@ -1,6 +1,7 @@
 """What the check writes for programs: SARIF, JUnit, annotations of GitHub; and what it explains."""
 
 import json
+import urllib.parse
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -47,7 +48,8 @@ def test_sarif_holds_each_message_with_its_rule_and_file(
     assert {(r["ruleId"], r["level"], r["message"]["text"]) for r in run["results"]} == messages
     assert {rule["id"] for rule in run["tool"]["driver"]["rules"]} == {name for name, *_ in messages}
     location = run["results"][0]["locations"][0]["physicalLocation"]["artifactLocation"]["uri"]
-    assert location == path.as_posix()
+    assert urllib.parse.unquote(location) == path.as_posix()
+    assert not {*location} & {*" #ü"}
 
 
 def test_a_finding_of_a_variable_has_its_line_and_its_rule_has_an_address(
@@ -89,6 +91,16 @@ def test_an_accepted_rule_is_skipped_in_junit_and_fails_nothing(checked: Checked
     assert suite.get("failures") == "0"
     (case,) = [case for case in suite if case.get("name") == accepted[0].rule.name]
     assert [(child.tag, child.get("message")) for child in case] == [("skipped", "waived: known")]
+
+
+def test_junit_tells_what_is_left_where_a_part_is_accepted(checked: Checked) -> None:
+    found = next(found for found in checked.findings if found.rule.level == "error")
+    others = [replace(found, message="left", maker="PythonFMU"), replace(found, accepted="waived: known")]
+    others += [other for other in checked.findings if other is not found]
+    (suite,) = ElementTree.fromstring(FORMATS["junit"](Checked(checked.results, others[::-1])))
+    (failure,) = suite.iter("failure")
+    assert failure.get("message") == failure.text == others[0].text
+    assert {case.get("classname") for case in suite} == {found.fmu.as_posix()}
 
 
 def test_junit_is_a_test_for_each_rule_and_fails_for_errors_alone(

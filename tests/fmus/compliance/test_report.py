@@ -1,7 +1,9 @@
 """What the check tells: JSON, exit status, odd paths."""
 
+import errno
 import io
 import json
+import os
 import re
 import subprocess
 import sys
@@ -11,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from fmus.compliance.check import NOT_JUDGED, _progress, check, main
+from fmus.compliance.check import NO_VERDICT, NOT_JUDGED, _progress, check, main
 from fmus.compliance.probe import refusal
 from fmus.compliance.rule import OUTCOMES, all_rules, repeated
 from fmus.compliance.script import Message
@@ -132,6 +134,16 @@ def unjudged(built: Fmus, tmp_path: Path) -> Path:
         ("deviating", "--format yaml", 2),
         ("deviating", "--fail-on warning", 2),
         ("deviating", "--colour", 2),
+        ("text", "--only refusals-are-logged", 1),
+        ("text", "--only archive-extension", 0),
+        ("unjudged", "--only refusals-are-logged", 0),
+        ("deviating", "--only ,", 2),
+        ("deviating", "--format json --out deviating.fmu", 2),
+        ("deviating", "--format json --out .", 2),
+        ("deviating", "--baseline deviating.fmu --write-baseline", 2),
+        ("deviating", "--waivers layout.toml --baseline layout.toml --write-baseline", 2),
+        ("deviating", "--baseline one --write-baseline --out one", 2),
+        ("deviating sub/deviating", "--baseline one --write-baseline", 2),
     ],
 )
 def test_the_exit_status_tells_what_is_left(
@@ -150,7 +162,12 @@ def test_the_exit_status_tells_what_is_left(
     Path("paths.toml").write_text(WAIVER.format("archive-paths-are-portable", ""))
     Path("exports.toml").write_text(WAIVER.format("library-exports", ""))
     Path("unknown.toml").write_text(WAIVER.format("archive-layouts", ""))
+    Path("text.fmu").write_text("no archive")
+    Path("sub").mkdir()
+    Path("sub/deviating.fmu").write_bytes(deviating.read_bytes())
+    files = {path: path.read_bytes() for path in tmp_path.glob("*.*")}
     assert main([*(f"{name}.fmu" for name in fmus.split()), *options.split()]) == status
+    assert {path: path.read_bytes() for path in files} == files
 
 
 def test_only_findings_that_the_baseline_lacks_fail(
@@ -162,6 +179,49 @@ def test_only_findings_that_the_baseline_lacks_fail(
     assert main([str(wrong), "--baseline", file, "--fail-on", "advice"]) == 0
     assert "2 accepted" in capsys.readouterr().out
     assert main([str(deviating), "--baseline", file, "--fail-on", "deviation"]) == 1
+
+
+def test_a_baseline_that_holds_more_than_is_found_is_told(
+    deviating: Path, wrong: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = str(tmp_path / "baseline.json")
+    main([str(wrong), "--baseline", file, "--write-baseline", "--only", "archive-paths-are-portable"])
+    wrong.write_bytes(deviating.read_bytes())
+    assert main([str(wrong), "--baseline", file]) == 0
+    assert "1 findings are no longer found: --write-baseline leaves them out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--out", "--baseline"])
+def test_a_file_that_cannot_be_written_hides_no_finding_and_what_was_there_stays(
+    wrong: Path,
+    tmp_path: Path,
+    option: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file = tmp_path / "there"
+    file.write_text("as it was")
+
+    def full(path: Path, _: Path) -> None:
+        raise OSError(errno.ENOSPC, "no space", str(path))
+
+    monkeypatch.setattr(Path, "replace", full)
+    options = [option, str(file), *(["--write-baseline"] if option == "--baseline" else [])]
+    assert main([str(wrong), "--only", "archive-paths-are-portable", *options]) == NO_VERDICT
+    shown = capsys.readouterr()
+    assert "archive-paths-are-portable" in shown.out
+    assert "no space" in shown.err
+    assert file.read_text() == "as it was"
+    assert {path.name for path in tmp_path.iterdir()} == {"there", wrong.name}
+
+
+def test_what_a_console_cannot_show_is_escaped(wrong: Path, tmp_path: Path) -> None:
+    named = wrong.rename(tmp_path / "größe \u6df1.fmu")
+    command = [sys.executable, "-m", "fmus.compliance", str(named), "--only", "archive-paths-are-portable"]
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
+    assert done.returncode == 1
+    assert r"gr\xf6\xdfe \u6df1.fmu" in done.stdout
 
 
 def test_what_was_not_judged_and_what_was_left_out_is_one_line_each(
