@@ -111,7 +111,8 @@ class CalledInstance(parts.StateSlots):
 
     def _tell(self, function: str, arguments: Sequence[Any]) -> None:
         """Announces a call, with the function that brought the instance where it is, and its callbacks."""
-        self._announce(f"{function}({', '.join(filter(None, map(parts.shown, arguments)))}){self._after}")
+        shown = [show(argument) for argument in arguments if (show := parts.shower(type(argument)))]
+        self._announce(f"{function}({str(shown)[1:-1]}){self._after}")
 
     def note(self, what: str, is_so: bool) -> None:
         """Notes what the FMU did wrong, if so, for `changed_settings`."""

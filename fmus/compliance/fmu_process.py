@@ -1,5 +1,6 @@
 """The process that calls an FMU: started, asked, timed and ended."""
 
+import re
 import struct
 import time
 from collections.abc import Iterator, Sequence
@@ -14,6 +15,7 @@ from fmus.fmi.process import WorkerProcess
 Call = tuple[Any, ...]  # a method of `LoadedFmu` and its arguments
 START_S = 60.0  # for the interpreter, whatever the rules take
 _POLL_S = 0.01
+_DECIMALS = re.compile(r"\b\d+\.\d+(?:e[+-]?\d+)?")
 
 
 class FmuProcess:
@@ -96,7 +98,8 @@ class FmuProcess:
     def call_under_way(self) -> str:
         """The call that is under way, with its arguments; empty if there is none."""
         began, call = self._under_way()
-        return call.split(b"\0", 1)[0].decode("utf-8", "replace") if began else ""
+        text = call.split(b"\0", 1)[0].decode("utf-8", "replace").replace("None", "NULL") if began else ""
+        return _DECIMALS.sub(lambda match: f"{float(match[0]):.9g}", text)
 
     def close(self) -> None:
         self._process.close()

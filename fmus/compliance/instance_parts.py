@@ -2,6 +2,7 @@
 
 import ctypes
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 from fmus.compliance.process_settings import ProcessSettings
@@ -46,22 +47,21 @@ _GUARD = 64  # bytes behind a serialised state
 _GUARD_BYTE = b"\xa5"
 
 
-_SHOWN: dict[type, Callable[[Any], str]] = {
-    float: "{:.9g}".format, int: str, str: str, type(None): lambda _: "NULL",
-}  # fmt: skip
+_PLAIN = (float, int, str, type(None))
 _MOST_SHOWN = 8  # elements
 
 
-def shown(argument: Any) -> str:
-    """Returns an argument of a call in a few characters; empty for an array of results or an address."""
-    if show := _SHOWN.get(type(argument)):
-        return show(argument)
-    if not isinstance(argument, ctypes.Array):
-        return ""
-    if argument._type_ is ctypes.c_double:
-        return f"[{', '.join(map(_SHOWN[float], argument[:_MOST_SHOWN]))}]"
-    is_text = argument._type_ in (ctypes.c_char, ctypes.c_char_p)  # the FMU may leave wrong addresses
-    return "[...]" if is_text else str(argument[:_MOST_SHOWN])
+@cache  # every call is announced
+def shower(kind: type) -> Callable[[Any], Any] | None:
+    """Returns what gives an argument of a type as plain data, few elements of an array; None for an address
+    of results.
+    """
+    if kind in _PLAIN:
+        return lambda argument: argument
+    if not issubclass(kind, ctypes.Array):
+        return None
+    is_text = kind._type_ in (ctypes.c_char, ctypes.c_char_p)  # the FMU may leave wrong addresses
+    return lambda argument: ... if is_text else argument[:_MOST_SHOWN]
 
 
 def array_of(values: list[Any], strings: list[Any]) -> Any:
