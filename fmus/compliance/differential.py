@@ -39,8 +39,8 @@ class Row:
     usual: actions; what they read is expected, after what the varied run itself expects, and over again;
       None for as many steps as outputs are read
     tolerance: relative; None is that of the default experiment
-    options: of the instance; beside: actions on other instances, which take turns with it; those with none
-      are created before it
+    options: of the instance, or of those beside it, if there are any; beside: actions on other instances,
+      which take turns with it; those with none are created before it
     may_fail: whether the FMU may refuse a call, and then nothing can be compared
     again: what is expected, in words, of a value
     start: where its runs begin
@@ -151,7 +151,10 @@ def _write(probe: Probe, row: Row) -> tuple[Row, Script, list[Script]]:
     plays = [written(*row.varied, logging=not row.may_fail, **row.options)]
     if row.beside:
         all_actions = enumerate([row.varied, *row.beside])
-        plays = [written(*actions, name=f"instance {i}", logging=True) for i, actions in all_actions]
+        plays = [
+            written(*actions, name=f"instance {i}", logging=True, **(row.options if i else {}))
+            for i, actions in all_actions
+        ]
     steps = max(len(play.observed) for play in plays)
     usual = row.usual if row.usual is not None else (do.begin, do.run(steps)) if steps else ()
     return row, written(*usual), plays

@@ -127,7 +127,8 @@ static void outputs(Data *d, double u) {
     d->real[Y] = d->real[X] + u;
     if (iterates && d->state == INITIALIZATION) d->real[Y] += 1e-7 * sin(1e12 * d->real[GAIN]);
     d->real[Z] = d->real[X] / 2;
-    if (d->state != STEPPING) d->real[TWICE] = 2 * d->real[GAIN];
+    const int is_old = IS("a calculated parameter stays in initialization mode") && d->state == INITIALIZATION;
+    if (d->state != STEPPING && !is_old) d->real[TWICE] = 2 * d->real[GAIN];
     d->integer[COUNT] = d->steps + (unusual ? d->integer[N] % 1000 : d->integer[N]);
     if (unusual) { /* a ripple of 1 / (0.1 s), an event at the start, and a table that is left beyond the range of gain */
         d->real[Y] += 0.1 * sin(62.83185307179586 * d->real[TIME]);
@@ -325,7 +326,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2R
     s->data.real[TIME] = IS("the start time is ignored") ? 0 : start;
     s->data.last_successful_time = start;
     if (IS("an undefined tolerance acts")) s->data.real[X] *= 1 + tolerance;
-    s->stop_time = has_stop ? stop : INFINITY;
+    s->stop_time = has_stop || (IS("a later stop time counts undefined") && stop > start) ? stop : INFINITY;
     if (IS("the stop time is reached too early") && has_stop) s->stop_time = stop - 0.05;
     return fmi2OK;
 }
@@ -348,6 +349,7 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     if (IS("initialisation fails")) return error(s, "no initial values");
     if (IS("values set in initialization mode are lost")) s->data.real[U] = 0.8;
     if (IS("derivatives of initialization mode are lost")) s->data.input_rate = 0;
+    s->data.real[TWICE] = 2 * s->data.real[GAIN];
     outputs(&s->data, s->data.real[U]);
     follow_time(&s->data);
     s->data.first_rate = s->data.real[RATE];
@@ -471,6 +473,7 @@ static int settable(Slave *s, int before, int input, int tunable) {
 
 static fmi2Status not_settable(Slave *s, int constant) {
     if (IS("constants can be set") && constant) return fmi2OK;
+    if (IS("a set out of time is refused in silence")) return s->data.state == STEPPING ? fmi2Error : error(s, "not now");
     if (IS("constants can be set at first") && constant && s->data.state == INSTANTIATED) return fmi2OK;
     return error(s, "cannot be set now");
 }

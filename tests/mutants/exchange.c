@@ -379,8 +379,9 @@ fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n
     Model *m = c;
     NEED(CONT);
     if (n != 2) return error(m, "two states");
-    if (x[0] < -5) {
+    if (x[0] < -5 || x[0] > 1e3) {
         say(m, fmi2Discard, 1, "too far");
+        if (IS("a discarded state ends the run") && x[0] > 1e3) m->d.state = FAIL;
         return fmi2Discard;
     }
     const int first = IS(ORDER);
@@ -430,7 +431,7 @@ static double velocity(Data *d) {
     return IS("a state is given as it was before an event") && d->state == EVENT ? d->before : d->v;
 }
 VECTOR(ContinuousStates, READ, 2, d->x, velocity(d))
-VECTOR(NominalsOfContinuousStates, READ | INST, 2, d->nominal, IS("nominals change with time") ? 1 + d->time : 1)
+VECTOR(NominalsOfContinuousStates, READ | INST, 2, IS("nominals of other states") ? 3 : d->nominal, IS("nominals change with time") ? 1 + d->time : 1)
 static double level(Data *d) {
     if (IS("an indicator of a distance")) return fabs(d->x - 0.1) + 1e-9;
     if (IS("an indicator near 0 changes with each call") && fabs(d->x - 0.1) < 1e-4) d->above_read = !d->above_read;

@@ -102,6 +102,7 @@ static void say(Slave *s, fmi2Status st, int cat, const char *text) {
     if (IS("errors are information")) st = fmi2OK;
     if (IS("a blank of a text") && st == fmi2Error) format = "an error, 100% sure";
     if (IS("a late blank of a number") && s->d.time > 2) format = "at 100% of it";
+    if (IS("a percent sign after many steps") && s->d.time > 3.5) format = "done: 100 %";
     if (IS("a percent sign at the end")) format = "done: 100 %";
     if (IS("a message of NULL")) format = NULL;
     if (IS("a message that is not UTF-8")) format = "Tiefe \xfc";
@@ -666,6 +667,7 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
         double first, second;
         const double f = d->f_end;
         const double a = accel(d, d->pos, f, d->f2), j = -d->k * d->vel / d->m;
+        if (vr[i] == 305 && IS("derivatives of discrete outputs are not written")) continue;
         if (vr[i] == 301) first = d->vel, second = a;
         else if (vr[i] == 302) first = a, second = j;
         else if (vr[i] == 304) first = a * f, second = j * f;

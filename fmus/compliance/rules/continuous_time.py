@@ -11,11 +11,20 @@ from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differ
 from fmus.compliance.fmu_file import MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
-from fmus.compliance.rules.events import Event, change, discrete_variables, follow_at_once, of_events
+from fmus.compliance.rules.events import (
+    Event,
+    change,
+    discrete_variables,
+    follow_at_once,
+    no_states,
+    of_events,
+)
 from fmus.compliance.script import VECTORS, Action, Script
+from fmus.fmi.binding import DISCARD
 
 _STATES, _DERIVATIVES, _INDICATORS, _NOMINALS = VECTORS
 _SOLVED = 1e-5  # relative, of large values: what an iterative solver in the FMU may change
+_FAR = 1e4  # times a state: what many would discard
 _MOST_STATES = 20  # that are moved alone
 _NOT_NEEDED = "completedIntegratorStepNotNeeded"
 _rule = partial(behaviour_rule, interface=MODEL_EXCHANGE)
@@ -137,6 +146,26 @@ def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
             yield f"{words}, read once more {where}: expected the same value"
 
     yield from [*of_events(probe, read_twice)] or differences(probe, rows)
+
+
+@_rule("3.2.1, 3.2.2", condition=no_states)
+def discarded_states_can_be_replaced(probe: Probe) -> Iterator[str]:
+    """After states that the FMU discards, or whose derivatives it does, it takes the states before, and gives
+    their derivatives.
+    """
+
+    def far(script: Script, i: int) -> None:
+        states = [*_start(script).states]
+        states[i] = _FAR * (states[i] or 1.0)
+        script.call("fmi2SetContinuousStates", states, len(states))
+
+    for i in range(min(probe.fmu.vector_length(_STATES), _MOST_STATES)):
+        tried = do.ignore(partial(far, i=i), _ask)
+        script = do.played(probe, (_enter, _go(0.3), tried, _go(0.3), _ask), logging=True)
+        is_discarded = DISCARD in {reply.status for reply in script.ignored}
+        if is_discarded and (failure := script.failure):
+            yield f"after a state was {_FAR:g} times as large, which is discarded: {failure.problem}"
+            return
 
 
 @_rule_of_rows("3.2.2")

@@ -54,7 +54,7 @@ class Column:
         after: Sequence[Action], point: Sequence[do.Pair] = (), in_turn: bool = False,
     ) -> None:  # fmt: skip
         others = {v.index: (v, x) for v, x in point}
-        points = [(do.set_values((others | {known.index: (known, x)}).values()), *after) for x in xs]
+        points = [(do.set_point((others | {known.index: (known, x)}).values()), *after) for x in xs]
         runs = [itertools.chain(*points)] if in_turn else points
         readings = values_of(probe, [(*before, *run) for run in runs])
         rows = (readings[0] or [{}] * len(xs)) if in_turn else [run[-1] if run else {} for run in readings]
@@ -173,8 +173,13 @@ def _output_slopes(probe: Probe, order: int, start: Start, part: float = 1.0) ->
 def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
     """A derivative of an output is 0, where its order is lower, or the slope of what is of one order less:
     near the difference quotients before and after it, the higher the order the less near; at the begin of a
-    run and later in it.
+    run and later in it. That of an output that is not continuous is 0.
     """
+    discrete = [v for v in probe.outputs if v.kind == "Real" and v.variability != "continuous"]
+    for reading in do.played(probe, [do.begin, do.step(2), do.read_slopes(discrete)]).readings:
+        for name, x in reading.values.items() if reading.ok else ():
+            if x != 0.0:
+                yield f"{name}: its derivative is {x:g}: expected 0, as it is not continuous"
     orders = range(1, probe.fmu.output_derivative_order + 1)
     for start, order in itertools.product(starts(probe) if orders else (), orders):
         short = _output_slopes(probe, order, start, _SHORT) if probe.fmu.claims(values.ANY_STEP) else {}

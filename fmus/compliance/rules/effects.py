@@ -140,14 +140,15 @@ def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
         point = do.others_accepted(probe, settable, do.initialise)
         yield from _beside_quotients(probe, (do.exit_initialization_mode,), groups, point)
         return
-    early, settable = (do.begin, do.step()), values.settable_while_stepping(probe.fmu)
-    others = do.set_values(do.others_accepted(probe, settable, *early))
-    for lead in ((do.step(), others, do.step()), *(start.lead for start in starts(probe)[1:])):
+    reals = [v for v in values.settable_while_stepping(probe.fmu) if v.kind == "Real"]  # no case is another
+    others = do.set_values(do.others_accepted(probe, reals, do.begin, do.step()))
+    for lead in ((do.leap(2, True), others, do.step()), *(start.lead for start in starts(probe)[1:])):
         begin = do.begin, *lead, do.enter_continuous_time_mode
         (run,) = values_of(probe, [(*begin, do.read(knowns))])
+        point = [(v, run[0][v.name]) for v in knowns if run]
         # at a limit, where such a known stays, what is computed may be that of the side beyond
-        point = [(v, x) for v in knowns if run and v.low < (x := run[0][v.name]) < v.high]
-        here = [group for group in groups if group[0] in [v for v, _ in point]]
+        inside = [v for v, x in point if v.low < x < v.high]
+        here = [group for group in groups if group[0] in inside]
         yield from _beside_quotients(probe, (do.set_time,), here, point, begin)
 
 
@@ -162,7 +163,7 @@ def _beside_quotients(
     """
     point = {v.index: (v, x) for v, x in (*values.start_values(known for known, _ in groups), *others)}
     judged = [(known, unknowns) for known, unknowns in groups if known.index in point]
-    replies = _derivatives(probe, (*begin, do.set_values(point.values()), *exit_mode), judged)
+    replies = _derivatives(probe, (*begin, do.set_point(point.values()), *exit_mode), judged)
     refused = next((reply for reply in replies if not reply.ok), None)
     if refused and not exit_mode:
         raise CallError(refused.problem)

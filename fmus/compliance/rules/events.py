@@ -175,7 +175,7 @@ _event_rule = partial(rule_of, of_events, interface=MODEL_EXCHANGE)
 @_rule("2.2.8", condition=no_states)
 def vectors_have_the_order_of_the_description(probe: Probe) -> Iterator[str]:
     """States and derivatives as vectors have the values and the order of the variables of Derivatives, after
-    events, and where continuous-time mode ends.
+    events, and where continuous-time mode ends; nominal values at the start are not those of other states.
     """
     of_vectors = elements_of_vectors(probe.fmu)
     if len(of_vectors[VECTORS[0]]) != probe.fmu.vector_length(VECTORS[0]):
@@ -183,7 +183,12 @@ def vectors_have_the_order_of_the_description(probe: Probe) -> Iterator[str]:
 
     nominals = {v.name: v.nominal for v in chain(*of_vectors.values())}
 
+    stated = [v.nominal for v in of_vectors[VECTORS[0]]]
+
     def unlike(event: Event) -> Iterator[str]:
+        got = event.vectors[-1][1]
+        if event.cause == "start" and got != stated and sorted(got) == sorted(stated):
+            yield f"nominal values are {got} at {event.words}: expected {stated}, in the order of the states"
         for when, where in (("values", "at {}"), ("left", "where the continuous-time mode after {} ends")):
             for name, x in event.elements.get(when, {}).items():
                 if not same(a := getattr(event, when)[name], x, _SOLVED, nominals[name]):

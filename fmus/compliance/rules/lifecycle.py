@@ -15,7 +15,7 @@ from fmus.compliance.fmu_file import ONLY_ONCE, FmuFile
 from fmus.compliance.probe import DiscardedStepError, Probe, refusal
 from fmus.compliance.rule import CANNOT_LOAD, RANDOM, NotJudgedError, behaviour_rule
 from fmus.compliance.script import CallError, Reply, Script
-from fmus.fmi.binding import DISCARD, ERROR
+from fmus.fmi.binding import CO_SIMULATION, DISCARD, ERROR, MODEL_EXCHANGE
 
 _WRONG_GUID = "{00000000-0000-0000-0000-000000000000}"
 _NEW_STATES = "fmi2NewDiscreteStates"
@@ -190,6 +190,13 @@ def several_instances(probe: Probe) -> Iterator[Row]:
                 varied, usual = (*first, do.pause, last), (*first, last)
                 yield Row("after another instance was read", varied, usual, beside=((*begin, glance),))
     varied = do.begin, do.run(1), do.pause, do.pause, do.run(2)
+    if len({stated.get("modelIdentifier") for stated in probe.fmu.interfaces.values()}) < len(
+        probe.fmu.interfaces
+    ):
+        other = {"interface": MODEL_EXCHANGE if not probe.fmu.is_model_exchange else CO_SIMULATION}
+        beside = (do.set_debug_logging(False),)
+        when = "beside an instance of the other interface"
+        yield Row(when, (do.begin, do.run(3)), (do.begin, do.run(3)), options=other, beside=(beside,))
     freed = do.begin, do.step(), do.pause, do.call("free")
     yield Row("after another instance was freed", varied, beside=(freed,))
 

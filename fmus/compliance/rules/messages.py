@@ -70,8 +70,10 @@ def _formats(probe: Probe) -> list[Message]:
         wrong = do.call("get", "Real", [do.refused_reference(probe)])
         options = {"name": _NAME_WITH_A_PERCENT_SIGN, "callbacks": "formats"}
         calls = do.begin, do.step(MANY_STEPS), do.glance_all, do.terminate, wrong
-        script = do.played(probe, calls, logging=True, **options)
-        return [m for reply in script.everything for m in reply.messages]
+        scripts = [do.played(probe, calls, logging=True, **options)]
+        with suppress(rule.NotApplicableError):  # few steps
+            scripts.append(do.played(probe, (do.begin, do.leap(3)), logging=True, **options))
+        return [m for script in scripts for reply in script.everything for m in reply.messages]
 
     return probe.once("log of formats", collected)
 
@@ -140,13 +142,20 @@ def _changes(probe: Probe) -> Iterator[_Change]:
 
 
 def _set_odd_parameters(probe: Probe) -> None:
-    """Sets Real parameters to 0 and to another sign, within their limits, which the FMU may refuse."""
+    """Sets Real parameters to 0 and to another sign, within their limits, which the FMU may refuse, and a
+    fixed one of each type at a communication point, which it does.
+    """
     parameters = [
         v for v in values.settable_before(probe.fmu) if values.keeps_its_value(v) and v.kind == "Real"
     ]
     starts = values.start_values(parameters[: do.MOST_VARIABLES])
     pairs = [(v, x) for v, start in starts for x in (0.0, -start) if x != start and v.low <= x <= v.high]
-    probe.play_once([probe.script(do.set_values([pair]), logging=True) for pair in pairs])
+    ways = [(do.set_values([pair]),) for pair in pairs]
+    fixed = [v for v in probe.fmu.variables if (v.causality, v.variability) == ("parameter", "fixed")]
+    late = {
+        v.base_kind: (do.begin, do.step(), do.set_values([(v, x)])) for v, x in values.start_values(fixed)
+    }
+    probe.play_once([probe.script(*way, logging=True) for way in (*ways, *late.values())])
 
 
 def _refused(probe: Probe) -> list[Reply]:

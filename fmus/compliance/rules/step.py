@@ -47,11 +47,13 @@ def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[Row]:
 @differential("2.1.6")
 def undefined_arguments_are_ignored(probe: Probe) -> Iterator[Row]:
     """A tolerance or a stop time that is not defined is not looked at."""
-    for tolerance, when, over in (
-        (0.0, "where an undefined stop time lies before the start time", [do.run(2)]),
-        (0.1, "where an undefined tolerance is 0.1", [do.leap(1), do.read_all()] * 3),
+    before, early = probe.start_time - 1.0, probe.point(1)
+    for tolerance, stop_time, when, over in (
+        (0.0, before, "where an undefined stop time lies before the start time", [do.run(2)]),
+        (0.0, early, "where an undefined stop time is the end of the first step", [do.run(4)]),
+        (0.1, before, "where an undefined tolerance is 0.1", [do.leap(1), do.read_all()] * 3),
     ):
-        arguments = 0, tolerance, probe.start_time, 0, probe.start_time - 1.0
+        arguments = 0, tolerance, probe.start_time, 0, stop_time
         begin = do.call("fmi2SetupExperiment", *arguments), do.enter_initialization_mode
         varied = *begin, do.exit_initialization_mode, *over
         yield Row(when, varied, (do.begin, *over), "with neither tolerance nor stop time defined")

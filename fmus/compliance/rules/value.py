@@ -28,21 +28,24 @@ def variables_can_be_read(probe: Probe) -> None:
 
 @behaviour_rule("2.1.7")
 def initial_values_are_computed(probe: Probe) -> Iterator[str]:
-    """In initialization mode calculated variables have their initial values: not each of some that can be
-    read has another one after it.
+    """In initialization mode calculated variables have their initial values: no calculated parameter has
+    another one after it, and not each of some continuous variables that can be read.
     """
     readable = values.readable_in_initialization(probe.fmu)
     calculated = [v for v in readable if (v.variability, v.initial) == ("continuous", "calculated")]
-    settable, read = values.settable_in_initialization(probe.fmu), do.read(calculated)
+    parameters = [v for v in readable if v.causality == "calculatedParameter"]
+    settable, read = values.settable_in_initialization(probe.fmu), do.read([*calculated, *parameters])
     others = do.set_values(do.others_accepted(probe, settable, do.initialise))
     ways = ((do.initialise, *sets, read, do.exit_initialization_mode, read) for sets in ((), (others,)))
     for first, after in filter(None, values_of(probe, ways)):
-        moved = [v for v in calculated if not values.same(first[v.name], after[v.name], _ROUNDED)]
+        told, moved = (
+            [v for v in group if not values.same(first[v.name], after[v.name], _ROUNDED)]
+            for group in (parameters, calculated)
+        )
         stay = any(after[v.name] != 0.0 for v in calculated if v not in moved)
-        if len({v.reference for v in moved}) >= _SOME and not stay:
-            for v in moved:
-                got, expected = values.texts(first[v.name], after[v.name])
-                yield f"{v.name} is {got} in initialization mode: expected {expected}, as after it"
+        for v in told + moved * (len({v.reference for v in moved}) >= _SOME and not stay):
+            got, expected = values.texts(first[v.name], after[v.name])
+            yield f"{v.name} is {got} in initialization mode: expected {expected}, as after it"
 
 
 def _values(probe: Probe) -> list[tuple[str, str, Any]]:

@@ -147,3 +147,15 @@ def test_an_instance_that_a_licence_refuses_after_others_is_tried_alone(tmp_path
     chosen = examine(patched({begin: begin + refusal}, tmp_path), names=rules)
     results = {result.rule.name: result for result in chosen}
     assert [results[name].outcome for name in rules] == ["passed"] * 3, [results[name] for name in rules]
+
+
+def test_an_instance_of_the_other_interface_changes_nothing(tmp_path: Path) -> None:
+    created = "if (instance) instance->log.enabled = log_mask(loggingOn);"
+    patch = {
+        GLOBALS: f"static int latest;\n{GLOBALS}",
+        created: f"latest = fmuType;\n    {created}",
+        STEP: f"{STEP} if (!latest) return ERROR;",  # after model exchange, which is 0
+    }
+    (result,) = examine(patched(patch, tmp_path), names=["several-instances"])
+    assert all("beside an instance of the other interface: fmi2DoStep" in m for m in result.messages)
+    assert result.messages
