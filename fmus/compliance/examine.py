@@ -40,11 +40,9 @@ def examine(
         close_reader()  # its answers nobody will receive
         raise
     results = [*of_files, *of_libraries(), *of_behaviour]
-    chosen = [result for result in results if names is None or result.rule.name in names]
-    told = GATES if any(result.not_judged for result in chosen) else ()
-    return [
-        result for result in results if result in chosen or (result.rule.name in told and result.messages)
-    ]
+    shown = {result.rule.name for result in results} if names is None else {*names}
+    told = GATES if any(r.not_judged for r in results if r.rule.name in shown) else ()
+    return [r for r in results if r.rule.name in shown or (r.rule.name in told and r.messages)]
 
 
 def static_results(

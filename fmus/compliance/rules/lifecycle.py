@@ -190,13 +190,11 @@ def several_instances(probe: Probe) -> Iterator[Row]:
                 varied, usual = (*first, do.pause, last), (*first, last)
                 yield Row("after another instance was read", varied, usual, beside=((*begin, glance),))
     varied = do.begin, do.run(1), do.pause, do.pause, do.run(2)
-    if len({stated.get("modelIdentifier") for stated in probe.fmu.interfaces.values()}) < len(
-        probe.fmu.interfaces
-    ):
-        other = {"interface": MODEL_EXCHANGE if not probe.fmu.is_model_exchange else CO_SIMULATION}
-        beside = (do.set_debug_logging(False),)
-        when = "beside an instance of the other interface"
-        yield Row(when, (do.begin, do.run(3)), (do.begin, do.run(3)), options=other, beside=(beside,))
+    identifiers = [stated.get("modelIdentifier") for stated in probe.fmu.interfaces.values()]
+    if len({*identifiers}) < len(identifiers):  # one library
+        other = {"interface": CO_SIMULATION if probe.fmu.is_model_exchange else MODEL_EXCHANGE}
+        run, beside = (do.begin, do.run(3)), ((do.set_debug_logging(False),),)
+        yield Row("beside an instance of the other interface", run, run, options=other, beside=beside)
     freed = do.begin, do.step(), do.pause, do.call("free")
     yield Row("after another instance was freed", varied, beside=(freed,))
 

@@ -130,9 +130,8 @@ def _changes(probe: Probe) -> Iterator[_Change]:
     told = set[tuple[str, str, str]]()
     for reply in (reply for script in scripts for reply in script.everything):
         for setting, before, after in reply.changed:
-            if (
-                reply.is_step and (setting, before, after) in told
-            ):  # the last call of several is not the cause
+            # of several calls the last one is told, which is not the cause
+            if reply.is_step and (setting, before, after) in told:
                 continue
             told.add((setting, before, after))
             function = before if setting in (ARGUMENTS, UNWRITTEN) else reply.function
