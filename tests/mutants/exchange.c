@@ -216,6 +216,8 @@ static int settable(const Model *m, const Variable *v) {
     fmi2Status fmi2Get##Name(fmi2Component c, const fmi2ValueReference r[], size_t n, type values[]) {       \
         Model *m = c;                                                                                        \
         NEED(INIT | EVENT | CONT | TERM | FAIL);                                                             \
+        if (IS("an Integer is discarded before a Real") && letter == 'i' && m->d.state == CONT && !m->d.is_read) \
+            return say(m, fmi2Discard, 1, "nothing is computed"), fmi2Discard;                               \
         m->d.is_read = 1;                                                                                    \
         if (IS("one instance computes for all") && stale) evaluate(&m->d);                                   \
         stale = 0;                                                                                           \

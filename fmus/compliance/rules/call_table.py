@@ -8,7 +8,7 @@ from fmus.compliance import values
 from fmus.compliance.differential import Row, late_lead
 from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
-from fmus.compliance.script import VECTORS, Action, Reply, Script
+from fmus.compliance.script import KINDS, VECTORS, Action, Reply, Script
 from fmus.fmi.binding import ERROR, FATAL
 
 NAME = "instance of the tour"
@@ -68,6 +68,8 @@ def _get(probe: Probe, state: str) -> Iterator[Action]:
         at_first = values.readable_in_initialization(probe.fmu)
         variables = at_first if state == "M" else probe.fmu.variables
         yield from (do.glance(variables), do.glance(variables[::-1]))
+        for kind in KINDS if state == "K" else ():  # of which nothing else was read since the time was set
+            yield from (do.set_time, do.glance([v for v in variables if v.base_kind == kind]))
 
 
 def _output_derivatives(probe: Probe, _: str) -> Iterator[Action]:
