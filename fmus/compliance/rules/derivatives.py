@@ -44,20 +44,10 @@ class Column:
     """A column of the matrix d(unknown) / d(known) at a point: the values of unknowns in runs that differ in
     the value of the known alone.
 
-    point: values of other knowns; before, after: actions before values are set, and up to where unknowns are
-      read; in_turn: whether one run has all values, one after another
     xs, rows: values of the known and of the unknowns, of the runs that succeed
     """
 
-    def __init__(
-        self, probe: Probe, before: Sequence[Action], known: Variable, xs: Sequence[Any],
-        after: Sequence[Action], point: Sequence[do.Pair] = (), in_turn: bool = False,
-    ) -> None:  # fmt: skip
-        others = {v.index: (v, x) for v, x in point}
-        points = [(do.set_point((others | {known.index: (known, x)}).values()), *after) for x in xs]
-        runs = [itertools.chain(*points)] if in_turn else points
-        readings = values_of(probe, [(*before, *run) for run in runs])
-        rows = (readings[0] or [{}] * len(xs)) if in_turn else [run[-1] if run else {} for run in readings]
+    def __init__(self, xs: Sequence[Any], rows: Sequence[Values]) -> None:
         self.xs = [x for x, row in zip(xs, rows, strict=True) if row]
         self.rows = [row for row in rows if row]
         self.is_whole = len(self.rows) == len(xs)
@@ -82,18 +72,41 @@ class Column:
         }
 
 
+def columns(
+    probe: Probe, before: Sequence[Action], knowns: Sequence[tuple[Variable, Sequence[Any]]],
+    after: Sequence[Action], point: Sequence[do.Pair] = (), in_turn: bool = False,
+) -> Iterator[Column]:  # fmt: skip
+    """Yields the column of each known, for some of its values.
+
+    point: values of other knowns; before, after: actions before values are set, and up to where unknowns are
+      read; in_turn: whether one run has all values of all knowns, one after another
+    """
+    others = {v.index: (v, x) for v, x in point}
+    points = [
+        (do.set_point((others | {known.index: (known, x)}).values()), *after)
+        for known, xs in knowns
+        for x in xs
+    ]
+    runs = [itertools.chain(*points)] if in_turn else points
+    readings = values_of(probe, [(*before, *run) for run in runs])
+    found = (readings[0] or [{}] * len(points)) if in_turn else [run[-1] if run else {} for run in readings]
+    rows = iter(found)
+    return (Column(xs, list(itertools.islice(rows, len(xs)))) for _, xs in knowns)
+
+
 def followers(
     probe: Probe, before: Sequence[Action], known: Variable, value: Any, after: Sequence[Action]
 ) -> set[str]:
     """Returns the names of the unknowns that change when a known has another value, by more than an iteration
-    leaves: not as much between two values that are almost one. Arguments as of `Column`.
+    leaves: not as much between two values that are almost one. Arguments as of `columns`.
     """
     start = values.start_value(known)
-    column = Column(probe, before, known, (start, value), after)
+    (column,) = columns(probe, before, [(known, (start, value))], after)
     names = column.changed() if column.is_whole else set[str]()
     if not names or not isinstance(start, float):
         return names
-    near = Column(probe, before, known, (start, value, value + _CLOSE * (value - start)), after)
+    values_near = start, value, value + _CLOSE * (value - start)
+    (near,) = columns(probe, before, [(known, values_near)], after)
     if not near.is_whole:
         return names
     a, b, c = near.rows

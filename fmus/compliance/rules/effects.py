@@ -13,7 +13,7 @@ from fmus.compliance.differential import starts
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, behaviour_rule
-from fmus.compliance.rules.derivatives import NOISE, Column, followers, values_of
+from fmus.compliance.rules.derivatives import NOISE, columns, followers, values_of
 from fmus.compliance.rules.events import discrete_variables
 from fmus.compliance.script import Action, CallError, Reply
 from fmus.compliance.variable import Unknown, Variable
@@ -170,12 +170,17 @@ def _beside_quotients(
     # 4.2.4 lets only outputs and initial unknowns be read in initialization mode
     held = [*_states(probe.fmu), *discrete_variables(probe.fmu)] if exit_mode else []
     read = do.read({v.index: v for v in (*(v for _, group in judged for v in group), *held)}.values())
-    for (known, unknowns), reply in zip(judged, replies, strict=True):
+    knowns = list[tuple[Variable, Sequence[float]]]()
+    for known, _ in judged:
         _, start = point[known.index]
         width = _DIFFERENCE * max(1.0, abs(start))
-        xs = [start, *(x for x in (start - width, start + width) if known.low <= x <= known.high)]
-        column = Column(probe, begin, known, xs, (*exit_mode, read), others, in_turn=begin != _INITIALIZATION)
-        if not reply.ok or column.xs[:1] != [start] or len(column.xs) < 2:
+        knowns.append(
+            (known, [start, *(x for x in (start - width, start + width) if known.low <= x <= known.high)])
+        )
+    in_turn = begin != _INITIALIZATION
+    found = columns(probe, begin, knowns, (*exit_mode, read), others, in_turn)
+    for (known, unknowns), reply, column in zip(judged, replies, found, strict=True):
+        if not reply.ok or column.xs[:1] != [point[known.index][1]] or len(column.xs) < 2:
             continue
         if column.changed(0.0) & {v.name for v in held if v is not known}:  # they follow the known at once
             continue
