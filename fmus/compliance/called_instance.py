@@ -9,7 +9,7 @@ from typing import Any
 
 from fmus.compliance import instance_parts as parts
 from fmus.compliance.process_settings import ProcessSettings
-from fmus.compliance.script import ARGUMENTS, UNWRITTEN, USUAL_NAME
+from fmus.compliance.script import ARGUMENTS, PENDED, UNWRITTEN, USUAL_NAME
 from fmus.fmi import binding
 from fmus.fmi.callbacks import AllocateMemory, Callbacks, CountingAllocator, FreeMemory
 
@@ -187,6 +187,7 @@ class CalledInstance(parts.StateSlots):
         """Advances from t to t + h seconds; a pending step is waited for. Returns no reason."""
         self.call("fmi2DoStep", t, h, int(no_going_back))
         if self.last_status == binding.PENDING:
+            self.note(PENDED, True)
             self.wait()
         return ""
 

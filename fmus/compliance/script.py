@@ -17,7 +17,7 @@ VECTORS = (
     "fmi2GetNominalsOfContinuousStates",
 )  # fmt: skip
 UNWRITTEN = "values"  # among what a call changed: those that were asked for were not
-ARGUMENTS = "arguments"  # among what a call changed
+ARGUMENTS, PENDED = "arguments", "pending step"  # among what a call changed
 _STATES = {  # function -> state that it leads to; `actions` has those of other calls
     "fmi2EnterInitializationMode": "initialization mode", "fmi2EnterEventMode": "event mode",
     "fmi2EnterContinuousTimeMode": "continuous-time mode", "fmi2Terminate": "terminated",

@@ -154,7 +154,11 @@ def _type_problem(v: Variable, fmu: FmuFile) -> str:
 add_rows(__name__, Stage.DESCRIPTION, rows=(
     row("description-is-utf-8", lambda fmu: [(DESCRIPTION, fmu.read(DESCRIPTION))], _NOT_UTF_8),
     row("other-xml-is-utf-8",
-        lambda fmu: [(path, fmu.read(path)) for path in {BUILD_DESCRIPTION, TERMINALS} & fmu.paths],
+        lambda fmu: [
+            (path, fmu.read(path))
+            for path in fmu.names
+            if path in (BUILD_DESCRIPTION, TERMINALS) or path.endswith("/fmi-ls-manifest.xml")
+        ],
         _NOT_UTF_8),
     row(SCHEMA, _schema_problems, (anything, "{subject}")),
     row("numbers-are-finite", lambda fmu: fmu.root.xpath(_NUMBERS),

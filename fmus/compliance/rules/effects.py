@@ -127,7 +127,8 @@ def _groups_at_first(fmu: FmuFile) -> Sequence[_Group]:
 def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
     """The derivatives of continuous outputs and state derivatives in step mode lie near difference quotients:
     for co-simulation after initialisation with other values, those of runs with other inputs and states at
-    first; for model exchange in continuous-time mode, beside other inputs and states there.
+    first; for model exchange in continuous-time mode, beside other inputs and states there, and in event mode
+    as where that begins.
     """
     settable = [v for v in values.settable_in_initialization(probe.fmu) if v.kind == "Real"]
     states = _states(probe.fmu)
@@ -140,6 +141,13 @@ def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
         point = do.others_accepted(probe, settable, do.initialise)
         yield from _beside_quotients(probe, (do.exit_initialization_mode,), groups, point)
         return
+    modes = (do.begin,), (do.begin, do.enter_continuous_time_mode)
+    early, late = (_derivatives(probe, mode, groups) for mode in modes)
+    for (known, unknowns), a, b in zip(groups, early, late, strict=True):
+        for v, x, y in zip(unknowns, a.value, b.value, strict=True) if a.ok and b.ok else ():
+            if not values.same(x, y, _AGREEMENT, NOISE / _AGREEMENT):
+                got = f"d {v.name} / d {known.name} is {x:.9g} in event mode"
+                yield f"{got}: expected {y:.9g}, as in continuous-time mode after it"
     reals = [v for v in values.settable_while_stepping(probe.fmu) if v.kind == "Real"]  # no case is another
     others = do.set_values(do.others_accepted(probe, reals, do.begin, do.step()))
     for lead in ((do.leap(2, True), others, do.step()), *(start.lead for start in starts(probe)[1:])):

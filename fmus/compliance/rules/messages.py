@@ -14,7 +14,7 @@ from fmus.compliance.probe import Probe
 from fmus.compliance.rows import add_rows, row
 from fmus.compliance.rules.call_table import NAME, tour
 from fmus.compliance.rules.lifecycle import MANY_STEPS
-from fmus.compliance.script import ARGUMENTS, UNWRITTEN, Action, CallError, Message, Reply, Script
+from fmus.compliance.script import ARGUMENTS, PENDED, UNWRITTEN, Action, CallError, Message, Reply, Script
 from fmus.fmi import binding
 from fmus.fmi.binding import DISCARD, ERROR, OK, PENDING, WARNING, status_name
 
@@ -201,7 +201,7 @@ add_rows(__name__, rule.Stage.BEHAVIOUR, rows=(
      (_is_of_floating_point, "{function} changes the {value}: expected it restored")),
     row("process-settings-are-restored", _changes,
      (lambda c, probe: not _is_of_floating_point(c, probe)
-      and c.setting not in (ARGUMENTS, UNWRITTEN, _PRINTED)
+      and c.setting not in (ARGUMENTS, UNWRITTEN, PENDED, _PRINTED)
       and (c.after or "as at first", c.before or "no change"),
       "{function} changes the {setting}: {value[0]}, expected {value[1]}")),
     row("arguments-are-not-written", _changes,
