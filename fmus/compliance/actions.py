@@ -174,8 +174,8 @@ def in_state(name: str) -> Action:
 
 
 def set_time(script: Script) -> None:
-    """Sets the time to what they are."""
-    script.call("fmi2SetTime", script.time)
+    """Sets the time to what it is."""
+    script.call("set_time", script.time)
 
 
 def free_state(slot: int = 0) -> Action:

@@ -111,10 +111,19 @@ class ModelExchangeInstance(CalledInstance):
         Returns the reason why a step is discarded although no call failed, or nothing.
         """
         self._roughness = roughness
-        # the time of the instance, also where a state was set back, is the given one but for rounding
-        t = self._ends.get(f"{t:.9g}", t)
+        t = self._own_time(t)
         self._ends[f"{t + h:.9g}"] = t + h
         return self._lead(lambda: self._advance(t, t + h, no_going_back))
+
+    def set_time(self, t: float) -> None:
+        """Sets the time; that of a communication point is as the instance has it."""
+        self.call("fmi2SetTime", self._own_time(t))
+
+    def _own_time(self, t: float) -> float:
+        """Returns the time of the instance, which is the given one, also after a state was set back, but for
+        rounding.
+        """
+        return self._ends.get(f"{t:.9g}", t)
 
     def observed_events(self) -> list[dict[str, Any]]:
         return self._events

@@ -72,7 +72,7 @@ def _enter(script: Script) -> None:
 
 def _set_time(part: float) -> Action:
     """Sets the time to a part of the step that begins there."""
-    return lambda script: script.call("fmi2SetTime", _start(script).time(part))
+    return lambda script: script.call("set_time", _start(script).time(part))
 
 
 def _move(part: float, alone: int | None = None) -> Action:
