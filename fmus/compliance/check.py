@@ -81,7 +81,7 @@ def check(
         paths = list(dict.fromkeys(fmus or []))
         outputs = {"--out": out, "--baseline": baseline if write_baseline else None}
         _refuse_wrong_use(paths, baseline, write_baseline)
-        _refuse_outputs(outputs, [*paths, waivers])
+        _refuse_outputs(outputs, [*paths, waivers, None if write_baseline else baseline])
         permitted = findings.read_waivers(waivers, names) if waivers else []
         known = findings.read_baseline(baseline) if baseline and not write_baseline else {}
         off = [] if chosen else rule_table()["off"]

@@ -143,6 +143,7 @@ def unjudged(built: Fmus, tmp_path: Path) -> Path:
         ("deviating", "--baseline deviating.fmu --write-baseline", 2),
         ("deviating", "--waivers layout.toml --baseline layout.toml --write-baseline", 2),
         ("deviating", "--baseline one --write-baseline --out one", 2),
+        ("deviating", "--baseline known.json --out known.json", 2),
         ("deviating sub/deviating", "--baseline one --write-baseline", 2),
     ],
 )
@@ -163,6 +164,7 @@ def test_the_exit_status_tells_what_is_left(
     Path("exports.toml").write_text(WAIVER.format("library-exports", ""))
     Path("unknown.toml").write_text(WAIVER.format("archive-layouts", ""))
     Path("text.fmu").write_text("no archive")
+    Path("known.json").write_text("{}")
     Path("sub").mkdir()
     Path("sub/deviating.fmu").write_bytes(deviating.read_bytes())
     files = {path: path.read_bytes() for path in tmp_path.glob("*.*")}
