@@ -16,7 +16,7 @@ from fmus.fmi.binding import DISCARD
 
 _OWN_MEMORY, _SAVES = "canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate"
 _NAME = "system.subsystem[2].'instance with a name of its own'.part"
-_CYCLES, _MORE_CYCLES, _LEAST_LEAK = 8, 30, 64  # instances; bytes that each of them leaves
+_CYCLES, _PARTS, _LEAST_LEAK = 8, 4, 64  # instances; as many more, in parts; bytes that each of them leaves
 _WARM_UP = 18  # instances before: what the heap keeps for reuse counts as used, and hides the first leaks
 
 
@@ -126,17 +126,23 @@ def memory_does_not_grow(probe: Probe) -> Iterator[str]:
     """fmi2FreeInstance frees all memory: the heap does not grow with each instance that is created and
     freed.
     """
-    growth = _growth_of_the_heap(_resources_in_use(probe))
-    if growth >= _LEAST_LEAK:  # a leak goes on; what this process itself comes to hold does not
-        growth = min(growth, _growth_of_the_heap(_used_instances(probe, _MORE_CYCLES)))
+    growth = growth_of_the_heap(_resources_in_use(probe))
+    if growth >= _LEAST_LEAK:
+        growth = min(growth, growth_of_the_heap(_used_instances(probe, _PARTS * _CYCLES)))
     if growth >= _LEAST_LEAK:
         yield f"an instance that is created and freed leaves {growth:g} bytes in the heap: expected none"
 
 
-def _growth_of_the_heap(counts: list[dict[str, int]]) -> float:
-    """Returns bytes per count: the median slope of all pairs, as this process takes and frees by turns."""
-    pairs = itertools.combinations(enumerate(count["heap"] for count in counts), 2)
-    return median((later - earlier) / (j - i) for (i, earlier), (j, later) in pairs)
+def growth_of_the_heap(counts: list[dict[str, int]]) -> float:
+    """Returns bytes per count in the part of the counts that grows least, as a leak goes on where a process
+    that comes to hold more jumps at times: the median slope of all pairs, as it takes and frees by turns.
+    """
+
+    def slope(part: list[dict[str, int]]) -> float:
+        pairs = itertools.combinations(enumerate(count["heap"] for count in part), 2)
+        return median((later - earlier) / (j - i) for (i, earlier), (j, later) in pairs)
+
+    return min(slope(counts[i : i + _CYCLES]) for i in range(0, len(counts), _CYCLES))
 
 
 # locations

@@ -1,5 +1,6 @@
 """Each sentence of FMI that an FMU breaks by what it does is found by its rules and no others."""
 
+import itertools
 import re
 import sys
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Rule, Stage, registered
 from fmus.compliance.rules import effects
+from fmus.compliance.rules.environment import growth_of_the_heap
 from fmus.compliance.rules.lifecycle import is_of_the_machine
 from fmus.compliance.sentences import levels
 from fmus.platforms import host_platform, library_name
@@ -192,6 +194,21 @@ def test_a_library_in_the_fmu_and_a_missing_symbol_are_not_of_the_machine(
     paths = {f"{folder}/Behaviour.so", f"{folder}/libinside.so"}
     fmu = SimpleNamespace(host_library=f"{folder}/Behaviour.so", paths=paths)
     assert is_of_the_machine(cast(FmuFile, fmu), message) is expected
+
+
+@pytest.mark.parametrize(
+    ("steps", "growth"),
+    [
+        ([0] * 18 + [1248, 1120] + [0] * 11, 0.0),  # met with an FMU that leaves nothing
+        ([80] * 31, 80.0),
+        ([0, 160] * 16, 80.0),
+        ([4080, -3920] * 16, 80.0),
+    ],
+    ids=["jumps", "leak", "leak of every other instance", "leak beside what is taken and freed by turns"],
+)
+def test_a_leak_goes_on_where_other_growth_of_the_heap_stops(steps: list[int], growth: float) -> None:
+    counts = [{"heap": heap} for heap in itertools.accumulate(steps[:31], initial=100_000)]
+    assert growth_of_the_heap(counts) == pytest.approx(growth, rel=0.3)
 
 
 @pytest.mark.parametrize("slave", ["Behaviour", "Oscillator"])
