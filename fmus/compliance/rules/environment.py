@@ -16,7 +16,8 @@ from fmus.fmi.binding import DISCARD
 
 _OWN_MEMORY, _SAVES = "canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate"
 _NAME = "system.subsystem[2].'instance with a name of its own'.part"
-_CYCLES, _PARTS, _LEAST_LEAK = 8, 4, 64  # instances; as many more, in parts; bytes that each of them leaves
+_CYCLES, _PARTS = 8, 4  # instances; parts of a second look, of as many
+LEAST_LEAK = 64  # bytes that each instance leaves
 _WARM_UP = 18  # instances before: what the heap keeps for reuse counts as used, and hides the first leaks
 
 
@@ -127,9 +128,9 @@ def memory_does_not_grow(probe: Probe) -> Iterator[str]:
     freed.
     """
     growth = growth_of_the_heap(_resources_in_use(probe))
-    if growth >= _LEAST_LEAK:
+    if growth >= LEAST_LEAK:
         growth = min(growth, growth_of_the_heap(_used_instances(probe, _PARTS * _CYCLES)))
-    if growth >= _LEAST_LEAK:
+    if growth >= LEAST_LEAK:
         yield f"an instance that is created and freed leaves {growth:g} bytes in the heap: expected none"
 
 

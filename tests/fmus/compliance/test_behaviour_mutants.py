@@ -19,7 +19,7 @@ from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Rule, Stage, registered
 from fmus.compliance.rules import effects
-from fmus.compliance.rules.environment import growth_of_the_heap
+from fmus.compliance.rules.environment import LEAST_LEAK, growth_of_the_heap
 from fmus.compliance.rules.lifecycle import is_of_the_machine
 from fmus.compliance.sentences import levels
 from fmus.platforms import host_platform, library_name
@@ -197,18 +197,18 @@ def test_a_library_in_the_fmu_and_a_missing_symbol_are_not_of_the_machine(
 
 
 @pytest.mark.parametrize(
-    ("steps", "growth"),
+    ("steps", "leaks"),
     [
-        ([0] * 18 + [1248, 1120] + [0] * 11, 0.0),  # met with an FMU that leaves nothing
-        ([80] * 31, 80.0),
-        ([0, 160] * 16, 80.0),
-        ([4080, -3920] * 16, 80.0),
+        ([0] * 18 + [1248, 1120] + [0] * 11, False),  # met with an FMU that leaves nothing
+        ([80] * 31, True),
+        ([0, 160] * 16, True),
+        ([4080, -3920] * 16, True),
     ],
     ids=["jumps", "leak", "leak of every other instance", "leak beside what is taken and freed by turns"],
 )
-def test_a_leak_goes_on_where_other_growth_of_the_heap_stops(steps: list[int], growth: float) -> None:
+def test_a_leak_goes_on_where_other_growth_of_the_heap_stops(steps: list[int], leaks: bool) -> None:
     counts = [{"heap": heap} for heap in itertools.accumulate(steps[:31], initial=100_000)]
-    assert growth_of_the_heap(counts) == pytest.approx(growth, rel=0.3)
+    assert (growth_of_the_heap(counts) >= LEAST_LEAK) is leaks
 
 
 @pytest.mark.parametrize("slave", ["Behaviour", "Oscillator"])

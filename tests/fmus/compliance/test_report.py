@@ -136,6 +136,8 @@ def unjudged(built: Fmus, tmp_path: Path) -> Path:
         ("deviating", "--colour", 2),
         ("text", "--only refusals-are-logged", 1),
         ("text", "--only archive-extension", 0),
+        ("empty", "--only refusals-are-logged", 1),
+        ("unreadable", "--only refusals-are-logged", 1),
         ("unjudged", "--only refusals-are-logged", 0),
         ("deviating", "--only ,", 2),
         ("deviating", "--format json --out deviating.fmu", 2),
@@ -164,6 +166,8 @@ def test_the_exit_status_tells_what_is_left(
     Path("exports.toml").write_text(WAIVER.format("library-exports", ""))
     Path("unknown.toml").write_text(WAIVER.format("archive-layouts", ""))
     Path("text.fmu").write_text("no archive")
+    write({"readme.txt": b"no description"}, Path("empty.fmu"))
+    write({"modelDescription.xml": b"no XML"}, Path("unreadable.fmu"))
     Path("known.json").write_text("{}")
     Path("sub").mkdir()
     Path("sub/deviating.fmu").write_bytes(deviating.read_bytes())
