@@ -2,7 +2,6 @@
 
 FOLDER/fmus/NAME.fmu                  every block, for all platforms
 FOLDER/ssp/SCENARIO.ssp               the closed loop as an SSP 1.0 package
-FOLDER/simulink/import_l1_depth.m     the same as a script for Simulink, the FMUs beside it
 """
 
 import functools
@@ -14,7 +13,7 @@ import tempfile
 from pathlib import Path
 
 SCENARIO = "nominal-extended"
-KINDS = ("fmus", "ssp", "simulink")
+KINDS = ("fmus", "ssp")
 PROGRAMS = Path(sys.executable).parent
 
 
@@ -44,4 +43,3 @@ def make(folder: Path) -> None:
         l1_depth("build", "--cache", "--all-platforms")
         shutil.copytree(Path(cache, "native"), fmus)
         l1_depth("package", SCENARIO, "--out", str(ssp / f"{SCENARIO}.ssp"))
-        l1_depth("export", "simulink", SCENARIO, "--out", "simulink")

@@ -1,6 +1,6 @@
 """One archive for users without Python: python .ci/release.py [--out FILE.zip]
 
-fmus/ ssp/ simulink/                as downloads.py writes them, for all platforms
+fmus/ ssp/                          as downloads.py writes them, for all platforms
 documentation/index.html            the site of docs/
 README.txt LICENSE SHA256SUMS       what is where, the licence, `sha256sum --check SHA256SUMS`
 
@@ -24,7 +24,6 @@ as FMUs of FMI 2.0 and 3.0 for 64-bit Windows, Linux (x86_64, ARM) and macOS (x8
 
 documentation/index.html   start here: a page on importing for each tool, theory, reference
 fmus/                      all FMUs; each holds its own documentation and C sources
-simulink/                  run import_l1_depth.m in MATLAB to build the closed loop in Simulink
 ssp/                       the closed loop as an SSP 1.0 package
 SHA256SUMS                 checksums of all files: sha256sum --check SHA256SUMS
 LICENSE                    MIT

@@ -46,7 +46,6 @@ def test_the_archive_holds_every_fmu_for_all_platforms(archive: Path) -> None:
 def test_the_archive_holds_what_each_tool_reads(archive: Path) -> None:
     for name in (
         "ssp/nominal-extended.ssp",
-        "simulink/import_l1_depth.m",
         "documentation/index.html",
         "LICENSE",
     ):

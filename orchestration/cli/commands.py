@@ -22,7 +22,7 @@ _PANELS = {
     "Controllers compared": ("score.score", "tune.tune", "score.compare", "sweep.margins"),
     "Vehicles": ("vehicles.design", "vehicles.fit"),
     "The paper": ("run.reproduce", "run.identify"),
-    "Other tools": ("exchange.package", "exchange.export"),
+    "Other tools": ("exchange.package",),
 }
 """Panel of the help -> module of this package, and function in it: a command of that name."""
 COMMANDS = {

@@ -1,20 +1,13 @@
-"""Commands package and export, which write scenarios for other tools."""
+"""Command package, which writes scenarios for other tools."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from orchestration.cli.changes import NO_CHANGES, Changes, takes_changes
-from orchestration.cli.shared import OutFolder, ScenarioArgument
+from orchestration.cli.shared import ScenarioArgument
 from orchestration.exchange.ssp_xml import SspVersion
-
-
-class Tool(StrEnum):
-    """A tool that reads neither scenarios nor SSP packages."""
-
-    SIMULINK = "simulink"
 
 
 @takes_changes()
@@ -40,21 +33,3 @@ def package(
     is_folder = out.endswith(("/", "\\")) or Path(out).is_dir()
     path = Path(out, f"{chosen.name}.ssp") if is_folder else Path(out)
     print(ssp_write.package(chosen, path, build_ramp_source, build_started, version))
-
-
-@takes_changes()
-def export(
-    tool: Annotated[Tool, typer.Argument(help="Write for this tool.")],
-    name: ScenarioArgument = "nominal-extended",
-    out: OutFolder = Path(),
-    changes: Changes = NO_CHANGES,
-) -> None:
-    """Write the closed loop of a scenario as a script that builds it in another tool, with its FMUs.
-
-    For example, l1-depth export simulink --out model writes model/import_l1_depth.m and the FMUs.
-    """
-    from orchestration.cli import chosen_scenario
-    from orchestration.exchange import simulink
-
-    write = {Tool.SIMULINK: simulink.write}[tool]
-    print(write(chosen_scenario.load(name, changes=changes), out))

@@ -1,1 +1,1 @@
-"""A system for other tools: SSP, Modelica, Simulink."""
+"""A system for other tools: SSP packages and WebAssembly programs."""

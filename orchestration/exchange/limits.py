@@ -1,4 +1,4 @@
-"""Parts of all exporters: refusals, before anything is written; signals as components; texts to fill in.
+"""Parts of all exporters: refusals, before anything is written; signals as components.
 
 Every exporter carries a system whose components exchange values at communication points, in the order of
 Jacobi, and whose signals are lines through points; this is what an SSP package and a block
@@ -10,9 +10,7 @@ needed; whoever calls this room hands it the function that builds.
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib import resources
 from pathlib import Path
-from string import Template
 
 import numpy as np
 
@@ -31,7 +29,7 @@ _OTHERS = "a constant or a table"  # signals that ramps can give
 def check_plain_exchange(experiment: Experiment, target: str) -> None:
     """Raises ScenarioError for all that is more than an exchange at every communication point.
 
-    target: subject of the message, such as "a Simulink model"
+    target: subject of the message, such as "an SSP package"
     """
     features = {
         f"algorithm {experiment.algorithm}": experiment.algorithm is not Algorithm.JACOBI,
@@ -103,18 +101,6 @@ def _around_changes(table: Table, experiment: Experiment) -> np.ndarray:
     start, step = experiment.start_time, experiment.step_size
     arrivals = np.ceil((np.asarray(table.times) - start) / step - GRID_TOLERANCE)
     return start + step * np.unique([*(arrivals - 1.0), *arrivals])
-
-
-def straight_points(input_name: str, signal: Signal, experiment: Experiment) -> list[tuple[float, float]]:
-    """Returns (time [s], value) of straight lines, as an interpolated table has them.
-
-    Raises ScenarioError for another signal.
-    """
-    can_be_ramps = isinstance(signal, (Ramps, Constant, Table))
-    if not can_be_ramps or (isinstance(signal, Ramps) and signal.smooth):
-        expected = f"expected straight ramps, {_OTHERS}, which an interpolated table gives"
-        raise ScenarioError(f"signal {input_name}: {expected}; got {_kind(signal)}")
-    return [(float(time), float(value)) for time, value in as_ramps(input_name, signal, experiment).points]
 
 
 def _kind(signal: Signal) -> str:
@@ -213,11 +199,3 @@ def _parameters(source: RampSource, ramps: Ramps) -> dict[str, float | bool]:
     for i, (time, value) in enumerate(points, start=1):
         parameters |= {f"{source.name}.point_time[{i}]": time, f"{source.name}.point_value[{i}]": value}
     return parameters
-
-
-_FOLDER = resources.files("orchestration.exchange") / "files"
-
-
-def filled(file: str, /, **values: object) -> str:
-    """Returns the text of a file of `files/` with its placeholders, `${name}`, replaced."""
-    return Template((_FOLDER / file).read_text(encoding="utf-8")).substitute(values)

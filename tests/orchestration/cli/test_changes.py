@@ -166,7 +166,7 @@ def test_a_parameter_file_gives_values_below_those_of_set(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize(
     "arguments",
-    ["run nominal-l1", "sweep monte-carlo", "margins nominal-l1", "package nominal-l1", "export simulink",
+    ["run nominal-l1", "sweep monte-carlo", "margins nominal-l1", "package nominal-l1",
      "score PidDepthController"],
 )  # fmt: skip
 def test_a_parameter_file_is_read_by_every_command_that_runs_or_writes_gains(

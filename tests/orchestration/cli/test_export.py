@@ -1,6 +1,5 @@
-"""The commands that write a scenario for other tools."""
+"""The command that writes a scenario for other tools."""
 
-import re
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -13,17 +12,6 @@ from orchestration.exchange import ssp_write
 from orchestration.results.recording import Recording
 
 Command = Callable[..., Any]
-
-
-def test_the_command_names_the_file_to_open(command: Command, tmp_path: Path) -> None:
-    assert command("export", "simulink", "--out", "here").stdout == "here/import_l1_depth.m\n"
-    assert (tmp_path / "here" / "import_l1_depth.m").is_file()
-
-
-def test_a_scenario_that_cannot_be_expressed_ends_with_one_line(refused: Command, tmp_path: Path) -> None:
-    message = refused("export", "simulink", "example-extended", "--out", "here")
-    assert message.strip().endswith("which an interpolated table gives; got a cosine")
-    assert not (tmp_path / "here").exists()
 
 
 @pytest.mark.parametrize(
@@ -65,7 +53,7 @@ def test_a_package_runs_with_another_of_its_parameter_sets(
 
 
 @pytest.mark.slow
-def test_what_options_change_is_packaged_and_exported(
+def test_what_options_change_is_packaged(
     command: Command, short_scenario: Command, built: Mapping[str, Path], tmp_path: Path
 ) -> None:
     shutil.copy(built["L1DepthController"], tmp_path / "my.fmu")
@@ -78,7 +66,3 @@ def test_what_options_change_is_packaged_and_exported(
         Recording.read(tmp_path / folder / "short-my.csv") for folder in ("from package", "results")
     )
     np.testing.assert_array_equal(packaged["plant.depth"], own["plant.depth"])
-    command("export", "simulink", "short.toml", *options, "--out", "here")
-    script = (tmp_path / "here" / "import_l1_depth.m").read_text()
-    assert "my.fmu" in script
-    assert re.search(r"'plant_buoyancy_change', .*\n.*'Value', '0\.2'", script)

@@ -43,7 +43,6 @@ AT_WORK = {
     "fit RovDepthPlant --free inertia --data {fmu} --out .": "orchestration.fit.dive.read_dive",
     "identify": "orchestration.fit.identify.metric_units",
     "package nominal-l1": "orchestration.exchange.ssp_write.ramp_sources",
-    "export simulink": "orchestration.exchange.simulink.text",
 }
 
 

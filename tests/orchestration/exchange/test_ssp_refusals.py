@@ -13,7 +13,7 @@ from fmus.files import write_archive
 from fmus.fmi.description import describe
 from orchestration.cli.package_fmus import build_ramp_source
 from orchestration.errors import ScenarioError, SystemDefinitionError
-from orchestration.exchange import simulink, ssp_read, ssp_write
+from orchestration.exchange import ssp_read, ssp_write
 from orchestration.exchange.ssp_xml import STRUCTURE
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
@@ -36,14 +36,12 @@ def test_a_scenario_with_what_a_package_cannot_hold_is_refused(tmp_path: Path, l
 
 
 def test_an_fmu_of_fmi_3_is_refused(fmi3_built: Fmus, tmp_path: Path) -> None:
-    """Its arrays are no scalars for those who read a package, or a model of Simulink."""
+    """Its arrays are no scalars for those who read a package."""
     settings = {"plant": str(fmi3_built["RovDepthPlant"])}
     chosen = scenario.load(scenario.find("nominal-l1"), settings=settings)
     refused = "with plant, RovDepthPlant.fmu, of FMI 3.0: expected FMI 2.0, as of l1-depth build"
     with pytest.raises(ScenarioError, match=rf"an SSP package of nominal-l1.* {refused}"):
         ssp_write.package(chosen, tmp_path / "loop.ssp", build_ramp_source)
-    with pytest.raises(ScenarioError, match=f"a Simulink model {refused}"):
-        simulink.write(chosen, tmp_path / "simulink")
     assert list(tmp_path.iterdir()) == []
 
 

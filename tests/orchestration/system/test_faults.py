@@ -7,7 +7,6 @@ import runpy
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from hypothesis import strategies as st
 
 from orchestration.cli.package_fmus import build_ramp_source
 from orchestration.errors import OrchestrationError, SystemDefinitionError
-from orchestration.exchange import simulink, ssp_write
+from orchestration.exchange import ssp_write
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.system.experiment import Algorithm, Experiment
@@ -293,13 +292,8 @@ def test_every_kind_has_its_arguments_on_the_page_of_keys() -> None:
 
 
 @pytest.mark.usefixtures("scenario_fmus")
-@pytest.mark.parametrize("name", ["ssp_write", "simulink"])
-def test_what_cannot_carry_faults_refuses_them(name: str, tmp_path: Path) -> None:
-    writers: dict[str, Callable[[Any], Any]] = {
-        "ssp_write": lambda chosen: ssp_write.package(chosen, tmp_path / "x.ssp", build_ramp_source),
-        "simulink": simulink.text,
-    }
+def test_a_package_cannot_carry_faults(tmp_path: Path) -> None:
     chosen = scenario.load(scenario.find("nominal-l1"))
     faulty = replace(chosen.experiment, faults=(Fault("controller.measured_depth", Freeze()),))
     with pytest.raises(OrchestrationError, match="with faults: expected none"):
-        writers[name](replace(chosen, experiment=faulty))
+        ssp_write.package(replace(chosen, experiment=faulty), tmp_path / "x.ssp", build_ramp_source)
