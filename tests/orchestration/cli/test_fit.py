@@ -62,6 +62,9 @@ def test_a_vehicle_of_ones_own_is_fitted_and_a_scenario_takes_the_values(
         "plant.depth", "data.measured_depth", "data.residual", "plant.control_force",
     )  # fmt: skip
     assert recording.units == ("m", "m", "m", "N")
+    depth, measured, residual, _ = recording.values.T
+    assert depth - measured == pytest.approx(residual, abs=1e-12)  # of rounding
+    assert 0.0 < max(abs(residual)) < 0.02  # m: some cm/s for the 20 ms by which held ramps are late
     page = (tmp_path / files[2]).read_text(encoding="utf-8")
     assert "data.measured_depth" in page
     assert "rover fitted to dive" in page

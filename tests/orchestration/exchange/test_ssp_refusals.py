@@ -154,6 +154,48 @@ def test_values_of_the_system_go_over_those_of_its_components(
         assert loop.experiment.parameters["controller.augmentation"] == 1
 
 
+BINDING = (
+    '<ssd:ParameterBinding prefix="{prefix}"><ssd:ParameterValues><ssv:ParameterSet version="1.0" name="p">'
+    '<ssv:Parameters><ssv:Parameter name="{name}"><ssv:Real value="7.5"/></ssv:Parameter></ssv:Parameters>'
+    "</ssv:ParameterSet></ssd:ParameterValues></ssd:ParameterBinding>"
+)
+
+
+@pytest.mark.parametrize(
+    ("of_system", "prefix", "name"),
+    [
+        (True, "", "plant.inertia"),
+        (True, "plant.", "inertia"),
+        (False, "", "inertia"),
+        (False, "ine", "rtia"),
+    ],
+)
+def test_the_prefix_of_a_binding_stands_before_each_name_of_its_set(
+    edited: Callable[[str, str, str], Path], package: Path, of_system: bool, prefix: str, name: str
+) -> None:
+    binding = BINDING.format(prefix=prefix, name=name)
+    text = members(package)[STRUCTURE].decode()
+    first = "<ssd:ParameterBindings>"
+    old = "<ssd:Elements>"
+    new = f"{first}{binding}</ssd:ParameterBindings>{old}"
+    if not of_system:
+        begin = text.index('<ssd:Component name="plant"')
+        old = text[begin : text.index(first, begin) + len(first)]
+        rest = text[text.index(old) + len(old) :]
+        own = rest[: rest.index("</ssd:ParameterBindings>")]  # the last of two bindings holds
+        old, new = old + own, old + own + binding
+    with ssp_read.opened(edited(STRUCTURE, old, new)) as loop:
+        assert loop.experiment.parameters["plant.inertia"] == 7.5
+
+
+@pytest.mark.parametrize("start", ["-2.0", "1.5"])
+def test_a_run_begins_at_the_start_time_of_the_package(
+    edited: Callable[[str, str, str], Path], start: str
+) -> None:
+    with ssp_read.opened(edited(STRUCTURE, 'startTime="0.0"', f'startTime="{start}"')) as loop:
+        assert loop.experiment.start_time == float(start)
+
+
 def test_an_input_that_nothing_drives_keeps_the_start_value_of_its_fmu(
     edited: Callable[[str, str, str], Path],
 ) -> None:

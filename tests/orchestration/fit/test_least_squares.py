@@ -13,6 +13,7 @@ from orchestration.fit.least_squares import (
     analysed,
     coordinate,
     correlation_time,
+    value_at,
     values_at,
 )
 from orchestration.scenarios.free_parameter import FreeParameter
@@ -90,6 +91,24 @@ def test_a_value_at_a_limit_says_so_and_is_taken_as_given() -> None:
     free = (FREE[0], FREE[1], FreeParameter("gain", 5.0, 100.0, 6.0))
     analysis = analysed(line(np.zeros_like(TIMES), free), lambda residuals: [residuals])
     assert [one.note for one in analysis.estimates] == ["", "", "at the limit 5"]
+
+
+@pytest.mark.parametrize(("low", "high", "start"), [(1.0, 5.0, 5.0), (-1.0, 5.0, 5.0), (-5.0, 1.0, -5.0)])
+def test_no_step_of_the_differences_leaves_the_limits(low: float, high: float, start: float) -> None:
+    """Where a limit is the start, too: values beyond it may have no meaning."""
+    asked: list[float] = []
+    free = (FreeParameter("a", low, high, start),)
+
+    def residuals(points: Sequence[Values]) -> Iterator[np.ndarray]:
+        for p in points:
+            asked.append(p["a"])
+            yield p["a"] - 0.5 * (low + high) + np.zeros(3)
+
+    search = LeastSquares(free, residuals, 1e-2, 50)
+    search.run(np.array([coordinate(one, one.start) for one in free]), x_scale="jac")
+    assert len(set(asked)) == len(asked)  # a step beyond a limit would come back to it
+    assert low <= min(asked) <= max(asked) <= high
+    assert value_at(free[0], float(search.best[0])) == pytest.approx(0.5 * (low + high))
 
 
 @pytest.mark.parametrize("coefficient", [0.0, 0.5, 0.9])

@@ -14,6 +14,7 @@ from orchestration.margins.hold import Hold, HoldRuns, LoopSignal, hold_of, loop
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
+from orchestration.system.faults import Offset
 from orchestration.system.system import System
 
 STEP, GAIN = 0.05, 1.0  # s, 1/s
@@ -89,6 +90,13 @@ def test_a_scenario_that_is_not_quiet_has_no_margin(integrator: Scenario) -> Non
     measured = scanned(unstable, LoopSignal.MEASUREMENT, grid)
     assert math.isnan(measured.margin)
     assert measured.lost == 0.0
+
+
+@pytest.mark.parametrize(("bias", "is_quiet"), [(0.03, True), (-0.03, True), (0.05, False), (-0.05, False)])
+def test_a_hold_somewhere_else_is_not_quiet(integrator: Scenario, bias: float, is_quiet: bool) -> None:
+    """A biased measurement moves the mean by as much, without any unrest."""
+    with HoldRuns(integrator, HOLD) as runs:
+        assert runs.is_quiet(("controller.u[1]",), Offset(bias)) is is_quiet
 
 
 def test_nothing_lost_is_infinite(integrator: Scenario) -> None:

@@ -216,7 +216,9 @@ def test_a_value_that_is_held_is_written_as_any_other(tmp_path: Path) -> None:
 
 def test_numbers_of_every_size_are_written_as_python_writes_them(tmp_path: Path) -> None:
     """Where the exponent begins, beside powers of two and ten, and what is no number."""
-    powers = np.concatenate([10.0 ** np.arange(-7, 19), 2.0 ** np.arange(-20, 60)])
+    powers = np.concatenate(
+        [10.0 ** np.arange(-7, 19), 3.0 * 10.0 ** np.arange(14, 18), 2.0 ** np.arange(-20, 60)]
+    )
     drawn = np.random.default_rng(5)
     sizes = drawn.standard_normal(2000) * 10.0 ** drawn.integers(-8, 20, 2000)
     numbers = np.concatenate([powers, np.nextafter(powers, 0.0), np.nextafter(powers, np.inf), sizes])

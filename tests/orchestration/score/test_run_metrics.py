@@ -103,6 +103,12 @@ def test_median_percentile_and_cvar_of_one_to_a_hundred() -> None:
     )  # 98 is the mean of 96 .. 100
 
 
+@pytest.mark.parametrize(("plants", "worst"), [(1, 1.0), (20, 20.0), (21, 20.5), (30, 29.5), (41, 40.0)])
+def test_cvar_is_the_mean_of_five_percent_of_the_plants_and_no_fewer(plants: int, worst: float) -> None:
+    """5 % of 21, 30 and 41 plants are 2, 2 and 3 of them."""
+    assert distribution(np.arange(1.0, plants + 1.0)).cvar == worst
+
+
 def test_a_plant_without_a_value_is_worse_than_any() -> None:
     over_plants = distribution([*np.arange(1.0, 99.0), math.nan, math.nan])
     assert (over_plants.median, over_plants.p95, over_plants.cvar) == (50.0, 95.0, math.inf)

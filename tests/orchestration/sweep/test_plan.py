@@ -23,6 +23,7 @@ from orchestration.sweep.distributions import (
 )
 from orchestration.sweep.plan import Plan, plan
 from orchestration.system.signals import Constant
+from tests.described_fmus import described, redescribed
 
 Make = Callable[..., Plan]
 MANY = 2000
@@ -192,6 +193,32 @@ def test_truncation_keeps_to_the_range_of_the_fmu(tmp_path: Path) -> None:
     path.write_text(text + "truncate = true\n")
     inertias = drawn(plan(scenario.load(path)), "plant.inertia")
     assert 0.1 <= min(inertias) < 0.5  # kg; without truncation a third would be below 0
+
+
+def test_a_relative_draw_about_a_negative_value_keeps_to_the_range_of_the_fmu(
+    tmp_path: Path,
+) -> None:
+    """Of -2 with the range -3 to 1 the factors are -0.5 to 1.5: the limits change places."""
+    plain = described(tmp_path / "plain.fmu", inputs=["u"])
+    fmu = redescribed(plain, tmp_path / "r.fmu", lambda xml: xml.replace("<Real ", '<Real min="-3" max="1" '))
+    text = (
+        f'[components]\nr = "{fmu}"\n[experiment]\nstop_time = 1.0\nstep_size = 0.1\n[inputs]\n"r.u" = -2.0\n'
+    )
+    declared = 'relative = true\ndistribution = "normal"\nmean = 1.0\nstd = 2.0\ntruncate = true'
+    path = tmp_path / "negative.toml"
+    path.write_text(text + of_u(declared, 500))
+    values = drawn(plan(scenario.load(path)))
+    assert -3.0 <= min(values) < -2.9
+    assert 0.9 < max(values) <= 1.0
+
+
+@pytest.mark.parametrize("name", ["sample", "warned", "error"])
+def test_a_metric_with_the_name_of_a_column_of_the_table_is_refused(
+    sweep_file: Callable[..., Path], name: str
+) -> None:
+    metric = f'[metrics.{name}]\nfunction = "mean"\nsignal = "r.y"\n'
+    with pytest.raises(OrchestrationError, match=f"metric {name}: expected another name"):
+        plan(scenario.load(sweep_file(of_u(UNIFORM) + metric)))
 
 
 @pytest.mark.parametrize(
