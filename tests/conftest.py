@@ -3,6 +3,7 @@
 import gc
 import os
 import shutil
+import signal
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
@@ -62,11 +63,15 @@ def pytest_xdist_auto_num_workers() -> int:
 def pytest_configure(config: pytest.Config) -> None:
     """Set the folders of the user's own files to an empty one; pytest-xdist's processes inherit it.
 
+    The processes that tests start get the default signals.
+
     Two caches stay where they are: Zig's of compiled C libraries, found by the hash of what they are made of,
     and matplotlib's list of fonts. Compiled Python is kept, also where the environment says otherwise:
     hundreds of processes would compile every file anew.
     """
-    if hasattr(config, "workerinput"):
+    is_worker = hasattr(config, "workerinput")
+    _ignore_no_signal(is_worker)
+    if is_worker:
         _collect_another_part_first(config)
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are small, and processors are taken
@@ -79,6 +84,18 @@ def pytest_configure(config: pytest.Config) -> None:
     for name in ("CACHE", "CONFIG", "DATA", "STATE"):
         os.environ[f"XDG_{name}_HOME"] = f"{home}/{name.lower()}"
     os.environ[FOLDER_VARIABLE] = f"{home}/fmus"
+
+
+def _ignore_no_signal(is_worker: bool) -> None:
+    """Takes a handler for signals that `nohup`, or a job in the background, has ignored.
+
+    An ignored signal stays ignored in the processes that tests start, a handler does not.
+    """
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    # the tests go on when the terminal of nohup is closed; a worker ends with its controller
+    if hasattr(signal, "SIGHUP") and (is_worker or signal.getsignal(signal.SIGHUP) == signal.SIG_IGN):
+        signal.signal(signal.SIGHUP, lambda *_: None)
 
 
 def _collect_another_part_first(config: pytest.Config) -> None:

@@ -390,6 +390,7 @@ with EcosSimulationStructure() as structure:
 """
 
 
+@pytest.mark.importers
 def test_ecos_gives_the_numbers_of_fmi_2(fmi3_built: Fmus, tmp_path: Path) -> None:
     """It reads FMUs with FMI Library, which is no relative of FMPy."""
     paths = fmi3_built[EVERYTHING.name], builder.build_block(EVERYTHING, tmp_path)

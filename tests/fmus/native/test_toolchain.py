@@ -115,7 +115,7 @@ def test_an_interrupted_build_leaves_no_process_and_no_file(tmp_path: Path) -> N
     process, endless = compiling_for_ever(tmp_path)
     with endless.open("wb", buffering=0) as stream:  # opens when the compiler reads
         process.send_signal(signal.SIGINT)
-        assert process.wait() != 0
+        assert process.wait(timeout=60) != 0
         assert not list((tmp_path / "temporary").iterdir())
         wait_for_the_end_of_readers(stream)
 
@@ -126,7 +126,7 @@ def test_a_killed_build_leaves_no_process(tmp_path: Path) -> None:
     process, endless = compiling_for_ever(tmp_path)
     with endless.open("wb", buffering=0) as stream:
         process.kill()
-        process.wait()
+        process.wait(timeout=60)
         wait_for_the_end_of_readers(stream)
 
 

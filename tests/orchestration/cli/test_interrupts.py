@@ -46,14 +46,6 @@ AT_WORK = {
 }
 
 
-@pytest.fixture(autouse=True)
-def _not_ignored() -> Iterator[None]:
-    """No SIGHUP is ignored by what a test starts, also where `nohup` started the tests, which goes on."""
-    before = signal.signal(signal.SIGHUP, lambda *_: None)
-    yield
-    signal.signal(signal.SIGHUP, before)
-
-
 @pytest.fixture
 def _restored(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """A command changes the handlers and the environment of its process, here that of the tests."""
