@@ -32,9 +32,14 @@ def _check_step(block: Block, t: float, h: float, before: Any, after: Any) -> No
     """Raises ExportError for a late clock: it starts again between t and t + h, unlike a block's Clock(t)."""
     for old, new in zip(_clocks(before), _clocks(after), strict=True):
         if new.start != old.start and new.count == 0 and new.start > t and new.start != t + h:
+            missed = "samples"
+            expected = "a step_size, or a parameter internal_step, of at most the sampling period"
+            if old.start <= t == 0.0:  # whatever the period is, a sample at t + h is late for such a clock
+                missed = f"the sample that is due at {old.start!r} s"
+                expected = "Clock(t + period) in initial_state, for samples at t + h"
             raise ExportError(
-                f"block {block.name!r}: {location(block.step)}step misses samples in internal steps of "
-                f"{h!r} s: expected a step_size, or a parameter internal_step, of at most the sampling period"
+                f"block {block.name!r}: {location(block.step)}step misses {missed} in internal steps of "
+                f"{h!r} s: expected {expected}"
             )
 
 

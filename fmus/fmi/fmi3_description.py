@@ -163,7 +163,8 @@ def _scalars(
     initial = INITIAL[variability].get("parameter" if causality == "structuralParameter" else causality)
     starts = [required(s, "value") for s in xml.findall("Start")] or xml.get("start", "").split()
     if len(starts) not in (0, 1, count):
-        raise ValueError(f"variable {name}: {len(starts)} start values: expected 1 or {count}")
+        expected = f"1 or {count}" if count > 1 else "1"
+        raise ValueError(f"variable {name}: {len(starts)} start values: expected {expected}")
     low, high = (_limit(xml, of_type, i) for i in (0, 1))
     for i, index in enumerate(product(*(range(1, size + 1) for size in shape))):
         yield ScalarVariable(

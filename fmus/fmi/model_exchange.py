@@ -77,6 +77,10 @@ class ModelExchangeInstance(FmuInstance):
             self.log.append((end.status, str(end)))
         self.check_status("fmi2NewDiscreteStates", self._worst)
 
+    def check_status(self, function: str, status: int) -> None:
+        """Checks a status as `FmuInstance` does; the FMU has no fmi2DoStep, and the log names what failed."""
+        super().check_status("integration" if function == "fmi2DoStep" else function, status)
+
     def _do_step(self, _: int, start: float, size: float, no_going_back: int) -> int:
         """Implements fmi2DoStep; nothing may be raised through the loop, which is C."""
         self._worst = OK

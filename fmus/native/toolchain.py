@@ -4,6 +4,7 @@ No fast-math and no contraction of a product and a sum into one rounding: a traj
 platform as far as the elementary functions of its C library are.
 """
 
+import hashlib
 import os
 import struct
 import subprocess
@@ -74,42 +75,69 @@ def compiling(
     """Starts `compile_library` beside this process; the returned function waits for it."""
     targets, suffix = TARGETS[fmi_platform]
     file = f"{model}.{suffix}"
+    # The compiler finds an object in its cache, and locks it, by the options and the names of the sources.
+    # The names are the same for every block: without this option builds of different blocks wait for each
+    # other, and each may hold what the other waits for.
+    key = f"-DL1_DEPTH_SOURCES={hashlib.sha256(repr(sorted(sources.items())).encode()).hexdigest()}"
     with tempfile.TemporaryDirectory(prefix="l1-depth-build-") as name, ExitStack() as stack:
         folder = Path(name)
         for source, text in sources.items():
             (folder / source).write_text(text, encoding="utf-8", newline="\n")
-        ends = []
+        started = []
         for target in targets:
             (folder / target).mkdir()
-            options = ["-target", target, "-shared", *FLAGS, *more_options, "-I", str(FMI_HEADERS)]
+            options = ["-target", target, "-shared", *FLAGS, *more_options, key, "-I", str(FMI_HEADERS)]
             if "macos" in target:
                 options.append(f"-Wl,-install_name,@rpath/{file}")
             arguments = ["cc", *options, "-o", f"{target}/{file}", *compiled]
-            ends.append(stack.enter_context(_running(arguments, folder)))
+            started.append((arguments, stack.enter_context(_running(arguments, folder))))
 
         def library() -> bytes:
-            for end in ends:
-                end()
+            for arguments, end in started:
+                try:
+                    end()
+                except _TimeoutError as error:
+                    print(
+                        f"l1-depth: {model} for {fmi_platform}: {error}; once more in a new cache",
+                        file=sys.stderr,
+                    )
+                    try:
+                        zig(arguments, folder, folder / "cache")
+                    except _TimeoutError as again:
+                        raise ExportError(
+                            f"{model} for {fmi_platform}: {error}; in a new cache: {again}"
+                        ) from None
             slices = [(folder / target / file).read_bytes() for target in targets]
             return slices[0] if len(slices) == 1 else _universal(slices)
 
         yield library
 
 
-def zig(arguments: Sequence[str], folder: Path) -> None:
-    """Runs zig in a folder; ExportError with what it printed if it fails."""
-    with _running(arguments, folder) as end:
+def zig(arguments: Sequence[str], folder: Path, cache: Path | None = None) -> None:
+    """Runs zig in a folder; ExportError with what it printed if it fails.
+
+    cache: its folder for what it compiled; by default one for all builds of the user
+    """
+    with _running(arguments, folder, cache) as end:
         end()
 
 
+class _TimeoutError(ExportError):
+    """A compiler that did not end in time, which no longer runs."""
+
+
 @contextmanager
-def _running(arguments: Sequence[str], folder: Path) -> Iterator[Callable[[], None]]:
+def _running(
+    arguments: Sequence[str], folder: Path, cache: Path | None = None
+) -> Iterator[Callable[[], None]]:
     """Starts zig; the returned function waits for its end.
 
     Zig outlives neither the context nor this process.
     """
     command = [*_SHELL, _ZIG, *arguments]
     kept = {name: value for name, value in os.environ.items() if name.upper() in _KEPT}
+    if cache:
+        kept |= {"ZIG_GLOBAL_CACHE_DIR": str(cache), "ZIG_LOCAL_CACHE_DIR": str(cache)}
     with (
         tempfile.TemporaryFile() as output,
         subprocess.Popen(
@@ -137,11 +165,27 @@ def _end(name: str, process: subprocess.Popen[bytes], output: IO[bytes]) -> None
             print(f"l1-depth: zig {name} is not done after {_SILENT_S} s: {reason}", file=sys.stderr)
         status = process.wait(_PATIENCE_S)
     except subprocess.TimeoutExpired:
-        raise ExportError(f"zig {name} did not end within {_PATIENCE_S} s; {hint}") from None
+        lock = _awaited_lock(process.pid)
+        kill_group(process.pid)  # what it has locked is free for the next attempt, and for other builds
+        waited = f"it waits for the lock {lock}" if lock else "it waits for no lock of a file"
+        raise _TimeoutError(f"zig {name} did not end within {_PATIENCE_S} s; {waited}; {hint}") from None
     if status:
         output.seek(0)
         text = output.read().decode("utf-8", "replace").strip()[-2000:]
         raise ExportError(f"zig {name} failed: {text}; {hint}")
+
+
+def _awaited_lock(group: int) -> str:
+    """Returns the file whose lock a process of a group waits for; "" for none, and outside of Linux."""
+    locks = Path("/proc/locks")
+    for line in locks.read_text().splitlines() if locks.exists() else ():
+        pid, place = line.split()[-4:-2]
+        with suppress(OSError, ValueError):  # a process that has ended
+            if " -> " in line and os.getpgid(int(pid)) == group:
+                inode = int(place.rpartition(":")[2])
+                files = (file for file in Path(f"/proc/{pid}/fd").iterdir() if file.stat().st_ino == inode)
+                return str(next(files).readlink())
+    return ""
 
 
 def _universal(slices: Sequence[bytes]) -> bytes:

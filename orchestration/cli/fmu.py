@@ -135,18 +135,19 @@ def build(
     stamps = BuildCache()
     current = {} if with_reference else {order: stamps.current(order) for order in orders}
     _check_names(orders, current)
-    refused: list[str] = []
+    refused: dict[str, ExportError] = {}
     with progress("build", len(orders)) as bar, closing(_built(orders, current)) as built:
-        for files in built:
+        for order, files in zip(orders, built, strict=True):
             if not isinstance(files, ExportError):
                 print(*files, sep="\n", flush=True)
-            elif names:
+            elif len(orders) == 1:
                 raise files
             else:
-                refused.append(str(files))
+                refused[order.source] = files
             bar.advance()
     if refused:
-        fail("; ".join(refused))
+        reasons = "; ".join(map(str, refused.values()))
+        fail(f"{len(refused)} of {len(orders)} not built: {', '.join(refused)}: {reasons}")
 
 
 def _built_class(name: str, folder: Path | None) -> Path:

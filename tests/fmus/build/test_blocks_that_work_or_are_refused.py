@@ -3,6 +3,7 @@
 import inspect
 import random
 import re
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from fmus.build.check_sampling import check_sampling
 from fmus.build.check_trace import check_trace
 from fmus.build.symbolic import traced
 from fmus.errors import ExportError
-from fmus.numerics import sampled
+from fmus.numerics import Clock, sampled
 
 from .refused_blocks import REFUSED, REFUSED_STATES
 from .small_blocks import WORKING, Number, Rule, SampledMean, block_of, one_block_of_all
@@ -68,6 +69,31 @@ def test_a_block_whose_steps_are_longer_than_its_period_is_refused() -> None:
     ):
         check_sampling(steps[0.0995])
     check_sampling(steps[0.1])
+
+
+def test_a_clock_that_is_due_before_the_end_of_the_first_step_is_named() -> None:
+    """A sample at the end of a step as long as the period is late for `Clock()`, not for `Clock(period)`."""
+    rules = {period: partial(measures_at_the_end, period) for period in (0.05, 0.1)}
+    with pytest.raises(
+        ExportError,
+        match=r"step misses the sample that is due at 0\.0 s in internal steps of 0\.1 s: "
+        r"expected Clock\(t \+ period\) in initial_state, for samples at t \+ h$",
+    ):
+        check_sampling(block_of(rules[0.1], SampledMean))
+    later = {period: replace(SampledMean(), clock=Clock(period)) for period in rules}
+    blocks = {
+        period: replace(block_of(rule, SampledMean), initial_state=lambda *_, state=later[period]: state)
+        for period, rule in rules.items()
+    }
+    check_sampling(blocks[0.1])
+    with pytest.raises(
+        ExportError, match=r"step misses samples in internal steps of 0\.1 s: expected a step_"
+    ):
+        check_sampling(blocks[0.05])
+
+
+def measures_at_the_end(period: float, s: SampledMean, u: Any, p: Any, t: float, h: float) -> SampledMean:
+    return sampled(t + h, period, s, SampledMean(u.u))
 
 
 def test_a_block_that_leaves_a_domain_on_its_way_is_judged_by_the_comparison() -> None:

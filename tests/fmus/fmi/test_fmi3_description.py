@@ -164,6 +164,7 @@ def test_capabilities_have_the_names_of_fmi_2(described: Callable[..., ModelDesc
         ('fmiVersion="3.0"', 'fmiVersion="1.0"', "is an FMU of FMI 1.0: expected FMI 2.0 or 3.0"),
         ("CoSimulation", "ScheduledExecution", "neither CoSimulation nor ModelExchange: expected"),
         ('start="1 2 3"', 'start="1 2"', "variable gain: 2 start values: expected 1 or 3"),
+        ('min="0" start="1"', 'min="0" start="1 2"', "variable count: 2 start values: expected 1$"),
         ('structuralParameter" start="3"', 'structuralParameter" start="0"', "dimensions .2, 0.: expected"),
         ('start="3"/>', 'start="900000"/>', "variable speed: expected at most 1000000 scalars in all"),
         ('variability="tunable"', 'variability="odd"', "variable gain: variability 'odd': expected one of"),

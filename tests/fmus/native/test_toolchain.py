@@ -11,13 +11,14 @@ import sys
 import time
 from io import FileIO
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from fmus.errors import ExportError
 from fmus.native import toolchain
 from fmus.native.toolchain import compile_library, zig
-from fmus.platforms import check_platforms, host_platform
+from fmus.platforms import TARGETS, check_platforms, host_platform
 
 
 @pytest.mark.parametrize(
@@ -128,6 +129,74 @@ def test_a_killed_build_leaves_no_process(tmp_path: Path) -> None:
         process.kill()
         process.wait(timeout=60)
         wait_for_the_end_of_readers(stream)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a FIFO keeps the compiler waiting")
+def test_builds_of_different_sources_do_not_wait_for_each_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They have files of the same names, by which the compiler names its locks."""
+    process, endless = compiling_for_ever(tmp_path)
+    monkeypatch.setattr(toolchain, "_PATIENCE_S", 30.0)
+    monkeypatch.setattr(toolchain, "zig", lambda *arguments: pytest.fail("it waits"))
+    with endless.open("wb", buffering=0):  # opens when the compiler reads, which has its locks then
+        other = f"/* {tmp_path} */ int other(void) {{ return 3; }}"
+        assert compile_library("m", {"m.c": other}, ["m.c"], host_platform())
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.skipif(not Path("/proc/locks").exists(), reason="locks are listed by Linux")
+def test_the_lock_that_a_process_waits_for_is_named(tmp_path: Path) -> None:
+    import fcntl
+
+    locked = tmp_path / "locked.txt"
+    code = f"import fcntl; fcntl.flock(open({str(locked)!r}), fcntl.LOCK_EX); print('has it', flush=True)"
+    with locked.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        waiting = subprocess.Popen(
+            [sys.executable, "-c", code], start_new_session=True, stdout=subprocess.PIPE
+        )
+        end = time.monotonic() + 30.0
+        while not (lock := toolchain._awaited_lock(waiting.pid)) and time.monotonic() < end:
+            time.sleep(0.01)
+    assert lock == str(locked)
+    assert waiting.communicate()[0] == b"has it\n"
+    assert toolchain._awaited_lock(waiting.pid) == ""
+    assert toolchain._awaited_lock(os.getpgid(0)) == ""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a FIFO keeps the compiler waiting")
+@pytest.mark.parametrize("ends", [True, False])
+def test_a_compile_that_does_not_end_is_tried_again_in_a_new_cache(
+    ends: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (target, *_), suffix = TARGETS[host_platform()]
+    caches, run = list[tuple[bool, Path | None]](), toolchain._running
+
+    def running(arguments: list[str], folder: Path, cache: Path | None = None) -> Any:
+        caches.append((folder.exists(), cache and cache.relative_to(folder)))
+        if cache and ends:  # in place of a compile that takes its C library as well
+            (folder / target / f"m.{suffix}").write_bytes(b"a library")
+            return contextlib.nullcontext(lambda: None)
+        return run(arguments, folder, cache)
+
+    os.mkfifo(tmp_path / "endless.h")
+    monkeypatch.setattr(toolchain, "_running", running)
+    monkeypatch.setattr(toolchain, "_awaited_lock", lambda group: "/cache/h/1.txt")
+    source, error = f'#include "{tmp_path}/endless.h"', ""
+    monkeypatch.setattr(toolchain, "_PATIENCE_S", 0.001)
+    try:
+        assert compile_library("m", {"m.c": source}, ["m.c"], host_platform()) == b"a library"
+    except ExportError as refusal:
+        error = str(refusal)
+    assert caches == [(True, None), (True, Path("cache"))]
+    where = (
+        f"m for {host_platform()}: zig cc did not end within 0.001 s; it waits for the lock /cache/h/1.txt; "
+    )
+    assert where in capsys.readouterr().err
+    assert bool(error) is not ends
+    assert ends or (where in error and "; in a new cache: zig cc did not end within 0.001 s" in error)
 
 
 def compiling_for_ever(folder: Path) -> tuple[subprocess.Popen[bytes], Path]:

@@ -77,16 +77,23 @@ def test_the_block_that_new_writes_runs_in_the_papers_loop_and_passes_every_rule
     assert re.search(r": \d+ passed, \d+ not applicable\n", command("check", fmu).stdout)
 
 
-def test_a_broken_block_of_another_package_is_named_and_stops_no_other(
-    command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+@pytest.mark.parametrize("names", [[], ["Broken", "DepthReference", "Wrong"]])
+def test_broken_blocks_of_another_package_are_listed_and_stop_no_other(
+    names: list[str], command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    points = registry.block_entry_points()
-    broken = EntryPoint("Broken", "no_such_package:BLOCK", registry.GROUP)
-    offered = [broken, points["DepthReference"]]
+    offered = [
+        EntryPoint("Broken", "no_such_package:BLOCK", registry.GROUP),
+        registry.block_entry_points()["DepthReference"],
+        EntryPoint("Wrong", "no_such_module:BLOCK", registry.GROUP),
+    ]
     monkeypatch.setattr(registry, "entry_points", lambda group: offered)
-    done = command("build", "--flavour", "python", "--out", "out", expect=1)
+    done = command("build", *names, "--flavour", "python", "--out", "out", expect=1)
     assert done.stdout == "out/DepthReference.fmu\n"
-    assert "'Broken': its entry point no_such_package:BLOCK cannot be loaded" in done.stderr
+    assert (
+        "2 of 3 not built: Broken, Wrong: block 'Broken': its entry point no_such_package:BLOCK "
+        in done.stderr
+    )
+    assert "'Wrong': its entry point no_such_module:BLOCK cannot be loaded" in done.stderr
 
 
 def test_two_blocks_that_would_be_written_to_one_file_are_refused(command: Command, refused: Command) -> None:
