@@ -210,6 +210,12 @@ def test_what_a_device_does_not_have_is_refused_before_a_run(settings: dict[str,
         next(run_many(scenario.system, [scenario.experiment], **settings))
 
 
+def test_the_memory_of_an_ensemble_is_that_of_its_rows_its_varied_signals_and_its_instances() -> None:
+    prepared: Any = SimpleNamespace(shape=(11, 3))
+    libraries = {"a": SimpleNamespace(words=7), "b": SimpleNamespace(words=5)}
+    assert device.DeviceLoop.words(prepared, libraries, 4, varied=2) == 4 * (11 * (3 + 2) + 7 + 5)
+
+
 def test_more_than_the_memory_of_the_device_is_refused(
     system: System, monkeypatch: pytest.MonkeyPatch
 ) -> None:

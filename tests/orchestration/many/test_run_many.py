@@ -12,7 +12,7 @@ import pytest
 
 from orchestration import Failure, Recording, run_many, simulate
 from orchestration.errors import EnsembleError
-from orchestration.many.job import ENDED, Run, changed, differences
+from orchestration.many.job import ENDED, Job, Run, changed, differences
 from orchestration.many.runners import Simulated
 from orchestration.results import metrics
 from orchestration.scenarios import scenario
@@ -161,3 +161,13 @@ def test_an_experiment_is_what_its_differences_make_of_the_base(changes: dict[st
     other = replace(base, **changes)
     assert repr(changed(base, differences(base, other))) == repr(other)
     assert differences(base, replace(base)) == ({}, {})
+
+
+@pytest.mark.parametrize(
+    "change", [{"timeout": 2.0}, {"not_in_vectors": "it has noise"}, {"system": System({})}]
+)
+def test_a_job_with_another_limit_or_system_is_not_made_with_what_is_loaded(change: dict[str, Any]) -> None:
+    job = Job(System({"p": Path("p.fmu")}), Experiment(1.0, 0.1), timeout=1.0)
+    assert job.is_like(replace(job, base=Experiment(2.0, 0.1)))
+    assert not job.is_like(replace(job, **change))
+    assert not replace(job, **change).is_like(job)

@@ -139,19 +139,24 @@ def test_what_is_discrete_is_held(foreign: Mapping[str, Path], linear: Build, in
     assert set(run["two.integer_out"][2:]) == {3.0}
 
 
-def test_an_input_is_not_carried_out_of_its_range(python_built: Mapping[str, Path]) -> None:
-    """The efficiency of a thruster goes to 0, and its slope would go on."""
-    signals = {"p.thruster_efficiency[1]": Ramps([[0.0, 1.0], [0.5, 0.0]])}
+@pytest.mark.parametrize(("first", "last"), [(1.0, 0.0), (0.0, 1.0)])
+def test_an_input_is_carried_to_the_end_of_its_range_and_no_farther(
+    python_built: Mapping[str, Path], first: float, last: float
+) -> None:
+    """The efficiency of a thruster goes to 0 or 1, and its slope would go on."""
+    signals = {"p.thruster_efficiency[1]": Ramps([[0.0, first], [0.5, last]])}
     chosen = scenario.load(scenario.find("nominal-extended"))
     inputs = {
         name.replace("plant.", "p."): value
         for name, value in chosen.experiment.inputs.items()
         if name.startswith("plant.") and name != "plant.thruster_efficiency[1]"
     }
-    inputs |= {"p.voltage[1]": 0.0, "p.voltage[2]": 0.0}
+    inputs |= {"p.voltage[1]": 3.0, "p.voltage[2]": 0.0}
     experiment = Experiment(1.0, 0.02, signals=signals, inputs=inputs, extrapolation=1)
     run = simulate(System({"p": python_built["RovDepthPlant"]}), experiment)
-    assert run.time[-1] == 1.0
+    force = run["p.thruster_force[1]"][run.time >= 0.5]
+    assert len(force) == 26
+    assert (np.diff(force) * (last - first) >= 0.0).all()  # it goes on as before, and not back
 
 
 @pytest.mark.parametrize("start", [-3.0, 36000.0, 1e6])

@@ -176,6 +176,18 @@ def test_an_event_at_the_checkpoint_is_in_the_future(linear: Build, tmp_path: Pa
     assert np.array_equal(simulate(system, calm, resume=checkpoint).values, simulate(system, calm).values)
 
 
+@pytest.mark.parametrize("start", [0.0, 10.0, -5.0])
+def test_checkpoints_are_as_far_apart_as_asked_wherever_time_begins(
+    linear: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, start: float
+) -> None:
+    times: list[float] = []
+    monkeypatch.setattr(Checkpoints, "save", lambda _, run: times.append(run.wiring.points[run.position]))
+    system = coupled(linear, saves_state=True, serialises_state=True)
+    checkpoints = Checkpoints(tmp_path / "checkpoint", every=1.25)
+    simulate(system, Experiment(start + 3.0, 0.125, start), checkpoints=checkpoints)
+    assert times == [start + 1.25, start + 2.5]
+
+
 @pytest.mark.parametrize("saved", ["into a folder", "of an FMU that refuses its state"])
 def test_what_cannot_be_saved_loses_no_recording(
     linear: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, saved: str

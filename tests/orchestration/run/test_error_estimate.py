@@ -1,6 +1,7 @@
 """The estimated error of a run beside the true one."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,9 @@ from orchestration.errors import FmuWarning, SystemDefinitionError
 from orchestration.results.files import ERROR_ESTIMATE
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator, simulate
+from orchestration.run.error_estimate import longer_internal_steps
 from orchestration.system.experiment import Algorithm, Experiment
+from orchestration.system.prepared_run import prepare
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import LOOP, coupled, solution
@@ -156,6 +159,18 @@ def test_the_run_itself_is_the_same(linear: Build, extrapolation: int, factor: f
     for name in OUTPUTS:
         column = estimated[0][f"{ERROR_ESTIMATE}{name}"]
         assert quantities[name] == {"maximum": column.max(), "at_end": column[-1]}
+
+
+@pytest.mark.parametrize(
+    ("internal_step", "longer"), [(0.01, None), (0.02, 0.04), (0.03, 0.06), (0.04, None)]
+)
+def test_an_internal_step_is_doubled_only_where_a_step_twice_as_long_would_be_divided(
+    built: Mapping[str, Path], internal_step: float, longer: float | None
+) -> None:
+    system = System({"c": built["PidDepthController"]})
+    parameters = {"c.internal_step": internal_step}
+    prepared = prepare(system, Experiment(1.0, 0.02, open_inputs="start", parameters=parameters))
+    assert longer_internal_steps(prepared) == ({"c.internal_step": longer} if longer else {})
 
 
 def test_a_second_run_that_fails_leaves_the_first(rogue: Build) -> None:

@@ -30,6 +30,32 @@ def test_a_step_shrinks_at_most_to_a_fifth(linear: Build) -> None:
     assert run.provenance["inexact_steps"] >= 6
 
 
+@pytest.mark.parametrize("start", [-40.0, 100.0])
+def test_the_permitted_error_is_a_share_of_the_run_wherever_time_begins(linear: Build, start: float) -> None:
+    steps = [
+        simulate(coupled(linear, **ABLE), Experiment(begin + 2.0, 0.5, begin, tolerance=1e-4)).provenance
+        for begin in (0.0, start)
+    ]
+    counts = [provenance["steps_between_points"] for provenance in steps]
+    assert counts[1] == pytest.approx(counts[0], rel=0.02)  # times are rounded
+
+
+def test_negative_values_are_permitted_the_errors_of_positive_ones(linear: Build) -> None:
+    """Of values above the nominal one, to which the error is relative."""
+    runs = [
+        simulate(
+            coupled(linear, **ABLE),
+            Experiment(
+                1.0, 0.5, tolerance=1e-4,
+                parameters={"one.initial_state": sign * 100.0, "two.initial_state": sign * 40.0},
+            ),
+        )
+        for sign in (1.0, -1.0)
+    ]  # fmt: skip
+    assert runs[0].provenance["steps_between_points"] == runs[1].provenance["steps_between_points"] > 2
+    assert (runs[0].values == -runs[1].values).all()
+
+
 @pytest.mark.parametrize("through", [0.0, 0.3])
 def test_an_undeclared_output_may_follow_any_input(linear: Build, through: float) -> None:
     """Its error is taken for one that does not add up, as that of an output that declares so."""
