@@ -96,6 +96,17 @@ def test_the_agent_takes_the_place_of_the_component(task: Task) -> None:
     assert task.experiment.record == (POSITION,)
 
 
+@pytest.mark.parametrize("names", [("a", "plant.y[1]", "b"), ("b", "a", "plant.y[1]")])
+def test_each_observation_has_the_value_of_its_name(task: Task, names: tuple[str, ...]) -> None:
+    signals = {"a": Ramps([[0.0, 0.0], [1.0, 2.0]]), "b": Ramps([[0.0, 5.0], [1.0, 4.0]])}
+    observing = replace(task, signals=signals, observations=names, vary={}, reward=lambda before, after, h: h)
+    with closing(FmuEnv(replace(observing, reads=()))) as env:
+        env.reset()
+        observed = dict(zip(names, env.step(np.zeros(1))[0].tolist(), strict=True))
+        position = env.recording()[POSITION][-1]
+    assert observed == pytest.approx({"a": 0.2, "b": 4.9, "plant.y[1]": position})
+
+
 def misbehaving(task: Task, rogue: Build, misdeed: Misdeed, time: float) -> Task:
     """Of a plant that does it from that time [s]."""
     parameters = {"plant.misdeed": int(misdeed), "plant.misdeed_time": time}

@@ -143,17 +143,18 @@ def test_one_point_and_many_points_are_handed_on(
 
 
 @pytest.mark.parametrize(
-    "signal",
+    ("signal", "start"),
     [
-        Constant(0.7),
-        Table([1.0, 2.0, 3.0, 3.5, 3.6, 3.7, 3.8], [0.0, 1.0, -1.0, 0.0, 0.1, 0.2, 0.3]),
-        Table([0.0, 1.0, 1.125, 2.3], [0.0, 1.0, -1.0, 0.5], hold=True),
+        (Constant(0.7), 0.0),
+        (Table([1.0, 2.0, 3.0, 3.5, 3.6, 3.7, 3.8], [0.0, 1.0, -1.0, 0.0, 0.1, 0.2, 0.3]), 0.0),
+        (Table([0.0, 1.0, 1.125, 2.3], [0.0, 1.0, -1.0, 0.5], hold=True), 0.0),
+        (Table([0.0, 1.0, 1.125, 2.3], [0.0, 1.0, -1.0, 0.5], hold=True), -0.05),
     ],
 )
 def test_a_constant_and_a_table_are_handed_on_as_ramps(
-    linear: Build, tmp_path: Path, build_once: BuildSource, signal: Signal
+    linear: Build, tmp_path: Path, build_once: BuildSource, signal: Signal, start: float
 ) -> None:
-    experiment = Experiment(4.0, 0.125, signals={"a.u[1]": signal})
+    experiment = Experiment(start + 4.0, 0.125, start, signals={"a.u[1]": signal})
     mine = Scenario("mine", "", System({"a": linear()}), experiment, {})
     own, handed_on = simulate(mine.system, mine.experiment), packaged(mine, tmp_path, build_once)
     np.testing.assert_allclose(handed_on["a.y[1]"], own["a.y[1]"], atol=1e-14)  # rounding of values below 1

@@ -18,7 +18,9 @@ from orchestration.exchange import ssp_read, ssp_write
 from orchestration.exchange.ssp_xml import STRUCTURE, SspVersion, tag
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
-from tests.described_fmus import described, members
+from orchestration.system.experiment import Experiment
+from orchestration.system.system import System
+from tests.described_fmus import described, members, redescribed
 
 SAME_SYSTEM = ("nominal-l1", "nominal-extended", "buoyancy", "monte-carlo")
 VEHICLE = [name for name in scenario.shipped() if name.startswith(SAME_SYSTEM)]
@@ -107,6 +109,21 @@ def assert_same_recording(package: Path, name: str) -> None:
     for signal in chosen.experiment.record:
         given = signal.replace("controller.depth_reference", "depth_reference.depth_reference")
         np.testing.assert_array_equal(recording[given], own[signal], err_msg=signal)
+
+
+def test_a_unit_has_the_factor_and_the_offset_of_the_fmus_definition(tmp_path: Path) -> None:
+    units = '<UnitDefinitions><Unit name="degC"><BaseUnit K="1" offset="273.15"/></Unit>'
+    units += '<Unit name="km"><BaseUnit m="1" factor="1000"/></Unit></UnitDefinitions>'
+    fmu = redescribed(
+        described(tmp_path / "plain.fmu", outputs=["t", "x"], units={"t": "degC", "x": "km"}),
+        tmp_path / "a.fmu",
+        lambda xml: xml.replace("<ModelVariables>", f"{units}<ModelVariables>"),
+    )
+    mine = scenario.Scenario("mine", "", System({"a": fmu}), Experiment(1.0, 0.1), {})
+    package = ssp_write.package(mine, tmp_path / "mine.ssp", build_ramp_source)
+    structure = ElementTree.fromstring(members(package)[STRUCTURE])
+    defined = {unit.get("name"): unit[0].attrib for unit in structure.iter(tag("ssc:Unit"))}
+    assert defined == {"degC": {"K": "1", "offset": "273.15"}, "km": {"m": "1", "factor": "1000.0"}}
 
 
 def test_no_two_structures_have_one_name(package: Path) -> None:
