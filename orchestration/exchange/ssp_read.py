@@ -13,18 +13,20 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
+from urllib.parse import unquote
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from fmus.errors import nearest
 from fmus.files import extract_archive
-from fmus.fmi.description import describe, of_causality, start_value
+from fmus.fmi.description import describe, of_causality
 from fmus.fmi.model_description import ModelDescription
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.exchange.ssp_xml import STRUCTURE, read_value, tag
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
+from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.system import System
 
 
@@ -39,12 +41,17 @@ class OpenedPackage:
         return ScenarioError(f"{self.path}: {message}")
 
     def file(self, source: str, purpose: str) -> Path:
-        """Returns a file of the package; ScenarioError for one outside it."""
-        path = PurePosixPath(source)
-        is_relative = not path.is_absolute() and ".." not in path.parts and not {"\\", ":"} & set(source)
-        if not (is_relative and (self.folder / path).is_file()):
-            raise self.error(f"{purpose}: source {source!r}: expected a file in the package")
-        return self.folder / path
+        """Returns a file of the package; ScenarioError for one outside it.
+
+        source: a URI (RFC 3986) relative to the structure, or a path that some tools write in its place
+        """
+        for text in (source if set(source) & set("?#") else unquote(source), source):
+            path = PurePosixPath(text)
+            is_relative = not path.is_absolute() and ".." not in path.parts and not {"\\", ":"} & set(text)
+            if is_relative and (self.folder / path).is_file():
+                return self.folder / path
+        expected = "a file in the package, as a relative URI without a query and a fragment"
+        raise self.error(f"{purpose}: source {source!r}: expected {expected}")
 
     def root(self, file: Path) -> Element:
         """Returns the root element of an XML file of the package."""
@@ -154,6 +161,7 @@ def _scenario(package: OpenedPackage, parameter_set: str) -> Scenario:
         )
     root = _checked_root(package)
     components = _components(root, package)
+    _turn_connections(root, package)
     connections = tuple(_connection(element, package) for element in root.iter(tag("ssd:Connection")))
     _check_conversions(root, package)
     descriptions = {name: describe(path) for name, path in components.items()}
@@ -172,12 +180,21 @@ def _scenario(package: OpenedPackage, parameter_set: str) -> Scenario:
         name=parameter_set or stem,
         title=parameter_set or (system is not None and system.get("description")) or stem,
         system=System(components, connections),
-        experiment=Experiment(stop, step, start, parameters=parameters, inputs=inputs, record=tuple(outputs)),
+        experiment=Experiment(
+            stop,
+            step,
+            start,
+            parameters=parameters,
+            inputs=inputs,
+            record=tuple(outputs),
+            open_inputs=OpenInputs.START,
+        ),
         metrics={},
         resolved={
             "components": {name: path.name for name, path in components.items()},
             "connections": [list(connection) for connection in connections],
-            "experiment": {"start_time": start, "stop_time": stop, "step_size": step},
+            "experiment": {"start_time": start, "stop_time": stop, "step_size": step}
+            | {"open_inputs": str(OpenInputs.START)},
             "parameters": parameters,
             "inputs": inputs,
         },
@@ -205,6 +222,27 @@ def _components(root: Element, package: OpenedPackage) -> dict[str, Path]:
         package.check_attribute(component, "type", "application/x-fmu-sharedlibrary", name)
         components[name] = package.file(component.get("source", ""), name)
     return components
+
+
+def _turn_connections(root: Element, package: OpenedPackage) -> None:
+    """Turns connections from an input to an output: data flow as the kinds of the connectors have it.
+
+    Source: SSP 2.0, 5.3 (Connections): start and end do not denote the direction.
+    """
+    kinds = {
+        (component.get("name"), connector.get("name")): connector.get("kind")
+        for component in root.iter(tag("ssd:Component"))
+        for connector in component.iter(tag("ssd:Connector"))
+    }
+    for element in root.iter(tag("ssd:Connection")):
+        start, end = ((element.get(f"{e}Element"), element.get(f"{e}Connector")) for e in ("start", "end"))
+        is_forward = kinds.get(start) == "output" or kinds.get(end) == "input"
+        if kinds.get(start) == "input" or kinds.get(end) == "output":
+            if is_forward:
+                names = " and ".join(f"{component}.{connector}" for component, connector in (start, end))
+                raise package.error(f"connection of {names}, both {kinds[end]}s: expected one output")
+            keys = ("startElement", "startConnector", "endElement", "endConnector")
+            element.attrib.update(zip(keys, (*end, *start), strict=True))
 
 
 def _connection(element: Element, package: OpenedPackage) -> tuple[Any, ...]:
@@ -249,16 +287,15 @@ def _check_conversions(root: Element, package: OpenedPackage) -> None:
 def _by_causality(
     values: Values, descriptions: Mapping[str, ModelDescription], connected: set[str]
 ) -> tuple[Values, Values]:
-    """Returns (parameters, inputs): an input that nothing drives keeps the start value of its FMU."""
+    """Returns (parameters, inputs)."""
     inputs = {
-        f"{component}.{variable.name}": start_value(variable)
+        f"{component}.{variable.name}"
         for component, description in descriptions.items()
         for variable in of_causality(description, "input")
-        if f"{component}.{variable.name}" not in connected
     }
     settable = {name: value for name, value in values.items() if name not in connected}
     parameters = {name: value for name, value in settable.items() if name not in inputs}
-    return parameters, inputs | {name: settable[name] for name in settable if name in inputs}
+    return parameters, {name: value for name, value in settable.items() if name in inputs}
 
 
 def _times(
