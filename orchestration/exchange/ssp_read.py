@@ -26,7 +26,6 @@ from orchestration.errors import ScenarioError
 from orchestration.exchange.ssp_xml import STRUCTURE, read_value, tag
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
-from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.system import System
 
 
@@ -167,7 +166,7 @@ def _scenario(package: OpenedPackage, parameter_set: str) -> Scenario:
     descriptions = {name: describe(path) for name, path in components.items()}
     values = chosen_values(parameter_set, package) if parameter_set else bound_values(root, package)
     parameters, inputs = _by_causality(values, descriptions, {target for _, target, *_ in connections})
-    start, stop, step = _times(root, descriptions, package)
+    settings: dict[str, Any] = {**_times(root, descriptions, package), "open_inputs": "start"}
     outputs = (
         f"{component.get('name')}.{connector.get('name')}"
         for component in root.iter(tag("ssd:Component"))
@@ -180,21 +179,12 @@ def _scenario(package: OpenedPackage, parameter_set: str) -> Scenario:
         name=parameter_set or stem,
         title=parameter_set or (system is not None and system.get("description")) or stem,
         system=System(components, connections),
-        experiment=Experiment(
-            stop,
-            step,
-            start,
-            parameters=parameters,
-            inputs=inputs,
-            record=tuple(outputs),
-            open_inputs=OpenInputs.START,
-        ),
+        experiment=Experiment(**settings, parameters=parameters, inputs=inputs, record=tuple(outputs)),
         metrics={},
         resolved={
             "components": {name: path.name for name, path in components.items()},
             "connections": [list(connection) for connection in connections],
-            "experiment": {"start_time": start, "stop_time": stop, "step_size": step}
-            | {"open_inputs": str(OpenInputs.START)},
+            "experiment": settings,
             "parameters": parameters,
             "inputs": inputs,
         },
@@ -235,14 +225,14 @@ def _turn_connections(root: Element, package: OpenedPackage) -> None:
         for connector in component.iter(tag("ssd:Connector"))
     }
     for element in root.iter(tag("ssd:Connection")):
-        start, end = ((element.get(f"{e}Element"), element.get(f"{e}Connector")) for e in ("start", "end"))
-        is_forward = kinds.get(start) == "output" or kinds.get(end) == "input"
-        if kinds.get(start) == "input" or kinds.get(end) == "output":
-            if is_forward:
-                names = " and ".join(f"{component}.{connector}" for component, connector in (start, end))
-                raise package.error(f"connection of {names}, both {kinds[end]}s: expected one output")
-            keys = ("startElement", "startConnector", "endElement", "endConnector")
-            element.attrib.update(zip(keys, (*end, *start), strict=True))
+        ends = [element.get(f"{e}{part}", "") for e in ("start", "end") for part in ("Element", "Connector")]
+        first, last = kinds.get((ends[0], ends[1])), kinds.get((ends[2], ends[3]))
+        if first == last and first in ("input", "output"):
+            names = f"{ends[0]}.{ends[1]} and {ends[2]}.{ends[3]}"
+            raise package.error(f"connection of {names}, both {first}s: expected one output")
+        if first == "input" or last == "output":
+            keys = ("endElement", "endConnector", "startElement", "startConnector")
+            element.attrib.update(zip(keys, ends, strict=True))
 
 
 def _connection(element: Element, package: OpenedPackage) -> tuple[Any, ...]:
@@ -300,8 +290,8 @@ def _by_causality(
 
 def _times(
     root: Element, descriptions: Mapping[str, ModelDescription], package: OpenedPackage
-) -> tuple[float, ...]:
-    """Returns start, stop and step [s]; without a step size, the smallest that an FMU suggests."""
+) -> dict[str, float]:
+    """Returns the times of an experiment [s]; without a step size, the smallest that an FMU suggests."""
     default = root.find(tag("ssd:DefaultExperiment"))
     stop = None if default is None else default.get("stopTime")
     if default is None or stop is None:
@@ -315,4 +305,4 @@ def _times(
         raise package.error(f"default experiment: {error}; expected numbers of seconds") from error
     if not steps:
         raise package.error("expected a communication step size, from it or from an FMU")
-    return start_time, stop_time, min(steps)
+    return {"start_time": start_time, "stop_time": stop_time, "step_size": min(steps)}

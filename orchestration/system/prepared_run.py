@@ -179,9 +179,10 @@ def _external(system: CheckedSystem, experiment: Experiment, names: Sequence[str
         port = system.port(name, "external input")
         if port.variable.type not in NUMBERS:
             raise SystemDefinitionError(f"external input {name}: expected a number, got {port.variable.type}")
-        given = experiment.inputs
-        value = fmi_value(port, given[name]) if name in given else value_of_open_input(port)
-        values[name] = float(value)
+        is_given = name in experiment.inputs
+        values[name] = float(
+            fmi_value(port, experiment.inputs[name]) if is_given else value_of_open_input(port)
+        )
     return values
 
 
