@@ -242,16 +242,16 @@ EXPORT int fmi2DoStep(Instance *a, double start, double size, int no_return_befo
     a->terminates = is_done(status) && terminates;
     a->has_reached = is_done(status);
     a->reached = reached;
-    if (a->terminates) return noted(a, fmi3Discard, function);
-    if (is_done(status) && is_early)
-        return refuse(a, function, "earlyReturn is true: expected false, as it is not allowed");
-    if (is_done(status) && needs_event)
-        return refuse(a, function, "eventHandlingNeeded is true: expected false, as no event mode is used");
     if (is_done(status) && !(reached >= start - slack && reached <= start + size + slack)) {
         snprintf(text, sizeof text, "lastSuccessfulTime is %.9g s: expected a time in the step, %.9g..%.9g s", reached,
                  start, start + size);
         return refuse(a, function, text);
     }
+    if (a->terminates) return noted(a, fmi3Discard, function);
+    if (is_done(status) && is_early)
+        return refuse(a, function, "earlyReturn is true: expected false, as it is not allowed");
+    if (is_done(status) && needs_event)
+        return refuse(a, function, "eventHandlingNeeded is true: expected false, as no event mode is used");
     return noted(a, status, function);
 }
 

@@ -294,6 +294,7 @@ def test_an_output_of_a_clock_is_not_read(sized: System) -> None:
     assert recording.names == ("m.row_out[1]", "m.row_out[2]")
 
 
+@pytest.mark.parametrize("terminates", [False, True])
 @pytest.mark.parametrize(
     ("part", "is_refused"),
     [
@@ -307,18 +308,27 @@ def test_an_output_of_a_clock_is_not_read(sized: System) -> None:
         (9.5, True),
     ],
 )
-def test_a_step_reaches_a_time_within_it(mirror: Build, part: float, is_refused: bool) -> None:
+def test_a_step_reaches_a_time_within_it(
+    mirror: Build, part: float, is_refused: bool, terminates: bool
+) -> None:
     """part: of the step that the FMU returns as done; above 9 it returns NaN."""
-    reached = "(d->value[0] > 9 ? NAN : t + h * d->value[0])"
-    system = System({"m": mirror({"part": ("Float64", "1")}, {"REACHED": reached})})
-    experiment = Experiment(-1.5, 0.5, -3.0, inputs={"m.part_in": part})
+    reached = "(*terminates = d->value[1] > 0, d->value[0] > 9 ? NAN : t + h * d->value[0])"
+    pairs = {"part": ("Float64", "1"), "ends": ("Float64", "0")}
+    system = System({"m": mirror(pairs, {"REACHED": reached})})
+    inputs = {"m.part_in": part, "m.ends_in": float(terminates)}
+    experiment = Experiment(-1.5, 0.5, -3.0, inputs=inputs)
     if is_refused:
         time = "nan" if part > 9 else f"{-3.0 + 0.5 * part:.9g}"
         message = f"m at t = -3 s: fmi3DoStep .*: lastSuccessfulTime is {time} s: expected .*, -3..-2.5 s"
         with pytest.raises(SimulationError, match=message):
             run(system, experiment)
+        return
+    recording = run(system, experiment)
+    if terminates:
+        assert recording.time.tolist() == sorted({-3.0, recording.provenance["terminated"]["time_s"]})
+        assert recording.time[-1] == -3.0 + 0.5 * (part if 0.0 < part <= 1.0 else 0.0)
     else:
-        assert run(system, experiment)["m.part_out"].tolist() == [part] * 4
+        assert recording["m.part_out"].tolist() == [part] * 4
 
 
 @pytest.mark.parametrize(
