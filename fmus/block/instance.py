@@ -73,8 +73,10 @@ class BlockInstance:
         reason = self._refusal(variable, value)
         if reason:
             raise BlockError(reason)
-        if self._values[reference] != value:
-            self._values[reference] = variable.cast(value)
+        value, before = variable.cast(value), self._values[reference]
+        # 0.0 equals -0.0, which atan2 and a quotient distinguish
+        if (value, math.copysign(1.0, value)) != (before, math.copysign(1.0, before)):
+            self._values[reference] = value
             if reference < self._parameters_end:
                 self._parameters_are_stale = True
             else:

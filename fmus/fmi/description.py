@@ -1,6 +1,7 @@
 """The model description of an FMU."""
 
 import zipfile
+from collections import Counter
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
@@ -80,6 +81,9 @@ def _read(path: Path, version: FileVersion) -> ModelDescription:
     identifier = description.coSimulation.modelIdentifier
     if not identifier or set(identifier) & set("/\\:") or ".." in identifier:  # leads out of the archive
         raise FmuLoadError(f"{path}: modelIdentifier {identifier!r}: expected a C identifier")
+    names = Counter([*(variable.name for variable in description.modelVariables), *description.left_out])
+    if repeated := [name for name, count in names.items() if count > 1]:
+        raise FmuLoadError(f"{path}: {names[repeated[0]]} variables are called {repeated[0]!r}: expected one")
     _take_over_declared_types(description)
     # those of this exporter list sources: other FMUs, which may be large, need not be read
     has_sources = is_built or root.find("CoSimulation/SourceFiles") is not None

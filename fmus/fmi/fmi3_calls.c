@@ -4,6 +4,8 @@
    of its own in place of a value reference. Scalars of neighbouring whole arrays of one type are one call; a part of an
    array is set by reading the array first. */
 
+#include <float.h>
+#include <math.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -21,9 +23,9 @@
 enum { REAL, INTEGER, TEXT };
 enum { LAST_SUCCESSFUL_TIME = 2, TERMINATED = 3 }; /* of FMI 2.0 */
 
-/* Types with the least and the largest of the master's integers that they hold. */
+/* Types with the least and the largest of the master's numbers that they hold, but for infinity. */
 #define NUMBERS(X)                                                                         \
-    X(Float64, INT32_MIN, INT32_MAX) X(Float32, INT32_MIN, INT32_MAX)                      \
+    X(Float64, -DBL_MAX, DBL_MAX) X(Float32, -FLT_MAX, FLT_MAX)                            \
     X(Int8, INT8_MIN, INT8_MAX) X(UInt8, 0, UINT8_MAX) X(Int16, INT16_MIN, INT16_MAX)      \
     X(UInt16, 0, UINT16_MAX) X(Int32, INT32_MIN, INT32_MAX) X(UInt32, 0, INT32_MAX)        \
     X(Int64, INT32_MIN, INT32_MAX) X(UInt64, 0, INT32_MAX) X(Boolean, INT32_MIN, INT32_MAX)
@@ -33,7 +35,7 @@ enum { NUMBERS(TYPE_OF) String };
 #define NAMES_OF(Name, low, high) {"fmi3Get" #Name, "fmi3Set" #Name, low, high},
 static const struct {
     const char *function[2];
-    int32_t low, high;
+    double low, high;
 } TYPES[] = {NUMBERS(NAMES_OF){{"fmi3GetString", "fmi3SetString"}, 0, 0}};
 
 typedef fmi3Status Transfer(fmi3Instance instance, const fmi3ValueReference *references, size_t n_references,
@@ -118,7 +120,7 @@ static int move(Instance *a, int kind, int is_set, const Element *e, size_t slot
         return fmi3OK;
     }
     x = !is_set ? number(e->type, a->values, slot) : kind == REAL ? reals[i] : integers[i];
-    if (kind == INTEGER && (x < low || x > high)) {
+    if ((kind == INTEGER || is_set) && (x < low || x > high) && !isinf(x)) {
         snprintf(text, sizeof text, "value reference %lu: %.17g: expected %.17g..%.17g", (unsigned long)e->reference, x,
                  low, high);
         return refuse(a, TYPES[e->type].function[is_set], text);
@@ -233,11 +235,18 @@ EXPORT int fmi2DoStep(Instance *a, double start, double size, int no_return_befo
     static const char *const function = "fmi3DoStep";
     fmi3Boolean needs_event = fmi3False, terminates = fmi3False, is_early = fmi3False;
     fmi3Float64 reached = start + size;
+    const double slack = 1e-3 * size; /* an FMU may add up its internal steps */
+    char text[128];
     const fmi3Status status = a->call->DoStep(a->instance, start, size, no_return_before_start != 0, &needs_event,
                                               &terminates, &is_early, &reached);
     a->terminates = is_done(status) && terminates;
     a->has_reached = is_done(status);
     a->reached = reached;
+    if (is_done(status) && !(reached >= start - slack && reached <= start + size + slack)) {
+        snprintf(text, sizeof text, "lastSuccessfulTime is %.9g s: expected a time in the step, %.9g..%.9g s", reached,
+                 start, start + size);
+        return refuse(a, function, text);
+    }
     if (a->terminates) return noted(a, fmi3Discard, function);
     if (is_done(status) && is_early)
         return refuse(a, function, "earlyReturn is true: expected false, as it is not allowed");

@@ -64,8 +64,9 @@ def fmi3_description(root: Xml) -> ModelDescription:
     by_reference: dict[int, list[ScalarVariable]] = {}
     listed = root.findall("ModelVariables/*")
     sizes = {v.get("valueReference"): v.get("start") for v in listed if v.tag == "UInt64"}
+    left_out = {required(xml, "name"): kind for xml in listed if (kind := _left_out(xml))}
     for xml in listed:
-        if xml.tag not in _LEFT_OUT:
+        if not _left_out(xml):
             reference, shape = value_reference(xml), _shape(xml, sizes)
             first, count = len(variables), math.prod(shape)
             if first + count > _MOST_SCALARS:
@@ -92,8 +93,14 @@ def fmi3_description(root: Xml) -> ModelDescription:
         numberOfEventIndicators=len([*_unknowns(root, "EventIndicator", by_reference)]),
         is_model_exchange=is_model_exchange,
         elements=elements,
-        left_out={required(xml, "name"): xml.tag for xml in listed if xml.tag in _LEFT_OUT},
+        left_out=left_out,
     )
+
+
+def _left_out(xml: Xml) -> str:
+    """Returns the type of a variable that has no kind in FMI 2.0, "" for any other."""
+    # 2.2.8: a clocked variable has a value only while its Clock is active, in event mode
+    return f"{xml.tag} of a Clock" if xml.get("clocks") else xml.tag if xml.tag in _LEFT_OUT else ""
 
 
 def _index(xml: Xml) -> int:

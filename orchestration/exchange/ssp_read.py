@@ -13,12 +13,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
+from urllib.parse import unquote
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from fmus.errors import nearest
 from fmus.files import extract_archive
-from fmus.fmi.description import describe, of_causality, start_value
+from fmus.fmi.description import describe, of_causality
 from fmus.fmi.model_description import ModelDescription
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
@@ -39,12 +40,17 @@ class OpenedPackage:
         return ScenarioError(f"{self.path}: {message}")
 
     def file(self, source: str, purpose: str) -> Path:
-        """Returns a file of the package; ScenarioError for one outside it."""
-        path = PurePosixPath(source)
-        is_relative = not path.is_absolute() and ".." not in path.parts and not {"\\", ":"} & set(source)
-        if not (is_relative and (self.folder / path).is_file()):
-            raise self.error(f"{purpose}: source {source!r}: expected a file in the package")
-        return self.folder / path
+        """Returns a file of the package; ScenarioError for one outside it.
+
+        source: a URI (RFC 3986) relative to the structure, or a path that some tools write in its place
+        """
+        for text in (source if set(source) & set("?#") else unquote(source), source):
+            path = PurePosixPath(text)
+            is_relative = not path.is_absolute() and ".." not in path.parts and not {"\\", ":"} & set(text)
+            if is_relative and (self.folder / path).is_file():
+                return self.folder / path
+        expected = "a file in the package, as a relative URI without a query and a fragment"
+        raise self.error(f"{purpose}: source {source!r}: expected {expected}")
 
     def root(self, file: Path) -> Element:
         """Returns the root element of an XML file of the package."""
@@ -154,12 +160,13 @@ def _scenario(package: OpenedPackage, parameter_set: str) -> Scenario:
         )
     root = _checked_root(package)
     components = _components(root, package)
+    _turn_connections(root, package)
     connections = tuple(_connection(element, package) for element in root.iter(tag("ssd:Connection")))
     _check_conversions(root, package)
     descriptions = {name: describe(path) for name, path in components.items()}
     values = chosen_values(parameter_set, package) if parameter_set else bound_values(root, package)
     parameters, inputs = _by_causality(values, descriptions, {target for _, target, *_ in connections})
-    start, stop, step = _times(root, descriptions, package)
+    settings: dict[str, Any] = {**_times(root, descriptions, package), "open_inputs": "start"}
     outputs = (
         f"{component.get('name')}.{connector.get('name')}"
         for component in root.iter(tag("ssd:Component"))
@@ -172,12 +179,12 @@ def _scenario(package: OpenedPackage, parameter_set: str) -> Scenario:
         name=parameter_set or stem,
         title=parameter_set or (system is not None and system.get("description")) or stem,
         system=System(components, connections),
-        experiment=Experiment(stop, step, start, parameters=parameters, inputs=inputs, record=tuple(outputs)),
+        experiment=Experiment(**settings, parameters=parameters, inputs=inputs, record=tuple(outputs)),
         metrics={},
         resolved={
             "components": {name: path.name for name, path in components.items()},
             "connections": [list(connection) for connection in connections],
-            "experiment": {"start_time": start, "stop_time": stop, "step_size": step},
+            "experiment": settings,
             "parameters": parameters,
             "inputs": inputs,
         },
@@ -205,6 +212,27 @@ def _components(root: Element, package: OpenedPackage) -> dict[str, Path]:
         package.check_attribute(component, "type", "application/x-fmu-sharedlibrary", name)
         components[name] = package.file(component.get("source", ""), name)
     return components
+
+
+def _turn_connections(root: Element, package: OpenedPackage) -> None:
+    """Turns connections from an input to an output: data flow as the kinds of the connectors have it.
+
+    Source: SSP 2.0, 5.3 (Connections): start and end do not denote the direction.
+    """
+    kinds = {
+        (component.get("name"), connector.get("name")): connector.get("kind")
+        for component in root.iter(tag("ssd:Component"))
+        for connector in component.iter(tag("ssd:Connector"))
+    }
+    for element in root.iter(tag("ssd:Connection")):
+        ends = [element.get(f"{e}{part}", "") for e in ("start", "end") for part in ("Element", "Connector")]
+        first, last = kinds.get((ends[0], ends[1])), kinds.get((ends[2], ends[3]))
+        if first == last and first in ("input", "output"):
+            names = f"{ends[0]}.{ends[1]} and {ends[2]}.{ends[3]}"
+            raise package.error(f"connection of {names}, both {first}s: expected one output")
+        if first == "input" or last == "output":
+            keys = ("endElement", "endConnector", "startElement", "startConnector")
+            element.attrib.update(zip(keys, ends, strict=True))
 
 
 def _connection(element: Element, package: OpenedPackage) -> tuple[Any, ...]:
@@ -249,22 +277,21 @@ def _check_conversions(root: Element, package: OpenedPackage) -> None:
 def _by_causality(
     values: Values, descriptions: Mapping[str, ModelDescription], connected: set[str]
 ) -> tuple[Values, Values]:
-    """Returns (parameters, inputs): an input that nothing drives keeps the start value of its FMU."""
+    """Returns (parameters, inputs)."""
     inputs = {
-        f"{component}.{variable.name}": start_value(variable)
+        f"{component}.{variable.name}"
         for component, description in descriptions.items()
         for variable in of_causality(description, "input")
-        if f"{component}.{variable.name}" not in connected
     }
     settable = {name: value for name, value in values.items() if name not in connected}
     parameters = {name: value for name, value in settable.items() if name not in inputs}
-    return parameters, inputs | {name: settable[name] for name in settable if name in inputs}
+    return parameters, {name: value for name, value in settable.items() if name in inputs}
 
 
 def _times(
     root: Element, descriptions: Mapping[str, ModelDescription], package: OpenedPackage
-) -> tuple[float, ...]:
-    """Returns start, stop and step [s]; without a step size, the smallest that an FMU suggests."""
+) -> dict[str, float]:
+    """Returns the times of an experiment [s]; without a step size, the smallest that an FMU suggests."""
     default = root.find(tag("ssd:DefaultExperiment"))
     stop = None if default is None else default.get("stopTime")
     if default is None or stop is None:
@@ -278,4 +305,4 @@ def _times(
         raise package.error(f"default experiment: {error}; expected numbers of seconds") from error
     if not steps:
         raise package.error("expected a communication step size, from it or from an FMU")
-    return start_time, stop_time, min(steps)
+    return {"start_time": start_time, "stop_time": stop_time, "step_size": min(steps)}

@@ -12,6 +12,7 @@ What SSP 1.0 has for FMI 2.0 is in 2.0 as well, with the same namespaces: the ve
 """
 
 import itertools
+import re
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -130,9 +131,13 @@ def _members(variants: Sequence[_Variant], fmus: Mapping[str, Path]) -> dict[str
 
 
 def _resource_paths(component: str, fmu: Path) -> Iterator[str]:
-    """Yields the paths that the FMU of a component may have, the preferred one first; endless."""
+    """Yields the paths that the FMU of a component may have, the preferred one first; endless.
+
+    They are URIs (RFC 3986) without escapes, which not every importer decodes.
+    """
     numbered = (f"{component}_{number}.fmu" for number in itertools.count(2))
-    return (f"resources/{name}" for name in itertools.chain((fmu.name, f"{component}.fmu"), numbered))
+    names = itertools.chain((fmu.name, f"{component}.fmu"), numbered)
+    return (f"resources/{re.sub(r'[^A-Za-z0-9._~-]', '_', name)}" for name in names)
 
 
 def _with_all_settings(variants: Sequence[_Variant]) -> list[_Variant]:

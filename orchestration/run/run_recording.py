@@ -1,5 +1,6 @@
 """The recording that a run returns, and the errors and warnings of its loop as those of Python."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -48,7 +49,9 @@ def make_recording(
 def _provenance(prepared: PreparedRun) -> dict[str, Any]:
     """Returns the FMUs and the settings of the run, as plain data."""
     experiment = prepared.experiment
-    open_inputs = {port.name: start_value(port.variable) for port in prepared.system.open_inputs}
+    starts = ((port.name, start_value(port.variable)) for port in prepared.system.open_inputs)
+    # JSON has no INF
+    open_inputs = {n: x if isinstance(x, str) or math.isfinite(x) else str(x) for n, x in starts}
     return {
         "fmus": {
             name: {"guid": d.guid, "model": d.modelName, "tool": d.generationTool}

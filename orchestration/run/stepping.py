@@ -192,7 +192,7 @@ class RunInProgress:
         self.wiring.report[Report.TERMINATED] = component + 1
         before, after = self.wiring.points[self.position : self.position + 2].tolist()
         reached = instance.last_successful_time()
-        if reached is None or not reached <= after:
+        if reached is None or not before <= reached <= after:
             reached = before
         self._is_terminated(reached)
         self.look_around()

@@ -25,7 +25,7 @@ from orchestration.system.faults import Fault, Pattern, compose
 from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.signals import Constant, Cosine, Ramps, Signal, values_at
 from orchestration.system.system import CheckedSystem, Port, System, check
-from orchestration.system.values import fmi_value, items, possible_values, value_range
+from orchestration.system.values import fmi_value, items, possible_values, value_of_open_input, value_range
 
 Setting = tuple[Port, FmiValue]
 
@@ -179,8 +179,10 @@ def _external(system: CheckedSystem, experiment: Experiment, names: Sequence[str
         port = system.port(name, "external input")
         if port.variable.type not in NUMBERS:
             raise SystemDefinitionError(f"external input {name}: expected a number, got {port.variable.type}")
-        value = experiment.inputs.get(name, start_value(port.variable))
-        values[name] = float(fmi_value(port, value))
+        is_given = name in experiment.inputs
+        values[name] = float(
+            fmi_value(port, experiment.inputs[name]) if is_given else value_of_open_input(port)
+        )
     return values
 
 
@@ -222,7 +224,7 @@ def _settings(system: CheckedSystem, experiment: Experiment) -> tuple[Setting, .
     for name, value in experiment.inputs.items():
         port = system.port(name, "input")
         settings.append((port, fmi_value(port, value)))
-    starts = ((port, fmi_value(port, start_value(port.variable))) for port in system.open_inputs)
+    starts = ((port, value_of_open_input(port)) for port in system.open_inputs)
     return (*settings, *starts)
 
 

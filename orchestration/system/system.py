@@ -147,7 +147,8 @@ class CheckedSystem:
             left_out = self.descriptions[component].left_out.get(name.partition(".")[2])
             if left_out:
                 raise SystemDefinitionError(
-                    f"{purpose}: {name} has type {left_out}: expected a number, a Boolean or a String"
+                    f"{purpose}: {name} has type {left_out}: expected a number, a Boolean or a String, "
+                    "and no Clock"
                 )
             candidates = [known for known in self.ports if known.startswith(component + ".")]
             raise SystemDefinitionError(f"{purpose}: no variable {name!r}; {nearest(name, candidates)}")

@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from fmus.fmi.description import start_value
 from fmus.fmi.variable_types import INTEGER_RANGE, FmiValue
 from orchestration.errors import SystemDefinitionError
 from orchestration.system.system import Port
@@ -20,18 +21,25 @@ _PYTHON_TYPES: dict[str, tuple[type, ...]] = {"Real": (int, float), "Boolean": (
 def fmi_value(port: Port, value: Value) -> FmiValue:
     """Returns the value as the FMU takes it; an item of an enumeration may be given by its name.
 
-    Raises SystemDefinitionError for a value of another type, or outside the declared range.
+    Raises SystemDefinitionError for a value of another type, or outside the declared range, also by name.
     """
     variable = port.variable
     plain: FmiValue = value.item() if isinstance(value, np.generic) else value
     if variable.type == "Enumeration" and isinstance(plain, str):
-        numbers = items(port)
+        low, high = value_range(port)
+        numbers = {name: number for name, number in items(port).items() if low <= number <= high}
         if plain not in numbers:
             raise SystemDefinitionError(f"{port.name} = {plain!r}: expected one of {', '.join(numbers)}")
         return numbers[plain]
     if variable.type == "String":
         return str(plain)
     return _number(port, plain)
+
+
+def value_of_open_input(port: Port) -> FmiValue:
+    """Returns the start value of an input; of an FMU of FMI 3.0 it may be INF or NaN."""
+    value = start_value(port.variable)
+    return value if isinstance(value, float) and not math.isfinite(value) else fmi_value(port, value)
 
 
 def fmi_values(port: Port, values: Sequence[Value] | np.ndarray) -> list[FmiValue]:

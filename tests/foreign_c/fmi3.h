@@ -186,6 +186,9 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
     *needs_event = *is_early = fmi3False;
     *terminates = status == fmi2Discard && d->terminates;
     *reached = d->last_successful_time;
+#ifdef REACHED
+    *reached = REACHED;
+#endif
 #ifdef RETURNS_EARLY
     *is_early = t >= RETURNS_EARLY;
 #endif

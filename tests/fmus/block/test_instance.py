@@ -2,12 +2,14 @@
 
 import json
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fmus.block import Block, variable
 from fmus.block.instance import BlockError, BlockInstance
 from fmus.build import builder
 
@@ -131,6 +133,47 @@ def test_outputs_follow_inputs_during_initialisation(driver: Any) -> None:
     controller["measured_depth"] = 0.1
     assert controller["tracking_error"] == pytest.approx(-0.2)
     assert controller["predicted_depth"] == 0.1
+
+
+@pytest.mark.parametrize("role", ["inputs", "parameters"])
+def test_zero_and_minus_zero_are_values_that_differ(role: str) -> None:
+    """atan2 distinguishes them; 3 set over 3 changes nothing, so it need not be calculated again."""
+
+    @dataclass(frozen=True)
+    class Value:
+        x: float = variable(0.0, "A number")
+
+    @dataclass(frozen=True)
+    class Angle:
+        y: float = variable(0.0, "The angle of -1 and the number")
+
+    calls: list[float] = []
+
+    def angle(p: Any, u: Any) -> Angle:
+        calls.append((u if role == "inputs" else p).x)
+        return Angle(math.atan2(calls[-1], -1.0))
+
+    roles: Any = {role: Value}
+    block = Block(
+        "Angle",
+        "An angle",
+        outputs=Angle,
+        state=Angle,
+        initial_state=lambda t, u, p, c: angle(p, u),
+        step=lambda t, h, state, u, p, c: angle(p, u),
+        output=lambda t, state, p, c: state,
+        **roles,
+    )
+    instance = BlockInstance(block)
+    names = {v.name: v.value_reference for v in block.variables}
+    for value in (0.0, -0.0, 0.0, 3.0, -0.0):
+        instance.set(names["x"], value)
+        assert str(instance.get(names["x"])) == str(value)
+        assert instance.get(names["y"]) == math.atan2(value, -1.0)
+    count = len(calls)
+    instance.set(names["x"], -0.0)
+    assert instance.get(names["y"]) == -math.pi
+    assert len(calls) == count
 
 
 def test_a_contradicting_gain_stops_steps_and_nothing_else(driver: Any) -> None:

@@ -127,6 +127,20 @@ def test_an_integer_is_set_within_the_range_of_its_type(path: Path, name: str, l
         assert instance.get(variable) == high
 
 
+def test_a_real_is_set_within_the_range_of_single_precision_or_infinite(path: Path) -> None:
+    description = describe(path)
+    (_, variable) = (v for v in description.modelVariables if v.name.startswith("single_in"))
+    largest = float(np.finfo(np.float32).max)
+    with FmuInstance("m", path, description) as instance:
+        for value in (largest, -largest, float("inf"), -float("inf"), 1e-300):
+            instance.set(variable, value)
+            assert instance.get(variable) == np.float32(value)
+        for value in (1e300, -1e300, np.nextafter(largest, np.inf), -np.nextafter(largest, np.inf)):
+            with pytest.raises(FmuError, match=r"fmi3SetFloat32 .*: expected -3\.40.*e\+38\.\.3\.40.*e\+38"):
+                instance.set(variable, float(value))
+        assert instance.get(variable) == 0.0
+
+
 @pytest.mark.parametrize(
     ("macro", "part", "function"),
     [

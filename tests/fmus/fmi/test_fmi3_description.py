@@ -135,6 +135,13 @@ def test_everything_that_fmpy_reads_is_read(
     assert ours.left_out == {"frame": "Binary", "tick": "Clock"}
 
 
+def test_a_variable_of_a_clock_is_left_out(described: Callable[..., ModelDescription]) -> None:
+    read = described('valueReference="9" causality', 'valueReference="9" clocks="15" causality')
+    assert read.left_out == {"frame": "Binary", "tick": "Clock", "speed": "Float64 of a Clock"}
+    assert [u.variable.name for u in read.outputs] == ["is on"]
+    assert "speed[1,1]" not in [v.name for v in read.modelVariables]
+
+
 def test_defaults_are_those_of_the_standard(described: Callable[..., ModelDescription]) -> None:
     variables = {v.name: v for v in described().modelVariables}
     assert {name: v.initial for name, v in variables.items() if not name.startswith(("speed[", "gain["))} == {
@@ -172,6 +179,9 @@ def test_capabilities_have_the_names_of_fmi_2(described: Callable[..., ModelDesc
         ("<Int32 name", "<Int24 name", "variable derived: type 'Int24': expected one of Float64, Float32, I"),
         ('valueReference="4"', 'valueReference="-4"', "variable same: valueReference -4: expected 0..42949"),
         ('modelIdentifier="everything"', "", "CoSimulation has no modelIdentifier"),
+        ('name="count"', 'name="small"', "everything.fmu: 2 variables are called 'small': expected one"),
+        ('name="count"', 'name="gain[3]"', r"2 variables are called 'gain\[3\]': expected one"),
+        ('name="count"', 'name="tick"', "2 variables are called 'tick': expected one"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_read_is_named(

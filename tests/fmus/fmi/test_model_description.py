@@ -145,6 +145,7 @@ def test_what_cannot_be_read_is_named(before: str, after: str, message: str) -> 
         ),
         ("\n", '<?xml version="1.0" encoding="unknown"?>\n', "expected XML in UTF-8"),
         ('name="gain" ', "", "ScalarVariable has no name"),
+        ('name="gain" ', 'name="text" ', "2 variables are called 'text': expected one"),
     ],
 )
 def test_the_file_that_cannot_be_read_is_named(before: str, after: str, message: str, tmp_path: Path) -> None:

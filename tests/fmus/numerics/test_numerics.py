@@ -201,6 +201,18 @@ def test_minus_0_stays_minus_0_as_in_math(name: str) -> None:
     assert repr(getattr(n, name)(-0.0)) == repr(float(traced(-0.0))) == "-0.0"
 
 
+def test_constants_are_joined_as_if_they_were_written_as_one() -> None:
+    """The page on mathematics in a block says so, and that the last place may differ from Python's."""
+    symbol = casadi.SX.sym("x")
+    joined = casadi.Function("joined", [symbol], [symbol * 0.1 * 3.0])
+    values = [0.7, -1.3, 1e-3, 123.4, -5e6]
+    results = [float(joined(x)) for x in values]
+    assert results == [x * (0.1 * 3.0) for x in values]
+    plain = [x * 0.1 * 3.0 for x in values]
+    assert results != plain
+    assert results == pytest.approx(plain, rel=2.0 * sys.float_info.epsilon)
+
+
 def test_solve_takes_a_pivot_from_any_row() -> None:
     assert n.solve(((0.0, 0.0, 2.0), (0.0, 3.0, 0.0), (4.0, 0.0, 0.0)), (6.0, 6.0, 4.0)) == (1.0, 2.0, 3.0)
 

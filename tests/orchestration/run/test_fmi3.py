@@ -210,10 +210,30 @@ def test_wrong_values_and_unknown_scalars_are_refused_as_in_fmi_2(
         run(everything, Experiment(0.2, 0.1, inputs=inputs, open_inputs="start"))
 
 
+WIDE_AND_NARROW = {
+    "big": ("Int32", "300"),
+    "small": ("Int8", "1"),
+    "wide": ("Float64", "[1] -1e300 [2] 2.5"),
+    "narrow": ("Float32", "[1] 0.5 [2] 1.5"),
+}
+
+
 def test_an_integer_that_an_input_cannot_hold_ends_the_run(mirror: Build, compiled: bool) -> None:
-    fmu = mirror({"big": ("Int32", "300"), "small": ("Int8", "1")})
+    fmu = mirror(WIDE_AND_NARROW)
     system = System({"one": fmu, "two": fmu}, (("one.big_out", "two.small_in"),))
-    message = "two at t = 0 s: fmi3SetInt8 returned error: value reference 993: 300: expected -128..127"
+    message = r"two at t = 0 s: fmi3SetInt8 returned error: value reference \d+: 300: expected -128..127"
+    with pytest.raises(SimulationError, match=message):
+        run(system, Experiment(0.2, 0.1, open_inputs="start"), compiled=compiled)
+
+
+def test_a_real_that_an_input_of_single_precision_cannot_hold_ends_the_run(
+    mirror: Build, compiled: bool
+) -> None:
+    fmu = mirror(WIDE_AND_NARROW)
+    system = System({"one": fmu, "two": fmu}, (("one.wide_out[1]", "two.narrow_in[2]"),))
+    message = (
+        r"two at t = 0 s: fmi3SetFloat32 returned error: value reference \d+: -1\.0.*e\+300: expected -3.4"
+    )
     with pytest.raises(SimulationError, match=message):
         run(system, Experiment(0.2, 0.1, open_inputs="start"), compiled=compiled)
 
@@ -236,7 +256,9 @@ SIZED = (
     "<ModelVariables>",
     '<ModelVariables><UInt64 name="size" valueReference="5" causality="structuralParameter" start="2"/>'
     '<Binary name="frame" valueReference="6" causality="output"/>'
-    '<Clock name="tick" valueReference="7" causality="input" intervalVariability="triggered"/>',
+    '<Clock name="tick" valueReference="7" causality="input" intervalVariability="triggered"/>'
+    '<Float64 name="held" valueReference="8" causality="output" variability="discrete" clocks="7"/>'
+    '<Int8 name="taken" valueReference="9" causality="input" clocks="7" start="3"/>',
 )  # fmt: skip
 
 
@@ -255,6 +277,8 @@ def test_a_dimension_has_the_start_value_of_its_structural_parameter(sized: Syst
         ({"parameters": {"m.size": 3}}, "m.size: expected a parameter.*, got structuralParameter with"),
         ({"record": ("m.frame",)}, "record: m.frame has type Binary: expected a number, a Boolean or a Str"),
         ({"inputs": {"m.tick": 1}}, "driven input: m.tick has type Clock: expected a number"),
+        ({"record": ("m.held",)}, "record: m.held has type Float64 of a Clock: expected .* and no Clock"),
+        ({"inputs": {"m.taken": 1}}, "driven input: m.taken has type Int8 of a Clock: expected a number"),
     ],
 )
 def test_what_the_master_does_not_set_or_read_is_refused_by_name(
@@ -262,6 +286,49 @@ def test_what_the_master_does_not_set_or_read_is_refused_by_name(
 ) -> None:
     with pytest.raises(SystemDefinitionError, match=message):
         run(sized, Experiment(0.2, 0.1, open_inputs="start", **settings))
+
+
+def test_an_output_of_a_clock_is_not_read(sized: System) -> None:
+    """FMI 3.0.2, 2.2.4: it may be read only while the Clock is active; this library refuses its reference."""
+    recording = run(sized, Experiment(0.2, 0.1, open_inputs="start"))
+    assert recording.names == ("m.row_out[1]", "m.row_out[2]")
+
+
+@pytest.mark.parametrize("terminates", [False, True])
+@pytest.mark.parametrize(
+    ("part", "is_refused"),
+    [
+        (1.0, False),
+        (1.0005, False),
+        (0.25, False),
+        (0.0, False),
+        (-5e-4, False),
+        (1.01, True),
+        (-0.01, True),
+        (9.5, True),
+    ],
+)
+def test_a_step_reaches_a_time_within_it(
+    mirror: Build, part: float, is_refused: bool, terminates: bool
+) -> None:
+    """part: of the step that the FMU returns as done; above 9 it returns NaN."""
+    reached = "(*terminates = d->value[1] > 0, d->value[0] > 9 ? NAN : t + h * d->value[0])"
+    pairs = {"part": ("Float64", "1"), "ends": ("Float64", "0")}
+    system = System({"m": mirror(pairs, {"REACHED": reached})})
+    inputs = {"m.part_in": part, "m.ends_in": float(terminates)}
+    experiment = Experiment(-1.5, 0.5, -3.0, inputs=inputs)
+    if is_refused:
+        time = "nan" if part > 9 else f"{-3.0 + 0.5 * part:.9g}"
+        message = f"m at t = -3 s: fmi3DoStep .*: lastSuccessfulTime is {time} s: expected .*, -3..-2.5 s"
+        with pytest.raises(SimulationError, match=message):
+            run(system, experiment)
+        return
+    recording = run(system, experiment)
+    if terminates:
+        assert recording.time.tolist() == sorted({-3.0, recording.provenance["terminated"]["time_s"]})
+        assert recording.time[-1] == -3.0 + 0.5 * (part if 0.0 < part <= 1.0 else 0.0)
+    else:
+        assert recording["m.part_out"].tolist() == [part] * 4
 
 
 @pytest.mark.parametrize(
