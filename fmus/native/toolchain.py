@@ -73,7 +73,10 @@ def compiling(
     fmi_platform: str,
     more_options: Sequence[str] = (),
 ) -> Iterator[Callable[[], bytes]]:
-    """Starts `compile_library` beside this process; the returned function waits for it."""
+    """Starts `compile_library` beside this process; the returned function waits for it.
+
+    more_options: of the compiler; %TARGET% stands for its name of the platform
+    """
     targets, suffix = TARGETS[fmi_platform]
     file = f"{model}.{suffix}"
     # The compiler finds an object in its cache, and locks it, by the options and the names of the sources.
@@ -87,7 +90,8 @@ def compiling(
         ends = []
         for target in targets:
             (folder / target).mkdir()
-            options = ["-target", target, "-shared", *FLAGS, *more_options, key, "-I", str(FMI_HEADERS)]
+            more = [option.replace("%TARGET%", target) for option in more_options]
+            options = ["-target", target, "-shared", *FLAGS, *more, key, "-I", str(FMI_HEADERS)]
             if "macos" in target:
                 options.append(f"-Wl,-install_name,@rpath/{file}")
             arguments = ["cc", *options, "-o", f"{target}/{file}", *compiled]
@@ -117,17 +121,11 @@ def _running(arguments: Sequence[str], folder: Path, cache: str = "") -> Iterato
     """
     command = [*_SHELL, _ZIG, *arguments]
     kept = {name: value for name, value in os.environ.items() if name.upper() in _KEPT}
-    own = {"ZIG_GLOBAL_CACHE_DIR": cache, "ZIG_LOCAL_CACHE_DIR": cache} if cache else {}
+    kept |= dict.fromkeys(("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR"), cache) if cache else {}
     with (
         tempfile.TemporaryFile() as output,
         subprocess.Popen(
-            command,
-            cwd=folder,
-            env=kept | own,
-            start_new_session=True,
-            stdin=PIPE,
-            stdout=output,
-            stderr=STDOUT,
+            command, cwd=folder, env=kept, start_new_session=True, stdin=PIPE, stdout=output, stderr=STDOUT
         ) as process,
     ):
         try:
@@ -156,9 +154,9 @@ def _end(
             print(f"l1-depth: {name} is not done after {_SILENT_S} s: {reason}", file=sys.stderr)
         status = process.wait(_PATIENCE_S)
     except subprocess.TimeoutExpired:
-        lock = _awaited_lock(process.pid)
+        lock = _awaited_lock(process.pid) or "no lock of a file"
+        text = f"{name} did not end within {_PATIENCE_S} s; it waits for {lock}"
         kill_group(process.pid)  # what it has locked is free then
-        text = f"{name} did not end within {_PATIENCE_S} s; it waits for {lock or 'no lock of a file'}"
         if cache:
             raise ExportError(f"{text}, and has a cache of its own; {hint}") from None
         print(f"l1-depth: {text}; it is tried once more, in a cache of its own", file=sys.stderr)
@@ -176,7 +174,7 @@ def _awaited_lock(group: int) -> str:
     locks = Path("/proc/locks")
     for line in locks.read_text().splitlines() if locks.exists() else ():
         pid, place = line.split()[-4:-2]
-        with suppress(OSError, ValueError):  # a process that has ended
+        with suppress(OSError, ValueError, StopIteration):  # a process that has ended
             if " -> " in line and os.getpgid(int(pid)) == group:
                 inode = int(place.rpartition(":")[2])
                 files = (file for file in Path(f"/proc/{pid}/fd").iterdir() if file.stat().st_ino == inode)

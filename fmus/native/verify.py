@@ -61,25 +61,21 @@ def _compiled(model: str, members: Mapping[str, bytes], files: Sequence[str], pl
     """Returns the library of files in `sources`; ExportError if others are included, or lie there."""
     paths = [path for path in members if path.startswith("sources/") and path != _DESCRIPTION]
     sources = {path.removeprefix("sources/"): members[path].decode() for path in paths}
-    if odd := [
-        name for name in (*sources, *files) if name not in sources or not re.fullmatch(r"\w[\w.]*", name)
-    ]:
-        raise ExportError(
-            f"sources/{odd[0]}: expected a file there, with a name of letters, digits and points"
-        )
+    plain = {name for name in sources if re.fullmatch(r"\w[\w.]*", name)}  # no folder, no option
+    if odd := {*sources, *files} - plain:
+        raise ExportError(f"sources/{min(odd)}: expected a file there, named by letters, digits and points")
     with tempfile.TemporaryDirectory() as folder:
-        listing = Path(folder, "read")  # the compiler lists what it reads, whatever the directive was
-        library = compile_library(model, sources, files, platform, ("-MD", "-MF", str(listing)))
-        text = listing.read_text("utf-8").partition(": ")[2].replace("\\\n", " ")
-    names = (re.sub(r"\\([ #])", r"\1", name) for name in re.split(r"(?<!\\)\s+", text) if name)
-    read = {Path(os.path.normpath(name)) for name in names}
+        # the compiler lists what it reads, however the directive is written
+        listing = "-MD", "-MF", str(Path(folder, "%TARGET%"))
+        library = compile_library(model, sources, files, platform, listing)
+        texts = (path.read_text("utf-8").partition(": ")[2] for path in Path(folder).iterdir())
+        names = re.split(r"(?<!\\)\s+", " ".join(texts).replace("\\\n", " "))
+    read = {Path(os.path.normpath(re.sub(r"\\([ #])", r"\1", name))) for name in names if name}
     known = FMI_HEADERS, Path(ziglang.__file__).parent, *map(Path, sources)
     if outside := [file for file in read if not any(map(file.is_relative_to, known))]:
         raise ExportError(f"sources include {outside[0]}: expected files of sources, of FMI and of C alone")
     if unused := sources.keys() - {_OF_ENSEMBLES, *map(str, read)}:
-        raise ExportError(
-            f"sources/{min(unused)}: neither listed in {_DESCRIPTION} nor included: expected no such file"
-        )
+        raise ExportError(f"sources/{min(unused)}: neither listed in {_DESCRIPTION} nor included by what is")
     return library
 
 
