@@ -81,8 +81,8 @@ def compiling(
     file = f"{model}.{suffix}"
     # The compiler finds an object in its cache, and locks it, by the options and the names of the sources.
     # The names are the same for every block: without this option builds of different blocks wait for each
-    # other, and each may hold what the other waits for.
-    key = f"-DL1_DEPTH_SOURCES={hashlib.sha256(repr(sorted(sources.items())).encode()).hexdigest()}"
+    # other, and each may hold what the other waits for. It undefines a macro that there is not.
+    key = f"-UL1_DEPTH_{hashlib.sha256(repr(sorted(sources.items())).encode()).hexdigest()}"
     with tempfile.TemporaryDirectory(prefix="l1-depth-build-") as name, ExitStack() as stack:
         folder = Path(name)
         for source, text in sources.items():

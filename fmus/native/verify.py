@@ -4,8 +4,10 @@ import hashlib
 import json
 import os
 import re
+import stat
 import tempfile
 import zipfile
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
@@ -31,12 +33,13 @@ def verified(archive: zipfile.ZipFile) -> Iterator[tuple[str, str]]:
     """Yields the path of each library in an FMU, and `SAME`, `DIFFERENT` or why it cannot be compiled anew.
 
     Then the same of other members that the bill of materials lists, of the bill, and of the GUID.
-    Raises ExportError for members of one name, and for a description of the build that is no XML.
+    Raises ExportError for members of one name, for links, and for a description of the build that is no XML.
     """
-    names = [name for name in archive.namelist() if name[-1] != "/"]
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise ExportError(f"{twice[0]}: {names.count(twice[0])} members of this name: expected one")
-    members = {name: archive.read(name) for name in names}
+    infos = [info for info in archive.infolist() if info.file_size or not info.is_dir()]
+    counts = Counter(info.filename for info in infos)
+    if odd := [i for i in infos if counts[i.filename] > 1 or stat.S_ISLNK(i.external_attr >> 16)]:
+        raise ExportError(f"{odd[0].filename}: expected one member of this name, and no symbolic link")
+    members = {name: archive.read(name) for name in counts}
     try:
         description = ElementTree.fromstring(members.get(_DESCRIPTION, b"<none/>"))
     except ElementTree.ParseError as error:

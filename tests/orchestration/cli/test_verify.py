@@ -5,6 +5,7 @@ import io
 import json
 import os
 import re
+import stat
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path, PurePosixPath
@@ -164,6 +165,7 @@ def test_a_changed_description_and_an_added_member_are_another_guid(
         "sources/buildDescription.xml": build,
         "documentation/Index.html": inside["documentation/index.html"],
         "extra/a": b"1",
+        "resources/": b"a folder with content",
         f"./{MEMBER}": inside[MEMBER],
     }.items():
         assert wrong(verdicts(inside | {added: content})) == {"GUID"}, added
@@ -208,12 +210,22 @@ def test_a_bill_covers_no_more_than_it_lists_and_lists_no_more_than_there_is(
         assert "GUID" in wrong(verdicts(inside | {"modelDescription.xml": text}))
 
 
-def test_members_of_one_name_are_refused(refused: Callable[..., str], built: Fmus, tmp_path: Path) -> None:
+def test_members_of_one_name_and_links_are_refused(
+    refused: Callable[..., str], built: Fmus, tmp_path: Path
+) -> None:
     """Importers may read the one or the other."""
-    path = write_archive(tmp_path / "twice.fmu", members(built[NAME]))
-    with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate name"):
-        archive.writestr("sources/fmi2.c", members(path)["sources/fmi2.c"])
-    assert "sources/fmi2.c: 2 members of this name: expected one" in refused("verify", path)
+    twice = write_archive(tmp_path / "twice.fmu", members(built[NAME]))
+    with zipfile.ZipFile(twice, "a") as archive, pytest.warns(UserWarning, match="Duplicate name"):
+        archive.writestr("sources/fmi2.c", members(twice)["sources/fmi2.c"])
+    assert "sources/fmi2.c: expected one member of this name, and no symbolic link" in refused(
+        "verify", twice
+    )
+    linked = write_archive(tmp_path / "linked.fmu", members(built[NAME]))
+    link = zipfile.ZipInfo("resources/table")
+    link.external_attr = (stat.S_IFLNK | 0o777) << 16
+    with zipfile.ZipFile(linked, "a") as archive:
+        archive.writestr(link, "/etc/passwd")
+    assert "resources/table: expected one member" in refused("verify", linked)
 
 
 @pytest.mark.parametrize(
