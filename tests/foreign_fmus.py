@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from fmus.build import model_description
+from fmus import guid as guids
 from fmus.files import write_archive
 from fmus.native.toolchain import compile_library
 from fmus.platforms import host_platform, library_name
@@ -271,9 +271,9 @@ def _write(
     if fmi == 3:
         arrays = [*_arrays(variables), *_arrays(texts)]
         macros = {**macros, "ARRAYS": ", ".join(array.initializer() for array in arrays)}
-        xml = _fmi3_description(model, model_description.GUID, arrays, capabilities, declares_dependencies)
+        xml = _fmi3_description(model, guids.GUID, arrays, capabilities, declares_dependencies)
     else:
-        xml = _description(model, model_description.GUID, variables, capabilities, declares_dependencies)
+        xml = _description(model, guids.GUID, variables, capabilities, declares_dependencies)
     definitions = "".join(f"#define {name} {macros[name]}\n" for name in macros)
     library = _compiled(path.parent, model, definitions, fmi)
     content = [*capabilities.numbers(), *(v.start for v in variables), *numbers]
@@ -282,7 +282,7 @@ def _write(
     for old, new in changes:
         assert old.encode() in xml
         xml = xml.replace(old.encode(), new.encode())
-    guid, members = model_description.with_guid({"modelDescription.xml": xml}, recipe)
+    guid, members = guids.with_guid({"modelDescription.xml": xml}, recipe)
     reserved = _CONFIG_MARK.ljust(_GUID_SIZE + len(config), b"\0")
     assert library.count(reserved) == 1
     configured = library.replace(reserved, guid.encode().ljust(_GUID_SIZE, b"\0") + config)

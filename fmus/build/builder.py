@@ -160,7 +160,7 @@ def _building(block: Block, order: BuildRequest) -> Iterator[Callable[[], dict[P
                 with suppress(OSError), closing(ShippedLibrary(*shipped)) as library:
                     check_shipped(compared, library)
             if order.flavour is Flavour.NATIVE:
-                built |= native_flavour.bill_of_materials(block, built, order.fmi)
+                built |= native_flavour.bill_of_materials(block, built | shown, order.fmi)
             files = {order.folder / f"{block.name}.fmu": packed(members | built | shown)}
             if order.with_cross_check:
                 beside = reference_results.cross_check_files(reference, block.name)

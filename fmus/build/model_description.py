@@ -5,9 +5,7 @@ step mode no output depends directly on an input; in initialisation mode outputs
 of dependencies serves both interfaces: it has the inputs that outputs follow in model exchange alone too.
 """
 
-import hashlib
 import os
-import uuid
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -22,8 +20,6 @@ from fmus.build.symbolic import indicator_count, restarted_states
 from fmus.errors import ExportError
 from fmus.files import xml_document
 
-# They stand for the GUID, and for a part of it in Python names, until it is known.
-GUID, GUID_IN_NAMES = "GUID-of-this-FMU", "GUID_of_this_FMU"
 LOG_CATEGORIES = {
     "logStatusWarning": "Something that the user should know.",
     "logStatusDiscard": "A step that was refused; the state is what it was before.",
@@ -229,17 +225,3 @@ def _structure(
         for unknown, known in sorted(dependencies.items()):
             indices = " ".join(str(reference + 1) for reference in known)
             add(section, "Unknown", index=str(unknown + 1), dependencies=indices)
-
-
-def with_guid(members: dict[str, bytes], recipe: str = "") -> tuple[str, dict[str, bytes]]:
-    """Returns a GUID that follows from members and recipe, and the members with it in names and contents."""
-    digest = hashlib.sha256(recipe.encode())
-    for name, data in sorted(members.items()):
-        digest.update(hashlib.sha256(name.encode()).digest() + hashlib.sha256(data).digest())
-    guid = str(uuid.uuid5(uuid.NAMESPACE_OID, digest.hexdigest()))
-    for placeholder, text in ((GUID, guid), (GUID_IN_NAMES, guid.replace("-", "")[:16])):
-        members = {
-            name.replace(placeholder, text): data.replace(placeholder.encode(), text.encode())
-            for name, data in members.items()
-        }
-    return guid, members

@@ -4,8 +4,8 @@
 layer, and of the block the tables in `model.h` and the equations in `model_code.h`; but `model_lanes.h` has
 the equations for groups of instances, which an ensemble compiles.
 
-The GUID is derived from everything that decides what the libraries do: model description, C sources,
-compiler and its flags. It does not depend on which platforms were built.
+The GUID follows from the compiler with its flags and from all members but the libraries and those whose
+digests stand in the bill of materials, such as the icon. It does not depend on which platforms were built.
 """
 
 import re
@@ -23,13 +23,14 @@ from fmus.block import Block
 from fmus.block.variables import BlockVariable
 from fmus.build import fmi3
 from fmus.build.documentation.page import documentation, licenses
-from fmus.build.model_description import GUID, model_description, with_guid
+from fmus.build.model_description import model_description
 from fmus.build.sensitivities import sensitivities
 from fmus.build.symbolic import Traced, indicator_count, traced
 from fmus.errors import ExportError
 from fmus.files import xml_document
 from fmus.fmi.integer_enumerations import REALS_ONLY, with_other_types
 from fmus.fmi.variable_types import INTEGER_RANGE, TRANSFER_TYPE
+from fmus.guid import GUID, with_guid
 from fmus.native import sbom
 from fmus.native.toolchain import compiling
 from fmus.platforms import PLATFORMS, check_platforms, host_platform, library_name
@@ -65,6 +66,7 @@ def content(block: Block, reals_only: bool = False, fmi: int = 2) -> tuple[str, 
         **documentation(block, *files, reals_only=reals_only, fmi=fmi),
         **licenses("l1-depth", "fmi-headers", "zig", "mingw-w64", fmi=fmi),
         "sources/buildDescription.xml": _build_description(block.name, fmi),
+        **bill_of_materials(block, {}, fmi),
         "modelDescription.xml": with_other_types(description, REALS_ONLY) if reals_only else description,
     }
     return with_guid(members, recipe=sbom.RECIPE)
@@ -102,10 +104,10 @@ def compiled_libraries(
         yield lambda: {path: end() for path, end in ends.items()}
 
 
-def bill_of_materials(block: Block, libraries: Mapping[str, bytes], fmi: int = 2) -> dict[str, bytes]:
-    """Returns path inside the FMU -> bill of materials of its libraries.
+def bill_of_materials(block: Block, files: Mapping[str, bytes], fmi: int = 2) -> dict[str, bytes]:
+    """Returns path inside the FMU -> bill of materials of its libraries, with digests of other files.
 
-    libraries: path inside the FMU -> content
+    files: path inside the FMU -> content
     fmi: the version of the standard
     """
     module = {"name": "l1-depth:module", "value": block.output.__module__}
@@ -116,7 +118,7 @@ def bill_of_materials(block: Block, libraries: Mapping[str, bytes], fmi: int = 2
     layer = sbom.component("l1-depth", version("l1-depth"), "MIT", description="sources, but for model*.h")
     headers = sbom.component("fmi-headers", f"{fmi}.0", "BSD-2-Clause")
     platforms = {library_name(block.name, platform, fmi): platform for platform in PLATFORMS}
-    known = {path: (platforms[path], content) for path, content in libraries.items()}
+    known = {path: (platforms.get(path, ""), content) for path, content in files.items()}
     return {sbom.MEMBER: sbom.bill_of_materials(subject, [layer, headers], [own, casadi], known)}
 
 

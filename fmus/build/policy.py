@@ -104,7 +104,8 @@ def _worker(parent: Parent) -> None:
 
 def _fmu(file: Path, cls: str, sources: dict[str, str], carried: dict[str, bytes]) -> bytes:
     from fmus.build import python as python_flavour  # these load what builds FMUs
-    from fmus.build.model_description import GUID, model_description, with_guid
+    from fmus.build.model_description import model_description
+    from fmus.guid import GUID, with_guid
 
     package = python_flavour.package_of(cls)
     own = source_closure(_SLAVE)

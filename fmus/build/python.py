@@ -13,9 +13,10 @@ from pathlib import Path
 
 from fmus.block import Block
 from fmus.build.documentation.page import documentation, licenses
-from fmus.build.model_description import GUID, GUID_IN_NAMES, model_description, with_guid
+from fmus.build.model_description import model_description
 from fmus.build.sources import defined_as, in_package, source_closure
 from fmus.errors import ExportError
+from fmus.guid import GUID, GUID_IN_NAMES, with_guid
 
 CAPABILITIES = {
     "canInterpolateInputs": "false",

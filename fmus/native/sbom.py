@@ -16,6 +16,7 @@ RECIPE = " ".join((*COMPILER, *FLAGS))
 """The compiler, its version and its options."""
 MEMBER = "documentation/sbom.cdx.json"
 """The path of the bill inside an FMU."""
+_PARTS = 2  # of the libraries in an FMU: the written C, and the headers of FMI
 _RECIPE_NAME = "l1-depth:recipe"
 _LIBC = {"linux": "glibc", "windows": "Universal C Runtime", "macos": "libSystem of macOS"}
 _SPDX = {"BSD-2-Clause", "MIT", "ZPL-2.1"}
@@ -37,7 +38,8 @@ def bill_of_materials(
     """Returns the bill as JSON.
 
     subject: what holds the libraries; parts: what is in them, besides what the compiler adds
-    tools: what wrote their C; libraries: path in the subject -> (platform, content)
+    tools: what wrote their C
+    libraries: path in the subject -> (platform, content); "" is the platform of another file
     """
     compiler = component(*COMPILER, "MIT", type="application")
     added = [component("compiler-rt of zig", COMPILER[1], "MIT")]
@@ -59,18 +61,26 @@ def bill_of_materials(
     return (json.dumps(bill, indent=1) + "\n").encode()
 
 
+def with_files(bill: bytes, files: Mapping[str, tuple[str, bytes]]) -> bytes:
+    """Returns a bill of an FMU, as `bill_of_materials` gives it, with these libraries and other files."""
+    document = json.loads(bill)
+    subject, tools = document["metadata"]["component"], document["metadata"]["tools"]["components"]
+    return bill_of_materials(subject, document["components"][:_PARTS], tools[:-1], files)
+
+
 def _file(path: str, platform: str, content: bytes) -> Component:
-    """Returns the component of a library: its digest, the targets of zig, and the C library that it needs."""
+    """Returns the component of a file: its digest; of a library its targets of zig and its C library, too."""
+    digest = hashlib.sha256(content).hexdigest()
+    file: Component = {"type": "file", "name": path, "hashes": [{"alg": "SHA-256", "content": digest}]}
+    if not platform:
+        return file
     targets = TARGETS[platform][0]
     _, system, *abi = targets[0].split("-")
     version = ".".join((abi[0] if abi else system).split(".")[1:])
     libc = f"{_LIBC[system.split('.')[0]]} {version}".rstrip()
     properties = {"platform": platform, "target": " ".join(targets), "libc": libc}
-    return {
-        "type": "file",
-        "name": path,
-        "hashes": [{"alg": "SHA-256", "content": hashlib.sha256(content).hexdigest()}],
-        "properties": [{"name": f"l1-depth:{name}", "value": value} for name, value in properties.items()],
+    return file | {
+        "properties": [{"name": f"l1-depth:{name}", "value": value} for name, value in properties.items()]
     }
 
 

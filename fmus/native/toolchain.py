@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from importlib.metadata import version
+from itertools import pairwise
 from pathlib import Path
 from subprocess import PIPE, STDOUT
 from typing import IO
@@ -72,72 +73,55 @@ def compiling(
     fmi_platform: str,
     more_options: Sequence[str] = (),
 ) -> Iterator[Callable[[], bytes]]:
-    """Starts `compile_library` beside this process; the returned function waits for it."""
+    """Starts `compile_library` beside this process; the returned function waits for it.
+
+    more_options: of the compiler; %TARGET% stands for its name of the platform
+    """
     targets, suffix = TARGETS[fmi_platform]
     file = f"{model}.{suffix}"
     # The compiler finds an object in its cache, and locks it, by the options and the names of the sources.
     # The names are the same for every block: without this option builds of different blocks wait for each
-    # other, and each may hold what the other waits for.
-    key = f"-DL1_DEPTH_SOURCES={hashlib.sha256(repr(sorted(sources.items())).encode()).hexdigest()}"
+    # other, and each may hold what the other waits for. It undefines a macro that there is not.
+    key = f"-UL1_DEPTH_{hashlib.sha256(repr(sorted(sources.items())).encode()).hexdigest()}"
     with tempfile.TemporaryDirectory(prefix="l1-depth-build-") as name, ExitStack() as stack:
         folder = Path(name)
         for source, text in sources.items():
             (folder / source).write_text(text, encoding="utf-8", newline="\n")
-        started = []
+        ends = []
         for target in targets:
             (folder / target).mkdir()
-            options = ["-target", target, "-shared", *FLAGS, *more_options, key, "-I", str(FMI_HEADERS)]
+            more = [option.replace("%TARGET%", target) for option in more_options]
+            options = ["-target", target, "-shared", *FLAGS, *more, key, "-I", str(FMI_HEADERS)]
             if "macos" in target:
                 options.append(f"-Wl,-install_name,@rpath/{file}")
             arguments = ["cc", *options, "-o", f"{target}/{file}", *compiled]
-            started.append((arguments, stack.enter_context(_running(arguments, folder))))
+            ends.append(stack.enter_context(_running(arguments, folder)))
 
         def library() -> bytes:
-            for arguments, end in started:
-                try:
-                    end()
-                except _TimeoutError as error:
-                    print(
-                        f"l1-depth: {model} for {fmi_platform}: {error}; once more in a new cache",
-                        file=sys.stderr,
-                    )
-                    try:
-                        zig(arguments, folder, folder / "cache")
-                    except _TimeoutError as again:
-                        raise ExportError(
-                            f"{model} for {fmi_platform}: {error}; in a new cache: {again}"
-                        ) from None
+            for end in ends:
+                end()
             slices = [(folder / target / file).read_bytes() for target in targets]
             return slices[0] if len(slices) == 1 else _universal(slices)
 
         yield library
 
 
-def zig(arguments: Sequence[str], folder: Path, cache: Path | None = None) -> None:
-    """Runs zig in a folder; ExportError with what it printed if it fails.
-
-    cache: its folder for what it compiled; by default one for all builds of the user
-    """
-    with _running(arguments, folder, cache) as end:
+def zig(arguments: Sequence[str], folder: Path) -> None:
+    """Runs zig in a folder; ExportError with what it printed if it fails."""
+    with _running(arguments, folder) as end:
         end()
 
 
-class _TimeoutError(ExportError):
-    """A compiler that did not end in time, which no longer runs."""
-
-
 @contextmanager
-def _running(
-    arguments: Sequence[str], folder: Path, cache: Path | None = None
-) -> Iterator[Callable[[], None]]:
+def _running(arguments: Sequence[str], folder: Path, cache: str = "") -> Iterator[Callable[[], None]]:
     """Starts zig; the returned function waits for its end.
 
+    cache: the folder of what it compiled before; by default one for all builds of the user
     Zig outlives neither the context nor this process.
     """
     command = [*_SHELL, _ZIG, *arguments]
     kept = {name: value for name, value in os.environ.items() if name.upper() in _KEPT}
-    if cache:
-        kept |= {"ZIG_GLOBAL_CACHE_DIR": str(cache), "ZIG_LOCAL_CACHE_DIR": str(cache)}
+    kept |= dict.fromkeys(("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR"), cache) if cache else {}
     with (
         tempfile.TemporaryFile() as output,
         subprocess.Popen(
@@ -145,34 +129,44 @@ def _running(
         ) as process,
     ):
         try:
-            yield partial(_end, arguments[0], process, output)
+            yield partial(_end, arguments, folder, cache, process, output)
         finally:
             if process.poll() is None:  # of an interrupt, too: zig starts processes of its own
                 kill_group(process.pid)
 
 
-def _end(name: str, process: subprocess.Popen[bytes], output: IO[bytes]) -> None:
+def _end(
+    arguments: Sequence[str], folder: Path, cache: str, process: subprocess.Popen[bytes], output: IO[bytes]
+) -> None:
     """Waits for a process of zig; ExportError with what it printed if it fails.
 
     A long wait is announced on standard error: zig prints nothing while another has the lock of its cache.
+    What does not end in time is tried once more, in a cache of its own.
     """
     hint = "if its cache cannot be written, set ZIG_GLOBAL_CACHE_DIR to a folder that can"
+    files = [f" of {file}" for option, file in pairwise(arguments) if option == "-o"]  # TARGET/BLOCK.so
+    name = f"zig {arguments[0]}{''.join(files)}"
     try:
         with suppress(subprocess.TimeoutExpired):
             process.wait(min(_SILENT_S, _PATIENCE_S))
         if process.poll() is None:
             reason = "it compiles a C library for the first time, or another build has the lock of its cache"
-            print(f"l1-depth: zig {name} is not done after {_SILENT_S} s: {reason}", file=sys.stderr)
+            print(f"l1-depth: {name} is not done after {_SILENT_S} s: {reason}", file=sys.stderr)
         status = process.wait(_PATIENCE_S)
     except subprocess.TimeoutExpired:
-        lock = _awaited_lock(process.pid)
-        kill_group(process.pid)  # what it has locked is free for the next attempt, and for other builds
-        waited = f"it waits for the lock {lock}" if lock else "it waits for no lock of a file"
-        raise _TimeoutError(f"zig {name} did not end within {_PATIENCE_S} s; {waited}; {hint}") from None
+        lock = _awaited_lock(process.pid) or "no lock of a file"
+        text = f"{name} did not end within {_PATIENCE_S} s; it waits for {lock}"
+        kill_group(process.pid)  # what it has locked is free then
+        if cache:
+            raise ExportError(f"{text}, and has a cache of its own; {hint}") from None
+        print(f"l1-depth: {text}; it is tried once more, in a cache of its own", file=sys.stderr)
+        with tempfile.TemporaryDirectory() as new, _running(arguments, folder, new) as again:
+            again()
+        return
     if status:
         output.seek(0)
         text = output.read().decode("utf-8", "replace").strip()[-2000:]
-        raise ExportError(f"zig {name} failed: {text}; {hint}")
+        raise ExportError(f"zig {arguments[0]} failed: {text}; {hint}")
 
 
 def _awaited_lock(group: int) -> str:
@@ -180,7 +174,7 @@ def _awaited_lock(group: int) -> str:
     locks = Path("/proc/locks")
     for line in locks.read_text().splitlines() if locks.exists() else ():
         pid, place = line.split()[-4:-2]
-        with suppress(OSError, ValueError):  # a process that has ended
+        with suppress(OSError, ValueError, StopIteration):  # a process that has ended
             if " -> " in line and os.getpgid(int(pid)) == group:
                 inode = int(place.rpartition(":")[2])
                 files = (file for file in Path(f"/proc/{pid}/fd").iterdir() if file.stat().st_ino == inode)

@@ -1,53 +1,115 @@
-"""Compiling the sources inside an FMU again, and comparing the libraries with those inside byte for byte."""
+"""Checking that the libraries of an FMU are compiled from its sources, and that its GUID fits its members."""
 
+import hashlib
+import json
+import os
+import re
+import stat
+import tempfile
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
 
+import ziglang
+
 from fmus.errors import ExportError
-from fmus.native.sbom import MEMBER, RECIPE, recipe_of
-from fmus.native.toolchain import compile_library
+from fmus.guid import GUID, with_guid
+from fmus.native.sbom import MEMBER, RECIPE, recipe_of, with_files
+from fmus.native.toolchain import FMI_HEADERS, compile_library
 from fmus.platforms import TARGETS, platform_folder
 
 SAME = "same"
 DIFFERENT = "different"
 _DESCRIPTION = "sources/buildDescription.xml"
+_OF_ENSEMBLES = "model_lanes.h"  # which no library includes, but ensembles
 _PLATFORMS = {platform_folder(name, fmi): name for name in TARGETS for fmi in (2, 3)}
+_NO_BILL = ValueError, LookupError, TypeError, AttributeError  # what reading one of another tool raises
 
 
 def verified(archive: zipfile.ZipFile) -> Iterator[tuple[str, str]]:
     """Yields the path of each library in an FMU, and `SAME`, `DIFFERENT` or why it cannot be compiled anew.
 
-    Raises ExportError for a description of the build that is no XML.
+    Then the same of other members that the bill of materials lists, of the bill, and of the GUID.
+    Raises ExportError for members of one name, for links, and for a description of the build that is no XML.
     """
-    members = {name: archive.read(name) for name in archive.namelist() if name[-1] != "/"}
-    texts = ((path, data) for path, data in members.items() if path.startswith("sources/"))
-    sources = {PurePosixPath(path).name: data.decode("utf-8", "replace") for path, data in texts}
+    infos = [info for info in archive.infolist() if info.file_size or not info.is_dir()]
+    counts = Counter(info.filename for info in infos)
+    if odd := [i for i in infos if counts[i.filename] > 1 or stat.S_ISLNK(i.external_attr >> 16)]:
+        raise ExportError(f"{odd[0].filename}: expected one member of this name, and no symbolic link")
+    members = {name: archive.read(name) for name in counts}
     try:
         description = ElementTree.fromstring(members.get(_DESCRIPTION, b"<none/>"))
     except ElementTree.ParseError as error:
         raise ExportError(f"{_DESCRIPTION}: {error}: expected XML") from error
     files = [file.get("name", "") for file in description.iter("SourceFile")]
     reason = _reason(members, description) if files else f"no source files in {_DESCRIPTION}"
-    for path in (PurePosixPath(name) for name in members if name.startswith("binaries/")):
-        platform, verdict = _PLATFORMS.get(path.parent.name), reason
-        if not platform:
-            verdict = f"no platform {path.parent.name!r}: expected one of {', '.join(_PLATFORMS)}"
+    for path in (name for name in members if name.startswith("binaries/")):
+        folder, model, verdict = PurePosixPath(path).parent.name, PurePosixPath(path).stem, reason
+        if not _platform(path):
+            verdict = f"no platform {folder!r}: expected one of {', '.join(_PLATFORMS)}"
         try:
-            if platform and not reason:
-                again = compile_library(path.stem, sources, files, platform)
-                verdict = SAME if again == members[str(path)] else DIFFERENT
-        except ExportError as error:
+            if not verdict:
+                again = _compiled(model, members, files, _platform(path))
+                verdict = SAME if again == members[path] else DIFFERENT
+        except (ExportError, UnicodeDecodeError) as error:
             verdict = str(error)
-        yield str(path), verdict
+        yield path, verdict
+    yield from _of_others(members)
+
+
+def _compiled(model: str, members: Mapping[str, bytes], files: Sequence[str], platform: str) -> bytes:
+    """Returns the library of files in `sources`; ExportError if others are included, or lie there."""
+    paths = [path for path in members if path.startswith("sources/") and path != _DESCRIPTION]
+    sources = {path.removeprefix("sources/"): members[path].decode() for path in paths}
+    plain = {name for name in sources if re.fullmatch(r"\w[\w.]*", name)}  # no folder, no option
+    if odd := {*sources, *files} - plain:
+        raise ExportError(f"sources/{min(odd)}: expected a file there, named by letters, digits and points")
+    with tempfile.TemporaryDirectory() as folder:
+        # the compiler lists what it reads, however the directive is written
+        listing = "-MD", "-MF", str(Path(folder, "%TARGET%"))
+        library = compile_library(model, sources, files, platform, listing)
+        texts = (path.read_text("utf-8").partition(": ")[2] for path in Path(folder).iterdir())
+        names = re.split(r"(?<!\\)\s+", " ".join(texts).replace("\\\n", " "))
+    read = {Path(os.path.normpath(re.sub(r"\\([ #])", r"\1", name))) for name in names if name}
+    known = FMI_HEADERS, Path(ziglang.__file__).parent, *map(Path, sources)
+    if outside := [file for file in read if not any(map(file.is_relative_to, known))]:
+        raise ExportError(f"sources include {outside[0]}: expected files of sources, of FMI and of C alone")
+    if unused := sources.keys() - {_OF_ENSEMBLES, *map(str, read)}:
+        raise ExportError(f"sources/{min(unused)}: neither listed in {_DESCRIPTION} nor included by what is")
+    return library
+
+
+def _of_others(members: Mapping[str, bytes]) -> Iterator[tuple[str, str]]:
+    """Yields verdicts on members that differ from their digests, on the bill of materials and the GUID."""
+    bill, listed, again, first = members.get(MEMBER, b""), dict[str, str](), b"", b""
+    with suppress(*_NO_BILL):
+        files = [part for part in json.loads(bill)["components"] if part["type"] == "file"]
+        listed = {str(part["name"]): part["hashes"][0]["content"] for part in files}
+        first = with_files(bill, {})
+        again = with_files(bill, {name: (_platform(name), members[name]) for name in listed})
+    for name in sorted(name for name in listed if not _platform(name)):
+        if hashlib.sha256(members.get(name, b"")).hexdigest() != listed[name]:
+            yield name, DIFFERENT
+    yield MEMBER, SAME if bill and again == bill else DIFFERENT
+    root = ElementTree.fromstring(members["modelDescription.xml"])
+    guid = root.get("guid") or root.get("instantiationToken") or "none"
+    covered = {name: content for name, content in members.items() if name not in listed} | {MEMBER: first}
+    before = {name: content.replace(guid.encode(), GUID.encode()) for name, content in covered.items()}
+    yield f"GUID {guid}", SAME if with_guid(before, RECIPE) == (guid, covered) else DIFFERENT
+
+
+def _platform(path: str) -> str:
+    """Returns the platform of a library; "" for another member."""
+    return _PLATFORMS.get(PurePosixPath(path).parent.name, "") if path.startswith("binaries/") else ""
 
 
 def _reason(members: Mapping[str, bytes], description: ElementTree.Element) -> str:
     """Returns why this compiler cannot compile what the libraries were compiled to; "" if it can."""
     stated = ""
-    with suppress(ValueError, LookupError, TypeError, AttributeError):  # a bill of another tool
+    with suppress(*_NO_BILL):
         stated = recipe_of(members.get(MEMBER, b"{}"))
     for files in description.iter("SourceFileSet"):
         stated = stated or " ".join(files.get(name, "") for name in ("compiler", "compilerOptions")).strip()

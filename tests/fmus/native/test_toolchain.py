@@ -138,7 +138,7 @@ def test_builds_of_different_sources_do_not_wait_for_each_other(
     """They have files of the same names, by which the compiler names its locks."""
     process, endless = compiling_for_ever(tmp_path)
     monkeypatch.setattr(toolchain, "_PATIENCE_S", 30.0)
-    monkeypatch.setattr(toolchain, "zig", lambda *arguments: pytest.fail("it waits"))
+    monkeypatch.setattr(toolchain, "_awaited_lock", lambda group: pytest.fail("it waits"))
     with endless.open("wb", buffering=0):  # opens when the compiler reads, which has its locks then
         other = f"/* {tmp_path} */ int other(void) {{ return 3; }}"
         assert compile_library("m", {"m.c": other}, ["m.c"], host_platform())
@@ -168,15 +168,16 @@ def test_the_lock_that_a_process_waits_for_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a FIFO keeps the compiler waiting")
 @pytest.mark.parametrize("ends", [True, False])
-def test_a_compile_that_does_not_end_is_tried_again_in_a_new_cache(
+def test_a_compile_that_does_not_end_is_tried_again_in_a_cache_of_its_own(
     ends: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (target, *_), suffix = TARGETS[host_platform()]
-    caches, run = list[tuple[bool, Path | None]](), toolchain._running
+    caches, run = list[str](), toolchain._running
 
-    def running(arguments: list[str], folder: Path, cache: Path | None = None) -> Any:
-        caches.append((folder.exists(), cache and cache.relative_to(folder)))
+    def running(arguments: list[str], folder: Path, cache: str = "") -> Any:
+        caches.append(cache)
         if cache and ends:  # in place of a compile that takes its C library as well
+            assert Path(cache).is_dir()
             (folder / target / f"m.{suffix}").write_bytes(b"a library")
             return contextlib.nullcontext(lambda: None)
         return run(arguments, folder, cache)
@@ -184,19 +185,34 @@ def test_a_compile_that_does_not_end_is_tried_again_in_a_new_cache(
     os.mkfifo(tmp_path / "endless.h")
     monkeypatch.setattr(toolchain, "_running", running)
     monkeypatch.setattr(toolchain, "_awaited_lock", lambda group: "/cache/h/1.txt")
-    source, error = f'#include "{tmp_path}/endless.h"', ""
     monkeypatch.setattr(toolchain, "_PATIENCE_S", 0.001)
+    source, error = f'#include "{tmp_path}/endless.h"', ""
     try:
         assert compile_library("m", {"m.c": source}, ["m.c"], host_platform()) == b"a library"
     except ExportError as refusal:
         error = str(refusal)
-    assert caches == [(True, None), (True, Path("cache"))]
-    where = (
-        f"m for {host_platform()}: zig cc did not end within 0.001 s; it waits for the lock /cache/h/1.txt; "
-    )
-    assert where in capsys.readouterr().err
+    assert len(caches) == 2
+    assert [bool(cache) for cache in caches] == [False, True]
+    assert not Path(caches[1]).exists()
+    name = f"zig cc of {target}/m.{suffix}"
+    late = f"{name} did not end within 0.001 s; it waits for /cache/h/1.txt"
+    assert f"{late}; it is tried once more, in a cache of its own" in capsys.readouterr().err
+    assert error.startswith("" if ends else f"{late}, and has a cache of its own; if its cache cannot")
     assert bool(error) is not ends
-    assert ends or (where in error and "; in a new cache: zig cc did not end within 0.001 s" in error)
+
+
+@pytest.mark.parametrize("cache", ["", "own"])
+def test_a_cache_of_its_own_takes_the_place_of_both_caches(
+    cache: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", "global")
+    monkeypatch.setenv("ZIG_LOCAL_CACHE_DIR", "local")
+    monkeypatch.setattr(toolchain, "_ZIG", sys.executable)
+    names = "ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR"
+    code = f"import os; open('caches', 'w').write(' '.join(os.environ[name] for name in {names}))"
+    with toolchain._running(["-c", code], tmp_path, cache) as end:
+        end()
+    assert (tmp_path / "caches").read_text() == ("own own" if cache else "global local")
 
 
 def compiling_for_ever(folder: Path) -> tuple[subprocess.Popen[bytes], Path]:
