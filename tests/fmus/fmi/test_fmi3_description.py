@@ -165,6 +165,21 @@ def test_capabilities_have_the_names_of_fmi_2(described: Callable[..., ModelDesc
     assert not read.providesDirectionalDerivative
 
 
+@pytest.mark.parametrize("kind", ["Float64", "Float32", "Int32", "UInt8", "Boolean", "String"])
+def test_a_variability_that_is_not_stated_follows_from_type_and_causality(
+    described: Callable[..., ModelDescription], kind: str
+) -> None:
+    """FMI 3.0.2, 2.4.7.4: continuous for both floating-point types, discrete for others; fixed parameters."""
+    variables = "".join(
+        f'<{kind} name="{name}" valueReference="{40 + i}" causality="{causality}"/>'
+        for i, (name, causality) in enumerate([("x", "local"), ("y", "output"), ("k", "parameter")])
+    )
+    read = described("</ModelVariables>", f"{variables}</ModelVariables>")
+    found = {v.name: v.variability for v in read.modelVariables}
+    moving = "continuous" if kind.startswith("Float") else "discrete"
+    assert [found[name] for name in "xyk"] == [moving, moving, "fixed"]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

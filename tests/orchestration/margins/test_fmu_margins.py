@@ -99,6 +99,14 @@ def test_a_hold_somewhere_else_is_not_quiet(integrator: Scenario, bias: float, i
         assert runs.is_quiet(("controller.u[1]",), Offset(bias)) is is_quiet
 
 
+@pytest.mark.parametrize(("quiet", "lost"), [(2.0, 2.4), (0.5, 0.4), (1.0, 1.2), (1.0, 1.0 / 1.2)])
+def test_a_first_loss_is_enclosed_on_either_side_of_1(quiet: float, lost: float) -> None:
+    """By ratios, down to the resolution."""
+    assert GAINS.is_apart(quiet, lost)
+    assert not GAINS.is_apart(quiet, quiet * (1.005 if lost > quiet else 1.0 / 1.005))
+    assert GAINS.middle(quiet, lost) == pytest.approx(math.sqrt(quiet * lost))
+
+
 def test_nothing_lost_is_infinite(integrator: Scenario) -> None:
     grid = replace(DELAYS, largest=0.4, step=0.2)
     measured = scanned(integrator, LoopSignal.MEASUREMENT, grid)
