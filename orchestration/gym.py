@@ -38,7 +38,7 @@ class _Agent:
     """The part that an environment and a vector of them share: everything but the shapes."""
 
     _runs: Any  # an Episode, or what `task_runs` gives
-    _done: Any
+    _done: Any = None  # before the first episode
     _terminated: Any
     _arrays: Any = np  # module of the arrays of values, actions and rewards
 
@@ -56,10 +56,15 @@ class _Agent:
 
         Raises SystemDefinitionError for another shape.
         """
+        self._check_begun()
         if np.shape(action) != space.shape:
             raise SystemDefinitionError(f"action of shape {np.shape(action)}: expected {space.shape}")
         # np.clip takes as long as a step
         return self._middle + self._half * np.minimum(np.maximum(action, -1.0), 1.0)
+
+    def _check_begun(self) -> None:
+        if self._done is None:
+            raise gymnasium.error.ResetNeeded("no episode has begun: expected reset() first")
 
     def _look(self) -> None:
         values, self._time, self._done, self._terminated = self._runs.look()
@@ -103,7 +108,8 @@ class FmuEnv(_Agent, gymnasium.Env[Array, Array]):
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Acts once: (observation, reward, whether an FMU terminated, whether time is up, {"time": s})."""
-        self._runs.act(*self._own_units(action, self.action_space).tolist())
+        values = self._own_units(action, self.action_space)
+        self._runs.act(*values.tolist())
         reward = 0.0
         for _ in range(self._task.steps):
             reward += float(self._step())
@@ -114,6 +120,7 @@ class FmuEnv(_Agent, gymnasium.Env[Array, Array]):
 
     def recording(self) -> Recording:
         """Returns the recording of the present episode until now."""
+        self._check_begun()
         return self._runs.run.recording()
 
     def close(self) -> None:
@@ -187,6 +194,7 @@ class FmuVectorEnv(_Agent, VectorEnv[Array, Array, Array]):
 
     def recordings(self) -> list[Recording]:
         """Returns the recording of the present episode of each environment until now."""
+        self._check_begun()
         return self._runs.recordings()
 
     def close_extras(self, **kwargs: Any) -> None:

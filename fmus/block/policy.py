@@ -11,7 +11,7 @@ class Policy:
 
 `step` gets the inputs of the communication point at its time, or the one before it. What it returns is put
 out from the end of that communication step on. Before the first one, the outputs are those of a step at the
-start, of an object that is then dropped.
+start, of an object that is then dropped. Each run imports the module anew.
 """
 
 import copy
@@ -23,10 +23,12 @@ from dataclasses import Field, fields, is_dataclass
 from math import isfinite
 from numbers import Real
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 from fmus.block import Block, NoValues, variable
 from fmus.block.instance import BlockError, BlockInstance, step_tolerance
+from fmus.block.own_modules import OwnModules
 from fmus.block.scalars import unflatten
 from fmus.block.variables import BlockVariable, scalar_variables
 from fmus.errors import ExportError, nearest
@@ -52,10 +54,11 @@ _SHORTEST = 1e-6  # period [s]
 class PolicyBlock(Block):
     """The variables of a policy as those of a block, without functions that could be traced.
 
-    cls: the class; parameter_fields: the declared fields of its parameters
+    cls: the class; modules: that its methods find; parameter_fields: the declared fields of its parameters
     """
 
     cls: type
+    modules: OwnModules
     parameter_fields: tuple[Field, ...]
 
     def __post_init__(self) -> None:
@@ -78,8 +81,11 @@ class PolicyBlock(Block):
         return policy
 
 
-def policy_block(cls: Any) -> PolicyBlock:
-    """Returns the variables of a policy class; ExportError for a class that is none."""
+def policy_block(cls: Any, modules: OwnModules | None = None) -> PolicyBlock:
+    """Returns the variables of a policy class; ExportError for a class that is none.
+
+    modules: the modules that its methods find, if they are not those of this process
+    """
     name = getattr(cls, "__name__", repr(cls))
     if not isinstance(cls, type):
         raise ExportError(f"{name} is {cls!r}: expected a class")
@@ -104,14 +110,15 @@ def policy_block(cls: Any) -> PolicyBlock:
         output=lambda *_: NoValues(),
         step_size=next(scalar.start for scalar in scalars if scalar.name == "period"),
     )
-    vars(block).update(cls=cls, parameter_fields=declared, variables=tuple(scalars))
+    own = {"cls": cls, "modules": modules or OwnModules(), "parameter_fields": declared}
+    vars(block).update(own, variables=tuple(scalars))
     return block
 
 
 def _parameters(cls: type) -> Iterator[Field]:
     """Yields the parameters of a class, declared by `variable` or numbers, those of its bases first."""
     bases = [vars(base) for base in reversed(cls.__mro__)]
-    members = {name: value for base in bases for name, value in base.items()}
+    members = {name: _plain(value) for base in bases for name, value in base.items()}
     types = {name: declared for base in bases for name, declared in base.get("__annotations__", {}).items()}
     own = {field.name: field for field in fields(cls)} if is_dataclass(cls) else {}
     period: Any = members.get("period")
@@ -139,6 +146,11 @@ def _field(name: str, declared: Any, start: Any = None, **metadata: Any) -> Fiel
     field.default = declared.default if start is None else start
     field.metadata = {**declared.metadata, **metadata}
     return field
+
+
+def _plain(value: Any) -> Any:
+    """Returns a number of NumPy as one of Python, any other value as it is."""
+    return getattr(value, "item", lambda: value)() if isinstance(value, Real) else value
 
 
 def _is_number(value: Any) -> bool:
@@ -184,7 +196,10 @@ class PolicyInstance(BlockInstance):
     def __init__(self, block: PolicyBlock, fingerprint: str = "") -> None:
         super().__init__(block, fingerprint)
         self._policy: Any = None
-        self._file = Path(str(sys.modules[block.cls.__module__].__file__))
+        # for snapshots: a copy of the object, time and inputs of the samples since, and how long to note them
+        self._noted: tuple[Any, list[tuple[float, list[Any]]], float] | None = None
+        with block.modules.present():
+            self._file = Path(str(sys.modules[block.cls.__module__].__file__))
         self._begin, self._samples = 0.0, 0
         ends = self._parameters_end, self._inputs_end
         self._names = [v.name for v in block.variables[ends[0] : ends[1]]]
@@ -199,7 +214,7 @@ class PolicyInstance(BlockInstance):
 
     def exit_initialization_mode(self) -> None:
         self._refresh()
-        self._policy, self._begin, self._samples = self._begun(), self.time, 0
+        self._policy, self._begin, self._samples, self._noted = self._begun(), self.time, 0, None
         self._stepping = True
 
     def do_step(self, t: float, h: float) -> None:
@@ -207,8 +222,13 @@ class PolicyInstance(BlockInstance):
         self._check_step(t, h)
         end, period = t + h - step_tolerance(t, h), self._values[self._period]
         while (time := self._begin + self._samples * period) < end:
+            noted, self._noted = self._noted, None  # a step that fails may have changed the object
+            inputs, start = self._values[self._parameters_end : self._inputs_end], perf_counter()
             self._sample(self._policy, time)
             self._samples += 1
+            if noted and (left := noted[2] - (perf_counter() - start)) > 0.0:
+                noted[1].append((time, inputs))
+                self._noted = *noted[:2], left
         self.time = t + h
 
     def _begun(self) -> Any:
@@ -226,7 +246,8 @@ class PolicyInstance(BlockInstance):
     def _call(self, method: str, function: Callable[..., Any], *arguments: Any) -> Any:
         """Returns what a method returns; BlockError names the line of the user's file that raises."""
         try:
-            return function(*arguments)
+            with self.block.modules.present():
+                return function(*arguments)
         except (Exception, SystemExit) as error:
             where = line_below(error, self._file.parent) or self._place(method)
             at = f" at t = {arguments[0]:.9g} s" if method == "step" else ""
@@ -254,15 +275,30 @@ class PolicyInstance(BlockInstance):
         return [float(result[name]) for name in names]
 
     def snapshot(self) -> Any:
-        """Returns a copy of the whole instance."""
-        kept = self._policy, self._begin, self._samples, self.time, self._stepping, self._values
-        return copy.deepcopy((self.fingerprint, *kept))
+        """Returns a copy of the object and the samples since, with the rest of the instance.
+
+        Another copy is made once the samples have taken as long as the last one: an object that grows is not
+        copied at each communication point.
+        """
+        if self._noted is None:
+            start = perf_counter()
+            self._noted = self._copied(self._policy), [], perf_counter() - start
+        noted = self._noted, len(self._noted[1])
+        return noted, self._begin, self._samples, self.time, self._stepping, list(self._values)
 
     def restore(self, snapshot: Any) -> None:
-        """Restores a snapshot."""
-        _, self._policy, self._begin, self._samples, self.time, self._stepping, self._values = copy.deepcopy(
-            snapshot
-        )
+        """Restores a snapshot: repeats the samples since its copy."""
+        noted, self._begin, self._samples, self.time, self._stepping, values = snapshot
+        (copied, samples, left), count = noted
+        self._policy, self._noted = self._copied(copied), (copied, samples[:count], left)
+        for time, inputs in samples[:count]:
+            self._values[self._parameters_end : self._inputs_end] = inputs
+            self._sample(self._policy, time)
+        self._values = list(values)
+
+    def _copied(self, policy: Any) -> Any:
+        with self.block.modules.present():
+            return copy.deepcopy(policy)
 
 
 def line_below(error: BaseException, folder: Path) -> str:

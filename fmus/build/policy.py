@@ -2,19 +2,26 @@
 
 The FMU carries the file, the modules beside it that it imports, and the files beside it that a text in them
 names, such as "weights.npz". Other libraries are those that are installed where it runs. It is made anew if
-any of these files has changed, in a process of its own, which takes one step at the start values.
+any of these files has changed, in a process of its own, which runs two objects of the class.
 """
 
 import ast
+import pickle
 import re
 import sys
 import tempfile
 from collections.abc import Mapping
-from contextlib import closing
+from contextlib import closing, suppress
+from hashlib import sha256
 from importlib import import_module
 from importlib.metadata import version
+from math import inf, sin
 from pathlib import Path
+from time import perf_counter
+from types import FunctionType, ModuleType
 from typing import Any
+
+import numpy as np
 
 import fmus
 from fmus import store
@@ -28,7 +35,9 @@ from fmus.registry import Flavour, fmu_folder, unwritable
 
 _NAMED = re.compile(r"(.+\.py):([^:/\\]*)", re.DOTALL)
 _SLAVE = "fmus.build.policy_slave"
-_PATIENCE_S = 120  # for the imports of a policy and its first step
+_PATIENCE_S = 120  # for the imports of a policy and its first steps
+_MOST_SAMPLES, _MOST_S = 20, 0.5  # of the first object
+_EQUAL = {"rtol": 1e-9, "atol": 1e-12, "equal_nan": True}  # threads may add numbers in another order
 
 
 def fmu_of_class(name: str, folder: Path = Path()) -> Path:
@@ -126,34 +135,109 @@ def _fmu(file: Path, cls: str, sources: dict[str, str], carried: dict[str, bytes
 
 
 def _tried(file: Path, cls: str, files: Mapping[str, bytes], package: str) -> tuple[Any, bool]:
-    """Returns the variables of a class as a block, and whether its state can be copied, after one step."""
+    """Returns the variables of a class as a block, and whether its state can be saved, after short runs."""
     folder = Path(tempfile.mkdtemp())  # which goes with this process
     for path, content in files.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         (folder / path).write_bytes(content)
     sys.path.insert(0, str(folder))
+    run = import_module(f"{package}.{PolicyInstance.__module__}")  # what the FMU carries of it
+    modules = run.OwnModules(package, folder / package)
     try:
-        module = import_module(f"{package}.{file.stem}")
+        with modules.present():
+            module = import_module(f"{package}.{file.stem}")
     except (Exception, SystemExit) as error:
         where = file.parent / (line_below(error, folder / package) or file.name)
         raise ExportError(f"{where}: {type(error).__name__}: {error}{_hint(error)}") from error
     if cls not in vars(module):
         classes = [name for name, value in vars(module).items() if isinstance(value, type)]
         raise ExportError(f"{file}: no class {cls!r}; {nearest(cls, classes)}")
-    run = import_module(f"{package}.{PolicyInstance.__module__}")  # what the FMU carries of it
     try:
-        block = run.policy_block(vars(module)[cls])
-        trial = run.PolicyInstance(block)
-        trial.start(0.0)
-        trial.exit_initialization_mode()
-        trial.do_step(0.0, block.step_size)
+        block = run.policy_block(vars(module)[cls], modules)
+        return block, check_repeats(run, block)
     except Exception as error:
         raise ExportError(f"{file}: {error}{_hint(error.__cause__)}") from error
+
+
+def check_repeats(policies: ModuleType, block: Any) -> bool:
+    """Returns whether the state of a policy can be saved, after runs of two objects.
+
+    policies: `fmus.block.policy` as the FMU has it; block: of a class whose modules are new
+    Raises ExportError if the second object has other outputs, and what the policy raises at the start.
+    """
+    before, saved = _memory(block), None
+    trial, end = _begun(policies, block), perf_counter() + _MOST_S
+    before = _memory(block) | before  # with modules that the first step imports
+    with suppress(Exception):
+        saved = trial.snapshot()
+    first = _outputs(trial, block, _MOST_SAMPLES, end)
+    second = _outputs(_begun(policies, block), block, len(first))
+    changed = [name for name, content in _memory(block).items() if content != before.get(name)]
+    for k, i in np.argwhere(~np.isclose(first, second, **_EQUAL)):
+        expected = "random numbers that reset seeds, self.random = numpy.random.default_rng(1), and no clock"
+        if changed:
+            expected = f"in self what reset sets and a run changes, not in {', '.join(changed)}"
+        output, at = block.of_causality("output")[i].name, k * block.step_size
+        raise ExportError(
+            f"{block.name}: two objects, one run after the other on equal inputs, have {first[k, i]:.9g} and "
+            f"{second[k, i]:.9g} as {output} at t = {at:.9g} s; expected {expected}"
+        )
+    if changed or not saved:
+        return False
+    trial.restore(saved)
+    return np.allclose(first, _outputs(trial, block, len(first)), **_EQUAL)
+
+
+def _begun(policies: ModuleType, block: Any) -> Any:
+    """Returns an instance after one step at the start values."""
+    trial = policies.PolicyInstance(block)
+    trial.start(0.0)
+    trial.exit_initialization_mode()
+    trial.do_step(0.0, block.step_size)
+    return trial
+
+
+def _outputs(trial: Any, block: Any, count: int, end: float = inf) -> np.ndarray:
+    """Returns the outputs of `count` samples, the last one and more: shape (samples, outputs).
+
+    end: the time of `perf_counter` after which no step is begun
+    They are NaN from a step on that fails: it may not expect these inputs.
+    """
+    outputs = block.of_causality("output")
+    values = np.full((count, len(outputs)), np.nan)
+    for k in range(count):
+        values[k] = [trial.get(v.value_reference) for v in outputs]
+        if perf_counter() > end:
+            return values[: k + 1]
+        for i, v in enumerate(block.of_causality("input")):
+            trial.set(v.value_reference, 0.5 * sin(0.3 * k + i))
+        try:
+            trial.do_step(trial.time, block.step_size)
+        except Exception:
+            break
+    return values
+
+
+def _memory(block: Any) -> dict[str, Any]:
+    """Returns module.name and Class.name -> a digest of what the modules hold outside of objects."""
+    memory = {}
+    with block.modules.present():
+        for module in block.modules.loaded():
+            known = [value for value in vars(module).values() if isinstance(value, type)]
+            for holder in (module, *(cls for cls in known if cls.__module__ == module.__name__)):
+                own = [item for item in vars(holder).items() if not item[0].startswith("__")]
+                label = holder.__name__.rpartition(".")[2]
+                memory |= {f"{label}.{name}": _digest(value) for name, value in own}
+    return memory
+
+
+def _digest(value: Any) -> Any:
+    if isinstance(value, FunctionType):  # a list as default value of an argument, an attribute
+        value = value.__defaults__, value.__kwdefaults__, vars(value)
     try:
-        trial.restore(trial.snapshot())
+        return sha256(pickle.dumps(value)).digest()
     except Exception:
-        return block, False
-    return block, True
+        return repr(value)
 
 
 def _hint(error: BaseException | None) -> str:

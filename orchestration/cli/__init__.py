@@ -10,7 +10,8 @@ _ALLOCATIONS = 200_000  # between collections of garbage: an import makes many o
 def main() -> None:
     """Runs the command line; a failure is one line on standard error.
 
-    Exit status: 0, 1 for a failure, 2 for bad usage, 70 if an FMU ended the process, 130 for an interrupt.
+    Exit status: 0, 1 for a failure, 2 for bad usage, 70 if an FMU ended the process, 130 for an interrupt,
+    141 if the reader of the output ended.
     With L1_DEPTH_DEBUG set, an error that is not foreseen comes with its traceback.
     """
     try:

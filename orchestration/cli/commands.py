@@ -5,8 +5,10 @@ help, completion and the message about a mistyped command do not wait for NumPy 
 """
 
 import os
+import sys
 from collections.abc import Iterable, Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -15,6 +17,8 @@ from fmus.errors import ExportError, MissingExtraError
 from orchestration.cli.interrupts import INTERRUPTED, is_interrupted
 from orchestration.cli.shared import fail
 from orchestration.errors import OrchestrationError
+
+OUTPUT_CLOSED = 141  # exit status that shells report for SIGPIPE
 
 _PANELS = {
     "FMUs": ("fmu.new", "fmu.build", "fmu.check", "fmu.verify", "fmu.inspect", "cache.cache"),
@@ -64,12 +68,22 @@ def _l1_depth(
 
 
 def run_command(arguments: Sequence[str]) -> int:
-    """Runs a command and returns its exit status; a failure is a line on standard error and SystemExit."""
+    """Runs a command and returns its exit status; a failure is a line on standard error and SystemExit.
+
+    A command whose output is no longer read, as with `| head`, ends without a message.
+    """
     app = application(arguments[:1] if arguments[:1] and arguments[0] in COMMANDS else COMMANDS)
     try:
         status = app(list(arguments) or ["--help"], prog_name="l1-depth", standalone_mode=False)
+        print(end="", flush=True)
     except typer.Abort:
         raise KeyboardInterrupt from None
+    except (BrokenPipeError, SystemExit) as error:
+        if BrokenPipeError not in (type(error), type(error.__context__)):  # Typer makes SystemExit of it
+            raise
+        # what is left to be written would be an error at the end of Python
+        sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115
+        return OUTPUT_CLOSED
     except (OrchestrationError, ExportError, MissingExtraError, OSError) as error:
         fail(str(error), INTERRUPTED if isinstance(error.__cause__, KeyboardInterrupt) else 1)
     except Exception as error:

@@ -194,7 +194,7 @@ def _values(over: str) -> dict[str, list[float]]:
     """Returns parameter -> values."""
     if not over:
         return {}
-    name, _, texts = over.partition("=")
+    name, _, texts = over.rpartition("=")
     try:
         return {name.strip(): [float(text) for text in texts.split(",")]}
     except ValueError:

@@ -92,9 +92,9 @@ def parse(texts: Sequence[str], option: str = "--free") -> list[FreeParameter]:
 
 
 def _parsed(part: str, option: str) -> FreeParameter:
-    name, equals, limits = part.partition("=")
+    name, equals, limits = part.rpartition("=")  # the name of a variable may have one, too
     if not equals:
-        return FreeParameter(name.strip())
+        return FreeParameter(part)
     low, _, high = limits.partition(":")
     try:
         free = FreeParameter(name.strip(), float(low), float(high))

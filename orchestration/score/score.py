@@ -19,6 +19,7 @@ from fmus.operating_system import usable_processors
 from orchestration.errors import ScenarioError
 from orchestration.many.device import PROCESSOR
 from orchestration.many.run_many import LocalRuns
+from orchestration.scenarios.fmu_files import fmu_file
 from orchestration.score import score_view
 from orchestration.score.closed_loop import ClosedLoop, Controller, built_in, tuned
 from orchestration.score.draws import LARGEST_SEED
@@ -66,6 +67,9 @@ def score_controllers(
     protocol = protocol or read_protocol()
     if timeout is not None and not timeout > 0.0:
         raise ScenarioError(f"timeout {timeout!r} s: expected more than 0")
+    for controller in controllers:
+        if controller.fmu.endswith(".py"):
+            fmu_file(controller.fmu)  # refuses one without a block before the FMUs of others are built
     if beside is None:
         beside = [tuned(protocol, name) for name in protocol.controllers]
     chosen = _with_other_names(controllers, beside)

@@ -76,7 +76,7 @@ def cost_of_options(bounds: Iterable[str], cases: str, plant_count: int = 0) -> 
     """Returns entries of a cost: of METRIC=NUMBER of --bound, NAME,... of --cases, and --plants."""
     cost: dict[str, Any] = {"bounds": {}}
     for option in bounds:
-        name, _, number = option.partition("=")
+        name, _, number = option.rpartition("=")
         try:
             cost["bounds"][name.strip()] = float(number)
         except ValueError:

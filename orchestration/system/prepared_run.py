@@ -217,6 +217,8 @@ def _settings(system: CheckedSystem, experiment: Experiment) -> tuple[Setting, .
         port = system.port(name, "parameter")
         if not has_start_value(port.variable):
             kind = f"{port.variable.causality} with initial = {port.variable.initial or 'calculated'}"
+            if port.variable.variability == "constant":
+                kind = "a constant"
             raise SystemDefinitionError(
                 f'{name}: expected a parameter, or a variable with initial = "exact" or "approx", got {kind}'
             )

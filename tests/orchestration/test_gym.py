@@ -307,6 +307,20 @@ def test_an_environment_that_cannot_be_made_is_refused(task: Task, changes: Any,
     assert message in str(refusal.value)
 
 
+def test_an_environment_is_refused_until_its_first_reset(env: FmuEnv, task: Task) -> None:
+    with closing(FmuVectorEnv(task, 2)) as envs:
+        steps = (lambda: env.step(np.zeros(1)), lambda: envs.step(np.zeros((2, 1))))
+        calls: tuple[Any, ...] = (*steps, env.recording, envs.recordings)
+        refusal = r"no episode has begun: expected reset\(\) first"
+        for call in calls:
+            with pytest.raises(gymnasium.error.ResetNeeded, match=refusal):
+                call()
+        env.reset()
+        envs.reset()
+        for call in calls:
+            call()
+
+
 @pytest.mark.parametrize("action", [0.5, [[0.5]], [0.5, 0.5], []])
 def test_an_action_of_another_shape_is_refused(env: FmuEnv, action: Any) -> None:
     env.reset()

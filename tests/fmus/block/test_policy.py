@@ -246,3 +246,125 @@ def written(folder: Path, source: str) -> type:
     run: Callable[..., Any] = exec
     run(compile(source, str(file), "exec"), vars(module))
     return module.Own
+
+
+class OfNumpy(Counting):
+    period = np.float64(0.25)
+    gain = np.float32(-1.5)  # type: ignore[assignment]
+    order = np.int64(-3)
+
+
+def test_numbers_of_numpy_are_parameters_and_a_period() -> None:
+    block = policy_block(OfNumpy)
+    starts = {v.name: (v.type, v.start) for v in block.of_causality("parameter")}
+    assert starts == {"period": ("Real", 0.25), "gain": ("Real", -1.5), "order": ("Integer", -3)}
+    assert {type(start) for _, start in starts.values()} == {float, int}
+    assert block.step_size == 0.25
+
+
+def test_runs_go_back_to_any_snapshot_in_any_order() -> None:
+    """Also to one before a way that was left, and on from there with other inputs."""
+    instance, saved, expected = begun(Counting, 2.0), [], []
+
+    def step(depth: float) -> None:
+        instance.set(reference(instance, "measured_depth"), depth)
+        instance.do_step(instance.time, 0.04)
+
+    for k in range(6):
+        step(-1.0 - k)
+        saved.append(instance.snapshot())
+        expected.append((instance.time, value(instance), list(instance._policy.calls)))
+    for k in (2, 5, 0, 5, 3):
+        instance.restore(saved[k])
+        assert (instance.time, value(instance), instance._policy.calls) == expected[k]
+        assert instance.get(reference(instance, "measured_depth")) == -1.0 - k
+        step(50.0 + k)
+        instance.restore(instance.snapshot())
+        assert instance._policy.calls == [*expected[k][2], (expected[k][0], 50.0 + k)]
+
+
+class Clock:
+    """The clock of `fmus.block.policy`: a sample takes 1 s, a copy of a call 1 s."""
+
+    now = 0.0
+    copied = 0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Growing(Counting):
+    clock = Clock()
+
+    def step(self, time: float, inputs: dict[str, float]) -> dict[str, Any]:
+        self.clock.now += 1.0
+        if inputs["measured_depth"] < 0.0:
+            self.calls.append((math.nan, math.nan))
+            raise ValueError("negative")
+        return super().step(time, inputs)
+
+    def __deepcopy__(self, memo: Any) -> "Growing":
+        self.clock.now += len(self.calls)
+        self.clock.copied += len(self.calls)
+        other = Growing()
+        other.calls = list(self.calls)
+        return other
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(Growing, "clock", clock)
+    monkeypatch.setattr("fmus.block.policy.perf_counter", clock)
+    return clock
+
+
+def test_an_object_that_grows_is_not_copied_at_each_point(clock: Clock) -> None:
+    """Copies take no longer than samples, but for the last one."""
+    instance = begun(Growing)
+    for _ in range(1000):
+        instance.snapshot()
+        instance.do_step(instance.time, 0.04)
+    saved = instance.snapshot()
+    assert len(instance._policy.calls) == 1000
+    assert 500 < clock.copied <= 2000
+    instance.restore(saved)
+    assert len(instance._policy.calls) == 1000
+
+
+def test_a_snapshot_before_the_first_step_is_one_of_the_initialisation() -> None:
+    instance = PolicyInstance(policy_block(Counting))
+    instance.set(reference(instance, "gain"), -3.0)
+    instance.start(1.5)
+    initial = instance.snapshot()
+    instance.exit_initialization_mode()
+    begun = instance.snapshot()
+    instance.do_step(1.5, 0.04)
+    instance.restore(begun)
+    assert instance._policy.calls == []
+    instance.do_step(1.5, 0.04)
+    instance.restore(initial)
+    instance.set(reference(instance, "gain"), 2.0)
+    assert value(instance) == 3.0
+
+
+def test_samples_are_noted_after_a_snapshot_alone(clock: Clock) -> None:
+    instance = begun(Growing)
+    for _ in range(100):
+        instance.do_step(instance.time, 0.04)
+    assert instance._noted is None
+    assert clock.copied == 0
+
+
+def test_what_a_step_that_fails_leaves_in_the_object_is_saved(clock: Clock) -> None:
+    instance = begun(Growing)
+    for _ in range(10):
+        instance.do_step(instance.time, 0.04)
+    instance.snapshot()
+    instance.do_step(instance.time, 0.04)
+    instance.set(reference(instance, "measured_depth"), -1.0)
+    with pytest.raises(BlockError):
+        instance.do_step(instance.time, 0.04)
+    saved = instance.snapshot()
+    instance.restore(saved)
+    assert len(instance._policy.calls) == 12

@@ -2,16 +2,21 @@
 
 import zipfile
 from collections.abc import Callable
+from contextlib import closing
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fmus.build.policy import fmu_of_class
+from fmus.block import policy as policies
+from fmus.block.own_modules import OwnModules
+from fmus.build.policy import check_repeats, fmu_of_class
 from fmus.errors import ExportError
 from fmus.fmi.description import describe
 from fmus.fmi.model_description import CoSimulation
-from orchestration import Experiment, Recording, SimulationError, System, simulate
+from orchestration import Experiment, Recording, SimulationError, Simulator, System, simulate
+from orchestration.gym import FmuEnv, Task
 
 POLICY = """
 import numpy as np
@@ -155,3 +160,187 @@ def test_an_error_of_a_run_names_time_and_line(policy: Path) -> None:
 def test_a_name_that_is_no_class_is_refused(policy: Path, tmp_path: Path, name: str) -> None:
     with pytest.raises(ExportError, match=r"expected FILE\.py:Class"):
         fmu_of_class(name, tmp_path)
+
+
+REMEMBERS = """
+import random
+import time as clock
+
+import numpy as np
+
+NUMBERS = np.random.default_rng(0)
+COUNT = 0
+LOG = []
+
+
+class Part:
+    def __deepcopy__(self, memo):
+        import own
+
+        return own.Part()
+
+
+class Base:
+    shared = {{}}
+
+
+class Policy(Base):
+    period = 0.25
+    inputs = ("measured_depth", "pitch")
+    integral = [0.0]
+    calls = 0
+
+    def reset(self):
+        self.x = 0.0
+        {reset}
+
+    def step(self, time, inputs, memory=[]):
+        global COUNT
+        self.x += inputs["pitch"]
+        {step}
+        return {{"control_force": {force}}}
+"""
+
+
+def tried(folder: Path, reset: str = "pass", step: str = "pass", force: str = "self.x") -> bool:
+    """Whether the state of a policy can be saved, after the runs of a build."""
+    package = folder / "tried_policy"
+    package.mkdir()
+    (package / "own.py").write_text(REMEMBERS.format(reset=reset, step=step, force=force))
+    modules = OwnModules(package.name, package)
+    with modules.present():
+        cls = import_module("tried_policy.own").Policy
+    return check_repeats(policies, policies.policy_block(cls, modules))
+
+
+REMEMBERED = {
+    "Policy.integral": ("self.integral[0] += inputs['measured_depth']", "self.integral[0]"),
+    "Policy.calls": ("type(self).calls -= 1", "type(self).calls"),
+    "Base.shared": ("self.shared[time] = self.shared.get(time, 0) + 1", "self.shared[time]"),
+    "own.COUNT": ("COUNT += 1", "COUNT"),
+    "own.NUMBERS": ("pass", "NUMBERS.normal()"),
+    "own.LOG": ("LOG.append(time)", "self.x + (len(LOG) > 25)"),
+    "Policy.step": ("memory.append(time)", "len(memory)"),
+}
+
+
+@pytest.mark.parametrize("name", REMEMBERED)
+def test_a_class_that_remembers_the_run_before_is_refused_with_the_name_of_its_memory(
+    tmp_path: Path, name: str
+) -> None:
+    step, force = REMEMBERED[name]
+    message = rf"^Policy: two objects, .* as control_force at t = .*; expected in self .*, not in {name}$"
+    with pytest.raises(ExportError, match=message):
+        tried(tmp_path, step=step, force=force)
+
+
+def test_the_first_difference_of_two_runs_is_told(tmp_path: Path) -> None:
+    """The first object calls once at the start, then in 20 samples; the second begins at 21."""
+    step = "self.integral[0] += 1"
+    with pytest.raises(ExportError, match=r"have 0 and -1 as control_force at t = 0.5 s"):
+        tried(tmp_path, step=step, force="-(self.integral[0] > 23 and time > 0.4) if self.x else 0")
+
+
+@pytest.mark.parametrize(
+    ("reset", "force"),
+    [
+        ("self.random = np.random.default_rng()", "self.random.normal()"),
+        ("pass", "random.random()"),
+        ("pass", "np.random.normal()"),
+        ("pass", "clock.perf_counter()"),
+    ],
+)
+def test_random_numbers_without_a_seed_and_clocks_are_refused(tmp_path: Path, reset: str, force: str) -> None:
+    with pytest.raises(
+        ExportError, match=r"expected random numbers that reset seeds, self.random = .* clock"
+    ):
+        tried(tmp_path, reset=reset, force=force)
+
+
+@pytest.mark.parametrize(
+    ("can_save", "changes"),
+    [
+        (True, {}),
+        (True, {"reset": "self.r = np.random.default_rng(1)", "force": "self.r.normal()"}),
+        (True, {"reset": "self.log = []", "step": "self.log.append(time)", "force": "len(self.log)"}),
+        (True, {"reset": "self.part = Part()"}),
+        (True, {"step": "assert abs(self.x) < 0.6"}),  # which these inputs do not meet
+        (False, {"step": "LOG.append(time)"}),  # a copy of the object would miss these
+        (False, {"reset": "random.seed(1)", "force": "random.random()"}),
+        (False, {"step": "self.later = (i for i in LOG)"}),
+    ],
+)
+def test_the_state_can_be_saved_where_a_copy_of_the_object_is_all_of_it(
+    tmp_path: Path, can_save: bool, changes: dict[str, str]
+) -> None:
+    assert tried(tmp_path, **changes) == can_save
+
+
+LATE = """
+import pickle
+from pathlib import Path
+
+import helper
+
+CALLS = []
+
+
+class Policy:
+    period = 0.1
+    inputs = ("measured_depth",)
+    calls = []
+
+    def reset(self):
+        self.model = pickle.loads(Path(__file__).with_name("model.pkl").read_bytes())
+
+    def step(self, time, inputs):
+        from late import NAMES
+
+        for memory in (CALLS, helper.CALLS, self.calls, NAMES):
+            memory.append(time)
+        late = len(CALLS) + len(helper.CALLS) + len(self.calls) + len(NAMES) if time > 8.0 else 0.0
+        return {"control_force": self.model.k + late + inputs["measured_depth"]}
+"""
+
+
+@pytest.fixture(scope="module")
+def late(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A class whose memory has an effect after the runs of a build, with a pickle of a helper's class."""
+    folder = tmp_path_factory.mktemp("late")
+    (folder / "own.py").write_text(LATE)
+    (folder / "helper.py").write_text("CALLS = []\nclass Model: pass\n")
+    (folder / "late.py").write_text("NAMES = []\n")
+    (folder / "model.pkl").write_bytes(
+        b"\x80\x04chelper\nModel\n)\x81}\x8c\x01kG@\x12\x00\x00\x00\x00\x00\x00sb."
+    )
+    return str(fmu_of_class(f"{folder / 'own.py'}:Policy"))
+
+
+def test_each_run_and_each_component_begins_without_what_another_left(late: str) -> None:
+    """Two components of one class, run twice: 4 lists have an entry for each sample, and one of the start."""
+    system = System({"a": late, "b": late})
+    experiment = Experiment(9.0, 0.1, inputs={"a.measured_depth": -1.0, "b.measured_depth": 2.0})
+    with Simulator(system) as simulator:
+        first, second = (simulator.run(experiment) for _ in range(2))
+    assert first["a.control_force"][0] == 3.5
+    assert first["a.control_force"][-1] == 3.5 + 4 * 91
+    assert first["b.control_force"][-1] == 6.5 + 4 * 91
+    assert np.array_equal(first.values, second.values)
+
+
+def test_each_episode_begins_without_what_another_left(late: str) -> None:
+    task = Task(
+        System({"own": late}),
+        Experiment(9.0, 0.1),
+        actions=("own.measured_depth",),
+        observations=("own.control_force",),
+        reward=lambda before, after, h: after["own.control_force"],
+        bounds={"own.measured_depth": (-1.0, 1.0)},
+    )
+    rewards = []
+    with closing(FmuEnv(task)) as env:
+        for _ in range(2):
+            env.reset(seed=1)
+            rewards.append([env.step(np.zeros(1))[1] for _ in range(90)])
+    assert rewards[0] == rewards[1]
+    assert rewards[0][-1] == 4.5 + 4 * 91

@@ -37,6 +37,26 @@ def ended(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return done
 
 
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("argument", ["scenarios", "--help", "--version"])
+def test_a_command_whose_output_nobody_reads_ends_without_a_word(argument: str, unbuffered: str) -> None:
+    """Its status is that of other tools in a shell: 128 + SIGPIPE."""
+    reader, output = os.pipe()
+    os.close(reader)
+    try:
+        done = subprocess.run(
+            [*COMMAND, argument],
+            stdout=output,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+            env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
+        )
+    finally:
+        os.close(output)
+    assert (done.returncode, done.stderr) == (141, "")
+
+
 @pytest.fixture
 def _no_caches(monkeypatch: pytest.MonkeyPatch) -> None:
     """No variable names a home or a cache, as tests otherwise have it."""

@@ -115,6 +115,16 @@ def test_what_cannot_be_scored_is_refused(
     assert complaint in refused("score", *arguments, "--protocol", protocol_file)
 
 
+def test_a_file_without_a_block_is_refused_before_any_other_fmu_is_looked_at(
+    refused: Callable[..., str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "own.py").write_text(PROPORTIONAL)
+    monkeypatch.setattr(score, "tuned", lambda protocol, name: pytest.fail(name))
+    complaint = refused("score", "PidDepthController", "own.py")
+    assert "no block at the top level of the file" in complaint
+    assert "own.py:Proportional for its class Proportional" in complaint
+
+
 @pytest.mark.parametrize("arguments", ["compare", "margins nominal-l1", "identify", "reproduce"])
 def test_what_cannot_be_written_is_refused_before_it_runs(
     refused: Callable[..., str], arguments: str

@@ -123,6 +123,11 @@ def test_any_metric_bounds_the_cost(loop: ClosedLoop) -> None:
     assert evaluated["error"] == free["metrics"]["nominal"]["rmse"]
 
 
+@pytest.mark.parametrize("name", ["rmse", "depth=0.8", "a=b=c"])
+def test_the_name_of_a_metric_may_have_an_equals_sign(name: str) -> None:
+    assert cost_of_options([f"{name} = -2.5"], "") == {"bounds": {name: -2.5}}
+
+
 @pytest.mark.parametrize(
     ("bound", "cases", "count", "message"),
     [

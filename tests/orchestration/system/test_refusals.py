@@ -9,8 +9,9 @@ import pytest
 from orchestration.errors import SystemDefinitionError
 from orchestration.run import Simulator, simulate
 from orchestration.system.experiment import Experiment
+from orchestration.system.prepared_run import prepare
 from orchestration.system.system import System
-from tests.described_fmus import redescribed
+from tests.described_fmus import described, redescribed
 from tests.shared_builds import Fmus
 
 
@@ -59,6 +60,20 @@ def test_an_estimate_beside_a_stepped_run_needs_an_fmu_that_can_be_loaded_twice(
         with pytest.raises(SystemDefinitionError, match="error_estimate: one can be instantiated only once"):
             simulator.start(experiment)
         assert "error_estimate" in simulator.run(experiment).provenance
+
+
+def test_a_constant_cannot_be_set(tmp_path: Path) -> None:
+    fmu = described(tmp_path / "own.fmu", outputs=["y"], parameters=["k"])
+    constant = _edited(
+        fmu, tmp_path,
+        ('causality="output" variability="continuous"><Real', 'causality="output" variability="constant" '
+         'initial="exact"><Real start="-2.5"'),
+    )  # fmt: skip
+    system = System({"own": constant})
+    message = r"own\.y: expected a parameter, or a variable with .*, got a constant$"
+    with pytest.raises(SystemDefinitionError, match=message):
+        prepare(system, Experiment(1.0, 0.1, parameters={"own.y": -3.0}))
+    assert prepare(system, Experiment(1.0, 0.1, parameters={"own.k": -3.0})).settings[0][1] == -3.0
 
 
 def test_a_range_and_unit_that_only_the_declared_type_states_count(foreign: Fmus, tmp_path: Path) -> None:
