@@ -145,6 +145,8 @@ def _defined(module: ModuleType, path: Path) -> tuple[Block, ...]:
         own = [cls for cls in vars(module).values() if getattr(cls, "__module__", "") == module.__name__]
         policies = [cls.__name__ for cls in own if hasattr(cls, "reset") and hasattr(cls, "step")]
         hint = "".join(f", or {path}:{name} for its class {name}" for name in dict.fromkeys(policies))
+        slaves = [cls.__name__ for cls in own if hasattr(cls, "register_variable")]  # PythonFMU's classes
+        hint += "".join(f"; pythonfmu build -f {path} makes {name}.fmu of {name}" for name in slaves)
         raise ExportError(f"{path}: no block at the top level of the file; expected BLOCK = Block(...){hint}")
     names = [block.name.casefold() for block in blocks]  # some file systems do not tell Pid.fmu from PID.fmu
     if twice := next((block.name for block in blocks if names.count(block.name.casefold()) > 1), None):

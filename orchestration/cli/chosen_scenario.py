@@ -58,7 +58,7 @@ def load(
     build_missing_fmus([chosen])
     try:
         prepared = chosen.prepared
-    except SystemDefinitionError as error:
+    except (ScenarioError, SystemDefinitionError) as error:
         raise ScenarioError(scenario.located(str(error), chosen.files)) from error
     open_inputs = [f"{port.name} = {start_value(port.variable)}" for port in prepared.system.open_inputs]
     is_of_user = changes.components or scenario.shipped().get(path.stem) != path

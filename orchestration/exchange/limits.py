@@ -80,15 +80,16 @@ def check_types(ports: Iterable[Port], types: tuple[str, ...], target: str) -> N
 def as_ramps(input_name: str, signal: Signal, experiment: Experiment) -> Ramps:
     """Returns ramps, constants and tables as ramps; ScenarioError for any other signal.
 
-    A table that holds its values becomes ramps of one communication step, which have its values at every
-    communication point of the experiment.
+    A jump of a table becomes a ramp of one communication step, so that the values at every communication
+    point of the experiment are those of the table.
     """
     if isinstance(signal, Ramps):
         return signal
     if isinstance(signal, Constant):
         return Ramps([(0.0, signal.value)])
     if isinstance(signal, Table):
-        times = _around_changes(signal, experiment) if signal.hold else np.asarray(signal.times)
+        vertices = [] if signal.hold else np.asarray(signal.times)
+        times = np.unique([*_around(signal.jumps, experiment), *vertices])
         return Ramps(np.column_stack([times, signal.at(times)]).tolist())
     kind = _kind(signal)
     raise ScenarioError(
@@ -96,10 +97,10 @@ def as_ramps(input_name: str, signal: Signal, experiment: Experiment) -> Ramps:
     )
 
 
-def _around_changes(table: Table, experiment: Experiment) -> np.ndarray:
-    """Returns the communication points at which the values of a table arrive, and those before them [s]."""
+def _around(jumps: np.ndarray, experiment: Experiment) -> np.ndarray:
+    """Returns the communication points at which jumps arrive, and those before them [s]."""
     start, step = experiment.start_time, experiment.step_size
-    arrivals = np.ceil((np.asarray(table.times) - start) / step - GRID_TOLERANCE)
+    arrivals = np.ceil((jumps - start) / step - GRID_TOLERANCE)
     return start + step * np.unique([*(arrivals - 1.0), *arrivals])
 
 

@@ -40,8 +40,8 @@ def read_dive(path: Path, vehicle: Vehicle, mapping: Mapping[str, str] | None = 
 
     mapping: time, measured_depth or an input of the vehicle -> title of its column; by default the same name,
     or that after "plant."
-    Raises OrchestrationError for a column that is missing or has another unit, times that do not ascend, and
-    readings that say nothing of the vehicle.
+    Raises OrchestrationError for a column that is missing or has another unit, times that do not ascend, two
+    depths at one time, a depth that is negative under water, and readings that say nothing of the vehicle.
     """
     file, mapping = read_data_file(path), mapping or {}
     columns = _columns(file, vehicle, mapping)
@@ -49,22 +49,21 @@ def read_dive(path: Path, vehicle: Vehicle, mapping: Mapping[str, str] | None = 
     indices = [file.titles.index(title) for title in columns.values()]
     factors = [file.factor(i, unit) for i, unit in zip(indices, units, strict=True)]
     times = file.numbers(indices[0])[:, 0] * factors[0]
-    _check_ascending(file, times)
+    file.check_ascending(times)
     depths, *commands = file.numbers(*indices[1:], gaps=True).T * np.array(factors[1:])[:, None]
     known = np.isfinite(commands)
     starts = [int(np.argmax(row)) if row.any() else len(row) for row in known]
     ends = [int(np.flatnonzero(row)[-1]) if row.any() else -1 for row in known]
     # without a command in the log all are set, and known at all times
     first, last = max(starts, default=0), max(ends, default=len(times) - 1)
-    is_read = np.isfinite(depths) & (np.arange(len(times)) >= first) & (np.arange(len(times)) <= last)
-    if not is_read.any():
+    readings = np.flatnonzero(np.isfinite(depths))
+    readings = readings[(readings >= first) & (readings <= last)]
+    if not len(readings):
         raise OrchestrationError(
             f"{path}: no overlap: expected readings of the depth while commands are known"
         )
-    if np.ptp(depths[is_read]) == 0.0:
-        raise OrchestrationError(
-            f"{path}: the vehicle does not move: all {is_read.sum()} readings are {depths[is_read][0]:g} m"
-        )
+    _check_depths(file, columns[DEPTHS[0]], readings, times[readings], depths[readings])
+    readings = readings[np.diff(times[readings], append=np.inf) > 0.0]
     times = times - times[first]
     names = list(columns)[2:]
     signals: dict[str, Table] = {}
@@ -74,7 +73,7 @@ def read_dive(path: Path, vehicle: Vehicle, mapping: Mapping[str, str] | None = 
     commanded = times[known.all(axis=0) & (times >= 0.0)].tolist()
     gaps = tuple((a, b) for a, b in pairwise(commanded) if b - a > LONG_GAP)
     own_units = dict(zip(columns, units, strict=True))
-    return Dive(path.stem, signals, own_units, times[is_read], depths[is_read], gaps)
+    return Dive(path.stem, signals, own_units, times[readings], depths[readings], gaps)
 
 
 def _columns(file: DataFile, vehicle: Vehicle, mapping: Mapping[str, str]) -> dict[str, str]:
@@ -114,20 +113,33 @@ def _unit(name: str, vehicle: Vehicle) -> str:
     return {TIME: "s", DEPTHS[0]: "m"}.get(name) or vehicle.variables[name].unit or ""
 
 
-def _check_ascending(file: DataFile, times: np.ndarray) -> None:
-    for i in np.flatnonzero(np.diff(times) <= 0.0)[:1]:
-        line = file.rows[int(i) + 1][0]
-        kind = "repeated" if times[i + 1] == times[i] else "earlier"
+def _check_depths(
+    file: DataFile, title: str, rows: np.ndarray, times: np.ndarray, depths: np.ndarray
+) -> None:
+    """Refuses a depth that does not change, two at one time, and a height in the place of the depth."""
+    if np.ptp(depths) == 0.0:
         raise OrchestrationError(
-            f"{file.path}:{line}: {kind} time {times[i + 1]:.9g} s after {times[i]:.9g} s: "
-            "expected ascending times"
+            f"{file.path}: the vehicle does not move: all {len(depths)} readings are {depths[0]:g} m"
+        )
+    for i in np.flatnonzero((np.diff(times) == 0.0) & (np.diff(depths) != 0.0))[:1]:
+        raise OrchestrationError(
+            f"{file.path}:{file.rows[rows[i + 1]][0]}: repeated time {times[i]:.9g} s with another depth, "
+            f"{depths[i + 1]:g} m after {depths[i]:g} m: expected one; of two sensors, keep the rows of one"
+        )
+    if depths.mean() < 0.0:
+        raise OrchestrationError(
+            f"{file.path}: the depth is {depths.mean():.3g} m in the mean: expected it positive below the "
+            f"surface; if {title} is negative under water, change the sign of its numbers"
         )
 
 
 def held_over(dive: Dive) -> Iterator[str]:
-    """Yields a message about each gap in the commands of a dive."""
-    for start, end in dive.gaps:
-        yield (
-            f"{dive.name}: no commands from {start:.6g} s to {end:.6g} s: they are held; if they changed, "
-            "make it two files"
-        )
+    """Yields a message about the gaps in the commands of a dive, if it has any."""
+    if dive.gaps:
+        start, end = max(dive.gaps, key=lambda gap: gap[1] - gap[0])
+        longest = f", the longest of {len(dive.gaps)} gaps" if len(dive.gaps) > 1 else ""
+        # seconds are wrong where all rows are far apart
+        is_doubtful = bool((np.diff(dive.times) > LONG_GAP).all())
+        unit = "; if the times are not in s, their title needs the unit, as in time [us]" * is_doubtful
+        held = f"they are held; if they changed, make it two files{unit}"
+        yield f"{dive.name}: no commands from {start:.6g} s to {end:.6g} s{longest}: {held}"

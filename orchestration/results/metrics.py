@@ -292,9 +292,7 @@ def check_run(
                 f"metric {name}: window {window}: expected to overlap {start:g}..{stop:g} s; "
                 f"{name} = false drops it"
             )
-        for signal in (call[key] for key in SIGNALS if record and key in call):
-            if signal not in record:
-                raise ScenarioError(f"metric {name}: {signal!r} is not recorded; {nearest(signal, record)}")
+    check_recorded(declared, record)
     windows = {name: call["window"] for name, call in declared.items() if "window" in call}
     rounding = 1e-9 * max(1.0, abs(start), abs(stop))
     truncated = {
@@ -309,3 +307,14 @@ def check_run(
             ScenarioWarning,
             stacklevel=3,
         )
+
+
+def check_recorded(declared: Mapping[str, Mapping[str, Any]], record: Collection[str]) -> None:
+    """Refuses a metric with a signal that is not among the recorded ones (an empty record is all)."""
+    for name, call in declared.items():
+        for signal in (call[key] for key in SIGNALS if record and key in call):
+            if signal not in record:
+                raise ScenarioError(
+                    f"metric {name}: {signal!r} is not recorded; {nearest(signal, record)}; "
+                    "record = [...] names all variables to record, above the first [table]"
+                )

@@ -22,6 +22,8 @@ from orchestration.run.run_recording import failure_error, step_unless_discarded
 from orchestration.run.snapshot import Snapshot
 from orchestration.run.tolerance import Tolerance, step_together_and_split
 from orchestration.run.wiring import WiredRun
+from orchestration.system.signals import Table
+from orchestration.system.values import is_discrete
 
 _SHORTEST = 1e-9  # of a communication step
 _SAFETY, _LARGEST_REDUCTION, _LARGEST_GROWTH = 0.9, 0.2, 5.0  # the usual factors of step-size control
@@ -45,8 +47,11 @@ class StepControl:
         self._signals = [  # others keep the value of the communication point
             (index, signal)
             for index, (name, signal) in zip(indices, experiment.signals.items(), strict=True)
-            if ports[name].variable.type == "Real"
+            if not is_discrete(ports[name])
         ]
+        tables = (signal for _, signal in self._signals if isinstance(signal, Table))
+        # two halves do not show the error of a step across a jump: each step ends there
+        self._jumps = np.concatenate([np.empty(0), *(table.jumps for table in tables)])
         self._before = Snapshot(run, loop)
         self._shortest = 0.0
         self._terminated = 0
@@ -104,6 +109,9 @@ class StepControl:
                 end = stop
             elif self.tolerance and stop - end < self.step_size:
                 end = time + 0.5 * (stop - time)  # two equal steps rather than a long and a short one
+            if self.tolerance:
+                is_within = (time + self._shortest < self._jumps) & (self._jumps < end - self._shortest)
+                end = float(self._jumps[is_within].min(initial=end))
             self._before.take()
             if self.try_controlled_step(point - 1, time, end):
                 if not self.tolerance:

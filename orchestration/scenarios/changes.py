@@ -14,7 +14,7 @@ from fmus.errors import nearest
 from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
-from orchestration.scenarios.declarations import with_file_values
+from orchestration.scenarios.declarations import with_file_paths
 from orchestration.scenarios.layers import Data, Layer, components_of, merge
 from orchestration.scenarios.read_layers import named_fmu
 from orchestration.scenarios.replaced import Describe
@@ -58,7 +58,7 @@ def command_entries(
             name: named_fmu(fmu, Path(), lambda keys, fmu=fmu: f"{keys[0]} = {fmu}", (name,))
             for name, fmu in (overrides.get("components", {}) | given).items()
         },
-        "signals": with_file_values(overrides.get("signals", {}), Path(), lambda keys: "command line", ()),
+        "signals": with_file_paths(overrides.get("signals", {}), Path()),
     }
     return merge(dict(overrides), {table: entries for table, entries in above.items() if entries})
 

@@ -1,13 +1,14 @@
 """Columns of numbers in a CSV file as other programs write it.
 
-Delimiters are commas, semicolons, tabs or bars. Numbers may have decimal commas. Times may be those of ISO
-8601, as 2026-05-04T12:00:00.25. A first line of titles may have units, "depth [m]". Empty lines and lines
-that begin with # are left out.
+Delimiters are commas, semicolons, tabs or bars. Numbers may have decimal commas if no comma separates cells.
+Times may be those of ISO 8601, as 2026-05-04T12:00:00.25. A first line of titles may have units, "depth [m]".
+All rows have as many cells. Empty lines and lines that begin with # are left out.
 """
 
 import csv
 import math
 import re
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -18,24 +19,28 @@ import numpy as np
 from fmus.errors import nearest
 from orchestration.errors import ScenarioError
 
-PREFIXES = {"": 1.0, "m": 1e-3, "c": 1e-2, "k": 1e3}
+PREFIXES = {"": 1.0, "m": 1e-3, "c": 1e-2, "k": 1e3, "u": 1e-6}
 """Prefix of a unit in the title of a column -> its factor."""
 _DELIMITERS = "\t;|"
 _ABSENT = ("", "-", "na", "n/a", "nan", "null", "none")
 _TITLE = re.compile(r"(.+?)\s+[\[(]([^\[\]()]*)[\])]", re.DOTALL)  # with its unit
+_FIRST_NUMBER = re.compile(r"[+-]?[.,]?\d")  # begins a file without titles
+_CLOCK_TIME = re.compile(r"\d+:\d+(:\d+([.,]\d*)?)?")
+_DATED = "; seconds or a date before it: 2026-05-04T13:50:40"
 
 
 @dataclass(frozen=True)
 class DataFile:
     """The rows of a file: the line number and the cells of each; and its titles, if the first line has any.
 
-    units: "" where a title has none
+    units: "" where a title has none; delimiter: between cells
     """
 
     path: Path
     titles: tuple[str, ...]
     units: tuple[str, ...]
     rows: tuple[tuple[int, list[str]], ...]
+    delimiter: str
 
     def index(self, title: str) -> int:
         """Returns the index of a column; ScenarioError offers the nearest title."""
@@ -55,29 +60,43 @@ class DataFile:
             raise ScenarioError(f"{self.path}:1: {self.titles[index]} is in {unit}: expected {expectation}")
         return factors.get(unit, 1.0)
 
-    def numbers(self, *indices: int, gaps: bool = False) -> np.ndarray:
+    def numbers(self, *indices: int, gaps: bool = False, names: Mapping[str, float] = {}) -> np.ndarray:
         """Returns columns, shape (rows, columns); a time of ISO 8601 as seconds after that of the first row.
 
         gaps: whether a cell may be empty, or say that there is no number, which gives NaN
-        Raises ScenarioError for a cell that is no number, with its line.
+        names: text that stands for a number -> the number
+        Raises ScenarioError for a cell that is no number, or among dates no date, with its line.
         """
-        first: dict[int, datetime] = {}
+        return np.array([self._column(index, gaps, names) for index in indices]).T
 
-        def number(row: list[str], index: int) -> float:
-            value = _number(row[index] if index < len(row) else "", gaps)
-            if isinstance(value, datetime):
-                return (value - first.setdefault(index, value)).total_seconds()
-            return value
+    def _column(self, index: int, gaps: bool, names: Mapping[str, float]) -> list[float]:
+        column: list[float] = []
+        start: datetime | None = None
+        for line, row in self.rows:
+            text = row[index].strip() if index < len(row) else ""
+            value = names.get(text, names.get(text.lower(), _number(text, gaps, self.delimiter)))
+            if isinstance(value, datetime) and (start or not np.isfinite(column).any()):
+                start = start or value
+                value = (value - start).total_seconds()
+            elif isinstance(value, datetime) or value is None or (start and not math.isnan(value)):
+                expected = ("a date" if start else "a number") + (
+                    f" or one of {', '.join(names)}" if names else ""
+                )
+                remedy = _DATED if _CLOCK_TIME.fullmatch(text) else ""
+                where = f"{self.path}:{line}"
+                raise ScenarioError(
+                    f"{where}: expected {expected} in column {index + 1}, got {text!r}{remedy}"
+                )
+            column.append(value)
+        return column
 
-        result = np.empty((len(self.rows), len(indices)))
-        for values, (line, row) in zip(result, self.rows, strict=True):
-            try:
-                values[:] = [number(row, index) for index in indices]
-            except ValueError:
-                columns = " and ".join(str(index + 1) for index in indices)
-                expected = f"expected numbers in column{'s' * (len(indices) > 1)} {columns}"
-                raise ScenarioError(f"{self.path}:{line}: {expected}, got {','.join(row)!r}") from None
-        return result
+    def check_ascending(self, times: np.ndarray) -> None:
+        """Raises ScenarioError for a row with an earlier time [s] than the row before, with its line."""
+        for i in np.flatnonzero(np.diff(times) < 0.0)[:1].tolist():
+            raise ScenarioError(
+                f"{self.path}:{self.rows[i + 1][0]}: earlier time {times[i + 1]:.9g} s after "
+                f"{times[i]:.9g} s: expected ascending times"
+            )
 
 
 def read_data_file(path: Path) -> DataFile:
@@ -97,28 +116,35 @@ def read_data_file(path: Path) -> DataFile:
     except (OSError, csv.Error, ValueError) as error:
         reason = getattr(error, "strerror", None) or error  # without the number of an error of the system
         raise ScenarioError(f"{path}: expected a CSV file, got {reason}") from error
-    with suppress(ValueError):
-        _number(rows[0][1][0] if rows else "0")
-        return DataFile(path, (), (), rows)
+    for line, row in rows:
+        if len(row) != len(rows[0][1]):
+            raise ScenarioError(
+                f"{path}:{line}: {len(row)} cells: expected {len(rows[0][1])}, as in the first row"
+            )
+    if not rows or _FIRST_NUMBER.match(rows[0][1][0].strip()):
+        return DataFile(path, (), (), rows, delimiter)
     matches = [(_TITLE.fullmatch(title.strip()), title.strip()) for title in rows[0][1]]
     titles = tuple(match[1] if match else title for match, title in matches)
     units = tuple(match[2] if match else "" for match, _ in matches)
-    return DataFile(path, titles, units, rows[1:])
+    if twice := next((title for title in titles if title and titles.count(title) > 1), ""):
+        raise ScenarioError(f"{path}:{rows[0][0]}: two columns {twice!r}: expected titles that differ")
+    return DataFile(path, titles, units, rows[1:], delimiter)
 
 
 def _holds_data(line: str) -> bool:
     return bool(line.strip()) and not line.startswith("#")
 
 
-def _number(text: str, gaps: bool = False) -> float | datetime:
-    """Returns a number or a time, in UTC if it names no zone; ValueError for neither."""
-    text = text.strip()
+def _number(text: str, gaps: bool, delimiter: str) -> float | datetime | None:
+    """Returns a number or a time, in UTC if it names no zone; None for neither."""
     if text.lower() in _ABSENT:
-        return math.nan if gaps else float("")  # which is no number
+        return math.nan if gaps else None
+    if delimiter != "," and text.count(",") == 1 and "." not in text:
+        text = text.replace(",", ".")
     with suppress(ValueError):
-        return float(text)
-    if text.count(",") == 1 and "." not in text:
-        with suppress(ValueError):
-            return float(text.replace(",", "."))
-    time = datetime.fromisoformat(text)
-    return time if time.tzinfo else time.replace(tzinfo=UTC)
+        if "_" not in text:  # with which Python groups digits
+            return float(text)
+    with suppress(ValueError):
+        time = datetime.fromisoformat(text)
+        return time if time.tzinfo else time.replace(tzinfo=UTC)
+    return None

@@ -1,22 +1,26 @@
 """Tables of a scenario file that declare a signal or a fault -> the signal or the fault.
 
-A signal of kind `table` may name a CSV file. It is read where the scenario is, so that this becomes one file.
+A signal of kind `table` may name a CSV file. Its values stand in the resolved scenario, which is one file.
 """
 
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import TypeAdapter
 
+from fmus.errors import FmuLoadError
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.scenarios.data_file import read_data_file
 from orchestration.scenarios.file_format import FAULT, SIGNAL
-from orchestration.scenarios.file_tables import At, Table, checked
-from orchestration.scenarios.toml_file import KeyPath
+from orchestration.scenarios.file_tables import Table, checked
 from orchestration.system import faults
 from orchestration.system.faults import Fault
 from orchestration.system.signal_derivatives import KINDS
 from orchestration.system.signals import Signal
+from orchestration.system.system import Port
+from orchestration.system.values import is_discrete, items
 
 _SIGNAL_TABLE = TypeAdapter(Annotated[Table, SIGNAL])
 _FAULT_TABLE = TypeAdapter(Annotated[Table, FAULT])
@@ -48,31 +52,49 @@ def fault(declaration: object, where: str) -> Fault:
         raise ScenarioError(f"{where}: {error}") from error
 
 
-def with_file_values(signals: dict[str, Any], folder: Path, at: At, keys: KeyPath) -> dict[str, Any]:
-    """Returns the signals with the times and values of each `file` in its place.
+def with_file_paths(signals: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Returns the signals with the paths of files that are relative to a folder."""
+    return {
+        name: {**table, "file": str(folder / table["file"])}
+        if isinstance(table, dict) and table.get("file")
+        else table
+        for name, table in signals.items()
+    }
 
-    folder: that the files are relative to
-    at, keys: where the table of signals stands; begins the ScenarioError about a file
+
+def as_input_takes(
+    name: str, declared: Mapping[str, Any], port: Callable[[str], Port | None]
+) -> Mapping[str, Any]:
+    """Returns the declaration of a signal; of a table with numbers alone, held if the input is discrete.
+
+    port: returns the input of a name
+    Raises ScenarioError for a file that is no table of the input's values.
     """
-    result = dict(signals)
-    for name, declared in signals.items():
-        if isinstance(declared, dict) and declared.get("file"):
-            where = f'{at((*keys, name, "file"))}: signals."{name}"'
-            others = {key: value for key, value in declared.items() if key not in ("file", "column")}
-            if others.keys() & {"times", "values"}:
-                raise ScenarioError(f"{where}: file, and times or values: expected one of them")
-            times, values = _columns(folder / declared["file"], declared.get("column", ""), where)
-            result[name] = {**others, "times": times, "values": values}
-    return result
-
-
-def _columns(path: Path, name: str, where: str) -> tuple[list[float], list[float]]:
-    """Times and the values of a column, by default the second, of a CSV file."""
+    if declared["kind"] != "table":
+        return declared
+    names: Mapping[Any, float] = {}
+    table = {key: value for key, value in declared.items() if key not in ("file", "column")}
+    with suppress(FmuLoadError):  # without its FMU, the input is checked when it runs
+        if own := port(name):
+            names = {"false": 0, "true": 1} if own.variable.type == "Boolean" else items(own)
+            table |= {"hold": True} if is_discrete(own) else {}
+    if not declared.get("file"):
+        given = (str(x).lower() if isinstance(x, bool) else x for x in declared.get("values", ()))
+        return {**table, "values": [names.get(x, x) for x in given]}
     try:
-        file = read_data_file(path)
-        if name and not file.titles:
-            raise ScenarioError(f"{path}:1: column = {name!r}: expected a first line of titles")
-        times, values = file.numbers(0, file.index(name) if name else 1).T.tolist()
+        if table.keys() & {"times", "values"}:
+            raise ScenarioError("file, and times or values: expected one of them")
+        return table | _columns(Path(declared["file"]), declared.get("column", ""), names)
     except ScenarioError as error:
-        raise ScenarioError(f"{where}: {error}") from error
-    return times, values
+        raise ScenarioError(f'signals."{name}": {error}') from error
+
+
+def _columns(path: Path, name: str, names: Mapping[str, float]) -> dict[str, list[float]]:
+    """Times and the values of a column, by default the second, of a CSV file."""
+    file = read_data_file(path)
+    if name and not file.titles:
+        raise ScenarioError(f"{path}:1: column = {name!r}: expected a first line of titles")
+    times = file.numbers(0)[:, 0]
+    file.check_ascending(times)
+    values = file.numbers(file.index(name) if name else 1, names=names)[:, 0]
+    return {"times": times.tolist(), "values": values.tolist()}

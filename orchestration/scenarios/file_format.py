@@ -46,10 +46,11 @@ Source = Annotated[
 _OPTIONAL: Any = Field(default=None)  # Experiment has the default
 
 _CSV: Any = {"file": (str, ""), "column": (str, "")}  # whose values stand for times and values
+_TABLE: Any = {"also": _CSV, "types": {"values": list[Value]}}  # of the variable's type
 SIGNAL = OneOf(
     "kind",
     {
-        kind: table_of("kind", kind, made, also=_CSV if kind == "table" else {})
+        kind: table_of("kind", kind, made, **(_TABLE if kind == "table" else {}))
         for kind, made in KINDS.items()
     },
     droppable=True,

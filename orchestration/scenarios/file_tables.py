@@ -185,21 +185,25 @@ def checked(model: TypeAdapter[T], data: object, where: At | str) -> T:
         raise _mistake(error.errors()[0], data, where) from None
 
 
-def check_part(model: TypeAdapter[T], data: object, where: At, absent: Collection[KeyPath]) -> None:
-    """Checks data that need not have the keys at the paths `absent`."""
+def check_part(
+    model: TypeAdapter[T], data: object, where: At, absent: Collection[KeyPath], top: Collection[str]
+) -> None:
+    """Checks data that need not have the keys at the paths `absent`; top: keys that belong to no table."""
     try:
         model.validate_python(data)
     except ValidationError as error:
         for details in error.errors():
             if details["type"] != "missing" or details["loc"] not in absent:
-                raise _mistake(details, data, where) from None
+                raise _mistake(details, data, where, top) from None
 
 
-def _mistake(error: ErrorDetails, data: object, where: At | str) -> ScenarioError:
+def _mistake(error: ErrorDetails, data: object, where: At | str, top: Collection[str] = ()) -> ScenarioError:
     keys = _keys(error, data)
     if error["type"] == _UNKNOWN_KEY:
         keys = (*keys, error.get("ctx", {})["name"])
-    return ScenarioError(f"{where if isinstance(where, str) else where(keys)}: {_line(error, data)}")
+    misplaced = [key for key in keys[1:][-1:] if key in top]
+    hint = "".join(f"; {key} of the file stands above the first [table]" for key in misplaced)
+    return ScenarioError(f"{where if isinstance(where, str) else where(keys)}: {_line(error, data)}{hint}")
 
 
 def _line(error: ErrorDetails, data: object) -> str:

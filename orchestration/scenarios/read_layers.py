@@ -10,7 +10,7 @@ from pydantic import TypeAdapter
 from fmus.errors import ExportError, nearest
 from fmus.registry import block_names
 from orchestration.errors import ScenarioError
-from orchestration.scenarios.declarations import with_file_values
+from orchestration.scenarios.declarations import with_file_paths
 from orchestration.scenarios.file_format import ParameterFile, ScenarioFile
 from orchestration.scenarios.file_tables import At, check_part, checked
 from orchestration.scenarios.layers import Data, Layer, merge
@@ -18,6 +18,8 @@ from orchestration.scenarios.toml_file import KeyPath, TomlFile, read_toml
 
 SHIPPED = Path(str(resources.files("orchestration.scenarios")))
 FILE, _PARAMETERS = TypeAdapter(ScenarioFile), TypeAdapter(ParameterFile)
+# those that a header [key] cannot begin
+_ABOVE_TABLES = [key for key, x in ScenarioFile.model_fields.items() if isinstance(x.default, str | list)]
 _OF_A_BASE = (("components",), ("experiment",), ("experiment", "stop_time"), ("experiment", "step_size"))
 
 
@@ -50,7 +52,7 @@ def file_layers(path: Path, above: tuple[Path, ...] = ()) -> list[Layer]:
         raise ScenarioError(f"{path}: is its own base")
     file = read_toml(path)
     data = file.data
-    check_part(FILE, data, file.at, absent=_OF_A_BASE)
+    check_part(FILE, data, file.at, absent=_OF_A_BASE, top=_ABOVE_TABLES)
     conditional = [(entries, ("when_replaced", i)) for i, entries in enumerate(data.get("when_replaced", []))]
     for entries, keys in [(data, ()), *conditional]:
         for name, fmu in entries.get("components", {}).items():
@@ -58,9 +60,7 @@ def file_layers(path: Path, above: tuple[Path, ...] = ()) -> list[Layer]:
                 fmu, path.parent, file.at, (*keys, "components", name)
             )
         if "signals" in entries:
-            entries["signals"] = with_file_values(
-                entries["signals"], path.parent, file.at, (*keys, "signals")
-            )
+            entries["signals"] = with_file_paths(entries["signals"], path.parent)
     base = data.pop("base", "")
     below: list[Layer] = []
     if base:

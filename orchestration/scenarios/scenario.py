@@ -5,6 +5,7 @@ A file is laid over its base, and `overrides` over both (`layers`).
 
 import math
 import re
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -17,11 +18,11 @@ from fmus.fmi.description import describe, start_value
 from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import FmiValue
 from fmus.registry import Flavour
-from orchestration.errors import ScenarioError, SystemDefinitionError
+from orchestration.errors import ScenarioError, ScenarioWarning, SystemDefinitionError
 from orchestration.results import metrics
 from orchestration.scenarios.adapters import adapted, with_chosen_entries
 from orchestration.scenarios.changes import command_entries, other_fmu, values_of_settings
-from orchestration.scenarios.declarations import fault, signal
+from orchestration.scenarios.declarations import as_input_takes, fault, signal
 from orchestration.scenarios.file_format import ScenarioFile
 from orchestration.scenarios.file_tables import checked
 from orchestration.scenarios.fmu_files import fmu_file
@@ -48,7 +49,7 @@ from orchestration.scenarios.vehicle import PLANT, VehicleValues, description_fi
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.prepared_run import PreparedRun, prepare
 from orchestration.system.signal_derivatives import with_derivatives
-from orchestration.system.system import System
+from orchestration.system.system import Port, System
 
 __all__ = ["SHIPPED", "Scenario", "find", "load", "load_scenario", "located", "parameter_values", "shipped"]
 
@@ -75,8 +76,10 @@ class Scenario:
 
     @cached_property
     def prepared(self) -> PreparedRun:
-        """The run, checked and prepared; raises what `prepare` raises."""
-        return prepare(self.system, self.experiment)
+        """The run, checked and prepared; raises what `prepare` and `check_recorded` raise."""
+        prepared = prepare(self.system, self.experiment)
+        metrics.check_recorded(self.metrics, prepared.recorded)
+        return prepared
 
 
 def load(
@@ -109,11 +112,15 @@ def load(
         build(file)
         return {variable.name: variable for variable in describe(file).modelVariables}
 
-    def is_boolean(name: str) -> bool:
+    def port(name: str) -> Port | None:
         component, _, variable = name.partition(".")
         fmu = components_of(layers).get(component)
         declared = variables(fmu).get(variable) if fmu else None
-        return declared is not None and declared.type == "Boolean"
+        return declared and Port(component, declared)
+
+    def is_boolean(name: str) -> bool:
+        own = port(name)
+        return own is not None and own.variable.type == "Boolean"
 
     standing_in = alternatives(layers)
     mapping = {k: v for x in layers for k, v in x.data.get("mapping", {}).get(PLANT, {}).items()}
@@ -133,7 +140,9 @@ def load(
     _check_parameters([*parameter_files, *(f for x in layers for f in x.files[1:])], data, variables)
     file = checked(FILE, data, lambda keys: str(path))
     try:
+        data["signals"] = {name: as_input_takes(name, x, port) for name, x in data["signals"].items()}
         experiment = _experiment(file, data)
+        _check_overlap(data["signals"], experiment.start_time, experiment.stop_time)
         metrics.check_run(data["metrics"], experiment.start_time, experiment.stop_time, experiment.record)
     except (ScenarioError, SystemDefinitionError) as error:
         raise ScenarioError(located(str(error), files)) from error
@@ -152,6 +161,16 @@ def load(
         from_actuators={n: v for n, v in from_actuators.items() if data["parameters"].get(n) == v},
         arguments=(path.stem if shipped().get(path.stem) == path else str(path),),
     )
+
+
+def _check_overlap(signals: Mapping[str, Any], start: float, stop: float) -> None:
+    """Warns (ScenarioWarning) of tables whose times are all before the run, or all after it."""
+    spans = {name: signal["times"] for name, signal in signals.items() if len(signal.get("times", ())) > 1}
+    apart = [name for name, times in spans.items() if times[-1] < start or times[0] > stop]
+    if apart:
+        listing = ", ".join(f"{name} {spans[name][0]:g}..{spans[name][-1]:g} s" for name in apart)
+        message = f"tables that do not overlap the run, {start:g}..{stop:g} s, keep one value: {listing}"
+        warnings.warn(message, ScenarioWarning, stacklevel=3)
 
 
 def _check_parameters(files: Sequence[TomlFile], data: Data, describe: Describe) -> None:
@@ -240,7 +259,8 @@ def located(message: str, files: Sequence[TomlFile]) -> str:
     names = re.findall(r"[A-Za-z_]\w*\.[\w.\[\]]*[\w\]]", message)
     tables: list[KeyPath] = [("metrics", name) for name in re.findall(r"metric (\w+):", message)]
     tables += [("step_sizes", name) for name in re.findall(r"step size of (\w+)", message)]
-    tables += [("signals", name) for name in re.findall(r'signals\."(.+?)"', message)]
+    for name in re.findall(r'signals\."(.+?)"', message):
+        tables += [("signals", name, "file"), ("signals", name)]
     tables += [("faults", int(index)) for index in re.findall(r"faults\[(\d+)\]", message)]
     for file in files:
         keys = [key for key in tables if key in file.lines]

@@ -103,7 +103,8 @@ def plan(scenario: Scenario) -> Plan:
 
     A metric that can be computed of no recording is refused here, not in each sample.
     """
-    where = f"{scenario.name}: sweep"
+    own = next((file.at(("sweep",)) for file in scenario.files if "sweep" in file.data), scenario.name)
+    where = f"{own}: sweep"
     table = sweep_table(scenario.sweep, where)
     for name in _COLUMNS:
         if name in scenario.metrics:
@@ -134,6 +135,6 @@ def _draws(table: SweepTable, entries: tuple[Varied, ...], where: str) -> int:
         if not is_given:
             raise ScenarioError(f"{where}: samples is missing")
         return table.samples
-    if is_given:
-        raise ScenarioError(f"{where}: samples: expected none, nothing is drawn")
+    if table.samples > 1:
+        raise ScenarioError(f"{where}: samples = {table.samples}: expected 1 or none, nothing is drawn")
     return 1

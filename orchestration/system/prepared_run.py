@@ -23,9 +23,16 @@ from orchestration.system.experiment_checks import (
 )
 from orchestration.system.faults import Fault, Pattern, compose
 from orchestration.system.open_inputs import OpenInputs
-from orchestration.system.signals import Constant, Cosine, Ramps, Signal, values_at
+from orchestration.system.signals import Constant, Cosine, Ramps, Signal, Table, values_at
 from orchestration.system.system import CheckedSystem, Port, System, check
-from orchestration.system.values import fmi_value, items, possible_values, value_of_open_input, value_range
+from orchestration.system.values import (
+    fmi_value,
+    is_discrete,
+    items,
+    possible_values,
+    value_of_open_input,
+    value_range,
+)
 
 Setting = tuple[Port, FmiValue]
 
@@ -77,6 +84,8 @@ class PreparedRun:
         Raises SystemDefinitionError for one that fails, or whose input cannot have its value.
         """
         values = np.empty(len(self.points))
+        if isinstance(signal, Table) and is_discrete(self.system.ports[name]):
+            signal = replace(signal, hold=True)
         try:
             values[:] = values_at(signal, self.points)
         except Exception as error:  # whatever a user's own function raises

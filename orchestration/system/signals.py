@@ -142,7 +142,8 @@ class Constant(ArraySignal):
 class Table(ArraySignal):
     """A table: `values` at `times` [s], shapes (n,), held before the first and after the last.
 
-    Between two times a straight line, or with hold = True the earlier value.
+    Between two times a straight line, or with hold = True the earlier value. Two rows of one time are a jump:
+    from that time on the value is that of the last one.
     """
 
     times: npt.ArrayLike = ()
@@ -150,31 +151,45 @@ class Table(ArraySignal):
     hold: bool = False
 
     def __post_init__(self) -> None:
-        times, values = np.array(self.times, float), np.array(self.values, float)
+        try:
+            times, values = np.array(self.times, float), np.array(self.values, float)
+        except (TypeError, ValueError) as error:
+            raise ScenarioError(f"table: expected numbers: {error}") from error
         if times.ndim != 1 or times.shape != values.shape or not len(times):
             shapes = f"got shapes {times.shape} and {values.shape}"
             raise ScenarioError(f"table: expected times and as many values, {shapes}")
         if not (np.isfinite(times).all() and np.isfinite(values).all()):
             raise ScenarioError("table: expected finite numbers")
-        if (np.diff(times) <= 0.0).any():
+        if (np.diff(times) < 0.0).any():
             raise ScenarioError("table: expected ascending times")
         object.__setattr__(self, "times", times)
         object.__setattr__(self, "values", values)
 
+    @property
+    def jumps(self) -> np.ndarray:
+        """Times [s] at which the value jumps."""
+        known = np.asarray(self.times)
+        return known if self.hold else known[1:][np.diff(known) == 0.0]
+
     def at(self, times: np.ndarray) -> np.ndarray:
         known, values = np.asarray(self.times), np.asarray(self.values)
-        if not self.hold:
-            return np.interp(times, known, values)
-        near = GRID_TOLERANCE * np.diff(known).min(initial=np.inf) if len(known) > 1 else 0.0
-        return values[np.maximum(np.searchsorted(known, times + near, side="right") - 1, 0)]
+        gaps = np.diff(known)
+        # a communication point is rounded, and must not miss the jump that it is meant to be at
+        near = GRID_TOLERANCE * np.min(gaps, where=gaps > 0.0, initial=np.ptp(known))
+        near = max(near, 4.0 * np.spacing(np.abs(known).max()))
+        count = np.searchsorted(known, times + near, side="right")
+        if self.hold:
+            return values[np.maximum(count - 1, 0)]
+        return np.interp(np.maximum(times, np.append(-np.inf, known)[count]), known, values)
 
     def derivative(self, order: int) -> Signal:
         """Returns the derivative of order 1 or 2; a jump has none, and 0 stands for it."""
         times, values = np.asarray(self.times), np.asarray(self.values)
-        if self.hold or order == 2 or len(times) == 1:
+        is_line = np.diff(times) > 0.0
+        if self.hold or order == 2 or not is_line.any():
             return Constant(0.0)
-        slopes = [0.0, *(np.diff(values) / np.diff(times)), 0.0]
-        return Table([times[0] - 1.0, *times], slopes, hold=True)
+        slopes = [0.0, *(np.diff(values)[is_line] / np.diff(times)[is_line]), 0.0]
+        return Table([times[0] - 1.0, *times[:-1][is_line], times[-1]], slopes, hold=True)
 
 
 def _convert_to_floats(signal: Constant | Cosine) -> None:

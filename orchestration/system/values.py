@@ -74,6 +74,11 @@ def items(port: Port) -> dict[str, int]:
     return {str(item.name): int(str(item.value)) for item in (declared.items or [])} if declared else {}
 
 
+def is_discrete(port: Port) -> bool:
+    """Whether a variable changes at events alone, so that no value between two of its values is meant."""
+    return port.variable.type != "Real" or port.variable.variability == "discrete"
+
+
 def possible_values(port: Port, values: np.ndarray) -> tuple[str, np.ndarray]:
     """Returns what is expected of a number for an input, in words, and which values, shape (n,), are that."""
     kind = port.variable.type

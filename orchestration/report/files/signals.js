@@ -72,8 +72,11 @@ function signalsSection() {
   /** Values at other times, straight between communication points; NaN outside. */
   function interpolated(time, values, wanted) {
     return wanted.map((t) => {
-      const i = firstAt(time, t);
-      if (time[i] === t) return values[i];
+      let i = firstAt(time, t);
+      if (time[i] === t) {
+        while (time[i + 1] === t) i += 1; // at a jump, the value after it
+        return values[i];
+      }
       if (i === 0 || i === time.length) return NaN;
       return values[i - 1] + ((values[i] - values[i - 1]) * (t - time[i - 1])) / (time[i] - time[i - 1]);
     });

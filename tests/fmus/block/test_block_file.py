@@ -211,6 +211,15 @@ def test_a_file_has_blocks_of_different_names(names: str, message: str, tmp_path
         pass
 
 
+def test_a_class_of_pythonfmu_is_named_with_the_command_that_makes_its_fmu(tmp_path: Path) -> None:
+    path = tmp_path / "mpc_slave.py"
+    path.write_text("from pythonfmu import Fmi2Slave\n\n\nclass MpcSlave(Fmi2Slave):\n    pass\n")
+    made = f"; pythonfmu build -f {path} makes MpcSlave.fmu of MpcSlave"
+    with pytest.raises(ExportError) as refusal, blocks_in(path):
+        pass
+    assert str(refusal.value).endswith(made)
+
+
 @pytest.mark.parametrize(
     ("file", "message"),
     [

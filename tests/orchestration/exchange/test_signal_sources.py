@@ -14,7 +14,7 @@ from fmus.fmi.description import describe, of_causality
 from orchestration.cli.package_fmus import build_ramp_source
 from orchestration.errors import ScenarioError
 from orchestration.exchange import ssp_read, ssp_write
-from orchestration.exchange.limits import RampSource, ramp_sources, with_sources
+from orchestration.exchange.limits import RampSource, as_ramps, ramp_sources, with_sources
 from orchestration.results.recording import Recording
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
@@ -158,6 +158,18 @@ def test_a_constant_and_a_table_are_handed_on_as_ramps(
     mine = Scenario("mine", "", System({"a": linear()}), experiment, {})
     own, handed_on = simulate(mine.system, mine.experiment), packaged(mine, tmp_path, build_once)
     np.testing.assert_allclose(handed_on["a.y[1]"], own["a.y[1]"], atol=1e-14)  # rounding of values below 1
+
+
+@pytest.mark.parametrize("start", [0.0, -3.0, 0.7])
+def test_the_ramps_of_a_jump_have_the_values_of_the_table_at_every_communication_point(start: float) -> None:
+    """Of a jump at a point, two between points, and one at the first row."""
+    times = start + np.array([0.25, 0.25, 0.5, 0.5, 0.8, 0.8, 0.85, 0.85, 1.5])
+    table = Table(times, [7.0, 1.0, 2.0, -3.0, 4.0, 9.0, 9.5, -1.0, 0.0])
+    experiment = Experiment(start + 2.0, 0.125, start)
+    points = experiment.time_grid()
+    assert as_ramps("a.u", table, experiment).at(points) == pytest.approx(table.at(points), abs=1e-12)
+    before = points[3:5]  # a ramp of one communication step
+    assert as_ramps("a.u", table, experiment)(float(before.mean())) == pytest.approx(-0.75, abs=0.01)
 
 
 def test_another_signal_is_refused(linear: Build) -> None:

@@ -92,6 +92,31 @@ def test_a_long_gap_in_the_commands_is_told(read: Read) -> None:
     ]
 
 
+def test_many_gaps_are_one_line_with_their_count(read: Read) -> None:
+    rows = "".join(f"{t},{t}.5,1,1\n" for t in (0, 1, 2, 5, 7, 20, 30))
+    assert [*held_over(read(f"time,depth,voltage[1],voltage[2]\n{rows}"))] == [
+        "dive: no commands from 7 s to 20 s, the longest of 4 gaps: they are held; if they changed, "
+        "make it two files"
+    ]
+
+
+def test_rows_far_apart_may_have_another_unit_and_its_title_cures_it(read: Read) -> None:
+    text = "TimeUS,depth,voltage[1],voltage[2]\n91000000,1,1,1\n91100000,2,1,1\n91200000,2.5,1,1\n"
+    (message,) = held_over(read(text, {"time": "TimeUS"}))
+    assert message.endswith("if the times are not in s, their title needs the unit, as in time [us]")
+    cured = read(text.replace("TimeUS", "TimeUS [us]"), {"time": "TimeUS"})
+    assert cured.times == pytest.approx([0.0, 0.1, 0.2])
+    assert [*held_over(cured)] == []
+
+
+def test_two_rows_of_one_time_are_a_jump_of_the_commands(read: Read) -> None:
+    """The depth is the same or missing in one of them; the reading counts once."""
+    rows = "0,1.0,2,3\n0.5,1.1,2,3\n0.5,1.1,-4,3\n0.5,,-5,3\n1,1.4,-5,3\n"
+    dive = read(f"time,depth,voltage[1],voltage[2]\n{rows}")
+    assert (dive.times.tolist(), dive.depths.tolist()) == ([0.0, 0.5, 1.0], [1.0, 1.1, 1.4])
+    assert dive.commands["voltage[1]"].at(np.array([0.4, 0.5, 0.6])).tolist() == [2.0, -5.0, -5.0]
+
+
 def test_a_command_that_is_set_needs_no_column(read: Read, vehicle: Vehicle) -> None:
     given = replace(vehicle, settings={"plant.voltage[2]": 0.0})
     text = "time,depth,voltage[1]\n0,1,0\n1,1.2,1\n"
@@ -117,10 +142,18 @@ def test_the_variable_that_stands_for_another_names_its_column_too(read: Read, v
         ("", "", {"measured_depth": "measured_dept"}, "dive.csv:1: no column 'measured_dept'; nearest is"),
         ("", "", {"voltag": "time"}, r"--map data.voltag=time: .*voltage\["),
         ("[m]", "[ft]", {}, "measured_depth is in ft: expected m or mm or cm or km"),
-        ("10.1,", "10.0,", {}, "dive.csv:3: repeated time 10 s after 10 s: expected ascending times"),
+        (
+            "10.1,",
+            "10.0,",
+            {},
+            "dive.csv:3: repeated time 10 s with another depth, 1.6 m after 1.5 m: expected one",
+        ),
         ("10.25,", "9,", {}, "dive.csv:4: earlier time 9 s after 10.1 s: expected ascending"),
-        ("1.6,", "deep,", {}, "dive.csv:3: expected numbers in columns 2 and 3 and 4, got"),
-        ("10.1,", ",", {}, "dive.csv:3: expected numbers in column 1, got"),
+        ("1.6,", "deep,", {}, "dive.csv:3: expected a number in column 2, got 'deep'"),
+        ("10.1,", ",", {}, "dive.csv:3: expected a number in column 1, got ''"),
+        ("1.6,", "1.6,1.7,", {}, "dive.csv:3: 5 cells: expected 4"),
+        (",voltage[1],", ",voltage[2],", {}, r"dive.csv:1: two columns 'voltage\[2\]'"),
+        ("10.1,", "13:50:40,", {}, "dive.csv:3: .*got '13:50:40'; seconds or a date"),
     ],
 )
 def test_a_mistake_is_named_with_its_line(
@@ -137,6 +170,10 @@ def test_a_mistake_is_named_with_its_line(
         ("time,depth,voltage[1],voltage[2]\n0,1,,\n1,,2,2\n2,1,,\n", "no overlap: expected readings"),
         ("time,depth,voltage[1],voltage[2]\n0,1,,\n1,1,,\n", "no overlap"),
         ("time,depth,voltage[1],voltage[2]\n0,1,1,1\n1,1,2,2\n", "does not move: all 2 readings are 1 m"),
+        (
+            "time,z,voltage[1],voltage[2]\n0,0.1,1,1\n1,-1,2,2\n2,-3,2,2\n".replace("z", "depth"),
+            "the depth is -1.3 m in the mean: .*if depth is negative under water, change the sign",
+        ),
     ],
 )
 def test_data_that_say_nothing_of_the_vehicle_are_refused(read: Read, text: str, message: str) -> None:

@@ -28,6 +28,7 @@ KINDS: list[Signal] = [
     Ramps([(0.0, 0.2), (0.5, 0.4)]),
     Cosine(0.3, 2.0),
     Table([0.0, 0.3], [0.1, 0.5], hold=True),
+    Table([0.0, 0.3, 0.3, 0.9], [0.1, 0.3, -0.2, 0.0]),
     math.sqrt,
     Constant(-0.0),
 ]

@@ -100,7 +100,10 @@ def test_a_missing_file_offers_the_nearest(tmp_path: Path) -> None:
         ("x.csv", b"", "expected a first line of titles, got numbers or nothing"),
         ("x.csv", b"0.0,1.0\n", "expected a first line of titles, got numbers or nothing"),
         ("x.csv", b"a,b\n", "expected at least one communication point"),
-        ("x.csv", b"a,b\nx,1\n", "expected numbers in column 1, got 'x,1'"),
+        ("x.csv", b"a,b\nx,1\n", ":2: expected a number in column 1, got 'x'"),
+        ("x.csv", b"a,b\n0,1\n1,2,3\n", ":3: 3 cells: expected 2"),
+        ("x.csv", b"a,b,b\n0,1,2\n", ":1: two columns 'b'"),
+        ("x.csv", b"a,b\n2,1\n2,2\n1,3\n", ":4: earlier time 1 s after 2 s"),
         ("x.csv", b"a [min],b\n0,1\n", "a is in min: expected s or ms or cs or ks"),
         ("x.csv", b"time [s],a.x\n", "expected at least one communication point"),
         ("x.csv", b"time [s],a.x\n0.0,1.0\n0.0,1.0\n", "expected times that increase"),
@@ -137,6 +140,14 @@ def test_a_log_of_another_program_has_the_units_of_the_runs_beside_it(tmp_path: 
     assert isinstance(alone, RunResult)
     assert alone.recording.units == ("cm", "mA")
     assert names(tmp_path) == ["run"]  # in a folder, what l1-depth writes
+
+
+def test_a_log_may_jump(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("t,u\n0,1\n0.5,1\n0.5,-2\n1,3\n")
+    (log,) = found_results([tmp_path / "log.csv"])
+    assert isinstance(log, RunResult)
+    assert log.recording.time.tolist() == [0.0, 0.5, 0.5, 1.0]
+    assert log.recording["u"].tolist() == [1.0, 1.0, -2.0, 3.0]
 
 
 @pytest.mark.parametrize("key", ["scenario", "run", "metrics"])

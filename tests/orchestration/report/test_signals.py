@@ -230,6 +230,14 @@ def test_the_difference_across_time_grids_is_interpolated_and_ends_where_one_end
     assert page.line("plant.depth, run") == {"x": time_of_run.tolist(), "y": [0.0, 1.0, 4.0, 6.0, None]}
 
 
+def test_at_a_jump_the_difference_is_to_the_value_after_it(opened: Open, tmp_path: Path) -> None:
+    (tmp_path / "base.csv").write_text("t,plant.depth [m]\n0,1\n2,1\n2,-5\n2,4\n3,4\n")
+    at = np.array([1.0, 2.0, 3.0])
+    Recording(("plant.depth",), ("m",), at, 10.0 * at[:, None]).write(tmp_path / "run.csv")
+    page = opened(tmp_path / "run.csv", tmp_path / "base.csv").choose("#view", "difference to base")
+    assert page.line("plant.depth, run") == {"x": at.tolist(), "y": [9.0, 16.0, 26.0]}
+
+
 def test_runs_of_different_length_share_the_axis(opened: Open, tmp_path: Path) -> None:
     write_run(tmp_path, "long", recording(points=201))
     write_run(tmp_path, "short")

@@ -2,12 +2,17 @@
 
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 from orchestration.run import simulate
 from orchestration.run.checkpoint import Checkpoints, read_checkpoint
 from orchestration.system.experiment import Experiment
+from orchestration.system.signals import Table
+from orchestration.system.system import System
+from tests.described_fmus import redescribed
 from tests.orchestration.linear_systems import coupled
 from tests.shared_builds import Build
 
@@ -54,6 +59,41 @@ def test_negative_values_are_permitted_the_errors_of_positive_ones(linear: Build
     ]  # fmt: skip
     assert runs[0].provenance["steps_between_points"] == runs[1].provenance["steps_between_points"] > 2
     assert (runs[0].values == -runs[1].values).all()
+
+
+@pytest.mark.parametrize("hold", [False, True])
+@pytest.mark.parametrize("extrapolation", [0, 1])
+def test_a_step_ends_at_a_jump(linear: Build, hold: bool, extrapolation: int) -> None:
+    """x' = u - x, u jumps from 0 to -1 at 0.15 s, between two points, and back at 0.4 s: x is exact."""
+    table = Table([-0.5, 0.15, 0.15, 0.4, 0.4, 1.0], [0.0, 0.0, -1.0, -1.0, 0.0, 0.0], hold=hold)
+    experiment = Experiment(
+        1.0, 0.1, signals={"one.u[1]": table}, tolerance=1e-2, extrapolation=extrapolation
+    )
+    run = simulate(System({"one": linear(initial_state=0.0, **ABLE)}), experiment)
+    exact = (np.exp(-0.25) - 1.0) * np.exp(-0.6)
+    # with extrapolation the slope across the jump is left in one short step
+    assert run["one.y[1]"][-1] == pytest.approx(exact, abs=1e-9 if extrapolation == 0 else 1e-3)
+
+
+def test_a_discrete_real_holds_between_communication_points(linear: Build, tmp_path: Path) -> None:
+    """It jumps between two points and arrives at the second; a continuous one is there at once."""
+    continuous = linear(initial_state=0.0, **ABLE)
+    discrete = redescribed(continuous, tmp_path / "discrete.fmu", discrete_inputs)
+    table = Table([0.0, 0.15, 0.15, 1.0], [0.0, 0.0, -1.0, -1.0])
+    after = {}
+    for fmu in (continuous, discrete):
+        experiment = Experiment(0.2, 0.1, signals={"one.u[1]": table}, tolerance=1e-2)
+        after[fmu] = simulate(System({"one": fmu}), experiment)["one.y[1]"][-1]
+    assert after[discrete] == 0.0
+    assert after[continuous] == pytest.approx(np.exp(-0.05) - 1.0, abs=1e-9)
+
+
+def discrete_inputs(description: str) -> str:
+    root = ElementTree.fromstring(description)
+    for variable in root.iter("ScalarVariable"):
+        if variable.get("causality") == "input":
+            variable.set("variability", "discrete")
+    return ElementTree.tostring(root, encoding="unicode")
 
 
 @pytest.mark.parametrize("through", [0.0, 0.3])

@@ -47,6 +47,13 @@ def test_integers_and_booleans_follow_signals(linear: Build, compiled: bool) -> 
         assert recording[f"p.{name}_out"][1:].tolist() == recording[f"p.{name}_in"][:-1].tolist()
 
 
+def test_a_table_of_an_integer_or_a_boolean_holds(linear: Build, compiled: bool) -> None:
+    signals = {"integer_in": Table([0.0, 0.2], [3, -8]), "boolean_in": Table([0.0, 0.25, 0.25], [0, 0, 1])}
+    recording = run(passing(linear), driven(**signals), compiled)
+    assert recording["p.integer_in"].tolist() == [3, 3, -8, -8, -8, -8]
+    assert recording["p.boolean_in"].tolist() == [0, 0, 0, 1, 1, 1]
+
+
 @pytest.mark.parametrize(
     ("name", "signal", "message"),
     [

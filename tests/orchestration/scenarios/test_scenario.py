@@ -144,6 +144,17 @@ def test_every_shipped_scenario_loads_and_says_what_it_is(name: str) -> None:
     assert loaded.metrics
 
 
+def test_a_metric_of_a_variable_that_is_not_recorded_is_refused_before_the_run(tmp_path: Path) -> None:
+    """The parameter exists; named by record, beside what the metrics need, it is recorded."""
+    metric = '[metrics.a]\nfunction = "rmse"\nsignal = "p.output"\nreference = "p.omega"\n'
+    with pytest.raises(
+        ScenarioError, match=r"metric a: 'p.omega' is not recorded; .*; record = \[...\] names all"
+    ):
+        _ = scenario.load(write(tmp_path, MINIMAL + metric)).prepared
+    recorded = scenario.load(write(tmp_path, 'record = ["p.output", "p.omega"]\n' + MINIMAL + metric))
+    assert recorded.prepared.recorded == ("p.output", "p.omega")
+
+
 def test_scenarios_are_found_by_name_or_path_and_misspelt_ones_offer_the_nearest(tmp_path: Path) -> None:
     assert scenario.find("nominal-l1").name == "nominal-l1.toml"
     path = write(tmp_path, MINIMAL)
@@ -205,12 +216,24 @@ def test_scenarios_are_found_by_name_or_path_and_misspelt_ones_offer_the_nearest
         ),
         (
             'record = ["p.output"]\n' + MINIMAL + '[metrics.a]\nfunction = "mean"\nsignal = "p.outpt"\n',
-            r"metric a: 'p.outpt' is not recorded; nearest is 'p.output'",
+            r"metric a: 'p.outpt' is not recorded; nearest is 'p.output'; record = \[...\] names all",
         ),
         (MINIMAL + '[metrics.a]\nfunction = "mean"\n', r"metrics.a.signal is missing"),
         (
             MINIMAL + '[metrics.a]\nfunction = "mean"\nsignal = "x"\nwind = 3\n',
             r"metrics.a: unknown key 'wind'; nearest is 'window'",
+        ),
+        (
+            MINIMAL.replace("[experiment]", 'connections = [["p.output", "p.control"]]\n[experiment]'),
+            r"components.connections = .*: expected a text; connections of the file stands above",
+        ),
+        (
+            MINIMAL + 'record = ["p.output"]\n',
+            r"inputs.record = .*; record of the file stands above the first \[table\]",
+        ),
+        (
+            MINIMAL + '[metrics.a]\nfunction = "mean"\nsignal = "p.output"\nevents = []\n',
+            r"metrics.a: unknown key 'events'; .*; events of the file stands above the first \[table\]",
         ),
         ('base = "none.toml"\n' + MINIMAL, r"no file .*none.toml"),
         ('base = "mine.toml"\n' + MINIMAL, r"is its own base"),

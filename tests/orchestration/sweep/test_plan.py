@@ -268,8 +268,10 @@ def test_an_entry_of_the_base_can_be_replaced_or_dropped(
     path = tmp_path / "above.toml"
     above = 'base = "mine.toml"\n[sweep]\nsamples = 3\n[sweep.vary]\n"r.u" = { values = [5] }\n'
     path.write_text(above + '"r.misdeed_time" = false\n')
-    with pytest.raises(OrchestrationError, match="samples: expected none, nothing is drawn"):
+    with pytest.raises(OrchestrationError, match=r"above.toml:2: sweep: samples = 3: expected 1 or none"):
         plan(scenario.load(path))
+    path.write_text(above.replace("= 3", "= 1") + '"r.misdeed_time" = false\n')
+    assert plan(scenario.load(path)).count == 1
     path.write_text(above)
     made = plan(scenario.load(path))
     assert (made.count, set(drawn(made)), made.seed) == (3, {5.0}, 7)

@@ -36,6 +36,8 @@ STEP = 1e-4
         Table([1.0, 2.0, 4.0], [0.0, 1.0, -1.0]),
         Table([1.0, 2.0], [0.0, 1.0], hold=True),
         Table([1.0], [2.0]),
+        Table([1.0, 2.0, 2.0, 4.0, 4.0, 4.0], [0.0, 1.0, -5.0, -4.5, 3.0, 6.0]),
+        Table([3.0, 3.0], [2.0, -1.0]),
     ],
 )
 def test_it_is_the_difference_quotient(signal: ArraySignal, order: int) -> None:
@@ -51,6 +53,11 @@ def test_it_is_the_difference_quotient(signal: ArraySignal, order: int) -> None:
 def test_at_a_kink_it_is_that_of_the_time_after_it(signal: ArraySignal) -> None:
     kinks = np.array([1.0, 3.0, 4.0])
     assert values_at(derivative(signal), kinks).tolist() == [1.0, -1.0, 0.0]
+
+
+def test_at_a_jump_it_is_that_of_the_line_after_it() -> None:
+    table = Table([1.0, 2.0, 2.0, 4.0, 4.0], [0.0, 1.0, -5.0, -4.5, 3.0])
+    assert values_at(derivative(table), np.array([0.5, 1.0, 2.0, 4.0])).tolist() == [0.0, 1.0, 0.25, 0.0]
 
 
 def test_it_follows_the_signal_of_another_input() -> None:

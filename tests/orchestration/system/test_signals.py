@@ -14,6 +14,7 @@ from scipy.signal import welch
 
 from orchestration.errors import ScenarioError
 from orchestration.system.signals import Constant, Cosine, Ramps, Table, jonswap, sine, spectrum, sum_of_sines
+from orchestration.system.time_grid import time_grid
 
 POINTS = [[0.0, 0.0], [40.0, 0.8], [140.0, 0.8], [180.0, 0.4]]
 
@@ -58,6 +59,32 @@ def test_held_samples_change_at_their_communication_point_whatever_the_rounding(
     assert held(0.3 - 1e-6) == 0.0
 
 
+@pytest.mark.parametrize("hold", [False, True])
+def test_two_rows_of_one_time_are_a_jump_to_the_last(hold: bool) -> None:
+    """Also three rows, and rows at both ends; before the first row the first one counts."""
+    times = [-1.0, -1.0, 2.0, 2.0, 2.0, 4.0, 4.0]
+    table = Table(times, [5.0, -3.0, 0.0, 9.0, 7.0, 1.0, -2.0], hold=hold)
+    ramp = [-3.0, -3.0, 7.0, 7.0] if hold else [-3.0, -1.5, 7.0, 4.0]
+    asked = np.array([-2.0, -1.0, 0.5, 2.0, 3.0, 4.0, 5.0])
+    assert table.at(asked).tolist() == [5.0, *ramp, -2.0, -2.0]
+    assert table(2.0 - 1e-6) == pytest.approx(-3.0 if hold else 0.0, abs=2e-6)
+    assert Table([3.0, 3.0], [1.0, 2.0], hold=hold).at(np.array([2.9, 3.0])).tolist() == [1.0, 2.0]
+
+
+@pytest.mark.parametrize("hold", [False, True])
+@pytest.mark.parametrize("start", [0.0, -3.0, 0.7, 36000.0, 1e6])
+def test_a_jump_is_at_its_communication_point_whatever_the_rounding(start: float, hold: bool) -> None:
+    points = time_grid(start, start + 1.0, 0.1)
+    for index in range(1, len(points)):
+        for jump in (
+            points[index],
+            np.nextafter(points[index], np.inf),
+            np.nextafter(points[index], -np.inf),
+        ):
+            table = Table([start - 1.0, jump, jump, jump + 0.01, jump + 9.0], [0, 0, 1, 1, 1], hold=hold)
+            assert table.at(points).tolist() == [0.0] * index + [1.0] * (len(points) - index)
+
+
 def test_samples_are_copied() -> None:
     values = np.array([1.0, 2.0])
     samples = Table([0.0, 1.0], values)
@@ -85,7 +112,8 @@ def test_numbers_are_copied() -> None:
         (lambda: Cosine(10**400, 1.0), r"cosine: amplitude = 10+: expected a number"),
         (lambda: Table([0.0, 1.0], [0.0]), r"shapes \(2,\) and \(1,\)"),
         (lambda: Table([], []), r"expected times and as many values"),
-        (lambda: Table([0.0, 0.0], [0.0, 1.0]), r"ascending times"),
+        (lambda: Table([0.0, 1.0, 0.5], [0.0, 1.0, 2.0]), r"ascending times"),
+        (lambda: Table([0.0, 1.0], [0.0, "on"]), r"table: expected numbers: .*'on'"),  # type: ignore[list-item]
         (lambda: Table([0.0, math.nan], [0.0, 1.0]), r"finite numbers"),
     ],
 )
