@@ -68,6 +68,10 @@ class Misdeed(IntEnum):
     LEAVE_SESSION = 29
     LIMIT_FILES = 30
     RANDOM_OUTPUT = 31
+    CRASH_IN_TERMINATE = 32
+    CRASH_IN_FREE = 33
+    HANG_IN_FREE = 34
+    CRASH_IN_FREE_OF_STATE = 35
 
 
 @dataclass(frozen=True)

@@ -3,11 +3,13 @@
 import errno
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from fmus.files import lasting_folder, write_json_atomically
+from fmus.fmi import parent_process
 from fmus.registry import Flavour
 from orchestration.errors import OrchestrationError, SimulationError
 from orchestration.many.job import Failure
@@ -48,6 +50,7 @@ def run(
     folder: Path,
     progress: Callable[[int, int], None] | None = None,
     file_format: RecordingFormat = RecordingFormat.CSV,
+    fmus: ExitStack | None = None,
     **options: Any,
 ) -> Result:
     """Runs one scenario; writes NAME.csv or .parquet and NAME.json (settings, FMUs, metrics) to `folder`.
@@ -55,18 +58,23 @@ def run(
     progress, options: of `simulate`. A run that ends early leaves its recording as NAME.partial.csv or
     .parquet, which the next run that succeeds removes. The room for the recording is reserved before the
     run; where it cannot be written all the same, it is in a temporary folder, which the error names.
+    fmus: frees the FMUs when it is closed; by default they are freed once the files are written. So an FMU
+    that crashes then loses nothing.
     """
     file = folder / f"{loaded.name}.{file_format}"
-    try:
-        with reserved(file, loaded.prepared.shape):
-            recording = simulate_prepared(loaded.system, loaded.prepared, progress, **options)
-    except SimulationError as error:
-        if len(error.recording.time):
-            _write_partial(error.recording, file)
-        raise
-    result = write_result(loaded, recording, folder, file_format)
-    for ending in RecordingFormat:
-        file.with_suffix(f".partial.{ending}").unlink(missing_ok=True)
+    with ExitStack() as own:
+        options["fmus"] = fmus or own
+        try:
+            with reserved(file, loaded.prepared.shape):
+                recording = simulate_prepared(loaded.system, loaded.prepared, progress, **options)
+        except SimulationError as error:
+            if len(error.recording.time):
+                _write_partial(error.recording, file)
+            raise
+        result = write_result(loaded, recording, folder, file_format)
+        for ending in RecordingFormat:
+            file.with_suffix(f".partial.{ending}").unlink(missing_ok=True)
+        parent_process.results_are_written()
     return result
 
 

@@ -2,25 +2,29 @@
 
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from orchestration.errors import OrchestrationError, ScenarioError
+from fmus.fmi.instance import FmuInstance
+from orchestration.errors import OrchestrationError, ScenarioError, SimulationError
 from orchestration.report import found_results
 from orchestration.results.formats import RecordingFormat
 from orchestration.results.recording import Recording
 from orchestration.scenarios import run_files, scenario
 from orchestration.scenarios.scenario import Scenario
+from tests.foreign_fmus import Misdeed
 from tests.orchestration.report.made_up import recording
 
 HELD = {"function": "mean", "signal": "plant.depth"}
 
 
 @pytest.fixture
-def loaded(tmp_path: Path, stair: type) -> Scenario:
+def loaded(tmp_path: Path, stair: Callable[..., Path]) -> Scenario:
     """A scenario whose metrics are those of the made-up recording."""
     file = tmp_path / "dive.toml"
     file.write_text(
@@ -65,3 +69,33 @@ def test_a_run_that_ends_between_its_files_is_not_shown(
         run_files.write_result(loaded, recording(phase=0.5), tmp_path)
     with pytest.raises(OrchestrationError, match=r"of dive\.csv, which is of another run"):
         found_results([tmp_path / "dive.csv"])
+
+
+def test_the_files_are_written_before_an_fmu_is_freed(
+    tmp_path: Path, rogue: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also before a state that was saved in it is freed; of a run that fails, its partial recording."""
+    calls: list[tuple[str, list[str]]] = []
+
+    def status(instance: FmuInstance, function: str, *arguments: Any) -> int:
+        if "Terminate" in function or "Free" in function:
+            calls.append((function, sorted(path.name for path in tmp_path.glob("dive.*[ns]*[nv]"))))
+        return original(instance, function, *arguments)
+
+    original = FmuInstance.status
+    monkeypatch.setattr(FmuInstance, "status", status)
+    text = (
+        f'components = {{ r = "{rogue(saves_state=True)}" }}\ninputs = {{ "r.u" = 1.0 }}\n'
+        "experiment = { stop_time = 2.0, step_size = 1.0 }\n"
+    )
+    (tmp_path / "dive.toml").write_text(text)
+    run_files.run(scenario.load(tmp_path / "dive.toml"), tmp_path)
+    names = ["fmi2FreeFMUstate", "fmi2Terminate", "fmi2FreeInstance"]
+    assert calls == [(name, ["dive.csv", "dive.json"]) for name in names]
+    calls.clear()
+    failing = f'parameters = {{ "r.misdeed" = {int(Misdeed.ERROR)}, "r.misdeed_time" = 1.0 }}\n'
+    (tmp_path / "dive.toml").write_text(text + failing)
+    with pytest.raises(SimulationError, match="the rudder is stuck"):
+        run_files.run(scenario.load(tmp_path / "dive.toml"), tmp_path)
+    assert "fmi2FreeInstance" in dict(calls)
+    assert all("dive.partial.csv" in files for _, files in calls)
