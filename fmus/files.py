@@ -9,7 +9,6 @@ import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
 from xml.etree import ElementTree
 
 _MOST_MEMBERS = 100_000
@@ -28,7 +27,7 @@ def lasting_folder() -> Path:
 
 
 @contextmanager
-def open_atomically(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
+def open_atomically(path: Path, mode: int = 0o666) -> Iterator[io.BufferedRandom]:
     """Yields a stream of bytes, which can be read too, that becomes `path`; after an error nothing is left.
 
     A file that was at `path` stays until then. The folder is made if it is missing.
