@@ -240,13 +240,13 @@ class Simulator(LoadedSystem):
         guard = self._guard = ProcessGuard(self.system.components, storage.report)
         self._report = storage.report
         for instance in self._instances.values():  # who resets is busy in this run
-            instance.busy = storage.report[Report.BUSY :]
+            instance.busy, instance.after_call = storage.report[Report.BUSY :], guard.end_call
         with _phase(statistics, "loading"):
             self._load_or_reset()
         self._must_reload = True  # should anything fail before the run is done
         storage.report[Report.BUSY] = 0
         for instance in self._instances.values():
-            instance.after_call = guard.restore_float_mode
+            instance.after_call = guard.end_call
         if earlier and earlier.instances is self._instances:
             wired = earlier.again(prepared, storage)
         else:
