@@ -106,9 +106,8 @@ def run(
         _print_pace(result.recording)
         if statistics:
             print(statistics_table(result.recording.provenance["statistics"]))
-        print(
-            out / f"{chosen.name}.{file_format}", out / f"{chosen.name}.json", *figures, sep="\n", flush=True
-        )
+        written = [out / f"{chosen.name}.{ending}" for ending in (file_format, "json")]
+        print(*written, *figures, sep="\n", flush=True)
 
 
 def _figures(title: str, recording: "Recording", path: Path, formats: Sequence[FigureFormat]) -> list[Path]:

@@ -125,11 +125,11 @@ def _run(document: Path) -> RunResult:
         raise OrchestrationError(f"{document}: expected the .json that l1-depth run writes, with its keys")
     content = checked(_DOCUMENT, json.loads(document.read_text(encoding="utf-8")), str(document))
     signals = _recording(recording)
-    if (digest := hashlib.sha256(recording.read_bytes()).hexdigest()) != content.sha256:
+    digest = hashlib.sha256(recording.read_bytes()).hexdigest()
+    if digest != content.sha256:
         raise OrchestrationError(
-            f"{document}: sha256 = {content.sha256[:12]!r}: expected {digest[:12]!r} of {recording.name}, "
-            "which is of another run, or both are of an earlier version; run the scenario again, or remove "
-            f"{document.name} to show {recording.name} alone"
+            f"{document}: sha256 = {content.sha256[:12]!r}: expected {digest[:12]!r}, of {recording.name}: it is "
+            f"of another run, or of an earlier version; run again, or remove {document.name} to show it alone"
         )
     try:
         toml(content.scenario)

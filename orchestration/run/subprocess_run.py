@@ -208,8 +208,7 @@ class _Watch:
             int(self._report[Report.CALLS]),
             int(self._report[Report.BUSY]),
         )
-        is_between_calls = calls[2] == 0 and self.outcome is None
-        if is_between_calls or calls != self._calls_seen:
+        if (calls[2] == 0 and self.outcome is None) or calls != self._calls_seen:
             self._calls_seen, self._since = calls, time.monotonic()
         # to be unloaded may take as long
         limit = max(self._timeout, _LOADING_S) if calls[2] <= 0 else self._timeout

@@ -87,7 +87,8 @@ def test_each_sample_has_its_own_metrics_or_the_cause(
 @pytest.mark.parametrize("waits", ["child", "parent"])
 @pytest.mark.parametrize("call", [call for call in FORKING_CALLS if call != "fmi2Reset"])
 def test_a_run_with_a_timeout_ends_with_the_cause(forker: Build, call: str, waits: str) -> None:
-    system, experiment = System({"f": forker(call, waits)}), Experiment(1.0, 0.1, inputs={"f.u": 2.0})
+    """Its one step takes less than the child waits."""
+    system, experiment = System({"f": forker(call, waits)}), Experiment(0.1, 0.1, inputs={"f.u": 2.0})
     with pytest.raises(OrchestrationError, match=CAUSE):
         simulate(system, experiment, timeout=TO_END_S)
 
@@ -98,7 +99,7 @@ def test_a_run_in_this_process_ends_with_the_cause_and_its_child(
     forker: Build, call: str, waits: str
 ) -> None:
     """The child would go on with the program that called `simulate`."""
-    system, experiment = System({"f": forker(call, waits)}), Experiment(1.0, 0.1, inputs={"f.u": 2.0})
+    system, experiment = System({"f": forker(call, waits)}), Experiment(0.1, 0.1, inputs={"f.u": 2.0})
     with pytest.raises(OrchestrationError, match=f"f forked its process {CAUSE}"):
         simulate(system, experiment)
     for child in psutil.Process().children()[-1:]:

@@ -61,7 +61,7 @@ def test_the_recording_of_another_run_is_refused(given: str, ending: str, tmp_pa
     with pytest.raises(OrchestrationError) as refusal:
         found_results([tmp_path / given.format(ending=ending)])
     assert str(refusal.value).startswith(f"{tmp_path / 'dive.json'}: sha256 = ")
-    assert f"of dive.{ending}, which is of another run" in str(refusal.value)
+    assert f"of dive.{ending}: it is of another run" in str(refusal.value)
     (tmp_path / "dive.json").unlink()  # as the message says
     assert names(tmp_path) == ["dive", "other"]
 
@@ -72,7 +72,7 @@ def test_a_document_of_an_earlier_version_is_refused(tmp_path: Path) -> None:
     del content["sha256"]
     document.write_text(json.dumps(content))
     with pytest.raises(
-        OrchestrationError, match=r"dive\.json: sha256 = '': .* of an earlier version; run the"
+        OrchestrationError, match=r"dive\.json: sha256 = '': .* of an earlier version; run again"
     ):
         found_results([tmp_path])
 

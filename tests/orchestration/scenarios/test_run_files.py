@@ -67,7 +67,7 @@ def test_a_run_that_ends_between_its_files_is_not_shown(
     monkeypatch.setattr(run_files, "write_json_atomically", killed)
     with pytest.raises(KeyboardInterrupt):
         run_files.write_result(loaded, recording(phase=0.5), tmp_path)
-    with pytest.raises(OrchestrationError, match=r"of dive\.csv, which is of another run"):
+    with pytest.raises(OrchestrationError, match=r"of dive\.csv: it is of another run"):
         found_results([tmp_path / "dive.csv"])
 
 
