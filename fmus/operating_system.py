@@ -36,7 +36,7 @@ def memory_size() -> int | None:
 
 
 def foreign_threads() -> set[str]:
-    """Returns the threads of this process that Python did not start, where the system lists them: in Linux."""
+    """Returns the threads of this process that Python did not start; none but in Linux."""
     # a thread of C that has called Python once is a dummy
     own = [thread for thread in threading.enumerate() if not isinstance(thread, threading._DummyThread)]
     return {task.name for task in Path("/proc/self/task").glob("*")} - {str(x.native_id) for x in own}

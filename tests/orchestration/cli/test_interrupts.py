@@ -17,7 +17,7 @@ import pytest
 from fmus.files import TEMPORARY_VARIABLE
 from orchestration.cli import run_interruptible
 from orchestration.cli.app import app
-from orchestration.report import found_results
+from orchestration.report import RunResult, found_results
 from orchestration.results.recording import Recording
 from tests.foreign_fmus import Misdeed
 
@@ -297,5 +297,6 @@ def test_an_fmu_that_crashes_while_it_is_freed_loses_nothing_of_the_run(
         "l1-depth: rudder ended the process with SIGSEGV: the files of the run are written; with --timeout"
     )
     (run,) = found_results([tmp_path / "out"])
+    assert isinstance(run, RunResult)
     assert run.recording.time[-1] == 1.0
     assert not list((tmp_path / "tmp").iterdir())
