@@ -128,8 +128,8 @@ def _run(document: Path) -> RunResult:
     digest = hashlib.sha256(recording.read_bytes()).hexdigest()
     if digest != content.sha256:
         raise OrchestrationError(
-            f"{document}: sha256 = {content.sha256[:12]!r}: expected {digest[:12]!r}, of {recording.name}: it "
-            f"is of another run, or of an earlier version; run again, or remove {document.name} to show it alone"
+            f"{document}: sha256 = {content.sha256[:12]!r}: expected {digest[:12]!r}, of {recording.name}: it"
+            " is of another run, or of an earlier version; run again, or remove the .json to show it alone"
         )
     try:
         toml(content.scenario)
