@@ -9,7 +9,6 @@ import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
 from xml.etree import ElementTree
 
 _MOST_MEMBERS = 100_000
@@ -28,8 +27,8 @@ def lasting_folder() -> Path:
 
 
 @contextmanager
-def open_atomically(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
-    """Yields a stream of bytes that becomes `path` at the end; after an error nothing of it is left.
+def open_atomically(path: Path, mode: int = 0o666) -> Iterator[io.BufferedRandom]:
+    """Yields a stream of bytes, which can be read too, that becomes `path`; after an error nothing is left.
 
     A file that was at `path` stays until then. The folder is made if it is missing.
     mode: the permissions of the file, of which the user's umask takes some away
@@ -39,7 +38,7 @@ def open_atomically(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:
-        with open(temporary, "xb", opener=lambda path, flags: os.open(path, flags, mode)) as stream:
+        with open(temporary, "x+b", opener=lambda path, flags: os.open(path, flags, mode)) as stream:
             yield stream
         temporary.replace(path)
     except BaseException:

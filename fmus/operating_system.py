@@ -8,7 +8,9 @@ import os
 import signal
 import stat
 import sys
+import threading
 from collections.abc import Collection
+from pathlib import Path
 
 if sys.platform == "win32":
     import msvcrt
@@ -31,6 +33,13 @@ def usable_processors() -> int:
 def memory_size() -> int | None:
     """Returns the bytes of memory of this machine; None in Windows."""
     return None if sys.platform == "win32" else os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
+def foreign_threads() -> set[str]:
+    """Returns the threads of this process that Python did not start; none but in Linux."""
+    # a thread of C that has called Python once is a dummy
+    own = [thread for thread in threading.enumerate() if not isinstance(thread, threading._DummyThread)]
+    return {task.name for task in Path("/proc/self/task").glob("*")} - {str(x.native_id) for x in own}
 
 
 def allocate(descriptor: int, size: int) -> None:

@@ -68,6 +68,10 @@ class Misdeed(IntEnum):
     LEAVE_SESSION = 29
     LIMIT_FILES = 30
     RANDOM_OUTPUT = 31
+    CRASH_IN_TERMINATE = 32
+    CRASH_IN_FREE = 33
+    HANG_IN_FREE = 34
+    CRASH_IN_FREE_OF_STATE = 35
 
 
 @dataclass(frozen=True)
@@ -193,16 +197,17 @@ def rogue(path: Path, fmi: int = 2, **capabilities: Any) -> Path:
     return _write(path, "rogue", variables, Capabilities(**capabilities), fmi=fmi)
 
 
-def forker(path: Path, call: str, waits: str) -> Path:
-    """y' = u; the first call of one of `FORKING_CALLS` forks the process, and the child returns from it too.
+def forker(path: Path, call: str, waits: str, child: str = "returns") -> Path:
+    """y' = u; the first call of one of `FORKING_CALLS` forks the process.
 
-    waits: "child" or "parent", for 0.1 s after the fork
+    waits: "child" or "parent", for 0.1 s after the fork; child: "returns" from the call too, "exits" or
+    "becomes" another program
     """
     variables = [
         Variable("u", "input", "continuous"),
         Variable("y", "output", "continuous"),
     ]
-    numbers = [FORKING_CALLS.index(call), waits == "child"]
+    numbers = [FORKING_CALLS.index(call), waits == "child", ("returns", "exits", "becomes").index(child)]
     return _write(path, "forker", variables, Capabilities(), numbers=numbers)
 
 

@@ -24,6 +24,7 @@ from fmus.fmi.description import FileVersion, is_independent
 from fmus.fmi.fmi3 import Fmi3Library
 from fmus.fmi.model_description import ModelDescription, ScalarVariable
 from fmus.fmi.variable_types import TRANSFER_TYPE, FmiValue
+from fmus.operating_system import foreign_threads
 
 _MOST_MESSAGES = 10  # in an error or a warning
 
@@ -216,6 +217,7 @@ class UnpackedFmu:
     def __init__(self, path: Path, description: ModelDescription) -> None:
         self._temporary = TemporaryDirectory(prefix="l1-depth-", ignore_cleanup_errors=True)
         self.folder, self.users = Path(self._temporary.name), 0
+        self._threads_before = foreign_threads()
         try:
             self.library = _library(path, description, self.folder)
         except BaseException:
@@ -223,7 +225,9 @@ class UnpackedFmu:
             raise
 
     def close(self) -> None:
-        self.library.unload()
+        """Removes the folder, and unloads the library unless a thread that it started may still run."""
+        if foreign_threads() <= self._threads_before:
+            self.library.unload()
         self._temporary.cleanup()
 
 

@@ -21,7 +21,7 @@ from fmus import operating_system
 
 UNEXPECTED_END = 70
 _INTERRUPTS = {signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGINT)}
-# the first byte: whether the program has ended
+# the first byte: 1 where the program has ended, 2 where its results are written
 _REPORT, _FOLDER, _NAMES, _NAME_SIZE, _PAGE = 64, 4096, 8192, 128, 1 << 17
 _BUSY = 5  # the number in a report that is that of the busy FMU: `orchestration/run/loop_data.py`
 
@@ -79,6 +79,12 @@ def end_is_meant() -> None:
         _page[0] = 1
 
 
+def results_are_written() -> None:
+    """Notes that an end which is not meant loses nothing any more."""
+    if _page:
+        _page[0] = 2
+
+
 def share_temporary_folder(folder: str) -> None:
     """Lets the process that waits for this one remove a folder where this one cannot."""
     if _page:
@@ -108,7 +114,7 @@ def _interrupt_without_parent(lifeline: int) -> None:
 
 def _exit_status(status: int, page: mmap.mmap) -> int:
     """Returns the exit status for the child's; prints a line on standard error if its end was not meant."""
-    if page[0]:
+    if page[0] == 1:
         return status if status >= 0 else 128 - status
     folder = _text(page, _FOLDER, _NAMES - _FOLDER)
     if folder:
@@ -124,8 +130,9 @@ def _exit_status(status: int, page: mmap.mmap) -> int:
     name = _text(page, _NAMES + _NAME_SIZE * (abs(busy) - 1), _NAME_SIZE) if busy else ""
     from fmus.fmi.process import ending  # whose imports no other end needs
 
+    loss = "the files of the run are written" if page[0] else "the run is lost"
     print(
-        f"l1-depth: {name or 'something'} ended the process with {ending(status)}: the run is lost; "
+        f"l1-depth: {name or 'something'} ended the process with {ending(status)}: {loss}; "
         "with --timeout FMUs have a process of their own",
         file=sys.stderr,
     )

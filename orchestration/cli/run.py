@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -79,30 +80,34 @@ def run(
     written_formats = shared.figure_formats(formats)
     if every < math.inf and checkpoint is None:
         raise OrchestrationError(f"--every {every:g}: expected --checkpoint FILE beside it")
-    with (
-        chosen_scenario.opened(name, flavour, changes) as chosen,
-        shared.progress(chosen.name, 1, _SHORT_S) as bar,
-    ):
-        result = run_files.run(
-            _with_error_estimate(chosen) if error_estimate else chosen,
-            out,
-            bar.update,
-            file_format,
-            real_time=real_time,
-            timeout=timeout,
-            checkpoints=Checkpoints(checkpoint, every) if checkpoint else None,
-            resume=read_checkpoint(resume) if resume else None,
-            statistics=statistics,
-        )
-    figures = _figures(chosen.title, result.recording, out / chosen.name, written_formats)
-    if result.metrics:
-        print(metrics_table(chosen.title, result.metrics, result.metric_units, chosen.metrics))
-    _print_error_estimate(result.recording)
-    _print_end(result.recording)
-    _print_pace(result.recording)
-    if statistics:
-        print(statistics_table(result.recording.provenance["statistics"]))
-    print(out / f"{chosen.name}.{file_format}", out / f"{chosen.name}.json", *figures, sep="\n")
+    # freed once all is written and printed: an FMU may crash then
+    with ExitStack() as fmus:
+        with (
+            chosen_scenario.opened(name, flavour, changes) as chosen,
+            shared.progress(chosen.name, 1, _SHORT_S) as bar,
+        ):
+            result = run_files.run(
+                _with_error_estimate(chosen) if error_estimate else chosen,
+                out,
+                bar.update,
+                file_format,
+                real_time=real_time,
+                timeout=timeout,
+                checkpoints=Checkpoints(checkpoint, every) if checkpoint else None,
+                resume=read_checkpoint(resume) if resume else None,
+                statistics=statistics,
+                fmus=fmus,
+            )
+        figures = _figures(chosen.title, result.recording, out / chosen.name, written_formats)
+        if result.metrics:
+            print(metrics_table(chosen.title, result.metrics, result.metric_units, chosen.metrics))
+        _print_error_estimate(result.recording)
+        _print_end(result.recording)
+        _print_pace(result.recording)
+        if statistics:
+            print(statistics_table(result.recording.provenance["statistics"]))
+        written = [out / f"{chosen.name}.{ending}" for ending in (file_format, "json")]
+        print(*written, *figures, sep="\n", flush=True)
 
 
 def _figures(title: str, recording: "Recording", path: Path, formats: Sequence[FigureFormat]) -> list[Path]:

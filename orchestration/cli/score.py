@@ -109,10 +109,8 @@ def score(
             progress=bar.advance,
         )
     print_score(result.document)
-    scored, file = result.document.scored, out / "score.json"
-    write_text_atomically(file, result.document.model_dump_json(indent=1) + "\n")
-    print(file)
-    write_page(result, file.with_suffix(".html"), f"Score of {', '.join(row.title for row in scored)}")
+    scored = result.document.scored
+    write_score(result, result, out / "score.json", f"Score of {', '.join(row.title for row in scored)}")
     if all(case.failed for row in scored for case in row.cases.values()):
         name, case = next(iter(scored[0].cases.items()))
         titles = " and ".join(row.title for row in scored)
@@ -165,20 +163,25 @@ def compare(
         [replace(table, title=f"{table.title}: {name}") for name, table in shown if table.rows],
         scoring.with_papers_differences(document),
     )
-    write_text_atomically(out / "comparison.json", document.model_dump_json(indent=1) + "\n")
-    print(out / "comparison.json")
-    return write_page(scoring.for_page(result), out / "comparison.html", "Comparison of the controllers")
+    on_page = scoring.for_page(result)
+    return write_score(result, on_page, out / "comparison.json", "Comparison of the controllers")
 
 
-def write_page(result: "ScoreResult", page: Path, title: str) -> None:
-    """Writes the page, or prints which extra it needs."""
+def write_score(result: "ScoreResult", on_page: "ScoreResult", file: Path, title: str) -> None:
+    """Writes a score and its page, or prints which extra the page needs; an earlier page is removed."""
+    page, text = file.with_suffix(".html"), ""
     try:
         from orchestration.report.score_page import score_page
+
+        text = score_page(on_page, title)
     except MissingExtraError as error:
         print(f"l1-depth: no page: {error}", file=sys.stderr)
-        return
-    write_text_atomically(page, score_page(result, title))
-    print(page)
+    page.unlink(missing_ok=True)
+    write_text_atomically(file, result.document.model_dump_json(indent=1) + "\n")
+    print(file)
+    if text:
+        write_text_atomically(page, text)
+        print(page)
 
 
 def print_tables(tables: "Sequence[ScoreTable]", document: "Score") -> None:

@@ -1,5 +1,6 @@
 """Results at the paths that a user names, under names that differ."""
 
+import hashlib
 import json
 import math
 from collections import Counter
@@ -34,6 +35,7 @@ class _Document(Table, extra="allow"):
     """The document of a run, its .json."""
 
     recording: str
+    sha256: str = ""  # of the file with the recording; a document without it fits none
     scenario: dict[str, Any]
     run: dict[str, Any]
     metrics: dict[str, _MetricValue]
@@ -103,7 +105,7 @@ def _recording_of(document: Path) -> Path | None:
             content = json.loads(document.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
-        if isinstance(content, dict) and content.keys() >= _Document.model_fields.keys():
+        if isinstance(content, dict) and content.keys() >= _Document.model_fields.keys() - {"sha256"}:
             return document.with_name(str(content["recording"]))
     return None
 
@@ -122,13 +124,20 @@ def _run(document: Path) -> RunResult:
     if recording is None:
         raise OrchestrationError(f"{document}: expected the .json that l1-depth run writes, with its keys")
     content = checked(_DOCUMENT, json.loads(document.read_text(encoding="utf-8")), str(document))
+    signals = _recording(recording)
+    digest = hashlib.sha256(recording.read_bytes()).hexdigest()
+    if digest != content.sha256:
+        raise OrchestrationError(
+            f"{document}: sha256 = {content.sha256[:12]!r}: expected {digest[:12]!r}, of {recording.name}: it"
+            " is of another run, or of an earlier version; run again, or remove the .json to show it alone"
+        )
     try:
         toml(content.scenario)
     except TypeError as error:
         raise OrchestrationError(f"{document}: scenario: expected what TOML can say: {error}") from error
     return RunResult(
         document.stem,
-        _recording(recording),
+        signals,
         content.scenario,
         content.run,
         {name: math.nan if m.value is None else m.value for name, m in content.metrics.items()},

@@ -2,6 +2,7 @@
 
 import csv
 import errno
+import hashlib
 import io
 import itertools
 import json
@@ -13,7 +14,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
-from typing import Any, TextIO
+from typing import Any, BinaryIO, TextIO
 
 import numpy as np
 
@@ -88,9 +89,14 @@ class Columns:
         ]
 
 
-def write(path: Path, content: Columns) -> None:
-    """Writes a file of the format that the ending of the path names."""
-    {RecordingFormat.CSV: _write_csv, RecordingFormat.PARQUET: _write_parquet}[_format(path)](path, content)
+def write(path: Path, content: Columns) -> str:
+    """Writes a file of the format that the ending of the path names; returns its SHA-256."""
+    write_format = {RecordingFormat.CSV: _write_csv, RecordingFormat.PARQUET: _write_parquet}[_format(path)]
+    with open_atomically(path) as stream:
+        write_format(stream, content)
+        # before it is at the path, where another run may write at the same time
+        stream.seek(0)
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def read(path: Path) -> Columns:
@@ -153,20 +159,21 @@ def _format(path: Path) -> RecordingFormat:
         ) from None
 
 
-def _write_csv(path: Path, content: Columns) -> None:
+def _write_csv(stream: BinaryIO, content: Columns) -> None:
     pairs = zip(content.names, content.units, strict=True)
     titles = [_title(name, _STRING if name in content.strings else unit) for name, unit in pairs]
-    with open_atomically(path) as stream, io.TextIOWrapper(stream, encoding="utf-8", newline="") as text:
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow([_TIME_TITLE, *titles])
-        text.flush()
-        for start in range(0, len(content.time), _BLOCK):
-            rows = slice(start, start + _BLOCK)
-            block = replace(content, values=content.values[rows])
-            if content.strings:
-                writer.writerows(zip(content.time[rows].tolist(), *block.columns(), strict=True))
-            else:
-                stream.write(_lines(np.column_stack([content.time[rows], block.values])))
+    text = io.TextIOWrapper(stream, encoding="utf-8", newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([_TIME_TITLE, *titles])
+    text.flush()
+    for start in range(0, len(content.time), _BLOCK):
+        rows = slice(start, start + _BLOCK)
+        block = replace(content, values=content.values[rows])
+        if content.strings:
+            writer.writerows(zip(content.time[rows].tolist(), *block.columns(), strict=True))
+        else:
+            stream.write(_lines(np.column_stack([content.time[rows], block.values])))
+    text.detach()
 
 
 def _lines(rows: np.ndarray) -> bytes:
@@ -236,7 +243,7 @@ def _rows_with_strings(
     return rows
 
 
-def _write_parquet(path: Path, content: Columns) -> None:
+def _write_parquet(stream: BinaryIO, content: Columns) -> None:
     """Writes units as metadata of the columns, and the provenance as that of the table."""
     pa, pq = _arrow()
     names, units = (TIME, *content.names), ("s", *content.units)
@@ -252,7 +259,7 @@ def _write_parquet(path: Path, content: Columns) -> None:
     metadata = {_KIND: _RECORDING, _PROVENANCE: json.dumps(content.provenance)}
     schema = pa.schema(fields, metadata=metadata)
     strings = [*content.strings] or False  # dictionaries of numbers that hardly repeat take memory and room
-    with open_atomically(path) as stream, pq.ParquetWriter(stream, schema, use_dictionary=strings) as writer:
+    with pq.ParquetWriter(stream, schema, use_dictionary=strings) as writer:
         for start in range(0, max(len(content.time), 1), _GROUP):
             rows = slice(start, start + _GROUP)
             part = replace(content, values=content.values[rows])

@@ -26,7 +26,7 @@ __declspec(dllimport) int __stdcall QueryPerformanceFrequency(int64_t *frequency
 
 enum { HOLD, FMU_DERIVATIVE, MIDPOINT };
 enum { NO_FAILURE, SET_INPUTS, SET_DERIVATIVES, DO_STEP, GET_OUTPUTS, GET_STATE, SET_STATE, NOT_FINITE };
-enum { RECORDED, FAILURE, COMPONENT, INDEX, STATUS, BUSY, CALLS, POSITION, TERMINATED };
+enum { RECORDED, FAILURE, COMPONENT, INDEX, STATUS, BUSY, CALLS, POSITION, TERMINATED, FORKED };
 enum { OK, WARNING, DISCARD };
 enum { LAST_SUCCESSFUL_TIME = 2, IS_TERMINATED = 3 };
 
@@ -124,7 +124,7 @@ static void wait_a_moment(int *waits) {
 INLINED int is_multiple(int64_t point, int64_t period) { return period == 1 || point % period == 0; }
 
 INLINED int is_accepted(Wiring *wiring, int kind, int64_t c, int64_t index, int status) {
-    if (!wiring->independent) guard_restore_float_mode();
+    if (!wiring->independent) guard_end_call(wiring->report);
     wiring->report[BUSY] = 0;
     wiring->report[CALLS]++;
     if ((status == OK || status == WARNING) && !wiring->error_logged[c]) {
@@ -326,7 +326,7 @@ static void take_steps(Wiring *wiring) {
         const int64_t c = (uint32_t)ticket;
         if (ends_step(wiring, c, team->point)) {
             wiring->step_status[c] = call_step(wiring, c, team->end);
-            if (!wiring->independent) guard_restore_float_mode();
+            if (!wiring->independent) guard_end_call(wiring->report);
         }
         __atomic_add_fetch(&team->done, 1, __ATOMIC_RELEASE);
         ticket = __atomic_load_n(&team->ticket, __ATOMIC_ACQUIRE);
@@ -354,7 +354,8 @@ static int step_together(Wiring *wiring, int64_t point, double end) {
 EXPORT void loop_help(Wiring *wiring) {
     const Team *team = wiring->team;
     uint64_t step = 0;
-    guard_restore_float_mode();
+    guard_forget_forks();
+    guard_end_call(wiring->report);
     for (int waits = 0; !__atomic_load_n(&team->is_over, __ATOMIC_ACQUIRE);) {
         take_steps(wiring);
         const uint64_t now = __atomic_load_n(&team->ticket, __ATOMIC_ACQUIRE) >> 32;

@@ -24,7 +24,9 @@ Call = IntEnum(
     start=0,
 )
 # indices of Wiring.report
-Report = IntEnum("Report", "RECORDED FAILURE COMPONENT INDEX STATUS BUSY CALLS POSITION TERMINATED", start=0)
+Report = IntEnum(
+    "Report", "RECORDED FAILURE COMPONENT INDEX STATUS BUSY CALLS POSITION TERMINATED FORKED", start=0
+)
 # indices of Wiring.team
 Team = IntEnum("Team", "IS_USED IS_OVER TICKET DONE POINT END", start=0)
 
@@ -128,7 +130,8 @@ class Wiring(NamedTuple):
     report: RECORDED rows; the kind of FAILURE with its COMPONENT, the INDEX of its call or connection and its
     STATUS; BUSY: 1 + the component whose call is in progress, its negative while it is loaded, else 0;
     CALLS that have returned; POSITION: the present communication point; TERMINATED: 1 + the component that
-    terminated the simulation, else 0; while several are stepped at once, BUSY is 1 more than their number
+    terminated the simulation, else 0; FORKED: 1 after a child that an FMU forked returned from a call; while
+    several are stepped at once, BUSY is 1 more than their number
     step_status: of each component's step, where threads share the steps; team: what these threads share
     step_times: of `Storage`
     """

@@ -1,6 +1,7 @@
 """One run of a system."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import fields
 from inspect import signature
 from typing import Any, Never
@@ -93,12 +94,16 @@ def simulate_prepared(
     prepared: PreparedRun,
     progress: Progress | None = None,
     timeout: float | None = None,
+    fmus: ExitStack | None = None,
     **options: Any,
 ) -> Recording:
-    """Runs what `prepare` made of this system; arguments and errors are those of `simulate`."""
+    """Runs what `prepare` made of this system; arguments and errors are those of `simulate`.
+
+    fmus: frees the FMUs when it is closed; by default they are freed before this function returns
+    """
     if timeout is not None:
         from orchestration.run.subprocess_run import simulate_in_subprocess  # few runs start processes
 
         return simulate_in_subprocess(system, prepared, timeout, progress, options)
-    with Simulator(system) as simulator:
-        return simulator.run(prepared, progress, **options)
+    with ExitStack() as own:
+        return (fmus or own).enter_context(Simulator(system)).run(prepared, progress, **options)

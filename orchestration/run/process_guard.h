@@ -6,13 +6,17 @@
 #include <stdlib.h>
 #if !defined(_WIN32) && !defined(__wasm__)
 #define CAN_FORK
+#include <errno.h>
+#include <fcntl.h>
+#include <poll.h>
 #include <pthread.h>
+#include <unistd.h>
 #endif
 #if defined(__x86_64__)
 #include <xmmintrin.h>
 #endif
 
-enum { TEXT_SIZE = 256, EXIT_STATUS = 70, MOST_RUNS = 256 };
+enum { TEXT_SIZE = 256, EXIT_STATUS = 70, MOST_RUNS = 256, LONGEST_WAIT_MS = 1000 };
 
 /* Runs stand in a table: the address of the report, 0 if there is none, and that of a text for each component. It is
    here, since it is read when Python's memory is gone. */
@@ -27,22 +31,44 @@ static int64_t busy_run(void) {
 }
 
 /* A child that an FMU forks in a call, and that returns from it, would go on with the run, and write into the memory
-   that both processes share. It ends as soon as it returns, and is counted where both can read it. */
-
-static volatile int64_t *forks;
-static volatile int is_fork;
+   that both processes share. It ends as soon as it returns. Before the fork a pipe is made, for the present call of this
+   thread: a child that returns writes into it, and one that calls _exit or exec closes it. So the parent, at the end of
+   its call, learns which of both each child does; one that does neither for a while goes on without harm. */
 
 #ifdef CAN_FORK
-static void note_fork(void) { is_fork = busy_run() < MOST_RUNS; }
+static __thread int calls_fmus, has_pipe, is_fork, ends[2];
+
+static void note_fork(void) {
+    if (!calls_fmus || has_pipe || busy_run() == MOST_RUNS || pipe(ends)) return;
+    for (int i = 0; i < 2; i++) fcntl(ends[i], F_SETFD, FD_CLOEXEC);
+    has_pipe = 1;
+}
+
+static void note_child(void) { is_fork = calls_fmus && busy_run() < MOST_RUNS; }
+
+/* Ends a child; whether one has returned from the call of the parent. */
+static int child_returned(void) {
+    struct pollfd end = {ends[0], POLLIN, 0};
+    char byte;
+    int status;
+    if (is_fork) _Exit(write(ends[1], "", 1) == 1 ? EXIT_STATUS : EXIT_FAILURE);
+    close(ends[1]);
+    do status = poll(&end, 1, LONGEST_WAIT_MS);
+    while (status < 0 && errno == EINTR);
+    status = status > 0 && read(ends[0], &byte, 1) == 1;
+    close(ends[0]);
+    has_pipe = 0;
+    return status;
+}
 #endif
 
-/* Called before each run: a process that others than FMUs have forked makes runs of its own. */
-EXPORT void guard_count_forks(int64_t *count) {
+/* Called by each thread before it calls FMUs: a process that others than FMUs have forked makes runs of its own. */
+EXPORT void guard_forget_forks(void) {
 #ifdef CAN_FORK
-    if (!forks) pthread_atfork(NULL, NULL, note_fork);
+    if (has_pipe) close(ends[0]), close(ends[1]);
+    calls_fmus = 1;
+    is_fork = has_pipe = 0;
 #endif
-    forks = count;
-    is_fork = 0;
 }
 
 /* The floating-point mode, rounding and denormals, is that of before the first FMU. On x86-64 there are two: of SSE,
@@ -65,11 +91,11 @@ static uint64_t get_float_mode(void) {
 #endif
 }
 
-EXPORT int guard_restore_float_mode(void) {
-    if (is_fork) {
-        ++*forks;
-        _Exit(EXIT_STATUS);
-    }
+/* Called after each call of an FMU: whether it changed the mode; notes in the report whether it forked. */
+EXPORT int guard_end_call(int64_t *report) {
+#ifdef CAN_FORK
+    if (is_fork || has_pipe) report[FORKED] |= child_returned();
+#endif
     if (get_float_mode() == float_mode) return 0;
 #if defined(__x86_64__)
     const uint16_t older = (uint16_t)(float_mode >> 32);
@@ -95,5 +121,8 @@ static void report_exit(void) {
 EXPORT volatile intptr_t *guard_runs(void) {
     float_mode = get_float_mode();
     atexit(report_exit);
+#ifdef CAN_FORK
+    pthread_atfork(note_fork, NULL, note_child);
+#endif
     return runs[0];
 }

@@ -12,11 +12,10 @@ after calls outside the communication loop alone.
 
 import atexit
 import ctypes
-import mmap
 import threading
 import warnings
 from collections.abc import Iterable
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -28,7 +27,6 @@ from orchestration.run.compiled_loop import library
 from orchestration.run.loop_data import Report
 
 _TEXT_SIZE, _MOST_RUNS = 256, 256  # as in process_guard.h
-_forks = np.frombuffer(mmap.mmap(-1, 8), np.int64)  # children that returned; shared with them
 _lock = threading.Lock()
 _texts: dict[int, tuple[np.ndarray, bytes]] = {}  # what the rows of the table refer to
 
@@ -41,7 +39,9 @@ class ProcessGuard:
 
     def __init__(self, components: Iterable[str], report: np.ndarray) -> None:
         names = [*components, "one of several FMUs"]
-        ends = " ended the process (it called exit): the run is lost; with a timeout FMUs have their own\n"
+        ends = (
+            " ended the process (it called exit): the run is lost unless written; with a timeout it is kept\n"
+        )
         lines = [f"l1-depth: {name}".encode()[:100] + ends.encode() for name in names]
         texts = b"".join(line.ljust(_TEXT_SIZE, b"\0") for line in lines)
         with _lock:
@@ -53,10 +53,10 @@ class ProcessGuard:
                 _texts[self._row] = report, texts
                 runs[self._row] = report.ctypes.data, np.frombuffer(texts, np.uint8).ctypes.data
         parent_process.share_names(names)
-        self.restore_float_mode = self._library.guard_restore_float_mode if self._library else lambda: 0
+        self._report, self.end_call = report, lambda: 0
         if self._library:
-            self._library.guard_count_forks(ctypes.c_void_p(_forks.ctypes.data))
-        self._forks = int(_forks[0])
+            self._library.guard_forget_forks()
+            self.end_call = partial(self._library.guard_end_call, report.ctypes.data_as(ctypes.c_void_p))
 
     def restore(self, name: str) -> None:
         """Puts the floating-point mode back, with a warning if it was changed.
@@ -64,10 +64,10 @@ class ProcessGuard:
         name: of the FMUs that may have done so
         Raises OrchestrationError if an FMU forked the process and a child went on.
         """
-        if self.restore_float_mode():
+        if self.end_call():
             text = f"{name} changed the floating-point mode of this process: it is restored"
             warnings.warn(text, FmuWarning, stacklevel=3)
-        if _forks[0] != self._forks:
+        if self._report[Report.FORKED]:
             raise OrchestrationError(f"{name} forked its process{CHILD_RETURNED}")
 
     def close(self) -> None:

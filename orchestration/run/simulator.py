@@ -125,7 +125,7 @@ class Simulator(LoadedSystem):
         self._threads = threads
         self._loop = compiled_loop if compiled else python_loop
         self._guard: ProcessGuard | None = None
-        self._stepped: SteppedRun | None = None  # until another run begins
+        self._last_run: RunInProgress | None = None  # until another one begins
         self._first_batch = 1
         self._wired: WiredRun | None = None  # of the run before
 
@@ -159,7 +159,7 @@ class Simulator(LoadedSystem):
             measured = RunStatistics(self._descriptions) if statistics else None
             wired, guard = self._prepare_run(run, (), storage, measured)
             threads = self._threads if storage is None else 1  # who watches a call asks for one
-            in_progress = RunInProgress(wired, self._loop(wired.wiring), guard, threads)
+            in_progress = self._last_run = RunInProgress(wired, self._loop(wired.wiring), guard, threads)
             in_progress.batch, in_progress.statistics = self._first_batch, measured
             recording = _run_to_end(in_progress, progress, pacing, checkpoints, resume, storage is None)
             self._first_batch = max(1, in_progress.batch // 2)  # the next run may be slower
@@ -192,7 +192,7 @@ class Simulator(LoadedSystem):
                 run.free()
                 raise SimulationError(reason_of(error), run.recorded()) from error
             self._must_reload = False
-            self._stepped = run
+            self._last_run = run
             return run
 
     def _check_can_load_twice(self) -> None:
@@ -205,17 +205,17 @@ class Simulator(LoadedSystem):
 
     @contextmanager
     def _begin_run(self) -> Iterator[None]:
-        """Ends the run that was led step by step; refuses another one meanwhile."""
+        """Ends the run before, which an FMU that crashes then cannot lose; refuses another one meanwhile."""
         with super()._begin_run():
-            self._end_stepped()
+            self._end_last_run()
             with chdir(os.curdir):  # an FMU that leaves the folder would take relative paths with it
                 yield
 
-    def _end_stepped(self) -> None:
-        if self._stepped:
-            self._must_reload = self._must_reload or bool(self._stepped.failure)
-            self._stepped.free()
-            self._stepped = None
+    def _end_last_run(self) -> None:
+        if self._last_run:
+            self._must_reload = self._must_reload or bool(self._last_run.failure)
+            self._last_run.free()
+            self._last_run = None
 
     def _prepare_run(
         self,
@@ -240,13 +240,13 @@ class Simulator(LoadedSystem):
         guard = self._guard = ProcessGuard(self.system.components, storage.report)
         self._report = storage.report
         for instance in self._instances.values():  # who resets is busy in this run
-            instance.busy = storage.report[Report.BUSY :]
+            instance.busy, instance.after_call = storage.report[Report.BUSY :], guard.end_call
         with _phase(statistics, "loading"):
             self._load_or_reset()
         self._must_reload = True  # should anything fail before the run is done
         storage.report[Report.BUSY] = 0
         for instance in self._instances.values():
-            instance.after_call = guard.restore_float_mode
+            instance.after_call = guard.end_call
         if earlier and earlier.instances is self._instances:
             wired = earlier.again(prepared, storage)
         else:
@@ -268,7 +268,7 @@ class Simulator(LoadedSystem):
 
     def close(self) -> None:
         """Frees every instance; the next run loads them again."""
-        self._end_stepped()
+        self._end_last_run()
         super().close()
         if self._guard:
             self._guard.close()
@@ -301,8 +301,6 @@ def _run_to_end(
         raise SimulationError(reason_of(error) + saved, run.recorded(pacing)) from error
     except Exception as error:  # also of a signal: the recorded values must not be lost
         raise SimulationError(reason_of(error), run.recorded(pacing)) from error
-    finally:
-        run.free()
 
 
 def _phase(statistics: RunStatistics | None, name: str) -> AbstractContextManager[None]:

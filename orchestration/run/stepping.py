@@ -48,6 +48,7 @@ class RunInProgress:
     """
 
     batch = 1
+    failure = ""  # of a run that the caller leads
     statistics: RunStatistics | None = None
 
     def __init__(

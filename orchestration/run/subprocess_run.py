@@ -23,7 +23,7 @@ import numpy as np
 
 from fmus.fmi.process import Parent, ProcessEndedError, WorkerProcess
 from fmus.operating_system import allocate
-from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
+from orchestration.errors import FmuWarning, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.results.recording import Recording
 from orchestration.run.error_estimate import with_error_estimate
 from orchestration.run.interrupt import kept_interrupts
@@ -72,6 +72,9 @@ def simulate_in_subprocess(
         problem = watch.until_the_end()
         process.kill()
         outcome = _failure(problem, prepared, record) if watch.outcome is None else watch.outcome
+        if problem and watch.outcome is not None:
+            text = f"{_busy(prepared, record)} after the run: {problem}; the recording is not affected"
+            watch.warnings.append(Warned(text, FmuWarning, __file__, 0))
     outcome, stopped = _with_warnings(watch.warnings, outcome), watch.stopped
     if stopped is None and isinstance(outcome, Recording):
         stopped = _call_progress(progress, len(outcome.time) - 1, len(outcome.time) - 1)
@@ -140,7 +143,7 @@ def _mapped(path: Path, kind: type[np.generic], shape: tuple[int, ...], is_new: 
 
 
 class _Watch:
-    """Receives the messages of a process until its outcome, its end, or the end of its time.
+    """Receives the messages of a process until its FMUs are freed, its end, or the end of its time.
 
     outcome: None without one; warnings: those of the FMUs; stopped: what stopped the run from here
     """
@@ -157,15 +160,14 @@ class _Watch:
         self._asked = math.inf
 
     def until_the_end(self) -> str:
-        """Returns why there is no outcome, in words, if there is none."""
+        """Returns why there is no outcome, or why its FMUs were not freed after it, in words, if so."""
         with kept_interrupts() as interrupts:
             while True:
                 try:
-                    self._receive()
+                    if self._receive():
+                        return ""
                 except ProcessEndedError as ended:
                     return f"ended its process with {ended}"
-                if self.outcome is not None:
-                    return ""
                 if self.stopped is None:
                     self.stopped = KeyboardInterrupt() if interrupts else self._report_progress()
                     if self.stopped is not None:
@@ -177,14 +179,18 @@ class _Watch:
                 if limit:
                     return f"did not return within {limit:g} s, and its process was ended"
 
-    def _receive(self) -> None:
-        """Receives all messages there are, and waits a little for the first."""
+    def _receive(self) -> bool:
+        """Receives all messages there are, and waits a little for the first; whether the FMUs are freed."""
         with contextlib.suppress(TimeoutError):
             message = self._process.receive(_LOOK_S)
-            while isinstance(message, Warned):
-                self.warnings.append(message)
+            while message is not None:
+                if isinstance(message, Warned):
+                    self.warnings.append(message)
+                else:
+                    self.outcome = message
                 message = self._process.receive(0.0)
-            self.outcome = message
+            return True
+        return False
 
     def _report_progress(self) -> BaseException | None:
         """Calls the progress; returns what it raises."""
@@ -202,9 +208,10 @@ class _Watch:
             int(self._report[Report.CALLS]),
             int(self._report[Report.BUSY]),
         )
-        if calls[2] == 0 or calls != self._calls_seen:
+        if (calls[2] == 0 and self.outcome is None) or calls != self._calls_seen:
             self._calls_seen, self._since = calls, time.monotonic()
-        limit = max(self._timeout, _LOADING_S) if calls[2] < 0 else self._timeout
+        # to be unloaded may take as long
+        limit = max(self._timeout, _LOADING_S) if calls[2] <= 0 else self._timeout
         return limit if time.monotonic() - self._since > limit else 0.0
 
 
@@ -223,10 +230,16 @@ def _failure(problem: str, prepared: PreparedRun, record: SharedRecord) -> Orche
     report, rows = record.storage.report, record.storage.rows
     if report[Report.RECORDED] == _NOT_BEGUN:
         return OrchestrationError(f"a process for the FMUs could not begin: {problem}")
-    done, busy = int(report[Report.RECORDED]), abs(int(report[Report.BUSY]))
-    who = list(prepared.system.components)[busy - 1] if busy else "the run"
+    done = int(report[Report.RECORDED])
     where = f"at t = {prepared.points[done - 1]:.9g} s" if done else "in the initialisation"
-    return SimulationError(f"{who} {where}: {problem}", make_recording(prepared, rows, done))
+    text = f"{_busy(prepared, record)} {where}: {problem}"
+    return SimulationError(text, make_recording(prepared, rows, done))
+
+
+def _busy(prepared: PreparedRun, record: SharedRecord) -> str:
+    """Returns the name of the component whose call is in progress, or else "the run"."""
+    busy = abs(int(record.storage.report[Report.BUSY]))
+    return list(prepared.system.components)[busy - 1] if busy else "the run"
 
 
 def _with_warnings(warned: list[Warned], outcome: Outcome) -> Outcome:
@@ -258,14 +271,18 @@ def _unwrapped(outcome: Outcome, stopped: BaseException | None) -> Recording:
 
 
 def run_task(parent: Parent) -> None:
-    """Receives a pickled Task; sends a Warned for each warning, then the Outcome."""
-    with kept_interrupts():  # also those that come while the run is prepared end it
+    """Receives a pickled Task; sends a Warned for each warning, the Outcome, and None when FMUs are freed."""
+    # interrupts that come while the run is prepared end it, too
+    with kept_interrupts(), contextlib.ExitStack() as fmus:
         try:
-            outcome: Outcome = _run(parent, Path(tempfile.gettempdir()))
+            outcome: Outcome = _run(parent, Path(tempfile.gettempdir()), fmus)
         except BaseException as error:  # whatever it is, it is for the other process
             error.add_note("".join(traceback.format_exception(error)))
             outcome = error
         parent.send(outcome, _packed_outcome)
+        # an FMU may crash in it
+        fmus.close()
+        parent.send(None)
 
 
 def _stop_when_asked(parent: Parent) -> None:
@@ -273,7 +290,7 @@ def _stop_when_asked(parent: Parent) -> None:
         _thread.interrupt_main()
 
 
-def _run(parent: Parent, folder: Path) -> Recording:
+def _run(parent: Parent, folder: Path, fmus: contextlib.ExitStack) -> Recording:
     try:
         system, prepared, options = pickle.loads(parent.receive())
     except Exception as error:
@@ -289,8 +306,7 @@ def _run(parent: Parent, folder: Path) -> Recording:
         warnings.showwarning = lambda message, category, filename, lineno, *_: parent.send(
             Warned(str(message), category, filename, lineno), cloudpickle.dumps
         )
-        with Simulator(system) as simulator:
-            return simulator.run(prepared, storage=storage, **options)
+        return fmus.enter_context(Simulator(system)).run(prepared, storage=storage, **options)
 
 
 def _packed_outcome(outcome: object) -> bytes:

@@ -3,16 +3,18 @@
 import errno
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from fmus.files import lasting_folder, write_json_atomically
+from fmus.fmi import parent_process
 from fmus.registry import Flavour
 from orchestration.errors import OrchestrationError, SimulationError
 from orchestration.many.job import Failure
 from orchestration.many.run_many import run_many
-from orchestration.results import metrics
+from orchestration.results import files, metrics
 from orchestration.results.files import reserved
 from orchestration.results.formats import FigureFormat, RecordingFormat
 from orchestration.results.metric_units import MetricDocument, metric_units, with_units
@@ -48,6 +50,7 @@ def run(
     folder: Path,
     progress: Callable[[int, int], None] | None = None,
     file_format: RecordingFormat = RecordingFormat.CSV,
+    fmus: ExitStack | None = None,
     **options: Any,
 ) -> Result:
     """Runs one scenario; writes NAME.csv or .parquet and NAME.json (settings, FMUs, metrics) to `folder`.
@@ -55,18 +58,23 @@ def run(
     progress, options: of `simulate`. A run that ends early leaves its recording as NAME.partial.csv or
     .parquet, which the next run that succeeds removes. The room for the recording is reserved before the
     run; where it cannot be written all the same, it is in a temporary folder, which the error names.
+    fmus: frees the FMUs when it is closed; by default they are freed once the files are written. So an FMU
+    that crashes then loses nothing.
     """
     file = folder / f"{loaded.name}.{file_format}"
-    try:
-        with reserved(file, loaded.prepared.shape):
-            recording = simulate_prepared(loaded.system, loaded.prepared, progress, **options)
-    except SimulationError as error:
-        if len(error.recording.time):
-            _write(error.recording, file.with_suffix(f".partial.{file_format}"))
-        raise
-    result = write_result(loaded, recording, folder, file_format)
-    for ending in RecordingFormat:
-        file.with_suffix(f".partial.{ending}").unlink(missing_ok=True)
+    with ExitStack() as own:
+        options["fmus"] = fmus or own
+        try:
+            with reserved(file, loaded.prepared.shape):
+                recording = simulate_prepared(loaded.system, loaded.prepared, progress, **options)
+        except SimulationError as error:
+            if len(error.recording.time):
+                _write_partial(error.recording, file)
+            raise
+        result = write_result(loaded, recording, folder, file_format)
+        for ending in RecordingFormat:
+            file.with_suffix(f".partial.{ending}").unlink(missing_ok=True)
+        parent_process.results_are_written()
     return result
 
 
@@ -76,15 +84,23 @@ def write_result(
     folder: Path,
     file_format: RecordingFormat = RecordingFormat.CSV,
 ) -> Result:
-    """Writes the two files of `run` of a recording that was made elsewhere."""
+    """Writes the two files of `run` of a recording that was made elsewhere.
+
+    Where a metric fails, the files of an earlier run stay, and the recording is NAME.partial.csv or .parquet.
+    """
     file = folder / f"{loaded.name}.{file_format}"
+    try:
+        result = Result(loaded, recording, metrics.evaluate(recording, loaded.metrics))
+    except BaseException:
+        _write_partial(recording, file)
+        raise
     start = time.perf_counter()
-    _write(recording, file)
+    digest = _write(recording, file)
     if "statistics" in recording.provenance:
         recording.provenance["statistics"]["phases_s"]["writing"] = time.perf_counter() - start
-    result = Result(loaded, recording, metrics.evaluate(recording, loaded.metrics))
     document = {
         "recording": file.name,
+        "sha256": digest,
         "scenario": loaded.resolved,
         "run": recording.provenance,
         "metrics": result.metrics_with_units,
@@ -93,9 +109,14 @@ def write_result(
     return result
 
 
-def _write(recording: Recording, file: Path) -> None:
+def _write_partial(recording: Recording, file: Path) -> None:
+    _write(recording, file.with_suffix(f".partial{file.suffix}"))
+
+
+def _write(recording: Recording, file: Path) -> str:
+    """Writes a recording; returns the SHA-256 of its file."""
     try:
-        recording.write(file)
+        return files.write(file, recording)
     except OSError as error:
         if error.errno == errno.EFBIG:
             hint = "an FMU may have limited this process; with --timeout FMUs have one of their own"

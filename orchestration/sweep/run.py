@@ -232,6 +232,9 @@ class Store:
             finished, stored = table.read(self.path)
             self._journal.check_same(stored, self.path)
             return self._checked(finished[table.SAMPLE].to_pylist(), self.path)
+        if not self._journal.path.is_file():
+            # of another sweep, whose removal was cut off: no row is theirs
+            shutil.rmtree(self.recordings, ignore_errors=True)
         self._journal.begin()
         return set(np.flatnonzero(self._positions() >= 0).tolist())
 

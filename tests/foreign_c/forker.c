@@ -1,5 +1,6 @@
-/* Forker: y' = u with u held over a step. The first call of one function forks the process, and the child returns,
- * too, as it does where it should become a program that is not there. In the child, y is another.
+/* Forker: y' = u with u held over a step. The first call of one function forks the process. The child returns, too, as
+ * it does where it should become a program that is not there; or it ends, or becomes a program. In the child, y is
+ * another.
  */
 
 #define _POSIX_C_SOURCE 199309L
@@ -7,10 +8,11 @@
 #include <unistd.h>
 
 enum { U, Y, N_VARIABLES };
+enum { RETURNS, EXITS, BECOMES };
 
 static void fork_in(const char *call);
 #define MODEL_IS_CALLED(call) fork_in(call)
-#define MODEL_CONFIG double call, child_waits;
+#define MODEL_CONFIG double call, child_waits, child_does;
 #include "slave.h"
 
 static const char *const CALLS[] = {"fmi2Instantiate", "fmi2SetReal", "fmi2GetReal", "fmi2EnterInitializationMode",
@@ -23,6 +25,8 @@ static void fork_in(const char *call) {
     has_forked = 1;
     is_child = fork() == 0;
     if (is_child == (int)config.child_waits) nanosleep(&(struct timespec){.tv_nsec = 100000000}, NULL);
+    if (is_child && config.child_does == EXITS) _exit(0);
+    if (is_child && config.child_does == BECOMES) execl("/bin/sh", "sh", "-c", "exit 0", (char *)NULL);
 }
 
 static fmi2Status model_initialise(Slave *s) {

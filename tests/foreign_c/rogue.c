@@ -45,14 +45,26 @@ enum { /* the items of the enumeration Misdeed */
     HIDE_FILES, /* new files get no permissions */
     LEAVE_SESSION,
     LIMIT_FILES, /* to 100 bytes */
-    RANDOM_OUTPUT /* that differs from run to run */
+    RANDOM_OUTPUT, /* that differs from run to run */
+    CRASH_IN_TERMINATE,
+    CRASH_IN_FREE,
+    HANG_IN_FREE,
+    CRASH_IN_FREE_OF_STATE
 };
 
 #define MODEL_REFUSES
+#define MODEL_ENDS
 #include "slave.h"
 
 static int is_due(const Slave *s, int misdeed) {
     return s->data.value[MISDEED] == misdeed && s->data.time >= s->data.value[MISDEED_TIME] - 1e-9;
+}
+
+static void model_ends(const Slave *s, const char *call) {
+    if (is_due(s, CRASH_IN_TERMINATE) && !strcmp(call, "fmi2Terminate")) raise(SIGSEGV);
+    if (is_due(s, CRASH_IN_FREE) && !strcmp(call, "fmi2FreeInstance")) raise(SIGSEGV);
+    while (is_due(s, HANG_IN_FREE) && !strcmp(call, "fmi2FreeInstance")) pause();
+    if (is_due(s, CRASH_IN_FREE_OF_STATE) && !strcmp(call, "fmi2FreeFMUstate")) raise(SIGSEGV);
 }
 
 static fmi2Status model_initialise(Slave *s) {

@@ -83,6 +83,12 @@ static fmi2Status model_tells_time(Slave *s);
 #define model_tells_time(s) fmi2OK
 #endif
 
+#ifdef MODEL_ENDS
+static void model_ends(const Slave *s, const char *call);
+#else
+#define model_ends(s, call) (void)0
+#endif
+
 static const char *const CATEGORIES[] = {"logStatusOk",    "logStatusWarning", "logStatusDiscard",
                                          "logStatusError", "logStatusFatal",   "logStatusPending"};
 
@@ -224,7 +230,9 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
 
 void fmi2FreeInstance(fmi2Component c) {
     Slave *s = c;
-    if (s && is_allowed(s, ~FATAL, "fmi2FreeInstance")) s->release(s);
+    if (!s || !is_allowed(s, ~FATAL, "fmi2FreeInstance")) return;
+    model_ends(s, "fmi2FreeInstance");
+    s->release(s);
 }
 
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[]) {
@@ -261,6 +269,7 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
 fmi2Status fmi2Terminate(fmi2Component c) {
     Slave *s = c;
     MUST_BE(STEPPING | STEP_FAILED, "fmi2Terminate");
+    model_ends(s, "fmi2Terminate");
     s->data.mode = TERMINATED;
     return fmi2OK;
 }
@@ -358,6 +367,7 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) {
     Slave *s = c;
     MUST_BE(~FATAL, "fmi2FreeFMUstate");
     MUST_CLAIM(config.saves_state, "fmi2FreeFMUstate");
+    model_ends(s, "fmi2FreeFMUstate");
     if (*state) s->release(*state);
     *state = NULL;
     return fmi2OK;

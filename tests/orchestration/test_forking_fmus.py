@@ -14,7 +14,7 @@ from orchestration.errors import OrchestrationError
 from orchestration.many.job import Failure
 from orchestration.many.run_many import LocalRuns, in_order
 from orchestration.results.recording import Recording
-from orchestration.run import simulate
+from orchestration.run import Simulator, simulate
 from orchestration.scenarios import scenario
 from orchestration.score.closed_loop import ClosedLoop, ClosedLoopRun, Controller
 from orchestration.score.protocol import read_protocol
@@ -81,30 +81,49 @@ def test_each_sample_has_its_own_metrics_or_the_cause(
     for row in rows:
         assert row["error"] or row["end"] == pytest.approx(row["f.u"], rel=1e-12)  # ten sums
         assert not row["error"] or CAUSE in row["error"]
-    assert waits == "child" or any(row["error"] for row in rows)
+    assert any(row["error"] for row in rows)
 
 
 @pytest.mark.parametrize("waits", ["child", "parent"])
 @pytest.mark.parametrize("call", [call for call in FORKING_CALLS if call != "fmi2Reset"])
-def test_a_run_with_a_timeout_has_its_own_record_or_the_cause(forker: Build, call: str, waits: str) -> None:
-    system, experiment = System({"f": forker(call, waits)}), Experiment(1.0, 0.1, inputs={"f.u": 2.0})
-    if waits == "parent":
-        with pytest.raises(OrchestrationError, match=CAUSE):
-            simulate(system, experiment, timeout=TO_END_S)
-        return
-    with contextlib.suppress(OrchestrationError):
-        recording = simulate(system, experiment, timeout=TO_END_S)
-        assert recording["f.y"].tolist() == pytest.approx((2.0 * recording.time).tolist(), rel=1e-12)
+def test_a_run_with_a_timeout_ends_with_the_cause(forker: Build, call: str, waits: str) -> None:
+    """Its one step takes less than the child waits."""
+    system, experiment = System({"f": forker(call, waits)}), Experiment(0.1, 0.1, inputs={"f.u": 2.0})
+    with pytest.raises(OrchestrationError, match=CAUSE):
+        simulate(system, experiment, timeout=TO_END_S)
 
 
+@pytest.mark.parametrize("waits", ["child", "parent"])
 @pytest.mark.parametrize("call", [call for call in FORKING_CALLS if call != "fmi2Reset"])
-def test_a_run_in_this_process_ends_with_the_cause_and_its_child(forker: Build, call: str) -> None:
+def test_a_run_in_this_process_ends_with_the_cause_and_its_child(
+    forker: Build, call: str, waits: str
+) -> None:
     """The child would go on with the program that called `simulate`."""
-    system, experiment = System({"f": forker(call, "parent")}), Experiment(1.0, 0.1, inputs={"f.u": 2.0})
+    system, experiment = System({"f": forker(call, waits)}), Experiment(0.1, 0.1, inputs={"f.u": 2.0})
     with pytest.raises(OrchestrationError, match=f"f forked its process {CAUSE}"):
         simulate(system, experiment)
     for child in psutil.Process().children()[-1:]:
         child.wait(TO_END_S)  # nobody else does, and it would stay a zombie of the tests that follow
+
+
+@pytest.mark.parametrize("child", ["exits", "becomes"])
+@pytest.mark.parametrize("call", ["fmi2Instantiate", "fmi2DoStep"])
+def test_a_child_that_does_not_return_is_no_error(forker: Build, call: str, child: str) -> None:
+    system = System({"f": forker(call, "child", child=child)})
+    recording = simulate(system, Experiment(1.0, 0.1, inputs={"f.u": -2.0}))
+    assert recording["f.y"].tolist() == pytest.approx((-2.0 * recording.time).tolist(), rel=1e-12)
+
+
+def test_a_fork_is_the_fault_of_its_own_run_alone(forker: Build, linear: Build) -> None:
+    """The one that another run of this process ends with is neither of a run before nor of one after."""
+    forking = System({"f": forker("fmi2DoStep", "child")})
+    with Simulator(System({"one": linear()})) as simulator:
+        run = simulator.start(Experiment(1.0, 0.1, inputs={"one.u[1]": 1.0}))
+        with pytest.raises(OrchestrationError, match=f"f forked its process {CAUSE}"):
+            simulate(forking, Experiment(1.0, 0.1, inputs={"f.u": 1.0}))
+        while not run.is_done:
+            run.step()
+        assert len(run.recording().time) == 11
 
 
 def number_of(signals: Recording, number: int) -> int:
@@ -113,15 +132,13 @@ def number_of(signals: Recording, number: int) -> int:
 
 
 @pytest.mark.parametrize("waits", ["child", "parent"])
-def test_each_case_of_a_score_has_its_own_result_or_the_cause(
-    forker: Build, scenario_fmus: None, waits: str
-) -> None:
+def test_each_case_of_a_score_has_the_cause(forker: Build, scenario_fmus: None, waits: str) -> None:
     names = {"depth_reference": "u", "control_force": "y"}
     controller = Controller("forker", str(forker("fmi2DoStep", waits)), mapping=names)
     protocol = read_protocol()
     runs = [ClosedLoopRun(protocol.nominal, partial(number_of, number=i)) for i in range(2)]
     with LocalRuns(1, isolate=True) as place:
         loop = ClosedLoop(controller, protocol, partial(in_order, place), protocol.tables.time_limit)
-        for number, result in enumerate(loop.results(runs)):
-            assert isinstance(result, Failure) or (result == number and waits == "child")
-            assert not isinstance(result, Failure) or CAUSE in result.reason
+        for result in loop.results(runs):
+            assert isinstance(result, Failure)
+            assert CAUSE in result.reason

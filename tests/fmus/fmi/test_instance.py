@@ -1,8 +1,11 @@
 """An instance is always freed, warns where it should, and its errors survive a process boundary."""
 
 import contextlib
+import ctypes
 import pickle
+import sys
 import tempfile
+import threading
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -41,6 +44,46 @@ class Spy(Library):
 
 def load(path: Path, name: str = "it") -> FmuInstance:
     return FmuInstance(name, path, describe(path))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not list threads")
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_library_whose_thread_may_still_run_stays_loaded(
+    linear: Build, monkeypatch: pytest.MonkeyPatch, fmi: int
+) -> None:
+    """A thread of C that was not there before, also if it has called Python; no thread of Python."""
+    unloaded: list[Library] = []
+
+    def unload(library: Library) -> None:
+        unloaded.append(library)
+
+    monkeypatch.setattr(Library, "unload", unload)
+    is_over, has_begun = threading.Event(), threading.Event()
+    path = linear(fmi=fmi)
+    before, earlier = load(path), load(path)
+    ours = threading.Thread(target=is_over.wait, daemon=True)
+    ours.start()
+    earlier.close()
+    assert unloaded == [earlier.library]
+
+    @ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)
+    def wait(_: int | None) -> None:
+        assert isinstance(threading.current_thread(), threading._DummyThread)
+        has_begun.set()
+        is_over.wait()
+
+    c, thread = ctypes.CDLL(None), ctypes.c_ulong()
+    assert c.pthread_create(ctypes.byref(thread), None, wait, None) == 0
+    try:
+        assert has_begun.wait(10.0)
+        before.close()
+        assert len(unloaded) == 1
+        later = load(path)
+        later.close()
+        assert unloaded[1:] == [later.library]
+    finally:
+        is_over.set()
+        c.pthread_join(thread, None)
 
 
 def test_closing_terminates_frees_unloads_and_removes(

@@ -11,7 +11,8 @@ import pytest
 
 BUSY = """
 import os, signal, struct, sys, time
-from fmus.fmi.parent_process import end_is_meant, report_memory, run_watched, share_names
+from fmus.fmi.parent_process import end_is_meant, report_memory, results_are_written, run_watched
+from fmus.fmi.parent_process import share_names
 def busy():
     share_names(["good", "bad"])
     struct.pack_into("=7q", report_memory(56), 0, 0, 0, 0, 0, 0, 2, 0)
@@ -21,6 +22,7 @@ def program():
 sys.exit(run_watched(program))
 """
 LOST = "the run is lost; with --timeout FMUs have a process of their own\n"
+WRITTEN = LOST.replace("the run is lost", "the files of the run are written")
 SEGFAULT = "busy(); os.kill(os.getpid(), signal.SIGSEGV)"
 REAL_TIME = "busy(); os.kill(os.getpid(), 37)"  # a signal without a name
 
@@ -44,6 +46,12 @@ def started(body: str) -> subprocess.Popen[str]:
         ("os._exit(5)", 70, f"l1-depth: something ended the process with exit status 5: {LOST}"),
         (REAL_TIME, 165, f"l1-depth: bad ended the process with signal 37: {LOST}"),
         (SEGFAULT, 139, f"l1-depth: bad ended the process with SIGSEGV: {LOST}"),
+        (
+            f"results_are_written(); {SEGFAULT}",
+            139,
+            f"l1-depth: bad ended the process with SIGSEGV: {WRITTEN}",
+        ),
+        ("results_are_written(); return 3", 3, ""),
         (
             "signal.signal(signal.SIGTERM, signal.SIG_DFL); os.kill(os.getpid(), signal.SIGTERM)",
             130,

@@ -17,6 +17,7 @@ import pytest
 from fmus.files import TEMPORARY_VARIABLE
 from orchestration.cli import run_interruptible
 from orchestration.cli.app import app
+from orchestration.report import RunResult, found_results
 from orchestration.results.recording import Recording
 from tests.foreign_fmus import Misdeed
 
@@ -271,3 +272,22 @@ def test_an_fmu_that_ends_the_process_at_once_is_named_and_the_status_is_not_0(
     assert (process.returncode, out) == (70, "")
     assert error.startswith("l1-depth: rudder ended the process with exit status 0: the run is lost")
     assert not [*(tmp_path / "out").iterdir(), *(tmp_path / "tmp").iterdir()]
+
+
+def test_an_fmu_that_crashes_while_it_is_freed_loses_nothing_of_the_run(
+    rogue: Callable[..., Path], started: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    (tmp_path / "ends.toml").write_text(
+        f'[components]\nrudder = "{rogue()}"\n[experiment]\nstop_time = 1.0\nstep_size = 0.1\n'
+        f'[inputs]\n"rudder.u" = 0.0\n[parameters]\n"rudder.misdeed" = {int(Misdeed.CRASH_IN_FREE)}\n'
+    )
+    process = started("", "run", "ends.toml", "--out", "out", "--formats", "none")
+    out, error = process.communicate(timeout=60)
+    assert (process.returncode, out.splitlines()) == (139, ["out/ends.csv", "out/ends.json"])
+    assert error.startswith(
+        "l1-depth: rudder ended the process with SIGSEGV: the files of the run are written; with --timeout"
+    )
+    (run,) = found_results([tmp_path / "out"])
+    assert isinstance(run, RunResult)
+    assert run.recording.time[-1] == 1.0
+    assert not list((tmp_path / "tmp").iterdir())

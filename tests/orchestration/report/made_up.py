@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from fmus.files import write_json_atomically
+from orchestration.results import files
 from orchestration.results.metric_units import with_units
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
@@ -58,9 +59,9 @@ def write_run(
 ) -> Path:
     """NAME.csv or .parquet and NAME.json, whose path is returned."""
     run = run or recording()
-    run.write(folder / f"{name}.{ending}")
     document = {
         "recording": f"{name}.{ending}",
+        "sha256": files.write(folder / f"{name}.{ending}", run),
         "scenario": {**SCENARIO, **scenario_keys},
         "run": run.provenance,
         "metrics": with_units({"rmse": 4.35, "settling_time": 43.7} if measured is None else measured, UNITS),

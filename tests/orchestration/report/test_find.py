@@ -49,6 +49,34 @@ def test_a_recording_that_the_document_does_not_name_stands_alone(tmp_path: Path
     assert names(tmp_path) == ["dive.csv", "dive.json"]
 
 
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+@pytest.mark.parametrize("given", ["dive.json", "dive.{ending}", "."])
+def test_the_recording_of_another_run_is_refused(given: str, ending: str, tmp_path: Path) -> None:
+    """As a run leaves it that was killed between its two files; another result of the folder is right."""
+    write_run(tmp_path, "dive", ending=ending)
+    write_run(tmp_path, "other")
+    last = recording().values[-1, -1]
+    recording(phase=1e-15).write(tmp_path / f"dive.{ending}")
+    assert Recording.read(tmp_path / f"dive.{ending}").values[-1, -1] == pytest.approx(last, rel=1e-12)
+    with pytest.raises(OrchestrationError) as refusal:
+        found_results([tmp_path / given.format(ending=ending)])
+    assert str(refusal.value).startswith(f"{tmp_path / 'dive.json'}: sha256 = ")
+    assert f"of dive.{ending}: it is of another run" in str(refusal.value)
+    (tmp_path / "dive.json").unlink()  # as the message says
+    assert names(tmp_path) == ["dive", "other"]
+
+
+def test_a_document_of_an_earlier_version_is_refused(tmp_path: Path) -> None:
+    document = write_run(tmp_path, "dive")
+    content = json.loads(document.read_text())
+    del content["sha256"]
+    document.write_text(json.dumps(content))
+    with pytest.raises(
+        OrchestrationError, match=r"dive\.json: sha256 = '': .* of an earlier version; run again"
+    ):
+        found_results([tmp_path])
+
+
 def test_the_same_run_in_both_formats_is_one(tmp_path: Path) -> None:
     write_run(tmp_path, "dive", ending="csv")
     write_run(tmp_path, "dive", ending="parquet")

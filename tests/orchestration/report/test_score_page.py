@@ -1,7 +1,9 @@
 """The page of a score in a browser: tables, tracking, the price of accuracy, plants."""
 
+import json
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,6 +11,9 @@ from typing import Any
 import pytest
 from selenium import webdriver
 
+from fmus.errors import MissingExtraError
+from orchestration.cli.score import write_score
+from orchestration.report import score_page as pages
 from orchestration.report.score_page import preselected, score_page
 from orchestration.score.score import ScoreResult
 
@@ -45,6 +50,29 @@ def test_a_case_that_the_vehicle_cannot_play_is_named(html: str) -> None:
     made_up.document.protocol.left_out = {"Current <0.05 m/s>": "boat lacks plant.current_velocity"}
     page = score_page(made_up, "Score")
     assert "<dt>Current &lt;0.05 m/s&gt;</dt><dd>boat lacks plant.current_velocity</dd>" in page
+
+
+@pytest.mark.parametrize("error", [RuntimeError("no page"), MissingExtraError("a page needs jinja2")])
+def test_a_page_that_cannot_be_made_stands_beside_no_score_of_another_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], error: Exception
+) -> None:
+    """Neither file is written, or the score alone where the library for pages is not installed."""
+
+    def fail(result: ScoreResult, title: str) -> str:
+        raise error
+
+    made, file = made_up_score(), tmp_path / "score.json"
+    write_score(made, made, file, "Before")
+    assert capsys.readouterr().out.splitlines() == [str(file), str(file.with_suffix(".html"))]
+    before, other = file.read_text(), made.document.model_copy(update={"seed": 7})
+    monkeypatch.setattr(pages, "score_page", fail)
+    with suppress(RuntimeError):
+        write_score(replace(made, document=other), made, file, "After")
+    if isinstance(error, MissingExtraError):
+        assert capsys.readouterr() == (f"{file}\n", "l1-depth: no page: a page needs jinja2\n")
+        assert (json.loads(file.read_text())["seed"], file.with_suffix(".html").exists()) == (7, False)
+    else:
+        assert (file.read_text(), file.with_suffix(".html").exists()) == (before, True)
 
 
 def lines(page: OpenedPage, plot: str) -> dict[str, list[float]]:

@@ -8,6 +8,7 @@ import textwrap
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import psutil
 import pytest
 from pythonfmu.builder import FmuBuilder
 
-from orchestration.errors import OrchestrationError, SimulationError
+from orchestration.errors import FmuWarning, OrchestrationError, SimulationError
 from orchestration.run import Simulator, simulate
 from orchestration.run import subprocess_run as apart
 from orchestration.run.checkpoint import Checkpoints, read_checkpoint
@@ -67,6 +68,29 @@ def test_the_record_until_then_is_kept(
     assert np.array_equal(recording.values, uninterrupted.values[:6])
     assert not list(temporary.iterdir())
     assert set(psutil.Process().children(recursive=True)) <= before
+
+
+@pytest.mark.parametrize(
+    ("misdeed", "words"),
+    [
+        (Misdeed.CRASH_IN_TERMINATE, "ended its process with SIGSEGV"),
+        (Misdeed.CRASH_IN_FREE_OF_STATE, "ended its process with SIGSEGV"),
+        (Misdeed.HANG_IN_FREE, "did not return within 1 s, and its process was ended"),
+    ],
+)
+def test_a_crash_after_the_last_row_is_a_warning(
+    linear: Build, rogue: Build, temporary: Path, misdeed: Misdeed, words: str
+) -> None:
+    system = System({"good": linear(saves_state=True), "bad": rogue(saves_state=True)})
+    whole = Experiment(1.0, 0.1, -0.5, inputs={"bad.u": -2.0, "good.u[1]": 1.0})
+    bad = replace(whole, parameters={"bad.misdeed": int(misdeed)})
+    with pytest.warns(FmuWarning, match=f"^bad after the run: {words}; the recording is not affected$"):
+        recording = simulate(system, bad, timeout=1.0)
+    expected = simulate(system, whole)
+    assert recording["bad.y"][-1] == pytest.approx(-3.0, rel=1e-12)
+    assert np.array_equal(recording.values, expected.values)
+    assert recording.provenance == expected.provenance
+    assert not list(temporary.iterdir())
 
 
 def test_an_error_comes_back_as_it_is(rogue: Build, temporary: Path) -> None:
@@ -268,9 +292,6 @@ HANGS = """
 
         def do_step(self, t, h):
             return True
-
-        def terminate(self):
-            perhaps("termination")
 """
 
 
@@ -286,7 +307,6 @@ def hangs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         ("loading", "last in the initialisation: did not return within 3 s", 0),
         ("initialisation", "last in the initialisation: did not return within 1 s", 0),
-        ("termination", "last at t = 1 s: did not return within 1 s", 11),
     ],
 )
 def test_who_hangs_elsewhere_is_named(

@@ -197,6 +197,18 @@ def test_another_sweep_of_the_name_is_refused_until_it_is_discarded(
     assert other.begin() == set()
 
 
+def test_recordings_without_a_journal_are_of_another_sweep(planned: Make, tmp_path: Path) -> None:
+    """As a sweep leaves them that is killed while it discards its files, or a table that the user removed."""
+    made = planned(GRID)
+    first = begun(made, tmp_path)
+    first.add([row(made, 3)], [b"earlier"])
+    assert store(made, tmp_path).begin() == {3}
+    assert [path.read_bytes() for path in first.recordings.iterdir()] == [b"earlier"]  # of the row
+    (tmp_path / "mine.sweep.jsonl").unlink()
+    assert store(made, tmp_path).begin() == set()
+    assert not first.recordings.exists()
+
+
 def test_another_fmu_is_another_sweep_but_another_place_is_not(
     planned: Make, tmp_path: Path, rogue: Callable[..., Path]
 ) -> None:
