@@ -88,6 +88,17 @@ def test_points_at_other_distances_have_the_same_delay() -> None:
     assert shift_lag(equal, "r", "r", LARGEST) == pytest.approx(0.0, abs=1e-9)  # rounding of sums
 
 
+@pytest.mark.parametrize("start", [0.0, -50.0, 100.0])
+@pytest.mark.parametrize("power", [1.0, 1.01])
+def test_a_run_is_judged_from_the_same_point_wherever_time_begins(start: float, power: float) -> None:
+    """The signal is another one until then; points at equal distances, and at growing ones."""
+    time = TIME**power
+    reference = smooth(np.random.default_rng(2), time)
+    signal = np.where(time < LARGEST, 5.0, np.interp(time - 2.0, time, reference))
+    lag = shift_lag(recording(start + time, signal, reference), "z", "r", LARGEST)
+    assert lag == pytest.approx(2.0, abs=2e-4)  # the search by steps ends at 1e-4 s
+
+
 def test_a_delay_between_points_at_the_end_of_the_search_is_none() -> None:
     reference = np.sin(0.1 * TIME)
     run = recording(TIME, np.interp(TIME - 3.0, TIME, reference), reference)
