@@ -15,6 +15,7 @@ from orchestration.scenarios.file_tables import At, Table, checked
 from orchestration.scenarios.toml_file import KeyPath
 from orchestration.system import faults
 from orchestration.system.faults import Fault
+from orchestration.system.quantities import stated
 from orchestration.system.signal_derivatives import KINDS
 from orchestration.system.signals import Signal
 
@@ -28,6 +29,7 @@ def signal(declaration: object, where: str) -> Signal:
     Raises ScenarioError, which begins with `where`.
     """
     arguments = checked(_SIGNAL_TABLE, declaration, where).given()
+    arguments.pop("unit", None)  # of a variable that is not known
     try:
         return KINDS[arguments.pop("kind")](**arguments)
     except ScenarioError as error:
@@ -56,23 +58,32 @@ def with_file_values(signals: dict[str, Any], folder: Path, at: At, keys: KeyPat
     """
     result = dict(signals)
     for name, declared in signals.items():
-        if isinstance(declared, dict) and declared.get("file"):
-            where = f'{at((*keys, name, "file"))}: signals."{name}"'
-            others = {key: value for key, value in declared.items() if key not in ("file", "column")}
-            if others.keys() & {"times", "values"}:
+        given = dict(declared) if isinstance(declared, dict) else {}
+        where = f'{at((*keys, name, "file" if given.get("file") else "unit"))}: signals."{name}"'
+        if given.get("unit"):
+            given["unit"] = stated(given["unit"], f"{where}: ")
+        if given.get("file"):
+            file, column = folder / given.pop("file"), given.pop("column", "")
+            if given.keys() & {"times", "values"}:
                 raise ScenarioError(f"{where}: file, and times or values: expected one of them")
-            times, values = _columns(folder / declared["file"], declared.get("column", ""), where)
-            result[name] = {**others, "times": times, "values": values}
+            given |= _columns(file, column, where)
+        result[name] = given or declared
     return result
 
 
-def _columns(path: Path, name: str, where: str) -> tuple[list[float], list[float]]:
-    """Times and the values of a column, by default the second, of a CSV file."""
+def _columns(path: Path, name: str, where: str) -> dict[str, Any]:
+    """Returns times [s], values and their unit, if any, of a column of a CSV file, by default the second."""
     try:
         file = read_data_file(path)
         if name and not file.titles:
             raise ScenarioError(f"{path}:1: column = {name!r}: expected a first line of titles")
-        times, values = file.numbers(0, file.index(name) if name else 1).T.tolist()
+        index = file.index(name) if name else 1
+        times, values = file.numbers(0, index).T
+        columns: dict[str, Any] = {
+            "times": file.conversion(0, "s")(times).tolist(),
+            "values": values.tolist(),
+        }
+        unit = file.units[index] if file.units else ""
+        return columns | ({"unit": stated(unit, f"{where}: {path}:1: ")} if unit else {})
     except ScenarioError as error:
         raise ScenarioError(f"{where}: {error}") from error
-    return times, values

@@ -47,8 +47,10 @@ from orchestration.scenarios.toml_file import KeyPath, TomlFile
 from orchestration.scenarios.vehicle import PLANT, VehicleValues, description_file
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.prepared_run import PreparedRun, prepare
+from orchestration.system.quantities import in_unit_of
 from orchestration.system.signal_derivatives import with_derivatives
-from orchestration.system.system import System
+from orchestration.system.system import Port, System
+from orchestration.system.values import fmi_value
 
 __all__ = ["SHIPPED", "Scenario", "find", "load", "load_scenario", "located", "parameter_values", "shipped"]
 
@@ -109,11 +111,15 @@ def load(
         build(file)
         return {variable.name: variable for variable in describe(file).modelVariables}
 
-    def is_boolean(name: str) -> bool:
+    def port_of(name: str) -> Port | None:
         component, _, variable = name.partition(".")
         fmu = components_of(layers).get(component)
         declared = variables(fmu).get(variable) if fmu else None
-        return declared is not None and declared.type == "Boolean"
+        return declared and Port(component, declared)
+
+    def is_boolean(name: str) -> bool:
+        port = port_of(name)
+        return port is not None and port.variable.type == "Boolean"
 
     standing_in = alternatives(layers)
     mapping = {k: v for x in layers for k, v in x.data.get("mapping", {}).get(PLANT, {}).items()}
@@ -123,6 +129,10 @@ def load(
     layers = with_chosen_entries(layers)
     replaced = replacements(layers, variables, standing_in)
     fitting = merged(without_misfits(layers, replaced), is_boolean)
+    try:
+        fitting = _converted(fitting, port_of)
+    except SystemDefinitionError as error:
+        raise ScenarioError(located(str(error), files)) from error
     data = with_faulted_constants({"title": path.stem, **{table: {} for table in TABLES}, **fitting})
     data.pop("optional", None)
     if not data["components"]:
@@ -152,6 +162,22 @@ def load(
         from_actuators={n: v for n, v in from_actuators.items() if data["parameters"].get(n) == v},
         arguments=(path.stem if shipped().get(path.stem) == path else str(path),),
     )
+
+
+def _converted(data: Data, port_of: Callable[[str], Port | None]) -> Data:
+    """Returns the data with numbers in the units of the variables; raises SystemDefinitionError."""
+    result = {**data, **{table: dict(data.get(table, {})) for table in ("parameters", "inputs", "signals")}}
+    for entries in (result["parameters"], result["inputs"]):
+        for name, value in entries.items():
+            with suppress(FmuLoadError):  # what is not built yet is converted when it runs
+                if isinstance(value, str) and (port := port_of(name)) and port.variable.type == "Real":
+                    entries[name] = fmi_value(port, value)
+    for name, declared in result["signals"].items():
+        if isinstance(declared, dict) and declared.get("unit") and (port := port_of(name)):
+            change, values = in_unit_of(port.variable, declared["unit"]), declared.get("values", [])
+            values = [change(x) if isinstance(x, int | float) else x for x in values]
+            result["signals"][name] = {k: v for k, v in declared.items() if k != "unit"} | {"values": values}
+    return result
 
 
 def _check_parameters(files: Sequence[TomlFile], data: Data, describe: Describe) -> None:
@@ -195,7 +221,10 @@ def _with_actuators(
                 f"{len(actuators.table.voltages)} of the thrusters of {Path(new.fmu).name}; "
                 f"--set {component}.thruster_tabulated=false takes a line in its place"
             )
-        told = actuators.parameters(float(own.get("voltage_limit") or math.nan), points)
+        limit = own.get("voltage_limit")
+        if isinstance(limit, str):
+            limit = fmi_value(Port(component, describe(fmu)["voltage_limit"]), limit)
+        told = actuators.parameters(float(limit or math.nan), points)
         entries |= {f"{component}.{name}": value for name, value in told.items() if name in own}
     return [*layers[: new.layer], Layer({"parameters": entries}), *layers[new.layer :]], entries
 
@@ -237,6 +266,8 @@ def located(message: str, files: Sequence[TomlFile]) -> str:
 
     files: of the scenario, the uppermost first; a line of another file stands at the end
     """
+    if any(message.startswith(f"{file.path}:") for file in files):
+        return message
     names = re.findall(r"[A-Za-z_]\w*\.[\w.\[\]]*[\w\]]", message)
     tables: list[KeyPath] = [("metrics", name) for name in re.findall(r"metric (\w+):", message)]
     tables += [("step_sizes", name) for name in re.findall(r"step size of (\w+)", message)]

@@ -116,7 +116,12 @@ def test_the_variable_that_stands_for_another_names_its_column_too(read: Read, v
         ("voltage[2]", "u", {}, r"no column voltage\[2\]: name it by --map data.voltage\[2\]=COLUMN"),
         ("", "", {"measured_depth": "measured_dept"}, "dive.csv:1: no column 'measured_dept'; nearest is"),
         ("", "", {"voltag": "time"}, r"--map data.voltag=time: .*voltage\["),
-        ("[m]", "[ft]", {}, "measured_depth is in ft: expected m or mm or cm or km"),
+        (
+            "[m]",
+            "[ft]",
+            {},
+            "measured_depth: unknown unit 'ft': expected m or a unit of its dimension; nearest is 't'",
+        ),
         ("10.1,", "10.0,", {}, "dive.csv:3: repeated time 10 s after 10 s: expected ascending times"),
         ("10.25,", "9,", {}, "dive.csv:4: earlier time 9 s after 10.1 s: expected ascending"),
         ("1.6,", "deep,", {}, "dive.csv:3: expected numbers in columns 2 and 3 and 4, got"),

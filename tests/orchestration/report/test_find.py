@@ -101,7 +101,7 @@ def test_a_missing_file_offers_the_nearest(tmp_path: Path) -> None:
         ("x.csv", b"0.0,1.0\n", "expected a first line of titles, got numbers or nothing"),
         ("x.csv", b"a,b\n", "expected at least one communication point"),
         ("x.csv", b"a,b\nx,1\n", "expected numbers in column 1, got 'x,1'"),
-        ("x.csv", b"a [min],b\n0,1\n", "a is in min: expected s or ms or cs or ks"),
+        ("x.csv", b"a [m],b\n0,1\n", "a: unit 'm': expected s or a unit of its dimension"),
         ("x.csv", b"time [s],a.x\n", "expected at least one communication point"),
         ("x.csv", b"time [s],a.x\n0.0,1.0\n0.0,1.0\n", "expected times that increase"),
         ("x.csv", b"time [s],a.x\nnan,1.0\n", "expected finite times"),
