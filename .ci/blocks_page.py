@@ -9,7 +9,8 @@ from typing import Any
 from fmus import numerics
 from fmus.block import Block, NoValues, variable
 from fmus.block.guide import Guide
-from fmus.block.units import BASE_UNITS, UnitDefinition, unit
+from fmus.block.units import unit
+from fmus.units import SYMBOLS, UnitDefinition
 
 _HEAD = """\
 # Blocks
@@ -134,14 +135,14 @@ def _functions() -> str:
 
 
 def _units() -> str:
-    known = ", ".join(f"`{name}`" for name in BASE_UNITS)
+    known = ", ".join(f"`{name}`" for name in SYMBOLS)
     rows = [
         (f"`{name}`", _powers(unit(name)), f"{unit(name).factor!r}", f"{unit(name).offset!r}")
         for name in _FURTHER
     ]
     table = _table(("Unit", "Base units of FMI", "Factor", "Offset"), rows)
     return (
-        f"Coherent units of the base units of FMI 2.0: {known}.\n\n"
+        f"Products of powers of these symbols, most with SI prefixes: {known}.\n\n"
         "With Pint, all others that these base units can express (`pip install 'l1-depth[units]'`).\n"
         "The value in base units is factor times value plus offset. Some of them:\n\n"
         f"{table}\n\nThe error for an unknown unit names the nearest known one."

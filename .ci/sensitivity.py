@@ -28,7 +28,6 @@ from fmus.operating_system import usable_processors
 from orchestration.many.job import Failure
 from orchestration.many.run_many import LocalRuns, in_order
 from orchestration.score.closed_loop import ClosedLoop, ClosedLoopRun, tuned
-from orchestration.score.draws import distribution_of
 from orchestration.score.protocol import Case, Protocol, read_protocol
 from orchestration.score.run_metrics import declared, failures, metrics_of
 from orchestration.score.vehicle import Vehicle
@@ -55,7 +54,7 @@ class Law:
 def guessed(protocol: Protocol) -> dict[str, tuple[list[str], Law]]:
     """Returns name -> variables and distribution of the numbers that no source gives."""
     numbers = {
-        name: (list(entry.variables), Law(distribution_of(entry)))
+        name: (list(entry.variables), Law(protocol.law(name)))
         for name, entry in protocol.vary.items()
         if name != "sensor_seed"
     }

@@ -13,8 +13,8 @@ import pytest
 from fmus import numerics
 from fmus.block import Block
 from fmus.block.block_file import write_new_block
-from fmus.block.units import BASE_UNITS
 from fmus.build.builder import load_block
+from fmus.units import SYMBOLS
 from orchestration.score.protocol import read_protocol
 from orchestration.score.score_document import Score
 
@@ -38,7 +38,7 @@ def test_the_reference_of_blocks_has_every_field_function_and_base_unit() -> Non
     page = page_of_the_site("blocks")
     assert {member.name for member in fields(Block)} <= set(re.findall(r"^\| `(\w+)` \|", page, re.M))
     assert set(numerics.__all__) == set(re.findall(r"^\| `(\w+)\(.*\)` \|", page, re.M))
-    assert [name for name in BASE_UNITS if f"`{name}`" not in page] == []
+    assert [name for name in SYMBOLS if f"`{name}`" not in page] == []
 
 
 def parameters_of_the_site(page: str) -> Iterator[tuple[str, str, str]]:

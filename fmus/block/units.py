@@ -1,61 +1,30 @@
-"""Units over the base units of FMI 2.0 (2.2.2): kg, m, s, A, K, mol, cd and rad.
+"""Units that a block may state: those of `fmus.units`, and all others that FMI can express and Pint knows.
 
-Names are written as in the standard: "N.s/m", "1/s2", "kg/(m.s)", "rev/min", "degC". Pint knows what they
-mean; it is an extra, and loaded for a name that the table below does not have.
+Pint is an extra. It is loaded for a name that `fmus.units` does not know.
 """
 
 import re
-from dataclasses import dataclass, field
 from decimal import Decimal
 from functools import cache
 from typing import Any
 
 from fmus.errors import ExportError, nearest
 from fmus.extras import require
+from fmus.units import BASES, SYMBOLS, UnitDefinition, si_unit
 
-# Coherent units, by their exponents over the base units. "1" is dimensionless.
-BASE_UNITS: dict[str, dict[str, int]] = {
-    "1": {}, "s": {"s": 1}, "1/s": {"s": -1}, "1/s2": {"s": -2}, "1/s3": {"s": -3}, "s2": {"s": 2},
-    "Hz": {"s": -1},
-    "m": {"m": 1}, "1/m": {"m": -1}, "m2": {"m": 2}, "m3": {"m": 3},
-    "m/s": {"m": 1, "s": -1}, "m/s2": {"m": 1, "s": -2},
-    "rad": {"rad": 1}, "rad/s": {"rad": 1, "s": -1}, "rad/s2": {"rad": 1, "s": -2},
-    "kg": {"kg": 1}, "s/kg": {"s": 1, "kg": -1}, "1/kg": {"kg": -1}, "kg/m3": {"kg": 1, "m": -3},
-    "kg.m2": {"kg": 1, "m": 2},
-    "N": {"kg": 1, "m": 1, "s": -2}, "N.m": {"kg": 1, "m": 2, "s": -2}, "N/s": {"kg": 1, "m": 1, "s": -3},
-    "N/s2": {"kg": 1, "m": 1, "s": -4},
-    "N/m": {"kg": 1, "s": -2}, "N/(m.s)": {"kg": 1, "s": -3}, "N.s/m": {"kg": 1, "s": -1},
-    "N.s2/m2": {"kg": 1, "m": -1}, "N.m.s": {"kg": 1, "m": 2, "s": -1}, "N.m.s2": {"kg": 1, "m": 2},
-    "Pa": {"kg": 1, "m": -1, "s": -2}, "J": {"kg": 1, "m": 2, "s": -2}, "W": {"kg": 1, "m": 2, "s": -3},
-    "A": {"A": 1}, "C": {"A": 1, "s": 1}, "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
-    "N/V": {"m": -1, "s": 1, "A": 1}, "Ohm": {"kg": 1, "m": 2, "s": -3, "A": -2},
-    "K": {"K": 1}, "mol": {"mol": 1}, "cd": {"cd": 1},
-}  # fmt: skip
 _PINT_NAMES = {
     "kilogram": "kg", "meter": "m", "second": "s", "ampere": "A",
     "kelvin": "K", "mole": "mol", "candela": "cd", "radian": "rad",
 }  # fmt: skip
 # where FMI and Modelica write a name otherwise than Pint, or mean another unit by it
 _DEFINITIONS = ("@alias turn = rev", "@alias ohm = Ohm", "torque_newton_meter = newton * meter = Nm")
-_BASES = tuple(_PINT_NAMES.values())
 _GRAMMAR = re.compile(r"1|(1/)?[^\W\d_(%][\w.%/()-]*|(1/)?[%°][\w./()-]*|1/\([\w.%/()-]*")
 _EXPONENT = re.compile(r"(?<=[^\W\d_])(-?\d+)")
 
 
-@dataclass(frozen=True)
-class UnitDefinition:
-    """Unit: value in base units = factor * value in this unit + offset; exponents: of the base units."""
-
-    exponents: dict[str, int] = field(default_factory=dict)
-    factor: float = 1.0
-    offset: float = 0.0
-
-
-@cache
 def unit(name: str) -> UnitDefinition:
     """Returns the unit of a name; ExportError, with the nearest name, for one that FMI cannot express."""
-    exponents, factor, offset = _converted(name)
-    return UnitDefinition(exponents, float(factor), float(offset))
+    return si_unit(name) or _by_pint(name)
 
 
 def display(unit_name: str, display_name: str) -> tuple[float, float]:
@@ -63,10 +32,10 @@ def display(unit_name: str, display_name: str) -> tuple[float, float]:
 
     Raises ExportError for units of different dimensions.
     """
-    (exponents, factor, offset), (others, divisor, shift) = _converted(unit_name), _converted(display_name)
-    if exponents != others:
+    own, shown = unit(unit_name), unit(display_name)
+    if own.exponents != shown.exponents:
         raise ExportError(f"display unit {display_name!r}: expected one of the dimension of {unit_name!r}")
-    return float(factor / divisor), float((offset - shift) / divisor)
+    return own.factor / shown.factor, (own.offset - shown.offset) / shown.factor
 
 
 def per_second(name: str) -> str:
@@ -85,10 +54,7 @@ def rate(name: str) -> UnitDefinition:
 
 
 @cache
-def _converted(name: str) -> tuple[dict[str, int], Decimal, Decimal]:
-    """Returns (exponents, factor, offset), exact but for irrational factors."""
-    if name in BASE_UNITS:
-        return BASE_UNITS[name], Decimal(1), Decimal(0)
+def _by_pint(name: str) -> UnitDefinition:
     pint = require("pint", "units", f"unit {name!r}")
     try:
         if not _GRAMMAR.fullmatch(name):
@@ -99,19 +65,19 @@ def _converted(name: str) -> tuple[dict[str, int], Decimal, Decimal]:
         powers = {_PINT_NAMES[base]: power for base, power in origin.unit_items()}
     except pint.UndefinedUnitError as error:
         unknown = error.unit_names if isinstance(error.unit_names, str) else error.unit_names[0]
-        known = nearest(unknown, [*BASE_UNITS, *dir(_registry())])
+        known = nearest(unknown, [*SYMBOLS, *dir(_registry())])
         part = "" if unknown == name else f": no unit {unknown!r}"
         raise ExportError(f"unknown unit {name!r}{part}; {known}") from None
     except ExportError:
         raise
     except (KeyError, TypeError) as error:  # bits and the like; decibels and other logarithms
-        raise ExportError(f"unit {name!r}: expected one of powers of {', '.join(_BASES)}") from error
+        raise ExportError(f"unit {name!r}: expected one of powers of {', '.join(BASES)}") from error
     except Exception as error:
         raise ExportError(f"unit {name!r}: expected a name as 'N.s/m', 'kg/(m.s)' or '1/s2'") from error
     if any(power != int(power) for power in powers.values()):
-        raise ExportError(f"unit {name!r}: expected one of whole powers of {', '.join(_BASES)}")
-    exponents = {base: int(powers[base]) for base in _BASES if base in powers}
-    return exponents, one.magnitude - origin.magnitude, origin.magnitude
+        raise ExportError(f"unit {name!r}: expected one of whole powers of {', '.join(BASES)}")
+    exponents = {base: int(powers[base]) for base in BASES if base in powers}
+    return UnitDefinition(exponents, float(one.magnitude - origin.magnitude), float(origin.magnitude))
 
 
 def _check_plurals(name: str) -> None:

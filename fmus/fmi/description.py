@@ -84,7 +84,7 @@ def _read(path: Path, version: FileVersion) -> ModelDescription:
     names = Counter([*(variable.name for variable in description.modelVariables), *description.left_out])
     if repeated := [name for name, count in names.items() if count > 1]:
         raise FmuLoadError(f"{path}: {names[repeated[0]]} variables are called {repeated[0]!r}: expected one")
-    _take_over_declared_types(description)
+    _complete_variables(description)
     # those of this exporter list sources: other FMUs, which may be large, need not be read
     has_sources = is_built or root.find("CoSimulation/SourceFiles") is not None
     description.is_own_build = has_sources and is_own_build(path.read_bytes())
@@ -120,8 +120,15 @@ def start_value(variable: ScalarVariable) -> FmiValue:
     return float(text or 0) if variable.type == "Real" else int(text or 0)
 
 
-def _take_over_declared_types(description: ModelDescription) -> None:
-    """Gives each variable what only its SimpleType states: unit, range, nominal (FMI 2.0.5, 2.2.3)."""
+def _complete_variables(description: ModelDescription) -> None:
+    """Gives each variable the unit definitions, and what only its SimpleType states (FMI 2.0.5, 2.2.3)."""
+    units = {
+        unit.name: unit.baseUnit
+        for unit in description.unitDefinitions
+        if unit.baseUnit and unit.baseUnit.factor
+    }
+    for variable in description.modelVariables:
+        variable.units = units
     for variable, attribute in product(description.modelVariables, ("unit", "min", "max", "nominal")):
         if getattr(variable, attribute) is None:
             setattr(variable, attribute, getattr(variable.declaredType, attribute, None))

@@ -11,6 +11,7 @@ from typing import NamedTuple
 from xml.etree.ElementTree import Element as Xml
 
 from fmus.fmi.variable_types import INTEGER_RANGE, TRANSFER_TYPE, TYPES
+from fmus.units import BASES, UnitDefinition
 
 _REFERENCES = 2**32  # numbers that fmi2ValueReference has
 # variability -> causality -> what `initial` is where it is not stated (2.2.7)
@@ -46,7 +47,10 @@ class SimpleType:
 
 @dataclass(eq=False)
 class ScalarVariable:
-    """A variable; numbers as they are written, None where they are not."""
+    """A variable; numbers as they are written, None where they are not.
+
+    units: unit definitions of its FMU
+    """
 
     name: str
     valueReference: int
@@ -61,6 +65,7 @@ class ScalarVariable:
     max: str | None
     nominal: str | None
     start: str | None
+    units: Mapping[str, UnitDefinition] = field(default_factory=dict, init=False)
 
 
 @dataclass(eq=False)
@@ -72,25 +77,9 @@ class Unknown:
 
 
 @dataclass(eq=False)
-class BaseUnit:
-    """Base unit: value in base units = factor * value + offset; the exponents of these."""
-
-    kg: int
-    m: int
-    s: int
-    A: int
-    K: int
-    mol: int
-    cd: int
-    rad: int
-    factor: float
-    offset: float
-
-
-@dataclass(eq=False)
 class Unit:
     name: str
-    baseUnit: BaseUnit | None
+    baseUnit: UnitDefinition | None
 
 
 @dataclass(eq=False)
@@ -229,11 +218,13 @@ def items(kind: Xml) -> list[Item]:
 def unit(element: Xml) -> Unit:
     """Returns a unit of UnitDefinitions."""
     name, base = required(element, "name"), element.find("BaseUnit")
-    if base is None:
-        return Unit(name, None)
-    exponents = (int(base.get(unit, "0")) for unit in ("kg", "m", "s", "A", "K", "mol", "cd", "rad"))
-    scale = {"factor": float(base.get("factor", "1")), "offset": float(base.get("offset", "0"))}
-    return Unit(name, BaseUnit(*exponents, **scale))
+    return Unit(name, None if base is None else base_unit(base))
+
+
+def base_unit(base: Xml) -> UnitDefinition:
+    """Returns the definition of a unit by an element BaseUnit of FMI or SSP."""
+    exponents = {unit: power for unit in BASES if (power := int(base.get(unit, "0")))}
+    return UnitDefinition(exponents, float(base.get("factor", "1")), float(base.get("offset", "0")))
 
 
 def _variable(element: Xml, types: Mapping[str, SimpleType]) -> ScalarVariable:

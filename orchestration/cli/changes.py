@@ -78,24 +78,24 @@ class Changes:
         ] = "",
     ) -> "Changes":
         """Returns the changes that these options make; ScenarioError for an option that is wrong."""
-        from orchestration.scenarios.changes import AssignedText
+        from orchestration.system.quantities import StatedValue, stated
 
         chosen = {CONTROLLER: controller, PLANT: plant}
         changed: dict[str, str] = {name: fmu for name, fmu in chosen.items() if fmu}
         is_file = parameters.endswith(".toml")
         if is_file:
-            from orchestration.scenarios.read_layers import parameter_values
+            from orchestration.scenarios.read_layers import stated_values
+            from orchestration.scenarios.toml_file import read_toml
 
-            values = parameter_values(Path(parameters))
-            changed |= {name: AssignedText(json.dumps(value)) for name, value in values.items()}
-            for text in changed.values():
-                if isinstance(text, AssignedText):
-                    text.file = parameters
+            values = stated_values(read_toml(Path(parameters)))
+            for name, value in values.items():
+                text = str(value) if isinstance(value, StatedValue) else json.dumps(value)
+                changed[name] = stated(text, getattr(value, "place", f"{parameters}: "), parameters)
         for assignment in settings:
             name, value = _parts("--set", assignment, "component.variable=value or component=FMU")
             if "." not in name and name in changed:
                 raise ScenarioError(f"{name} = {value}: expected one FMU, got {changed[name]} too")
-            changed[name] = AssignedText(value)
+            changed[name] = stated(value, "--set ")
         return cls(changed, _mapping(mapped), open_inputs, "" if is_file else parameters)
 
     @property

@@ -4,22 +4,22 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from fmus.block.units import BASE_UNITS
 from fmus.build import builder
 from fmus.build.package_blocks import ramp_source, with_start_values
 from fmus.fmi.variable_types import FmiValue
 from fmus.platforms import PLATFORMS
 from fmus.registry import Flavour, block_fmus
+from fmus.units import si_unit
 from orchestration.exchange.limits import RampSource
 
 
 def build_ramp_source(source: RampSource, folder: Path) -> Path:
     """Writes the FMU of a source to a folder, for the platforms of the FMU that it drives.
 
-    Its output has no unit where `fmus.block.units` does not know the input's: its values are then in that
-    unit too.
+    Its output has no unit where the input's is no product of SI units: its values are then in that unit too.
     """
-    unit = source.unit if source.unit in BASE_UNITS else None
+    known = si_unit(source.unit)
+    unit = source.unit if known and (known.factor, known.offset) == (1.0, 0.0) else None
     block = ramp_source(f"Ramps_{source.name}", source.name, unit, source.points)
     block = with_start_values(block, source.starts)
     return builder.build_block(block, folder, platforms=_platforms(source.driven))

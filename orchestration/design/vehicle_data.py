@@ -14,7 +14,6 @@ import numpy as np
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.actuators import Actuators
-from orchestration.score.draws import distribution_of
 from orchestration.score.protocol import check_vehicle, read_protocol
 from orchestration.score.vehicle import PREFIX, Vehicle
 from orchestration.sweep.distributions import Distribution
@@ -93,7 +92,7 @@ def draws_of(vehicle: Vehicle) -> Draws:
     check_vehicle(protocol)
     draws = dict[tuple[str, ...], Distribution]()
     for name, entry in protocol.vary.items():
-        distribution = distribution_of(entry)
+        distribution = protocol.law(name)
         if not all(map(math.isfinite, distribution.reach)):
             raise ScenarioError(
                 f"{vehicle.file.at(('vary', name))}: vary.{name} has no end: expected low and high"

@@ -1,14 +1,14 @@
 """Reader of an SSP package, 1.0 or 2.0, as a scenario that our master runs.
 
 It reads the components and connections of one system, parameter values inline or in .ssv files at components
-or at the system, and the default experiment. Values are taken in the units of the FMUs. Elements that are not
-understood are refused rather than ignored; so is a name that fits no variable, which SSP permits.
+or at the system, and the default experiment. Values are converted to the units of the FMUs. Elements that are
+not understood are refused rather than ignored; so is a name that fits no variable, which SSP permits.
 """
 
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -19,14 +19,16 @@ from xml.etree.ElementTree import Element
 
 from fmus.errors import nearest
 from fmus.files import extract_archive
-from fmus.fmi.description import describe, of_causality
-from fmus.fmi.model_description import ModelDescription
+from fmus.fmi.description import describe
+from fmus.fmi.model_description import ModelDescription, base_unit
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.exchange.ssp_xml import STRUCTURE, read_value, tag
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
-from orchestration.system.system import System
+from orchestration.system.quantities import StatedValue, Units, are_equal, stated
+from orchestration.system.system import Port, System
+from orchestration.system.values import fmi_value
 
 
 @dataclass(frozen=True)
@@ -81,10 +83,10 @@ def bound_values(root: Element, package: OpenedPackage) -> Values:
     """
     values: Values = {}
     for component in root.iter(tag("ssd:Component")):
-        own = _bindings(component, package)
+        own = _bindings(component, root, package)
         values |= {f"{component.get('name')}.{name}": value for name, value in own.items()}
     for system in root.findall(tag("ssd:System")):
-        values |= _bindings(system, package)
+        values |= _bindings(system, root, package)
     return values
 
 
@@ -96,10 +98,10 @@ def chosen_values(name: str, package: OpenedPackage) -> Values:
         roots[root.get("name", "")] = root
     if name not in roots:
         raise ScenarioError(f"no parameter set {name!r} in the package; {nearest(name, roots)}")
-    return _values(roots[name], package)
+    return _values(roots[name], roots[name], package)
 
 
-def _bindings(element: Element, package: OpenedPackage) -> Values:
+def _bindings(element: Element, root: Element, package: OpenedPackage) -> Values:
     values: Values = {}
     purpose = "a parameter binding"
     for binding in element.findall(f"{tag('ssd:ParameterBindings')}/{tag('ssd:ParameterBinding')}"):
@@ -111,16 +113,32 @@ def _bindings(element: Element, package: OpenedPackage) -> Values:
         inline = binding.iter(tag("ssv:ParameterSet"))
         parameter_sets = [package.root(package.file(source, purpose))] if source else inline
         for parameter_set in parameter_sets:
-            own = _values(parameter_set, package)
+            own = _values(parameter_set, parameter_set if source else root, package)
             values |= {prefix + name: value for name, value in own.items()}
     return values
 
 
-def _values(parameter_set: Element, package: OpenedPackage) -> Values:
+def _values(parameter_set: Element, root: Element, package: OpenedPackage) -> Values:
+    """Returns the values of a parameter set, texts where they have units; root: of its file."""
+    values, units = Values(), _units(root, package)
+    for parameter in parameter_set.iter(tag("ssv:Parameter")):
+        try:
+            value = read_value(parameter)
+        except ValueError as error:
+            raise package.error(str(error)) from error
+        unit = next((element.get("unit") for element in parameter if element.get("unit")), "")
+        text = stated(f"{value!r} {unit}", f"{package.path}: ", units=units)
+        values[parameter.get("name", "")] = text if unit else value
+    return values
+
+
+def _units(root: Element, package: OpenedPackage) -> Units:
+    """Returns the units that a file of the package defines."""
+    bases = {unit.get("name", ""): unit.find(tag("ssc:BaseUnit")) for unit in root.iter(tag("ssc:Unit"))}
     try:
-        return {p.get("name", ""): read_value(p) for p in parameter_set.iter(tag("ssv:Parameter"))}
+        return {name: base_unit(base) for name, base in bases.items() if base is not None}
     except ValueError as error:
-        raise package.error(str(error)) from error
+        raise package.error(f"a unit: {error}") from error
 
 
 _REFUSED = (
@@ -162,10 +180,11 @@ def _scenario(package: OpenedPackage, parameter_set: str) -> Scenario:
     components = _components(root, package)
     _turn_connections(root, package)
     connections = tuple(_connection(element, package) for element in root.iter(tag("ssd:Connection")))
-    _check_conversions(root, package)
     descriptions = {name: describe(path) for name, path in components.items()}
+    ports = {f"{name}.{v.name}": Port(name, v) for name, d in descriptions.items() for v in d.modelVariables}
+    _check_conversions(root, connections, ports, package)
     values = chosen_values(parameter_set, package) if parameter_set else bound_values(root, package)
-    parameters, inputs = _by_causality(values, descriptions, {target for _, target, *_ in connections})
+    parameters, inputs = _by_causality(values, ports, {target for _, target, *_ in connections})
     settings: dict[str, Any] = {**_times(root, descriptions, package), "open_inputs": "start"}
     outputs = (
         f"{component.get('name')}.{connector.get('name')}"
@@ -252,38 +271,40 @@ def _connection(element: Element, package: OpenedPackage) -> tuple[Any, ...]:
     return source, target, given
 
 
-def _check_conversions(root: Element, package: OpenedPackage) -> None:
-    """Refuses a transformation beside a conversion of units, both of which SSP makes: we make none."""
-    units = {
-        (component.get("name"), connector.get("name")): real.get("unit")
-        for component in root.iter(tag("ssd:Component"))
-        for connector in component.iter(tag("ssd:Connector"))
-        for real in connector.iter(tag("ssc:Real"))
-    }
-    for element in root.iter(tag("ssd:Connection")):
-        start, end = (
-            units.get((element.get(f"{e}Element"), element.get(f"{e}Connector"))) for e in ("start", "end")
-        )
+def _check_conversions(
+    root: Element, connections: Sequence[tuple[Any, ...]], ports: Mapping[str, Port], package: OpenedPackage
+) -> None:
+    """Refuses what SSP converts: units of connectors, and of a connector and its variable."""
+    defined = _units(root, package)
+    units = {name: (port.variable.unit or "", port.variable.units) for name, port in ports.items()}
+    for component in root.iter(tag("ssd:Component")):
+        for connector in component.iter(tag("ssd:Connector")):
+            name = f"{component.get('name')}.{connector.get('name')}"
+            own, of_fmu = units.get(name, ("", {}))
+            unit = next((real.get("unit", "") for real in connector.iter(tag("ssc:Real"))), "")
+            if not are_equal(unit, own, of_fmu, {**of_fmu, **defined}):
+                raise package.error(f"connector {name} is in {unit}: expected {own}, the unit in the FMU")
+            if unit:
+                units[name] = unit, {**of_fmu, **defined}
+    for element, (source, target, *given) in zip(root.iter(tag("ssd:Connection")), connections, strict=True):
+        (start, of_start), (end, of_end) = units.get(source, ("", {})), units.get(target, ("", {}))
         converts = element.get("suppressUnitConversion", "false") not in ("true", "1")
-        is_transformed = element.find(tag("ssc:LinearTransformation")) is not None
-        if is_transformed and converts and start and end and start != end:
-            source, target = _connection(element, package)[:2]
-            raise package.error(
-                f"connection {source} -> {target}: a transformation beside a conversion of {start} to {end}: "
-                'not supported; expected suppressUnitConversion="true", or equal units'
-            )
+        if converts and not are_equal(start, end, of_end, of_start):
+            what, hint = f"a conversion of {start} to {end}", "equal units"
+            if given:
+                what = f"a transformation beside {what}"
+                hint = 'suppressUnitConversion="true", or equal units'
+            raise package.error(f"connection {source} -> {target}: {what}: not supported; expected {hint}")
 
 
-def _by_causality(
-    values: Values, descriptions: Mapping[str, ModelDescription], connected: set[str]
-) -> tuple[Values, Values]:
+def _by_causality(values: Values, ports: Mapping[str, Port], connected: set[str]) -> tuple[Values, Values]:
     """Returns (parameters, inputs)."""
-    inputs = {
-        f"{component}.{variable.name}"
-        for component, description in descriptions.items()
-        for variable in of_causality(description, "input")
+    inputs = {name for name, port in ports.items() if port.variable.causality == "input"}
+    settable = {
+        name: fmi_value(ports[name], value) if isinstance(value, StatedValue) and name in ports else value
+        for name, value in values.items()
+        if name not in connected
     }
-    settable = {name: value for name, value in values.items() if name not in connected}
     parameters = {name: value for name, value in settable.items() if name not in inputs}
     return parameters, {name: value for name, value in settable.items() if name in inputs}
 

@@ -243,8 +243,7 @@ def _units(parent: Element, name: str, checked: CheckedSystem, ports: Iterable[P
         return
     units = add(parent, name)
     for unit, base in sorted(base_units.items()):
-        exponents = {b: str(getattr(base, b)) for b in ("kg", "m", "s", "A", "K", "mol", "cd", "rad")}
-        stated = {b: exponent for b, exponent in exponents.items() if exponent != "0"}
+        stated = {name: str(exponent) for name, exponent in base.exponents.items()}
         scale = {
             k: repr(v) for k, v in (("factor", base.factor), ("offset", base.offset)) if v != (k == "factor")
         }

@@ -47,10 +47,12 @@ def read_dive(path: Path, vehicle: Vehicle, mapping: Mapping[str, str] | None = 
     columns = _columns(file, vehicle, mapping)
     units = [_unit(name, vehicle) for name in columns]
     indices = [file.titles.index(title) for title in columns.values()]
-    factors = [file.factor(i, unit) for i, unit in zip(indices, units, strict=True)]
-    times = file.numbers(indices[0])[:, 0] * factors[0]
+    own = next(iter(vehicle.variables.values())).units
+    changes = [file.conversion(i, unit, own) for i, unit in zip(indices, units, strict=True)]
+    times = changes[0](file.numbers(indices[0])[:, 0])
     file.check_ascending(times)
-    depths, *commands = file.numbers(*indices[1:], gaps=True).T * np.array(factors[1:])[:, None]
+    read = file.numbers(*indices[1:], gaps=True).T
+    depths, *commands = (change(column) for change, column in zip(changes[1:], read, strict=True))
     known = np.isfinite(commands)
     starts = [int(np.argmax(row)) if row.any() else len(row) for row in known]
     ends = [int(np.flatnonzero(row)[-1]) if row.any() else -1 for row in known]

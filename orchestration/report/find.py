@@ -19,7 +19,7 @@ from orchestration.report.result import RunResult, SweepResult, read_sweep, toml
 from orchestration.results.files import is_recording
 from orchestration.results.formats import RecordingFormat
 from orchestration.results.recording import Recording
-from orchestration.scenarios.data_file import PREFIXES, read_data_file
+from orchestration.scenarios.data_file import read_data_file
 from orchestration.scenarios.file_tables import Table, checked
 from orchestration.sweep import table
 
@@ -148,18 +148,19 @@ def _run(document: Path) -> RunResult:
 def _measured(file: Path, units: Collection[str]) -> RunResult:
     """Returns the columns of numbers of a CSV file of another program, over its first one, the time.
 
-    units: those of other signals on the page, to which prefixes of units are converted
+    units: those of other signals on the page, to which units of their dimension are converted
     """
     data = read_data_file(file)
     if not data.titles:
         raise OrchestrationError(f"{file}:1: expected a first line of titles, got numbers or nothing")
-    time = data.numbers(0)[:, 0] * data.factor(0, "s")
+    time = data.conversion(0, "s")(data.numbers(0)[:, 0])
     data.check_ascending(time)
     columns: dict[str, tuple[str, np.ndarray]] = {}
     for i, (title, own) in enumerate(zip(data.titles[1:], data.units[1:], strict=True), start=1):
-        unit = own if own in units else next((u for u in units if own in {p + u for p in PREFIXES if u}), own)
-        with suppress(ScenarioError):  # a column of texts
-            columns[title] = unit, data.numbers(i, gaps=True)[:, 0] * data.factor(i, unit)
+        others = sorted({*units} - {""}) if own and own not in units else []
+        for unit in (own, *others):
+            with suppress(ScenarioError):  # a column of texts, or of another dimension
+                columns[title] = unit, data.conversion(i, unit)(data.numbers(i, gaps=True)[:, 0])
     values = np.array([column for _, column in columns.values()]).reshape(len(columns), len(time)).T
     recording = Recording(tuple(columns), tuple(unit for unit, _ in columns.values()), time, values)
     return RunResult(file.stem, _with_times(file, recording, jumps=True), is_measured=True)

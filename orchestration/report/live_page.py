@@ -21,6 +21,7 @@ from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.scenarios.scenario import Scenario
 from orchestration.scenarios.vehicle import PLANT, description_file, description_of
 from orchestration.system.prepared_run import PreparedRun
+from orchestration.system.quantities import Conversion, in_unit_of
 from orchestration.system.system import Port
 from orchestration.system.values import value_range
 
@@ -98,7 +99,9 @@ def default_sliders(scenario: Scenario) -> Iterator[FreeParameter]:
         for key, varied in description.vary.items():
             name = f"{PLANT}.{key}"
             variables[name] = tuple(varied["variables"])
-            ranges[name] = varied.get("low", -math.inf), varied.get("high", math.inf)
+            port = prepared.system.ports.get(variables[name][0])
+            change = in_unit_of(port.variable, varied.get("unit", "")) if port else Conversion()
+            ranges[name] = change(varied.get("low", -math.inf)), change(varied.get("high", math.inf))
         ranges |= {f"{PLANT}.{key}": limits for key, limits in _DISTURBANCES.items()}
     for name, (low, high) in ranges.items():
         own = variables.get(name, (name,))

@@ -4,7 +4,6 @@ A name of a change is "component.variable"; of a setting also a component, for a
 value also "experiment.step_size" and the other `EXPERIMENT_SETTINGS`.
 """
 
-import tomllib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,28 +18,13 @@ from orchestration.scenarios.layers import Data, Layer, components_of, merge
 from orchestration.scenarios.read_layers import named_fmu
 from orchestration.scenarios.replaced import Describe
 from orchestration.system.experiment import Experiment
+from orchestration.system.quantities import StatedValue, read_value
 from orchestration.system.signals import Constant
-from orchestration.system.values import Value
+from orchestration.system.system import Port
+from orchestration.system.values import Value, fmi_value
 
 EXPERIMENT_SETTINGS = {"experiment.step_size": "s", "experiment.stop_time": "s", "experiment.algorithm": ""}
 """Settings of an experiment that differ between runs of a sweep -> unit."""
-
-
-class AssignedText(str):
-    """The assigned text of `--set component.variable=1.50`, behind the =: TOML, or a text without quotes."""
-
-    file = ""
-    """The parameter file that it stands in, or ""."""
-
-    def value(self, fmi_type: str) -> FmiValue:
-        """Returns the value for a variable of this type: of a String 1.50 stays 1.50."""
-        text = str(self)
-        try:
-            value = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
-            return text
-        is_taken = isinstance(value, str) or (isinstance(value, bool | int | float) and fmi_type != "String")
-        return value if is_taken else text
 
 
 def command_entries(
@@ -91,9 +75,11 @@ def values_of_settings(settings: Mapping[str, FmiValue], layers: Sequence[Layer]
                 raise ScenarioError(f"{file}: {other_fmu(name, components[component])}")
             hint = nearest(name, (f"{component}.{known}" for known in settable))
             raise ScenarioError(f"{name} = {value!r}: expected a parameter or an input; {hint}")
-        fmi_type, causality = settable[variable].type, settable[variable].causality
-        typed = value.value(str(fmi_type)) if isinstance(value, AssignedText) else value
-        tables.setdefault(f"{causality}s", {})[name] = typed
+        port, typed = Port(component, settable[variable]), value
+        if isinstance(value, StatedValue):
+            fmi_value(port, value)  # which refuses a wrong one
+            typed = read_value(value, port.variable)
+        tables.setdefault(f"{port.variable.causality}s", {})[name] = typed
     return tables
 
 

@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from fmus.errors import nearest
-from orchestration.errors import ScenarioError
+from fmus.units import UnitDefinition
+from orchestration.errors import ScenarioError, SystemDefinitionError
+from orchestration.system.quantities import Conversion, conversion
 
-PREFIXES = {"": 1.0, "m": 1e-3, "c": 1e-2, "k": 1e3, "u": 1e-6}
-"""Prefix of a unit in the title of a column -> its factor."""
 _DELIMITERS = "\t;|"
 _ABSENT = ("", "-", "na", "n/a", "nan", "null", "none")
 _TITLE = re.compile(r"(.+?)\s+[\[(]([^\[\]()]*)[\])]", re.DOTALL)  # with its unit
@@ -48,17 +48,16 @@ class DataFile:
             raise ScenarioError(f"{self.path}:1: no column {title!r}; {nearest(title, self.titles)}")
         return self.titles.index(title)
 
-    def factor(self, index: int, expected: str) -> float:
-        """Returns what converts a column to a unit; a title without a unit has the expected one.
+    def conversion(self, index: int, expected: str, own: Mapping[str, UnitDefinition] = {}) -> Conversion:
+        """Returns the change of a column to a unit; a title without a unit has the expected one.
 
-        Raises ScenarioError for another unit.
+        own: unit definitions of the FMU whose variable has the column
+        Raises ScenarioError for a unit of another dimension.
         """
-        unit = self.units[index]
-        factors = {prefix + expected: factor for prefix, factor in PREFIXES.items() if expected or not prefix}
-        if unit and unit not in factors:
-            expectation = " or ".join(factors) or "no unit"
-            raise ScenarioError(f"{self.path}:1: {self.titles[index]} is in {unit}: expected {expectation}")
-        return factors.get(unit, 1.0)
+        try:
+            return conversion(self.units[index] if self.units else "", expected, own)
+        except SystemDefinitionError as error:
+            raise ScenarioError(f"{self.path}:1: {self.titles[index]}: {error}") from None
 
     def numbers(self, *indices: int, gaps: bool = False, names: Mapping[str, float] = {}) -> np.ndarray:
         """Returns columns, shape (rows, columns); a time of ISO 8601 as seconds after that of the first row.

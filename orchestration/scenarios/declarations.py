@@ -17,6 +17,7 @@ from orchestration.scenarios.file_format import FAULT, SIGNAL
 from orchestration.scenarios.file_tables import Table, checked
 from orchestration.system import faults
 from orchestration.system.faults import Fault
+from orchestration.system.quantities import in_unit_of
 from orchestration.system.signal_derivatives import KINDS
 from orchestration.system.signals import Signal
 from orchestration.system.system import Port
@@ -32,6 +33,7 @@ def signal(declaration: object, where: str) -> Signal:
     Raises ScenarioError, which begins with `where`.
     """
     arguments = checked(_SIGNAL_TABLE, declaration, where).given()
+    arguments.pop("unit", None)  # of a variable that is not known
     try:
         return KINDS[arguments.pop("kind")](**arguments)
     except ScenarioError as error:
@@ -73,28 +75,48 @@ def as_input_takes(
     if declared["kind"] != "table":
         return declared
     names: Mapping[Any, float] = {}
-    table = {key: value for key, value in declared.items() if key not in ("file", "column")}
+    table = {key: value for key, value in declared.items() if key not in ("file", "column", "unit")}
+    unit, own = declared.get("unit", ""), None
     with suppress(FmuLoadError):  # without its FMU, the input is checked when it runs
         if own := port(name):
             names = {"false": 0, "true": 1} if own.variable.type == "Boolean" else items(own)
             table |= {"hold": True} if is_discrete(own) else {}
-    if not declared.get("file"):
-        given = (str(x).lower() if isinstance(x, bool) else x for x in declared.get("values", ()))
-        return {**table, "values": [names.get(x, x) for x in given]}
     try:
-        if table.keys() & {"times", "values"}:
+        if not declared.get("file"):
+            given = (str(x).lower() if isinstance(x, bool) else x for x in declared.get("values", ()))
+            table |= {"values": [names.get(x, x) for x in given]}
+        elif table.keys() & {"times", "values"}:
             raise ScenarioError("file, and times or values: expected one of them")
-        return table | _columns(Path(declared["file"]), declared.get("column", ""), names)
-    except ScenarioError as error:
+        else:
+            columns = _columns(Path(declared["file"]), declared.get("column", ""), names)
+            table, unit = table | columns, _one_unit(unit, columns.pop("unit"))
+            table.pop("unit")
+        if unit and (own := own or port(name)):
+            change = in_unit_of(own.variable, unit)
+            table["values"] = [change(x) if isinstance(x, int | float) else x for x in table["values"]]
+    except (ScenarioError, SystemDefinitionError) as error:
         raise ScenarioError(f'signals."{name}": {error}') from error
+    return table
 
 
-def _columns(path: Path, name: str, names: Mapping[str, float]) -> dict[str, list[float]]:
-    """Times and the values of a column, by default the second, of a CSV file."""
+def _one_unit(unit: str, of_title: str) -> str:
+    """Returns the unit that a table or the title of its column states."""
+    if unit and of_title and unit != of_title:
+        raise ScenarioError(f"unit = {unit!r} and a column in {of_title}: expected one of them")
+    return of_title or unit
+
+
+def _columns(path: Path, name: str, names: Mapping[str, float]) -> dict[str, Any]:
+    """Returns times [s], values and their unit of a column of a CSV file, by default the second."""
     file = read_data_file(path)
     if name and not file.titles:
         raise ScenarioError(f"{path}:1: column = {name!r}: expected a first line of titles")
-    times = file.numbers(0)[:, 0]
+    times = file.conversion(0, "s")(file.numbers(0)[:, 0])
     file.check_ascending(times)
-    values = file.numbers(file.index(name) if name else 1, names=names)[:, 0]
-    return {"times": times.tolist(), "values": values.tolist()}
+    index = file.index(name) if name else 1
+    values = file.numbers(index, names=names)[:, 0]
+    return {
+        "times": times.tolist(),
+        "values": values.tolist(),
+        "unit": file.units[index] if file.units else "",
+    }

@@ -45,7 +45,8 @@ Source = Annotated[
 ]
 _OPTIONAL: Any = Field(default=None)  # Experiment has the default
 
-_CSV: Any = {"file": (str, ""), "column": (str, "")}  # whose values stand for times and values
+# a file whose values stand for times and values, and their unit
+_CSV: Any = {"file": (str, ""), "column": (str, ""), "unit": (str, "")}
 _TABLE: Any = {"also": _CSV, "types": {"values": list[Value]}}  # of the variable's type
 SIGNAL = OneOf(
     "kind",
@@ -198,7 +199,7 @@ class Parameter(Table, extra="allow"):
 
     value: Value
     unit: str = ""
-    """For readers."""
+    """Unit of the value, which is converted to that of the variable, if this has one."""
     source: str = ""
     """Where the value is from."""
 

@@ -15,6 +15,7 @@ from orchestration.scenarios.file_format import ParameterFile, ScenarioFile
 from orchestration.scenarios.file_tables import At, check_part, checked
 from orchestration.scenarios.layers import Data, Layer, merge
 from orchestration.scenarios.toml_file import KeyPath, TomlFile, read_toml
+from orchestration.system.quantities import stated
 
 SHIPPED = Path(str(resources.files("orchestration.scenarios")))
 FILE, _PARAMETERS = TypeAdapter(ScenarioFile), TypeAdapter(ParameterFile)
@@ -80,19 +81,28 @@ def with_parameter_files(data: Mapping[str, Any], folder: Path) -> tuple[Data, l
     if isinstance(names, str):
         raise ScenarioError(f"parameter_files = {names!r}: expected a list")
     files = [read_toml(folder / name) for name in names]
-    parameters = {name: value for file in files for name, value in _values_of(file).items()}
+    parameters = {name: value for file in files for name, value in stated_values(file).items()}
     own = {key: value for key, value in data.items() if key != "parameter_files"}
     return merge({"parameters": parameters}, own) if parameters else own, files
 
 
 def parameter_values(path: Path) -> dict[str, Any]:
-    """Returns "component.variable" -> value of a parameter file, whose entries also tell provenance."""
-    return _values_of(read_toml(path))
+    """Returns "component.variable" -> value in its own unit of a parameter file, which tells provenance."""
+    file = read_toml(path)
+    return {n: entry.value for n, entry in checked(_PARAMETERS, file.data, file.at).parameters.items()}
 
 
-def _values_of(file: TomlFile) -> dict[str, Any]:
-    parameters = checked(_PARAMETERS, file.data, file.at).parameters
-    return {name: entry.value for name, entry in parameters.items()}
+def stated_values(file: TomlFile) -> dict[str, Any]:
+    """Returns the values of a parameter file; a number that has a unit is a text with both."""
+    values: dict[str, Any] = {}
+    for name, entry in checked(_PARAMETERS, file.data, file.at).parameters.items():
+        value, unit, place = entry.value, entry.unit, f"{file.at(('parameters', name))}: "
+        values[name] = value
+        if (type(value) is float and unit) or unit not in ("", "1"):
+            if isinstance(value, bool | str):
+                raise ScenarioError(f"{place}{name} = {value!r} has the unit {unit!r}: expected a number")
+            values[name] = stated(f"{value!r} {unit}", place, str(file.path))
+    return values
 
 
 def named_fmu(fmu: str, folder: Path, at: At, keys: KeyPath) -> str:

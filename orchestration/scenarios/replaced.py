@@ -23,6 +23,7 @@ from orchestration.errors import ScenarioError, ScenarioWarning, SystemDefinitio
 from orchestration.results.metrics import SIGNALS
 from orchestration.scenarios.layers import Data, Layer, source_of, with_events
 from orchestration.system.prepared_run import has_start_value
+from orchestration.system.quantities import StatedValue
 from orchestration.system.system import Port
 from orchestration.system.values import fmi_value
 
@@ -82,7 +83,7 @@ class Replacement:
                 self.unchanged[variable] = changes
             return False
         if part == "start" and name in self.identified:
-            self.taken[variable] = value
+            self.taken[variable] = fmi_value(port, value) if isinstance(value, StatedValue) else value
         return True
 
     def check(self, data: Data) -> None:

@@ -50,6 +50,7 @@ from orchestration.system.experiment import Event, Experiment
 from orchestration.system.prepared_run import PreparedRun, prepare
 from orchestration.system.signal_derivatives import with_derivatives
 from orchestration.system.system import Port, System
+from orchestration.system.values import fmi_value
 
 __all__ = ["SHIPPED", "Scenario", "find", "load", "load_scenario", "located", "parameter_values", "shipped"]
 
@@ -130,6 +131,10 @@ def load(
     layers = with_chosen_entries(layers)
     replaced = replacements(layers, variables, standing_in)
     fitting = merged(without_misfits(layers, replaced), is_boolean)
+    try:
+        fitting = _converted(fitting, port)
+    except SystemDefinitionError as error:
+        raise ScenarioError(located(str(error), files)) from error
     data = with_faulted_constants({"title": path.stem, **{table: {} for table in TABLES}, **fitting})
     data.pop("optional", None)
     if not data["components"]:
@@ -173,6 +178,17 @@ def _check_overlap(signals: Mapping[str, Any], start: float, stop: float) -> Non
         warnings.warn(message, ScenarioWarning, stacklevel=3)
 
 
+def _converted(data: Data, port: Callable[[str], Port | None]) -> Data:
+    """Returns the data with numbers in the units of the variables; raises SystemDefinitionError."""
+    result = {**data, **{table: dict(data.get(table, {})) for table in ("parameters", "inputs")}}
+    for entries in (result["parameters"], result["inputs"]):
+        for name, value in entries.items():
+            with suppress(FmuLoadError):  # what is not built yet is converted when it runs
+                if isinstance(value, str) and (own := port(name)) and own.variable.type == "Real":
+                    entries[name] = fmi_value(own, value)
+    return result
+
+
 def _check_parameters(files: Sequence[TomlFile], data: Data, describe: Describe) -> None:
     """Refuses parameter files with a parameter that its component lacks: they are for another FMU."""
     for file in files:
@@ -214,7 +230,10 @@ def _with_actuators(
                 f"{len(actuators.table.voltages)} of the thrusters of {Path(new.fmu).name}; "
                 f"--set {component}.thruster_tabulated=false takes a line in its place"
             )
-        told = actuators.parameters(float(own.get("voltage_limit") or math.nan), points)
+        limit = own.get("voltage_limit")
+        if isinstance(limit, str):
+            limit = fmi_value(Port(component, describe(fmu)["voltage_limit"]), limit)
+        told = actuators.parameters(float(limit or math.nan), points)
         entries |= {f"{component}.{name}": value for name, value in told.items() if name in own}
     return [*layers[: new.layer], Layer({"parameters": entries}), *layers[new.layer :]], entries
 
@@ -256,6 +275,8 @@ def located(message: str, files: Sequence[TomlFile]) -> str:
 
     files: of the scenario, the uppermost first; a line of another file stands at the end
     """
+    if any(message.startswith(f"{file.path}:") for file in files):
+        return message
     names = re.findall(r"[A-Za-z_]\w*\.[\w.\[\]]*[\w\]]", message)
     tables: list[KeyPath] = [("metrics", name) for name in re.findall(r"metric (\w+):", message)]
     tables += [("step_sizes", name) for name in re.findall(r"step size of (\w+)", message)]

@@ -30,12 +30,11 @@ from fmus.fmi.description import start_value
 from fmus.fmi.model_description import ScalarVariable
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.actuators import FORCE, VOLTAGES, Actuators, ForceTable
-from orchestration.scenarios.changes import AssignedText
 from orchestration.scenarios.file_format import FAULT, SIGNAL
 from orchestration.scenarios.file_tables import Table, Value, checked
 from orchestration.scenarios.toml_file import TomlFile, read_toml
 from orchestration.system.system import Port
-from orchestration.system.values import value_range
+from orchestration.system.values import fmi_value, value_range
 
 PLANT = "plant"
 """The component that a vehicle is."""
@@ -154,7 +153,9 @@ class VehicleValues:
             raise ScenarioError(f"{where}: no variable {name!r}; {nearest(name, self.variables)}")
         given = self.given.get(name, start_value(self.variables[name]))
         try:
-            return float(given.value("Real") if isinstance(given, AssignedText) else given)
+            return float(
+                fmi_value(Port(PLANT, self.variables[name]), given) if isinstance(given, str) else given
+            )
         except (TypeError, ValueError):
             raise ScenarioError(f"{PLANT}.{name} = {given!r}: expected a number") from None
 

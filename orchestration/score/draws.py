@@ -14,8 +14,7 @@ import numpy as np
 
 from fmus.fmi.variable_types import FmiValue
 from orchestration.scenarios.file_tables import Table
-from orchestration.score.protocol import Case, Protocol, first_target
-from orchestration.sweep.distributions import FUNCTIONS, Distribution
+from orchestration.score.protocol import Case, Protocol, distribution_of, first_target
 
 LARGEST_SEED = 2147483397  # that a sensor takes
 
@@ -63,13 +62,6 @@ def plants(protocol: Protocol, seed: int, count: int | None = None) -> list[Case
     return [_plant(protocol, seed, number) for number in range(count or protocol.tables.plants.count)]
 
 
-def distribution_of(table: Table) -> Distribution:
-    """Returns the distribution that a table of draws declares."""
-    arguments = table.given()
-    arguments.pop("variables", None)
-    return FUNCTIONS[arguments.pop("distribution")](**arguments)
-
-
 def _plant(protocol: Protocol, seed: int, number: int) -> Case:
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, number)))
     nominal, trajectory = protocol.nominal, protocol.tables.plants.trajectory
@@ -78,8 +70,8 @@ def _plant(protocol: Protocol, seed: int, number: int) -> Case:
         return distribution_of(table).quantile([random.random()])[0]
 
     values = dict(nominal.values)
-    for entry in protocol.vary.values():
-        values |= dict.fromkeys(entry.variables, drawn(entry))
+    for name, entry in protocol.vary.items():
+        values |= dict.fromkeys(entry.variables, protocol.law(name).quantile([random.random()])[0])
     points = [[0.0, 0.0]]
     for depth in trajectory.depths:
         way, level, hold = (float(drawn(table)) for table in (trajectory.ways, depth, trajectory.holds))

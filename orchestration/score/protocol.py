@@ -13,7 +13,7 @@ from pydantic import TypeAdapter
 from fmus.errors import nearest
 from fmus.fmi.variable_types import FmiValue
 from fmus.registry import block_names
-from orchestration.errors import ScenarioError
+from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.results import metrics
 from orchestration.scenarios.file_format import METRIC
 from orchestration.scenarios.file_tables import Table, checked
@@ -31,6 +31,8 @@ from orchestration.score.protocol_format import (
     ProtocolFile,
 )
 from orchestration.score.vehicle import PREFIX, Vehicle
+from orchestration.sweep.distributions import FUNCTIONS, Distribution
+from orchestration.system.quantities import in_unit_of
 
 FILE = Path(__file__).with_name("protocol.toml")
 REFERENCE = "controller.depth_reference"
@@ -201,6 +203,33 @@ class Protocol:
         own = checked(_VARY, file.data.get("vary", {}), lambda keys: file.at(("vary", *keys)))
         return self.tables.plants.vary or own
 
+    def law(self, name: str) -> Distribution:
+        """Returns the distribution of a draw, in the unit of its variables."""
+        entry = self.vary[name]
+        if not entry.unit:
+            return distribution_of(entry)
+        check_vehicle(self)
+        names = [self.vehicle.variable(variable).removeprefix(PREFIX) for variable in entry.variables]
+        try:
+            known = [self.vehicle.variables[own] for own in names if own in self.vehicle.variables]
+            changes = {in_unit_of(variable, entry.unit) for variable in known}
+            if len(known) < len(names) or len(changes) > 1:
+                raise SystemDefinitionError("unit: expected variables of the plant, all of one unit")
+        except SystemDefinitionError as error:
+            raise ScenarioError(f"{self.at_draw(name, 'unit')}: vary.{name}: {error}") from None
+        return distribution_of(entry).converted(changes.pop())
+
+    def at_draw(self, name: str, key: str) -> str:
+        """Returns the file and the line of a key of a draw."""
+        keys = "vary", name, key
+        return self.file.at(("plants", *keys)) if self.tables.plants.vary else self.vehicle.file.at(keys)
+
+
+def distribution_of(table: Table) -> Distribution:
+    """Returns the distribution that a table of draws declares."""
+    arguments = {name: value for name, value in table.given().items() if name not in ("variables", "unit")}
+    return FUNCTIONS[arguments.pop("distribution")](**arguments)
+
 
 def metric_of(table: MetricTable, case: Case) -> dict[str, Any]:
     """Returns a metric of a case as a scenario declares it."""
@@ -273,18 +302,18 @@ def check_vehicle(protocol: Protocol) -> None:
     if vehicle.is_of_base:
         changes += [(protocol.file, ("cases", case), table) for case, table in tables.cases.items()]
     names = [
-        (file, (*keys, part, name), name)
+        (file.at((*keys, part, name)), name)
         for file, keys, table in changes
         for part in _NAMING
         for name in getattr(table, part, {})
     ]
-    file, within = (protocol.file, ("plants",)) if tables.plants.vary else (vehicle.file, ())
-    for drawn, entry in protocol.vary.items():
-        names += [(file, (*within, "vary", drawn, "variables"), name) for name in entry.variables]
+    names += [
+        (protocol.at_draw(n, "variables"), name) for n, x in protocol.vary.items() for name in x.variables
+    ]
     known = [f"{PREFIX}{variable}" for variable in (*vehicle.variables, *vehicle.mapping)]
-    for file, keys, name in names:
+    for place, name in names:
         if name.startswith(PREFIX) and not vehicle.has(name):
-            raise ScenarioError(f"{file.at(keys)}: no variable {name}; {nearest(name, known)}")
+            raise ScenarioError(f"{place}: no variable {name}; {nearest(name, known)}")
 
 
 def _names(tables: ProtocolFile, ours: Vehicle) -> Iterator[tuple[KeyPath, str, Collection[str]]]:

@@ -102,7 +102,7 @@ def _distribution(**also: Any) -> OneOf:
     return OneOf(key, {name: table_of(key, name, law, also=also) for name, law in laws.items()})
 
 
-_DISTRIBUTION, DRAWN = _distribution(), _distribution(variables=(list[str], ...))
+_DISTRIBUTION, DRAWN = _distribution(), _distribution(variables=(list[str], ...), unit=(str, ""))
 
 
 class TrajectoryTable(Table):

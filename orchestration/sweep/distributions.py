@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from orchestration.errors import ScenarioError
+from orchestration.system.quantities import Conversion
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,13 @@ class Distribution:
     quantile: Callable[[Sequence[float]], list[Any]]
     reach: tuple[float, float] = (math.nan, math.nan)
     probes: tuple[float, ...] = (0.5,)
+
+    def converted(self, change: Conversion) -> "Distribution":
+        """Returns the distribution of the values in another unit."""
+        low, high = map(change, self.reach)
+        return Distribution(
+            lambda uniforms: [*map(change, self.quantile(uniforms))], (low, high), self.probes
+        )
 
 
 def _truncated(

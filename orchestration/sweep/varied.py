@@ -16,6 +16,7 @@ from orchestration.scenarios.changes import EXPERIMENT_SETTINGS, table_of_value
 from orchestration.scenarios.file_tables import OneOf, Table, Value, checked, table_of
 from orchestration.sweep.distributions import FROM_THE_FMU, FUNCTIONS, UNBOUNDED, distribution
 from orchestration.system.experiment import Algorithm, Experiment
+from orchestration.system.quantities import Conversion, conversion, in_unit_of
 from orchestration.system.signals import Constant
 from orchestration.system.system import CheckedSystem, Port
 from orchestration.system.values import fmi_value, items, value_range
@@ -49,6 +50,18 @@ class SweepTarget:
         if self.port.variable.type == "Enumeration":
             return next((name for name, item in items(self.port).items() if item == number), str(number))
         return number
+
+    def change(self, unit: str, relative: bool) -> Conversion:
+        """Returns the change from the unit of an entry, or from shares of the base value, to the unit."""
+        if not relative:
+            return in_unit_of(self.port.variable, unit) if self.port else conversion(unit, self.unit)
+        if unit:
+            raise ScenarioError(f"relative, and unit = {unit!r}: expected one of them")
+        if self.type != "Real" or self.base_value == 0.0:
+            raise ScenarioError(
+                f"relative: expected a Real that is not 0, got {self.type} {self.base_value!r}"
+            )
+        return Conversion(float(self.base_value))
 
     def within(self, value: float) -> float:
         """Returns the value, moved into the range if rounding has carried it out."""
@@ -103,7 +116,7 @@ def target(name: str, checked: CheckedSystem, experiment: Experiment) -> SweepTa
 
 
 _OPTIONAL: Any = Field(default=None)
-_RELATIVE: dict[str, Any] = {"relative": (bool, False)}
+_RELATIVE: dict[str, Any] = {"relative": (bool, False), "unit": (str, "")}
 _TRUNCATE: dict[str, Any] = {"truncate": (bool, False)}
 
 
@@ -113,6 +126,8 @@ class ValuesTable(Table):
     values: Annotated[list[Value], Field(min_length=1)]
     relative: bool = False
     """The values are factors of the variable's own value."""
+    unit: str = ""
+    """Unit of the values; by default that of the variable."""
 
 
 class LinspaceTable(Table):
@@ -122,6 +137,8 @@ class LinspaceTable(Table):
     """[first, last, how many]"""
     relative: bool = False
     """The values are factors of the variable's own value."""
+    unit: str = ""
+    """Unit of the values; by default that of the variable."""
 
 
 VARIED = OneOf(
@@ -183,34 +200,26 @@ def varied(target: SweepTarget, declared: Table, where: str) -> Varied:
     """
     try:
         if isinstance(declared, ValuesTable):
-            return _grid(target, declared.values, declared.relative)
+            return _grid(target, declared.values, target.change(declared.unit, declared.relative))
         if isinstance(declared, LinspaceTable):
-            return _grid(target, _linspace(declared.linspace), declared.relative)
+            values = _linspace(declared.linspace)
+            return _grid(target, values, target.change(declared.unit, declared.relative))
         arguments = declared.given()
         name = arguments.pop("distribution")
-        relative, truncate = arguments.pop("relative", False), arguments.pop("truncate", False)
-        return _drawn(target, name, arguments, relative, truncate)
+        change = target.change(arguments.pop("unit", ""), arguments.pop("relative", False))
+        return _drawn(target, name, arguments, change, arguments.pop("truncate", False))
     except OrchestrationError as error:
         raise ScenarioError(f"{where}: {error}") from error
 
 
-def _base_value(target: SweepTarget) -> float:
-    """Returns the target's value without a sweep, which relative values are multiplied with."""
-    if target.type != "Real" or target.base_value == 0.0:
-        raise ScenarioError(
-            f"relative: expected a Real that is not 0, got {target.type} {target.base_value!r}"
-        )
-    return float(target.base_value)
+def _grid(target: SweepTarget, values: Sequence[FmiValue], change: Conversion) -> Varied:
+    _check_numbers(values, change)
+    return Varied(target, grid=tuple(target.checked(change(value)) for value in values))
 
 
-def _grid(target: SweepTarget, values: Sequence[FmiValue], relative: bool) -> Varied:
-    if relative:
-        scale = _base_value(target)
-        factors = [value for value in values if isinstance(value, (int, float))]
-        if len(factors) < len(values):
-            raise ScenarioError(f"values = {values!r}: expected numbers, factors of the variable's own value")
-        values = [scale * factor for factor in factors]
-    return Varied(target, grid=tuple(target.checked(value) for value in values))
+def _check_numbers(values: Sequence[FmiValue], change: Conversion) -> None:
+    if change != Conversion() and any(isinstance(value, str) for value in values):
+        raise ScenarioError(f"values = {values!r}: expected numbers beside relative or unit")
 
 
 def _linspace(declared: list[float]) -> list[float]:
@@ -223,10 +232,10 @@ def _linspace(declared: list[float]) -> list[float]:
 
 
 def _drawn(
-    target: SweepTarget, name: str, arguments: dict[str, Any], relative: bool, truncate: bool
+    target: SweepTarget, name: str, arguments: dict[str, Any], change: Conversion, truncate: bool
 ) -> Varied:
-    scale = _base_value(target) if relative else None
-    low, high = sorted(limit / (scale or 1.0) for limit in target.permitted)
+    _check_numbers(arguments.get("values", []), change)
+    low, high = sorted(map(change.inverse, target.permitted))
     law = distribution(name, arguments, (low, high), truncate)
     if law.reach[0] < low or law.reach[1] > high:
         raise ScenarioError(
@@ -236,8 +245,8 @@ def _drawn(
 
     def draw(uniforms: Sequence[float]) -> list[FmiValue]:
         values = law.quantile(uniforms)
-        scaled = values if scale is None else [target.within(scale * value) for value in values]
-        return [target.checked(value) for value in scaled]
+        changed = values if change == Conversion() else [target.within(change(value)) for value in values]
+        return [target.checked(value) for value in changed]
 
     draw(law.probes)
     return Varied(target, draw=draw)

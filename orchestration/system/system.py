@@ -16,6 +16,7 @@ from fmus.fmi.description import describe, of_causality
 from fmus.fmi.model_description import ModelDescription, ScalarVariable
 from orchestration.errors import SystemDefinitionError
 from orchestration.system.open_inputs import OpenInputs
+from orchestration.system.quantities import are_equal
 
 
 @dataclass(frozen=True)
@@ -294,21 +295,10 @@ def _connection(checked: CheckedSystem, source: str, target: str) -> tuple[Port,
         )
     elif target in checked.transformations and input_.type != "Real":
         problem = f"expected an input of type Real for a factor or an offset, got {input_.type}"
-    elif target not in checked.transformations and not _units_agree(checked, start, end):
+    elif target not in checked.transformations and not are_equal(
+        output.unit, input_.unit, input_.units, output.units
+    ):
         problem = f"expected equal units, got {output.unit} and {input_.unit}"
     else:
         return start, end
     raise SystemDefinitionError(f"{purpose}: {problem}")
-
-
-def _units_agree(checked: CheckedSystem, start: Port, end: Port) -> bool:
-    """Whether the units are equal, by their base units where both FMUs declare those; or one has no unit."""
-    names = start.variable.unit, end.variable.unit
-    bases = _base_unit(checked, start), _base_unit(checked, end)
-    return not all(names) or (bases[0] == bases[1] if all(bases) else names[0] == names[1])
-
-
-def _base_unit(checked: CheckedSystem, port: Port) -> dict[str, object] | None:
-    """Returns the exponents of the base units, factor and offset, if the FMU declares them."""
-    units = checked.descriptions[port.component].unitDefinitions
-    return next((vars(u.baseUnit) for u in units if u.name == port.variable.unit and u.baseUnit), None)

@@ -11,6 +11,7 @@ import numpy as np
 from fmus.fmi.description import start_value
 from fmus.fmi.variable_types import INTEGER_RANGE, FmiValue
 from orchestration.errors import SystemDefinitionError
+from orchestration.system.quantities import StatedValue, read_value
 from orchestration.system.system import Port
 
 Value = FmiValue | np.generic  # as users give it
@@ -23,17 +24,22 @@ def fmi_value(port: Port, value: Value) -> FmiValue:
 
     Raises SystemDefinitionError for a value of another type, or outside the declared range, also by name.
     """
-    variable = port.variable
+    variable, name = port.variable, f"{getattr(value, 'place', '')}{port.name}"
     plain: FmiValue = value.item() if isinstance(value, np.generic) else value
+    if isinstance(plain, StatedValue) or (isinstance(plain, str) and variable.type == "Real"):
+        try:
+            plain = read_value(plain, variable)
+        except SystemDefinitionError as error:
+            raise SystemDefinitionError(f"{name} = {str(plain)!r}: {error}") from None
     if variable.type == "Enumeration" and isinstance(plain, str):
         low, high = value_range(port)
         numbers = {name: number for name, number in items(port).items() if low <= number <= high}
         if plain not in numbers:
-            raise SystemDefinitionError(f"{port.name} = {plain!r}: expected one of {', '.join(numbers)}")
+            raise SystemDefinitionError(f"{name} = {plain!r}: expected one of {', '.join(numbers)}")
         return numbers[plain]
     if variable.type == "String":
         return str(plain)
-    return _number(port, plain)
+    return _number(port, plain, name)
 
 
 def value_of_open_input(port: Port) -> FmiValue:
@@ -52,17 +58,20 @@ def fmi_values(port: Port, values: Sequence[Value] | np.ndarray) -> list[FmiValu
     return [fmi_value(port, value) for value in values]
 
 
-def _number(port: Port, value: FmiValue) -> float | int | bool:
-    variable, name = port.variable, port.name
+def _number(port: Port, value: FmiValue, name: str) -> float | int | bool:
+    variable = port.variable
     expected = _PYTHON_TYPES.get(variable.type, (int,))
     has_type = isinstance(value, expected) and (variable.type == "Boolean" or not isinstance(value, bool))
     low, high = value_range(port)
-    if isinstance(value, str) or not has_type:
+    unit = f" {variable.unit}" if variable.unit not in (None, "1") else ""
+    if isinstance(value, str) and variable.type == "Real":
+        expected = f"a number in{unit}" if unit else "a number"
+    elif isinstance(value, str) or not has_type:
         expected = f"a value of type {variable.type}"
     elif not abs(value) <= sys.float_info.max:
         expected = "a finite number"
     elif not low <= value <= high:
-        expected = f"{low:g}..{high:g}" + (f" {variable.unit}" if variable.unit not in (None, "1") else "")
+        expected = f"{low:g}..{high:g}{unit}"
     else:
         return value
     raise SystemDefinitionError(f"{name} = {reprlib.repr(value)}: expected {expected}")

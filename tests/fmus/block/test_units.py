@@ -6,15 +6,26 @@ import sys
 
 import pytest
 
-from fmus.block.units import BASE_UNITS, UnitDefinition, display, per_second, rate, unit
+from fmus.block.units import _by_pint, display, per_second, rate, unit
 from fmus.errors import ExportError, MissingExtraError
+from fmus.units import SYMBOLS, UnitDefinition, si_unit
 
 
-@pytest.mark.parametrize("name", BASE_UNITS)
-def test_the_table_says_what_pint_says(name: str) -> None:
-    """By way of a unit that is not in the table."""
-    inverse = UnitDefinition({base: -exponent for base, exponent in BASE_UNITS[name].items()})
-    assert unit(f"1/({name})" if name != "1" else "m/m") == inverse
+@pytest.mark.parametrize(
+    "name", [*SYMBOLS, "cm", "us", "kN", "km/h", "N.s2/m2", "kg/(m.s)", "dl/min", "MOhm"]
+)
+def test_the_names_in_si_units_mean_what_pint_says(name: str) -> None:
+    own, of_pint = unit(name), _by_pint({"1": "m/m", "°C": "degC"}.get(name, name))
+    assert own.exponents == of_pint.exponents
+    # a rounding for each symbol
+    assert (own.factor, own.offset) == pytest.approx((of_pint.factor, of_pint.offset), rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    "name", ["", "x", "12", "m/", "kg/m.s", "N/(m/s)", "ks2x", "3 m", "mmin", "kdeg", "(m"]
+)
+def test_other_names_are_left_to_pint(name: str) -> None:
+    assert si_unit(name) is None
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import pytest
 
 from fmus.fmi.description import describe
 from fmus.fmi.model_description import model_description
+from fmus.units import BASES, UnitDefinition
 from orchestration.errors import FmuLoadError
 
 TEXT = """
@@ -59,7 +60,10 @@ def plain(value: Any, like: Any) -> Any:
         return [plain(item, other) for item, other in zip(value, like, strict=True)]
     if not hasattr(like, "__dataclass_fields__"):
         return value
-    of_ours = {"elements", "left_out"}  # which FMPy does not tell, nor what begins with is_
+    if isinstance(like, UnitDefinition):
+        exponents = {base: n for base in BASES if (n := getattr(value, base, 0))}
+        return value if value is like else UnitDefinition(exponents, value.factor, value.offset)
+    of_ours = {"elements", "left_out", "units"}  # which FMPy does not tell, nor what begins with is_
     names = [name for name in vars(like) if not (name.startswith("is_") or name in of_ours)]
     if {"variable", "dependencies"} == {*names}:
         dependencies = value.dependencies

@@ -4,19 +4,21 @@ import json
 import shlex
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from fmus.fmi.description import describe
 from orchestration.cli import chosen_scenario
 from orchestration.cli.changes import Changes
 from orchestration.errors import ScenarioError
 from orchestration.report.result import read_sweep
-from orchestration.scenarios.changes import AssignedText
 from orchestration.sweep import table
 from orchestration.sweep.plan import plan
 from orchestration.system.open_inputs import OpenInputs
+from orchestration.system.quantities import StatedValue, read_value
 from tests.described_fmus import described
 
 Command = Callable[..., Any]
@@ -121,11 +123,12 @@ def test_a_report_has_the_command_that_runs_a_sample_again_with_its_options(
     ],
 )
 def test_a_value_is_written_as_in_toml_and_a_text_needs_no_quotes(
-    assignment: str, fmi_type: str, value: object
+    tmp_path: Path, assignment: str, fmi_type: str, value: object
 ) -> None:
     (text,) = Changes.of_options("", [assignment]).settings.values()
-    assert isinstance(text, AssignedText)
-    assert text.value(fmi_type) == value
+    assert isinstance(text, StatedValue)
+    variable = replace(describe(described(tmp_path / "a.fmu", ["p"])).modelVariables[0], type=fmi_type)
+    assert read_value(text, variable) == value
 
 
 def test_a_string_keeps_what_the_command_line_has(tmp_path: Path) -> None:

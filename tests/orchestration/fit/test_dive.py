@@ -141,7 +141,12 @@ def test_the_variable_that_stands_for_another_names_its_column_too(read: Read, v
         ("voltage[2]", "u", {}, r"no column voltage\[2\]: name it by --map data.voltage\[2\]=COLUMN"),
         ("", "", {"measured_depth": "measured_dept"}, "dive.csv:1: no column 'measured_dept'; nearest is"),
         ("", "", {"voltag": "time"}, r"--map data.voltag=time: .*voltage\["),
-        ("[m]", "[ft]", {}, "measured_depth is in ft: expected m or mm or cm or km"),
+        (
+            "[m]",
+            "[ft]",
+            {},
+            "measured_depth: unknown unit 'ft': expected m or a unit of its dimension; nearest is 't'",
+        ),
         (
             "10.1,",
             "10.0,",

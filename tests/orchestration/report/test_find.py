@@ -132,7 +132,7 @@ def test_a_missing_file_offers_the_nearest(tmp_path: Path) -> None:
         ("x.csv", b"a,b\n0,1\n1,2,3\n", ":3: 3 cells: expected 2"),
         ("x.csv", b"a,b,b\n0,1,2\n", ":1: two columns 'b'"),
         ("x.csv", b"a,b\n2,1\n2,2\n1,3\n", ":4: earlier time 1 s after 2 s"),
-        ("x.csv", b"a [min],b\n0,1\n", "a is in min: expected s or ms or cs or ks"),
+        ("x.csv", b"a [m],b\n0,1\n", "a: unit 'm': expected s or a unit of its dimension"),
         ("x.csv", b"time [s],a.x\n", "expected at least one communication point"),
         ("x.csv", b"time [s],a.x\n0.0,1.0\n0.0,1.0\n", "expected times that increase"),
         ("x.csv", b"time [s],a.x\nnan,1.0\n", "expected finite times"),

@@ -193,7 +193,7 @@ PLANT_INPUTS = {"p.control": 0.0, "p.disturbance": 0.0}
     [
         ({"parameters": {"p.internal_step": -1.0}}, r"p.internal_step = -1.0: expected 1e-07..10 s"),
         ({"parameters": {"p.theta[1]": math.nan}}, r"p.theta\[1\] = nan: expected a finite number"),
-        ({"parameters": {"p.omega": "much"}}, "p.omega = 'much': expected a value of type Real"),
+        ({"parameters": {"p.omega": "much"}}, "p.omega = 'much': expected a number"),
         ({"parameters": {"p.omga": 1.0}}, "no variable 'p.omga'; nearest is 'p.omega'"),
         (
             {"parameters": {"p.control": 1.0}},

@@ -170,7 +170,7 @@ def test_tunable_parameters_and_constant_inputs_are_set_between_steps(linear: Bu
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda s: s.set("one.u[1]", "much"), "one.u[1] = 'much': expected a value of type Real"),
+        (lambda s: s.set("one.u[1]", "much"), "one.u[1] = 'much': expected a number"),
         (lambda s: s.set("one.u[1]", np.nan), "one.u[1] = nan: expected a finite number"),
         (lambda s: s.set("one.u[1]", -np.inf), "one.u[1] = -inf: expected a finite number"),
         (lambda s: s.set("one.y[1]", 1.0), "set: one.y[1] does not fit: expected a parameter or an input"),

@@ -88,4 +88,4 @@ def test_texts_stand_for_the_numbers_that_they_are_given(tmp_path: Path) -> None
 
 def test_a_title_may_have_microseconds(tmp_path: Path) -> None:
     file = read(tmp_path, "TimeUS [us],u\n91000000,1\n")
-    assert file.numbers(0)[0, 0] * file.factor(0, "s") == pytest.approx(91.0)
+    assert file.conversion(0, "s")(file.numbers(0)[0, 0]) == pytest.approx(91.0)

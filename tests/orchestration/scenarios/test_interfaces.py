@@ -25,10 +25,11 @@ def names(page: str, causality: str) -> list[str]:
 
 
 def with_all(folder: Path, page: str, without: set[str]) -> Path:
-    """An FMU with all variables of a page but some."""
+    """An FMU with all variables of a page but some; one that is in two tables is an input."""
     inputs, outputs, parameters = (
         [n for n in names(page, one) if n not in without] for one in ("input", "output", "parameter")
     )
+    outputs = [name for name in outputs if name not in inputs]
     return described(folder / f"{page}.fmu", inputs, outputs, parameters)
 
 

@@ -11,11 +11,11 @@ from fmus.registry import fmu_path
 from orchestration.errors import OrchestrationError, ScenarioError, ScenarioWarning
 from orchestration.results.metric_units import metric_units
 from orchestration.scenarios import scenario
-from orchestration.scenarios.changes import AssignedText
 from orchestration.scenarios.read_layers import shipped_bases
 from orchestration.scenarios.scenario import Scenario
 from orchestration.scenarios.toml_file import read_toml
 from orchestration.system.prepared_run import prepare
+from orchestration.system.quantities import StatedValue
 from tests.described_fmus import described
 
 INPUTS = ("depth_reference", "measured_depth")
@@ -101,7 +101,7 @@ def test_a_line_names_the_parameters_that_the_new_fmu_takes(tmp_path: Path) -> N
         f"controller is pid.fmu, which takes proportional_gain = {gain} of the scenario; its own by "
         "--set controller.proportional_gain=0.0"
     ]
-    scenario.load(path, settings={**settings, "controller.proportional_gain": AssignedText("0.0")})
+    scenario.load(path, settings={**settings, "controller.proportional_gain": StatedValue("0.0")})
 
 
 def test_a_copy_of_the_controller_takes_all_without_a_word(scenario_fmus: None, tmp_path: Path) -> None:

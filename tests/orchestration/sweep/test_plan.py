@@ -327,7 +327,7 @@ UNIFORM = 'distribution = "uniform"\nlow = 1.0\nhigh = 3.0'
         ),
         ('[sweep.vary."experiment.algorithm"]\nvalues = ["jakobi"]', r"nearest is 'jacobi'"),
         ('[sweep.vary."r.u"]\nvalues = []', r"values = \[\]: expected 1 or more items"),
-        ('[sweep.vary."r.u"]\nvalues = ["a"]', r"r.u = 'a': expected a value of type Real"),
+        ('[sweep.vary."r.u"]\nvalues = ["a"]', r"r.u = 'a': expected a number"),
         ('[sweep.vary."r.u"]\nvalues = [1]\nlow = 3', r"vary.\"r.u\": unknown key 'low'; known: 'rel"),
         ('[sweep.vary."r.u"]\nlinspace = [0, 1, 1_000_000_000]', r"expected .*, 2 to 10000000 of them"),
         ('[sweep.vary."r.u"]\nlinspace = [0, 1, 1e300]', r"linspace = .*: expected"),
@@ -356,7 +356,7 @@ UNIFORM = 'distribution = "uniform"\nlow = 1.0\nhigh = 3.0'
             of_u('distribution = "choice"\nvalues = [1]\nweights = [0]'),
             r"expected 1 numbers that are not all 0",
         ),
-        (of_u('distribution = "choice"\nvalues = [1, "a"]'), r"r.u = 'a': expected a value of type Real"),
+        (of_u('distribution = "choice"\nvalues = [1, "a"]'), r"r.u = 'a': expected a number"),
         (of_u(UNIFORM).replace("r.u", "r.misdeed"), r"r.misdeed = 2.0: expected a value of type Enumeration"),
         (
             '[sweep.vary."r.u"]\nvalues = [1]\n[metrics.error]\nfunction = "mean"\nsignal = "r.y"',
