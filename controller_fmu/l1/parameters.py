@@ -28,7 +28,7 @@ v, u_f       = k_g r, 0                            reference_feedforward none
 f            = k_g (r - (tr(A_m) r' - r'') / det(A_m)),   for C B_m = 0
 
 u_p          = 0                                   augmentation none
-               -K_P e - K_I int e dt,   e = y - r  augmentation pi            (7)
+               -K_P e - int K_I e dt,   e = y - r  augmentation pi            (7)
                -a_1 |e|^alpha sgn(e)               augmentation nonlinear_p   (8), |e| > delta
                -a_2 e / delta^(1 - alpha)                                     (8), elsewhere
 

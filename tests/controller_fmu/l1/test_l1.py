@@ -240,10 +240,10 @@ def test_first_order_filter_and_integral_are_held_only_where_it_would_demand_sti
     saturation_error: float, drive: float
 ) -> None:
     """A demand above the limit (negative error) may fall and not rise; one below it may rise and not fall."""
-    after = one_step(parameters(), FilterState(), saturation_error, reference=drive)
+    after = one_step(parameters(integral_gain=0.5), FilterState(), saturation_error, reference=drive)
     free = saturation_error * drive >= 0.0
     assert after.filter.u_a == (pytest.approx(3e-3 * drive, rel=0.01) if free else 0.0)
-    assert after.error_integral == (-1e-3 * drive if free else 0.0)  # e = -r; the control has -K_I int e
+    assert after.integral == (-0.5e-3 * drive if free else 0.0)  # e = -r; the control has -int K_I e
 
 
 def one_step(
