@@ -137,7 +137,7 @@ class LawParameters(PlantParameters):
         FilterOrder.FIRST, "Order of the low-pass filter C(s)", variability="fixed"
     )
     augmentation: Augmentation = variable(
-        Augmentation.NONE, "Extension u_p of the control law", variability="fixed"
+        Augmentation.PI, "Extension u_p of the control law", variability="fixed"
     )
     threshold: Threshold = variable(
         Threshold.FIXED, "Kind of the threshold of the nonlinear P", variability="fixed"

@@ -266,6 +266,22 @@ def one_step(
     )
 
 
+@pytest.mark.parametrize(
+    ("block", "values"),
+    [
+        ("L1DepthController", {"measured_depth": 0.1}),
+        ("L1HeavePitchController", {"measured_depth": 0.1}),
+        ("L1Controller", {"measured_state[1]": 0.1}),
+    ],
+)
+def test_a_controller_that_is_called_extended_starts_with_its_extension(
+    driver: Any, block: str, values: dict[str, float]
+) -> None:
+    assert "L1 adaptive" in builder.load_block(block).description
+    assert driver(builder.load_block(block), **values).begin()["u_p"] < -0.1
+    assert driver(builder.load_block(block), augmentation=1, **values).begin()["u_p"] == 0.0
+
+
 def test_a_measured_velocity_bypasses_the_observer(driver: Any) -> None:
     block = builder.load_block("L1DepthController")
     controller = driver(block, velocity_source=2, measured_depth_rate=0.1).begin()
