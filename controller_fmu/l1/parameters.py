@@ -53,8 +53,9 @@ LAW_LIMITS = (
     " its acceleration is an impulse, which is left out. The piecewise-constant law estimates e^(A_s Ts)"
     " times the disturbance, and has no bounds.",
     "The prediction is driven by the control that this FMU put out, held from one communication point to"
-    " the next: internal_step should not be shorter than a communication step. Where the inputs of a step"
-    " are those of its end (Gauss-Seidel), set inputs_at_step_end.",
+    " the next: a communication step should not be longer than internal_step. Where it is, the FMU predicts"
+    " by control that the plant does not get, and the control varies more. Where the inputs of a step are"
+    " those of its end (Gauss-Seidel), set inputs_at_step_end.",
 )
 
 

@@ -2,6 +2,7 @@
 
 import errno
 import time
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 from fmus.files import lasting_folder, write_json_atomically
 from fmus.registry import Flavour
-from orchestration.errors import OrchestrationError, SimulationError
+from orchestration.errors import OrchestrationError, ScenarioWarning, SimulationError
 from orchestration.many.job import Failure
 from orchestration.many.run_many import run_many
 from orchestration.results import metrics
@@ -21,6 +22,12 @@ from orchestration.run.one_run import simulate_prepared
 from orchestration.scenarios import scenario
 from orchestration.scenarios.published import CASES, summary
 from orchestration.scenarios.scenario import Scenario
+from orchestration.system.prepared_run import PreparedRun, values_of
+from orchestration.system.time_grid import GRID_TOLERANCE
+
+
+# outputs of the laws that estimate a disturbance from the control that they take as delivered
+_ESTIMATES = ("sigma_hat", "estimated_disturbance")
 
 
 @dataclass(frozen=True)
@@ -57,6 +64,7 @@ def run(
     run; where it cannot be written all the same, it is in a temporary folder, which the error names.
     """
     file = folder / f"{loaded.name}.{file_format}"
+    warn_of_long_steps(loaded.prepared)
     try:
         with reserved(file, loaded.prepared.shape):
             recording = simulate_prepared(loaded.system, loaded.prepared, progress, **options)
@@ -68,6 +76,26 @@ def run(
     for ending in RecordingFormat:
         file.with_suffix(f".partial.{ending}").unlink(missing_ok=True)
     return result
+
+
+def warn_of_long_steps(prepared: PreparedRun) -> None:
+    """Warns of controllers that estimate by the control of internal steps, which the vehicle does not get."""
+    for name in prepared.system.components:
+        if not any(f"{name}.{output}" in prepared.system.ports for output in _ESTIMATES):
+            continue
+        values, step = values_of(prepared, name), prepared.periods[name] * prepared.experiment.step_size
+        internal_step = values.get("internal_step", step)
+        if step <= internal_step * (1.0 + GRID_TOLERANCE):
+            continue
+        longest = values.get("observer_period", step)
+        raised = f"set internal_step to {min(step, longest):g} s"
+        expected = f"{raised} and" if step > longest else f"{raised}, or"
+        warnings.warn(
+            f"{name}: the communication step of {step:g} s is longer than internal_step = {internal_step:g} s: "
+            f"{expected} take steps of at most {min(internal_step if step <= longest else longest, step):g} s",
+            ScenarioWarning,
+            stacklevel=3,
+        )
 
 
 def write_result(

@@ -128,7 +128,9 @@ class Model:
                 return self._error()
             if not self.is_acceptable(reference, value):
                 is_parameter = reference < self.inputs.start
-                is_start = self.data.mode == INSTANTIATED or (is_parameter and self.data.mode == INITIALIZATION)
+                is_start = self.data.mode == INSTANTIATED or (
+                    is_parameter and self.data.mode == INITIALIZATION
+                )
                 return self._error() if is_start else (DISCARD, None)
         for reference, value in pairs:
             if self.data.values[reference] != value:
