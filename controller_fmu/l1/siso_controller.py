@@ -42,9 +42,8 @@ class Parameters(LawParameters):
         Regressor.STATE, "Regressor that theta_hat multiplies", variability="fixed"
     )
     augmentation: Augmentation = variable(
-        Augmentation.NONLINEAR_P, "Extension u_p of the control law", variability="fixed",
-        source="published, (9)",
-    )  # fmt: skip
+        Augmentation.NONLINEAR_P, "Extension u_p of the control law", variability="fixed"
+    )
     threshold: Threshold = variable(
         Threshold.PROPORTIONAL_TO_REFERENCE, "Kind of the threshold of the nonlinear P",
         variability="fixed", source="published, (9)",

@@ -25,9 +25,8 @@ from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import PreparedRun, values_of
 from orchestration.system.time_grid import GRID_TOLERANCE
 
-
 # outputs of the laws that estimate a disturbance from the control that they take as delivered
-_ESTIMATES = ("sigma_hat", "estimated_disturbance")
+_ESTIMATES = (".sigma_hat", ".estimated_disturbance")
 
 
 @dataclass(frozen=True)
@@ -80,22 +79,14 @@ def run(
 
 def warn_of_long_steps(prepared: PreparedRun) -> None:
     """Warns of controllers that estimate by the control of internal steps, which the vehicle does not get."""
-    for name in prepared.system.components:
-        if not any(f"{name}.{output}" in prepared.system.ports for output in _ESTIMATES):
-            continue
+    for name in {name.partition(".")[0] for name in prepared.system.ports if name.endswith(_ESTIMATES)}:
         values, step = values_of(prepared, name), prepared.periods[name] * prepared.experiment.step_size
         internal_step = values.get("internal_step", step)
-        if step <= internal_step * (1.0 + GRID_TOLERANCE):
-            continue
-        longest = values.get("observer_period", step)
-        raised = f"set internal_step to {min(step, longest):g} s"
-        expected = f"{raised} and" if step > longest else f"{raised}, or"
-        warnings.warn(
-            f"{name}: the communication step of {step:g} s is longer than internal_step = {internal_step:g} s: "
-            f"{expected} take steps of at most {min(internal_step if step <= longest else longest, step):g} s",
-            ScenarioWarning,
-            stacklevel=3,
-        )
+        if step > internal_step * (1.0 + GRID_TOLERANCE):
+            longest = f"{min(step, values.get('observer_period', step)):g} s"
+            message = f"{name}: communication step of {step:g} s: expected at most internal_step = "
+            message += f"{internal_step:g} s, or {longest} with an internal_step of {longest}"
+            warnings.warn(message, ScenarioWarning, stacklevel=3)
 
 
 def write_result(

@@ -53,8 +53,8 @@ def test_the_page_says_what_a_longer_step_costs(scenario_fmus: None) -> None:
         (0.02, {}, ""),
         (0.01, {}, ""),
         (0.04, {"internal_step": 0.04}, ""),
-        (0.03, {}, "internal_step = 0.02 s: set internal_step to 0.03 s, or take steps of at most 0.02 s"),
-        (0.1, {}, "internal_step = 0.02 s: set internal_step to 0.04 s and take steps of at most 0.04 s"),
+        (0.03, {}, "internal_step = 0.02 s, or 0.03 s with an internal_step of 0.03 s"),
+        (0.1, {}, "internal_step = 0.02 s, or 0.04 s with an internal_step of 0.04 s"),
     ],
 )
 def test_a_run_warns_of_a_step_longer_than_the_internal_step_of_a_controller(
@@ -64,7 +64,9 @@ def test_a_run_warns_of_a_step_longer_than_the_internal_step_of_a_controller(
     messages = warnings_of(stepped(step, **values))
     assert len(messages) == bool(advice)
     assert "".join(messages).endswith(advice)
-    assert all(m.startswith(f"controller: the communication step of {step} s is longer") for m in messages)
+    assert all(
+        m.startswith(f"controller: communication step of {step} s: expected at most ") for m in messages
+    )
 
 
 def test_a_run_does_not_warn_of_a_law_that_takes_no_control_as_delivered(scenario_fmus: None) -> None:
