@@ -63,7 +63,7 @@ def run(
     run; where it cannot be written all the same, it is in a temporary folder, which the error names.
     """
     file = folder / f"{loaded.name}.{file_format}"
-    warn_of_long_steps(loaded.prepared)
+    check_steps(loaded.prepared)
     try:
         with reserved(file, loaded.prepared.shape):
             recording = simulate_prepared(loaded.system, loaded.prepared, progress, **options)
@@ -77,8 +77,8 @@ def run(
     return result
 
 
-def warn_of_long_steps(prepared: PreparedRun) -> None:
-    """Warns of controllers that estimate by the control of internal steps, which the vehicle does not get."""
+def check_steps(prepared: PreparedRun) -> None:
+    """Checks that no controller estimates by the control of internal steps, which the vehicle does not get."""
     for name in {name.partition(".")[0] for name in prepared.system.ports if name.endswith(_ESTIMATES)}:
         values, step = values_of(prepared, name), prepared.periods[name] * prepared.experiment.step_size
         internal_step = values.get("internal_step", step)
