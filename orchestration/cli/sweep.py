@@ -112,8 +112,6 @@ def sweep(
         path = run_samples(planned, out, place, recorded, restart, bar.advance)
     results, provenance = table.read(path)
     shared.print_table(summary_table(results, provenance))
-    for note in notes:
-        print(f"l1-depth: {note}", file=sys.stderr)
     print(path)
     if recordings:
         print(path.with_suffix(".recordings"))
@@ -121,6 +119,8 @@ def sweep(
         shared.fail(
             f"every sample failed, 0 with: {results[table.ERROR][0]}; --sample 0 runs it, --restart all"
         )
+    for note in notes:
+        print(f"l1-depth: {note}", file=sys.stderr)
 
 
 def _run_one(planned: "Plan", sample: int, out: Path) -> None:
