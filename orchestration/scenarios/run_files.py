@@ -78,8 +78,8 @@ def run(
 
 
 def check_steps(prepared: PreparedRun) -> None:
-    """Checks that no controller estimates by the control of internal steps, which the vehicle does not get."""
-    for name in {name.partition(".")[0] for name in prepared.system.ports if name.endswith(_ESTIMATES)}:
+    """Checks that no controller estimates by control of internal steps that the vehicle does not get."""
+    for name in sorted({n.partition(".")[0] for n in prepared.system.ports if n.endswith(_ESTIMATES)}):
         values, step = values_of(prepared, name), prepared.periods[name] * prepared.experiment.step_size
         internal_step = values.get("internal_step", step)
         if step > internal_step * (1.0 + GRID_TOLERANCE):
