@@ -14,5 +14,8 @@ def widens(saturation_error: float, change: float) -> bool:
 
 
 def integrate_error(h: float, integral: float, error: float, saturation_error: float) -> float:
-    """Returns int e dt after h s with the error held, of a demand that falls as it grows."""
+    """Returns int e dt after h s with the error held, of a demand that falls as it grows.
+
+    error: e, or e times a gain that may change during a run
+    """
     return integral + where(widens(saturation_error, -error), 0.0, h * error)

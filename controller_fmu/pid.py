@@ -16,7 +16,7 @@ from fmus.block import NoValues, variable
 from fmus.block.guide import Source
 
 EQUATIONS = """\
-u     = -k_p e - k_i int e dt - k_d (v - beta r') + beta D r',   e = z - r
+u     = -k_p e - int k_i e dt - k_d (v - beta r') + beta D r',   e = z - r
 z / r = (beta (k_d + D) s^2 + k_p s + k_i) / (M s^3 + (D + k_d) s^2 + k_p s + k_i)
 """
 
@@ -36,22 +36,22 @@ class Parameters(depth_interface.DampingParameter, depth_interface.ObserverParam
 
 @dataclass(frozen=True)
 class State:
-    """State of the controller; `error_integral`: int e dt [m.s]."""
+    """State of the controller; `integral`: int k_i e dt [N], which a change of k_i leaves as it is."""
 
     interface: DepthState = DepthState()
-    error_integral: float = 0.0
+    integral: float = 0.0
 
 
 @dataclass(frozen=True)
 class Outputs(DepthOutputs):
-    integral_force: float = variable(0.0, "Integral part -k_i int e dt of the demand", unit="N")
+    integral_force: float = variable(0.0, "Integral part -int k_i e dt of the demand", unit="N")
 
 
-def control(now: DepthMeasurement, error_integral: float, p: Parameters) -> float:
+def control(now: DepthMeasurement, integral: float, p: Parameters) -> float:
     """Returns u [N]."""
     return (
         -p.kp * now.error
-        - p.ki * error_integral
+        - integral
         - p.kd * (now.rate - p.beta * now.reference_rate)
         + p.beta * p.model_damping * now.reference_rate
     )
@@ -62,19 +62,20 @@ def initial_state(t: float, inputs: DepthInputs, p: Parameters, calculated: NoVa
 
 
 def step(t: float, h: float, state: State, inputs: DepthInputs, p: Parameters, calculated: NoValues) -> State:
-    u = control(state.interface.measured, state.error_integral, p)
+    u = control(state.interface.measured, state.integral, p)
     delivered = depth_interface.deliver(u, state.interface.j, p)
     interface = depth_interface.next_state(t, state.interface, inputs, p)
-    integral = integrate_error(h, state.error_integral, interface.measured.error, delivered.saturation_error)
+    change = p.ki * interface.measured.error
+    integral = integrate_error(h, state.integral, change, delivered.saturation_error)
     return State(interface, integral)
 
 
 def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:
     measured, j = state.interface.measured, state.interface.j
-    u = control(measured, state.error_integral, p)
+    u = control(measured, state.integral, p)
     return Outputs(
         **depth_interface.outputs(u, measured, j, p),
-        integral_force=-p.ki * state.error_integral,
+        integral_force=-state.integral,
     )
 
 
@@ -88,7 +89,8 @@ GUIDE = shared_guide.depth_guide(
     ),
     limits=(
         shared_guide.REFERENCE_RATES,
-        "The integral holds while the thrusters saturate and it would demand still more.",
+        "The integral holds while the thrusters saturate and it would demand still more. A change of ki in a"
+        " run acts on later errors alone.",
     ),
     sources=(Source("K. J. Astrom and T. Hagglund: Advanced PID Control, ISA, 2006."),),
 )

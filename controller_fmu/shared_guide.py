@@ -37,7 +37,7 @@ REFERENCE_RATES = (
 )
 HELD_CONTROL = (
     "The controller calculates what its own voltages deliver, held from one communication point to the next:"
-    " internal_step should not be shorter than a communication step."
+    " a communication step should not be longer than internal_step."
 )
 OBSERVER_SOURCE = Source("R. Penoyer: The alpha-beta filter, C User's Journal 11(7), 1993 (the observer).")
 

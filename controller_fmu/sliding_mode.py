@@ -103,6 +103,7 @@ GUIDE = shared_guide.depth_guide(
         "Inside the boundary layer the law is a PID with k_p = M lambda^2 + 2 lambda K / phi,"
         " k_i = lambda^2 K / phi and k_d = 2 lambda M + K / phi - D; it differs from one only where the error"
         " leaves the layer.",
+        "A change of error_bandwidth in a run makes u jump: it multiplies the integral of past errors.",
         shared_guide.REFERENCE_RATES,
         "The integral holds while the thrusters saturate and it would demand still more.",
     ),

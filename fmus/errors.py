@@ -1,6 +1,6 @@
 """Errors that a user can put right, and the words they share."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
 _LIKE = 0.6  # of letters in common
@@ -54,5 +54,10 @@ def nearest(name: str, known: Iterable[str]) -> str:
     by_lower_case = {choice.lower(): choice for choice in reversed(choices)}
     for match in get_close_matches(name.lower(), by_lower_case, n=1, cutoff=_LIKE):
         return f"nearest is {by_lower_case[match]!r}"
-    listed = ", ".join(repr(choice) for choice in sorted(choices)[:_LISTED])
-    return f"known: {listed}" + (f" and {len(choices) - _LISTED} more" if len(choices) > _LISTED else "")
+    return f"known: {listed([repr(choice) for choice in sorted(choices)], _LISTED)}"
+
+
+def listed(words: Sequence[str], most: int) -> str:
+    """Returns the words with commas; the end as a number, unless that hides one word alone."""
+    hidden = len(words) - most
+    return ", ".join(words) if hidden <= 1 else f"{', '.join(words[:most])} and {hidden} more"

@@ -1,6 +1,6 @@
 """The extension of the L1 adaptive controller: u_p, added behind the low-pass filter.
 
-    PI            u_p = -K_P e - K_I int e dt                                     (7)
+    PI            u_p = -K_P e - int K_I e dt                                     (7)
     nonlinear P   u_p = -a_1 |e|^alpha sgn(e)        where |e| > delta            (8)
                   u_p = -a_2 e / delta^(1 - alpha)   elsewhere
 
@@ -12,9 +12,9 @@ from controller_fmu.l1.parameters import Threshold
 from fmus.numerics import absolute, maximum, power, sign, where
 
 
-def proportional_integral(e: float, integral: float, k_p: float, k_i: float) -> float:
-    """Returns u_p from the tracking error and its integral, (7)."""
-    return -k_p * e - k_i * integral
+def proportional_integral(e: float, integral: float, k_p: float) -> float:
+    """Returns u_p from the tracking error and int K_I e dt, (7)."""
+    return -k_p * e - integral
 
 
 def threshold(kind: Threshold, delta: float, floor: float, r: float) -> float:

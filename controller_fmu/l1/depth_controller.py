@@ -212,8 +212,8 @@ x            = (z, z'),   A_m = [[0, 1], [-k_m1 / M_z, -(D_z + k_m2) / M_z]],   
         "theta_bound and sigma_bound enclose what must be compensated, in N; sigma_hat has to reach the"
         " net buoyancy. An estimate that stays on its bound says that the bound is too small or the loop"
         " too fast.",
-        "Against the lag, set augmentation to pi: proportional_gain first, then little integral_gain; or"
-        " to nonlinear_p, with a_1 = a_2 where the control should not jump at |e| = delta.",
+        "Against the lag, augmentation is pi: proportional_gain first, then little integral_gain; or"
+        " nonlinear_p, with a_1 = a_2 where the control should not jump at |e| = delta.",
         "If the derivatives of the reference are known, drive depth_reference_rate and"
         " depth_reference_acceleration and set reference_feedforward: inside leaves the lag of the filter,"
         " outside none. It combines with augmentation, which then acts on what error is left.",

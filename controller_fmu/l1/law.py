@@ -54,13 +54,14 @@ class LawState:
     `estimates` are those of the time of `measured`, the last measurement, or of the last sample of the
     piecewise-constant law; `sample.x` is the state at that time. `held` is the control that the plant
     received since `measured`. Filter and integral belong to the end of the last step.
+    `integral` is int K_I e dt, which a change of K_I leaves as it is.
     """
 
     measured: Measurement = Measurement()
     estimates: Estimates = Estimates()
     held: Held = Held()
     filter: FilterState = FilterState()
-    error_integral: float = 0.0
+    integral: float = 0.0
     sample: Sample = Sample()
 
 
@@ -86,7 +87,7 @@ def initial_law(measured: Measurement, omega: float) -> LawState:
 def extension(parameters: LawParameters, e: float, integral: float, r: float) -> float:
     """Returns u_p of the chosen augmentation."""
     p = parameters
-    pi = augmentation.proportional_integral(e, integral, p.proportional_gain, p.integral_gain)
+    pi = augmentation.proportional_integral(e, integral, p.proportional_gain)
     delta = augmentation.threshold(p.threshold, p.nonlinear_threshold, p.threshold_floor, r)
     nonlinear = augmentation.nonlinear_proportional(
         e, delta, p.nonlinear_exponent, p.large_error_gain, p.small_error_gain
@@ -101,7 +102,7 @@ def control(law: LawState, k_m: Vector, parameters: LawParameters) -> Control:
     return Control(
         u_m=-dot(k_m, last.x),
         u_a=law.filter.u_a,
-        u_p=extension(parameters, last.error, law.error_integral, last.r),
+        u_p=extension(parameters, last.error, law.integral, last.r),
         u_f=where(is_outside, last.f, 0.0),
     )
 
@@ -165,7 +166,7 @@ def law_step(
         estimates=estimates,
         held=given,
         filter=lowpass.advance(p.filter_order, p.filter_bandwidth, law.filter, 0.5 * h, v, saturation_error),
-        error_integral=integrate_error(h, law.error_integral, now.error, saturation_error),
+        integral=integrate_error(h, law.integral, p.integral_gain * now.error, saturation_error),
         sample=sample,
     )
 

@@ -28,7 +28,7 @@ v, u_f       = k_g r, 0                            reference_feedforward none
 f            = k_g (r - (tr(A_m) r' - r'') / det(A_m)),   for C B_m = 0
 
 u_p          = 0                                   augmentation none
-               -K_P e - K_I int e dt,   e = y - r  augmentation pi            (7)
+               -K_P e - int K_I e dt,   e = y - r  augmentation pi            (7)
                -a_1 |e|^alpha sgn(e)               augmentation nonlinear_p   (8), |e| > delta
                -a_2 e / delta^(1 - alpha)                                     (8), elsewhere
 
@@ -53,8 +53,9 @@ LAW_LIMITS = (
     " its acceleration is an impulse, which is left out. The piecewise-constant law estimates e^(A_s Ts)"
     " times the disturbance, and has no bounds.",
     "The prediction is driven by the control that this FMU put out, held from one communication point to"
-    " the next: internal_step should not be shorter than a communication step. Where the inputs of a step"
-    " are those of its end (Gauss-Seidel), set inputs_at_step_end.",
+    " the next: a communication step should not be longer than internal_step. Where it is, the FMU predicts"
+    " by control that the plant does not get, and the control varies more. Where the inputs of a step are"
+    " those of its end (Gauss-Seidel), set inputs_at_step_end.",
 )
 
 
@@ -137,7 +138,7 @@ class LawParameters(PlantParameters):
         FilterOrder.FIRST, "Order of the low-pass filter C(s)", variability="fixed"
     )
     augmentation: Augmentation = variable(
-        Augmentation.NONE, "Extension u_p of the control law", variability="fixed"
+        Augmentation.PI, "Extension u_p of the control law", variability="fixed"
     )
     threshold: Threshold = variable(
         Threshold.FIXED, "Kind of the threshold of the nonlinear P", variability="fixed"

@@ -21,6 +21,7 @@ from controller_fmu.l1.matrices import (
 from controller_fmu.l1.parameters import (
     EQUATIONS,
     LAW_LIMITS,
+    Augmentation,
     LawParameters,
     Regressor,
     Threshold,
@@ -39,6 +40,9 @@ class Parameters(LawParameters):
 
     regressor: Regressor = variable(
         Regressor.STATE, "Regressor that theta_hat multiplies", variability="fixed"
+    )
+    augmentation: Augmentation = variable(
+        Augmentation.NONLINEAR_P, "Extension u_p of the control law", variability="fixed"
     )
     threshold: Threshold = variable(
         Threshold.PROPORTIONAL_TO_REFERENCE, "Kind of the threshold of the nonlinear P",

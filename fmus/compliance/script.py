@@ -7,6 +7,7 @@ from typing import Any
 
 from fmus.compliance.rule import NotJudgedError
 from fmus.compliance.variable import Variable
+from fmus.errors import listed
 from fmus.fmi.binding import WARNING, status_name
 
 USUAL_NAME = "instance"
@@ -197,8 +198,8 @@ class Script:
         replies = {
             kind: self.call("get", kind, [v.reference for v in members]) for kind, members in groups.items()
         }
-        for kind, (first, *others) in groups.items():
-            replies[kind].words = f" of {first.name}" + (f" and {len(others)} more" if others else "")
+        for kind, members in groups.items():
+            replies[kind].words = f" of {listed([str(v.name) for v in members], 1)}"
         return Reading(groups, replies)
 
     def read_everything(self) -> Reading:

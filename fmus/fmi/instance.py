@@ -208,7 +208,7 @@ def _shortened(messages: list[str]) -> list[str]:
     """Returns the different messages, at most as many as can be read."""
     different = list(dict.fromkeys(messages))
     left = len(different) - _MOST_MESSAGES
-    return [*different[:_MOST_MESSAGES], *([f"and {left} more"] if left > 0 else [])]
+    return [*different[:_MOST_MESSAGES], f"and {left} more"] if left > 1 else different
 
 
 class UnpackedFmu:

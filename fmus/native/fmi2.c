@@ -3,9 +3,9 @@
  * Statuses (2.1.3):
  *   ok        done
  *   warning   done but for a part that the message names: an unknown log category, a derivative of higher order
- *   discard   fmi2SetXXX with a value out of range, fmi2DoStep that reaches no finite end (4.2.2: a shorter step
- *             can be tried), fmi2GetXXXStatus without that status (4.2.3); nothing has changed. No other function
- *             of co-simulation may return it
+ *   discard   fmi2SetXXX with a value out of range that is no start value, fmi2DoStep that reaches no finite end
+ *             (4.2.2: a shorter step can be tried), fmi2GetXXXStatus without that status (4.2.3); nothing has
+ *             changed. No other function of co-simulation may return it
  *   error     every other refusal; nothing has changed, but only to read, restore, reset or free is allowed then
  *   fatal     never: no call can damage an instance
  *   pending   never: steps are synchronous (4.3.1, canRunAsynchronuously is false)

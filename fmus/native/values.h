@@ -64,7 +64,8 @@ static int can_be_set(const Data *d, unsigned reference, Type type, double value
 }
 
 /* Refuses the first wrong type, or else the value at `index`, which is the first refused value.
- * 2.1.2: a value reference that cannot be set is an error; 2.1.7: a value out of range may be discarded. */
+ * 2.1.2: a value reference that cannot be set is an error; 2.1.7: a value out of range may be discarded. Of a start
+ * value it is an error, because errors reach the user without logging; inputs in initialization mode are tried. */
 static OUTLINED Status cannot_be_set(Instance *instance, Type type, const unsigned references[], size_t count,
                                      size_t index, double value, const char *function) {
     if (!are_of_type(instance, type, references, count, function)) return ERROR;
@@ -77,7 +78,9 @@ static OUTLINED Status cannot_be_set(Instance *instance, Type type, const unsign
         return refuse(instance, ERROR, "%s: %s can not be set in continuous-time mode", function, v->name);
     if (!(instance->data.mode & ACCESS[references[index]].settable))
         return refuse(instance, ERROR, "%s: %s is fixed, set it before the initialization ends", function, v->name);
-    return refuse(instance, DISCARD, "%s: %s = %s: expected %s", function, v->name, DECIMAL(value), v->expected);
+    const int is_start = instance->data.mode & (references[index] < FIRST_INPUT ? BEFORE_STEPPING : INSTANTIATED);
+    return refuse(instance, is_start ? ERROR : DISCARD, "%s: %s = %s: expected %s", function, v->name, DECIMAL(value),
+                  v->expected);
 }
 
 /* What no table holds: continuous states, their derivatives and, in FMI 3.0, time and event indicators, which are

@@ -1,5 +1,6 @@
 """Commands that run a scenario many times: sweep, with other values, and margins, with delays and gains."""
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -111,7 +112,6 @@ def sweep(
         path = run_samples(planned, out, place, recorded, restart, bar.advance)
     results, provenance = table.read(path)
     shared.print_table(summary_table(results, provenance))
-    print(*notes, sep="\n", end="\n" * bool(notes))
     print(path)
     if recordings:
         print(path.with_suffix(".recordings"))
@@ -119,6 +119,8 @@ def sweep(
         shared.fail(
             f"every sample failed, 0 with: {results[table.ERROR][0]}; --sample 0 runs it, --restart all"
         )
+    for note in notes:
+        print(f"l1-depth: {note}", file=sys.stderr)
 
 
 def _run_one(planned: "Plan", sample: int, out: Path) -> None:

@@ -161,6 +161,8 @@ def print_gains(tuning: "Tuning", name: str) -> None:
         print(f"{last} evaluations are too few to tell whether the cost is flat: {expected}.")
         return
     verdict = "flat" if tuning.is_flat else "not flat: more evaluations may lower it"
+    if tuning.flattening[0] == tuning.flattening[-1]:
+        verdict = "not known to be flat: the search found nothing better after its first quarter"
     if stopped:
         verdict = f"limited by the range of {', '.join(stopped)}: a wider one in --free may lower it"
     print(

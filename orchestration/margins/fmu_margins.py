@@ -204,10 +204,15 @@ def parameter_metrics(
 
 def _metric(name: str, measured: Scan, unit: str, how: str, runs: HoldRuns) -> Metric:
     hold, signal_unit = runs.hold, runs.prepared.system.ports[runs.hold.signal].variable.unit or ""
-    again = ", ".join(f"quiet again at {low:.4g}..{high:.4g} {unit}" for low, high in measured.quiet_again)
+    remark = ", ".join(f"quiet again at {low:.4g}..{high:.4g} {unit}" for low, high in measured.quiet_again)
+    if math.isnan(measured.margin):
+        remark = (
+            f"not quiet without a change; the scenario as it is: standard deviation {runs.deviation:.3g}, "
+            f"limit {hold.quiet:g} {signal_unit}".rstrip()
+        )
     assumption = (
         f"quiet: standard deviation of {hold.signal} below {hold.quiet:g} {signal_unit} from "
         f"{hold.start:g} s to {hold.end:g} s, mean within {MOVED:g} {signal_unit} of that without a change; "
         f"{how}"
     )
-    return Metric(THROUGH_FMUS, name, measured.margin, unit, assumption, "measured", again)
+    return Metric(THROUGH_FMUS, name, measured.margin, unit, assumption, "measured", remark)

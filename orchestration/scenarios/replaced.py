@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from fmus.errors import listed
 from fmus.fmi.description import start_value
 from fmus.fmi.model_description import ScalarVariable
 from orchestration.errors import ScenarioError, ScenarioWarning, SystemDefinitionError
@@ -104,7 +105,7 @@ class Replacement:
         optional = {n for n, layer in self.optional.items() if layer > self.unchanged.get(n, -1)}
         missing = dict.fromkeys(n for n, t in self.left_out if n not in optional and t not in driven)
         names = unjoined or list(missing)
-        lacks = f"{state}, which lacks {_listed(names)}"
+        lacks = f"{state}, which lacks {listed(names, _MOST_NAMES)}"
         stand_ins = [*names[:1], *(n for name in names[:1] for n in self.alternatives.get(name, ()))]
         mapped = " or ".join(f"--map {prefix}{name}=NAME" for name in stand_ins)
         hint = f"name those that stand for others by {mapped} or in [mapping.{self.component}]"
@@ -114,23 +115,18 @@ class Replacement:
             outputs_of = f"outputs are {', '.join(self._names('output')) or '(none)'}"
             raise ScenarioError(f"{lacks}; {inputs_of} {outputs_of}: {hint}{may_stay}")
         if missing:
-            listed = f"list those that it may lack in [optional], {self.component} = [...]"
-            _warn(f"{lacks}: left out; {hint}; {listed}")
+            optional_hint = f"list those that it may lack in [optional], {self.component} = [...]"
+            _warn(f"{lacks}: left out; {hint}; {optional_hint}")
         own = {n: start_value(self.ports[n].variable) for n in self.taken}
         values = {n: data["parameters"].get(prefix + n) for n in own}
         taken = [n for n, v in values.items() if v == self.taken[n] and fmi_value(self.ports[n], v) != own[n]]
         if taken and self.left_out:
-            listed = _listed([f"{n} = {values[n]!r}" for n in taken])
+            shown = listed([f"{n} = {values[n]!r}" for n in taken], _MOST_NAMES)
             restored = f"--set {prefix}{taken[0]}={json.dumps(own[taken[0]])}"
-            _warn(f"{state}, which takes {listed} of the scenario; its own by {restored}")
+            _warn(f"{state}, which takes {shown} of the scenario; its own by {restored}")
 
     def _names(self, causality: str) -> list[str]:
         return [name for name, port in self.ports.items() if port.variable.causality == causality]
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
-    return ", ".join(names[:_MOST_NAMES]) + more
 
 
 def _warn(message: str) -> None:

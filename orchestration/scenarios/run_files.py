@@ -2,6 +2,7 @@
 
 import errno
 import time
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from typing import Any
 from fmus.files import lasting_folder, write_json_atomically
 from fmus.fmi import parent_process
 from fmus.registry import Flavour
-from orchestration.errors import OrchestrationError, SimulationError
+from orchestration.errors import OrchestrationError, ScenarioWarning, SimulationError
 from orchestration.many.job import Failure
 from orchestration.many.run_many import run_many
 from orchestration.results import files, metrics
@@ -23,6 +24,11 @@ from orchestration.run.one_run import simulate_prepared
 from orchestration.scenarios import scenario
 from orchestration.scenarios.published import CASES, summary
 from orchestration.scenarios.scenario import Scenario
+from orchestration.system.prepared_run import PreparedRun, values_of
+from orchestration.system.time_grid import GRID_TOLERANCE
+
+# outputs of the laws that estimate a disturbance from the control that they take as delivered
+_ESTIMATES = (".sigma_hat", ".estimated_disturbance")
 
 
 @dataclass(frozen=True)
@@ -62,6 +68,7 @@ def run(
     that crashes then loses nothing.
     """
     file = folder / f"{loaded.name}.{file_format}"
+    check_steps(loaded.prepared)
     with ExitStack() as own:
         options["fmus"] = fmus or own
         try:
@@ -76,6 +83,18 @@ def run(
             file.with_suffix(f".partial.{ending}").unlink(missing_ok=True)
         parent_process.results_are_written()
     return result
+
+
+def check_steps(prepared: PreparedRun) -> None:
+    """Checks that no controller estimates by control of internal steps that the vehicle does not get."""
+    for name in sorted({n.partition(".")[0] for n in prepared.system.ports if n.endswith(_ESTIMATES)}):
+        values, step = values_of(prepared, name), prepared.periods[name] * prepared.experiment.step_size
+        internal_step = values.get("internal_step", step)
+        if step > internal_step * (1.0 + GRID_TOLERANCE):
+            longest = f"{min(step, values.get('observer_period', step)):g} s"
+            message = f"{name}: communication step of {step:g} s: expected at most internal_step = "
+            message += f"{internal_step:g} s, or {longest} with an internal_step of {longest}"
+            warnings.warn(message, ScenarioWarning, stacklevel=3)
 
 
 def write_result(

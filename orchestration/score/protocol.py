@@ -110,10 +110,18 @@ class Protocol:
         force = vehicle.actuators.largest_force
         told = f" Controllers are told that its actuators give {force:g} N." if math.isfinite(force) else ""
         inertia = vehicle.values().heave[0]
-        carried = f", carried to its inertia of {inertia:.3g} kg" if inertia else ""
-        return (
-            f"The vehicle is {vehicle.name}, simulated; the tuned gains beside are for {ours}{carried}.{told}"
+        beside = (
+            f"the tuned gains beside are for {ours}, carried to its inertia of {inertia:.3g} kg"
+            if inertia
+            else f"the tuned controllers of {ours} are left out: inertia under [variables] in "
+            f"{vehicle.file.path.name} would scale their gains"
         )
+        return f"The vehicle is {vehicle.name}, simulated; {beside}.{told}"
+
+    @cached_property
+    def scales_gains(self) -> bool:
+        """Whether the tuned gains mean something for the vehicle: its inertia is known."""
+        return self.vehicle.is_of_base or self.vehicle.values().heave[0] > 0.0
 
     @cached_property
     def inertia_ratio(self) -> float:
@@ -144,8 +152,10 @@ class Protocol:
         table, vehicle = self.tables.cases[name], self.vehicle
         if table.disturbance and table.disturbance not in vehicle.described.disturbances:
             file = vehicle.file.path
-            expected = "" if file.parent == SHIPPED else f": expected it in {file.name} beside it"
-            return f"{vehicle.name} has no disturbance {table.disturbance}{expected}"
+            expected = "" if file.parent == SHIPPED else f": expected each in {file.name} beside it"
+            asked = [case.disturbance for case in self.tables.cases.values() if case.disturbance]
+            missing = [name for name in asked if name not in vehicle.described.disturbances]
+            return f"{vehicle.name} has no disturbance {', '.join(dict.fromkeys(missing))}{expected}"
         if vehicle.is_of_base:  # a name that it lacks is a mistake: `check_vehicle`
             return ""
         layer = self._layer(name)

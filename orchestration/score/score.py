@@ -56,7 +56,7 @@ def score_controllers(
 ) -> ScoreResult:
     """Runs every case, with `full` every plant too, and compares with the controllers of the protocol.
 
-    beside: the other controllers, by default those of the protocol, tuned
+    beside: the other controllers, by default those of the protocol, tuned, if their gains fit the vehicle
     seed: what the seeds and times of the cases and the plants follow from, by default one that is drawn
     timeout: longest time [s] of a run, by default that of the protocol
     where: "processor", or "gpu" for the runs that the GPU of this machine can make
@@ -71,7 +71,7 @@ def score_controllers(
         if controller.fmu.endswith(".py"):
             fmu_file(controller.fmu)  # refuses one without a block before the FMUs of others are built
     if beside is None:
-        beside = [tuned(protocol, name) for name in protocol.controllers]
+        beside = [tuned(protocol, name) for name in protocol.controllers if protocol.scales_gains]
     chosen = _with_other_names(controllers, beside)
     seed = secrets.randbelow(LARGEST_SEED) if seed is None else seed
     scoring = Scoring(protocol, full, seed, progress)
@@ -90,7 +90,8 @@ def score_controllers(
 def run_count(controllers: int, protocol: Protocol, full: bool) -> int:
     """Returns the number of runs of a score of so many controllers beside those of the protocol."""
     full_runs = protocol.tables.plants.count + sum(map(len, repeated(protocol, 0).values()))
-    return (controllers + len(protocol.controllers)) * (len(protocol.cases) + full * full_runs)
+    beside = len(protocol.controllers) if protocol.scales_gains else 0
+    return (controllers + beside) * (len(protocol.cases) + full * full_runs)
 
 
 def _with_other_names(controllers: Sequence[Controller], beside: Sequence[Controller]) -> list[Controller]:

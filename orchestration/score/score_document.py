@@ -224,6 +224,9 @@ def protocol_info(protocol: Protocol) -> ProtocolInfo:
         name: MetricInfo(title=table.title, unit=table.unit, meaning=table.meaning)
         for name, table in protocol.metrics.items()
     }
+    titles_of_reason: dict[str, list[str]] = {}
+    for name, reason in protocol.left_out.items():
+        titles_of_reason.setdefault(reason, []).append(protocol.tables.cases[name].title)
     return ProtocolInfo(
         version=protocol.version,
         statement=protocol.statement,
@@ -232,7 +235,7 @@ def protocol_info(protocol: Protocol) -> ProtocolInfo:
             name: CaseInfo(title=c.title, tuned_on=c.tuned_on, repeats_nominal=c.repeats_nominal)
             for name, c in protocol.cases.items()
         },
-        left_out={protocol.tables.cases[name].title: why for name, why in protocol.left_out.items()},
+        left_out={"; ".join(titles): reason for reason, titles in titles_of_reason.items()},
         failure=dict(protocol.tables.failure),
     )
 

@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from fmus.errors import nearest
+from fmus.errors import listed, nearest
 from fmus.fmi.description import describe
 from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import FmiValue
@@ -127,7 +127,7 @@ class Vehicle:
             raise ScenarioError(
                 f"plant is {self.name}, which lacks {' and '.join(names)}, so it is no vehicle: {_EXPECTED}; "
                 f"name the {causality} that stands for it by --map {names[0]}=NAME; its {causality}s are "
-                f"{', '.join(own[:_LISTED]) or '(none)'}{' and more' if own[_LISTED:] else ''}"
+                f"{listed(own, _LISTED) or '(none)'}"
             )
         for name, own in self.mapping.items():
             if own not in self.variables:

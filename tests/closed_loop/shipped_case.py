@@ -26,7 +26,7 @@ def shipped_case(loaded: Scenario) -> L1Case:
     return L1Case(
         plant=values["plant"],
         law={**NO_OBSERVER, **values["controller"]},
-        augmentation=str(given.get("controller.augmentation", "none")),
+        augmentation=str(given.get("controller.augmentation", "pi")),
         pitch_augmentation=str(given.get("controller.pitch_augmentation", "none")),
         priority=str(given.get("controller.priority", "heave")),
         feedforward=str(given.get("controller.reference_feedforward", "none")),

@@ -36,22 +36,33 @@ def c_pid(tmp_path: Path) -> Path:
     return write_archive(tmp_path / "c_pid.fmu", members)
 
 
-def run_with(controller: Path) -> Recording:
+JUMP = {"kind": "ramps", "points": [[0.0, 0.0], [1.0, 0.0], [1.02, 3.0]]}  # m: the force is at its limit
+
+
+def run_with(controller: Path, signals: dict[str, Any], settings: dict[str, Any]) -> Recording:
     """The first 30 s of the dive, sensor and velocity ideal."""
     overrides: dict[str, Any] = {
         "experiment": {"stop_time": 30.0},
-        "metrics": dict.fromkeys(("settling_time", "overshoot", "holding_thrust"), False),
+        "metrics": dict.fromkeys(("settling_time", "overshoot", "holding_thrust", "lag"), False),
+        "signals": signals,
     }
     path = scenario.find("nominal-extended-ideal")
-    chosen = scenario.load(path, overrides, settings={"controller": str(controller)})
+    chosen = scenario.load(path, overrides, settings={"controller": str(controller), **settings})
     return simulate(chosen.system, chosen.experiment)
 
 
 def test_a_controller_in_c_gives_the_depth_of_the_same_block(
     scenario_fmus: None, c_pid: Path, tmp_path: Path
 ) -> None:
+    """On the ramp, and at the limit of the force with and without an integral."""
     (block, *_) = write_new_block("pid", tmp_path)
-    own, foreign = run_with(builder.fmu_of_file(block)), run_with(c_pid)
-    depth = own["plant.depth"]
-    assert depth.max() > 0.2  # m: it dives
-    np.testing.assert_allclose(foreign["plant.depth"], depth, rtol=0.0, atol=1e-6)  # m
+    jump = {"controller.depth_reference": JUMP}
+    for signals, settings, deepest in (
+        ({}, {}, 0.2),
+        (jump, {}, 2.9),
+        (jump, {"controller.ki": 0.0}, 2.9),
+    ):
+        own, foreign = (run_with(c, signals, settings) for c in (builder.fmu_of_file(block), c_pid))
+        depth = own["plant.depth"]
+        assert depth.max() > deepest  # m: it dives
+        np.testing.assert_allclose(foreign["plant.depth"], depth, rtol=0.0, atol=1e-6)  # m

@@ -84,7 +84,39 @@ def test_the_integral_takes_the_error_of_the_newest_measurement(law: ModuleType)
     p, nothing = law.Parameters(), NoValues()
     state = law.initial_state(0.0, DepthInputs(measured_depth=0.1), p, nothing)
     after = law.step(0.0, 0.02, state, DepthInputs(measured_depth=0.5, depth_reference=0.2), p, nothing)
-    assert after.error_integral == pytest.approx(0.02 * 0.3)
+    integral = after.integral / p.ki if law is pid else after.error_integral
+    assert integral == pytest.approx(0.02 * 0.3)
+
+
+@pytest.mark.parametrize(
+    ("block", "gain", "others"),
+    [
+        (pid.BLOCK, "ki", {}),
+        (depth_controller.BLOCK, "integral_gain", {"augmentation": 2, "proportional_gain": 4.0}),
+    ],
+    ids=["pid", "l1"],
+)
+@pytest.mark.parametrize(("before", "after"), [(0.0, 5.5), (2.0, 0.0), (0.5, 0.75)])
+def test_a_gain_of_the_integral_that_changes_in_a_run_acts_on_later_errors_alone(
+    driver: Any, block: Block, gain: str, others: dict[str, float], before: float, after: float
+) -> None:
+    """Demands of three instances after 10 s with errors of 4 and 1 cm, the gain changed in one of them."""
+
+    def demands(*changes: float) -> list[float]:
+        given = {gain: before, **others, "velocity_source": 2, "depth_reference": 0.3, "measured_depth": 0.34}
+        controller = driver(block, **given).begin()
+        controller.step(0.02, 250)
+        controller["measured_depth"] = 0.31
+        controller.step(0.02, 250)
+        at_change = controller["demanded_force"]
+        for value in changes:
+            controller[gain] = value
+        return [at_change, *(controller.step(0.02)["demanded_force"] for _ in range(2))]
+
+    kept, changed = demands(), demands(after)
+    assert changed[0] == kept[0]
+    for k in (1, 2):
+        assert changed[k] - kept[k] == pytest.approx(-k * 0.02 * 0.01 * (after - before), rel=0.02, abs=1e-9)
 
 
 def test_super_twisting_takes_the_direction_of_the_newest_measurement() -> None:

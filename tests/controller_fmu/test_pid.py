@@ -18,7 +18,7 @@ START = Parameters(velocity_source=VelocitySource.MEASURED, voltage_limit=WIDE)
 def test_the_gains_place_three_poles_at_w(w: float) -> None:
     p = replace(START, kp=3 * INERTIA * w**2, ki=INERTIA * w**3, kd=3 * INERTIA * w - DAMPING)
     assert w != 1.0 or p == START
-    polynomial = characteristic(lambda z, v, integral: control(at(z, v), integral, p))
+    polynomial = characteristic(lambda z, v, integral: control(at(z, v), p.ki * integral, p))
     assert polynomial == pytest.approx(np.poly([-w, -w, -w]), rel=1e-12)
 
 

@@ -2,7 +2,8 @@
 
 import pytest
 
-from fmus.errors import nearest
+from fmus.errors import listed, nearest
+from fmus.fmi.instance import _shortened
 
 
 @pytest.mark.parametrize(
@@ -12,8 +13,23 @@ from fmus.errors import nearest
         ("DEPTH", ["mass", "depth"], "nearest is 'depth'"),
         ("voltage", ["mass", "depth"], "known: 'depth', 'mass'"),
         ("q", [f"x{i}" for i in range(7)], "known: 'x0', 'x1', 'x2', 'x3', 'x4' and 2 more"),
+        ("q", [f"x{i}" for i in range(6)], "known: 'x0', 'x1', 'x2', 'x3', 'x4', 'x5'"),
         ("q", [], "there are none"),
     ],
 )
 def test_a_name_is_suggested_only_if_it_is_near(name: str, known: list[str], suggestion: str) -> None:
     assert nearest(name, known) == suggestion
+
+
+@pytest.mark.parametrize(
+    ("count", "expected"), [(0, ""), (1, "0"), (3, "0, 1, 2"), (4, "0, 1, 2, 3"), (5, "0, 1, 2 and 2 more")]
+)
+def test_a_list_never_hides_one_word_alone(count: int, expected: str) -> None:
+    assert listed([str(i) for i in range(count)], 3) == expected
+
+
+@pytest.mark.parametrize(("count", "shown"), [(10, 10), (11, 11), (12, 11)])
+def test_a_log_never_hides_one_message_alone(count: int, shown: int) -> None:
+    lines = _shortened([f"message {i}" for i in (*range(count), 0)])
+    assert len(lines) == shown
+    assert lines[-1] == ("and 2 more" if count == 12 else f"message {count - 1}")

@@ -16,6 +16,9 @@ void Pid_dostep(PidState *self) {
     if (self->count++ > 0) self->rate = self->a * self->rate + (1 - self->a) * (y - self->depth) / self->period;
     const double demand = self->kp * error + self->integral - self->kd * self->rate;
     self->control_force = fmax(-self->force_limit, fmin(demand, self->force_limit));
-    self->integral += self->period * (self->ki * error + (self->control_force - demand) / self->tracking_time);
+    /* Anti-windup takes back what saturation has added, but never more than the integral holds. */
+    const double integral = self->integral + self->period * self->ki * error;
+    const double excess = self->period / self->tracking_time * (demand - self->control_force);
+    self->integral = integral - fmin(fmax(excess, fmin(integral, 0)), fmax(integral, 0));
     self->depth = y;
 }

@@ -21,7 +21,7 @@ protected
   Real rate(start = 0.0, fixed = true);
   Real integral(start = 0.0, fixed = true);
   Real force(start = 0.0, fixed = true);
-  Real pulse, a, error, new_rate, demand, new_force;
+  Real pulse, a, error, new_rate, demand, new_force, grown, excess, new_integral;
 equation
   // 1 in the step that begins at a multiple of the period, else 0; divided by the length of the step
   pulse = max(0.0, min(1.0, 1000.0 * (cos(2.0 * pi * clock / period) - cos(pi * solver_step / period)))) / solver_step;
@@ -30,11 +30,15 @@ equation
   new_rate = (1.0 - is_first) * (a * rate + (1.0 - a) * (measured_depth - depth) / period);
   demand = kp * error + integral - kd * new_rate;
   new_force = max(-force_limit, min(demand, force_limit));
+  // anti-windup takes back what saturation has added, but never more than the integral holds
+  grown = integral + period * ki * error;
+  excess = period / tracking_time * (demand - new_force);
+  new_integral = grown - max(min(grown, 0.0), min(excess, max(grown, 0.0)));
   der(clock) = 1.0;
   der(is_first) = -pulse * is_first;
   der(depth) = pulse * (measured_depth - depth);
   der(rate) = pulse * (new_rate - rate);
-  der(integral) = pulse * period * (ki * error + (new_force - demand) / tracking_time);
+  der(integral) = pulse * (new_integral - integral);
   der(force) = pulse * (new_force - force);
   control_force = force;
 end Pid;

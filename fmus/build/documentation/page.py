@@ -51,6 +51,7 @@ def documentation(
     files = {"index.html": "page.html", "fmi-ls-ref.txt": "fmi-ls-ref.txt"}
     values = {
         "fmi": fmi,
+        "interfaces": "co-simulation and model exchange" if compiled else "co-simulation",
         "name": escape(block.name),
         "description": escape(block.description),
         "release": escape(version("l1-depth")),

@@ -9,7 +9,7 @@ from controller_fmu.l1.parameters import Threshold
 
 
 def test_pi_is_equation_7() -> None:
-    assert proportional_integral(2.0, 3.0, 5.0, 7.0) == -5.0 * 2.0 - 7.0 * 3.0
+    assert proportional_integral(2.0, 3.0, 5.0) == -5.0 * 2.0 - 3.0
 
 
 def test_nonlinear_p_is_equation_9_on_both_sides_of_the_threshold() -> None:

@@ -194,7 +194,7 @@ def test_a_known_input_gain_does_not_change_where_the_output_ends(kind: Referenc
     """omega = 2: outside, the filter takes back what omega makes too much of f."""
     p = replace(
         siso_controller.Parameters(), reference_feedforward=kind, filter_bandwidth=W,
-        adaptation_gain=0.0, input_gain=2.0,
+        adaptation_gain=0.0, input_gain=2.0, augmentation=Augmentation.NONE,
     )  # fmt: skip
     matrices, k_m = siso_controller.calculate(p), p.feedback_gain
     step = expm(np.array([[0.0, 1.0, 0.0], [-1.0, -1.4, 2.0], [0.0, 0.0, 0.0]]) * 0.02)

@@ -109,7 +109,7 @@ def test_with_the_pitch_at_rest_the_depth_axis_is_that_controller(driver: Any, a
 
 def test_the_depth_axis_stays_that_controller_at_the_limit_of_the_thrusters(driver: Any) -> None:
     """Its saturation is that of the force there, of each voltage here: rounding lies between."""
-    limit = {"voltage_limit": 0.4}
+    limit = {"voltage_limit": 0.4, "augmentation": both.Augmentation.NONE}
     one, two = (driver(block, **limit).begin() for block in (DEPTH, BOTH))
     for k in range(500):
         for name, value in depth_at(0.02 * k).items():

@@ -240,10 +240,10 @@ def test_first_order_filter_and_integral_are_held_only_where_it_would_demand_sti
     saturation_error: float, drive: float
 ) -> None:
     """A demand above the limit (negative error) may fall and not rise; one below it may rise and not fall."""
-    after = one_step(parameters(), FilterState(), saturation_error, reference=drive)
+    after = one_step(parameters(integral_gain=0.5), FilterState(), saturation_error, reference=drive)
     free = saturation_error * drive >= 0.0
     assert after.filter.u_a == (pytest.approx(3e-3 * drive, rel=0.01) if free else 0.0)
-    assert after.error_integral == (-1e-3 * drive if free else 0.0)  # e = -r; the control has -K_I int e
+    assert after.integral == (-0.5e-3 * drive if free else 0.0)  # e = -r; the control has -int K_I e
 
 
 def one_step(
@@ -264,6 +264,22 @@ def one_step(
         p,
         matrices,
     )
+
+
+@pytest.mark.parametrize(
+    ("block", "values"),
+    [
+        ("L1DepthController", {"measured_depth": 0.1}),
+        ("L1HeavePitchController", {"measured_depth": 0.1}),
+        ("L1Controller", {"measured_state[1]": 0.1}),
+    ],
+)
+def test_a_controller_that_is_called_extended_starts_with_its_extension(
+    driver: Any, block: str, values: dict[str, float]
+) -> None:
+    assert "L1 adaptive" in builder.load_block(block).description
+    assert driver(builder.load_block(block), **values).begin()["u_p"] < -0.1
+    assert driver(builder.load_block(block), augmentation=1, **values).begin()["u_p"] == 0.0
 
 
 def test_a_measured_velocity_bypasses_the_observer(driver: Any) -> None:

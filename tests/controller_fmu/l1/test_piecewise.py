@@ -12,7 +12,7 @@ from scipy.linalg import expm
 from controller_fmu.l1 import siso_controller
 from controller_fmu.l1.adaptation import Estimates, Interval
 from controller_fmu.l1.matrices import Matrix
-from controller_fmu.l1.parameters import AdaptationLaw
+from controller_fmu.l1.parameters import AdaptationLaw, Augmentation
 from controller_fmu.l1.piecewise import Sample, adapt_at_samples
 from fmus.build import builder
 
@@ -155,7 +155,7 @@ def test_in_the_loop_a_constant_disturbance_leaves_what_the_offset_leaves(driver
     h = 0.02
     controller = driver(
         builder.load_block("L1Controller"), adaptation_law=PIECEWISE, adaptation_period=h,
-        filter_bandwidth=10.0, reference=0.5,
+        augmentation=Augmentation.NONE, filter_bandwidth=10.0, reference=0.5,
         **{"prediction_error_matrix[1,1]": -a, "prediction_error_matrix[2,2]": -a},
     ).begin()  # fmt: skip
     step, x = expm(np.block([[A_M, B.reshape(2, 1)], [np.zeros((1, 3))]]) * h), np.zeros(2)

@@ -127,7 +127,11 @@ class Model:
             if not self.is_settable(reference) or late:
                 return self._error()
             if not self.is_acceptable(reference, value):
-                return DISCARD, None
+                is_parameter = reference < self.inputs.start
+                is_start = self.data.mode == INSTANTIATED or (
+                    is_parameter and self.data.mode == INITIALIZATION
+                )
+                return self._error() if is_start else (DISCARD, None)
         for reference, value in pairs:
             if self.data.values[reference] != value:
                 self.data.values[reference] = float(value)

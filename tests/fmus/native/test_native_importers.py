@@ -53,7 +53,7 @@ def test_errors_are_always_logged_and_discards_in_debug_mode(built: Fmus, load: 
     assert quiet.status("setReal", [0, 9], [0.1, math.inf]) == "error"
     assert len(quiet.log) == 1
     quiet.slave.reset()
-    assert quiet.status("setReal", [9], [math.inf]) == "discard"
+    assert quiet.begin().status("setReal", [9], [math.inf]) == "discard"
     assert len(quiet.log) == 1
 
 

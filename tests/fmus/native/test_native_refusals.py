@@ -22,9 +22,33 @@ def test_a_value_out_of_range_is_discarded_and_the_old_one_stays(built: Fmus, lo
 def test_an_enumeration_takes_its_items_only(built: Fmus, load: Any) -> None:
     controller = load(built["L1Controller"])
     order = controller.references["filter_order"]
-    assert controller.status("setInteger", [order], [2]) == "discard"
-    assert controller.log[-1] == "fmi2SetInteger: filter_order = 2: expected one of 1 (first), 3 (third)"
     assert controller.status("setInteger", [order], [3]) == "ok"
+    assert controller.status("setInteger", [order], [2]) == "error"
+    assert controller.log[-1] == "fmi2SetInteger: filter_order = 2: expected one of 1 (first), 3 (third)"
+
+
+@pytest.mark.parametrize("stage", ["instantiated", "initialization", "stepping"])
+def test_a_start_value_out_of_range_is_an_error_whose_message_needs_no_logging(
+    built: Fmus, load: Any, stage: str
+) -> None:
+    """An input in initialization mode is no start value any more: a solver may try others."""
+    plant = load(built["RovDepthPlant"], logging=False)
+    parameter, given = plant.references["inertia"], plant.references["thruster_efficiency[2]"]
+    message = "fmi2SetReal: inertia = -3: expected 0.1..1000000.0 kg"
+    if stage == "instantiated":
+        assert plant.status("setReal", [given], [-2.0]) == "error"
+        assert plant.log.pop().startswith("fmi2SetReal: thruster_efficiency[2] = -2: expected ")
+        plant.slave.reset()
+    if stage != "instantiated":
+        plant.slave.setupExperiment(startTime=0.0)
+        plant.slave.enterInitializationMode()
+    if stage == "stepping":
+        plant.slave.exitInitializationMode()
+    if stage != "instantiated":
+        assert plant.status("setReal", [given], [-2.0]) == "discard"
+    assert plant.status("setReal", [parameter], [-3.0]) == ("discard" if stage == "stepping" else "error")
+    assert plant.log == ([] if stage == "stepping" else [message])
+    assert plant.slave.getReal([parameter, given]) == [5.5, 1.0]
 
 
 def test_a_diverging_step_is_discarded_and_leaves_the_state(built: Fmus, load: Any) -> None:

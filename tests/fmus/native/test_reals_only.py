@@ -72,12 +72,12 @@ def test_it_steps_as_the_ordinary_fmu_does(reals: Path, load: Any, tmp_path: Pat
 @pytest.mark.parametrize(
     ("name", "value"), [("mode", 1.0), ("mode", 2.5), ("enabled", 0.5), ("enabled", 2.0), ("level", 0.5)]
 )
-def test_what_is_no_item_truth_value_or_whole_number_is_discarded(
+def test_what_is_no_item_truth_value_or_whole_number_is_refused(
     reals: Path, load: Any, name: str, value: float
 ) -> None:
     fmu = load(reals)
     before = fmu[name]
-    assert fmu.status("setReal", [fmu.references[name]], [value]) == "discard"
+    assert fmu.status("setReal", [fmu.references[name]], [value]) == "error"
     assert f"{name} = {value:g}: expected" in fmu.log[-1]
     assert fmu[name] == before
 

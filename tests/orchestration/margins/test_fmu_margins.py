@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from orchestration.errors import ScenarioError
-from orchestration.margins.fmu_margins import DELAYS, GAINS, Scan, scan
+from orchestration.margins.fmu_margins import DELAYS, GAINS, Scan, run_metrics, scan
 from orchestration.margins.hold import Hold, HoldRuns, LoopSignal, hold_of, loop_inputs
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
@@ -90,6 +90,11 @@ def test_a_scenario_that_is_not_quiet_has_no_margin(integrator: Scenario) -> Non
     measured = scanned(unstable, LoopSignal.MEASUREMENT, grid)
     assert math.isnan(measured.margin)
     assert measured.lost == 0.0
+    with HoldRuns(unstable, HOLD) as runs:
+        first = next(run_metrics(runs, lambda: None))
+        expected = f"standard deviation {runs.deviation:.3g}, limit {HOLD.quiet:g}"
+    assert first.shown == "none"
+    assert first.remark.startswith(f"not quiet without a change; the scenario as it is: {expected}")
 
 
 @pytest.mark.parametrize(("bias", "is_quiet"), [(0.03, True), (-0.03, True), (0.05, False), (-0.05, False)])

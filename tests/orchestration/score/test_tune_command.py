@@ -59,20 +59,26 @@ def test_a_tuning_without_its_library_says_how_to_install_it(
 
 
 @pytest.mark.parametrize(
-    ("gain", "verdict"),
+    ("gain", "first", "verdict"),
     [
-        (5.0, "The cost is flat. In the last half"),
+        (5.0, 3.0, "The cost is flat. In the last half"),
+        (
+            5.0,
+            2.0,
+            "The cost is not known to be flat: the search found nothing better after its first quarter. In",
+        ),
         (
             10.0,
+            2.0,
             "The cost is limited by the range of kp: a wider one in --free may lower it. In the last half",
         ),
     ],
 )
-def test_a_cost_that_a_limit_determines_is_not_called_flat(
-    capsys: pytest.CaptureFixture[str], gain: float, verdict: str
+def test_a_cost_that_a_limit_or_an_idle_search_determines_is_not_called_flat(
+    capsys: pytest.CaptureFixture[str], gain: float, first: float, verdict: str
 ) -> None:
     gains = {"kp": gain, "kd": 5.0}
-    search = SearchResult(1, gains, {}, (2.0,) * 12)
+    search = SearchResult(1, gains, {}, (first,) * 3 + (2.0,) * 9)
     free = (FreeParameter("kp", 1.0, 10.0), FreeParameter("kd", 1.0, 10.0))
     tuning = Tuning(Problem(free), (search,), (search,))
     assert tuning.is_flat

@@ -13,15 +13,18 @@ from orchestration.errors import ScenarioError
 from orchestration.results.recording import Recording
 from orchestration.scenarios.actuators import FORCE, Actuators
 from orchestration.scenarios.vehicle import SHIPPED
-from orchestration.score.closed_loop import ClosedLoop, built_in
+from orchestration.score import score
+from orchestration.score.closed_loop import ClosedLoop, Controller, built_in
 from orchestration.score.draws import plants
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.run_metrics import judged_signals
+from orchestration.score.score_document import protocol_info
 from orchestration.score.tune_problem import practice_cases
 from orchestration.score.vehicle import Vehicle
 from tests.described_fmus import described
 
 ROOT = Path(__file__).parents[3]
+MASS = {"plant.mass": 12.0}  # kg
 DESCRIPTION = """
 [variables]
 start_depth = "z0"
@@ -65,10 +68,34 @@ def test_a_case_that_a_vehicle_cannot_play_is_left_out_and_named(tmp_path: Path)
     assert list(protocol.cases) == ["nominal", "frozen", "drop-outs"]
     assert protocol.left_out["current"] == "boat lacks plant.current_velocity"
     assert protocol.left_out["inertia-low"] == (
-        "boat has no disturbance inertia-low: expected it in boat.vehicle.toml beside it"
+        "boat has no disturbance inertia-low, inertia-high, damping-low, damping-high, dead-zone,"
+        " thruster-lag, voltage-limit, noise, delay: expected each in boat.vehicle.toml beside it"
     )
+    lines = protocol_info(protocol).left_out
+    assert sorted(lines.values()) == sorted({*protocol.left_out.values()})
+    ((titles, _),) = ((titles, why) for titles, why in lines.items() if "no disturbance" in why)
+    assert titles.startswith(f"{protocol.tables.cases['inertia-low'].title}; ")
+    assert len(titles.split("; ")) == 9
     assert protocol.left_out["hold-step"] == "boat lacks plant.initial_depth"
     assert protocol.cases.keys() | protocol.left_out.keys() == protocol.tables.cases.keys()
+
+
+@pytest.mark.parametrize("described_by", ["", "[variables]\ninertia = 'mass'\n"])
+def test_the_tuned_controllers_are_left_out_where_no_inertia_scales_their_gains(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, described_by: str
+) -> None:
+    """Their gains are for another vehicle: ranks beside them would mean nothing."""
+    beside: list[object] = []
+    monkeypatch.setattr(score, "_rows", lambda scoring, chosen, others, *_: beside.extend(others) or [])
+    (tmp_path / "boat.vehicle.toml").write_text(described_by)
+    protocol = read_protocol(vehicle=Vehicle.of(str(boat(tmp_path, parameters=("mass",))), settings=MASS))
+    document = score.score_controllers([Controller("mine", "my.fmu")], protocol, seed=1).document
+    names = {c.name.removeprefix("tuned/") for c in beside if isinstance(c, Controller)}
+    assert names == ({*protocol.controllers} if described_by else set())
+    assert score.run_count(1, protocol, full=False) == (1 + len(names)) * len(protocol.cases)
+    left_out = "left out: inertia under [variables] in boat.vehicle.toml would scale their gains."
+    assert (left_out in document.protocol.statement) == (not described_by)
+    assert ("carried to its inertia of 12 kg" in document.protocol.statement) == bool(described_by)
 
 
 def test_a_vehicle_has_disturbances_and_draws_of_its_own(tmp_path: Path) -> None:

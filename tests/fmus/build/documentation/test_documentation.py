@@ -181,3 +181,12 @@ def test_the_licence_of_everything_inside_is_inside(built: Fmus, python_built: F
     assert native["zig"] == distribution("ziglang").read_text("licenses/ziglang/LICENSE")
     assert "mingw-w64 project" in native["mingw-w64"]
     assert "MIT License" in python["pythonfmu"]
+
+
+def test_the_page_names_the_interfaces_that_the_archive_has(built: Fmus, python_built: Fmus) -> None:
+    for fmus, text in ((built, "co-simulation and model exchange"), (python_built, "co-simulation")):
+        with zipfile.ZipFile(fmus["ExamplePlant"]) as archive:
+            description = archive.read("modelDescription.xml").decode()
+            page = archive.read("documentation/index.html").decode()
+        assert f"An FMU of FMI 2.0 for {text}, made by" in page
+        assert ("<ModelExchange" in description) == ("model exchange" in text)
