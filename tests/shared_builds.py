@@ -18,17 +18,18 @@ LIKE_ANOTHER = (
 )  # fmt: skip
 """Blocks on the interface of MracDepthController, by whose FMU they are tested at every run."""
 
-_DIFFERENT = (
+KINDS = (
     "DepthReference", "ExamplePlant", "L1DepthController", "RovDepthPlant", "ThrustAllocation", "WaveSource",
 )  # fmt: skip
+"""Blocks that stand for all others where a test concerns the layer around a block.
+
+They have states and derivatives, every type, tables, no state, or no input.
+"""
 
 
 def one_of_a_kind(names: Iterable[str]) -> list[Any]:
-    """Marks blocks slow that resemble another one where a test concerns the layer around all of them.
-
-    Those that remain have states and derivatives, every type, tables, no state, or no input.
-    """
-    like = {*block_names()} - {*_DIFFERENT}
+    """Returns names as parameters of a test, in which blocks that are not among `KINDS` are marked slow."""
+    like = {*block_names()} - {*KINDS}
     return [pytest.param(name, marks=pytest.mark.slow) if name in like else name for name in names]
 
 

@@ -8,7 +8,7 @@ from fmus.build import builder
 from fmus.compliance.examine import examine, static_results
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rule import all_rules
-from tests.shared_builds import Fmus, one_of_a_kind
+from tests.shared_builds import KINDS, Fmus, one_of_a_kind
 
 from .archives import PYTHONFMU_ERRORS, broken_rules, errors
 
@@ -25,11 +25,7 @@ def test_our_native_fmus_break_no_rule(built: Fmus, name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        name if name == "L1Controller" else pytest.param(name, marks=pytest.mark.slow)
-        for name in builder.block_names()
-    ],
+    "name", ["L1Controller", *(pytest.param(name, marks=pytest.mark.slow) for name in KINDS)]
 )
 def test_our_python_fmus_break_what_the_binary_of_pythonfmu_breaks(python_built: Fmus, name: str) -> None:
     assert errors(python_built[name]) == PYTHONFMU_ERRORS
