@@ -30,7 +30,7 @@ from tests.shared_builds import (
     session_folder,
 )
 
-# `pytest --hypothesis-profile=thorough -m hypothesis` tries twenty times as many examples
+# `pytest --hypothesis-profile=thorough -m hypothesis`, as .ci/run, tries twenty times as many examples
 settings.register_profile("quick", deadline=None, max_examples=10)
 settings.register_profile("thorough", deadline=None, max_examples=200)
 settings.load_profile("quick")

@@ -8,6 +8,8 @@ from typing import Any
 import pytest
 from filelock import FileLock
 
+from fmus.registry import block_names
+
 Build = Callable[..., Path]
 Fmus = Mapping[str, Path]  # by name of block or component
 
@@ -15,6 +17,20 @@ LIKE_ANOTHER = (
     "AdrcDepthController", "PidDepthController", "SlidingModeDepthController", "SuperTwistingDepthController",
 )  # fmt: skip
 """Blocks on the interface of MracDepthController, by whose FMU they are tested at every run."""
+
+KINDS = (
+    "DepthReference", "ExamplePlant", "L1DepthController", "RovDepthPlant", "ThrustAllocation", "WaveSource",
+)  # fmt: skip
+"""Blocks that stand for all others where a test concerns the layer around a block.
+
+They have states and derivatives, every type, tables, no state, or no input.
+"""
+
+
+def one_of_a_kind(names: Iterable[str]) -> list[Any]:
+    """Returns names as parameters of a test, in which blocks that are not among `KINDS` are marked slow."""
+    like = {*block_names()} - {*KINDS}
+    return [pytest.param(name, marks=pytest.mark.slow) if name in like else name for name in names]
 
 
 def session_folder(factory: pytest.TempPathFactory, name: str) -> Path:

@@ -75,6 +75,9 @@ LOOPS: dict[str, tuple[str, Settings]] = {
     "BlueROV2, both axes, waves": ("hold-regular-waves", BLUE_L1),
 }  # fmt: skip
 
+# what they add to the vehicle or the law, others have too
+CONTAINED = "both axes", "depth alone", "sea", "BlueROV2", "BlueROV2, dead band"
+
 
 def loop_of(name: str, settings: Settings, stop: float, step: float = 0.02) -> Scenario:
     shipped = scenario.find(name)
@@ -99,7 +102,9 @@ def rmse(depth: np.ndarray, reference: np.ndarray | float) -> float:
     return math.sqrt(np.mean((depth - reference) ** 2))
 
 
-@pytest.mark.parametrize("loop", LOOPS)
+@pytest.mark.parametrize(
+    "loop", [pytest.param(loop, marks=pytest.mark.slow) if loop in CONTAINED else loop for loop in LOOPS]
+)
 def test_a_second_program_moves_in_heave_and_pitch_alike(built: Fmus, loop: str) -> None:
     """RMSE of the depth, and root of the mean square of the pitch, to 0.5 %; PID has no law to be integrated.
 

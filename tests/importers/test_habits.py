@@ -1,4 +1,4 @@
-"""Habits that importers have and the standard allows, or almost, on every native FMU."""
+"""Habits that importers have and the standard allows, or almost, on native FMUs."""
 
 from pathlib import Path
 
@@ -8,12 +8,9 @@ from fmpy.fmi2 import FMU2Slave
 
 from fmus.build import builder
 from tests.importers.importers import loaded_by_fmpy
-from tests.shared_builds import Fmus
+from tests.shared_builds import KINDS, Fmus
 
 pytestmark = pytest.mark.importers
-
-
-NAMES = builder.block_names()
 
 
 def outputs_after(slave: FMU2Slave, name: str, inputs_before_setup: bool) -> list[float]:
@@ -36,7 +33,7 @@ def outputs_after(slave: FMU2Slave, name: str, inputs_before_setup: bool) -> lis
     return outputs
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", KINDS)
 @pytest.mark.parametrize(
     "folder", ["a space", "a#b", "a+b", "a%20b", "[a](b){c}", "Tiefe-äøß", "水深", "a'b&c;d", "."]
 )
@@ -46,14 +43,14 @@ def test_it_runs_from_a_folder_of_any_name(built: Fmus, tmp_path: Path, name: st
     assert odd == plain
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", KINDS)
 def test_inputs_set_before_the_experiment_is_set_up_count(built: Fmus, tmp_path: Path, name: str) -> None:
     before = outputs_after(loaded_by_fmpy(built[name], tmp_path / "one"), name, True)
     after = outputs_after(loaded_by_fmpy(built[name], tmp_path / "two"), name, False)
     np.testing.assert_array_equal(before, after)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", KINDS)
 def test_two_copies_of_one_library_in_one_process_keep_apart(built: Fmus, tmp_path: Path, name: str) -> None:
     """As an importer has them that extracts an FMU once for each instance."""
     block = builder.load_block(name)

@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from fmus.build import builder
+from plant_fmu.blue_rov2_plant import BLOCK as PLANT
+from plant_fmu.heave_pitch_plant import BLOCK as HEAVE_PITCH
 
-PLANT = builder.load_block("BlueRov2Plant")
 IDEAL = {"sensor_ideal": True, "initial_depth": 5.0}
 MASS, INERTIA = 13.5 + 18.68, 0.23 + 0.135
 WEIGHT, BUOYANCY = 13.5 * 9.82, 1000.0 * 0.0134 * 9.82
@@ -119,7 +119,7 @@ def test_every_number_that_is_not_published_says_so() -> None:
 
 
 def test_only_start_values_differ_from_rov_heave_pitch_plant() -> None:
-    other = builder.load_block("RovHeavePitchPlant")
+    other = HEAVE_PITCH
     assert PLANT.step is other.step
     assert [v.name for v in PLANT.variables] == [v.name for v in other.variables]
     assert [(v.unit, v.minimum, v.description) for v in PLANT.variables] == [

@@ -5,9 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmus.build import builder
+from plant_fmu.depth_plant import BLOCK as PLANT
 
-PLANT = builder.load_block("RovDepthPlant")
 DEEP = {"initial_depth": 5.0, "net_weight": 0.0}
 
 

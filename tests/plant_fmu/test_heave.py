@@ -8,10 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fmus.block.instance import BlockError
-from fmus.build import builder
 from plant_fmu import heave
+from plant_fmu.depth_plant import BLOCK as PLANT
 
-PLANT = builder.load_block("RovDepthPlant")
 IDEAL = {"thruster_ideal": True, "sensor_ideal": True}
 LONG = {"internal_step": 0.04}  # s, the longest that the sensor allows: a time constant is 0.1 s or more
 

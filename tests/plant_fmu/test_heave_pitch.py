@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from fmus.block.instance import BlockError
-from fmus.build import builder
+from plant_fmu.depth_plant import BLOCK as HEAVE
 from plant_fmu.heave_pitch import depth_at, righting_moment, thrust_moment, vertical_thrust
+from plant_fmu.heave_pitch_plant import BLOCK as PLANT
 
-HEAVE, PLANT = builder.load_block("RovDepthPlant"), builder.load_block("RovHeavePitchPlant")
 WEIGHT, HEIGHT, INERTIA = 29.43, 0.005, 0.026
 STIFFNESS = WEIGHT * HEIGHT  # N.m/rad
 FREQUENCY = math.sqrt(STIFFNESS / INERTIA)  # rad/s

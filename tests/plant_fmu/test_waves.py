@@ -14,9 +14,9 @@ from fmus.block.instance import BlockError
 from fmus.build import builder
 from plant_fmu import depth_sensor, waves
 from plant_fmu.heave import GRAVITY
+from plant_fmu.wave_source import BLOCK as SOURCE
 from plant_fmu.wave_source import WaveKind
 
-SOURCE = builder.load_block("WaveSource")
 A, PERIOD, PHASE = 0.2, 5.0, 0.4
 W = 2.0 * math.pi / PERIOD
 K = W * W / 9.81

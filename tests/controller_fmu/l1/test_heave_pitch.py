@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller_fmu import allocation, depth_interface
+from controller_fmu.l1 import depth_controller
 from controller_fmu.l1 import heave_pitch_controller as both
 from controller_fmu.l1.heave_pitch_controller import Parameters, Priority
-from fmus.build import builder
 
-BOTH, DEPTH = builder.load_block("L1HeavePitchController"), builder.load_block("L1DepthController")
+BOTH, DEPTH = both.BLOCK, depth_controller.BLOCK
 RANGES = ((-3.0, 2.0), (-1.5, 2.5))
 LEVERS = (0.1, -0.05)
 SHARE = allocation.shares(LEVERS)

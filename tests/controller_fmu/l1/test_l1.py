@@ -19,7 +19,7 @@ from controller_fmu.l1.parameters import Augmentation, FilterOrder, ReferenceFee
 from fmus.build import builder
 
 SEEN = Measurement(x=(2.0, -1.0), y=2.0, r=3.0)
-CONTROLLER = builder.load_block("L1Controller")
+CONTROLLER = siso_controller.BLOCK
 
 
 def parameters(**values: Any) -> siso_controller.Parameters:

@@ -5,24 +5,27 @@ from pathlib import Path
 import pytest
 
 from fmus.build import builder
-from fmus.compliance.examine import examine
+from fmus.compliance.examine import examine, static_results
+from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rule import all_rules
-from tests.shared_builds import Fmus
+from tests.shared_builds import KINDS, Fmus, one_of_a_kind
 
 from .archives import PYTHONFMU_ERRORS, broken_rules, errors
 
 
 @pytest.mark.parametrize("name", builder.block_names())
+def test_the_files_of_our_native_fmus_break_no_rule(built: Fmus, name: str) -> None:
+    results = list(static_results(FmuFile(built[name])))
+    assert {r.rule.name: r.messages for r in results if r.messages} == {}
+
+
+@pytest.mark.parametrize("name", one_of_a_kind(builder.block_names()))
 def test_our_native_fmus_break_no_rule(built: Fmus, name: str) -> None:
     assert broken_rules(built[name]) == {}
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        name if name == "L1Controller" else pytest.param(name, marks=pytest.mark.slow)
-        for name in builder.block_names()
-    ],
+    "name", ["L1Controller", *(pytest.param(name, marks=pytest.mark.slow) for name in KINDS)]
 )
 def test_our_python_fmus_break_what_the_binary_of_pythonfmu_breaks(python_built: Fmus, name: str) -> None:
     assert errors(python_built[name]) == PYTHONFMU_ERRORS

@@ -26,13 +26,13 @@ from fmus.errors import ExportError
 from fmus.fmi.description import describe, is_independent
 from fmus.native import toolchain
 from fmus.registry import Flavour
-from tests.shared_builds import Fmus
+from tests.shared_builds import Fmus, one_of_a_kind
 
 from .exchanged import BALL, TANK, Exchanged
 from .fmi3_instance import Fmi3Instance, scalars
 from .native_block import EVERYTHING, Mode, block_named
 
-NAMES = builder.block_names()
+NAMES = one_of_a_kind(builder.block_names())
 Open = Callable[..., Fmi3Instance]
 
 

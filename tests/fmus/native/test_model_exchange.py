@@ -23,14 +23,15 @@ from fmus.build import builder
 from fmus.build.random_points import drawn
 from fmus.compliance.examine import examine
 from fmus.errors import ExportError
+from fmus.registry import block_entry_points
 from tests.shared_builds import Fmus
 
 from .exchanged import BALL, GROWTH, TANK, Exchanged, Outputs, Reading, State, euler, heun, rk4
 
 CONTROLLERS = [
     name
-    for name in builder.block_names()
-    if any(v.name == "measured_depth" for v in builder.load_block(name).of_causality("input"))
+    for name, point in block_entry_points().items()
+    if any(v.name == "measured_depth" for v in point.load().of_causality("input"))
 ]
 CONTINUOUS = ("ExamplePlant", "RovDepthPlant", "RovHeavePitchPlant", "BlueRov2Plant")
 Load = Callable[[Path], Exchanged]

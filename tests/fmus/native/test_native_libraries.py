@@ -13,16 +13,14 @@ from typing import Any
 import lief
 import pytest
 
-from fmus.build import builder
 from fmus.platforms import PLATFORMS, library_name
-from tests.shared_builds import Fmus
+from tests.shared_builds import KINDS, Fmus
 
 pytestmark = pytest.mark.cross
 
 
 lief.logging.disable()
 
-BLOCKS = builder.block_names()
 LINUX = ["linux64", "aarch64-linux"]
 APPLE = ["darwin64", "aarch64-darwin"]
 TYPES = ("Real", "Integer", "Boolean", "String")
@@ -114,10 +112,10 @@ Libraries = dict[tuple[str, str], Library]  # by block and platform
 
 @pytest.fixture(scope="session")
 def libraries(built_everywhere: Fmus) -> Libraries:
-    return {(n, p): Library(fmu, p) for n, fmu in built_everywhere.items() for p in PLATFORMS}
+    return {(n, p): Library(built_everywhere[n], p) for n in KINDS for p in PLATFORMS}
 
 
-@pytest.fixture(params=BLOCKS)
+@pytest.fixture(params=KINDS)
 def block(request: pytest.FixtureRequest) -> str:
     return request.param
 

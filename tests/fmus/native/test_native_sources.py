@@ -23,9 +23,8 @@ from fmus.build.native import c_sources
 from fmus.files import write_archive
 from fmus.native import toolchain
 from tests.described_fmus import members
-from tests.shared_builds import Fmus
+from tests.shared_builds import KINDS, Fmus
 
-BLOCKS = builder.block_names()
 REBUILT = ("L1DepthController", "RovDepthPlant")
 # what is generated has all arguments and functions whether or not a model has use for them
 GENERATED = ("-Wno-unused-function", "-Wno-unused-parameter")
@@ -127,7 +126,7 @@ def _trace(fmu: Path) -> np.ndarray:
     return np.array([result[name] for name in outputs]).T
 
 
-@pytest.fixture(params=BLOCKS)
+@pytest.fixture(params=KINDS)
 def extracted(request: pytest.FixtureRequest, built: Fmus, tmp_path: Path) -> Iterator[Path]:
     fmpy.extract(str(built[request.param]), tmp_path / "fmu")
     yield tmp_path / "fmu"
@@ -153,7 +152,7 @@ def _schema(name: str) -> Path:
     return Path(fmpy.__file__).parent / "schema" / name
 
 
-@pytest.fixture(params=BLOCKS)
+@pytest.fixture(params=KINDS)
 def written(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[int], Path]:
     """Writes the sources of an FMU of a version of the standard."""
 

@@ -93,6 +93,7 @@ def test_it_breaks_no_rule_of_fmi(reals: Path) -> None:
     assert not {result.rule.name: result.messages for result in examine(reals) if result.messages}
 
 
+@pytest.mark.slow
 def test_an_initial_value_that_whole_numbers_do_not_move_gets_no_advice(tmp_path: Path) -> None:
     """Its inputs have an effect only beside another start value; random ones of whole numbers are refused."""
     plant = builder.build_block(builder.load_block("RovDepthPlant"), tmp_path, reals_only=True)

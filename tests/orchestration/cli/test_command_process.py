@@ -65,6 +65,8 @@ def _no_caches(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv(name)
 
 
+# it compiles the C library, too
+@pytest.mark.slow
 @pytest.mark.usefixtures("_no_caches")
 def test_what_is_built_and_run_needs_no_home_that_can_be_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -87,9 +87,16 @@ def test_an_input_that_something_drives_has_no_slider(scenario_fmus: None) -> No
     ],
 )
 def test_the_run_beside_has_another_value(
-    name: str, options: list[str], runs: list[str], command: Callable[..., Any], scenario_fmus: None
+    name: str,
+    options: list[str],
+    runs: list[str],
+    command: Callable[..., Any],
+    scenario_fmus: None,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """By default a controller whose extension is on stands beside itself without."""
+    # the first program that a machine compiles for WebAssembly takes half a minute
+    monkeypatch.setattr("orchestration.report.live_page.program", lambda prepared, settings: b"\0asm")
     assert command("live", name, *options, "--out", "page.html").stdout == "page.html\n"
     text = Path("page.html").read_text(encoding="utf-8")
     (data,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', text)

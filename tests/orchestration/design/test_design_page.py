@@ -22,7 +22,7 @@ def rows(vehicle: str) -> dict[str, list[str]]:
     return {controller: numbers for controller, *numbers in listed}
 
 
-@pytest.mark.parametrize("vehicle", ["RovDepthPlant", "BlueRov2Plant"])
+@pytest.mark.parametrize("vehicle", ["RovDepthPlant", pytest.param("BlueRov2Plant", marks=pytest.mark.slow)])
 def test_the_table_has_the_errors_of_the_check(
     vehicle: str, designed: Callable[[str], Any], conditions: Conditions, built: Mapping[str, Path]
 ) -> None:

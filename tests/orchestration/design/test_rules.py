@@ -142,24 +142,30 @@ def test_the_fast_loop_makes_a_quarter_of_a_turn_in_a_sample(l1: L1Design, data:
 
 
 @pytest.mark.parametrize(
-    ("changed", "message"),
+    ("changed", "bandwidth", "message"),
     [
         (
             {"gain": (0.3, 1.7)},
+            0.0,
             "no L1 for RovDepthPlant: the loop leaves -.* deg in a corner, 20 deg are asked",
         ),
         (
             {"delay": 0.6},
+            0.0,
             r"no L1 for RovDepthPlant: \|G\|_L1 L of the L1-norm condition is .* less delay \(700 ms\)$",
         ),
-        ({"noise": 0.05}, r"no L1 for RovDepthPlant: the sensor's noise gives a demand of .* N, 0.3 N are"),
+        (
+            {"noise": 0.05},
+            0.6,
+            r"no L1 for RovDepthPlant: the sensor's noise gives a demand of .* N, 0.3 N are",
+        ),
     ],
 )
 def test_ranges_for_which_there_is_no_design_are_refused(
-    data: VehicleData, conditions: Conditions, changed: dict[str, object], message: str
+    data: VehicleData, conditions: Conditions, changed: dict[str, object], bandwidth: float, message: str
 ) -> None:
     with pytest.raises(OrchestrationError, match=message):
-        rules.design_l1(replace(data, **changed), conditions)
+        rules.design_l1(replace(data, **changed), conditions, bandwidth)
 
 
 @pytest.mark.parametrize("settling", [[40.0, math.nan, 50.0], [math.nan, 40.0, 50.0]])

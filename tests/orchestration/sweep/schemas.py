@@ -8,6 +8,7 @@ import inspect
 import json
 import textwrap
 from contextlib import suppress
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -48,6 +49,7 @@ def _texts_of_fields(cls: type) -> dict[str, str]:
     return texts
 
 
+@cache
 def schemas() -> dict[str, str]:
     """File name -> schema as JSON."""
     optional: Any = Field(default=None)

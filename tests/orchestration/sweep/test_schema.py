@@ -13,11 +13,11 @@ from .schemas import schemas
 FILES = sorted(SHIPPED.rglob("*.toml"))
 
 
-@pytest.mark.parametrize(("name", "text"), schemas().items())
-def test_the_shipped_schema_is_the_generated_one(name: str, text: str) -> None:
-    assert (SHIPPED / name).read_text(encoding="utf-8") == text, (
-        "run python -m tests.orchestration.sweep.schemas"
-    )
+def test_the_shipped_schemas_are_the_generated_ones() -> None:
+    for name, text in schemas().items():
+        assert (SHIPPED / name).read_text(encoding="utf-8") == text, (
+            "run python -m tests.orchestration.sweep.schemas"
+        )
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
