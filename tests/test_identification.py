@@ -6,6 +6,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,6 +20,8 @@ from orchestration.scenarios.published import PUBLISHED
 EXPLANATION = Path(__file__).parent.parent / "docs" / "explanation"
 DOCUMENT = json.loads((EXPLANATION / "identification.json").read_text(encoding="utf-8"))
 PAGE = (EXPLANATION / "identification.md").read_text(encoding="utf-8")
+SHIPPED_GAINS = scenario.SHIPPED / "parameters" / "identified.toml"
+IDENTIFIED = tomllib.loads(SHIPPED_GAINS.read_text(encoding="utf-8"))
 L1, EXTENDED = "nominal-l1", "nominal-extended"
 ENDS = [("one seed", DOCUMENT["one_seed"]["five seeds"])]
 for ranges, both in DOCUMENT["fits"].items():
@@ -29,6 +32,7 @@ OTHER_LIBRARY = 1e-3
 
 sys.path.insert(0, str(EXPLANATION / "identification"))
 import fits  # noqa: E402  # pyright: ignore[reportMissingImports]
+import identify  # noqa: E402  # pyright: ignore[reportMissingImports]
 import posterior  # noqa: E402  # pyright: ignore[reportMissingImports]
 import study  # noqa: E402  # pyright: ignore[reportMissingImports]
 import summary  # noqa: E402  # pyright: ignore[reportMissingImports]
@@ -206,6 +210,76 @@ def test_the_formula_of_the_page_gives_the_lag_and_the_change_of_the_runs(
     before, after = (runs.figures(f"{case}-{controller}", {})["rmse"][0] for case in ("nominal", "buoyancy"))
     change = 100.0 * predicted_lag * 0.02 * 0.2 / (w * stiffness * 310.0 * before / 100.0)
     assert change == pytest.approx(after - before, rel=relative)
+
+
+# The shipped gains
+
+ON_TARGET = {
+    metric: np.array([vehicle.VALUES[name, metric] for name in (L1, EXTENDED)])
+    for metric in ("settling_time", "rmse")
+} | {"overshoot": np.array([0.0, 1.0])}
+
+
+def test_a_figure_of_the_nominal_row_a_tolerance_away_counts_one() -> None:
+    assert identify.residuals(ON_TARGET).tolist() == [0.0] * 6
+    late = ON_TARGET | {"settling_time": np.array([68.0, 39.0])}
+    assert identify.residuals(late).tolist() == [1.0, -2.0, 0.0, 0.0, 0.0, 0.0]
+    off = ON_TARGET | {"rmse": np.array([11.5, 4.85])}
+    assert identify.residuals(off) == pytest.approx([0.0, 0.0, -1.0, 2.0, 0.0, 0.0])
+    high = ON_TARGET | {"overshoot": np.array([1.5, 1.25])}
+    assert identify.residuals(high).tolist() == [0.0, 0.0, 0.0, 0.0, 2.0, 1.0]
+    lost = ON_TARGET | {"settling_time": np.array([65.0, np.nan])}
+    assert identify.residuals(lost).tolist() == [0.0, 40.0, 0.0, 0.0, 0.0, 0.0]
+
+
+def test_one_seed_gives_one_fit_within_the_limits(runs: Any) -> None:
+    first, again, other = (identify.identify(runs, seed, starts=1, steps=1) for seed in (3, 3, 4))
+    assert first == again
+    assert first["parameters"] != other["parameters"]
+    assert first["identification"]["evaluations"] == 7  # the start twice, and a difference for each gain
+    for entry in first["parameters"].values():
+        low, high = entry["limits"]
+        assert low <= entry["value"] <= high
+
+
+def test_the_shipped_gains_have_the_metrics_that_their_file_claims(runs: Any) -> None:
+    """The search took them from the runs; the script writes the file."""
+    gains = {name: entry["value"] for name, entry in IDENTIFIED["parameters"].items()}
+    written = identify.document(IDENTIFIED["identification"], gains, runs.figures([L1, EXTENDED], gains))
+    assert written["parameters"] == IDENTIFIED["parameters"]
+    claimed = IDENTIFIED["identification"]["metrics"]
+    assert written["identification"]["metrics"].keys() == claimed.keys() == {L1, EXTENDED}
+    for name, metrics in written["identification"]["metrics"].items():
+        for metric, entry in metrics.items():
+            assert entry["value"] == pytest.approx(claimed[name][metric]["value"], rel=OTHER_LIBRARY)
+            assert entry["unit"] == claimed[name][metric]["unit"]
+
+
+def test_a_gain_at_the_end_of_its_range_is_marked() -> None:
+    shares = (0.5, 0.0, 0.009, 1.0, 0.985)
+    gains = {gain.name: gain.value(share) for gain, share in zip(identify.GAINS, shares, strict=True)}
+    document = identify.document({"seed": 1, "evaluations": 2}, gains, ON_TARGET)
+    marks = [entry["at_a_limit"] for entry in document["parameters"].values()]
+    assert marks == [False, True, True, True, False]
+
+
+def test_the_script_writes_a_parameter_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    seeds = list[int]()
+    monkeypatch.setattr(identify, "identify", lambda _, seed: [seeds.append(seed), IDENTIFIED][1])
+    monkeypatch.setattr(identify, "Vehicle", nullcontext)
+    path = tmp_path / "gains.toml"
+    identify.main(["--seed", "2", "--out", str(path)])
+    assert seeds == [2]
+    assert tomllib.loads(path.read_text(encoding="utf-8")) == IDENTIFIED
+    assert scenario.parameter_values(path) == scenario.parameter_values(SHIPPED_GAINS)
+
+
+@pytest.mark.slow
+def test_the_script_finds_gains_as_good_as_those_that_ship(runs: Any) -> None:
+    """With this C library they are the same to every digit; another may lead to a neighbour."""
+    shipped = IDENTIFIED["identification"]
+    found = identify.identify(runs, shipped["seed"])["identification"]
+    assert found["cost"] == pytest.approx(shipped["cost"], rel=0.05)
 
 
 # Points that agree with the nominal row

@@ -25,7 +25,7 @@ _PANELS = {
     "Scenarios": ("run.scenarios", "run.run", "run.live", "sweep.sweep", "run.report"),
     "Controllers compared": ("score.score", "tune.tune", "score.compare", "sweep.margins"),
     "Vehicles": ("vehicles.design", "vehicles.fit"),
-    "The paper": ("run.reproduce", "run.identify"),
+    "The paper": ("run.reproduce",),
     "Other tools": ("exchange.package",),
 }
 """Panel of the help -> module of this package, and function in it: a command of that name."""

@@ -1,4 +1,4 @@
-"""Commands on scenarios, run, report, scenarios, and on the paper: reproduce, identify."""
+"""Commands on scenarios, run, report, scenarios, and on the paper: reproduce."""
 
 import math
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from orchestration.cli import shared
 from orchestration.cli.changes import NO_CHANGES, Changes, takes_changes
 from orchestration.errors import OrchestrationError
 from orchestration.results.formats import FigureFormat, RecordingFormat
-from orchestration.results.metric_units import error_table, metrics_table, statistics_table, values_table
+from orchestration.results.metric_units import error_table, metrics_table, statistics_table
 
 _SHORT_S = 0.5  # a run that takes no longer shows no progress
 
@@ -253,32 +253,3 @@ def reproduce(
     written = run_files.write_report(results, out, written_formats)
     shared.print_table(comparison_table({name: result.metrics for name, result in results.items()}))
     print(*written, sep="\n")
-
-
-def identify(
-    seed: Annotated[int, typer.Option(help="Seed of the random starting points.", min=0)] = 1,
-    evaluations: Annotated[int, typer.Option(help="Number of pairs of runs in all.", min=2)] = 80,
-    starts: Annotated[int, typer.Option(help="Number of these pairs for starting points.", min=1)] = 10,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Write this parameter file.")] = Path(
-        "identified.toml"
-    ),
-) -> None:
-    """Fit the gains that the paper does not publish to the nominal row of its Table 1.
-
-    For example, l1-depth identify --seed 2 begins from other gains and writes identified.toml.
-    """
-    from orchestration.cli import chosen_scenario
-    from orchestration.fit import identify as identification
-
-    shared.check_writable(out.parent)
-    scenarios = {name: chosen_scenario.load(name) for name in identification.SCENARIOS}
-    with shared.progress("identify", evaluations) as bar:
-        fit = identification.identify(
-            seed, evaluations, starts, lambda cost: bar.advance(note=f"cost {cost:.3g}")
-        )
-    identification.write(fit, out)
-    for name, metrics in fit.metrics.items():
-        print(metrics_table(name, metrics, fit.metric_units, scenarios[name].metrics))
-    units = {gain.name: gain.unit for gain in identification.GAINS}
-    print(values_table("Fitted gains", "Gain", fit.gains, units))
-    print(out)

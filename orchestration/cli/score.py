@@ -84,7 +84,6 @@ def score(
         typer.Option(metavar="S", help="End a run that takes longer; by default that of the protocol."),
     ] = None,
     workers: Annotated[int, typer.Option(help="Number of processes.", min=1)] = usable_processors(),
-    gpu: shared.GpuOption = False,
 ) -> None:
     """Score a controller on the simulated vehicle: terminal tables, score.json and an interactive page.
 
@@ -92,7 +91,6 @@ def score(
     """
     from orchestration.score import score as scoring
 
-    where = shared.place_of_runs(gpu)
     protocol = chosen_protocol(changes, protocol_file)
     chosen = scored_controllers(controllers, no_rates, changes)
     shared.check_writable(out)
@@ -105,7 +103,6 @@ def score(
             seed=seed,
             timeout=timeout,
             workers=workers,
-            where=where,
             progress=bar.advance,
         )
     print_score(result.document)
@@ -133,7 +130,6 @@ def compare(
     cases: CasesOption = "",
     seeds: SeedsOption = _SEEDS,
     evaluations: EvaluationsOption = 40,
-    gpu: shared.GpuOption = False,
 ) -> None:
     """Score all controllers of the protocol, each with its default gains and with tuned gains.
 
@@ -142,7 +138,6 @@ def compare(
     """
     from orchestration.score import score as scoring
 
-    where = shared.place_of_runs(gpu)
     protocol = chosen_protocol(changes, protocol_file)
     scored_controllers([], False, changes)
     shared.check_writable(out)
@@ -152,11 +147,11 @@ def compare(
 
         shared.refuse_without_effect("--fronts", {"--full": full, "--seed": seed is not None})
         protocol = with_cost(protocol, cost_of_options(bounds, cases))
-        return write_fronts(protocol, listed(laws), (seeds, evaluations), (workers, where), out)
+        return write_fronts(protocol, listed(laws), (seeds, evaluations), workers, out)
     others = {"--laws": laws, "--bound": bounds, "--cases": cases, "--seeds": seeds != _SEEDS}
     shared.refuse_without_effect("compare without --fronts", others)
     with shared.progress("compare", scoring.run_count(len(protocol.controllers), protocol, full)) as bar:
-        result = scoring.compare(protocol, full, seed, workers, where, bar.advance)
+        result = scoring.compare(protocol, full, seed, workers, bar.advance)
     document = result.document
     shown = scoring.shown_tables(document).items()
     print_tables(
@@ -266,25 +261,25 @@ def scored_controllers(names: Sequence[str], no_rates: bool, changes: Changes) -
 
 
 def write_fronts(
-    protocol: "Protocol", names: Sequence[str], effort: tuple[int, int], runs: tuple[int, str], out: Path
+    protocol: "Protocol", names: Sequence[str], effort: tuple[int, int], workers: int, out: Path
 ) -> None:
     """Searches the fronts of laws and writes fronts.json and fronts.svg.
 
-    effort: seeds, and evaluations for each gain; runs: how many are made at once, and where
+    effort: seeds, and evaluations for each gain
     Their journals are removed at the end; until then the same command continues.
     """
     from orchestration.results.figures import front_figure
     from orchestration.score.closed_loop import built_in
     from orchestration.score.fronts import LARGEST_ERROR, LARGEST_SPREAD, LEVELS, front_of_law
 
-    (seeds, evaluations), (workers, where) = effort, runs
+    seeds, evaluations = effort
     names = [built_in(protocol, name).name for name in names or protocol.controllers]
     journals = {name: out / f"{name}.front.jsonl" for name in names}
     total = LEVELS * seeds * evaluations * sum(len(protocol.controllers[name].gains) for name in names)
     with shared.progress("fronts", total, kept="evaluations") as bar:
         how = range(1, seeds + 1), evaluations, workers
         laws = [
-            front_of_law(protocol, name, *how, path, lambda done, _: bar.advance(done), where)
+            front_of_law(protocol, name, *how, path, lambda done, _: bar.advance(done))
             for name, path in journals.items()
         ]
     document = {

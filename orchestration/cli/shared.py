@@ -35,10 +35,6 @@ def shipped_scenarios() -> list[str]:
 FlavourOption = Annotated[
     Flavour, typer.Option(help="Use compiled code or Python in the FMUs of this project.")
 ]
-GpuOption = Annotated[
-    bool,
-    typer.Option("--gpu", help="Make the runs that it can make on this machine's NVIDIA GPU (extra gpu)."),
-]
 OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Write to this folder.")]
 ScenarioArgument = Annotated[
     str,
@@ -79,15 +75,6 @@ def check_writable(folder: Path) -> None:
         raise OrchestrationError(
             f"--out {folder}: {error.strerror}: expected a folder that can be written"
         ) from error
-
-
-def place_of_runs(gpu: bool) -> str:
-    """Returns where runs are made, for `where`; raises at once what `device_of` raises without a GPU."""
-    from orchestration.many.device import GPU, PROCESSOR, device_of
-
-    where = GPU if gpu else PROCESSOR
-    device_of(where)
-    return where
 
 
 def refuse_without_effect(option: str, others: Mapping[str, object]) -> None:

@@ -88,7 +88,10 @@ def sweep(
         if is_given:
             shared.refuse_without_effect(option, local_options)
             local_options |= {option: True}
-    where = shared.place_of_runs(gpu)
+    from orchestration.many.device import GPU, PROCESSOR, device_of
+
+    where = GPU if gpu else PROCESSOR
+    device_of(where)  # refuses a machine without a GPU before FMUs are built
     planned = plan(chosen_scenario.load(name, flavour, changes))
     if sample is not None:
         _run_one(planned, sample, out)
@@ -106,8 +109,7 @@ def sweep(
 
         place = cluster.remote(scheduler)
     else:
-        in_vectors = True if gpu else ensemble
-        place = LocalRuns(workers or usable_processors(), isolated, in_vectors, notes.append, where=where)
+        place = LocalRuns(workers or usable_processors(), isolated, ensemble, notes.append, where=where)
     with shared.progress("sweep", planned.count, kept="samples") as bar:
         path = run_samples(planned, out, place, recorded, restart, bar.advance)
     results, provenance = table.read(path)

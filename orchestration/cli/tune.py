@@ -64,7 +64,6 @@ def tune(
     ] = 0,
     protocol_file: ProtocolOption = None,
     no_rates: RatesOption = False,
-    gpu: shared.GpuOption = False,
     changes: Changes = NO_CHANGES,
 ) -> None:
     """Search the gains of least cost over cases of the protocol; an interrupted tuning continues.
@@ -79,7 +78,6 @@ def tune(
     from orchestration.score.tune import tune as search
     from orchestration.score.tune_problem import evaluations as started
 
-    where = shared.place_of_runs(gpu)
     if plants:
         shared.refuse_without_effect("--plants", {"--cases": cases})
     cost = tune_problem.cost_of_options(bounds, cases, plants)
@@ -95,7 +93,7 @@ def tune(
         title = f"tune {controller.name}, {milliseconds:g} ms"
         with (
             shared.progress(title, total, kept="evaluations") as bar,
-            started(controller, protocol, workers, total, where) as evaluate,
+            started(controller, protocol, workers, total) as evaluate,
         ):
             how = range(1, seeds + 1), evaluations, journals[-1], evaluate
             tuning = search(problem, *how, partial(_advance, bar), restart)

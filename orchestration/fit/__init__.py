@@ -1,1 +1,1 @@
-"""Values of parameters from data: of a vehicle from logs of dives, of gains from published figures."""
+"""Parameters of a vehicle from logs of dives."""

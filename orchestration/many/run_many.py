@@ -67,10 +67,8 @@ def run_many(
         return
     job = Job(system, all_experiments[0], timeout)
     runs = [Run(i, experiment, reduce) for i, experiment in enumerate(all_experiments)]
-    if where == GPU:
-        if isolate or cluster or vectorise is False:
-            raise EnsembleError("runs on a GPU: expected neither isolate, cluster nor vectorise=False")
-        vectorise = True
+    if where == GPU and (isolate or cluster or vectorise is False):
+        raise EnsembleError("runs on a GPU: expected neither isolate, cluster nor vectorise=False")
     with _place(cluster, workers or usable_processors(), isolate, vectorise, where) as place:
         for done in in_order(place, job, runs):
             yield done.result
@@ -112,8 +110,8 @@ class LocalRuns(AbstractContextManager["LocalRuns"]):
     pays; True raises EnsembleError where they cannot
     note: called with what makes the runs
     expected: runs that will follow, of which it depends whether vectors pay; by default those at hand
-    where: "processor", or "gpu": on the GPU of this machine wherever they can, with `vectorise=True` an
-    EnsembleError where they cannot. They have no timeout there: the native FMUs that it takes come to an end
+    where: "processor", or "gpu" for runs in vectors on the GPU of this machine, in one process and without a
+    timeout; EnsembleError where they cannot be made there
     """
 
     def __init__(
@@ -126,7 +124,8 @@ class LocalRuns(AbstractContextManager["LocalRuns"]):
         where: str = PROCESSOR,
     ) -> None:
         self._device = device_of(where)
-        self._workers, self._isolate, self._vectorise = workers, isolate, vectorise
+        self._workers, self._isolate = workers, isolate
+        self._vectorise = True if self._device else vectorise
         self._note, self._expected = note, expected
         self._job: Job | None = None  # for which the runners are open
         self._loaded = ExitStack()  # holds its FMUs
@@ -199,9 +198,9 @@ class LocalRuns(AbstractContextManager["LocalRuns"]):
         self._job, self._limits = job, limits
         job = job.with_packed_fmus().with_unpacked_fmus(Path(folder))
         independent = all(is_independent(describe(path)) for path in job.system.components.values())
-        if self._device and limits:
+        if self._device:
             self._note("the GPU")
-            runner = Vectorised(job, bool(self._vectorise), self._device)
+            runner = Vectorised(job, True, self._device)
             self._in_process = (self._loaded.enter_context(runner),)
             return self._in_process
         makers = "ensembles" if limits else "simulators"

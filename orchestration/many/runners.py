@@ -85,7 +85,7 @@ def vector_limits(
 
     count: of the runs; workers: how many make them side by side
     vectorise: by default where they can and it pays; True raises EnsembleError where they cannot
-    device: on which they step wherever they can
+    device: on which they step, with `vectorise=True`
     Returns how many runs a group of vectors has, and a batch at most; or nothing, and the reason.
     """
     if vectorise is False:
@@ -93,10 +93,9 @@ def vector_limits(
     try:
         if job.not_in_vectors:
             raise EnsembleError(job.not_in_vectors)
-        if device and vectorise and job.timeout:
+        if device and job.timeout:
             raise EnsembleError(f"a GPU ends no run: expected no timeout, got {job.timeout:g} s")
-        is_asked_for = bool(vectorise or device)
-        group_bytes = check_ensemble(job.system, job.base, count, is_asked_for, threads=workers)
+        group_bytes = check_ensemble(job.system, job.base, count, bool(vectorise), threads=workers)
         Ensemble(job.system, device=device).close()
         if device:
             at_once = min(count, max(1, device.free_bytes() * LANES // (_TEMPORARIES * group_bytes)))

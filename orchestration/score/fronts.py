@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from orchestration.errors import ScenarioError
-from orchestration.many.device import PROCESSOR
 from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.score import tune_problem
 from orchestration.score.closed_loop import ClosedLoop, tuned
@@ -143,7 +142,6 @@ def front_of_law(
     workers: int,
     path: Path,
     progress: Callable[[int, float], None] = lambda done, cost: None,
-    where: str = PROCESSOR,
 ) -> dict[str, Any]:
     """Returns the front of a controller of the protocol as plain data, at the step that its tuned gains need.
 
@@ -158,7 +156,7 @@ def front_of_law(
     controller = replace(tuned(protocol, name), parameters=protocol.controllers[name].parameters)
     problem = tune_problem.problem_of(controller, protocol)
     total = LEVELS * len(seeds) * evaluations_per_gain * len(problem.gains)
-    with tune_problem.evaluations(controller, protocol, workers, total, where) as evaluate:
+    with tune_problem.evaluations(controller, protocol, workers, total) as evaluate:
         how = largest, path, evaluate, progress, tuned_for(protocol, name, problem.gains)
         fronts = search_front(problem, seeds, evaluations_per_gain, *how)
     volumes = [hypervolume(front, Point(LARGEST_ERROR, largest)) for front in fronts]

@@ -17,7 +17,6 @@ from itertools import combinations
 
 from fmus.operating_system import usable_processors
 from orchestration.errors import ScenarioError
-from orchestration.many.device import PROCESSOR
 from orchestration.many.run_many import LocalRuns
 from orchestration.scenarios.fmu_files import fmu_file
 from orchestration.score import score_view
@@ -51,7 +50,6 @@ def score_controllers(
     seed: int | None = None,
     timeout: float | None = None,
     workers: int = usable_processors(),
-    where: str = PROCESSOR,
     progress: Progress = lambda done: None,
 ) -> ScoreResult:
     """Runs every case, with `full` every plant too, and compares with the controllers of the protocol.
@@ -59,7 +57,6 @@ def score_controllers(
     beside: the other controllers, by default those of the protocol, tuned, if their gains fit the vehicle
     seed: what the seeds and times of the cases and the plants follow from, by default one that is drawn
     timeout: longest time [s] of a run, by default that of the protocol
-    where: "processor", or "gpu" for the runs that the GPU of this machine can make
     progress: called with how many more runs are done, of `run_count`
     Each controller runs in a process of its own. One that fails, hangs or crashes has its row with the
     reason; one that does not fit the vehicle raises OrchestrationError before anything runs.
@@ -75,7 +72,7 @@ def score_controllers(
     chosen = _with_other_names(controllers, beside)
     seed = secrets.randbelow(LARGEST_SEED) if seed is None else seed
     scoring = Scoring(protocol, full, seed, progress)
-    rows = _rows(scoring, chosen, beside, timeout or protocol.tables.time_limit, workers, where)
+    rows = _rows(scoring, chosen, beside, timeout or protocol.tables.time_limit, workers)
     document = Score(
         made_by=f"l1-depth {version('l1-depth')}",
         seed=seed,
@@ -111,14 +108,13 @@ def _rows(
     beside: Sequence[Controller],
     timeout: float,
     workers: int,
-    where: str,
 ) -> list[RowTraces]:
     """Returns the rows of the scored controllers, then of those beside them, and their traces."""
     nominal, makers = scoring.protocol.nominal, list[tuple[ClosedLoop, LimitedRuns]]()
     for fmu in (fmu for case in scoring.cases for fmu in case.layer.get("components", {}).values()):
         built(fmu)  # before there are threads: a block is traced by one alone
     for controller in (*scored, *beside):
-        limited = LimitedRuns(LocalRuns(1, isolate=True, where=where))
+        limited = LimitedRuns(LocalRuns(1, isolate=True))
         loop = ClosedLoop(controller, scoring.protocol, limited, timeout)
         prepare(loop.scenario(nominal).system, loop.experiment(nominal))
         makers.append((loop, limited))
@@ -173,7 +169,6 @@ def compare(
     full: bool = False,
     seed: int | None = None,
     workers: int = usable_processors(),
-    where: str = PROCESSOR,
     progress: Callable[[int], object] = lambda done: None,
 ) -> ScoreResult:
     """Returns the score of all, with `full` the differences of every pair of tuned controllers."""
@@ -185,7 +180,6 @@ def compare(
         full=full,
         seed=seed,
         workers=workers,
-        where=where,
         progress=progress,
     )
     result.document.differences = differences(combinations(part(result.document, TUNED).rows, 2))

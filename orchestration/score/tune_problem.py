@@ -23,7 +23,6 @@ import tomli_w
 from fmus.files import write_text_atomically
 from fmus.fmi.description import describe
 from orchestration.errors import OrchestrationError
-from orchestration.many.device import PROCESSOR
 from orchestration.many.job import Failure
 from orchestration.many.lane_library import LANES
 from orchestration.many.run_many import LocalRuns, in_order
@@ -153,15 +152,15 @@ def _hash(path: Path) -> str:
 
 @contextmanager
 def evaluations(
-    controller: Controller, protocol: Protocol, workers: int = 1, count: int = 1, where: str = PROCESSOR
+    controller: Controller, protocol: Protocol, workers: int = 1, count: int = 1
 ) -> Iterator[Evaluate]:
     """Opens so many processes, which evaluate gains side by side, in vectors where that pays.
 
-    count: of all evaluations; where: "processor", or "gpu" for the runs that a GPU can make
+    count: of all evaluations
     Gains whose runs fail, crash or take too long have the largest cost.
     """
     runs = count * (len(practice_cases(protocol)) + 1)
-    with LocalRuns(workers, isolate=True, expected=runs, where=where) as local:
+    with LocalRuns(workers, isolate=True, expected=runs) as local:
         loop = ClosedLoop(controller, protocol, partial(in_order, local), protocol.tables.time_limit)
         yield partial(costs, loop)
 

@@ -28,7 +28,7 @@ from vehicle import (
 )
 
 LARGEST_SPREAD_MM, SPREAD_TOLERANCE_MM, OVERSHOOT_TOLERANCE_PCT = 3.0, 0.5, 0.25
-_NOT_SETTLED = 40.0  # tolerances: more than a run that settles can be away
+NOT_SETTLED = 40.0  # tolerances: more than a run that settles can be away
 
 _IDENTIFIED = tomllib.loads(
     (files("orchestration.scenarios") / "parameters" / "identified.toml").read_text(encoding="utf-8")
@@ -49,7 +49,7 @@ FAST_RATE_FEEDBACK = tuple(
 
 
 def tolerance(figure: Figure) -> float:
-    """Returns the deviation from a published figure that counts as 1, that of `l1-depth identify`."""
+    """Returns the deviation from a published figure that counts as 1."""
     name, metric = figure
     return 3.0 if metric == "settling_time" else 0.6 if name.endswith("-l1") else 0.25
 
@@ -68,7 +68,7 @@ def residuals(measured: Columns, left_out: Figure | None = None, bounded: bool =
         excess = float(np.mean(measured[f"{name} overshoot"])) - LARGEST_OVERSHOOT_PCT
         spread = float(np.max(measured[f"{name} hold_spread"])) - LARGEST_SPREAD_MM
         deviations += [max(0.0, excess) / OVERSHOOT_TOLERANCE_PCT, max(0.0, spread) / SPREAD_TOLERANCE_MM]
-    return np.clip(np.nan_to_num(np.array(deviations), nan=_NOT_SETTLED), -_NOT_SETTLED, _NOT_SETTLED)
+    return np.clip(np.nan_to_num(np.array(deviations), nan=NOT_SETTLED), -NOT_SETTLED, NOT_SETTLED)
 
 
 def values_at(free: Sequence[Free], scaled: np.ndarray) -> dict[str, float]:

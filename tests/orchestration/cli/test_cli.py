@@ -14,7 +14,6 @@ import typer
 from fmus.files import write_archive
 from orchestration.cli import shared
 from orchestration.cli.app import app
-from orchestration.fit import identify as identification
 from orchestration.scenarios import scenario
 from tests.described_fmus import XML, members
 from tests.shared_builds import Fmus
@@ -50,10 +49,6 @@ def test_scenarios_are_listed_where_no_fmu_is_built(
         (["build", "--flavour", "python", "--platform", "win64"], "python flavour: expected none"),
         (["inspect", "broken.fmu"], "broken.fmu is not an FMU: expected a zip"),
         (["check", "broken.fmu"], "1 error found: expected none"),
-        (
-            ["identify", "--evaluations", "5", "--starts", "9"],
-            "evaluations 5: expected more than the 9 starts",
-        ),
         (["build", "ExamplePlant", "--out", "broken.fmu"], "broken.fmu"),
     ],
 )
@@ -179,19 +174,6 @@ def test_inspect_shows_an_fmu_for_model_exchange_alone(command: Command, built: 
 )
 def test_an_option_without_effect_is_refused(refused: Command, arguments: list[str], message: str) -> None:
     assert message in refused(*arguments)
-
-
-def test_identify_writes_to_the_working_folder_and_not_into_the_package(
-    command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    gains = {gain.name: gain.low for gain in identification.GAINS}
-    fit = identification.IdentifiedGains(gains, {}, {}, cost=0.0, evaluations=2, seed=1)
-    monkeypatch.setattr(identification, "identify", lambda *arguments: fit)
-    shipped = scenario.SHIPPED / "parameters" / "identified.toml"
-    before = shipped.read_bytes()
-    assert command("identify").stdout.endswith("\nidentified.toml\n")
-    assert scenario.parameter_values(tmp_path / "identified.toml") == gains
-    assert shipped.read_bytes() == before
 
 
 def test_a_log_gets_a_line_of_progress_from_time_to_time(

@@ -42,7 +42,6 @@ AT_WORK = {
     "design --plant RovDepthPlant --out .": "orchestration.design.rules.design_l1",
     "reproduce": "orchestration.scenarios.run_files.run_all",
     "fit RovDepthPlant --free inertia --data {fmu} --out .": "orchestration.fit.dive.read_dive",
-    "identify": "orchestration.fit.identify.metric_units",
     "package nominal-l1": "orchestration.exchange.ssp_write.ramp_sources",
 }
 

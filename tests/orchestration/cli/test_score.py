@@ -125,7 +125,7 @@ def test_a_file_without_a_block_is_refused_before_any_other_fmu_is_looked_at(
     assert "own.py:Proportional for its class Proportional" in complaint
 
 
-@pytest.mark.parametrize("arguments", ["compare", "margins nominal-l1", "identify", "reproduce"])
+@pytest.mark.parametrize("arguments", ["compare", "margins nominal-l1", "reproduce"])
 def test_what_cannot_be_written_is_refused_before_it_runs(
     refused: Callable[..., str], arguments: str
 ) -> None:

@@ -173,7 +173,7 @@ def test_a_sweep_on_a_device_has_the_rows_of_the_processor(tmp_path: Path) -> No
     planned = plan(replace(scenario, sweep={**scenario.sweep, "samples": 20}))
     notes = list[str]()
     tables = [
-        table.read(sweep(planned, tmp_path / where, LocalRuns(1, False, True, notes.append, where=where)))[0]
+        table.read(sweep(planned, tmp_path / where, LocalRuns(1, note=notes.append, where=where)))[0]
         for where in ("processor", "gpu")
     ]
     assert tables[0].equals(tables[1])
