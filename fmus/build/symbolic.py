@@ -18,7 +18,6 @@ from fmus.build import guard
 from fmus.build.c_functions import ScalarC, VectorC, c_function, c_functions
 from fmus.build.declaration import check_declaration, check_requirements, check_result, scalar_names
 from fmus.build.operations import operations_of
-from fmus.build.right_derivative import right_derivative
 from fmus.errors import ExportError
 from fmus.numerics.symbols import unsimplified
 
@@ -40,7 +39,6 @@ class Traced:
     initial_state: (t, u, p, c) -> x
     step: (t, h, x, u, p, c) -> x
     output: (t, x, p, c) -> y
-    output_rate: (t, x, u, p, c) -> dy/dt just after t: outputs after a step, derived by its length
     required: what each of the requirements expects, in words
 
     In model exchange `step` is evaluated with h = 0: what it copies from inputs follows them at once, what
@@ -77,9 +75,6 @@ class Traced:
         self.output = self._function("output", "t x p c", "y", outputs)
         for name in ("calculate", "step", "output"):
             self._check_constants(name)
-        after = self._called(block.output, "t x p c", t=t + h, x=stepped)
-        rate = right_derivative(_column(after), h)
-        self.output_rate = self._function("output_rate", "t x u p c", "rate", rate)
         if block.derivative:
             self._trace_exchange()
 
@@ -100,7 +95,8 @@ class Traced:
         self.next_event = self._function("next_event", arguments, "next_event", next_event)
         if block.integrate:
             integrated = _column(self._result("integrate", "t h x u p c"))[: len(flatten(rates))]
-            rate = right_derivative(integrated, self._columns["h"])
+            h = self._columns["h"]
+            rate = casadi.substitute(casadi.jacobian(integrated, h), h, 0.0)
             self.integrated_rate = self._function("rate", arguments, "rate", rate)
 
     def between_events(self, function: casadi.Function) -> casadi.Function:
