@@ -28,6 +28,7 @@ _INITIAL = """static void model_initial_{kind}(double t, const double *x, const 
     model_{second}(t, x, u, p, between, along);
 }}
 """
+_SHORT_STEP = 1e-11  # [s]
 _ABOUT_LANES = "/* Equations in vectors, for ensembles: an importer compiles those of model_code.h. */\n"
 
 
@@ -96,7 +97,13 @@ class Traced:
         if block.integrate:
             integrated = _column(self._result("integrate", "t h x u p c"))[: len(flatten(rates))]
             h = self._columns["h"]
-            rate = casadi.substitute(casadi.jacobian(integrated, h), h, 0.0)
+            slope = casadi.densify(casadi.jacobian(integrated, h))
+            # At a corner, such as a limit that is reached, CasADi takes the mean of the slopes of both sides:
+            # the slope after a short step may be the expected one instead.
+            rate, after = (casadi.substitute(slope, h, elapsed) for elapsed in (0.0, _SHORT_STEP))
+            expected = _column(rates)
+            is_nearer = casadi.fabs(after - expected) < casadi.fabs(rate - expected)
+            rate = casadi.if_else(is_nearer, after, rate)
             self.integrated_rate = self._function("rate", arguments, "rate", rate)
 
     def between_events(self, function: casadi.Function) -> casadi.Function:
