@@ -347,7 +347,6 @@ def test_what_is_declared_is_imported() -> None:
             "casadi",
             {
                 "fmus.numerics.symbols",
-                "fmus.build.right_derivative",
                 *(
                     f"fmus.build.{name}"
                     for name in ("guard", "symbolic", "sensitivities", "operations", "c_functions")

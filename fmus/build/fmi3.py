@@ -34,7 +34,7 @@ _CAPABILITIES = {
 }
 _OF_CO_SIMULATION = {
     "canHandleVariableCommunicationStepSize": "true",
-    "maxOutputDerivativeOrder": "1",
+    "maxOutputDerivativeOrder": "0",
     "providesIntermediateUpdate": "true",
     "canReturnEarlyAfterIntermediateUpdate": "true",
 }

@@ -47,7 +47,7 @@ static const unsigned EXTENTS[] = {{{}}};
 """
 _OF_BOTH = {"canNotUseMemoryManagementFunctions": "true", "providesDirectionalDerivative": "true"}
 _OF_EXCHANGE = {"completedIntegratorStepNotNeeded": "true", **_OF_BOTH}
-_CAPABILITIES = {"canInterpolateInputs": "true", "maxOutputDerivativeOrder": "1", **_OF_BOTH}
+_CAPABILITIES = {"canInterpolateInputs": "true", "maxOutputDerivativeOrder": "0", **_OF_BOTH}
 
 
 def content(block: Block, reals_only: bool = False, fmi: int = 2) -> tuple[str, dict[str, bytes]]:

@@ -18,7 +18,6 @@ from fmus.build import guard
 from fmus.build.c_functions import ScalarC, VectorC, c_function, c_functions
 from fmus.build.declaration import check_declaration, check_requirements, check_result, scalar_names
 from fmus.build.operations import operations_of
-from fmus.build.right_derivative import right_derivative
 from fmus.errors import ExportError
 from fmus.numerics.symbols import unsimplified
 
@@ -29,6 +28,7 @@ _INITIAL = """static void model_initial_{kind}(double t, const double *x, const 
     model_{second}(t, x, u, p, between, along);
 }}
 """
+_SHORT_STEP = 1e-11  # [s]
 _ABOUT_LANES = "/* Equations in vectors, for ensembles: an importer compiles those of model_code.h. */\n"
 
 
@@ -40,7 +40,6 @@ class Traced:
     initial_state: (t, u, p, c) -> x
     step: (t, h, x, u, p, c) -> x
     output: (t, x, p, c) -> y
-    output_rate: (t, x, u, p, c) -> dy/dt just after t: outputs after a step, derived by its length
     required: what each of the requirements expects, in words
 
     In model exchange `step` is evaluated with h = 0: what it copies from inputs follows them at once, what
@@ -77,9 +76,6 @@ class Traced:
         self.output = self._function("output", "t x p c", "y", outputs)
         for name in ("calculate", "step", "output"):
             self._check_constants(name)
-        after = self._called(block.output, "t x p c", t=t + h, x=stepped)
-        rate = right_derivative(_column(after), h)
-        self.output_rate = self._function("output_rate", "t x u p c", "rate", rate)
         if block.derivative:
             self._trace_exchange()
 
@@ -100,7 +96,14 @@ class Traced:
         self.next_event = self._function("next_event", arguments, "next_event", next_event)
         if block.integrate:
             integrated = _column(self._result("integrate", "t h x u p c"))[: len(flatten(rates))]
-            rate = right_derivative(integrated, self._columns["h"])
+            h = self._columns["h"]
+            slope = casadi.densify(casadi.jacobian(integrated, h))
+            # At a corner, such as a limit that is reached, CasADi takes the mean of the slopes of both sides:
+            # the slope after a short step may be the expected one instead.
+            rate, after = (casadi.substitute(slope, h, elapsed) for elapsed in (0.0, _SHORT_STEP))
+            expected = _column(rates)
+            is_nearer = casadi.fabs(after - expected) < casadi.fabs(rate - expected)
+            rate = casadi.if_else(is_nearer, after, rate)
             self.integrated_rate = self._function("rate", arguments, "rate", rate)
 
     def between_events(self, function: casadi.Function) -> casadi.Function:

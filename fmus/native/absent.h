@@ -1,5 +1,5 @@
-/* Functions of FMI 3.0 for what the model does not have. Only an empty list of variables of a type without any is
- * accepted. */
+/* Functions of FMI 3.0 for what the model does not have. Of variables of a type without any, and of
+ * derivatives of outputs, only an empty list is accepted. */
 
 #ifndef ABSENT_H
 #define ABSENT_H
@@ -49,6 +49,15 @@ fmi3Status fmi3SetBinary(fmi3Instance c, const fmi3ValueReference vr[], size_t n
                          const fmi3Binary values[], size_t n) {
     (void)vr, (void)sizes, (void)values;
     return no_variables(c, ALWAYS, nvr | n, "fmi3SetBinary", "Binary variables");
+}
+
+/* 4.2.1: maxOutputDerivativeOrder is 0. */
+fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference vr[], size_t nvr,
+                                    const fmi3Int32 orders[], fmi3Float64 values[], size_t n) {
+    static const char *const function = "fmi3GetOutputDerivatives";
+    (void)vr, (void)orders, (void)values;
+    if (!is_of(c, CO_SIMULATION, function)) return fmi3Error;
+    return no_variables(c, HAS_STEPPED | UPDATE_OF_OUTPUTS, nvr | n, function, "derivatives of outputs");
 }
 
 /* A function that the model has no use for. */

@@ -1,4 +1,4 @@
-/* Derivatives: of inputs and outputs by time (4.2.1), and directional ones (2.1.9). */
+/* Derivatives: of inputs by time (4.2.1), and directional ones (2.1.9). */
 
 #ifndef DERIVATIVES_H
 #define DERIVATIVES_H
@@ -15,6 +15,19 @@ static OUTLINED int are_allowed(Instance *instance, int modes, Type type, const 
                                 size_t count, const void *values, const char *function) {
     return is_allowed(instance, modes, function) && are_given(instance, references, count, values, function) &&
            are_of_type(instance, type, references, count, function);
+}
+
+/* 4.2.1: order 0 is not allowed. */
+static OUTLINED int are_orders(Instance *instance, const unsigned references[], const int order[], size_t count,
+                               const char *function) {
+    if (count && !order) return missing(instance, function, "order"), 0;
+    for (size_t i = 0; i < count; i++) {
+        if (order[i] >= 1) continue;
+        refuse(instance, ERROR, "%s: %s: order %d: expected at least 1", function, VARIABLES[references[i]].name,
+               order[i]);
+        return 0;
+    }
+    return 1;
 }
 
 /* 4.2.1: allowed when fmi2SetReal is, valid for the next step. Inputs move in straight lines: a derivative of higher
@@ -46,19 +59,14 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
     return status;
 }
 
-/* 4.2.1: at the current time of the instance; a derivative of an order above maxOutputDerivativeOrder is 0. */
+/* 4.2.1: maxOutputDerivativeOrder is 0, so that only an empty list is accepted. */
 fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                                         const fmi2Integer order[], fmi2Real value[]) {
     static const char *const function = "fmi2GetRealOutputDerivatives";
-    Instance *instance = c;
-    double rate[N_OUTPUTS + 1];
-    if (!is_of(instance, CO_SIMULATION, function)) return fmi2Error;
-    if (!are_allowed(instance, HAS_STEPPED, REAL, vr, nvr, value, function)) return fmi2Error;
-    if (!are_orders(instance, vr, order, nvr, function)) return fmi2Error;
-    if (!are_outputs(instance, vr, nvr, function)) return fmi2Error;
-    if (output_rates(instance, rate, function) != fmi2OK) return fmi2Error;
-    for (size_t i = 0; i < nvr; i++) value[i] = order[i] == 1 ? rate[vr[i] - FIRST_OUTPUT] : 0;
-    return fmi2OK;
+    (void)vr, (void)order, (void)value;
+    if (!is_of(c, CO_SIMULATION, function)) return fmi2Error;
+    if (!is_allowed(c, HAS_STEPPED, function)) return fmi2Error;
+    return nvr ? refuse(c, fmi2Error, "%s: " MODEL_NAME " has no derivatives of outputs", function) : fmi2OK;
 }
 
 /* 2.1.9. In initialization mode of what is calculated by parameters and inputs. Later, the rest of the state held, by

@@ -264,24 +264,6 @@ fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference unk
                   "fmi3GetAdjointDerivative");
 }
 
-/* 4.2.1: at the current time of the instance; a derivative of an order above maxOutputDerivativeOrder is 0. */
-fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference vr[], size_t nvr,
-                                    const fmi3Int32 orders[], fmi3Float64 values[], size_t nValues) {
-    static const char *const function = "fmi3GetOutputDerivatives";
-    Instance *instance = c;
-    double rate[N_OUTPUTS + 1];
-    if (!is_of(instance, CO_SIMULATION, function)) return fmi3Error;
-    if (!are_elements(instance, HAS_STEPPED | UPDATE_OF_OUTPUTS, REAL, vr, nvr, values, nValues, function))
-        return fmi3Error;
-    if (!are_orders(instance, vr, orders, nvr, function)) return fmi3Error;
-    if (!are_outputs(instance, vr, nvr, function)) return fmi3Error;
-    if (output_rates(instance, rate, function) != fmi3OK) return fmi3Error;
-    for (size_t i = 0; i < nvr; i++)
-        for (unsigned j = 0; j < EXTENTS[vr[i]]; j++)
-            *values++ = orders[i] == 1 ? rate[vr[i] + j - FIRST_OUTPUT] : 0;
-    return fmi3OK;
-}
-
 /* 2.3.5: in event mode. One iteration is enough, see `update_discrete_states`. */
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *discreteStatesNeedUpdate,
                                     fmi3Boolean *terminateSimulation, fmi3Boolean *nominalsOfContinuousStatesChanged,

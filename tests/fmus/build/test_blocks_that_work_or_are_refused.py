@@ -15,7 +15,6 @@ from fmus.block.instance import BlockInstance
 from fmus.build import builder
 from fmus.build.check_sampling import check_sampling
 from fmus.build.check_trace import check_trace
-from fmus.build.symbolic import traced
 from fmus.errors import ExportError
 from fmus.numerics import Clock, sampled
 
@@ -30,19 +29,6 @@ NAMED_BY_THE_FUNCTION = ("a list", "a state", "an argument", "an array", "an exc
 def test_it_works(name: str) -> None:
     check_trace(WORKING[name])
     builder.verified(WORKING[name])
-
-
-@pytest.mark.parametrize("zero", [0.0, -1.0])
-@pytest.mark.parametrize("name", WORKING)
-def test_its_outputs_have_derivatives(name: str, zero: float) -> None:
-    """Also where an alternative that is not taken has none."""
-    block = WORKING[name]
-    function = traced(block).output_rate
-    arguments = [[v.start for v in block.of_causality(kind)] for kind in ("input", "parameter")]
-    arguments[0][0] = zero
-    state = [0.25] * function.size1_in(1)
-    (rate,) = function(0.0, state, *arguments, []).full().ravel()
-    assert abs(rate) < 1e3
 
 
 @pytest.mark.parametrize("name", REFUSED)

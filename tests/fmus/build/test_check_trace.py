@@ -351,3 +351,43 @@ def test_every_block_is_faithful_and_takes_its_branches_both_ways(name: str) -> 
     finally:
         sys.setprofile(None)
     assert {position for position, both in outcomes.items() if both != {True, False}} == set()
+
+
+@dataclass(frozen=True)
+class Level:
+    x: float = variable(0.5, "Level, at most 1 and at least -1")
+
+
+def _rate(t: float, state: Level, inputs: Inputs, *_: Any) -> Level:
+    inward = numerics.where(state.x > 0.0, numerics.minimum(inputs.u, 0.0), numerics.maximum(inputs.u, 0.0))
+    is_inside = numerics.minimum(1.0 - state.x, 1.0 + state.x)
+    return Level(numerics.where(is_inside > 0.0, inputs.u, numerics.where(is_inside < 0.0, 0.0, inward)))
+
+
+def _limited(t: float, h: float, state: Level, inputs: Inputs, *_: Any) -> Level:
+    return Level(numerics.clip(state.x + h * inputs.u, -1.0, 1.0))
+
+
+def _limited_by_a_quotient(t: float, h: float, state: Level, inputs: Inputs, *_: Any) -> Level:
+    share = numerics.where(h > 0.0, (1.0 - numerics.exp(-h)) / h, 1.0)
+    return Level(numerics.clip(state.x + h * share * inputs.u, -1.0, 1.0))
+
+
+@pytest.mark.parametrize("integrate", [_limited, _limited_by_a_quotient])
+@pytest.mark.parametrize("start", [0.25, 1.0, -1.0])
+def test_an_integration_with_a_limit_is_compared_by_the_slope_that_its_step_takes(
+    integrate: Callable[..., Level], start: float
+) -> None:
+    """Also at the limit itself, where the slopes of both sides differ."""
+
+    def block(rate: Callable[..., Level]) -> Block:
+        return Block(
+            "Limited", "A level with limits", parameters=Parameters, inputs=Inputs, outputs=Outputs,
+            state=Level, continuous=Level, step_size=0.1, initial_state=lambda *_: Level(start),
+            derivative=rate, integrate=integrate, step=lambda t, h, state, *_: state,
+            output=lambda t, state, *_: Outputs(state.x),
+        )  # fmt: skip
+
+    check_trace(block(_rate))
+    with pytest.raises(ExportError, match="as the function integrate has it in a short step"):
+        check_trace(block(lambda *arguments: Level(1.001 * _rate(*arguments).x)))

@@ -290,19 +290,9 @@ class Model:
     def get_output_derivatives(
         self, references: list[int] | Null, orders: list[int] | Null, out: bool
     ) -> tuple[int, list[float] | None]:
-        if self.data.mode not in (STEPPING, TERMINATED, FAILED) or self._is_malformed("R", references, out):
+        if self.data.mode not in (STEPPING, TERMINATED, FAILED) or references:
             return self._error()
-        if references and (isinstance(orders, Null) or any(order < 1 for order in orders)):
-            return self._error()
-        if any(r < self.outputs.start for r in references):
-            return self._error()
-        d, v, c = self.data, self.data.values, self._prepared()
-        if c is None:
-            return self._error()
-        p = v[: self.calculated.start]
-        rates = self._calculate("output_rate", d.time, d.state, v[self.inputs], p, c)
-        pairs = zip(references, orders, strict=False)
-        return OK, [rates[r - self.outputs.start] if order == 1 else 0.0 for r, order in pairs]
+        return OK, []
 
     def directional_derivative(
         self, unknown: list[int] | Null, known: list[int] | Null, seed: list[float] | Null, out: bool

@@ -64,14 +64,6 @@ class Model3(Model):
 
     # derivatives
 
-    def get_output_derivatives(
-        self, references: list[int] | Null, orders: list[int] | Null, out: bool
-    ) -> tuple[int, list[float] | None]:
-        if not isinstance(references, Null) and not isinstance(orders, Null):
-            pairs = zip(references, orders, strict=True)
-            orders = [order for r, order in pairs for _ in self.scalars([r])]
-        return super().get_output_derivatives(self.scalars(references), orders, out)
-
     def directional_derivative(
         self, unknown: list[int] | Null, known: list[int] | Null, seed: list[float] | Null, out: bool
     ) -> tuple[int, list[float] | None]:

@@ -136,7 +136,8 @@ class Calls(Beside):
         if not self.is_time(data, slot, STEPPING, TERMINATED):
             return
         outputs = [v for v in self.by_kind["R"] if v.causality == "output"]
-        references = self.one_wrong(data, self.some(data, slot, outputs))
+        # seldom: each refusal ends what the instance can do until it is restored or reset
+        references = self.some(data, slot, outputs) if data.draw(SELDOM) else []
         orders, out = self.array(data, self.orders(data, len(references))), not data.draw(SELDOM)
         self.call(slot, "get_output_derivatives", self.array(data, references), orders, out)
 

@@ -91,46 +91,6 @@ def test_in_step_mode_outputs_depend_on_parameters_but_not_on_inputs(built: Fmus
     assert derivative == [2.0 * fmu["state[1]"]]  # y = C x
 
 
-def test_output_derivatives_are_those_of_the_equations(built: Fmus, load: Any) -> None:
-    """x' = A x + B (omega u + theta' x + sigma), evaluated where the FMU stands."""
-    fmu = load(built["ExamplePlant"]).begin()
-    fmu["control"] = 1.0
-    fmu.slave.doStep(0.0, 0.5)
-    fmu["control"] = -2.0
-    x = np.array([fmu["state[1]"], fmu["state[2]"]])
-    expected = np.array([[0.0, 1.0], [3.0, -5.9]]) @ x + [0.0, -2.0]
-    references = [fmu.references[n] for n in ("state[1]", "state[2]", "output")]
-    rates = fmu.slave.getRealOutputDerivatives(references, [1, 1, 1])
-    assert rates == pytest.approx([*expected, expected[0]], rel=1e-12)
-    assert fmu.slave.getRealOutputDerivatives(references, [2, 1, 3]) == [0.0, rates[1], 0.0]
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_output_derivatives_are_the_slopes_by_the_length_of_short_steps(
-    built: Fmus, load: Any, name: str
-) -> None:
-    """The derivative of a step by its length; a quotient over 1e-6 s errs by 1e-6 times the curvature."""
-    fmu, h = load(built[name]).begin(), 1e-6
-    inputs = [v for v in builder.load_block(name).of_causality("input") if v.maximum is None]
-    for i in range(50):
-        for v in inputs:
-            largest = 0.3 if v.name == "depth_reference" else 0.2  # else nothing integrates the error
-            fmu[v.name] = largest * math.cos(0.03 * i)
-        fmu.slave.doStep(0.005 * i, 0.005)
-    outputs = [v.value_reference for v in builder.load_block(name).of_causality("output")]
-    rates = np.array(fmu.slave.getRealOutputDerivatives(outputs, [1] * len(outputs)))
-    state, after = fmu.slave.getFMUstate(), []
-    for length in (h, 2.0 * h):
-        fmu.slave.doStep(0.25, length)
-        after.append(np.array(fmu.slave.getReal(outputs)))
-        fmu.slave.setFMUstate(state)
-    slopes = (after[1] - after[0]) / h
-    fmu.slave.freeFMUstate(state)
-    assert rates == pytest.approx(slopes, rel=1e-3, abs=1e-3)
-    is_held = name == "ThrustAllocation"  # its outputs are those of the inputs of the last step
-    assert np.any(np.abs(rates) > 1e-3) != is_held
-
-
 def test_inputs_with_a_derivative_are_followed_within_the_step(built: Fmus, load: Any) -> None:
     """x'' = u with u = t from rest: x'(1) = 1/2, by the middles of internal steps."""
     fmu = load(built["ExamplePlant"])
