@@ -18,6 +18,7 @@ from fmus.files import TEMPORARY_VARIABLE
 from orchestration.cli import run_interruptible
 from orchestration.cli.app import app
 from orchestration.report import RunResult, found_results
+from orchestration.results import files
 from orchestration.results.recording import Recording
 from tests.foreign_fmus import Misdeed
 
@@ -103,13 +104,13 @@ def test_a_recording_that_cannot_be_written_outlives_the_command(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    write = Recording.write
+    write = files.write
 
-    def refuse_once(recording: Recording, file: Path) -> None:
-        monkeypatch.setattr(Recording, "write", write)
+    def refuse_once(path: Path, content: object) -> None:
+        monkeypatch.setattr(files, "write", write)
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Recording, "write", refuse_once)
+    monkeypatch.setattr(files, "write", refuse_once)
     monkeypatch.setattr(sys, "argv", ["l1-depth", "run", str(short_scenario()), "--out", str(tmp_path)])
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     with pytest.raises(SystemExit, match="1"):

@@ -228,7 +228,7 @@ def test_its_fmus_say_integer_for_enumeration_and_are_otherwise_the_same(
     kinds = {(original[name].type, described[name].type) for name in original}
     assert {(own, packed) for own, packed in kinds if own != packed} == {("Enumeration", "Integer")}
     choice = described["augmentation"]
-    assert (choice.min, choice.max, choice.start) == ("1", "3", "1")
+    assert (choice.min, choice.max, choice.start) == ("1", "3", "2")
     assert "1 none, 2 pi, 3 nonlinear_p" in (choice.description or "")
 
 

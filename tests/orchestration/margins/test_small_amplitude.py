@@ -37,7 +37,7 @@ def at_rest(augmentation: str, step: float, efficiency: float = 1.0, stop_time: 
     loaded = scenario.load(scenario.find("hold-force-step"), changes)
     signals = {"controller.depth_reference": Constant(0.0), "plant.external_force": PULSE}
     changed = replace(loaded.experiment, stop_time=stop_time, signals=signals, record=("plant.depth",))
-    return replace(loaded, experiment=changed)
+    return replace(loaded, experiment=changed, metrics={})
 
 
 def largest_delay(loaded: Scenario, near: float) -> float:
