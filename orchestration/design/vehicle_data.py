@@ -165,7 +165,9 @@ def _check_described(vehicle: Vehicle) -> None:
     missing = [name for name in _REQUIRED if not getattr(vehicle.described.variables, name)]
     missing += [] if all(map(math.isfinite, vehicle.actuators.gains)) else ["gain"]
     if missing:
-        entries = ", ".join('gain = ["NAME", "NAME"]' if n == "gain" else f'{n} = "NAME"' for n in missing)
+        names = ", ".join(['"NAME"'] * len(vehicle.inputs))
+        gain = f'gain = [{names}] (or table = ["VOLTAGES", "FORCES"] where the force is no line)'
+        entries = ", ".join(gain if n == "gain" else f'{n} = "NAME"' for n in missing)
         parameters = [name for name, v in vehicle.variables.items() if v.causality == "parameter"]
         raise ScenarioError(
             f"{vehicle.name}: its {' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} not known: "

@@ -48,14 +48,21 @@ def test_the_data_of_our_vehicle_are_its_start_values_and_ranges(data: VehicleDa
     assert data.noise == pytest.approx((0.002**2 + 0.002**2 / 12.0) ** 0.5)
 
 
-def test_all_that_is_missing_is_named_at_once_with_where_to_write_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("inputs", "names"),
+    [(("voltage[1]",), r'\["NAME"\]'), (("voltage[1]", "voltage[2]"), r'\["NAME", "NAME"\]')],
+)
+def test_all_that_is_missing_is_named_at_once_with_where_to_write_it(
+    tmp_path: Path, inputs: tuple[str, ...], names: str
+) -> None:
+    """A gain for each thruster, or the table of a force that is no line."""
     expected = (
         r"boat: its inertia and net_weight and sensor_period and gain are not known: expected inertia = "
-        r'"NAME", .*gain = \["NAME", "NAME"\] in \[variables\] of .*boat.vehicle.toml; its parameters are '
-        "mass, trim, pace, volts"
+        rf'"NAME", .*gain = {names} \(or table = \["VOLTAGES", "FORCES"\] .*\) in \[variables\] of '
+        r".*boat.vehicle.toml; its parameters are mass, trim, pace, volts"
     )
     with pytest.raises(ScenarioError, match=expected):
-        read(boat(tmp_path, ""))
+        read(boat(tmp_path, "", inputs))
 
 
 @pytest.mark.parametrize(
