@@ -25,7 +25,10 @@ class OwnModules(Loader):
     def __init__(self, package: str = "", folder: Path = Path()) -> None:
         files = folder.rglob("*.py") if package else ()
         parts = [file.relative_to(folder).with_suffix("").parts for file in files]
-        names = [".".join(part).removesuffix(".__init__") for part in parts if part[0] not in _NOT_OWN]
+        own = [part for part in parts if part[0] not in _NOT_OWN]
+        # with the folders between, which need no file of their own
+        folders = (".".join(part[: n + 1]) for part in own for n in range(len(part)))
+        names = [*dict.fromkeys(name.removesuffix(".__init__") for name in folders)]
         self._package, top = package, ModuleType(package)
         top.__path__ = [str(folder)]
         self._plain = [name for name in names if name.partition(".")[0] not in sys.stdlib_module_names]

@@ -154,11 +154,11 @@ def _end(
             print(f"l1-depth: {name} is not done after {_SILENT_S} s: {reason}", file=sys.stderr)
         status = process.wait(_PATIENCE_S)
     except subprocess.TimeoutExpired:
-        lock = _awaited_lock(process.pid) or "no lock of a file"
-        text = f"{name} did not end within {_PATIENCE_S} s; it waits for {lock}"
+        lock = _awaited_lock(process.pid)
+        text = f"{name} did not end within {_PATIENCE_S} s" + (f"; it waits for {lock}" if lock else "")
         kill_group(process.pid)  # what it has locked is free then
         if cache:
-            raise ExportError(f"{text}, and has a cache of its own; {hint}") from None
+            raise ExportError(f"{text}, in a cache of its own") from None
         print(f"l1-depth: {text}; it is tried once more, in a cache of its own", file=sys.stderr)
         with tempfile.TemporaryDirectory() as new, _running(arguments, folder, new) as again:
             again()
@@ -166,14 +166,13 @@ def _end(
     if status:
         output.seek(0)
         text = output.read().decode("utf-8", "replace").strip()[-2000:]
-        raise ExportError(f"zig {arguments[0]} failed: {text}; {hint}")
+        raise ExportError(f"{name} failed: {text}; {hint}")
 
 
 def _awaited_lock(group: int) -> str:
     """Returns the file whose lock a process of a group waits for; "" for none, and outside of Linux."""
-    if sys.platform != "linux":
-        return ""
-    for line in Path("/proc/locks").read_text().splitlines():
+    locks = Path("/proc/locks")
+    for line in locks.read_text().splitlines() if sys.platform == "linux" and locks.exists() else ():
         pid, place = line.split()[-4:-2]
         with suppress(OSError, ValueError, StopIteration):  # a process that has ended
             if " -> " in line and os.getpgid(int(pid)) == group:

@@ -164,19 +164,17 @@ def compare(
 
 def write_score(result: "ScoreResult", on_page: "ScoreResult", file: Path, title: str) -> None:
     """Writes a score and its page, or prints which extra the page needs; an earlier page is removed."""
-    page, text = file.with_suffix(".html"), ""
-    try:
-        from orchestration.report.score_page import score_page
-
-        text = score_page(on_page, title)
-    except MissingExtraError as error:
-        print(f"l1-depth: no page: {error}", file=sys.stderr)
+    page = file.with_suffix(".html")
     page.unlink(missing_ok=True)
     write_text_atomically(file, result.document.model_dump_json(indent=1) + "\n")
     print(file)
-    if text:
-        write_text_atomically(page, text)
+    try:
+        from orchestration.report.score_page import score_page
+
+        write_text_atomically(page, score_page(on_page, title))
         print(page)
+    except MissingExtraError as error:
+        print(f"l1-depth: no page: {error}", file=sys.stderr)
 
 
 def print_tables(tables: "Sequence[ScoreTable]", document: "Score") -> None:

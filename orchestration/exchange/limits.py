@@ -1,10 +1,9 @@
-"""Parts of all exporters: refusals, before anything is written; signals as components.
+"""Parts of the exporters: refusals, before anything is written; signals as components.
 
-Every exporter carries a system whose components exchange values at communication points, in the order of
-Jacobi, and whose signals are lines through points; this is what an SSP package and a block
-diagram have in common. A system that is handed on without its scenario drives itself: each signal of ramps
-becomes an FMU without inputs, with the unit of the input that it drives. Such an FMU is built when it is
-needed; whoever calls this room hands it the function that builds.
+An SSP package carries a system whose components exchange values at communication points, in the order of
+Jacobi, and whose signals are lines through points. A system that is handed on without its scenario drives
+itself: each signal of ramps becomes an FMU without inputs, with the unit of the input that it drives. Such an
+FMU is built when it is needed; whoever calls this room hands it the function that builds.
 """
 
 import re
@@ -18,12 +17,10 @@ from fmus.fmi.description import describe
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Algorithm, Experiment
-from orchestration.system.prepared_run import PreparedRun, check_for, prepare
+from orchestration.system.prepared_run import check_for
 from orchestration.system.signals import Constant, Cosine, Ramps, Signal, Sines, Table
 from orchestration.system.system import CheckedSystem, Port, System
 from orchestration.system.time_grid import GRID_TOLERANCE
-
-_OTHERS = "a constant or a table"  # signals that ramps can give
 
 
 def check_plain_exchange(experiment: Experiment, target: str) -> None:
@@ -53,21 +50,6 @@ def check_standard(system: System | CheckedSystem, target: str) -> None:
             )
 
 
-def prepare_plain(scenario: Scenario, target: str) -> PreparedRun:
-    """Returns the run of a scenario that exchanges plainly, by connections without factor and offset.
-
-    Raises ScenarioError for another one.
-    """
-    check_plain_exchange(scenario.experiment, target)
-    check_standard(scenario.system, target)
-    prepared = prepare(scenario.system, scenario.experiment)
-    for name, transformation in prepared.system.transformations.items():
-        raise ScenarioError(
-            f"{target} with {transformation} of the connection into {name}: expected plain connections"
-        )
-    return prepared
-
-
 def check_types(ports: Iterable[Port], types: tuple[str, ...], target: str) -> None:
     """Raises ScenarioError for a variable whose FMI type is not among these."""
     for port in ports:
@@ -91,9 +73,9 @@ def as_ramps(input_name: str, signal: Signal, experiment: Experiment) -> Ramps:
         vertices = [] if signal.hold else np.asarray(signal.times)
         times = np.unique([*_around(signal.jumps, experiment), *vertices])
         return Ramps(np.column_stack([times, signal.at(times)]).tolist())
-    kind = _kind(signal)
+    kind = {Cosine: "a cosine", Sines: "sines"}.get(type(signal), "another function of time")
     raise ScenarioError(
-        f"signal {input_name}: expected ramps, {_OTHERS}, which a component can give; got {kind}"
+        f"signal {input_name}: expected ramps, a constant or a table, which a component can give; got {kind}"
     )
 
 
@@ -102,11 +84,6 @@ def _around(jumps: np.ndarray, experiment: Experiment) -> np.ndarray:
     start, step = experiment.start_time, experiment.step_size
     arrivals = np.ceil((jumps - start) / step - GRID_TOLERANCE)
     return start + step * np.unique([*(arrivals - 1.0), *arrivals])
-
-
-def _kind(signal: Signal) -> str:
-    kinds = {Ramps: "smooth ramps", Cosine: "a cosine", Sines: "sines"}
-    return kinds.get(type(signal), "another function of time")
 
 
 _SPARE_S = 10.0  # between points that a signal does not use

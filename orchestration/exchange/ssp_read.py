@@ -126,9 +126,9 @@ def _values(parameter_set: Element, root: Element, package: OpenedPackage) -> Va
             value = read_value(parameter)
         except ValueError as error:
             raise package.error(str(error)) from error
-        unit = next((element.get("unit") for element in parameter if element.get("unit")), "")
-        text = stated(f"{value!r} {unit}", f"{package.path}: ", units=units)
-        values[parameter.get("name", "")] = text if unit else value
+        if unit := next((element.get("unit") for element in parameter if element.get("unit")), ""):
+            value = stated(f"{value!r} {unit}", f"{package.path}: ", str(package.path), units)
+        values[parameter.get("name", "")] = value
     return values
 
 
@@ -136,9 +136,10 @@ def _units(root: Element, package: OpenedPackage) -> Units:
     """Returns the units that a file of the package defines."""
     bases = {unit.get("name", ""): unit.find(tag("ssc:BaseUnit")) for unit in root.iter(tag("ssc:Unit"))}
     try:
-        return {name: base_unit(base) for name, base in bases.items() if base is not None}
+        defined = {name: base_unit(base) for name, base in bases.items() if base is not None}
     except ValueError as error:
         raise package.error(f"a unit: {error}") from error
+    return {name: unit for name, unit in defined.items() if unit.factor}
 
 
 _REFUSED = (

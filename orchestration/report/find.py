@@ -125,7 +125,8 @@ def _run(document: Path) -> RunResult:
         raise OrchestrationError(f"{document}: expected the .json that l1-depth run writes, with its keys")
     content = checked(_DOCUMENT, json.loads(document.read_text(encoding="utf-8")), str(document))
     signals = _recording(recording)
-    digest = hashlib.sha256(recording.read_bytes()).hexdigest()
+    with recording.open("rb") as stream:
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()
     if digest != content.sha256:
         raise OrchestrationError(
             f"{document}: sha256 = {content.sha256[:12]!r}: expected {digest[:12]!r}, of {recording.name}: it"

@@ -51,7 +51,7 @@ class StepControl:
         ]
         tables = (signal for _, signal in self._signals if isinstance(signal, Table))
         # two halves do not show the error of a step across a jump: each step ends there
-        self._jumps = np.concatenate([np.empty(0), *(table.jumps for table in tables)])
+        self._jumps = np.unique([time for table in tables for time in table.jumps])
         self._before = Snapshot(run, loop)
         self._shortest = 0.0
         self._terminated = 0
@@ -110,8 +110,9 @@ class StepControl:
             elif self.tolerance and stop - end < self.step_size:
                 end = time + 0.5 * (stop - time)  # two equal steps rather than a long and a short one
             if self.tolerance:
-                is_within = (time + self._shortest < self._jumps) & (self._jumps < end - self._shortest)
-                end = float(self._jumps[is_within].min(initial=end))
+                following = np.searchsorted(self._jumps, time + self._shortest, "right")
+                jump = float(self._jumps[following]) if following < len(self._jumps) else end
+                end = jump if jump < end - self._shortest else end
             self._before.take()
             if self.try_controlled_step(point - 1, time, end):
                 if not self.tolerance:

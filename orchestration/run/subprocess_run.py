@@ -73,7 +73,8 @@ def simulate_in_subprocess(
         process.kill()
         outcome = _failure(problem, prepared, record) if watch.outcome is None else watch.outcome
         if problem and watch.outcome is not None:
-            text = f"{_busy(prepared, record)} after the run: {problem}; the recording is not affected"
+            who = _busy(prepared, record).replace("the run", "an FMU")  # in none of its functions
+            text = f"{who} after the run: {problem}; the recording is not affected"
             watch.warnings.append(Warned(text, FmuWarning, __file__, 0))
     outcome, stopped = _with_warnings(watch.warnings, outcome), watch.stopped
     if stopped is None and isinstance(outcome, Recording):

@@ -89,8 +89,8 @@ def as_input_takes(
             raise ScenarioError("file, and times or values: expected one of them")
         else:
             columns = _columns(Path(declared["file"]), declared.get("column", ""), names)
-            table, unit = table | columns, _one_unit(unit, columns.pop("unit"))
-            table.pop("unit")
+            unit = _one_unit(unit, columns.pop("unit"))
+            table |= columns
         if unit and (own := own or port(name)):
             change = in_unit_of(own.variable, unit)
             table["values"] = [change(x) if isinstance(x, int | float) else x for x in table["values"]]
@@ -114,6 +114,8 @@ def _columns(path: Path, name: str, names: Mapping[str, float]) -> dict[str, Any
     times = file.conversion(0, "s")(file.numbers(0)[:, 0])
     file.check_ascending(times)
     index = file.index(name) if name else 1
+    if not file.rows or index >= len(file.rows[0][1]):
+        raise ScenarioError(f"{path}: expected rows with a column {index + 1}")
     values = file.numbers(index, names=names)[:, 0]
     return {
         "times": times.tolist(),

@@ -171,7 +171,16 @@ def compare(
     workers: int = usable_processors(),
     progress: Callable[[int], object] = lambda done: None,
 ) -> ScoreResult:
-    """Returns the score of all, with `full` the differences of every pair of tuned controllers."""
+    """Returns the score of all, with `full` the differences of every pair of tuned controllers.
+
+    Raises ScenarioError for a vehicle of unknown inertia, for which no tuned gains are scaled.
+    """
+    if not protocol.scales_gains:
+        file = protocol.vehicle.file.path
+        raise ScenarioError(
+            f"{protocol.vehicle.name}: its inertia is not known: expected inertia in [variables] of {file}, "
+            "which scales the tuned gains"
+        )
     papers, *others = sorted(controllers(protocol), key=lambda controller: controller.name != PAPERS)
     result = score_controllers(
         [papers],

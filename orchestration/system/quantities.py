@@ -46,10 +46,11 @@ def conversion(
     the other one, over these
     Raises SystemDefinitionError for a unit that is not known, or has another dimension.
     """
-    unit, stated = "1" if unit == "-" else unit, {**own, **(stated or {})}
+    stated = {**own, **(stated or {})}
     defined = stated.get(unit), own.get(expected)
-    if not unit or (unit == "1" and not expected) or (unit == expected and not all(defined)):
+    if not unit or {unit, expected} <= {"", "1", "-"} or (unit == expected and not all(defined)):
         return Conversion()
+    unit = "1" if unit == "-" else unit
     meant = si_unit(unit), si_unit(expected)
     pairs = [defined] if all(defined) else [(defined[0] or meant[0], defined[1] or meant[1]), meant]
     for a, b in pairs:
@@ -59,7 +60,7 @@ def conversion(
     names = dict.fromkeys([expected, *prefixed, *stated, *SYMBOLS])
     known = "" if pairs[0][0] else f"; {nearest(unit, names)}"
     expectation = f"{expected} or a unit of its dimension" if expected else "no unit"
-    text = f"{getattr(unit, 'place', '')}{'unknown ' if known else ''}unit {str(unit)!r}"
+    text = f"{'unknown ' if known else ''}unit {unit!r}"
     raise SystemDefinitionError(f"{text}: expected {expectation}{known}")
 
 

@@ -60,7 +60,7 @@ def test_what_the_compiler_says_is_passed_on(tmp_path: Path) -> None:
 def test_a_compiler_that_does_not_end_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     os.mkfifo(tmp_path / "endless.c")
     monkeypatch.setattr(toolchain, "_PATIENCE_S", 0.001)
-    with pytest.raises(ExportError, match=r"did not end within 0.001 s; .*ZIG_GLOBAL_CACHE_DIR"):
+    with pytest.raises(ExportError, match=r"did not end within 0.001 s.* in a cache of its own"):
         zig(["cc", "endless.c"], tmp_path)
 
 
@@ -197,7 +197,7 @@ def test_a_compile_that_does_not_end_is_tried_again_in_a_cache_of_its_own(
     name = f"zig cc of {target}/m.{suffix}"
     late = f"{name} did not end within 0.001 s; it waits for /cache/h/1.txt"
     assert f"{late}; it is tried once more, in a cache of its own" in capsys.readouterr().err
-    assert error.startswith("" if ends else f"{late}, and has a cache of its own; if its cache cannot")
+    assert error.startswith("" if ends else f"{late}, in a cache of its own")
     assert bool(error) is not ends
 
 

@@ -30,6 +30,7 @@ from tests.shared_builds import Fmus
 
 Command = Callable[..., Done]
 NAME = "ExamplePlant"
+COMPILE = f"zig cc of {TARGETS[host_platform()][0][0]}/{NAME}.{TARGETS[host_platform()][1]}"
 LIBRARY = f"binaries/{host_platform()}/{NAME}.{TARGETS[host_platform()][1]}"
 OUTSIDE = Path(fmus.__file__).with_name("py.typed")  # an empty file
 FROM_FMI = os.path.relpath(OUTSIDE, FMI_HEADERS)
@@ -176,16 +177,17 @@ def test_a_changed_description_and_an_added_member_are_another_guid(
 def test_a_bill_covers_no_more_than_it_lists_and_lists_no_more_than_there_is(
     built: Fmus, verdicts: Verdicts
 ) -> None:
-    """A page that is listed in the bill would be left out of the GUID."""
-    inside, page = members(built[NAME]), "documentation/index.html"
+    """A page or an added member that is listed in the bill would be left out of the GUID."""
+    inside = members(built[NAME])
     bill = json.loads(inside[MEMBER])
-    changed = {path: inside[path] for path in inside} | {page: b"<html>another</html>"}
-    listed = {page: ("", changed[page])} | {
-        part["name"]: (host_platform() if part["name"] == LIBRARY else "", inside[part["name"]])
-        for part in bill["components"]
-        if part["type"] == "file"
-    }
-    assert wrong(verdicts(changed | {MEMBER: with_files(inside[MEMBER], listed)})) == {"GUID"}
+    for path in ("documentation/index.html", "resources/table.csv"):
+        changed = inside | {path: b"<html>another</html>"}
+        listed = {path: ("", changed[path])} | {
+            part["name"]: (host_platform() if part["name"] == LIBRARY else "", inside[part["name"]])
+            for part in bill["components"]
+            if part["type"] == "file"
+        }
+        assert path in wrong(verdicts(changed | {MEMBER: with_files(inside[MEMBER], listed)}))
     for change in (
         {"bomFormat": "another"},
         {"more": 1},
@@ -235,7 +237,7 @@ def test_members_of_one_name_and_links_are_refused(
         ({MEMBER: b"[]"}, "compiler: the FMU states none"),
         ({MEMBER: RECIPE.replace("0.14", "0.13")}, "compiler: the FMU states ziglang 0.13.1"),
         ({"sources/buildDescription.xml": None}, "no source files in sources/buildDescription.xml"),
-        ({"sources/fmi2.c": b"wrong"}, "zig cc failed: fmi2.c:1:1: error"),
+        ({"sources/fmi2.c": b"wrong"}, f"{COMPILE} failed: fmi2.c:1:1: error"),
         ({"sources/fmi2.c": b"/* \xff */"}, "'utf-8' codec can't decode byte 0xff"),
         ({"sources/old/fmi2.c": b""}, "sources/old/fmi2.c: expected a file there, named by letters, digits"),
         (

@@ -48,7 +48,9 @@ print("written")
     )
     assert done.returncode == 70
     assert done.stdout == ""
-    assert done.stderr.startswith("l1-depth: bad ended the process (it called exit): the run is lost")
+    assert done.stderr.startswith(
+        "l1-depth: bad ended the process (it called exit): unwritten files are lost; with"
+    )
 
 
 def test_a_process_that_ends_by_itself_during_or_after_a_run_is_not_blamed(rogue: Build) -> None:

@@ -96,6 +96,11 @@ def test_the_tuned_controllers_are_left_out_where_no_inertia_scales_their_gains(
     left_out = "left out: inertia under [variables] in boat.vehicle.toml would scale their gains."
     assert (left_out in document.protocol.statement) == (not described_by)
     assert ("carried to its inertia of 12 kg" in document.protocol.statement) == bool(described_by)
+    if not described_by:
+        with pytest.raises(
+            ScenarioError, match=r"boat: its inertia is not known: expected inertia in \[varia"
+        ):
+            score.compare(protocol)
 
 
 def test_a_vehicle_has_disturbances_and_draws_of_its_own(tmp_path: Path) -> None:

@@ -6,11 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orchestration.errors import ScenarioError, SystemDefinitionError
-from orchestration.exchange.limits import prepare_plain
+from orchestration.errors import SystemDefinitionError
 from orchestration.run import simulate
-from orchestration.scenarios.scenario import Scenario
-from orchestration.system.experiment import Experiment
 from orchestration.system.faults import Fault, Offset
 from orchestration.system.system import LinearTransformation, System, check
 from tests.described_fmus import described
@@ -69,8 +66,6 @@ def test_units_are_not_compared_where_a_connection_has_a_factor(tmp_path: Path) 
     assert check(system).transformations == {"b.u": LinearTransformation(0.001)}
     with pytest.raises(SystemDefinitionError, match="input of type Real for a factor or an offset, got Inte"):
         check(System(components, [("a.y", "b.u", {"factor": 0.001}), ("a.n", "b.k", {"factor": 2})]))
-    with pytest.raises(ScenarioError, match=r"a diagram with LinearTransf.* into b.u: expected plain"):
-        prepare_plain(Scenario("scaled", "", system, Experiment(1.0, 0.1), {}), "a diagram")
 
 
 @pytest.mark.parametrize(
