@@ -171,8 +171,10 @@ def _end(
 
 def _awaited_lock(group: int) -> str:
     """Returns the file whose lock a process of a group waits for; "" for none, and outside of Linux."""
-    locks = Path("/proc/locks")
-    for line in locks.read_text().splitlines() if sys.platform == "linux" and locks.exists() else ():
+    locks = Path("/proc/locks")  # which a sandbox may not have
+    if sys.platform != "linux" or not locks.exists():
+        return ""
+    for line in locks.read_text().splitlines():
         pid, place = line.split()[-4:-2]
         with suppress(OSError, ValueError, StopIteration):  # a process that has ended
             if " -> " in line and os.getpgid(int(pid)) == group:
