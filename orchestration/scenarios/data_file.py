@@ -23,7 +23,8 @@ from orchestration.system.quantities import Conversion, conversion
 
 _DELIMITERS = "\t;|"
 _ABSENT = ("", "-", "na", "n/a", "nan", "null", "none")
-_TITLE = re.compile(r"(.+?)\s+[\[(]([^\[\]()]*)[\])]", re.DOTALL)  # with its unit
+# with its unit: "u [cm]", "u (cm)" or "u[cm]", but for an index as of "u[1,2]"
+_TITLE = re.compile(r"(.+?)(?:\s+[\[(]|\[(?![\d,\s]*\]))([^\[\]()]*)[\])]", re.DOTALL)
 _FIRST_NUMBER = re.compile(r"[+-]?[.,]?\d")  # begins a file without titles
 _CLOCK_TIME = re.compile(r"\d+:\d+(:\d+([.,]\d*)?)?")
 _DATED = "; seconds or a date before it: 2026-05-04T13:50:40"
@@ -87,6 +88,11 @@ class DataFile:
                     f"{where}: expected {expected} in column {index + 1}, got {text!r}{remedy}"
                 )
             column.append(value)
+        if start and self.units and self.units[index] not in ("", "s"):
+            title, unit = self.titles[index], self.units[index]
+            raise ScenarioError(
+                f"{self.path}:1: {title} has dates in {unit}: expected a title without a unit"
+            )
         return column
 
     def check_ascending(self, times: np.ndarray) -> None:

@@ -86,6 +86,26 @@ def test_texts_stand_for_the_numbers_that_they_are_given(tmp_path: Path) -> None
         file.numbers(1, names={"off": 1, "on": 4})
 
 
+@pytest.mark.parametrize(
+    ("title", "name", "unit"),
+    [
+        ("u [cm]", "u", "cm"), ("u (cm)", "u", "cm"), ("u[cm]", "u", "cm"), ("u[1] [V]", "u[1]", "V"),
+        ("u[1][V]", "u[1]", "V"), ("u[1]", "u[1]", ""), ('"u[1,2]"', "u[1,2]", ""), ("der(x)", "der(x)", ""),
+    ],
+)  # fmt: skip
+def test_a_title_has_a_unit_in_brackets_that_are_no_index(
+    tmp_path: Path, title: str, name: str, unit: str
+) -> None:
+    file = read(tmp_path, f"t,{title}\n0,1\n")
+    assert (file.titles[1], file.units[1]) == (name, unit)
+
+
+def test_dates_have_no_unit(tmp_path: Path) -> None:
+    file = read(tmp_path, "t [ms],u\n2026-05-04T12:00:01,1\n")
+    with pytest.raises(ScenarioError, match="t has dates in ms: expected a title without a unit"):
+        file.numbers(0)
+
+
 def test_a_title_may_have_microseconds(tmp_path: Path) -> None:
     file = read(tmp_path, "TimeUS [us],u\n91000000,1\n")
     assert file.conversion(0, "s")(file.numbers(0)[0, 0]) == pytest.approx(91.0)
