@@ -48,11 +48,10 @@ def read_dive(path: Path, vehicle: Vehicle, mapping: Mapping[str, str] | None = 
     units = [_unit(name, vehicle) for name in columns]
     indices = [file.titles.index(title) for title in columns.values()]
     own = next(iter(vehicle.variables.values())).units
-    changes = [file.conversion(i, unit, own) for i, unit in zip(indices, units, strict=True)]
-    times = changes[0](file.numbers(indices[0])[:, 0])
-    file.check_ascending(times)
+    times = file.times(indices[0])
+    changes = [file.conversion(i, unit, own) for i, unit in zip(indices[1:], units[1:], strict=True)]
     read = file.numbers(*indices[1:], gaps=True).T
-    depths, *commands = (change(column) for change, column in zip(changes[1:], read, strict=True))
+    depths, *commands = (change(column) for change, column in zip(changes, read, strict=True))
     known = np.isfinite(commands)
     starts = [int(np.argmax(row)) if row.any() else len(row) for row in known]
     ends = [int(np.flatnonzero(row)[-1]) if row.any() else -1 for row in known]
@@ -81,7 +80,7 @@ def read_dive(path: Path, vehicle: Vehicle, mapping: Mapping[str, str] | None = 
 def _columns(file: DataFile, vehicle: Vehicle, mapping: Mapping[str, str]) -> dict[str, str]:
     """Returns time, depth, and each input of the vehicle that has a column -> its title."""
     if not file.titles:
-        raise OrchestrationError(f"{file.path}:1: expected a first line of titles, got numbers")
+        raise OrchestrationError(f"{file.start}: expected a first line of titles, got numbers")
     inputs = {name: v for name, v in vehicle.variables.items() if v.causality == "input"}
     known = [TIME, *DEPTHS, *inputs, *vehicle.mapping]
     for name, title in mapping.items():
@@ -105,7 +104,7 @@ def _columns(file: DataFile, vehicle: Vehicle, mapping: Mapping[str, str]) -> di
     for name in needed:
         if not columns[name]:
             raise OrchestrationError(
-                f"{file.path}:1: no column {name}: name it by --map {DATA}.{name}=COLUMN; "
+                f"{file.start}: no column {name}: name it by --map {DATA}.{name}=COLUMN; "
                 f"its columns are {', '.join(file.titles)}"
             )
     return {name: column for name, column in columns.items() if column}

@@ -153,9 +153,8 @@ def _measured(file: Path, units: Collection[str]) -> RunResult:
     """
     data = read_data_file(file)
     if not data.titles:
-        raise OrchestrationError(f"{file}:1: expected a first line of titles, got numbers or nothing")
-    time = data.conversion(0, "s")(data.numbers(0)[:, 0])
-    data.check_ascending(time)
+        raise OrchestrationError(f"{data.start}: expected a first line of titles, got numbers or nothing")
+    time = data.times()
     columns: dict[str, tuple[str, np.ndarray]] = {}
     for i, (title, own) in enumerate(zip(data.titles[1:], data.units[1:], strict=True), start=1):
         others = sorted({*units} - {""}) if own and own not in units else []

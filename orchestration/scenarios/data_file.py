@@ -2,7 +2,8 @@
 
 Delimiters are commas, semicolons, tabs or bars. Numbers may have decimal commas if no comma separates cells.
 Times may be those of ISO 8601, as 2026-05-04T12:00:00.25. A first line of titles may have units, "depth [m]".
-All rows have as many cells. Empty lines and lines that begin with # are left out.
+All rows have as many cells. Empty lines and lines that begin with # are left out, but where numbers come
+first, the last of these above them that has as many cells holds the titles.
 """
 
 import csv
@@ -17,24 +18,29 @@ from pathlib import Path
 import numpy as np
 
 from fmus.errors import nearest
-from fmus.units import UnitDefinition
+from fmus.units import UnitDefinition, si_unit
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.system.quantities import Conversion, conversion
 
 _DELIMITERS = "\t;|"
 _ABSENT = ("", "-", "na", "n/a", "nan", "null", "none")
-# with its unit: "u [cm]", "u (cm)" or "u[cm]", but for an index as of "u[1,2]"
-_TITLE = re.compile(r"(.+?)(?:\s+[\[(]|\[(?![\d,\s]*\]))([^\[\]()]*)[\])]", re.DOTALL)
+# with its unit: "u [cm]", "u(cm)" or "[cm]", but for an index as of "u[1,2]" and for "der(x)"
+_TITLE = re.compile(
+    r"(.*?)(?:\s*/)?(?:\s+[\[(]|(?:\[|(?<!\bder)\()(?![\d,\s]*[\])]))([^\[\]()]*)[\])]", re.DOTALL
+)
+_OVER = re.compile(r"(.+?)(\s*/\s*|\s+in\s+)(.+)", re.DOTALL)  # "u / cm"
 _FIRST_NUMBER = re.compile(r"[+-]?[.,]?\d")  # begins a file without titles
+_DECIMAL = re.compile(r"\s*[+-]?\d*([.,])\d+(?:[eE][+-]?\d+)?\s*")
 _CLOCK_TIME = re.compile(r"\d+:\d+(:\d+([.,]\d*)?)?")
+_ONE_SIGN = "expected one decimal sign in a file, and digits that are not in groups"
 _DATED = "; seconds or a date before it: 2026-05-04T13:50:40"
 
 
 @dataclass(frozen=True)
 class DataFile:
-    """The rows of a file: the line number and the cells of each; and its titles, if the first line has any.
+    """The rows of a file: the line number and the cells of each; and its titles, if it has any.
 
-    units: "" where a title has none; delimiter: between cells
+    units: "" where a title has none; delimiter: between cells; start: path and line of the titles
     """
 
     path: Path
@@ -42,11 +48,12 @@ class DataFile:
     units: tuple[str, ...]
     rows: tuple[tuple[int, list[str]], ...]
     delimiter: str
+    start: str
 
     def index(self, title: str) -> int:
         """Returns the index of a column; ScenarioError offers the nearest title."""
         if title not in self.titles:
-            raise ScenarioError(f"{self.path}:1: no column {title!r}; {nearest(title, self.titles)}")
+            raise ScenarioError(f"{self.start}: no column {title!r}; {nearest(title, self.titles)}")
         return self.titles.index(title)
 
     def conversion(self, index: int, expected: str, own: Mapping[str, UnitDefinition] = {}) -> Conversion:
@@ -58,7 +65,7 @@ class DataFile:
         try:
             return conversion(self.units[index] if self.units else "", expected, own)
         except SystemDefinitionError as error:
-            raise ScenarioError(f"{self.path}:1: {self.titles[index]}: {error}") from None
+            raise ScenarioError(f"{self.start}: {self.titles[index]}: {error}") from None
 
     def numbers(self, *indices: int, gaps: bool = False, names: Mapping[str, float] = {}) -> np.ndarray:
         """Returns columns, shape (rows, columns); a time of ISO 8601 as seconds after that of the first row.
@@ -90,18 +97,19 @@ class DataFile:
             column.append(value)
         if start and self.units and self.units[index] not in ("", "s"):
             title, unit = self.titles[index], self.units[index]
-            raise ScenarioError(
-                f"{self.path}:1: {title} has dates in {unit}: expected a title without a unit"
-            )
+            raise ScenarioError(f"{self.start}: {title} has dates in {unit}: expected a title without a unit")
         return column
 
-    def check_ascending(self, times: np.ndarray) -> None:
-        """Raises ScenarioError for a row with an earlier time [s] than the row before, with its line."""
+    def times(self, index: int = 0) -> np.ndarray:
+        """Returns a column of times [s]; ScenarioError for one earlier than that before, with its line."""
+        numbers = self.numbers(index)[:, 0]  # first: the unit of dates is refused as such
+        times = self.conversion(index, "s")(numbers)
         for i in np.flatnonzero(np.diff(times) < 0.0)[:1].tolist():
             raise ScenarioError(
                 f"{self.path}:{self.rows[i + 1][0]}: earlier time {times[i + 1]:.9g} s after "
                 f"{times[i]:.9g} s: expected ascending times"
             )
+        return times
 
 
 def read_data_file(path: Path) -> DataFile:
@@ -113,31 +121,56 @@ def read_data_file(path: Path) -> DataFile:
         raise ScenarioError(f"{path}: expected a CSV file, got {got}; {known}")
     try:
         with path.open(newline="", encoding="utf-8-sig", errors="replace") as stream:
-            lines = [(number, line) for number, line in enumerate(stream, start=1) if _holds_data(line)]
+            numbered = list(enumerate(stream, start=1))
+        if any("\0" in line for _, line in numbered):
+            raise ValueError("UTF-16 or no text; save it as UTF-8")
+        lines = [(number, line) for number, line in numbered if _holds_data(line)]
         # a comma is the delimiter only where no other is: it may be that of decimals
         delimiter = next((one for one in _DELIMITERS if lines and one in lines[0][1]), ",")
         cells = csv.reader((line for _, line in lines), delimiter=delimiter, strict=True)
-        rows = tuple((number, row) for (number, _), row in zip(lines, cells, strict=True))
+        rows = [(number, row) for (number, _), row in zip(lines, cells, strict=True)]
     except (OSError, csv.Error, ValueError) as error:
         reason = getattr(error, "strerror", None) or error  # without the number of an error of the system
         raise ScenarioError(f"{path}: expected a CSV file, got {reason}") from error
+    line, first = rows[0] if rows else (1, [])
+    if rows and _begins_with_number(first):
+        above = [(n, text[1:].split(delimiter)) for n, text in numbered[: line - 1] if text.startswith("#")]
+        titles = [one for one in above if len(one[1]) == len(first) and not _begins_with_number(one[1])]
+        rows = titles[-1:] + rows
+    start = f"{path}:{rows[0][0] if rows else 1}"
     for line, row in rows:
-        if len(row) != len(rows[0][1]):
+        if len(row) != len(first):
             raise ScenarioError(
-                f"{path}:{line}: {len(row)} cells: expected {len(rows[0][1])}, as in the first row"
+                f"{path}:{line}: {len(row)} cells: expected {len(first)}, as in the first row"
             )
-    if not rows or _FIRST_NUMBER.match(rows[0][1][0].strip()):
-        return DataFile(path, (), (), rows, delimiter)
-    matches = [(_TITLE.fullmatch(title.strip()), title.strip()) for title in rows[0][1]]
-    titles = tuple(match[1] if match else title for match, title in matches)
-    units = tuple(match[2] if match else "" for match, _ in matches)
+    numbers = rows[::-1] if delimiter != "," else []
+    signs = {m[1]: (line, m[0]) for line, row in numbers for m in map(_DECIMAL.fullmatch, row) if m}
+    if len(signs) > 1:
+        (before, other), (line, cell) = sorted(signs.values())
+        raise ScenarioError(f"{path}:{line}: got {cell!r}, after {other!r} in line {before}: {_ONE_SIGN}")
+    if not rows or _begins_with_number(rows[0][1]):
+        return DataFile(path, (), (), tuple(rows), delimiter, start)
+    titles, units = zip(*map(_title_and_unit, rows[0][1]), strict=True)
     if twice := next((title for title in titles if title and titles.count(title) > 1), ""):
-        raise ScenarioError(f"{path}:{rows[0][0]}: two columns {twice!r}: expected titles that differ")
-    return DataFile(path, titles, units, rows[1:], delimiter)
+        raise ScenarioError(f"{start}: two columns {twice!r}: expected titles that differ")
+    return DataFile(path, titles, units, tuple(rows[1:]), delimiter, start)
 
 
 def _holds_data(line: str) -> bool:
-    return bool(line.strip()) and not line.startswith("#")
+    """Whether a line is not empty, no comment, and not that by which Excel is told the delimiter."""
+    return bool(line.strip()) and not line.lower().startswith(("#", "sep="))
+
+
+def _begins_with_number(row: list[str]) -> bool:
+    return bool(_FIRST_NUMBER.match(row[0].strip()))
+
+
+def _title_and_unit(cell: str) -> tuple[str, str]:
+    text = cell.strip().strip('"')
+    if match := _TITLE.fullmatch(text):
+        return match[1], match[2]
+    match = _OVER.fullmatch(text)
+    return (match[1], match[3]) if match and (match[2] == " / " or si_unit(match[3])) else (text, "")
 
 
 def _number(text: str, gaps: bool, delimiter: str) -> float | datetime | None:

@@ -110,9 +110,13 @@ def _columns(path: Path, name: str, names: Mapping[str, float]) -> dict[str, Any
     """Returns times [s], values and their unit of a column of a CSV file, by default the second."""
     file = read_data_file(path)
     if name and not file.titles:
-        raise ScenarioError(f"{path}:1: column = {name!r}: expected a first line of titles")
-    times = file.conversion(0, "s")(file.numbers(0)[:, 0])
-    file.check_ascending(times)
+        raise ScenarioError(f"{file.start}: column = {name!r}: expected a first line of titles")
+    if not file.titles and file.rows and (count := len(file.rows[0][1])) > 2:
+        raise ScenarioError(
+            f"{file.start}: {count} columns without titles: expected time and value; cells that have decimal "
+            "commas are separated by ; and a first line of titles lets column choose one"
+        )
+    times = file.times()
     index = file.index(name) if name else 1
     values = file.numbers(index, names=names)[:, 0]
     return {

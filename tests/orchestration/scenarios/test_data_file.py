@@ -23,9 +23,14 @@ def read(folder: Path, text: str) -> DataFile:
         ("0,1\n1,2,\n", r"d.csv:2: 3 cells: expected 2"),
         ("0,1\n1,2,5\n", r"d.csv:2: 3 cells: expected 2"),  # a decimal comma
         ("# a log\nt,u,v [m],v [mm]\n0,1,2,3\n", r"d.csv:2: two columns 'v': expected titles that differ"),
+        ("t;u\n0,5;1\n1;1.000\n", r"d.csv:3: got '1.000', after '0,5' in line 2: expected one decimal sign"),
+        ("0.5;1\n1;1,000\n", r"d.csv:2: got '1,000', after '0.5' in line 1: expected one decimal sign"),
+        ("t\0,\0u\0", r"d.csv: expected a CSV file, got UTF-16 or no text; save it as UTF-8"),
     ],
 )
-def test_rows_are_as_long_as_the_first_and_titles_differ(tmp_path: Path, text: str, message: str) -> None:
+def test_rows_are_as_long_as_the_first_with_one_decimal_sign_and_titles_differ(
+    tmp_path: Path, text: str, message: str
+) -> None:
     with pytest.raises(ScenarioError, match=message):
         read(tmp_path, text)
 
@@ -91,6 +96,9 @@ def test_texts_stand_for_the_numbers_that_they_are_given(tmp_path: Path) -> None
     [
         ("u [cm]", "u", "cm"), ("u (cm)", "u", "cm"), ("u[cm]", "u", "cm"), ("u[1] [V]", "u[1]", "V"),
         ("u[1][V]", "u[1]", "V"), ("u[1]", "u[1]", ""), ('"u[1,2]"', "u[1,2]", ""), ("der(x)", "der(x)", ""),
+        ("u(cm)", "u", "cm"), ("[cm]", "", "cm"), ("u(1)", "u(1)", ""), ("a.der(h)", "a.der(h)", ""),
+        ("u / cm", "u", "cm"), ("u / zoll", "u", "zoll"), ("u/cm", "u", "cm"), ("a/depth", "a/depth", ""),
+        ("u / (m/s)", "u", "m/s"), ("u in cm", "u", "cm"), ("u in water", "u in water", ""),
     ],
 )  # fmt: skip
 def test_a_title_has_a_unit_in_brackets_that_are_no_index(
@@ -100,10 +108,31 @@ def test_a_title_has_a_unit_in_brackets_that_are_no_index(
     assert (file.titles[1], file.units[1]) == (name, unit)
 
 
-def test_dates_have_no_unit(tmp_path: Path) -> None:
-    file = read(tmp_path, "t [ms],u\n2026-05-04T12:00:01,1\n")
-    with pytest.raises(ScenarioError, match="t has dates in ms: expected a title without a unit"):
-        file.numbers(0)
+@pytest.mark.parametrize("unit", ["ms", "UTC"])
+def test_dates_have_no_unit(tmp_path: Path, unit: str) -> None:
+    file = read(tmp_path, f"t [{unit}],u\n2026-05-04T12:00:01,1\n")
+    with pytest.raises(ScenarioError, match=f":1: t has dates in {unit}: expected a title without a unit"):
+        file.times()
+
+
+@pytest.mark.parametrize(
+    ("text", "titles", "line"),
+    [
+        ("# t [ms],u [cm]\n0,1\n", ("t", "u"), 1),  # numpy.savetxt(header=...)
+        ('# rig 3\n#"t [ms]","u [cm]"\n\n# by hand, in May, at noon\n0,1\n', ("t", "u"), 2),
+        ("sep=;\nt [ms];u [cm]\n0;1\n", ("t", "u"), 2),  # as Excel writes it
+        ("# a,b\nt [ms],u [cm]\n# c,d\n0,1\n", ("t", "u"), 2),
+        ("# 0,0\n0,1\n", (), 2),
+        ("# t [ms],u [cm]\n# 0,0\n0,1\n", ("t", "u"), 1),
+    ],
+)
+def test_titles_may_be_a_comment_above_the_numbers(
+    tmp_path: Path, text: str, titles: tuple[str, ...], line: int
+) -> None:
+    file = read(tmp_path, text)
+    assert (file.titles, file.units) == (titles, ("ms", "cm")[: len(titles)])
+    assert file.start.endswith(f"d.csv:{line}")
+    assert file.numbers(0, 1).tolist() == [[0.0, 1.0]]
 
 
 def test_a_title_may_have_microseconds(tmp_path: Path) -> None:
