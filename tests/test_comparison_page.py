@@ -275,5 +275,5 @@ def test_the_run_is_of_the_protocol_and_the_gains_that_ship(document: Score) -> 
     assert {row.name for row in document.rows} == {c.name for c in score.controllers(protocol)}
     for row in document.rows:
         which, _, name = row.name.partition("/")
-        gains = tuned_gains(name) if which == score.TUNED else {}
+        gains = tuned_gains(name, row.fmu) if which == score.TUNED else {}
         assert row.parameters == {**protocol.controllers[name].parameters, **gains}, row.name

@@ -271,7 +271,6 @@ def test_the_script_writes_a_parameter_file(monkeypatch: pytest.MonkeyPatch, tmp
     identify.main(["--seed", "2", "--out", str(path)])
     assert seeds == [2]
     assert tomllib.loads(path.read_text(encoding="utf-8")) == IDENTIFIED
-    assert scenario.parameter_values(path) == scenario.parameter_values(SHIPPED_GAINS)
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """Commands on scenarios, run, report, scenarios, and on the paper: reproduce."""
 
 import math
+import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -213,7 +214,11 @@ def report(
     """
     from orchestration import report as page
 
-    write_text_atomically(out, page.render(page.found_results(results), title))
+    found = page.found_results(results)
+    for result in found:
+        for column, reason in result.provenance.get("left_out", {}).items():
+            print(f"l1-depth: warning: {column} is left out: {reason}", file=sys.stderr)
+    write_text_atomically(out, page.render(found, title))
     print(out)
 
 

@@ -185,7 +185,8 @@ def print_tables(tables: "Sequence[ScoreTable]", document: "Score") -> None:
     for table in (*in_parts(tables, shared.console().width), differences_table(document)):
         if table:
             shared.print_table(table)
-    print(f"{BEST} the best of a column, {FAILED} a run that failed")
+    none = "- nothing to measure, such as the delay margin of a loop that is not quiet as it is"
+    print(f"{BEST} the best of a column, {FAILED} a run that failed, {none}")
     for title, reason in document.protocol.left_out.items():
         print(f"left out: {title}: {reason}")
 

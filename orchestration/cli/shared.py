@@ -141,11 +141,10 @@ class ProgressBar:
             bar.update(task, completed=done, total=total, description=description)
 
     def _write_line(self, done: int, total: int, note: str) -> None:
-        if time.monotonic() >= self._next_line or (note and total <= _FEW):
+        if time.monotonic() >= self._next_line or (note and 0 < total <= _FEW):
             self._next_line = time.monotonic() + LINE_EVERY_S
-            print(
-                f"{self._description} {note}".rstrip() + f": {done} of {total}", file=sys.stderr, flush=True
-            )
+            count = f"{done} of {total}" if total else f"{done}"
+            print(f"{self._description} {note}".rstrip() + f": {count}", file=sys.stderr, flush=True)
 
     def _opened(self) -> "tuple[Progress, TaskID]":
         from rich.console import Console
@@ -160,13 +159,14 @@ class ProgressBar:
             redirect_stdout=sys.stdout.isatty(),  # what goes into a pipe must not end on the terminal
             transient=True,
         )
-        return self._stack.enter_context(bar), bar.add_task(self._description, total=self._total)
+        return self._stack.enter_context(bar), bar.add_task(self._description, total=self._total or None)
 
 
 @contextmanager
 def progress(description: str, total: int, delay: float = 0.0, kept: str = "") -> Iterator[ProgressBar]:
     """Shows a progress bar on standard error, if that is a terminal, until the context ends.
 
+    total: of the parts, 0 if nobody knows it
     delay: seconds after which it is shown; what draws it takes as long to import as a short run takes
     kept: what an interruption keeps, where the same command continues
     """

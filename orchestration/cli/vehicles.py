@@ -147,9 +147,6 @@ def _rows(checks: "Sequence[DesignCheck]") -> Iterator[tuple[str, ...]]:
         yield one.title, *(f"{number:.3g}" for number in numbers), settled, one.values_text(one.worst)
 
 
-_USUAL = 20  # evaluations for each free parameter, for the progress bar
-
-
 @takes_changes(
     plant="",
     settings="Set plant.variable=value; of a free parameter, its start.",
@@ -194,7 +191,7 @@ def fit(
     for dive in dives:
         for message in held_over(dive):
             print(f"l1-depth: warning: {message}", file=sys.stderr)
-    with shared.progress(f"fit {vehicle.name}", _USUAL * len(parameters)) as bar:
+    with shared.progress(f"fit {vehicle.name}, evaluations", 0) as bar:
         fitted = fit_vehicle(
             vehicle, dives, parameters, step_size, workers, lambda cost: bar.advance(note=f"{cost:.4g} m2")
         )

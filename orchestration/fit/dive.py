@@ -15,6 +15,7 @@ from orchestration.system.signals import Table
 
 DATA = "data"  # before the name of a column, as a component
 TIME, DEPTHS = "time", ("measured_depth", "depth")
+UNIT_OF_TIMES = "if the times are not in s, their title needs the unit, as in time [us]"
 LONG_GAP = 1.0  # s, from which a gap in the commands is told
 
 
@@ -66,9 +67,8 @@ def read_dive(path: Path, vehicle: Vehicle, mapping: Mapping[str, str] | None = 
     _check_depths(file, columns[DEPTHS[0]], readings, times[readings], depths[readings])
     readings = readings[np.diff(times[readings], append=np.inf) > 0.0]
     times = times - times[first]
-    names = list(columns)[2:]
     signals: dict[str, Table] = {}
-    for name, values, row in zip(names, commands, known, strict=True):
+    for name, values, row in zip(list(columns)[2:], commands, known, strict=True):
         latest = np.maximum.accumulate(np.where(row, np.arange(len(row)), 0))
         signals[name] = Table(times[first:], values[latest][first:], hold=True)
     commanded = times[known.all(axis=0) & (times >= 0.0)].tolist()
@@ -141,6 +141,6 @@ def held_over(dive: Dive) -> Iterator[str]:
         longest = f", the longest of {len(dive.gaps)} gaps" if len(dive.gaps) > 1 else ""
         # seconds are wrong where all rows are far apart
         is_doubtful = bool((np.diff(dive.times) > LONG_GAP).all())
-        unit = "; if the times are not in s, their title needs the unit, as in time [us]" * is_doubtful
+        unit = f"; {UNIT_OF_TIMES}" * is_doubtful
         held = f"they are held; if they changed, make it two files{unit}"
         yield f"{dive.name}: no commands from {start:.6g} s to {end:.6g} s{longest}: {held}"

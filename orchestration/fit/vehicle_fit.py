@@ -16,7 +16,7 @@ import numpy as np
 from fmus.errors import nearest
 from fmus.fmi.description import start_value
 from orchestration.errors import OrchestrationError
-from orchestration.fit.dive import DATA, DEPTHS, Dive
+from orchestration.fit.dive import DATA, DEPTHS, UNIT_OF_TIMES, Dive
 from orchestration.fit.least_squares import (
     LEVEL,
     Analysis,
@@ -41,6 +41,7 @@ from orchestration.system.system import System
 
 _DIFFERENCE = 1e-5  # of the coordinates: about 1e-4 of a value between limits of seven decades
 _EVALUATIONS = 100  # for each free parameter
+_MOST_STEPS = 2e7  # of a dive: four days at 0.02 s
 _SHARES = (1 / 8, 1 / 4, 1 / 2)
 """Of each dive, to which the search fits first: errors of the depth grow with time, to local minima."""
 _FEWEST, _ROUGHLY = 50, {"x_scale": "jac", "ftol": 1e-2, "max_nfev": 10}
@@ -155,6 +156,10 @@ class _Runs:
         self.depth = vehicle.variable(DEPTH)
         settings = _settings(vehicle)
         step = suggested_times(self.system, 1.0, step_size)[1]
+        for dive in dives:
+            if (count := dive.times[-1] / step) > _MOST_STEPS:
+                got = f"{dive.name}: {dive.times[-1]:.6g} s are {count:.3g} communication steps"
+                raise OrchestrationError(f"{got}: expected at most {_MOST_STEPS:g}; {UNIT_OF_TIMES}")
         self._experiments = [
             Experiment(
                 stop_time=step * max(1, math.ceil(dive.times[-1] / step * (1.0 - 1e-12))),
@@ -200,12 +205,8 @@ class _Runs:
         OrchestrationError for values with which the vehicle cannot run.
         """
         for point, recordings in zip(points, self.recorded(points), strict=True):
-            yield np.concatenate(
-                [
-                    self.simulated(*pair, point) - pair[0].depths
-                    for pair in zip(self.dives, recordings, strict=True)
-                ]
-            )
+            pairs = zip(self.dives, recordings, strict=True)
+            yield np.concatenate([self.simulated(*pair, point) - pair[0].depths for pair in pairs])
 
     def simulated(self, dive: Dive, run: Recording | Failure, point: Values) -> np.ndarray:
         """Returns the simulated depth at the times of the readings, shape (n,)."""
@@ -247,11 +248,9 @@ def fit_vehicle(
             raise OrchestrationError(
                 f"{count} readings: expected more than the {len(runs.free)} free parameters"
             )
-        start = np.array([coordinate(one, one.start) for one in runs.free])
-        first = start
+        first = start = np.array([coordinate(one, one.start) for one in runs.free])
         for share in _SHARES:
-            parts = [_beginning(dive, share) for dive in dives]
-            part = _Runs(vehicle, parts, free, step_size, make)
+            part = _Runs(vehicle, [_beginning(dive, share) for dive in dives], free, step_size, make)
             first = LeastSquares(part.free, part.residuals, _DIFFERENCE, most).run(first, **_ROUGHLY).best
         search = LeastSquares(runs.free, runs.residuals, _DIFFERENCE, most, progress)
         search.at([start, first])

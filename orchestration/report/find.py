@@ -81,16 +81,9 @@ def _files(path: Path) -> list[Path]:
 def _of_folder(folder: Path) -> list[Path]:
     files = sorted(file for file in folder.iterdir() if file.suffix in _ENDINGS)
     runs = {file: recording for file in files if (recording := _recording_of(file))}
-    results = [
-        file
-        for file in files
-        if file in runs
-        or (
-            file.suffix != ".json"
-            and file not in runs.values()
-            and (is_recording(file) or table.is_sweep(file))
-        )
-    ]
+    others = [file for file in files if file.suffix != ".json" and file not in runs.values()]
+    alone = [file for file in others if is_recording(file) or table.is_sweep(file)]
+    results = sorted([*runs, *alone])
     if not results:
         raise OrchestrationError(
             f"{folder}: no result in this folder: expected what l1-depth run, reproduce or sweep writes"
@@ -103,8 +96,11 @@ def _recording_of(document: Path) -> Path | None:
     if document.suffix == ".json":
         try:
             content = json.loads(document.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+        except OSError:
             return None
+        except ValueError as error:
+            expected = "expected the .json that l1-depth run writes; without it, its recording stands alone"
+            raise OrchestrationError(f"{document}: {error}: {expected}") from error
         if isinstance(content, dict) and content.keys() >= _Document.model_fields.keys() - {"sha256"}:
             return document.with_name(str(content["recording"]))
     return None
@@ -115,7 +111,7 @@ def _read(file: Path) -> RunResult | SweepResult:
         return _run(file)
     if table.is_sweep(file):
         return read_sweep(file)
-    recording = _recording(file)
+    recording = _with_times(file, Recording.read(file))
     return RunResult(file.stem, recording, provenance=recording.provenance)
 
 
@@ -124,7 +120,7 @@ def _run(document: Path) -> RunResult:
     if recording is None:
         raise OrchestrationError(f"{document}: expected the .json that l1-depth run writes, with its keys")
     content = checked(_DOCUMENT, json.loads(document.read_text(encoding="utf-8")), str(document))
-    signals = _recording(recording)
+    signals = _with_times(recording, Recording.read(recording))
     with recording.open("rb") as stream:
         digest = hashlib.file_digest(stream, "sha256").hexdigest()
     if digest != content.sha256:
@@ -149,6 +145,8 @@ def _run(document: Path) -> RunResult:
 def _measured(file: Path, units: Collection[str]) -> RunResult:
     """Returns the columns of numbers of a CSV file of another program, over its first one, the time.
 
+    Its provenance says why the others are left out.
+
     units: those of other signals on the page, to which units of their dimension are converted
     """
     data = read_data_file(file)
@@ -156,18 +154,21 @@ def _measured(file: Path, units: Collection[str]) -> RunResult:
         raise OrchestrationError(f"{data.start}: expected a first line of titles, got numbers or nothing")
     time = data.times()
     columns: dict[str, tuple[str, np.ndarray]] = {}
+    left_out: dict[str, str] = {}
     for i, (title, own) in enumerate(zip(data.titles[1:], data.units[1:], strict=True), start=1):
+        try:
+            column = data.numbers(i, gaps=True)[:, 0]
+        except ScenarioError as error:
+            left_out[title] = str(error)
+            continue
         others = sorted({*units} - {""}) if own and own not in units else []
         for unit in (own, *others):
-            with suppress(ScenarioError):  # a column of texts, or of another dimension
-                columns[title] = unit, data.conversion(i, unit)(data.numbers(i, gaps=True)[:, 0])
+            with suppress(ScenarioError):  # of another dimension
+                columns[title] = unit, data.conversion(i, unit)(column)
     values = np.array([column for _, column in columns.values()]).reshape(len(columns), len(time)).T
     recording = Recording(tuple(columns), tuple(unit for unit, _ in columns.values()), time, values)
-    return RunResult(file.stem, _with_times(file, recording, jumps=True), is_measured=True)
-
-
-def _recording(file: Path) -> Recording:
-    return _with_times(file, Recording.read(file))
+    provenance = left_out and {"left_out": left_out, "fmus": {}}
+    return RunResult(file.stem, _with_times(file, recording, jumps=True), {}, provenance, is_measured=True)
 
 
 def _with_times(file: Path, recording: Recording, jumps: bool = False) -> Recording:

@@ -29,7 +29,7 @@ _TITLE = re.compile(
     r"(.*?)(?:\s*/)?(?:\s+[\[(]|(?:\[|(?<!\bder)\()(?![\d,\s]*[\])]))([^\[\]()]*)[\])]", re.DOTALL
 )
 _OVER = re.compile(r"(.+?)(\s*/\s*|\s+in\s+)(.+)", re.DOTALL)  # "u / cm"
-_FIRST_NUMBER = re.compile(r"[+-]?[.,]?\d")  # begins a file without titles
+_FIRST_NUMBER = re.compile(r' *"? *[+-]?[.,]?\d')  # begins a file without titles
 _DECIMAL = re.compile(r"\s*[+-]?\d*([.,])\d+(?:[eE][+-]?\d+)?\s*")
 _CLOCK_TIME = re.compile(r"\d+:\d+(:\d+([.,]\d*)?)?")
 _ONE_SIGN = "expected one decimal sign in a file, and digits that are not in groups"
@@ -86,14 +86,12 @@ class DataFile:
                 start = start or value
                 value = (value - start).total_seconds()
             elif isinstance(value, datetime) or value is None or (start and not math.isnan(value)):
-                expected = ("a date" if start else "a number") + (
-                    f" or one of {', '.join(names)}" if names else ""
+                expected = ("a date" if start else "a number") + f" or one of {', '.join(names)}" * bool(
+                    names
                 )
                 remedy = _DATED if _CLOCK_TIME.fullmatch(text) else ""
-                where = f"{self.path}:{line}"
-                raise ScenarioError(
-                    f"{where}: expected {expected} in column {index + 1}, got {text!r}{remedy}"
-                )
+                got = f"expected {expected} in column {index + 1}, got {text!r}{remedy}"
+                raise ScenarioError(f"{self.path}:{line}: {got}")
             column.append(value)
         if start and self.units and self.units[index] not in ("", "s"):
             title, unit = self.titles[index], self.units[index]
@@ -127,33 +125,31 @@ def read_data_file(path: Path) -> DataFile:
         lines = [(number, line) for number, line in numbered if _holds_data(line)]
         # a comma is the delimiter only where no other is: it may be that of decimals
         delimiter = next((one for one in _DELIMITERS if lines and one in lines[0][1]), ",")
+        if lines and _FIRST_NUMBER.match(lines[0][1]):
+            above = [(n, line[1:].lstrip(" ")) for n, line in numbered[: lines[0][0] - 1] if line[0] == "#"]
+            titles = [x for x in above if not _FIRST_NUMBER.match(x[1])]
+            lines = [x for x in titles if x[1].count(delimiter) == lines[0][1].count(delimiter)][-1:] + lines
         cells = csv.reader((line for _, line in lines), delimiter=delimiter, strict=True)
-        rows = [(number, row) for (number, _), row in zip(lines, cells, strict=True)]
+        rows = tuple((number, row) for (number, _), row in zip(lines, cells, strict=True))
     except (OSError, csv.Error, ValueError) as error:
         reason = getattr(error, "strerror", None) or error  # without the number of an error of the system
         raise ScenarioError(f"{path}: expected a CSV file, got {reason}") from error
-    line, first = rows[0] if rows else (1, [])
-    if rows and _begins_with_number(first):
-        above = [(n, text[1:].split(delimiter)) for n, text in numbered[: line - 1] if text.startswith("#")]
-        titles = [one for one in above if len(one[1]) == len(first) and not _begins_with_number(one[1])]
-        rows = titles[-1:] + rows
-    start = f"{path}:{rows[0][0] if rows else 1}"
+    begin, first = rows[0] if rows else (1, [])
+    start = f"{path}:{begin}"
     for line, row in rows:
         if len(row) != len(first):
-            raise ScenarioError(
-                f"{path}:{line}: {len(row)} cells: expected {len(first)}, as in the first row"
-            )
+            raise ScenarioError(f"{path}:{line}: {len(row)} cells: expected {len(first)}, as the first row")
     numbers = rows[::-1] if delimiter != "," else []
     signs = {m[1]: (line, m[0]) for line, row in numbers for m in map(_DECIMAL.fullmatch, row) if m}
     if len(signs) > 1:
         (before, other), (line, cell) = sorted(signs.values())
         raise ScenarioError(f"{path}:{line}: got {cell!r}, after {other!r} in line {before}: {_ONE_SIGN}")
-    if not rows or _begins_with_number(rows[0][1]):
-        return DataFile(path, (), (), tuple(rows), delimiter, start)
-    titles, units = zip(*map(_title_and_unit, rows[0][1]), strict=True)
+    if not rows or _FIRST_NUMBER.match(lines[0][1]):
+        return DataFile(path, (), (), rows, delimiter, start)
+    titles, units = zip(*map(_title_and_unit, first), strict=True)
     if twice := next((title for title in titles if title and titles.count(title) > 1), ""):
         raise ScenarioError(f"{start}: two columns {twice!r}: expected titles that differ")
-    return DataFile(path, titles, units, tuple(rows[1:]), delimiter, start)
+    return DataFile(path, titles, units, rows[1:], delimiter, start)
 
 
 def _holds_data(line: str) -> bool:
@@ -161,12 +157,8 @@ def _holds_data(line: str) -> bool:
     return bool(line.strip()) and not line.lower().startswith(("#", "sep="))
 
 
-def _begins_with_number(row: list[str]) -> bool:
-    return bool(_FIRST_NUMBER.match(row[0].strip()))
-
-
 def _title_and_unit(cell: str) -> tuple[str, str]:
-    text = cell.strip().strip('"')
+    text = cell.strip()
     if match := _TITLE.fullmatch(text):
         return match[1], match[2]
     match = _OVER.fullmatch(text)

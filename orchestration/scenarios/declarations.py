@@ -83,7 +83,10 @@ def as_input_takes(
             table |= {"hold": True} if is_discrete(own) else {}
     try:
         if not declared.get("file"):
-            given = (str(x).lower() if isinstance(x, bool) else x for x in declared.get("values", ()))
+            given = [str(x).lower() if isinstance(x, bool) else x for x in declared.get("values", ())]
+            if other := [x for x in given if isinstance(x, str) and x not in names]:
+                known = f" or one of {', '.join(names)}" * bool(names)
+                raise ScenarioError(f"table: expected numbers{known}, got {other[0]!r} among the values")
             table |= {"values": [names.get(x, x) for x in given]}
         elif table.keys() & {"times", "values"}:
             raise ScenarioError("file, and times or values: expected one of them")
@@ -119,8 +122,5 @@ def _columns(path: Path, name: str, names: Mapping[str, float]) -> dict[str, Any
     times = file.times()
     index = file.index(name) if name else 1
     values = file.numbers(index, names=names)[:, 0]
-    return {
-        "times": times.tolist(),
-        "values": values.tolist(),
-        "unit": file.units[index] if index < len(file.units) else "",  # a file of no rows may have one title
-    }
+    unit = file.units[index] if index < len(file.units) else ""  # a file of no rows may have one title
+    return {"times": times.tolist(), "values": values.tolist(), "unit": unit}

@@ -86,14 +86,8 @@ def with_parameter_files(data: Mapping[str, Any], folder: Path) -> tuple[Data, l
     return merge({"parameters": parameters}, own) if parameters else own, files
 
 
-def parameter_values(path: Path) -> dict[str, Any]:
-    """Returns "component.variable" -> value in its own unit of a parameter file, which tells provenance."""
-    file = read_toml(path)
-    return {n: entry.value for n, entry in checked(_PARAMETERS, file.data, file.at).parameters.items()}
-
-
 def stated_values(file: TomlFile) -> dict[str, Any]:
-    """Returns the values of a parameter file; a number that has a unit is a text with both."""
+    """Returns the values of a parameter file by "component.variable"; one with a unit is a text."""
     values: dict[str, Any] = {}
     for name, entry in checked(_PARAMETERS, file.data, file.at).parameters.items():
         value, unit, place = entry.value, entry.unit, f"{file.at(('parameters', name))}: "

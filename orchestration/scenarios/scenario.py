@@ -39,7 +39,6 @@ from orchestration.scenarios.read_layers import (
     SHIPPED,
     file_layers,
     find,
-    parameter_values,
     shipped,
     with_parameter_files,
 )
@@ -52,7 +51,7 @@ from orchestration.system.signal_derivatives import with_derivatives
 from orchestration.system.system import Port, System
 from orchestration.system.values import fmi_value
 
-__all__ = ["SHIPPED", "Scenario", "find", "load", "load_scenario", "located", "parameter_values", "shipped"]
+__all__ = ["SHIPPED", "Scenario", "find", "load", "load_scenario", "located", "shipped"]
 
 
 @dataclass(frozen=True)

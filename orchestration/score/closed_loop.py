@@ -5,7 +5,6 @@ with ClosedLoop(Controller("mine", "my.fmu"), read_protocol()) as loop:
 """
 
 import threading
-import tomllib
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -24,10 +23,11 @@ from orchestration.many.run_many import LocalRuns, Make, in_order
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.scenarios.adapters import names_in
-from orchestration.scenarios.changes import with_values
+from orchestration.scenarios.changes import values_of_settings, with_values
 from orchestration.scenarios.layers import Layer
-from orchestration.scenarios.read_layers import file_layers, parameter_values, shipped_bases
+from orchestration.scenarios.read_layers import file_layers, shipped_bases, stated_values
 from orchestration.scenarios.scenario import Scenario
+from orchestration.scenarios.toml_file import read_toml
 from orchestration.score.protocol import REFERENCE, Case, Protocol, check_vehicle
 from orchestration.score.run_metrics import all_signals, declared, judged, metrics_of
 from orchestration.score.vehicle import DEPTH, PREFIX, built
@@ -88,11 +88,14 @@ def _designed_for(protocol: Protocol, fmu: str) -> dict[str, FmiValue]:
     return {name: value for name, value in assumed.items() if name in known and value > 0.0}
 
 
-def tuned_gains(name: str) -> dict[str, FmiValue]:
-    """Returns variable of the controller -> value; empty if it was not tuned."""
-    path = GAINS / f"{name}.toml"
-    values = parameter_values(path) if path.is_file() else {}
-    return {variable.removeprefix(OWN): value for variable, value in values.items()}
+def tuned_gains(name: str, fmu: str) -> dict[str, FmiValue]:
+    """Returns variable of the controller, an FMU -> value in its unit; empty if it was not tuned."""
+    if not (path := GAINS / f"{name}.toml").is_file():
+        return {}
+    variables = {variable.name: variable for variable in describe(built(fmu)).modelVariables}
+    layers = [Layer({"components": {"controller": fmu}})]
+    tables = values_of_settings(stated_values(read_toml(path)), layers, lambda _: variables)
+    return {variable.removeprefix(OWN): value for variable, value in tables["parameters"].items()}
 
 
 def tuned(protocol: Protocol, name: str) -> Controller:
@@ -101,10 +104,10 @@ def tuned(protocol: Protocol, name: str) -> Controller:
     To another vehicle gains are carried by its inertia: forces are in proportion to it, for like motion.
     """
     controller, path = built_in(protocol, name), GAINS / f"{name}.toml"
-    written = tomllib.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    written = read_toml(path).data if path.is_file() else {}
     table, ratio = protocol.controllers[name].gains, protocol.inertia_ratio
     powers = {gain: entry.inertia for gain, entry in table.items() if entry.inertia and ratio != 1.0}
-    found: dict[str, Any] = tuned_gains(name)
+    found: dict[str, Any] = tuned_gains(name, controller.fmu)
     gains = {
         gain: value * ratio ** powers[gain] if gain in powers else value for gain, value in found.items()
     }

@@ -99,9 +99,9 @@ def target(name: str, checked: CheckedSystem, experiment: Experiment) -> SweepTa
         raise ScenarioError(f"{_PURPOSE}: {name}: expected a parameter or an input, got {causality}")
     signal = experiment.signals.get(name)
     if causality == "input" and name not in experiment.inputs and not isinstance(signal, Constant):
-        raise ScenarioError(
-            f"{_PURPOSE}: {name} is driven by a connection or signal: expected a constant input"
-        )
+        is_driven = signal or any(target.name == name for _, target in checked.connections)
+        got = "is driven by a connection or signal" if is_driven else "has no value, nothing drives it"
+        raise ScenarioError(f"{_PURPOSE}: {name} {got}: expected a constant input, with a value in [inputs]")
     given: dict[str, Any] = {**experiment.inputs, **experiment.parameters}
     base_value = signal.value if isinstance(signal, Constant) else given.get(name, start_value(port.variable))
     return SweepTarget(

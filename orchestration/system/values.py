@@ -67,7 +67,8 @@ def _number(port: Port, value: FmiValue, name: str) -> float | int | bool:
     if isinstance(value, str) and variable.type == "Real":
         expected = f"a number in{unit}" if unit else "a number"
     elif isinstance(value, str) or not has_type:
-        expected = f"a value of type {variable.type}"
+        has_unit = isinstance(value, str) and value[:1].isdigit() and value[-1].isalpha()
+        expected = f"a value of type {variable.type}{', which has no unit' * has_unit}"
     elif not abs(value) <= sys.float_info.max:
         expected = "a finite number"
     elif not low <= value <= high:

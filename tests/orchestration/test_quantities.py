@@ -295,7 +295,11 @@ def test_a_variable_without_a_unit_takes_no_unit_but_of_a_parameter_file(fmu: Pa
         ("a.k=fast", "--set a.k = 'fast': expected a number in m"),
         ("a.share=fast", "--set a.share = 'fast': expected a number"),
         ("a.k=true", "--set a.k = True: expected a value of type Real"),
-        ("a.n=3cm", "--set a.n = '3cm': expected a value of type Integer"),
+        ("a.k=1,5 m", "--set a.k = '1,5 m': expected a number in m"),
+        ("a.k=1 500 m", "--set a.k = '1 500 m': expected a number in m"),
+        ("a.k=inf m", "--set a.k = inf: expected a finite number"),  # as SSP's INF with a unit
+        ("a.k=inf", "--set a.k = inf: expected a finite number"),
+        ("a.n=3cm", "--set a.n = '3cm': expected a value of type Integer, which has no unit"),
         ("a.k=6V", "--set a.k = '6V': unit 'V': expected m or a unit of its dimension"),
         ("a.k=1e5", ""),
         ("a.word=3 cm", ""),

@@ -192,6 +192,18 @@ def test_a_log_gets_a_line_of_progress_from_time_to_time(
     ]
 
 
+def test_where_nobody_knows_how_many_parts_there_are_a_line_says_how_many_are_done(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = [0.0]
+    monkeypatch.setattr("orchestration.cli.shared.time.monotonic", lambda: clock[-1])
+    with shared.progress("fit rover, evaluations", 0) as bar:
+        for now in (1.0, 30.0):
+            clock.append(now)
+            bar.advance(note="0.1 m2")
+    assert capsys.readouterr().err.splitlines() == ["fit rover, evaluations 0.1 m2: 2"]
+
+
 def test_a_log_gets_a_line_for_each_of_few_parts(capsys: pytest.CaptureFixture[str]) -> None:
     with shared.progress("reproduce", 2) as bar:
         bar.advance(note="nominal-l1")

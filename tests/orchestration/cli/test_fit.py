@@ -1,6 +1,7 @@
 """The command fit: from a log to a parameter file that a scenario takes, and a page."""
 
 import re
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +15,6 @@ from orchestration.cli.changes import Changes
 from orchestration.cli.vehicles import print_fit
 from orchestration.fit.least_squares import Analysis
 from orchestration.results.recording import Recording
-from orchestration.scenarios import scenario
 from orchestration.system.signals import Ramps
 from orchestration.system.system import System
 
@@ -53,7 +53,8 @@ def test_a_vehicle_of_ones_own_is_fitted_and_a_scenario_takes_the_values(
     done = command("fit", "rover.py", "--data", log, "--free", "mass,linear_drag", *COLUMNS)
     files = [f"results/rover-fit{end}" for end in (".toml", "-dive.csv", ".html")]
     assert done.stdout.splitlines()[-3:] == files
-    values = scenario.parameter_values(tmp_path / files[0])
+    written = tomllib.loads((tmp_path / files[0]).read_text())["parameters"]
+    values = {name: entry["value"] for name, entry in written.items()}
     assert values.keys() == {"plant.mass", "plant.linear_drag"}
     # the ramps are sampled every 40 ms and held: as if they were 20 ms late, of some seconds
     assert values["plant.mass"] == pytest.approx(12.0, rel=0.02)

@@ -146,6 +146,16 @@ def test_a_parameter_that_cannot_be_free_is_refused(vehicle: Vehicle, text: str,
         free_parameters([text], vehicle)
 
 
+def test_a_dive_of_years_is_refused_at_once(vehicle: Vehicle, dive: Dives) -> None:
+    """As of microseconds under a title without a unit."""
+    log = dive()
+    long = replace(log, times=1e6 * log.times)
+    with pytest.raises(
+        OrchestrationError, match=r"dive: 6e\+07 s are 3e\+09 .* title needs the unit, as in time"
+    ):
+        fit_vehicle(vehicle, [long], free_parameters(FREE, vehicle))
+
+
 def test_too_few_readings_are_refused(vehicle: Vehicle, dive: Dives) -> None:
     few = replace(dive(), times=np.array([0.0, 1.0]), depths=np.array([3.0, 3.1]))
     with pytest.raises(OrchestrationError, match="2 readings: expected more than the 2 free parameters"):

@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from markupsafe import escape
 
 from orchestration.errors import OrchestrationError
 from orchestration.report import RunResult, SweepResult, found_results, render
@@ -125,6 +126,7 @@ def test_a_missing_file_offers_the_nearest(tmp_path: Path) -> None:
         ("x.json", b"{}", "expected the .json that l1-depth run writes"),
         ("x.json", b"[1]", "expected the .json that l1-depth run writes"),
         ("x.json", b"\xff", "expected the .json that l1-depth run writes"),
+        ("x.json", b'{"run": {', "expected the .json that l1-depth run writes"),
         ("x.csv", b"", "expected a first line of titles, got numbers or nothing"),
         ("x.csv", b"0.0,1.0\n", "expected a first line of titles, got numbers or nothing"),
         ("x.csv", b"a,b\n", "expected at least one communication point"),
@@ -161,6 +163,9 @@ def test_a_log_of_another_program_has_the_units_of_the_runs_beside_it(tmp_path: 
     assert isinstance(measured, RunResult)
     assert (run.is_measured, measured.is_measured, measured.name) == (False, True, "dive")
     kept = measured.recording
+    reason = f"{log}:2: expected a number in column 4, got 'los'"
+    assert measured.provenance == {"left_out": {"Notiz": reason}, "fmus": {}}
+    assert f"<dt>left out: Notiz</dt><dd>{escape(reason)}</dd>" in render([measured])
     assert (kept.names, kept.units) == (("Tiefe", "Strom"), ("m", "mA"))  # no run has a current
     np.testing.assert_array_equal(kept.time, [0.0, 0.5, 2.0])
     np.testing.assert_array_equal(kept["Tiefe"], [0.125, math.nan, -0.01])
@@ -168,6 +173,14 @@ def test_a_log_of_another_program_has_the_units_of_the_runs_beside_it(tmp_path: 
     assert isinstance(alone, RunResult)
     assert alone.recording.units == ("cm", "mA")
     assert names(tmp_path) == ["run"]  # in a folder, what l1-depth writes
+
+
+def test_a_recording_beside_half_a_document_is_refused(tmp_path: Path) -> None:
+    document = write_run(tmp_path, "dive")
+    document.write_text(document.read_text()[:-40])
+    for path in (document.with_suffix(".csv"), document, tmp_path):
+        with pytest.raises(OrchestrationError, match=r"dive\.json: .*: expected the \.json that"):
+            found_results([path])
 
 
 def test_a_log_may_jump(tmp_path: Path) -> None:

@@ -9,6 +9,8 @@ import pytest
 
 from orchestration.errors import OrchestrationError, ScenarioError, ScenarioWarning
 from orchestration.scenarios import scenario
+from orchestration.scenarios.read_layers import stated_values
+from orchestration.scenarios.toml_file import read_toml
 from orchestration.system import prepared_run
 from orchestration.system.experiment import Algorithm, Initialisation
 from orchestration.system.faults import Delay, Fault
@@ -255,7 +257,7 @@ def test_a_mistake_is_told_with_what_was_expected(tmp_path: Path, text: str, mes
 def test_a_parameter_file_entry_needs_a_value(tmp_path: Path, entry: str, message: str) -> None:
     path = write(tmp_path, f'[parameters]\n"p.omega" = {entry}')
     with pytest.raises(ScenarioError, match=f'parameters."p.omega"{message}'):
-        scenario.parameter_values(path)
+        stated_values(read_toml(path))
 
 
 @pytest.mark.parametrize(

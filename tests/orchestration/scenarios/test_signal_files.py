@@ -177,8 +177,11 @@ def test_a_text_that_is_no_value_of_the_input_is_refused(
         ScenarioError, match=rf"typed.toml:9: .*d.csv:2: expected {expected} in column 2, got"
     ):
         load_typed(typed, table + 'file = "d.csv"\n', f"0,1\n1,{text}\n")
-    with pytest.raises(ScenarioError, match=r"typed.toml:7: .*table: expected numbers"):
-        load_typed(typed, table + f'times = [0.0]\nvalues = ["{text}x"]\n')
+    for value, got in ((f'"{text}x"', f"'{text}x'"), *([("true", "'true'")] if name != "b" else [])):
+        with pytest.raises(
+            ScenarioError, match=rf"typed.toml:7: .*table: expected numbers.*, got {got} among"
+        ):
+            load_typed(typed, table + f"times = [0.0]\nvalues = [{value}]\n")
 
 
 @pytest.mark.parametrize(

@@ -55,6 +55,15 @@ def test_tuned_gains_run_at_the_step_that_they_were_tuned_at(
         assert loop.experiment(protocol.nominal).step_size == 0.005
 
 
+def test_tuned_gains_are_in_the_units_that_their_file_states(
+    protocol: Protocol, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(closed_loop, "GAINS", tmp_path)
+    bandwidth = '[parameters."controller.filter_bandwidth"]\nvalue = 0.5\nunit = "rad/ms"\n'
+    (tmp_path / "l1-pi.toml").write_text(f"{GAINS}{bandwidth}")
+    assert closed_loop.tuned(protocol, "l1-pi").parameters["filter_bandwidth"] == 500.0
+
+
 def test_the_step_is_a_column_without_a_best_where_rows_have_one(protocol: Protocol) -> None:
     document = made_up(protocol, a=1.25, b=2.5)
     titles = [column.title for column in score_view.overview(document).columns]

@@ -135,8 +135,9 @@ def test_tuned_gains_are_carried_to_another_vehicle_by_its_inertia(protocol: Pro
         "pid": {"kp": ratio, "observer_alpha": 1.0},
         "l1": {"adaptation_gain": ratio**2},
     }.items():
-        gains, own = problem_of(built_in(protocol, name), protocol).gains, tuned_gains(name)
-        assert tuned(protocol, name).parameters == {**protocol.controllers[name].parameters, **own}
+        table = protocol.controllers[name]
+        gains, own = problem_of(built_in(protocol, name), protocol).gains, tuned_gains(name, table.fmu)
+        assert tuned(protocol, name).parameters == {**table.parameters, **own}
         assert tuned_for(protocol, name, gains) == {gain.name: own[gain.name] for gain in gains}
         carried = tuned_for(other, name, gains)
         assert carried

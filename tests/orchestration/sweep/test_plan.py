@@ -379,6 +379,21 @@ def test_a_mistake_is_told_before_anything_runs(planned: Make, sweep: str, messa
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("driver", "cause"),
+    [("", "nothing drives it"), ('[signals."a.u"]\nkind = "ramps"\npoints = [[0, 1]]', "is driven by a")],
+)
+def test_an_input_that_is_not_constant_is_refused_with_the_cause(
+    tmp_path: Path, driver: str, cause: str
+) -> None:
+    described(tmp_path / "a.fmu", ["u"])
+    times = '[experiment]\nstop_time = 1\nstep_size = 0.1\nopen_inputs = "start"\n'
+    swept = '[sweep.vary."a.u"]\nvalues = [1.0]\n'
+    (tmp_path / "s.toml").write_text(f'[components]\na = "a.fmu"\n{times}{driver}\n{swept}')
+    with pytest.raises(OrchestrationError, match=f"a.u .*{cause}.*: expected a constant input"):
+        plan(scenario.load(tmp_path / "s.toml"))
+
+
 def test_a_sample_beyond_the_last_is_refused(planned: Make) -> None:
     with pytest.raises(OrchestrationError, match=r"sample 12: expected 0..11"):
         planned().values(12)
