@@ -89,6 +89,8 @@ def policy_block(cls: Any, modules: OwnModules | None = None) -> PolicyBlock:
     name = getattr(cls, "__name__", repr(cls))
     if not isinstance(cls, type):
         raise ExportError(f"{name} is {cls!r}: expected a class")
+    if not cls.__dictoffset__:
+        raise ExportError(f"{name} has __slots__: expected none, as parameters are attributes of its objects")
     for method in ("reset(self)", "step(self, time, inputs)"):
         if not callable(getattr(cls, method.partition("(")[0], None)):
             raise ExportError(f"{name}: expected a method {method}")

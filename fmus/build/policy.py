@@ -6,6 +6,7 @@ any of these files has changed, in a process of its own, which runs two objects 
 """
 
 import ast
+import os
 import pickle
 import re
 import sys
@@ -15,6 +16,7 @@ from contextlib import closing, suppress
 from hashlib import sha256
 from importlib import import_module
 from importlib.metadata import version
+from inspect import getclosurevars
 from math import inf, sin
 from pathlib import Path
 from time import perf_counter
@@ -37,6 +39,7 @@ _NAMED = re.compile(r"(.+\.py):([^:/\\]*)", re.DOTALL)
 _SLAVE = "fmus.build.policy_slave"
 _PATIENCE_S = 120  # for the imports of a policy and its first steps
 _MOST_SAMPLES, _MOST_S = 20, 0.5  # of the first object
+_HELD = {FunctionType: "default values of arguments, closure or attributes of "}
 _EQUAL = {"rtol": 1e-9, "atol": 1e-12, "equal_nan": True}  # threads may add numbers in another order
 
 
@@ -174,7 +177,8 @@ def check_repeats(policies: ModuleType, block: Any) -> bool:
     second = _outputs(_begun(policies, block), block, len(first))
     changed = [name for name, content in _memory(block).items() if content != before.get(name)]
     for k, i in np.argwhere(~np.isclose(first, second, **_EQUAL)):
-        expected = "random numbers that reset seeds, self.random = numpy.random.default_rng(1), and no clock"
+        expected = "random numbers that reset seeds, self.random = numpy.random.default_rng(1), no clock, "
+        expected += "and nothing that a file or another library keeps from one run to the next"
         if changed:
             expected = f"in self what reset sets and a run changes, not in {', '.join(changed)}"
         output, at = block.of_causality("output")[i].name, k * block.step_size
@@ -227,14 +231,14 @@ def _memory(block: Any) -> dict[str, Any]:
             for holder in (module, *(cls for cls in known if cls.__module__ == module.__name__)):
                 own = [item for item in vars(holder).items() if not item[0].startswith("__")]
                 label = holder.__name__.rpartition(".")[2]
-                memory |= {f"{label}.{name}": _digest(value) for name, value in own}
-    return memory
+                memory |= {f"{_HELD.get(type(x), '')}{label}.{name}": _digest(x) for name, x in own}
+    return memory | {"os.environ": _digest(dict(os.environ))}
 
 
 def _digest(value: Any) -> Any:
-    if isinstance(value, FunctionType):  # a list as default value of an argument, an attribute
-        value = value.__defaults__, value.__kwdefaults__, vars(value)
     try:
+        if isinstance(value, FunctionType):
+            value = value.__defaults__, value.__kwdefaults__, vars(value), getclosurevars(value).nonlocals
         return sha256(pickle.dumps(value)).digest()
     except Exception:
         return repr(value)

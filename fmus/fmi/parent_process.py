@@ -121,7 +121,9 @@ def _exit_status(status: int, page: mmap.mmap) -> int:
         import shutil
 
         shutil.rmtree(folder, ignore_errors=True)
+    loss = "the files of the run are written" if page[0] else "the run is lost"
     if status == UNEXPECTED_END:  # an FMU called exit: `process_guard.h` has told that
+        print(f"l1-depth: {loss}", file=sys.stderr)
         return status
     if -status in _INTERRUPTS:
         print("l1-depth: interrupted", file=sys.stderr)
@@ -130,7 +132,6 @@ def _exit_status(status: int, page: mmap.mmap) -> int:
     name = _text(page, _NAMES + _NAME_SIZE * (abs(busy) - 1), _NAME_SIZE) if busy else ""
     from fmus.fmi.process import ending  # whose imports no other end needs
 
-    loss = "the files of the run are written" if page[0] else "the run is lost"
     print(
         f"l1-depth: {name or 'something'} ended the process with {ending(status)}: {loss}; "
         "with --timeout FMUs have a process of their own",

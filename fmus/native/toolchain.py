@@ -143,7 +143,6 @@ def _end(
     A long wait is announced on standard error: zig prints nothing while another has the lock of its cache.
     What does not end in time is tried once more, in a cache of its own.
     """
-    hint = "if its cache cannot be written, set ZIG_GLOBAL_CACHE_DIR to a folder that can"
     files = [f" of {file}" for option, file in pairwise(arguments) if option == "-o"]  # TARGET/BLOCK.so
     name = f"zig {arguments[0]}{''.join(files)}"
     try:
@@ -166,6 +165,8 @@ def _end(
     if status:
         output.seek(0)
         text = output.read().decode("utf-8", "replace").strip()[-2000:]
+        hint = "if its cache cannot be written, set ZIG_GLOBAL_CACHE_DIR to a folder that can"
+        hint = "expected that file among the sources" if "file not found" in text else hint
         raise ExportError(f"{name} failed: {text}; {hint}")
 
 

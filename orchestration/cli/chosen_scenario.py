@@ -1,7 +1,6 @@
 """The scenario that a command is given: loaded, and the FMUs of our blocks that it needs built."""
 
 import sys
-import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -10,7 +9,7 @@ from pathlib import Path
 from fmus.fmi.description import start_value
 from fmus.registry import Flavour
 from orchestration.cli.changes import NO_CHANGES, Changes
-from orchestration.errors import ScenarioError, ScenarioWarning, SystemDefinitionError
+from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.scenarios import scenario
 from orchestration.scenarios.fmu_files import build_missing, fmu_file
 from orchestration.scenarios.scenario import Scenario
@@ -35,21 +34,9 @@ def load(
         )
     built = _with_built_files(changes, flavour)
     path = scenario.find(name)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", ScenarioWarning)
-        try:
-            chosen = scenario.load(
-                path,
-                built.overrides(),
-                flavour,
-                settings=changes.settings,
-                build=lambda fmu: build_missing([fmu]),
-            )
-        finally:  # an error may follow from the cause of a warning
-            for warning in (w for w in caught if issubclass(w.category, ScenarioWarning)):
-                print(f"l1-depth: warning: {warning.message}", file=sys.stderr)
-    for warning in (w for w in caught if not issubclass(w.category, ScenarioWarning)):
-        warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+    chosen = scenario.load(
+        path, built.overrides(), flavour, settings=changes.settings, build=lambda fmu: build_missing([fmu])
+    )
     title = built.title(path.stem if built.components else chosen.title)
     resolved = {**chosen.resolved, "title": title}
     chosen = replace(

@@ -6,17 +6,19 @@ help, completion and the message about a mistyped command do not wait for NumPy 
 
 import os
 import sys
-from collections.abc import Iterable, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from fmus.errors import ExportError, MissingExtraError
 from orchestration.cli.interrupts import INTERRUPTED, is_interrupted
 from orchestration.cli.shared import fail
-from orchestration.errors import OrchestrationError
+from orchestration.errors import FmuWarning, OrchestrationError, ScenarioWarning
 
 OUTPUT_CLOSED = 141  # exit status that shells report for SIGPIPE
 
@@ -74,7 +76,10 @@ def run_command(arguments: Sequence[str]) -> int:
     """
     app = application(arguments[:1] if arguments[:1] and arguments[0] in COMMANDS else COMMANDS)
     try:
-        status = app(list(arguments) or ["--help"], prog_name="l1-depth", standalone_mode=False)
+        with warnings.catch_warnings():
+            warnings.simplefilter("always", ScenarioWarning)
+            warnings.showwarning = partial(_show_warning, warnings.showwarning)
+            status = app(list(arguments) or ["--help"], prog_name="l1-depth", standalone_mode=False)
         print(end="", flush=True)
     except typer.Abort:
         raise KeyboardInterrupt from None
@@ -97,6 +102,14 @@ def run_command(arguments: Sequence[str]) -> int:
     if status == INTERRUPTED:  # Typer's, of a KeyboardInterrupt
         raise KeyboardInterrupt
     return status if isinstance(status, int) else 0
+
+
+def _show_warning(usual: Callable[..., None], message: object, category: type[Warning], *place: Any) -> None:
+    """Prints a warning of a scenario or of an FMU as a line, any other one as usual."""
+    if issubclass(category, FmuWarning | ScenarioWarning):
+        print(f"l1-depth: warning: {message}", file=sys.stderr)
+    else:
+        usual(message, category, *place)
 
 
 def _usage(error: Exception) -> str:

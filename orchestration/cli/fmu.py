@@ -3,7 +3,7 @@
 import json
 import zipfile
 from collections.abc import Generator, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -125,8 +125,12 @@ def build(
         unused = {"--platform": platform, "--all-platforms": all_platforms, "--terminals": terminals}
         unused |= {"--reals-only": reals_only, "--with-reference": with_reference, "--fmi": fmi != 2}
         refuse_without_effect(f"{classes[0]}, a Python class", unused)
+    refused: dict[str, ExportError] = {}
     for name in classes:
-        print(_built_class(name, None if cache else out or _FOLDERS[Flavour.PYTHON]))
+        try:
+            print(_built_class(name, None if cache else out or _FOLDERS[Flavour.PYTHON]), flush=True)
+        except ExportError as error:
+            refused[name] = error
     orders = [
         BuildRequest(name, folder, flavour, tuple(platforms), terminals, reals_only, with_reference, fmi)
         for name in names or block_names()
@@ -135,19 +139,17 @@ def build(
     stamps = BuildCache()
     current = {} if with_reference else {order: stamps.current(order) for order in orders}
     _check_names(orders, current)
-    refused: dict[str, ExportError] = {}
     with progress("build", len(orders)) as bar, closing(_built(orders, current)) as built:
         for order, files in zip(orders, built, strict=True):
-            if not isinstance(files, ExportError):
-                print(*files, sep="\n", flush=True)
-            elif len(orders) == 1:
-                raise files
-            else:
+            if isinstance(files, ExportError):
                 refused[order.source] = files
+            else:
+                print(*files, sep="\n", flush=True)
             bar.advance()
     if refused:
-        reasons = "; ".join(map(str, refused.values()))
-        fail(f"{len(refused)} of {len(orders)} not built: {', '.join(refused)}: {reasons}")
+        count, reasons = len(classes) + len(orders), "; ".join(map(str, refused.values()))
+        listed = f"{len(refused)} of {count} not built: {', '.join(refused)}: " if count > 1 else ""
+        fail(listed + reasons)
 
 
 def _built_class(name: str, folder: Path | None) -> Path:
@@ -175,28 +177,27 @@ def _check_names(orders: Sequence[BuildRequest], current: Current) -> None:
 
 
 def _names(order: BuildRequest) -> list[str]:
-    """Returns the names of the blocks of an order: an installed one has that of its entry point."""
-    if order.source in block_names():
+    """Returns the names of the blocks of an order: an installed one has that of its entry point.
+
+    There are none of a file that cannot be imported: to build it raises why.
+    """
+    if not order.file:
         return [order.source]
     from fmus.block.block_file import blocks_in
-    from fmus.build import builder
 
-    if not order.file:
-        return [builder.load_block(order.source).name]  # raises ExportError
-    with blocks_in(Path(order.source)) as blocks:
+    with suppress(ExportError), blocks_in(Path(order.source)) as blocks:
         return [block.name for block in blocks]
+    return []
 
 
 def _built(orders: Sequence[BuildRequest], current: Current) -> Generator[Sequence[Path] | ExportError]:
     """Yields the FMUs of each order, or why it cannot be built; builds only what is out of date."""
-    stale = [order for order in orders if not current.get(order)]
+    stale, built = [order for order in orders if not current.get(order)], iter(())
     if stale:
         from fmus.build import builder  # which loads what builds FMUs
 
         built = builder.build_orders(stale)
-        yield from (current.get(order) or next(built) for order in orders)
-    else:
-        yield from (current[order] or () for order in orders)
+    yield from (current.get(order) or next(built) for order in orders)
 
 
 def verify(

@@ -39,7 +39,7 @@ class ProcessGuard:
 
     def __init__(self, components: Iterable[str], report: np.ndarray) -> None:
         names = [*components, "one of several FMUs"]
-        ends = " ended the process (it called exit): unwritten files are lost; with a timeout they are kept\n"
+        ends = " ended the process (it called exit); with a timeout FMUs have a process of their own\n"
         lines = [f"l1-depth: {name}".encode()[:100] + ends.encode() for name in names]
         texts = b"".join(line.ljust(_TEXT_SIZE, b"\0") for line in lines)
         with _lock:

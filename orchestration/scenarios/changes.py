@@ -18,7 +18,7 @@ from orchestration.scenarios.layers import Data, Layer, components_of, merge
 from orchestration.scenarios.read_layers import named_fmu
 from orchestration.scenarios.replaced import Describe
 from orchestration.system.experiment import Experiment
-from orchestration.system.quantities import StatedValue, read_value
+from orchestration.system.quantities import StatedValue, read_value, stated
 from orchestration.system.signals import Constant
 from orchestration.system.system import Port
 from orchestration.system.values import Value, fmi_value
@@ -69,17 +69,21 @@ def values_of_settings(settings: Mapping[str, FmiValue], layers: Sequence[Layer]
             raise ScenarioError(f"{name} = {value!r}: no component {component!r}{purpose}; {hint}")
         if not dot:
             continue
-        settable = settable_of(component)
+        settable, given, text = settable_of(component), value, f"{variable}={value}"
+        names = [text[:i] for i, sign in enumerate(text) if sign == "=" and text[:i] in settable]
+        if names and isinstance(value, StatedValue):  # the longest one: a name may have "="
+            variable, rest = names[-1], text[len(names[-1]) + 1 :]
+            given = stated(rest, value.place, value.file, value.units)
         if variable not in settable:
             if (file := getattr(value, "file", "")) and component not in settings:
                 raise ScenarioError(f"{file}: {other_fmu(name, components[component])}")
             hint = nearest(name, (f"{component}.{known}" for known in settable))
             raise ScenarioError(f"{name} = {value!r}: expected a parameter or an input; {hint}")
-        port, typed = Port(component, settable[variable]), value
-        if isinstance(value, StatedValue):
-            fmi_value(port, value)  # which refuses a wrong one
-            typed = read_value(value, port.variable)
-        tables.setdefault(f"{port.variable.causality}s", {})[name] = typed
+        port = Port(component, settable[variable])
+        if isinstance(given, StatedValue):
+            fmi_value(port, given)  # which refuses a wrong one
+            given = read_value(given, port.variable)
+        tables.setdefault(f"{port.variable.causality}s", {})[port.name] = given
     return tables
 
 

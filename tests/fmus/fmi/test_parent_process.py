@@ -52,6 +52,8 @@ def started(body: str) -> subprocess.Popen[str]:
             f"l1-depth: bad ended the process with SIGSEGV: {WRITTEN}",
         ),
         ("results_are_written(); return 3", 3, ""),
+        ("os._exit(70)", 70, "l1-depth: the run is lost\n"),
+        ("results_are_written(); os._exit(70)", 70, "l1-depth: the files of the run are written\n"),
         (
             "signal.signal(signal.SIGTERM, signal.SIG_DFL); os.kill(os.getpid(), signal.SIGTERM)",
             130,

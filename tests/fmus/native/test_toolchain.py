@@ -50,9 +50,16 @@ def test_platforms_are_taken_once_and_misspelt_ones_offer_the_nearest() -> None:
         check_platforms(["darwin"])
 
 
-def test_what_the_compiler_says_is_passed_on(tmp_path: Path) -> None:
-    (tmp_path / "broken.c").write_text("int main(void) { return nothing; }")
-    with pytest.raises(ExportError, match=r"undeclared identifier 'nothing'"):
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("int main(void) { return nothing; }", "undeclared identifier 'nothing'"),
+        ('#include "absent.h"', "(?s)'absent.h' file not found.*; expected that file among the sources$"),
+    ],
+)
+def test_what_the_compiler_says_is_passed_on(tmp_path: Path, source: str, message: str) -> None:
+    (tmp_path / "broken.c").write_text(source)
+    with pytest.raises(ExportError, match=message):
         zig(["cc", "broken.c"], tmp_path)
 
 

@@ -13,7 +13,7 @@ import pytest
 from fmus.fmi.description import describe
 from orchestration.cli import chosen_scenario
 from orchestration.cli.changes import Changes
-from orchestration.errors import ScenarioError
+from orchestration.errors import FmuWarning, ScenarioError, ScenarioWarning
 from orchestration.report.result import read_sweep
 from orchestration.sweep import table
 from orchestration.sweep.plan import plan
@@ -50,19 +50,27 @@ def test_what_is_lacking_is_one_line_also_if_the_scenario_is_refused(
     assert "step size of plant, 0.03 s: expected a multiple" in refusal
 
 
-def test_a_warning_that_is_not_of_the_scenario_stays_a_warning(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("category", "printed"),
+    [
+        (ScenarioWarning, "l1-depth: warning: a part is old\n"),
+        (FmuWarning, "l1-depth: warning: a part is old\n"),
+        (DeprecationWarning, ""),
+    ],
+)
+def test_a_warning_of_a_scenario_or_an_fmu_is_a_line_and_any_other_stays_one_of_python(
+    command: Command, monkeypatch: pytest.MonkeyPatch, category: type[Warning], printed: str
 ) -> None:
-    load = chosen_scenario.scenario.load
+    def load(*arguments: Any, **options: Any) -> Any:
+        warnings.warn_explicit("a part is old", category, "part.py", 0)
+        raise ScenarioError("no more is loaded")
 
-    def warning_load(*arguments: Any, **options: Any) -> Any:
-        warnings.warn("a library is old", DeprecationWarning, stacklevel=1)
-        return load(*arguments, **options)
-
-    monkeypatch.setattr(chosen_scenario.scenario, "load", warning_load)
-    with pytest.warns(DeprecationWarning, match="a library is old"):
-        chosen_scenario.load("nominal-l1")
-    assert not capsys.readouterr().err
+    monkeypatch.setattr(chosen_scenario.scenario, "load", load)
+    with warnings.catch_warnings(record=True) as others:
+        warnings.simplefilter("always")
+        done = command("run", "nominal-l1", expect=1)
+    assert done.stderr == f"{printed}l1-depth: no more is loaded\n"
+    assert [w.category for w in others] == ([] if printed else [category])
 
 
 def test_set_changes_parameters_and_inputs(
@@ -131,15 +139,25 @@ def test_a_value_is_written_as_in_toml_and_a_text_needs_no_quotes(
     assert read_value(text, variable) == value
 
 
-def test_a_string_keeps_what_the_command_line_has(tmp_path: Path) -> None:
-    described(tmp_path / "my.fmu", ("u",), ("y",), parameters=("version:String", "gain"))
+@pytest.mark.parametrize(
+    ("settings", "parameters"),
+    [
+        (["my.version=1.50", "my.gain=1.50"], {"my.version": "1.50", "my.gain": 1.5}),
+        (["my.gain=1=5", "my.version=gain=1"], {"my.gain=1": 5.0, "my.version": "gain=1"}),
+        (["my.x=y=3 "], {"my.x=y": 3.0}),
+    ],
+)
+def test_the_longest_name_is_set_and_a_string_keeps_what_the_command_line_has(
+    tmp_path: Path, settings: list[str], parameters: dict[str, Any]
+) -> None:
+    described(tmp_path / "my.fmu", ("u",), ("y",), parameters=("version:String", "gain", "gain=1", "x=y"))
     (tmp_path / "one.toml").write_text(
         f'[components]\nmy = "{tmp_path}/my.fmu"\n[experiment]\nstop_time = 1\nstep_size = 0.1\n'
         '[inputs]\n"my.u" = 0.0\n'
     )
-    changes = Changes.of_options(settings=["my.version=1.50", "my.gain=1.50"])
-    parameters = chosen_scenario.load(str(tmp_path / "one.toml"), changes=changes).experiment.parameters
-    assert parameters == {"my.version": "1.50", "my.gain": 1.5}
+    changes = Changes.of_options(settings=settings)
+    loaded = chosen_scenario.load(str(tmp_path / "one.toml"), changes=changes)
+    assert loaded.experiment.parameters == parameters
 
 
 def test_the_options_of_changes_make_them_again() -> None:

@@ -15,6 +15,7 @@ import psutil
 import pytest
 
 from orchestration.cli.interrupts import _writable_cache
+from tests.described_fmus import described
 from tests.foreign_fmus import Misdeed
 
 COMMAND = (sys.executable, "-c", "from orchestration.cli import main; main()")
@@ -55,6 +56,19 @@ def test_a_command_whose_output_nobody_reads_ends_without_a_word(argument: str, 
     finally:
         os.close(output)
     assert (done.returncode, done.stderr) == (141, "")
+
+
+@pytest.mark.parametrize(
+    ("closed", "fmu", "status"), [(">&-", "a.fmu", 0), ("2>&-", "none.fmu", 1), (">&- 2>&-", "a.fmu", 0)]
+)
+def test_where_an_output_is_closed_nothing_is_printed(
+    tmp_path: Path, closed: str, fmu: str, status: int
+) -> None:
+    """Neither a traceback, nor an error message in place of the results."""
+    described(tmp_path / "a.fmu", ("u",), ("y",))
+    command = ["sh", "-c", f'"$@" {closed}', "sh", *COMMAND, "inspect", str(tmp_path / fmu)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (status, "", "")
 
 
 @pytest.fixture

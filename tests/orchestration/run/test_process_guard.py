@@ -49,7 +49,7 @@ print("written")
     assert done.returncode == 70
     assert done.stdout == ""
     assert done.stderr.startswith(
-        "l1-depth: bad ended the process (it called exit): unwritten files are lost; with"
+        "l1-depth: bad ended the process (it called exit); with a timeout FMUs have a process of their own\n"
     )
 
 
