@@ -5,6 +5,7 @@ Names are written as in the standard, "N.s/m", "1/s2", "kg/(m.s)", of symbols th
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -32,6 +33,12 @@ class UnitDefinition:
     exponents: dict[str, int] = field(default_factory=dict)
     factor: float = 1.0
     offset: float = 0.0
+
+
+def of_differences(units: Mapping[str, UnitDefinition]) -> dict[str, UnitDefinition]:
+    """Returns the units for a relative quantity, of which the offset is ignored (FMI 2.0.5, 2.2.3)."""
+    known = {name: unit for name in _OFFSETS if (unit := si_unit(name))}
+    return {name: replace(unit, offset=0.0) for name, unit in {**known, **units}.items()}
 
 
 @cache

@@ -14,6 +14,7 @@ from fmus.fmi.model_description import ModelDescription, ScalarVariable, model_d
 from fmus.fmi.variable_types import FmiValue
 from fmus.registry import block_fmus, block_names, is_in_cache
 from fmus.store import is_own_build, keep_fmus, reason_for_distrust
+from fmus.units import of_differences
 
 _MOST_DESCRIPTIONS = 256  # that stay in memory
 
@@ -127,8 +128,9 @@ def _complete_variables(description: ModelDescription) -> None:
         for unit in description.unitDefinitions
         if unit.baseUnit and unit.baseUnit.factor
     }
+    relative = of_differences(units)
     for variable in description.modelVariables:
-        variable.units = units
+        variable.units = relative if variable.is_relative else units
     for variable, attribute in product(description.modelVariables, ("unit", "min", "max", "nominal")):
         if getattr(variable, attribute) is None:
             setattr(variable, attribute, getattr(variable.declaredType, attribute, None))

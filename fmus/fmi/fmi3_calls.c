@@ -234,17 +234,18 @@ EXPORT int fmi2EnterInitializationMode(Instance *a) {
 EXPORT int fmi2DoStep(Instance *a, double start, double size, int no_return_before_start) {
     static const char *const function = "fmi3DoStep";
     fmi3Boolean needs_event = fmi3False, terminates = fmi3False, is_early = fmi3False;
-    fmi3Float64 reached = start + size;
-    const double slack = 1e-3 * size; /* an FMU may add up its internal steps */
-    char text[128];
+    const double end = start + size, slack = 1e-3 * size; /* an FMU may add up its internal steps */
+    fmi3Float64 reached = end, least = end;
+    char text[160];
     const fmi3Status status = a->call->DoStep(a->instance, start, size, no_return_before_start != 0, &needs_event,
                                               &terminates, &is_early, &reached);
     a->terminates = is_done(status) && terminates;
     a->has_reached = is_done(status);
     a->reached = reached;
-    if (is_done(status) && !(reached >= start - slack && reached <= start + size + slack)) {
-        snprintf(text, sizeof text, "lastSuccessfulTime is %.9g s: expected a time in the step, %.9g..%.9g s", reached,
-                 start, start + size);
+    if (a->terminates || is_early) least = start;
+    if (is_done(status) && !(reached >= least - slack && reached <= end + slack)) {
+        snprintf(text, sizeof text, "lastSuccessfulTime is %.9g s: expected %s, %.9g..%.9g s", reached,
+                 least < end ? "a time in the step" : "the end of the step, as earlyReturn is false", start, end);
         return refuse(a, function, text);
     }
     if (a->terminates) return noted(a, fmi3Discard, function);

@@ -19,6 +19,7 @@ from fmus.fmi.model_description import (
     SimpleType,
     Unknown,
     default_experiment,
+    is_relative,
     items,
     required,
     unit,
@@ -132,6 +133,7 @@ def _simple_type(element: Xml) -> SimpleType:
         _kind(element.tag.removesuffix("Type")),
         items(element),
         *map(element.get, ("unit", "min", "max", "nominal")),
+        is_relative=is_relative(element),
     )
 
 
@@ -188,6 +190,8 @@ def _scalars(
             high,
             xml.get("nominal"),
             starts[i % len(starts)] if starts else None,
+            is_relative(xml, of_type),
+            xml.tag == "Float32",
         )
 
 

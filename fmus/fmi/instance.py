@@ -189,14 +189,18 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
     def close(self) -> None:
         """Terminates and frees the instance, unloads its library, removes its folder.
 
+        An error of fmi2Terminate is a warning, as the run is done.
         FMI forbids fmi2Terminate after an error, and any call after a fatal error.
         """
         try:
             if self.handle and self._stepping and not (self._failed or self.returned_fatal):
-                self.returned_fatal = self.status("fmi2Terminate") == binding.FATAL
+                self.log.clear()
+                self.call("fmi2Terminate")
+        except FmuError as error:
+            warnings.warn(str(error), FmuWarning, stacklevel=2)
+        finally:
             if self.handle and not self.returned_fatal:
                 self.status("fmi2FreeInstance")
-        finally:
             self.handle = None
             self._resources.close()
 

@@ -43,13 +43,16 @@ class SimpleType:
     min: str | None
     max: str | None
     nominal: str | None
+    is_relative: bool = False
 
 
 @dataclass(eq=False)
 class ScalarVariable:
     """A variable; numbers as they are written, None where they are not.
 
-    units: unit definitions of its FMU
+    units: unit definitions of its FMU, as they are for this variable
+    is_relative: whether it is a difference, for which the offset of a unit is ignored (`relativeQuantity`)
+    is_float32: whether FMI 3.0 transfers it in single precision
     """
 
     name: str
@@ -66,6 +69,8 @@ class ScalarVariable:
     nominal: str | None
     start: str | None
     units: Mapping[str, UnitDefinition] = field(default_factory=dict, init=False)
+    is_relative: bool = False
+    is_float32: bool = False
 
 
 @dataclass(eq=False)
@@ -206,7 +211,8 @@ def _model_exchange(root: Xml) -> CoSimulation:
 def _simple_type(element: Xml) -> SimpleType:
     name = required(element, "name")
     for kind in element:
-        return SimpleType(name, kind.tag, items(kind), *map(kind.get, ("unit", "min", "max", "nominal")))
+        stated = map(kind.get, ("unit", "min", "max", "nominal"))
+        return SimpleType(name, kind.tag, items(kind), *stated, is_relative=is_relative(kind))
     raise ValueError(f"SimpleType {name} has no type")
 
 
@@ -257,7 +263,14 @@ def _variable(element: Xml, types: Mapping[str, SimpleType]) -> ScalarVariable:
         element.get("description"),
         types[declared] if declared is not None else None,
         *map(kind.get, ("unit", "min", "max", "nominal", "start")),
+        is_relative=is_relative(kind, types.get(declared or "")),
     )
+
+
+def is_relative(element: Xml, declared: SimpleType | None = None) -> bool:
+    """Whether a type or a variable is a relative quantity; declared: the type of the variable."""
+    of_type = "true" if declared and declared.is_relative else "false"
+    return element.get("relativeQuantity", of_type) in ("true", "1")
 
 
 def value_reference(element: Xml) -> int:

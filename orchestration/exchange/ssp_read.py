@@ -16,18 +16,20 @@ from typing import Any
 from urllib.parse import unquote
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
+from xml.parsers import expat
 
 from fmus.errors import nearest
 from fmus.files import extract_archive
 from fmus.fmi.description import describe
 from fmus.fmi.model_description import ModelDescription, base_unit
 from fmus.fmi.variable_types import FmiValue
-from orchestration.errors import ScenarioError
+from fmus.units import of_differences
+from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.exchange.ssp_xml import STRUCTURE, read_value, tag
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
-from orchestration.system.quantities import StatedValue, Units, are_equal, stated
-from orchestration.system.system import Port, System
+from orchestration.system.quantities import Units, are_equal, stated
+from orchestration.system.system import CheckedSystem, Port, System
 from orchestration.system.values import fmi_value
 
 
@@ -57,9 +59,9 @@ class OpenedPackage:
     def root(self, file: Path) -> Element:
         """Returns the root element of an XML file of the package."""
         try:
-            if b"<!DOCTYPE" in file.read_bytes():
+            if b"<!DOCTYPE" in (content := file.read_bytes()):
                 raise self.error(f"{file.name}: expected XML without a document type")
-            return ElementTree.parse(file).getroot()
+            return _with_places(content, f"{self.path}: {file.relative_to(self.folder).as_posix()}")
         except FileNotFoundError:
             beside = (path.name for path in file.parent.glob("*"))
             raise self.error(f"no {file.name} in it; {nearest(file.name, beside)}") from None
@@ -73,7 +75,20 @@ class OpenedPackage:
             raise self.error(f"{purpose}: {attribute} {value!r}: expected {expected!r}")
 
 
-Values = dict[str, FmiValue]
+def _with_places(content: bytes, file: str) -> Element:
+    """Returns the root element of an XML file, in which each parameter has the attribute "place"."""
+    root, lines, parser = ElementTree.fromstring(content), list[int](), expat.ParserCreate()
+    parser.StartElementHandler = lambda *_: lines.append(parser.CurrentLineNumber)
+    parser.Parse(content, True)
+    for element, line in zip(root.iter(), lines, strict=True):
+        if element.tag == tag("ssv:Parameter"):
+            element.set("place", f"{file}:{line}: ")
+    return root
+
+
+Settings = dict[str, FmiValue]
+Values = dict[str, tuple[FmiValue, str]]
+"""Name -> value, and its place before messages."""
 
 
 def bound_values(root: Element, package: OpenedPackage) -> Values:
@@ -122,13 +137,14 @@ def _values(parameter_set: Element, root: Element, package: OpenedPackage) -> Va
     """Returns the values of a parameter set, texts where they have units; root: of its file."""
     values, units = Values(), _units(root, package)
     for parameter in parameter_set.iter(tag("ssv:Parameter")):
+        place = parameter.get("place", "")
         try:
             value = read_value(parameter)
         except ValueError as error:
-            raise package.error(str(error)) from error
+            raise ScenarioError(f"{place}{error}") from error
         if unit := next((element.get("unit") for element in parameter if element.get("unit")), ""):
-            value = stated(f"{value!r} {unit}", f"{package.path}: ", str(package.path), units)
-        values[parameter.get("name", "")] = value
+            value = stated(f"{value!r} {unit}", "", str(package.path), units)
+        values[parameter.get("name", "")] = value, place
     return values
 
 
@@ -185,7 +201,8 @@ def _scenario(package: OpenedPackage, parameter_set: str) -> Scenario:
     ports = {f"{name}.{v.name}": Port(name, v) for name, d in descriptions.items() for v in d.modelVariables}
     _check_conversions(root, connections, ports, package)
     values = chosen_values(parameter_set, package) if parameter_set else bound_values(root, package)
-    parameters, inputs = _by_causality(values, ports, {target for _, target, *_ in connections})
+    known = CheckedSystem(components, descriptions, ports, ())
+    parameters, inputs = _by_causality(values, known, {target for _, target, *_ in connections})
     settings: dict[str, Any] = {**_times(root, descriptions, package), "open_inputs": "start"}
     outputs = (
         f"{component.get('name')}.{connector.get('name')}"
@@ -277,16 +294,18 @@ def _check_conversions(
 ) -> None:
     """Refuses what SSP converts: units of connectors, and of a connector and its variable."""
     defined = _units(root, package)
+    relative = {name for name, port in ports.items() if port.variable.is_relative}
     units = {name: (port.variable.unit or "", port.variable.units) for name, port in ports.items()}
     for component in root.iter(tag("ssd:Component")):
         for connector in component.iter(tag("ssd:Connector")):
             name = f"{component.get('name')}.{connector.get('name')}"
             own, of_fmu = units.get(name, ("", {}))
             unit = next((real.get("unit", "") for real in connector.iter(tag("ssc:Real"))), "")
-            if not are_equal(unit, own, of_fmu, {**of_fmu, **defined}):
+            of_file = of_differences(defined) if name in relative else defined
+            if not are_equal(unit, own, of_fmu, {**of_fmu, **of_file}):
                 raise package.error(f"connector {name} is in {unit}: expected {own}, the unit in the FMU")
             if unit:
-                units[name] = unit, {**of_fmu, **defined}
+                units[name] = unit, {**of_fmu, **of_file}
     for element, (source, target, *given) in zip(root.iter(tag("ssd:Connection")), connections, strict=True):
         (start, of_start), (end, of_end) = units.get(source, ("", {})), units.get(target, ("", {}))
         converts = element.get("suppressUnitConversion", "false") not in ("true", "1")
@@ -298,16 +317,19 @@ def _check_conversions(
             raise package.error(f"connection {source} -> {target}: {what}: not supported; expected {hint}")
 
 
-def _by_causality(values: Values, ports: Mapping[str, Port], connected: set[str]) -> tuple[Values, Values]:
-    """Returns (parameters, inputs)."""
-    inputs = {name for name, port in ports.items() if port.variable.causality == "input"}
-    settable = {
-        name: fmi_value(ports[name], value) if isinstance(value, StatedValue) and name in ports else value
-        for name, value in values.items()
-        if name not in connected
-    }
-    parameters = {name: value for name, value in settable.items() if name not in inputs}
-    return parameters, {name: value for name, value in settable.items() if name in inputs}
+def _by_causality(values: Values, known: CheckedSystem, connected: set[str]) -> tuple[Settings, Settings]:
+    """Returns (parameters, inputs); SystemDefinitionError names file and line of what does not fit."""
+    parameters, inputs = Settings(), Settings()
+    for name, (value, place) in values.items():
+        if name in connected:
+            continue
+        try:
+            port = known.port(name, "parameter")
+            settings = inputs if port.variable.causality == "input" else parameters
+            settings[name] = fmi_value(port, value)
+        except SystemDefinitionError as error:
+            raise SystemDefinitionError(f"{place}{error}") from None
+    return parameters, inputs
 
 
 def _times(

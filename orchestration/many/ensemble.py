@@ -1,6 +1,6 @@
 """Many instances of one system, which step together: what can be run so, and the instances of a run."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,8 +20,8 @@ from orchestration.system.experiment import Experiment
 from orchestration.system.experiment_checks import check_fits
 from orchestration.system.prepared_run import PreparedRun, check_for, prepare_checked
 from orchestration.system.signals import Signal
-from orchestration.system.system import Port, System
-from orchestration.system.values import fmi_values, items
+from orchestration.system.system import System
+from orchestration.system.values import fmi_values
 
 Values = dict[str, list[FmiValue]]
 """Variable -> its value at the start, of each instance."""
@@ -125,7 +125,7 @@ class Ensemble(LoadedSystem):
         lanes = count if self._device else LANES
         signals = {name: _signal_lanes(prepared, name, varied.pop(name), lanes) for name in of_signals}
         values: Values = {name: [value] * count for name, value in prepared.external.items()}
-        values |= {name: _checked_values(system.ports[name], column) for name, column in varied.items()}
+        values |= {name: fmi_values(system.ports[name], column) for name, column in varied.items()}
         for name, of_all in signals.items():
             values[name] = prepared.typed(name, of_all[:, 0].ravel()[:count])
         run = SteppedEnsemble(self._initialised(prepared, values, signals, count), count)
@@ -250,14 +250,10 @@ def check_supported(prepared: PreparedRun) -> None:
         "a connection of an Enumeration": any(
             target.variable.type == "Enumeration" for _, target in prepared.system.connections
         ),
-        "an event with a number that is no item": any(
-            _not_items(port, [value]) for changes in prepared.changes.values() for port, value in changes
-        ),
     }
     for name, is_used in reasons.items():
-        _refuse_if(is_used, name)
-    for name, values in zip(experiment.signals, prepared.signal_values, strict=True):
-        _check_items(prepared.system.ports[name], values)
+        if is_used:
+            raise EnsembleError(f"{name}: an Ensemble does not run it; a Simulator does")
 
 
 def _varied(experiments: Sequence[Experiment]) -> dict[str, list[Any]]:
@@ -270,20 +266,10 @@ def _varied(experiments: Sequence[Experiment]) -> dict[str, list[Any]]:
     return {name: column for name, column in columns.items() if any(v is not column[0] for v in column)}
 
 
-def _checked_values(port: Port, values: Sequence[Any]) -> list[FmiValue]:
-    """Returns the values of all instances as the FMU takes them; SystemDefinitionError for another one."""
-    checked = fmi_values(port, values)
-    for value in _not_items(port, checked):
-        numbers = ", ".join(f"{item} ({number})" for item, number in items(port).items())
-        raise SystemDefinitionError(f"{port.name} = {value}: expected one of {numbers}")
-    return checked
-
-
 def _signal_lanes(prepared: PreparedRun, name: str, signals: Sequence[Signal], of_group: int) -> np.ndarray:
     """Returns the signal of each instance at each point, shape (groups, points, lanes).
 
-    Raises SystemDefinitionError for one that fails or has a value that the input cannot have, EnsembleError
-    for a number that is no item.
+    Raises SystemDefinitionError for one that fails or has a value that the input cannot have.
     """
     lanes = aligned(-(-len(signals) // of_group), len(prepared.points), of_group)
     for instance, signal in enumerate(signals):
@@ -291,22 +277,6 @@ def _signal_lanes(prepared: PreparedRun, name: str, signals: Sequence[Signal], o
             values = prepared.values_of_signal(name, signal)
         except SystemDefinitionError as error:
             raise SystemDefinitionError(f"instance {instance}: {error}") from error
-        _check_items(prepared.system.ports[name], values)
         group, lane = divmod(instance, of_group)
         lanes[group, :, lane : None if instance + 1 == len(signals) else lane + 1] = values[:, None]
     return lanes
-
-
-def _check_items(port: Port, values: np.ndarray) -> None:
-    """Raises EnsembleError for a signal with a number that the Enumeration does not have."""
-    _refuse_if(bool(_not_items(port, values)), "a signal with a number that is no item")
-
-
-def _refuse_if(is_used: bool, name: str) -> None:
-    if is_used:
-        raise EnsembleError(f"{name}: an Ensemble does not run it; a Simulator does")
-
-
-def _not_items(port: Port, values: Iterable[FmiValue] | np.ndarray) -> set[FmiValue]:
-    """Returns the numbers that an Enumeration does not have: none for another type."""
-    return {*values} - {*items(port).values()} if port.variable.type == "Enumeration" else set()

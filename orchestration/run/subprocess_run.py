@@ -302,12 +302,12 @@ def _run(parent: Parent, folder: Path, fmus: contextlib.ExitStack) -> Recording:
     threading.Thread(target=_stop_when_asked, args=(parent,), daemon=True).start()
     storage = SharedRecord(folder, prepared.shape, is_new=False).storage
     storage.report[Report.RECORDED] = 0
-    with warnings.catch_warnings():
-        warnings.simplefilter("always")
-        warnings.showwarning = lambda message, category, filename, lineno, *_: parent.send(
-            Warned(str(message), category, filename, lineno), cloudpickle.dumps
-        )
-        return fmus.enter_context(Simulator(system)).run(prepared, storage=storage, **options)
+    fmus.enter_context(warnings.catch_warnings())  # also of those that `fmus` frees
+    warnings.simplefilter("always")
+    warnings.showwarning = lambda message, category, filename, lineno, *_: parent.send(
+        Warned(str(message), category, filename, lineno), cloudpickle.dumps
+    )
+    return fmus.enter_context(Simulator(system)).run(prepared, storage=storage, **options)
 
 
 def _packed_outcome(outcome: object) -> bytes:

@@ -3,11 +3,12 @@
 A signal of kind `table` may name a CSV file. Its values stand in the resolved scenario, which is one file.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import TypeAdapter
 
 from fmus.errors import FmuLoadError
@@ -21,7 +22,7 @@ from orchestration.system.quantities import in_unit_of
 from orchestration.system.signal_derivatives import KINDS
 from orchestration.system.signals import Signal
 from orchestration.system.system import Port
-from orchestration.system.values import is_discrete, items
+from orchestration.system.values import is_discrete, items, possible_values
 
 _SIGNAL_TABLE = TypeAdapter(Annotated[Table, SIGNAL])
 _FAULT_TABLE = TypeAdapter(Annotated[Table, FAULT])
@@ -76,7 +77,7 @@ def as_input_takes(
         return declared
     names: Mapping[Any, float] = {}
     table = {key: value for key, value in declared.items() if key not in ("file", "column", "unit")}
-    unit, own = declared.get("unit", ""), None
+    unit, own, places = declared.get("unit", ""), None, ()
     with suppress(FmuLoadError):  # without its FMU, the input is checked when it runs
         if own := port(name):
             names = {"false": 0, "true": 1} if own.variable.type == "Boolean" else items(own)
@@ -92,14 +93,26 @@ def as_input_takes(
             raise ScenarioError("file, and times or values: expected one of them")
         else:
             columns = _columns(Path(declared["file"]), declared.get("column", ""), names)
-            unit = _one_unit(unit, columns.pop("unit"))
+            unit, places = _one_unit(unit, columns.pop("unit")), columns.pop("places")
             table |= columns
         if unit and (own := own or port(name)):
             change = in_unit_of(own.variable, unit)
             table["values"] = [change(x) if isinstance(x, int | float) else x for x in table["values"]]
+        if own:
+            _check_values(own, table.get("values", ()), places)
     except (ScenarioError, SystemDefinitionError) as error:
         raise ScenarioError(f'signals."{name}": {error}') from error
     return table
+
+
+def _check_values(port: Port, values: Sequence[object], places: Sequence[str]) -> None:
+    """Raises ScenarioError for a number that an input cannot have; places: of the values in a file."""
+    numbers = [x for x in values if isinstance(x, int | float)]
+    if len(numbers) == len(values):
+        expected, is_possible = possible_values(port, np.array(numbers, float))
+        for i in np.flatnonzero(~is_possible)[:1]:
+            where = places[i] if places else f"values[{i}]"
+            raise ScenarioError(f"{where}: {numbers[i]:g}: expected {expected}")
 
 
 def _one_unit(unit: str, of_title: str) -> str:
@@ -110,7 +123,7 @@ def _one_unit(unit: str, of_title: str) -> str:
 
 
 def _columns(path: Path, name: str, names: Mapping[str, float]) -> dict[str, Any]:
-    """Returns times [s], values and their unit of a column of a CSV file, by default the second."""
+    """Returns times [s], values, unit and lines of a column of a CSV file, by default the second."""
     file = read_data_file(path)
     if name and not file.titles:
         raise ScenarioError(f"{file.start}: column = {name!r}: expected a first line of titles")
@@ -122,5 +135,9 @@ def _columns(path: Path, name: str, names: Mapping[str, float]) -> dict[str, Any
     times = file.times()
     index = file.index(name) if name else 1
     values = file.numbers(index, names=names)[:, 0]
-    unit = file.units[index] if index < len(file.units) else ""  # a file of no rows may have one title
-    return {"times": times.tolist(), "values": values.tolist(), "unit": unit}
+    return {
+        "times": times.tolist(),
+        "values": values.tolist(),
+        "unit": file.units[index] if index < len(file.units) else "",  # a file of no rows may have one title
+        "places": [f"{path}:{line}" for line, _ in file.rows],
+    }

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from fmus.errors import nearest
 from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import FmiValue
-from fmus.units import PREFIXES, SYMBOLS, UnitDefinition, si_unit
+from fmus.units import PREFIXES, SYMBOLS, UnitDefinition, of_differences, si_unit
 from orchestration.errors import SystemDefinitionError
 
 Units = Mapping[str, UnitDefinition]
@@ -76,7 +76,8 @@ def are_equal(unit: str | None, other: str | None, own: Units, stated: Units) ->
 
 def in_unit_of(variable: ScalarVariable, unit: str, stated: Units | None = None) -> Conversion:
     """Returns the change from a unit to that of a variable, as `conversion`."""
-    return conversion(unit, variable.unit or "", variable.units, stated)
+    own = of_differences(stated) if stated and variable.is_relative else stated
+    return conversion(unit, variable.unit or "", variable.units, own)
 
 
 def _between(a: UnitDefinition, b: UnitDefinition) -> Conversion:

@@ -298,7 +298,8 @@ def _connection(checked: CheckedSystem, source: str, target: str) -> tuple[Port,
     elif target not in checked.transformations and not are_equal(
         output.unit, input_.unit, input_.units, output.units
     ):
-        problem = f"expected equal units, got {output.unit} and {input_.unit}"
+        note = ", of which one is a relative quantity" if output.is_relative != input_.is_relative else ""
+        problem = f"expected equal units, got {output.unit} and {input_.unit}{note}"
     else:
         return start, end
     raise SystemDefinitionError(f"{purpose}: {problem}")

@@ -4,6 +4,7 @@ import math
 import reprlib
 import sys
 from collections.abc import Sequence
+from ctypes import c_float
 from functools import lru_cache
 
 import numpy as np
@@ -16,6 +17,7 @@ from orchestration.system.system import Port
 
 Value = FmiValue | np.generic  # as users give it
 
+_ROUNDING = 1e-15  # of a signal's largest value: some units in the last place, by which it may miss a limit
 _PYTHON_TYPES: dict[str, tuple[type, ...]] = {"Real": (int, float), "Boolean": (bool,)}  # others: int
 
 
@@ -31,14 +33,10 @@ def fmi_value(port: Port, value: Value) -> FmiValue:
             plain = read_value(plain, variable)
         except SystemDefinitionError as error:
             raise SystemDefinitionError(f"{name} = {str(plain)!r}: {error}") from None
-    if variable.type == "Enumeration" and isinstance(plain, str):
-        low, high = value_range(port)
-        numbers = {name: number for name, number in items(port).items() if low <= number <= high}
-        if plain not in numbers:
-            raise SystemDefinitionError(f"{name} = {plain!r}: expected one of {', '.join(numbers)}")
-        return numbers[plain]
     if variable.type == "String":
         return str(plain)
+    if isinstance(plain, str):
+        plain = _allowed_items(port).get(plain, plain)
     return _number(port, plain, name)
 
 
@@ -50,7 +48,8 @@ def value_of_open_input(port: Port) -> FmiValue:
 
 def fmi_values(port: Port, values: Sequence[Value] | np.ndarray) -> list[FmiValue]:
     """Returns the values as the FMU takes them, as `fmi_value`."""
-    if port.variable.type == "Real" and all(type(value) is float for value in values):
+    is_double = port.variable.type == "Real" and not port.variable.is_float32
+    if is_double and all(type(value) is float for value in values):
         low, high = value_range(port)
         numbers = np.array(values)
         if (np.isfinite(numbers) & (low <= numbers) & (numbers <= high)).all():
@@ -63,16 +62,19 @@ def _number(port: Port, value: FmiValue, name: str) -> float | int | bool:
     expected = _PYTHON_TYPES.get(variable.type, (int,))
     has_type = isinstance(value, expected) and (variable.type == "Boolean" or not isinstance(value, bool))
     low, high = value_range(port)
-    unit = f" {variable.unit}" if variable.unit not in (None, "1") else ""
     if isinstance(value, str) and variable.type == "Real":
-        expected = f"a number in{unit}" if unit else "a number"
+        expected = f"a number in{_unit(port)}" if _unit(port) else "a number"
+    elif (named := _allowed_items(port)) and value not in named.values():
+        expected = _permitted(port)
     elif isinstance(value, str) or not has_type:
         has_unit = isinstance(value, str) and value[:1].isdigit() and value[-1].isalpha()
         expected = f"a value of type {variable.type}{', which has no unit' * has_unit}"
     elif not abs(value) <= sys.float_info.max:
         expected = "a finite number"
     elif not low <= value <= high:
-        expected = f"{low:g}..{high:g}{unit}"
+        expected = _permitted(port)
+    elif variable.is_float32 and (math.isinf(held := c_float(value).value) or (value and not held)):
+        expected = "0, or 1.4e-45..3.4e38 in size, as it has single precision (Float32)"
     else:
         return value
     raise SystemDefinitionError(f"{name} = {reprlib.repr(value)}: expected {expected}")
@@ -84,6 +86,25 @@ def items(port: Port) -> dict[str, int]:
     return {str(item.name): int(str(item.value)) for item in (declared.items or [])} if declared else {}
 
 
+def _allowed_items(port: Port) -> dict[str, int]:
+    """Returns the items of an enumeration within the declared range."""
+    low, high = value_range(port)
+    return {name: number for name, number in items(port).items() if low <= number <= high}
+
+
+def _unit(port: Port) -> str:
+    return f" {port.variable.unit}" if port.variable.unit not in (None, "1") else ""
+
+
+def _permitted(port: Port) -> str:
+    """Returns which numbers a variable may have, in words."""
+    low, high = value_range(port)
+    if named := _allowed_items(port):
+        return f"one of {', '.join(f'{item} ({number})' for item, number in named.items())}"
+    is_bounded = (low, high) != (-math.inf, math.inf)
+    return f"{low:g}..{high:g}{_unit(port)}" if is_bounded else "a finite number"
+
+
 def is_discrete(port: Port) -> bool:
     """Whether a variable changes at events alone, so that no value between two of its values is meant."""
     return port.variable.type != "Real" or port.variable.variability == "discrete"
@@ -91,16 +112,16 @@ def is_discrete(port: Port) -> bool:
 
 def possible_values(port: Port, values: np.ndarray) -> tuple[str, np.ndarray]:
     """Returns what is expected of a number for an input, in words, and which values, shape (n,), are that."""
-    kind = port.variable.type
+    kind, (low, high) = port.variable.type, (0, 1) if port.variable.type == "Boolean" else value_range(port)
+    is_finite = np.isfinite(values)
+    slack = _ROUNDING * np.abs(values[is_finite]).max(initial=0.0)
+    is_within = is_finite & (low - slack <= values) & (values <= high + slack)
     if kind == "Real":
-        return "a finite number", np.isfinite(values)
-    low, high = (0, 1) if kind == "Boolean" else value_range(port)
-    expected = (
-        "true or false"
-        if kind == "Boolean"
-        else f"an integer, {low:g}..{high:g}, as the input has type {kind}"
-    )
-    return expected, (values == np.floor(values)) & (low <= values) & (values <= high)
+        return _permitted(port), is_within
+    if named := _allowed_items(port):
+        return _permitted(port), np.isin(values, [*named.values()])
+    integer = f"an integer, {low:g}..{high:g}, as the input has type {kind}"
+    return "true or false" if kind == "Boolean" else integer, is_within & (values == np.floor(values))
 
 
 def value_range(port: Port) -> tuple[float, float]:

@@ -217,7 +217,8 @@ def test_each_reader_gives_a_value_in_the_unit_of_the_variable(
         OrchestrationError, match="unit 'kg': expected m or a unit of its dimension"
     ) as refusal:
         reader(fmu.parent, 1.5, "kg")
-    assert re.match(r"--set |\S+\.(csv|toml):\d+: |\S+\.ssp: |\S+s\.toml: |s: |a\.u", str(refusal.value))
+    place = r"--set |\S+\.(csv|toml):\d+: |\S+\.ssp: \S+\.ssd:\d+: |\S+s\.toml: |s: |a\.u"
+    assert re.match(place, str(refusal.value))
     with pytest.raises(OrchestrationError, match=r"unknown unit 'cmm': expected m .*; nearest is 'mm'"):
         reader(fmu.parent, 1.5, "cmm")
 
@@ -355,3 +356,30 @@ def test_a_measured_column_is_in_the_unit_of_the_page(tmp_path: Path) -> None:
     assert recording.units == ("K", "", "x", "m")
     assert recording.time.tolist() == [60.0, 120.0]
     assert recording.values.tolist() == [[pytest.approx(253.15), 1.0, 2.0, 0.03], [273.15, 1.0, 2.0, 0.04]]
+
+
+@pytest.mark.parametrize("of_type", [False, True])
+def test_the_offset_of_a_unit_is_ignored_for_a_relative_quantity(tmp_path: Path, of_type: bool) -> None:
+    """Stated by the variable or its type; a relative quantity in degC is none of an absolute one in degC."""
+    units = (
+        '<Unit name="K"><BaseUnit K="1"/></Unit><Unit name="degC"><BaseUnit K="1" offset="273.15"/></Unit>'
+    )
+    types = '<SimpleType name="D"><Real relativeQuantity="true"/></SimpleType>'
+    definitions = f"<UnitDefinitions>{units}</UnitDefinitions><TypeDefinitions>{types}</TypeDefinitions>"
+    head = f"{definitions}<ModelVariables>"
+    stated = 'declaredType="D"' if of_type else 'relativeQuantity="1"'
+
+    def change(xml: str) -> str:
+        for name in ("d", "y", "u"):
+            xml = re.sub(rf'(name="{name}" .*?<Real) ', rf"\1 {stated} ", xml)
+        return xml.replace("<ModelVariables>", head)
+
+    names = {"d": "K", "y": "degC", "u": "K", "absolute": "degC", "other": "K"}
+    plain = described(tmp_path / "p.fmu", ["u", "absolute", "other"], ["y"], ["d"], names)
+    fmu = redescribed(plain, tmp_path / "a.fmu", change)
+    settings = Changes.of_options(settings=["a.d=5degC", "a.other=5degC"]).settings
+    experiment = loaded(tmp_path, "", settings=settings).experiment
+    assert (experiment.parameters["a.d"], experiment.inputs["a.other"]) == (5.0, 278.15)
+    check(System({"a": fmu}, [("a.y", "a.u")]), ["a.absolute", "a.other"])
+    with pytest.raises(SystemDefinitionError, match="got degC and degC, of which one is a relative quantity"):
+        check(System({"a": fmu}, [("a.y", "a.absolute")]), ["a.u", "a.other"])

@@ -87,10 +87,10 @@ def test_what_is_not_understood_is_refused(
 def test_a_misspelt_parameter_is_answered_with_the_nearest(edited: Callable[[str, str, str], Path]) -> None:
     path = edited(STRUCTURE, 'name="proportional_gain"', 'name="proportional_gian"')
     with (
-        ssp_read.opened(path) as loop,
         pytest.raises(SystemDefinitionError, match=r"nearest is 'controller\.proportional_gain'"),
+        ssp_read.opened(path),
     ):
-        simulate(loop.system, loop.experiment)
+        pass
 
 
 def test_an_unknown_parameter_set_is_answered_with_the_nearest(package: Path) -> None:

@@ -24,7 +24,7 @@ from fmus.platforms import instruction_sets
 from fmus.registry import block_names
 from fmus.store import record_build
 from orchestration import Ensemble, Event, Experiment, Simulator, System
-from orchestration.errors import EnsembleError, OrchestrationError, SimulationError
+from orchestration.errors import EnsembleError, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.many.device import Device
 from orchestration.many.lane_library import LANES
 from tests.orchestration.many.host_device import HostDevice
@@ -253,7 +253,7 @@ def test_sin_and_cos_have_the_bits_of_single_runs(tmp_path: Path, instructions: 
 )
 def test_what_is_no_item_is_refused(system: System, more: dict[str, Any]) -> None:
     experiment = Experiment(20.0, 0.1, open_inputs="start", **more)
-    with Ensemble(system) as ensemble, pytest.raises(EnsembleError, match="no item"):
+    with Ensemble(system) as ensemble, pytest.raises(SystemDefinitionError, match=r"2: .*one of|is 2 at t"):
         ensemble.run([experiment])
 
 
@@ -265,7 +265,7 @@ def test_a_varied_signal_sets_an_enumeration_and_one_that_is_no_item_is_refused(
         experiments = instances(experiment, {"block.asked": signals})
         assert_same_bits(ensemble.run(experiments), simulator, experiments)
         no_item = {"block.asked": [signals[0], lambda t: 1.0 + (t > 10.0)]}
-        with pytest.raises(EnsembleError, match="no item"):
+        with pytest.raises(SystemDefinitionError, match=r"block.asked is 2 at t = 10.1 s: expected one of"):
             ensemble.run(instances(experiment, no_item))
 
 

@@ -103,9 +103,9 @@ def test_two_rows_of_one_time_are_a_jump(tmp_path: Path) -> None:
 TYPES = {
     "b": '<Boolean start="false"/>',
     "n": '<Integer start="0"/>',
-    "e": '<Enumeration declaredType="Mode" start="1"/>',
+    "e": '<Enumeration declaredType="Mode" start="4"/>',
     "d": '<Real start="0.0"/>',
-    "c": '<Real start="0.0"/>',
+    "c": '<Real start="0.0" min="-1000" max="1000"/>',
 }
 
 
@@ -200,3 +200,20 @@ def test_a_table_that_does_not_overlap_the_run_is_a_warning(tmp_path: Path, time
         load(tmp_path, f"times = {times}\nvalues = [1.0, 2.0]\n")
     expected = [f"tables that do not overlap the run, 0..1 s, keep one value: {warned}"] if warned else []
     assert [str(w.message) for w in caught if w.category is ScenarioWarning] == expected
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ('file = "d.csv"', r"typed.toml:\d+: .*d.csv:3: -2000: expected -1000..1000$"),
+        (
+            "times = [0, 1]\nvalues = [1, -2000]",
+            r"typed.toml:\d+: .*values\[1\]: -2000: expected -1000..1000$",
+        ),
+    ],
+)
+def test_a_number_out_of_the_range_of_the_input_is_named_with_its_line(
+    typed: Path, table: str, message: str
+) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        load_typed(typed, f'[signals."a.c"]\nkind = "table"\n{table}\n', "0,5\n\n1,-2000\n")

@@ -334,7 +334,10 @@ UNIFORM = 'distribution = "uniform"\nlow = 1.0\nhigh = 3.0'
         (of_u(UNIFORM, 10**12), r"1000000000000 samples, .*: expected at most 10000000"),
         (of_u(UNIFORM, 10**7) + '[sweep.vary."r.misdeed"]\nvalues = ["none", "hang"]', r"20000000 samples"),
         ('[sweep.vary."r.u"]\nlinspace = [1, 2]', r"linspace = \[1, 2\]: expected 3 or more items"),
-        ('[sweep.vary."r.misdeed"]\nvalues = ["non"]', r"r.misdeed = 'non': expected one of none, warning"),
+        (
+            '[sweep.vary."r.misdeed"]\nvalues = ["non"]',
+            r"r.misdeed = 'non': expected one of none \(0\), warning",
+        ),
         ('[sweep.vary."r.misdeed"]\nvalues = ["none"]\nrelative = true', r"relative: expected a Real"),
         ('[sweep.vary."r.misdeed_time"]\nvalues = [1]\nrelative = true', r"expected a Real that is not 0"),
         ('[sweep.vary."r.u"]\nvalues = [1]\nrelative = 1', r"relative = 1: expected true or false"),

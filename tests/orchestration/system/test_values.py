@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,9 @@ from orchestration.run.run_recording import make_recording
 from orchestration.sweep.varied import target
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.prepared_run import check_for, prepare, prepare_checked
+from orchestration.system.signals import Ramps, Signal, Table
 from orchestration.system.system import System
-from orchestration.system.values import fmi_value
+from orchestration.system.values import fmi_value, possible_values
 from tests.described_fmus import XML
 
 ITEMS = {"reverse": -2, "astern": -1, "off": 0, "slow": 1, "fast": 2, "far": 5_000_000_000}
@@ -31,6 +33,7 @@ def system(path: Path, *variables: str) -> System:
     items = "".join(f'<Item name="{name}" value="{number}"/>' for name, number in ITEMS.items())
     numbered = (v.replace(" ", f' valueReference="{i}" ', 1) for i, v in enumerate(variables))
     text = TEXT.format(items=items, variables="".join(numbered))
+    path.mkdir(exist_ok=True)
     return System({"m": write_archive(path / "m.fmu", {XML: text.encode()})})
 
 
@@ -59,11 +62,10 @@ def test_an_item_out_of_range_is_refused_by_name_and_by_number(
     tmp_path: Path, kind: str, name: str, item: str
 ) -> None:
     loop = modes(tmp_path)
-    message = f"m.{name} = '{item}': expected one of astern, off, slow$"
-    with pytest.raises(SystemDefinitionError, match=message):
-        prepare(loop, set_by(kind, f"m.{name}", item))
-    with pytest.raises(SystemDefinitionError, match=f"m.{name} = {ITEMS[item]}: expected -1..1"):
-        prepare(loop, set_by(kind, f"m.{name}", ITEMS[item]))
+    for value in (item, ITEMS[item]):
+        message = rf"m.{name} = {value!r}: expected one of astern \(-1\), off \(0\), slow \(1\)$"
+        with pytest.raises(SystemDefinitionError, match=message):
+            prepare(loop, set_by(kind, f"m.{name}", value))
 
 
 @pytest.mark.parametrize("item", ["astern", "off", "slow"])
@@ -77,23 +79,32 @@ def test_an_item_wider_than_the_masters_integers_is_refused_without_limits_too(t
     free = check_for(modes(tmp_path), Experiment(1.0, 0.5, open_inputs="start")).ports["m.free"]
     assert [fmi_value(free, name) for name in ("astern", "fast")] == [-1, 2]
     with pytest.raises(
-        SystemDefinitionError, match=r"m.free = 'far': expected one of reverse, astern, off, slow, fast$"
+        SystemDefinitionError, match=r"m.free = 'far': expected one of reverse \(-2\), .*, fast \(2\)$"
     ):
         fmi_value(free, "far")
+    with pytest.raises(SystemDefinitionError, match=r"m.free = -9: expected one of reverse \(-2\), "):
+        fmi_value(free, -9)
+    expected, possible = possible_values(free, np.array([-2.0, 2.0, -9.0, 0.5]))
+    assert expected.startswith("one of reverse (-2), ")
+    assert possible.tolist() == [True, True, False, False]
 
 
 def test_a_sweep_checks_items_by_name(tmp_path: Path) -> None:
     experiment = Experiment(1.0, 0.5, inputs={"m.u": 0}, open_inputs="start")
     swept = target("m.u", check_for(modes(tmp_path), experiment), experiment)
     assert [swept.checked(value) for value in ("slow", -1)] == ["slow", "astern"]
-    with pytest.raises(SystemDefinitionError, match=r"m.u = 'fast': expected one of astern, off, slow$"):
+    with pytest.raises(
+        SystemDefinitionError, match=r"m.u = 'fast': expected one of astern \(-1\), off \(0\), slow \(1\)$"
+    ):
         swept.checked("fast")
 
 
 def test_an_input_that_the_caller_sets_checks_items_by_name(tmp_path: Path) -> None:
     loop = modes(tmp_path)
     outside = Experiment(1.0, 0.5, inputs={"m.u": "fast"}, open_inputs="start")
-    with pytest.raises(SystemDefinitionError, match=r"m.u = 'fast': expected one of astern, off, slow$"):
+    with pytest.raises(
+        SystemDefinitionError, match=r"m.u = 'fast': expected one of astern \(-1\), off \(0\), slow \(1\)$"
+    ):
         prepare_checked(check_for(loop, outside, ["m.u"]), outside, ["m.u"])
 
 
@@ -132,3 +143,28 @@ def test_an_open_input_out_of_its_range_is_refused(tmp_path: Path) -> None:
     loop = system(tmp_path, '<Int8 name="n" causality="input" start="-129"/>')
     with pytest.raises(SystemDefinitionError, match=r"m.n = -129: expected -128..127"):
         prepare(loop, Experiment(1.0, 0.5, open_inputs="start"))
+
+
+@pytest.mark.parametrize("value", [1e-300, -1e-46, 1e300])
+def test_a_number_that_single_precision_cannot_hold_is_refused(tmp_path: Path, value: float) -> None:
+    """It would arrive as 0 or as infinity; 0.1, which is rounded, is held."""
+    loop = system(tmp_path, '<Float32 name="x" causality="parameter"/><Float64 name="z" valueReference="9"/>')
+    prepare(loop, set_by("parameters", "m.x", 0.1))
+    with pytest.raises(SystemDefinitionError, match=re.escape(f"m.x = {value!r}: expected 0, or 1.4e-45..")):
+        prepare(loop, set_by("parameters", "m.x", value))
+
+
+@pytest.mark.parametrize("signal", [Ramps([[0.0, 0.1], [1.0, 0.7]]), Table([0.0, 1.0], [0.1, 0.7])])
+def test_a_signal_stays_within_the_range_of_its_input_but_for_rounding(
+    tmp_path: Path, signal: Signal
+) -> None:
+    loops = [
+        system(tmp_path / name, f'<Float64 name="u" causality="input" unit="m" start="0.1" max="{name}"/>')
+        for name in ("0.7", "0.4")
+    ]
+    experiment = Experiment(1.0, 0.25, signals={"m.u": signal})
+    assert prepare(loops[0], experiment).signal_values[0, -1] == pytest.approx(0.7, rel=1e-15)  # rounding
+    with pytest.raises(
+        SystemDefinitionError, match=r"signal m.u is 0.55 at t = 0.75 s: expected -inf..0.4 m$"
+    ):
+        _ = prepare(loops[1], experiment).signal_values
