@@ -336,7 +336,7 @@ UNIFORM = 'distribution = "uniform"\nlow = 1.0\nhigh = 3.0'
         ('[sweep.vary."r.u"]\nlinspace = [1, 2]', r"linspace = \[1, 2\]: expected 3 or more items"),
         (
             '[sweep.vary."r.misdeed"]\nvalues = ["non"]',
-            r"r.misdeed = 'non': expected one of none \(0\), warning",
+            r"r.misdeed = 'non': expected one of none \(1\), warning",
         ),
         ('[sweep.vary."r.misdeed"]\nvalues = ["none"]\nrelative = true', r"relative: expected a Real"),
         ('[sweep.vary."r.misdeed_time"]\nvalues = [1]\nrelative = true', r"expected a Real that is not 0"),
