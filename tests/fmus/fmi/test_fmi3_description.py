@@ -23,7 +23,7 @@ TEXT = """
   canHandleVariableCommunicationStepSize="true" providesDirectionalDerivatives="true"/>
 <UnitDefinitions><Unit name="cm/s"><BaseUnit m="1" s="-1" factor="0.01"/></Unit></UnitDefinitions>
 <TypeDefinitions>
-  <Float64Type name="Speed" unit="cm/s" min="-1" max="1" nominal="0.5"/>
+  <Float64Type name="Speed" unit="cm/s" relativeQuantity="true" min="-1" max="1" nominal="0.5"/>
   <UInt8Type name="Small" max="9"/>
   <EnumerationType name="Mode"><Item name="off" value="-1"/><Item name="on" value="7"/></EnumerationType>
 </TypeDefinitions>
@@ -37,7 +37,7 @@ TEXT = """
   <Enumeration name="mode" valueReference="6" causality="input" declaredType="Mode" start="7"/>
   <Float64 name="gain" valueReference="5" causality="parameter" variability="tunable" start="1 2 3">
     <Dimension valueReference="7"/></Float64>
-  <Float32 name="same" valueReference="4" causality="parameter" start="1.5"><Dimension start="2"/></Float32>
+  <Float32 name="same" relativeQuantity="1" valueReference="4" causality="parameter" start="1.5"><Dimension start="2"/></Float32>
   <Int16 name="count" valueReference="3" variability="fixed" initial="approx" min="0" start="1"/>
   <UInt8 name="small" valueReference="11" causality="input" declaredType="Small" start="1"/>
   <Boolean name="is on" valueReference="12" causality="output" variability="constant" start="1"/>
@@ -89,13 +89,13 @@ def of_fmpy(path: Path) -> tuple[list[Any], list[list[Any]]]:
         start = str(v.start or "").split() if v.type != "String" else []  # of which FMPy reads the first
         own = LIMITS.get(v.type, (None, None))
         stated = [getattr(v, n) or (declared and getattr(declared, n, None)) for n in ("min", "max")]
+        is_relative = bool(v.relativeQuantity or (declared and declared.relativeQuantity))
         low, high = (given or limit for given, limit in zip(stated, own, strict=True))
         for i, name in enumerate(names[id(v)]):
             begin = (start * math.prod(shape) if len(start) == 1 else start)[i] if start else None
             kind = OF_FMI_2.get(v.type, "String" if v.type == "String" else "Integer")
-            rows.append(
-                (name, v.valueReference, kind, v.causality, v.variability, v.description, begin, low, high)
-            )
+            stated = (v.causality, v.variability, v.description, begin, low, high, is_relative)
+            rows.append((name, v.valueReference, kind, *stated))
     outputs = [
         [names[id(u.variable)], None if u.dependencies is None else [names[id(d)] for d in u.dependencies]]
         for u in read.outputs
@@ -119,6 +119,7 @@ def test_everything_that_fmpy_reads_is_read(
             v.start if v.type != "String" else None,
             v.min,
             v.max,
+            v.is_relative,
         )
         for i, v in enumerate(ours.modelVariables)
     ] == rows
