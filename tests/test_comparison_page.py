@@ -17,7 +17,7 @@ from scipy import stats
 
 from fmus.fmi.description import describe
 from orchestration.score import score
-from orchestration.score.closed_loop import tuned_gains
+from orchestration.score.closed_loop import built_in, tuned_gains
 from orchestration.score.protocol import read_protocol
 from orchestration.score.score_document import ManyRuns, Row, Score
 from orchestration.score.statistics import distribution, holm, paired, proportion_interval
@@ -275,5 +275,5 @@ def test_the_run_is_of_the_protocol_and_the_gains_that_ship(document: Score) -> 
     assert {row.name for row in document.rows} == {c.name for c in score.controllers(protocol)}
     for row in document.rows:
         which, _, name = row.name.partition("/")
-        gains = tuned_gains(name, row.fmu) if which == score.TUNED else {}
+        gains = tuned_gains(name, built_in(protocol, name).fmu) if which == score.TUNED else {}
         assert row.parameters == {**protocol.controllers[name].parameters, **gains}, row.name

@@ -37,7 +37,7 @@ TEXT = """
   <Enumeration name="mode" valueReference="6" causality="input" declaredType="Mode" start="7"/>
   <Float64 name="gain" valueReference="5" causality="parameter" variability="tunable" start="1 2 3">
     <Dimension valueReference="7"/></Float64>
-  <Float32 name="same" relativeQuantity="1" valueReference="4" causality="parameter" start="1.5"><Dimension start="2"/></Float32>
+  <Float32 name="same" valueReference="4" causality="parameter" start="1.5"><Dimension start="2"/></Float32>
   <Int16 name="count" valueReference="3" variability="fixed" initial="approx" min="0" start="1"/>
   <UInt8 name="small" valueReference="11" causality="input" declaredType="Small" start="1"/>
   <Boolean name="is on" valueReference="12" causality="output" variability="constant" start="1"/>
@@ -89,7 +89,7 @@ def of_fmpy(path: Path) -> tuple[list[Any], list[list[Any]]]:
         start = str(v.start or "").split() if v.type != "String" else []  # of which FMPy reads the first
         own = LIMITS.get(v.type, (None, None))
         stated = [getattr(v, n) or (declared and getattr(declared, n, None)) for n in ("min", "max")]
-        is_relative = bool(v.relativeQuantity or (declared and declared.relativeQuantity))
+        is_relative = bool(declared and declared.relativeQuantity)  # FMPy reads that of a type alone
         low, high = (given or limit for given, limit in zip(stated, own, strict=True))
         for i, name in enumerate(names[id(v)]):
             begin = (start * math.prod(shape) if len(start) == 1 else start)[i] if start else None
@@ -101,6 +101,14 @@ def of_fmpy(path: Path) -> tuple[list[Any], list[list[Any]]]:
         for u in read.outputs
     ]
     return rows, outputs
+
+
+def test_a_variable_states_that_it_is_a_relative_quantity(described: Callable[..., ModelDescription]) -> None:
+    ours = described('name="same"', 'name="same" relativeQuantity="1"')
+    assert {v.name for v in ours.modelVariables if v.is_relative and "speed" not in v.name} == {
+        "same[1]",
+        "same[2]",
+    }
 
 
 def test_everything_that_fmpy_reads_is_read(
