@@ -15,21 +15,17 @@ import pytest
 from fmus import numerics as n
 from fmus.block import Block, variable
 from fmus.block.scalars import flatten
-from fmus.build import native
 from fmus.build.builder import load_block
 from fmus.build.random_points import drawn
 from fmus.build.symbolic import traced
-from fmus.files import write_archive
 from fmus.platforms import instruction_sets
 from fmus.registry import block_names
-from fmus.store import record_build
 from orchestration import Ensemble, Event, Experiment, Simulator, System
 from orchestration.errors import EnsembleError, OrchestrationError, SimulationError
 from orchestration.many.device import Device
 from orchestration.many.lane_library import LANES
 from tests.orchestration.many.host_device import HostDevice
-from tests.orchestration.many.instances import assert_same_bits, instances
-from tests.shared_builds import with_libraries
+from tests.orchestration.many.instances import assert_same_bits, built_for_ensembles, instances
 
 pytestmark = pytest.mark.slow
 
@@ -176,16 +172,13 @@ WAVES = Block(
 )
 
 
-def build(path: Path, block: Block = BLOCK, **options: bool) -> System:
-    _, members = native.content(block, **options)
-    write_archive(path, with_libraries(block.name, members))
-    record_build(path.read_bytes())
-    return System({"block": path})
+def build(folder: Path, block: Block = BLOCK, **options: bool) -> System:
+    return System({"block": built_for_ensembles(folder, block, **options)})
 
 
 @pytest.fixture(scope="module")
 def system(tmp_path_factory: pytest.TempPathFactory) -> System:
-    return build(tmp_path_factory.mktemp("functions") / "Functions.fmu")
+    return build(tmp_path_factory.mktemp("functions"))
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -238,7 +231,7 @@ def test_sin_and_cos_have_the_bits_of_single_runs(tmp_path: Path, instructions: 
     """
     small = [0.0, 1e-300, 1e-9, -1e-2, *np.linspace(1e-4, 0.0624, 12)]
     frequencies = [*small, 1e-4, -1e-2, 0.1, 1e5, 1e10, 1e300, *np.linspace(-9.0, 9.0, 58)]
-    system, experiment = build(tmp_path / "Waves.fmu", WAVES), Experiment(150.0, 0.1)
+    system, experiment = build(tmp_path, WAVES), Experiment(150.0, 0.1)
     with Ensemble(system, instructions) as ensemble, Simulator(system) as simulator:
         experiments = instances(experiment, {"block.frequency": frequencies})
         assert_same_bits(ensemble.run(experiments), simulator, experiments)
@@ -270,14 +263,13 @@ def test_a_varied_signal_sets_an_enumeration_and_one_that_is_no_item_is_refused(
 
 
 def test_an_fmu_of_reals_alone_is_refused(tmp_path: Path) -> None:
-    system = build(tmp_path / "reals.fmu", reals_only=True)
+    system = build(tmp_path, reals_only=True)
     with pytest.raises(EnsembleError, match=r"block: .* Reals"):
         Ensemble(system)
 
 
 def test_an_fmu_that_is_built_again_is_not_mixed_with_the_old_one(tmp_path: Path) -> None:
-    path = tmp_path / "Functions.fmu"
-    with Ensemble(build(path)) as ensemble:
-        build(path, replace(BLOCK, description="Others"))
+    with Ensemble(build(tmp_path)) as ensemble:
+        build(tmp_path, replace(BLOCK, description="Others"))
         with pytest.raises(OrchestrationError, match="GUID"):
             ensemble.run([Experiment(20.0, 0.1, open_inputs="start")])
