@@ -128,7 +128,7 @@ def number_of(signals: Recording, number: int) -> int:
 
 
 @pytest.mark.parametrize("waits", ["child", "parent"])
-def test_each_case_of_a_score_has_the_cause(forker: Build, scenario_fmus: None, waits: str) -> None:
+def test_each_case_of_a_score_has_the_cause(forker: Build, vehicle_fmus: None, waits: str) -> None:
     names = {"depth_reference": "u", "control_force": "y"}
     controller = Controller("forker", str(forker("fmi2DoStep", waits)), mapping=names)
     protocol = read_protocol()

@@ -130,23 +130,6 @@ def is_same() -> Check:
     return check
 
 
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({}, 0.0),
-        ({"processor": "another"}, 1e-12),
-        ({"sines": "others"}, 1e-10),
-        ({"sines": "others", "processor": "another"}, 1e-10),
-        ({"c_library": "glibc 9", "sines": "others"}, 1e-3),
-    ],
-)
-def test_numbers_take_the_place_of_bytes_where_the_arithmetic_is_another(
-    changes: dict[str, str], expected: float
-) -> None:
-    stored = {"c_library": "glibc 2", "sines": "1", "processor": "2"}
-    assert tolerance(stored, stored | changes) == expected
-
-
 @pytest.mark.skipif(not C_LIBRARY.startswith("glibc"), reason="the setting is one of this C library")
 def test_sines_without_fma_are_noticed_on_a_processor_that_has_it() -> None:
     """Also where the processor has none: then there are the same sines with the setting and without it."""

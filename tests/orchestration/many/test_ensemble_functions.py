@@ -129,44 +129,23 @@ BLOCK = Block.of_module(__name__, "Functions", "Functions of a number", step_siz
 
 
 @dataclass(frozen=True)
-class WaveParameters:
-    frequency: float = variable(1.0, "Factor of the number")
-
-
-@dataclass(frozen=True)
-class WaveInputs:
-    """None."""
-
-
-@dataclass(frozen=True)
-class WaveState:
-    """x: a number of 0..1 that never repeats"""
-
-    x: float = 0.3
-
-
-@dataclass(frozen=True)
 class WaveOutputs:
     waves: tuple[float, ...] = variable((0.0,) * 4, "sin and cos of a number, and next to their zeros")
 
 
-def wave_step(t: float, h: float, state: WaveState, inputs: WaveInputs, p: object, c: object) -> WaveState:
-    return WaveState(3.9 * state.x * (1.0 - state.x))
-
-
-def wave_output(t: float, state: WaveState, p: WaveParameters, c: object) -> WaveOutputs:
-    angle, zero = p.frequency * state.x, n.floor(6.0 * p.frequency * state.x) * (math.pi / 2.0)
+def wave_output(t: float, state: State, p: Parameters, c: object) -> WaveOutputs:
+    angle, zero = p.a * state.x, n.floor(6.0 * p.a * state.x) * (math.pi / 2.0)
     return WaveOutputs((n.sin(angle), n.cos(angle), n.sin(zero), n.cos(zero)))
 
 
 WAVES = Block(
     "Waves",
     "Waves of a number",
-    parameters=WaveParameters,
-    inputs=WaveInputs,
-    state=WaveState,
+    parameters=Parameters,
+    inputs=Inputs,
+    state=State,
     outputs=WaveOutputs,
-    step=wave_step,
+    step=step,
     output=wave_output,
     step_size=0.1,
 )
@@ -230,10 +209,10 @@ def test_sin_and_cos_have_the_bits_of_single_runs(tmp_path: Path, instructions: 
     The first two groups have small angles alone.
     """
     small = [0.0, 1e-300, 1e-9, -1e-2, *np.linspace(1e-4, 0.0624, 12)]
-    frequencies = [*small, 1e-4, -1e-2, 0.1, 1e5, 1e10, 1e300, *np.linspace(-9.0, 9.0, 58)]
-    system, experiment = build(tmp_path, WAVES), Experiment(150.0, 0.1)
+    factors = [*small, 1e-4, -1e-2, 0.1, 1e5, 1e10, 1e300, *np.linspace(-9.0, 9.0, 58)]
+    system, experiment = build(tmp_path, WAVES), Experiment(150.0, 0.1, open_inputs="start")
     with Ensemble(system, instructions) as ensemble, Simulator(system) as simulator:
-        experiments = instances(experiment, {"block.frequency": frequencies})
+        experiments = instances(experiment, {"block.a": factors})
         assert_same_bits(ensemble.run(experiments), simulator, experiments)
 
 

@@ -14,7 +14,6 @@ from fmus.fmi.description import describe, of_causality
 from fmus.fmi.instance import FmuInstance
 from orchestration.errors import FmuError, FmuWarning, SimulationError, SystemDefinitionError
 from orchestration.many.ensemble import Ensemble
-from orchestration.many.run_many import run_many
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator, compiled_loop, simulate, simulator
 from orchestration.run.loop_data import LoopFunctions, Wiring
@@ -23,7 +22,7 @@ from orchestration.system.experiment import Event, Experiment
 from orchestration.system.signals import Cosine, Ramps
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
-from tests.orchestration.linear_systems import LOOP, RESUMABLE
+from tests.orchestration.linear_systems import LOOP
 from tests.orchestration.many import instances as ensembles
 from tests.orchestration.rogue_systems import doing, run
 from tests.orchestration.runs import assert_same_bits
@@ -342,21 +341,6 @@ def test_errors_name_the_functions_of_fmi_3(rogue: Build, compiled: bool) -> Non
 # Runs of every kind
 
 
-def test_a_run_goes_on_from_a_saved_state(linear: Build) -> None:
-    """From a checkpoint too, as test_combinations.py shows."""
-    fmus = {"one": linear(fmi=3, **RESUMABLE), "two": linear(a=-2.0, **RESUMABLE)}
-    with Simulator(System(fmus, LOOP)) as simulator:
-        whole = simulator.run(Experiment(1.0, 0.1))
-        stepped = simulator.start(Experiment(1.0, 0.1))
-        stepped.step()
-        state = stepped.save()
-        for _ in range(2):
-            while not stepped.is_done:
-                stepped.step()
-            assert_same_bits(stepped.recording(), whole)
-            stepped.restore(state)
-
-
 @pytest.mark.parametrize("versions", [(3, 2), (2, 3), (3, 3)])
 @pytest.mark.parametrize("method", ["fixed-point", "newton"])
 def test_an_algebraic_loop_starts_from_the_values_of_fmi_2(
@@ -371,15 +355,6 @@ def test_an_algebraic_loop_starts_from_the_values_of_fmi_2(
         return simulate(system, Experiment(0.2, 0.1, initialisation=method))
 
     assert np.array_equal(first(*versions).values, first(2, 2).values)
-
-
-def test_many_runs_are_made_in_processes_too(linear: Build) -> None:
-    system = System({"one": linear(fmi=3), "two": linear()}, LOOP)
-    experiments = [Experiment(0.5, 0.1, parameters={"one.initial_state": x}) for x in (1.0, 2.0)]
-    expected = [simulate(system, one).values for one in experiments]
-    apart = [recording.values for recording in run_many(system, experiments, workers=1, isolate=True)]
-    assert np.array_equal(apart, expected)
-    assert np.array_equal(simulate(system, experiments[1], timeout=30.0).values, expected[1])
 
 
 SWEPT = """

@@ -122,14 +122,6 @@ def simulate_warned(*arguments: Any, **settings: Any) -> Recording:
 ROUGH = Experiment(0.5, 0.1, tolerance=1e-3)
 
 
-def test_a_run_continues_with_the_solvers_error_that_it_knows(linear: Build, tmp_path: Path) -> None:
-    system, checkpoints = inexact(linear), Checkpoints(tmp_path / "checkpoint", every=0.3)
-    complete = simulate_warned(system, ROUGH, checkpoints=checkpoints)
-    continued = simulate_warned(system, ROUGH, resume=read_checkpoint(checkpoints.path))
-    assert_same_bits(continued, complete)
-    assert_same_steps(continued, complete)
-
-
 def step_twice_from_each_point(run: SteppedRun) -> None:
     """Each step to 0.5 s is taken, taken back and taken again."""
     while run.time < 0.45:
