@@ -149,21 +149,18 @@ def test_several_loop_variables_of_different_size_are_solved_together(linear: Bu
 
 
 @pytest.mark.parametrize(
-    ("gains", "offset", "method", "message"),
+    ("loop_gain", "offset", "method", "message"),
     [
-        *(
-            (1.0, 1.0, method, r"no solution was found for the loop b.u\[1\], a.u\[1\]")
-            for method in Initialisation
-        ),
+        *((1.0, 1.0, method, f"no solution was found for {NAMED}") for method in Initialisation),
         (-2.0, 1.0, FIXED_POINT, f"{NAMED} .* iteration diverges"),
         (1.0, 0.0, NEWTON, "the loop is singular"),
     ],
 )
 def test_a_loop_without_one_solution_that_is_found_is_said(
-    linear: Build, gains: float, offset: float, method: Initialisation, message: str
+    linear: Build, loop_gain: float, offset: float, method: Initialisation, message: str
 ) -> None:
     """a.u = offset + g b.u and b.u = offset + a.u: none, one to which no exchange leads, or every number."""
-    components = {"a": gain(linear, 1.0, offset), "b": gain(linear, gains, offset)}
+    components = {"a": gain(linear, 1.0, offset), "b": gain(linear, loop_gain, offset)}
     with pytest.raises(OrchestrationError, match=message):
         settled(components, LOOP, method)
 
