@@ -1,7 +1,7 @@
 """The command line in this process: what a test claims of it seldom needs another."""
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -55,3 +55,9 @@ def refused(command: Callable[..., Done]) -> Callable[..., str]:
         return done.stderr
 
     return run
+
+
+@pytest.fixture(scope="session")
+def vehicle_fmus(built: Mapping[str, Path]) -> None:
+    """Scenarios of the vehicle with L1 control find their FMUs; `scenario_fmus` builds all blocks."""
+    assert all(built[name].is_file() for name in ("L1DepthController", "RovDepthPlant"))

@@ -12,6 +12,12 @@ from tests.shared_builds import Build
 POLES, GAINS = (-1.0, -2.0), (0.5, -3.0)
 START = (1.0, 0.5)
 LOOP = (("one.y[1]", "two.u[1]"), ("two.y[1]", "one.u[1]"))
+RESUMABLE: dict[str, Any] = {"saves_state": True, "serialises_state": True}
+
+
+def alone(linear: Build, **options: Any) -> System:
+    """x' = -x + u and y = x from 1, if no option says otherwise."""
+    return System({"one": linear(**options)})
 
 
 def coupled(linear: Build, through: float = 0.0, **capabilities: Any) -> System:

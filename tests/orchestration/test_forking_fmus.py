@@ -84,22 +84,18 @@ def test_each_sample_has_its_own_metrics_or_the_cause(
     assert any(row["error"] for row in rows)
 
 
+NOT_RESET = [call for call in FORKING_CALLS if call != "fmi2Reset"]
+
+
 @pytest.mark.parametrize("waits", ["child", "parent"])
-@pytest.mark.parametrize("call", [call for call in FORKING_CALLS if call != "fmi2Reset"])
-def test_a_run_with_a_timeout_ends_with_the_cause(forker: Build, call: str, waits: str) -> None:
-    """Its one step takes less than the child waits."""
+@pytest.mark.parametrize("call", NOT_RESET)
+def test_a_run_ends_with_the_cause_and_its_child(forker: Build, call: str, waits: str) -> None:
+    """With a timeout, than which its one step takes less, and in this process: there the child would go on
+    with the program that called `simulate`.
+    """
     system, experiment = System({"f": forker(call, waits)}), Experiment(0.1, 0.1, inputs={"f.u": 2.0})
     with pytest.raises(OrchestrationError, match=CAUSE):
         simulate(system, experiment, timeout=TO_END_S)
-
-
-@pytest.mark.parametrize("waits", ["child", "parent"])
-@pytest.mark.parametrize("call", [call for call in FORKING_CALLS if call != "fmi2Reset"])
-def test_a_run_in_this_process_ends_with_the_cause_and_its_child(
-    forker: Build, call: str, waits: str
-) -> None:
-    """The child would go on with the program that called `simulate`."""
-    system, experiment = System({"f": forker(call, waits)}), Experiment(0.1, 0.1, inputs={"f.u": 2.0})
     with pytest.raises(OrchestrationError, match=f"f forked its process {CAUSE}"):
         simulate(system, experiment)
     for child in psutil.Process().children()[-1:]:
@@ -132,7 +128,7 @@ def number_of(signals: Recording, number: int) -> int:
 
 
 @pytest.mark.parametrize("waits", ["child", "parent"])
-def test_each_case_of_a_score_has_the_cause(forker: Build, scenario_fmus: None, waits: str) -> None:
+def test_each_case_of_a_score_has_the_cause(forker: Build, vehicle_fmus: None, waits: str) -> None:
     names = {"depth_reference": "u", "control_force": "y"}
     controller = Controller("forker", str(forker("fmi2DoStep", waits)), mapping=names)
     protocol = read_protocol()

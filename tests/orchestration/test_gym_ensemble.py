@@ -25,7 +25,7 @@ CURRENT = "plant.current_velocity"
 
 
 @pytest.fixture
-def task(scenario_fmus: None) -> Task:
+def task(vehicle_fmus: None) -> Task:
     """The vehicle in 2 s of the nominal scenario, with noise and inertia of each episode."""
     nominal = scenario.load(scenario.find("nominal-extended"))
     task = task_of(

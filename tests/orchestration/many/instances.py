@@ -2,11 +2,17 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+from fmus.block import Block
+from fmus.build import native
+from fmus.files import write_archive
+from fmus.store import record_build
 from orchestration import Experiment
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator
+from tests.shared_builds import with_libraries
 
 CONNECTIONS = [
     ("plant.measured_depth", "controller.measured_depth"),
@@ -43,3 +49,11 @@ def assert_same_bits(recorded: Recording, simulator: Simulator, experiments: Seq
         assert of_ensemble.names == one.names
         assert of_ensemble.values.tobytes() == one.values.tobytes()
         assert of_ensemble.provenance == one.provenance
+
+
+def built_for_ensembles(folder: Path, block: Block, **options: bool) -> Path:
+    """A native FMU of the block, as `l1-depth build` writes it."""
+    path = folder / f"{block.name}.fmu"
+    write_archive(path, with_libraries(block.name, native.content(block, **options)[1]))
+    record_build(path.read_bytes())
+    return path

@@ -16,11 +16,8 @@ import pytest
 
 from fmus import numerics as n
 from fmus.block import Block, variable
-from fmus.build import native
 from fmus.errors import MissingExtraError
-from fmus.files import write_archive
 from fmus.registry import block_names
-from fmus.store import record_build
 from orchestration import Ensemble, Experiment, Simulator, System, load_scenario, run_many
 from orchestration.errors import EnsembleError, SystemDefinitionError
 from orchestration.many import device, job
@@ -31,8 +28,7 @@ from orchestration.sweep import table
 from orchestration.sweep.plan import plan
 from orchestration.sweep.run import sweep
 from tests.orchestration.many.host_device import HostDevice
-from tests.orchestration.many.instances import instances
-from tests.shared_builds import with_libraries
+from tests.orchestration.many.instances import assert_same_bits, built_for_ensembles, instances
 
 Numbers = Sequence[Any]
 Term = Callable[[Numbers], Any]
@@ -118,13 +114,8 @@ def random_block(number: int) -> Block:
 @pytest.mark.slow
 def test_a_hundred_random_blocks_have_the_bits_of_single_runs(tmp_path: Path) -> None:
     """As the components of one system; no instance fails, and the blocks are no constants."""
-    components = {}
-    for number in range(100):
-        block = random_block(number)
-        path = tmp_path / f"{block.name}.fmu"
-        write_archive(path, with_libraries(block.name, native.content(block)[1]))
-        record_build(path.read_bytes())
-        components[block.name] = path
+    blocks = map(random_block, range(100))
+    components = {block.name: built_for_ensembles(tmp_path, block) for block in blocks}
     draw = np.random.default_rng(3)
     names = [f"{name}.{kind}[{i}]" for name in components for kind in "au" for i in range(1, _SIZE + 1)]
     vary: dict[str, Any] = {name: draw.normal(0.0, 1.5, 3).tolist() for name in names}
@@ -133,11 +124,10 @@ def test_a_hundred_random_blocks_have_the_bits_of_single_runs(tmp_path: Path) ->
     system = System(components)
     with Ensemble(system, device=HostDevice()) as ensemble, Simulator(system) as simulator:
         recorded = ensemble.run(experiments)
-        assert not recorded.failures
-        for instance, one in enumerate(map(simulator.run, experiments)):
-            assert recorded.run(instance).values.tobytes() == one.values.tobytes()
-            moving = np.ptp(one.values, axis=0) > 0.0
-            assert moving.sum() > 100  # of 300 outputs
+        assert_same_bits(recorded, simulator, experiments)
+    assert not recorded.failures
+    moving = np.ptp(recorded.values, axis=1) > 0.0
+    assert (moving.sum(axis=1) > 100).all()  # of 300 outputs
 
 
 @pytest.fixture
@@ -152,7 +142,7 @@ def all_metrics(runs: Recording) -> list[Any]:
     return [{name: column[i] for name, column in measured.items()} for i in range(len(runs.values))]
 
 
-@pytest.mark.usefixtures("on_device", "scenario_fmus")
+@pytest.mark.usefixtures("on_device", "vehicle_fmus")
 def test_metrics_on_a_device_are_those_of_the_processor() -> None:
     scenario = load_scenario("nominal-extended")
     experiments = [
@@ -167,7 +157,7 @@ def test_metrics_on_a_device_are_those_of_the_processor() -> None:
     assert len({*map(repr, here)}) == 3
 
 
-@pytest.mark.usefixtures("on_device", "scenario_fmus")
+@pytest.mark.usefixtures("on_device", "vehicle_fmus")
 def test_a_sweep_on_a_device_has_the_rows_of_the_processor(tmp_path: Path) -> None:
     scenario = load_scenario("monte-carlo")
     planned = plan(replace(scenario, sweep={**scenario.sweep, "samples": 20}))
@@ -180,7 +170,7 @@ def test_a_sweep_on_a_device_has_the_rows_of_the_processor(tmp_path: Path) -> No
     assert notes[-1] == "the GPU"
 
 
-@pytest.mark.usefixtures("on_device", "scenario_fmus")
+@pytest.mark.usefixtures("on_device", "vehicle_fmus")
 def test_a_run_that_fails_on_a_device_is_named_and_the_others_go_on() -> None:
     scenario = load_scenario("nominal-extended")
     parameters = scenario.experiment.parameters
@@ -193,7 +183,7 @@ def test_a_run_that_fails_on_a_device_is_named_and_the_others_go_on() -> None:
     assert "t = " in results[1].reason
 
 
-@pytest.mark.usefixtures("on_device", "scenario_fmus")
+@pytest.mark.usefixtures("on_device", "vehicle_fmus")
 @pytest.mark.parametrize(
     ("settings", "problem"),
     [
@@ -227,7 +217,7 @@ def test_more_than_the_memory_of_the_device_is_refused(
         ensemble.run([Experiment(4.0, 0.02, open_inputs="start")] * 9)
 
 
-@pytest.mark.usefixtures("scenario_fmus")
+@pytest.mark.usefixtures("vehicle_fmus")
 def test_without_a_gpu_one_sentence_says_what_is_missing() -> None:
     scenario = load_scenario("nominal-extended")
     error = EnsembleError if importlib.util.find_spec("cupy") else MissingExtraError

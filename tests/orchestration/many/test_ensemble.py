@@ -1,7 +1,6 @@
 """Each instance of an ensemble has the bits of its own run; what an ensemble cannot run is refused."""
 
 import math
-import os
 import re
 import warnings
 from collections.abc import Sequence
@@ -13,7 +12,6 @@ import numpy as np
 import pytest
 
 from fmus.block import Block, variable
-from fmus.build import native
 from fmus.errors import ExportError
 from fmus.files import write_archive
 from fmus.fmi.description import describe
@@ -29,10 +27,15 @@ from orchestration.many.ensemble import check_ensemble
 from orchestration.many.lane_library import LANES, lane_library
 from orchestration.many.run_many import run_many
 from orchestration.many.stepped_ensemble import EnsembleRecording
-from orchestration.results.recording import Recording
 from tests.described_fmus import members
-from tests.orchestration.many.instances import CONNECTIONS, CURRENT, REFERENCE, assert_same_bits, instances
-from tests.shared_builds import with_libraries
+from tests.orchestration.many.instances import (
+    CONNECTIONS,
+    CURRENT,
+    REFERENCE,
+    assert_same_bits,
+    built_for_ensembles,
+    instances,
+)
 
 DIVE = Experiment(
     stop_time=4.01,  # the last step is a shorter one
@@ -112,16 +115,6 @@ def test_a_run_within_a_run_is_refused(system: System) -> None:
     assert refusals
 
 
-def test_recordings_larger_than_the_memory_are_refused(
-    system: System, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    one = replace(DIVE, record=("plant.depth",))
-    with Ensemble(system) as ensemble:
-        monkeypatch.setattr(os, "sysconf", lambda _: 64, raising=False)  # 4096 bytes, enough for one run
-        with pytest.raises(SystemDefinitionError, match=r"9 instances of 202 .* fewer instances"):
-            ensemble.run([one] * 9)
-
-
 def test_without_a_compiler_the_ensemble_is_refused(system: System, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise ExportError("no compiler")
@@ -188,11 +181,7 @@ GROWING = Block(
 
 @pytest.fixture(scope="module")
 def growing(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("growing") / "Growing.fmu"
-    _, content = native.content(GROWING)
-    write_archive(path, with_libraries(GROWING.name, content))
-    record_build(path.read_bytes())
-    return path
+    return built_for_ensembles(tmp_path_factory.mktemp("growing"), GROWING)
 
 
 def test_an_instance_whose_output_becomes_infinite_fails_though_its_state_is_finite(
@@ -299,34 +288,28 @@ def test_the_state_of_another_fmu_is_refused(system: System) -> None:
         library.values(instance.serialize_fmu_state(instance.get_fmu_state()))
 
 
-def until_failure(system: System, experiment: Experiment) -> Recording:
-    """What a run records that fails."""
-    with Simulator(system) as simulator, pytest.raises(SimulationError) as error:
-        simulator.run(experiment)
-    return error.value.recording
-
-
-def test_an_instance_whose_parameters_become_contradictory_ends_where_its_own_run_ends(
-    system: System, device: Device | None
-) -> None:
-    experiment = replace(DIVE, events=(Event(2.0, WITHOUT_BUOYANCY),))
-    experiments = instances(experiment, WEIGHTS)
-    recorded = failed(system, device, experiments)
-    alone = until_failure(system, experiments[1])
-    assert recorded.run(1).values.tobytes() == alone.values.tobytes()
-
-
+@pytest.mark.parametrize(
+    ("experiment", "vary"),
+    [
+        (replace(DIVE, events=(Event(2.0, WITHOUT_BUOYANCY),)), WEIGHTS),
+        (
+            replace(DIVE, parameters={**DIVE.parameters, "plant.sensor_noise": 0.0}),
+            {"plant.initial_depth": [0.0, 1e300, 0.1]},
+        ),
+    ],
+    ids=["parameters that become contradictory", "a voltage beyond its input's range"],
+)
 def test_an_instance_that_cannot_go_on_ends_where_its_own_run_ends(
-    system: System, device: Device | None
+    system: System, device: Device | None, experiment: Experiment, vary: dict[str, Any]
 ) -> None:
-    """A voltage beyond its input's range."""
-    far = replace(DIVE, parameters={**DIVE.parameters, "plant.sensor_noise": 0.0})
-    experiments = instances(far, {"plant.initial_depth": [0.0, 1e300, 0.1]})
+    experiments = instances(experiment, vary)
     recorded = failed(system, device, experiments)
-    alone = until_failure(system, experiments[1])
-    assert recorded.run(1).values.tobytes() == alone.values.tobytes()
-    assert np.isnan(recorded["plant.depth"][1, len(recorded.run(1).time) :]).all()
-    assert f"controller at t = {recorded.run(1).time[-1]:.9g} s: " in recorded.failures[1]
+    with Simulator(system) as simulator, pytest.raises(SimulationError) as error:
+        simulator.run(experiments[1])
+    ended = error.value.recording
+    assert recorded.run(1).values.tobytes() == ended.values.tobytes()
+    assert np.isnan(recorded["plant.depth"][1, len(ended.time) :]).all()
+    assert f" at t = {ended.time[-1]:.9g} s: " in recorded.failures[1]
 
 
 @pytest.mark.parametrize(
@@ -339,13 +322,8 @@ def test_an_instance_that_cannot_go_on_ends_where_its_own_run_ends(
         ({"error_estimate": True, "stop_time": 4.0}, "error_estimate"),
     ],
 )
-def test_what_only_a_simulator_has_is_refused(
-    system: System, more: dict[str, Any], name: str, device: Device | None
-) -> None:
-    with (
-        Ensemble(system, device=device) as ensemble,
-        pytest.raises(EnsembleError, match=f"{name}: .*Simulator"),
-    ):
+def test_what_only_a_simulator_has_is_refused(system: System, more: dict[str, Any], name: str) -> None:
+    with Ensemble(system) as ensemble, pytest.raises(EnsembleError, match=f"{name}: .*Simulator"):
         ensemble.run(instances(replace(DIVE, **more), varied(2)))
 
 

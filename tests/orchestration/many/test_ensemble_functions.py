@@ -15,21 +15,17 @@ import pytest
 from fmus import numerics as n
 from fmus.block import Block, variable
 from fmus.block.scalars import flatten
-from fmus.build import native
 from fmus.build.builder import load_block
 from fmus.build.random_points import drawn
 from fmus.build.symbolic import traced
-from fmus.files import write_archive
 from fmus.platforms import instruction_sets
 from fmus.registry import block_names
-from fmus.store import record_build
 from orchestration import Ensemble, Event, Experiment, Simulator, System
 from orchestration.errors import EnsembleError, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.many.device import Device
 from orchestration.many.lane_library import LANES
 from tests.orchestration.many.host_device import HostDevice
-from tests.orchestration.many.instances import assert_same_bits, instances
-from tests.shared_builds import with_libraries
+from tests.orchestration.many.instances import assert_same_bits, built_for_ensembles, instances
 
 pytestmark = pytest.mark.slow
 
@@ -133,59 +129,35 @@ BLOCK = Block.of_module(__name__, "Functions", "Functions of a number", step_siz
 
 
 @dataclass(frozen=True)
-class WaveParameters:
-    frequency: float = variable(1.0, "Factor of the number")
-
-
-@dataclass(frozen=True)
-class WaveInputs:
-    """None."""
-
-
-@dataclass(frozen=True)
-class WaveState:
-    """x: a number of 0..1 that never repeats"""
-
-    x: float = 0.3
-
-
-@dataclass(frozen=True)
 class WaveOutputs:
     waves: tuple[float, ...] = variable((0.0,) * 4, "sin and cos of a number, and next to their zeros")
 
 
-def wave_step(t: float, h: float, state: WaveState, inputs: WaveInputs, p: object, c: object) -> WaveState:
-    return WaveState(3.9 * state.x * (1.0 - state.x))
-
-
-def wave_output(t: float, state: WaveState, p: WaveParameters, c: object) -> WaveOutputs:
-    angle, zero = p.frequency * state.x, n.floor(6.0 * p.frequency * state.x) * (math.pi / 2.0)
+def wave_output(t: float, state: State, p: Parameters, c: object) -> WaveOutputs:
+    angle, zero = p.a * state.x, n.floor(6.0 * p.a * state.x) * (math.pi / 2.0)
     return WaveOutputs((n.sin(angle), n.cos(angle), n.sin(zero), n.cos(zero)))
 
 
 WAVES = Block(
     "Waves",
     "Waves of a number",
-    parameters=WaveParameters,
-    inputs=WaveInputs,
-    state=WaveState,
+    parameters=Parameters,
+    inputs=Inputs,
+    state=State,
     outputs=WaveOutputs,
-    step=wave_step,
+    step=step,
     output=wave_output,
     step_size=0.1,
 )
 
 
-def build(path: Path, block: Block = BLOCK, **options: bool) -> System:
-    _, members = native.content(block, **options)
-    write_archive(path, with_libraries(block.name, members))
-    record_build(path.read_bytes())
-    return System({"block": path})
+def build(folder: Path, block: Block = BLOCK, **options: bool) -> System:
+    return System({"block": built_for_ensembles(folder, block, **options)})
 
 
 @pytest.fixture(scope="module")
 def system(tmp_path_factory: pytest.TempPathFactory) -> System:
-    return build(tmp_path_factory.mktemp("functions") / "Functions.fmu")
+    return build(tmp_path_factory.mktemp("functions"))
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -237,10 +209,10 @@ def test_sin_and_cos_have_the_bits_of_single_runs(tmp_path: Path, instructions: 
     The first two groups have small angles alone.
     """
     small = [0.0, 1e-300, 1e-9, -1e-2, *np.linspace(1e-4, 0.0624, 12)]
-    frequencies = [*small, 1e-4, -1e-2, 0.1, 1e5, 1e10, 1e300, *np.linspace(-9.0, 9.0, 58)]
-    system, experiment = build(tmp_path / "Waves.fmu", WAVES), Experiment(150.0, 0.1)
+    factors = [*small, 1e-4, -1e-2, 0.1, 1e5, 1e10, 1e300, *np.linspace(-9.0, 9.0, 58)]
+    system, experiment = build(tmp_path, WAVES), Experiment(150.0, 0.1, open_inputs="start")
     with Ensemble(system, instructions) as ensemble, Simulator(system) as simulator:
-        experiments = instances(experiment, {"block.frequency": frequencies})
+        experiments = instances(experiment, {"block.a": factors})
         assert_same_bits(ensemble.run(experiments), simulator, experiments)
 
 
@@ -270,14 +242,13 @@ def test_a_varied_signal_sets_an_enumeration_and_one_that_is_no_item_is_refused(
 
 
 def test_an_fmu_of_reals_alone_is_refused(tmp_path: Path) -> None:
-    system = build(tmp_path / "reals.fmu", reals_only=True)
+    system = build(tmp_path, reals_only=True)
     with pytest.raises(EnsembleError, match=r"block: .* Reals"):
         Ensemble(system)
 
 
 def test_an_fmu_that_is_built_again_is_not_mixed_with_the_old_one(tmp_path: Path) -> None:
-    path = tmp_path / "Functions.fmu"
-    with Ensemble(build(path)) as ensemble:
-        build(path, replace(BLOCK, description="Others"))
+    with Ensemble(build(tmp_path)) as ensemble:
+        build(tmp_path, replace(BLOCK, description="Others"))
         with pytest.raises(OrchestrationError, match="GUID"):
             ensemble.run([Experiment(20.0, 0.1, open_inputs="start")])

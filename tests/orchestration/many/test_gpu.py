@@ -15,7 +15,7 @@ from orchestration.sweep import table
 from orchestration.sweep.plan import plan
 from orchestration.sweep.run import sweep
 
-pytestmark = [pytest.mark.gpu, pytest.mark.usefixtures("scenario_fmus")]
+pytestmark = [pytest.mark.gpu, pytest.mark.usefixtures("vehicle_fmus")]
 BOUNDS = dict.fromkeys(("plant.voltage[1]", "plant.voltage[2]"), (-6.0, 6.0))
 
 

@@ -25,7 +25,7 @@ INERTIAS = (5.0, 5.5, 6.0, -1.0, 6.5, 5.2, 5.1, 5.3, 5.4)  # the fourth is refus
 
 
 @pytest.fixture
-def nominal(scenario_fmus: None) -> Scenario:
+def nominal(vehicle_fmus: None) -> Scenario:
     loaded = scenario.load(scenario.find("nominal-extended"))
     return replace(loaded, experiment=replace(loaded.experiment, stop_time=1.0))
 

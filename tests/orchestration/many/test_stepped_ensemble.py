@@ -8,7 +8,7 @@ import pytest
 from orchestration import Ensemble, Event, Experiment, Ramps, Simulator, System
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.many.device import Device
-from tests.orchestration.many.instances import CURRENT, REFERENCE, instances
+from tests.orchestration.many.instances import CURRENT, instances
 
 EFFICIENCY = "plant.thruster_efficiency[1]"
 INERTIA = "plant.inertia"
@@ -111,31 +111,8 @@ def test_only_external_inputs_are_set(system: System, name: str, message: str) -
         run = ensemble.start([DIVE], [CURRENT])
         with pytest.raises(SystemDefinitionError, match=message):
             run.writer(CURRENT, name)
-
-
-def test_driven_inputs_are_read_at_the_present_point(system: System) -> None:
-    with Ensemble(system) as ensemble:
-        run = ensemble.start([DIVE], [CURRENT])
-        read_reference, read = run.reader(REFERENCE), []
-        for _ in range(3):
-            read.append(read_reference()[0])
-            run.step()
-        assert read == run.recording()[REFERENCE][0, :3].tolist() == pytest.approx([0.0, 0.016, 0.032])
-        arriving, commanded = run.reader("plant.voltage[1]", "controller.voltage[1]")()
-        assert arriving == commanded
         with pytest.raises(SystemDefinitionError, match=r"reader: no variable 'plant\.dept'; nearest is"):
             run.reader("plant.dept")
-
-
-def test_recordings_are_those_of_the_point_at_which_they_are_made(system: System) -> None:
-    with Ensemble(system) as ensemble:
-        run = ensemble.start([DIVE] * 2, [CURRENT])
-        run.step()
-        recorded = run.recording()
-        run.writer(CURRENT)(np.array([0.9, 0.9]))
-        run.step()
-    assert recorded[CURRENT].tolist() == [[0.0, 0.0], [0.0, 0.0]]
-    assert recorded.time.tolist() == recorded.recordings().time.tolist() == [0.0, 0.02]
 
 
 def test_there_is_no_step_beyond_the_end(system: System) -> None:

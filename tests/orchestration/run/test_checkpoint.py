@@ -18,7 +18,8 @@ from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.faults import Delay, Fault, Offset, Scale
 from orchestration.system.signals import Cosine
 from orchestration.system.system import LinearTransformation, System
-from tests.orchestration.linear_systems import LOOP, coupled
+from tests.orchestration.linear_systems import LOOP, RESUMABLE, alone, coupled
+from tests.orchestration.runs import assert_same_bits, interrupt_at
 from tests.shared_builds import Build
 
 
@@ -36,13 +37,9 @@ def interrupted(
     system: System, experiment: Experiment, path: Path, at: int, **options: Any
 ) -> tuple[Checkpoint, SimulationError]:
     """Run until communication point `at` is reached, and what is left of it."""
-
-    def stop(done: int, total: int) -> None:
-        if done >= at:
-            raise KeyboardInterrupt
-
+    checkpoints = Checkpoints(path, every=_REST_S)
     with pytest.raises(SimulationError, match="interrupted") as caught:
-        simulate(system, experiment, stop, checkpoints=Checkpoints(path, every=_REST_S), **options)
+        simulate(system, experiment, interrupt_at(at), checkpoints=checkpoints, **options)
     return read_checkpoint(path), caught.value
 
 
@@ -51,51 +48,38 @@ def interrupted(
     [
         {},
         {"algorithm": Algorithm.GAUSS_SEIDEL},
-        {"extrapolation": 1},
         {"extrapolation": 1, "step_sizes": {"two": 0.03}},
-        {"tolerance": 1e-4, "step_size": 0.2},
+        {"tolerance": 1e-3, "step_size": 0.2},
         {"events": (Event(0.5, {"one.a": -3.0}), Event(1.7, {"one.a": -0.5}))},
         {"faults": (fault({"input": "two.u[1]", "kind": "delay", "delay": 0.3}, "here"),)},
     ],
     ids=lambda change: " ".join(change) or "plain",
 )
 def test_it_is_the_same_run_to_the_last_bit(linear: Build, tmp_path: Path, change: dict[str, Any]) -> None:
-    system = coupled(linear, saves_state=True, serialises_state=True, interpolates_inputs=True)
+    system = coupled(linear, interpolates_inputs=True, **RESUMABLE)
     experiment = replace(Experiment(2.0, 0.01), **change)
     uninterrupted = simulate(system, experiment)
     points = len(uninterrupted.time)
     checkpoint, broken = interrupted(system, experiment, tmp_path / "checkpoint", points // 2)
     assert points // 2 <= checkpoint.position < points - 1
-    assert np.array_equal(broken.recording.values, uninterrupted.values[: len(broken.recording.time)])
+    assert_same_bits(broken.recording, uninterrupted, len(broken.recording.time))
     resumed = simulate(system, experiment, resume=checkpoint)
-    assert np.array_equal(resumed.time, uninterrupted.time)
-    assert np.array_equal(resumed.values, uninterrupted.values)
+    assert_same_bits(resumed, uninterrupted)
     assert resumed.provenance == uninterrupted.provenance
 
 
-@pytest.mark.usefixtures("scenario_fmus")
+@pytest.mark.usefixtures("vehicle_fmus")
 def test_the_shipped_vehicle_goes_on_from_a_file_bit_for_bit(tmp_path: Path) -> None:
-    """Controller, noise of the sensor and all."""
+    """Controller, noise of the sensor and all, also to a later stop time."""
     chosen = scenario.load(scenario.find("nominal-extended"))
-    experiment = replace(chosen.experiment, stop_time=30.0)
-    uninterrupted = simulate(chosen.system, experiment)
+    experiment = replace(chosen.experiment, stop_time=12.0)
     path = tmp_path / "checkpoint"
-    simulate(chosen.system, experiment, checkpoints=Checkpoints(path, every=11.0))
+    simulate(chosen.system, experiment, checkpoints=Checkpoints(path, every=5.0))
     checkpoint = read_checkpoint(path)
-    assert checkpoint.position == round(22.0 / experiment.step_size)
-    resumed = simulate(chosen.system, experiment, resume=checkpoint)
-    assert np.array_equal(resumed.values, uninterrupted.values)
-    longer = replace(experiment, stop_time=35.0)
-    assert np.array_equal(
-        simulate(chosen.system, longer, resume=checkpoint).values, simulate(chosen.system, longer).values
-    )
-
-
-def test_the_future_may_be_longer(linear: Build, tmp_path: Path) -> None:
-    system = coupled(linear, saves_state=True, serialises_state=True)
-    checkpoint, _ = interrupted(system, Experiment(1.0, 0.01), tmp_path / "checkpoint", 50)
-    resumed = simulate(system, Experiment(2.0, 0.01), resume=checkpoint)
-    assert np.array_equal(resumed.values, simulate(system, Experiment(2.0, 0.01)).values)
+    assert checkpoint.position == round(10.0 / experiment.step_size)
+    for longer in (experiment, replace(experiment, stop_time=13.0)):
+        resumed = simulate(chosen.system, longer, resume=checkpoint)
+        assert_same_bits(resumed, simulate(chosen.system, longer))
 
 
 @pytest.mark.parametrize(
@@ -115,7 +99,7 @@ def test_the_future_may_be_longer(linear: Build, tmp_path: Path) -> None:
     ],
 )
 def test_another_past_is_refused(linear: Build, tmp_path: Path, change: dict[str, Any], what: str) -> None:
-    system = System({"one": linear(saves_state=True, serialises_state=True)})
+    system = alone(linear, **RESUMABLE)
     signals, faults = {"one.u[1]": Cosine(1.0, 1.0)}, (Fault("one.u[1]", Offset(1.0)),)
     experiment = Experiment(1.0, 0.01, signals=signals, faults=faults)
     checkpoint, _ = interrupted(system, experiment, tmp_path / "checkpoint", 50)
@@ -123,24 +107,16 @@ def test_another_past_is_refused(linear: Build, tmp_path: Path, change: dict[str
         simulate(system, replace(experiment, **change), resume=checkpoint)
 
 
-def test_another_factor_of_a_connection_is_another_past(linear: Build, tmp_path: Path) -> None:
-    fmus = coupled(linear, saves_state=True, serialises_state=True).components
-
-    def system(factor: float) -> System:
-        return System(fmus, [(*LOOP[0], LinearTransformation(factor)), LOOP[1]])
-
-    checkpoint, _ = interrupted(system(0.5), Experiment(1.0, 0.01), tmp_path / "checkpoint", 50)
-    with pytest.raises(SimulationError, match="of which the connections differ"):
-        simulate(system(0.6), Experiment(1.0, 0.01), resume=checkpoint)
-
-
-def test_other_fmus_are_refused(linear: Build, tmp_path: Path) -> None:
-    experiment = Experiment(1.0, 0.01, inputs={"one.u[1]": 0.0})
-    states: dict[str, Any] = {"saves_state": True, "serialises_state": True}
-    path = tmp_path / "checkpoint"
-    checkpoint, _ = interrupted(System({"one": linear(**states)}), experiment, path, 50)
-    with pytest.raises(SimulationError, match="of which the FMUs differ"):
-        simulate(System({"one": linear(a=-5.0, **states)}), experiment, resume=checkpoint)
+def test_another_system_is_another_past(linear: Build, tmp_path: Path) -> None:
+    experiment, fmus = Experiment(1.0, 0.01), coupled(linear, **RESUMABLE).components
+    checkpoint, _ = interrupted(System(fmus, LOOP), experiment, tmp_path / "checkpoint", 50)
+    others = {
+        "connections": System(fmus, [(*LOOP[0], LinearTransformation(0.6)), LOOP[1]]),
+        "FMUs": System({**fmus, "one": linear(a=-5.0, **RESUMABLE)}, LOOP),
+    }
+    for what, system in others.items():
+        with pytest.raises(SimulationError, match=f"of which the {what} differ"):
+            simulate(system, experiment, resume=checkpoint)
 
 
 def test_fmus_must_serialise_their_state(linear: Build, tmp_path: Path) -> None:
@@ -149,42 +125,35 @@ def test_fmus_must_serialise_their_state(linear: Build, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x05\x06" + bytes(18), b"text", npy()])
-def test_a_damaged_file_is_named(tmp_path: Path, content: bytes) -> None:
+def test_a_damaged_or_missing_file_is_named(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "checkpoint"
+    with pytest.raises(OrchestrationError, match=r"no checkpoint .*checkpoint"):
+        read_checkpoint(path)
     path.write_bytes(content)
     with pytest.raises(OrchestrationError, match="checkpoint is not a checkpoint, or is damaged"):
         read_checkpoint(path)
 
 
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(OrchestrationError, match=r"no checkpoint .*nowhere"):
-        read_checkpoint(tmp_path / "nowhere")
-
-
 def test_an_event_at_the_checkpoint_is_in_the_future(linear: Build, tmp_path: Path) -> None:
     """Saved before it is made, so that it may still be another."""
-    system = System({"one": linear(saves_state=True, serialises_state=True)})
+    system = alone(linear, **RESUMABLE)
     calm = Experiment(1.0, 0.1, inputs={"one.u[1]": 0.0})
     path = tmp_path / "checkpoint"
-    simulate(
-        system,
-        replace(calm, events=(Event(0.5, {"one.a": -30.0}),)),
-        checkpoints=Checkpoints(path, every=0.5),
-    )
+    changed = replace(calm, events=(Event(0.5, {"one.a": -30.0}),))
+    simulate(system, changed, checkpoints=Checkpoints(path, every=0.5))
     checkpoint = read_checkpoint(path)
     assert checkpoint.time == pytest.approx(0.5)
-    assert np.array_equal(simulate(system, calm, resume=checkpoint).values, simulate(system, calm).values)
+    assert_same_bits(simulate(system, calm, resume=checkpoint), simulate(system, calm))
 
 
-@pytest.mark.parametrize("start", [0.0, 10.0, -5.0])
+@pytest.mark.parametrize("start", [0.0, -5.0])
 def test_checkpoints_are_as_far_apart_as_asked_wherever_time_begins(
     linear: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, start: float
 ) -> None:
     times: list[float] = []
     monkeypatch.setattr(Checkpoints, "save", lambda _, run: times.append(run.wiring.points[run.position]))
-    system = coupled(linear, saves_state=True, serialises_state=True)
     checkpoints = Checkpoints(tmp_path / "checkpoint", every=1.25)
-    simulate(system, Experiment(start + 3.0, 0.125, start), checkpoints=checkpoints)
+    simulate(coupled(linear, **RESUMABLE), Experiment(start + 3.0, 0.125, start), checkpoints=checkpoints)
     assert times == [start + 1.25, start + 2.5]
 
 
@@ -192,44 +161,29 @@ def test_checkpoints_are_as_far_apart_as_asked_wherever_time_begins(
 def test_what_cannot_be_saved_loses_no_recording(
     linear: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, saved: str
 ) -> None:
-    system = coupled(linear, saves_state=True, serialises_state=True)
-    path = tmp_path if saved == "into a folder" else tmp_path / "checkpoint"
+    def refuse(self: FmuInstance, state: int) -> bytes:
+        raise FmuError(self.name, self.time, "fmi2SerializeFMUstate", "error", [])
+
+    path = tmp_path
     if saved != "into a folder":
-
-        def refuse(self: FmuInstance, state: int) -> bytes:
-            raise FmuError(self.name, self.time, "fmi2SerializeFMUstate", "error", [])
-
+        path = tmp_path / "checkpoint"
         monkeypatch.setattr(FmuInstance, "serialize_fmu_state", refuse)
-
-    def stop(done: int, total: int) -> None:
-        if done:
-            raise KeyboardInterrupt
-
+    system, checkpoints = coupled(linear, **RESUMABLE), Checkpoints(path)
     with pytest.raises(SimulationError, match=r"^interrupted; not saved: ") as caught:
-        simulate(system, Experiment(1.0, 0.1), stop, checkpoints=Checkpoints(path))
+        simulate(system, Experiment(1.0, 0.1), interrupt_at(1), checkpoints=checkpoints)
     assert len(caught.value.recording.time) == 2
 
 
 def test_a_component_between_its_own_points_is_not_saved_at_the_end(linear: Build, tmp_path: Path) -> None:
     """Its last step was shorter than a longer run would make it."""
-    system = coupled(linear, saves_state=True, serialises_state=True)
-
-    def stop(done: int, total: int) -> None:
-        if done == total:
-            raise KeyboardInterrupt
-
+    system, checkpoints = coupled(linear, **RESUMABLE), Checkpoints(tmp_path / "checkpoint")
+    experiment = Experiment(1.0, 0.1, step_sizes={"two": 0.3})
     with pytest.raises(SimulationError, match=r"not saved: at the end of the run components are between"):
-        simulate(
-            system,
-            Experiment(1.0, 0.1, step_sizes={"two": 0.3}),
-            stop,
-            checkpoints=Checkpoints(tmp_path / "checkpoint"),
-        )
+        simulate(system, experiment, interrupt_at(10), checkpoints=checkpoints)
 
 
 def test_a_part_of_another_shape_is_refused(linear: Build, tmp_path: Path) -> None:
-    system = coupled(linear, saves_state=True, serialises_state=True)
-    experiment = Experiment(1.0, 0.01)
+    system, experiment = coupled(linear, **RESUMABLE), Experiment(1.0, 0.01)
     checkpoint, _ = interrupted(system, experiment, tmp_path / "checkpoint", 50)
     arrays = {**checkpoint.arrays, "bus": np.zeros(1)}
     with pytest.raises(SimulationError, match="the checkpoint is damaged: expected bus of shape"):

@@ -1,26 +1,29 @@
-"""Whatever is combined: both loops agree, and a run that is interrupted twice goes on, to the last bit."""
+"""Whatever is combined: all loops agree, and a run that is interrupted twice goes on, to the last bit."""
 
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from orchestration.errors import SimulationError
 from orchestration.results.recording import Recording
-from orchestration.run import Simulator
+from orchestration.run import Simulator, simulate
 from orchestration.run.checkpoint import Checkpoint, Checkpoints, read_checkpoint
 from orchestration.scenarios.declarations import fault
 from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.signals import Cosine
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
+from tests.orchestration.linear_systems import RESUMABLE
+from tests.orchestration.runs import assert_same_bits, interrupt_at
 from tests.shared_builds import Build
 
+Versions = tuple[int, int, int]  # of FMI, of one, two and three
+OLD: Versions = (2, 2, 2)
 NAMES = ("one", "two", "three", "rogue")
-STATES = {"saves_state": True, "serialises_state": True}
 RUN = 1.0  # s; of the longest step, at least 14 communication steps
 MOST_UNTIL_INTERRUPT = 6  # points, twice: the run is not yet over
 EVERY_POINT = 1e-9  # s between checkpoints
@@ -36,21 +39,24 @@ FAULTS: list[dict[str, Any]] = [
 EVENTS = [(0.0, -1.5), (0.33, -0.2), (0.7, -3.0), (1.0, -0.7)]
 
 
-def chain(linear: Build, rogue: Build, order: list[str], through: float, interpolates: bool) -> System:
+def chain(
+    linear: Build, rogue: Build, order: list[str], through: float, interpolates: bool, versions: Versions
+) -> System:
     """one <-> two -> rogue -> three, which a signal drives too, listed in this order.
 
     through: of every output, at once; with it one and two form an algebraic loop.
     """
-    options: dict[str, Any] = {"passes_discrete": True, "interpolates_inputs": interpolates, **STATES}
+    options: dict[str, Any] = {"passes_discrete": True, "interpolates_inputs": interpolates, **RESUMABLE}
+    feed = ((through,),)
     fmus = {
-        "one": linear(a=-1.0, b=(0.5,), d=((through,),), **options),
-        "two": linear(a=-2.0, b=(-3.0,), d=((through,),), initial_state=0.5, **options),
-        "three": linear(a=-4.0, b=(1.0, 2.0), d=((through, through),), **options),
-        "rogue": rogue(**STATES),
+        "one": linear(fmi=versions[0], a=-1.0, b=(0.5,), d=feed, **options),
+        "two": linear(fmi=versions[1], a=-2.0, b=(-3.0,), d=feed, initial_state=0.5, **options),
+        "three": linear(fmi=versions[2], a=-4.0, b=(1.0, 2.0), d=((through, through),), **options),
+        "rogue": rogue(**RESUMABLE),
     }
     connections = (
         ("one.y[1]", "two.u[1]"),
-        ("two.y[1]", "one.u[1]"),
+        ("two.y[1]", "one.u[1]", {"factor": 0.9, "offset": 0.1}),
         ("two.y[1]", "rogue.u"),
         ("rogue.y", "three.u[2]"),
         ("one.integer_out", "two.integer_in"),
@@ -68,14 +74,9 @@ def interrupted(
     simulator: Simulator, experiment: Experiment, path: Path, at: int, resume: Checkpoint | None = None
 ) -> tuple[Checkpoint, Recording]:
     """Run until communication point `at`; what was saved and recorded."""
-
-    def stop(done: int, total: int) -> None:
-        if done >= at:
-            raise KeyboardInterrupt
-
     checkpoints = Checkpoints(path, every=EVERY_POINT)
     with pytest.raises(SimulationError, match=r"^interrupted; saved in ") as caught:
-        simulator.run(experiment, stop, checkpoints=checkpoints, resume=resume)
+        simulator.run(experiment, interrupt_at(at), checkpoints=checkpoints, resume=resume)
     saved = read_checkpoint(path)
     assert saved.position == at
     return saved, caught.value.recording
@@ -90,6 +91,18 @@ STEPPING = st.one_of(
     ),
 )
 UNTIL_INTERRUPT = st.integers(1, MOST_UNTIL_INTERRUPT)
+EXTRAPOLATED: dict[str, Any] = {
+    "algorithm": Algorithm.JACOBI,
+    "extrapolation": 1,
+    "through": 0.0,
+    "order": [*NAMES],
+    "start": 0.0,
+    "step": 0.07,
+    "faulty": [],
+    "events": [],
+    "misdeed": Misdeed.NONE,
+    "points": (2, 3),
+}
 
 
 @pytest.mark.filterwarnings("ignore::orchestration.errors.FmuWarning")
@@ -110,8 +123,13 @@ UNTIL_INTERRUPT = st.integers(1, MOST_UNTIL_INTERRUPT)
     events=st.lists(st.sampled_from(EVENTS), unique=True),
     misdeed=st.sampled_from([Misdeed.NONE, Misdeed.WARNING, Misdeed.DISCARD]),
     points=st.tuples(UNTIL_INTERRUPT, UNTIL_INTERRUPT),
+    versions=st.tuples(*[st.sampled_from([2, 3])] * 3),
 )
-def test_both_loops_agree_and_interrupts_change_nothing(
+@example(
+    **EXTRAPOLATED, stepping={"periods": {"two": 2, "three": 3}}, interpolates=True, versions=(2, 2, 2, 2)
+)
+@example(**EXTRAPOLATED, stepping={"tolerance": 2e-2}, interpolates=False, versions=(3, 3, 2))
+def test_all_loops_agree_and_interrupts_change_nothing(
     linear: Build,
     rogue: Build,
     checkpoint: Path,
@@ -127,7 +145,9 @@ def test_both_loops_agree_and_interrupts_change_nothing(
     events: list[tuple[float, float]],
     misdeed: Misdeed,
     points: tuple[int, int],
+    versions: Versions,
 ) -> None:
+    """The compiled loop, that in Python, and that on threads, with components of both standards."""
     periods = stepping.get("periods", {})
     if periods and misdeed is Misdeed.DISCARD:
         misdeed = Misdeed.NONE  # with step sizes of its own no component goes back
@@ -152,24 +172,23 @@ def test_both_loops_agree_and_interrupts_change_nothing(
         tolerance=stepping.get("tolerance"),
         faults=tuple(fault({"input": name, **_later(declared, start)}, "here") for name, declared in faulty),
     )
-    system = chain(linear, rogue, order, through, interpolates)
+    system = chain(linear, rogue, order, through, interpolates, versions)
     with Simulator(system) as compiled, Simulator(system, compiled=False) as plain:
         uninterrupted = compiled.run(experiment)
-        check_same(plain.run(experiment), uninterrupted)
+        assert_same_bits(plain.run(experiment), uninterrupted)
+        with Simulator(system, threads=3) as shared:
+            assert_same_bits(shared.run(experiment), uninterrupted)
+        if not interpolates:  # which FMI 3.0 has no function for
+            of_fmi_2 = chain(linear, rogue, order, through, interpolates, OLD)
+            assert_same_bits(simulate(of_fmi_2, experiment), uninterrupted)
         first, begun = interrupted(compiled, experiment, checkpoint, points[0])
-        check_same(begun, uninterrupted, points[0] + 1)
+        assert_same_bits(begun, uninterrupted, points[0] + 1)
         second, begun = interrupted(plain, experiment, checkpoint, sum(points), first)
-        check_same(begun, uninterrupted, sum(points) + 1)
-        check_same(compiled.run(experiment, resume=second), uninterrupted)
+        assert_same_bits(begun, uninterrupted, sum(points) + 1)
+        assert_same_bits(compiled.run(experiment, resume=second), uninterrupted)
+    assert uninterrupted["two.integer_out"][-1] == 7.0
     assert len(np.unique(uninterrupted["three.y[1]"])) > 3
 
 
 def _later(declared: dict[str, Any], by: float) -> dict[str, Any]:
     return {key: value + by if key in ("start", "end") else value for key, value in declared.items()}
-
-
-def check_same(recording: Recording, expected: Recording, points: int | None = None) -> None:
-    """To the last bit, up to so many points."""
-    assert recording.names == expected.names
-    assert np.array_equal(recording.time, expected.time[:points])
-    assert np.array_equal(recording.values, expected.values[:points])

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,65 +19,37 @@ from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.prepared_run import prepare
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
-from tests.orchestration.linear_systems import LOOP, coupled, solution
+from tests.orchestration.linear_systems import LOOP, alone, coupled, solution
+from tests.orchestration.runs import assert_same_bits
 from tests.shared_builds import Build
 
 OUTPUTS = ("one.y[1]", "two.y[1]")
 NAMES = ("one", "two", "three", "four")
 
 
-@dataclass(frozen=True)
-class RandomSystem:
-    """x_i' = a_i x_i + u_i, u_i the sum of gains[i, j] y_j, y = x, from `start`; stable."""
+def drawn(random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """A and x(0) of x' = A x, of two to four components, of which the slowest mode decays at 0.05/s."""
+    while True:
+        count = int(random.integers(2, 5))
+        matrix = random.normal(0.0, 2.0, (count, count))
+        matrix[random.random((count, count)) < 0.3] = 0.0
+        np.fill_diagonal(matrix, 0.0)
+        is_coupled = matrix.any()
+        np.fill_diagonal(matrix, -random.uniform(0.1, 3.0, count))
+        if is_coupled and np.linalg.eigvals(matrix).real.max() < -0.05:
+            return matrix, random.normal(size=count)
 
-    poles: np.ndarray
-    gains: np.ndarray
-    start: np.ndarray
 
-    @classmethod
-    def drawn(cls, random: np.random.Generator) -> "RandomSystem":
-        """Two to four components, each fed by some of the others; the slowest mode decays at 0.05/s."""
-        while True:
-            count = int(random.integers(2, 5))
-            poles, gains = -random.uniform(0.1, 3.0, count), random.normal(0.0, 2.0, (count, count))
-            gains[random.random((count, count)) < 0.3] = 0.0
-            np.fill_diagonal(gains, 0.0)
-            drawn = cls(poles, gains, random.normal(size=count))
-            if gains.any() and np.linalg.eigvals(drawn.matrix).real.max() < -0.05:
-                return drawn
-
-    @property
-    def matrix(self) -> np.ndarray:
-        return np.diag(self.poles) + self.gains
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return NAMES[: len(self.poles)]
-
-    def of_fmus(self, fmu: Path) -> System:
-        """fmu: of three inputs, whose gains the connections have."""
-        connections = []
-        for i, target in enumerate(self.names):
-            sources = np.flatnonzero(self.gains[i])
-            connections += [
-                (f"{self.names[j]}.y[1]", f"{target}.u[{k + 1}]", {"factor": float(self.gains[i, j])})
-                for k, j in enumerate(sources)
-            ]
-        return System(dict.fromkeys(self.names, fmu), connections)
-
-    def experiment(self, stop_time: float, step_size: float, **settings: Any) -> Experiment:
-        values = zip(self.names, self.poles.tolist(), self.start.tolist(), strict=True)
-        parameters = {}
-        for name, pole, start in values:
-            parameters |= {f"{name}.a": pole, f"{name}.initial_state": start}
-        return Experiment(stop_time, step_size, parameters=parameters, open_inputs="start", **settings)
-
-    def solution(self, count: int, step: float) -> np.ndarray:
-        """The outputs at times `step` apart [s], shape (count, components)."""
-        of_a_step, states = expm(self.matrix * step), [self.start]
-        for _ in range(count - 1):
-            states.append(of_a_step @ states[-1])
-        return np.array(states)
+def of_fmus(fmu: Path, matrix: np.ndarray) -> System:
+    """x_i' = A_ii x_i + u_i and y = x: an FMU of three inputs, whose gains the connections have."""
+    connections = []
+    for i, row in enumerate(matrix):
+        sources = [j for j in np.flatnonzero(row) if j != i]
+        connections += [
+            (f"{NAMES[j]}.y[1]", f"{NAMES[i]}.u[{k + 1}]", {"factor": float(row[j])})
+            for k, j in enumerate(sources)
+        ]
+    return System(dict.fromkeys(NAMES[: len(matrix)], fmu), connections)
 
 
 def ratios(fmu: Path, seed: int) -> tuple[float, float]:
@@ -86,18 +58,24 @@ def ratios(fmu: Path, seed: int) -> tuple[float, float]:
     The step is 0.003 to 0.3 of the fastest mode's time; the run takes 8 to 100 of them.
     """
     random = np.random.default_rng(seed)
-    system = RandomSystem.drawn(random)
-    fastest = np.abs([*np.linalg.eigvals(system.matrix), *system.poles]).max()
+    matrix, start = drawn(random)
+    fastest = np.abs([*np.linalg.eigvals(matrix), *np.diag(matrix)]).max()
     step = 10.0 ** random.uniform(-2.5, -0.5) / fastest
-    settings = {
+    count = int(random.integers(8, 101))
+    parameters = {f"{name}.a": float(pole) for name, pole in zip(NAMES, np.diag(matrix), strict=False)}
+    parameters |= {f"{name}.initial_state": float(x) for name, x in zip(NAMES, start, strict=False)}
+    settings: dict[str, Any] = {
         "algorithm": random.choice([*Algorithm]),
         "extrapolation": int(random.integers(0, 2)),
-        "error_estimate": True,
+        "parameters": parameters,
+        "open_inputs": "start",
     }
-    stop = step * int(random.integers(8, 101))
-    run = simulate(system.of_fmus(fmu), system.experiment(stop, step, **settings))
-    outputs = [f"{name}.y[1]" for name in system.names]
-    true = np.abs(np.column_stack([run[name] for name in outputs]) - system.solution(len(run.time), step))
+    run = simulate(of_fmus(fmu, matrix), Experiment(step * count, step, error_estimate=True, **settings))
+    of_a_step, states = expm(matrix * step), [start]
+    for _ in run.time[1:]:
+        states.append(of_a_step @ states[-1])
+    outputs = [f"{name}.y[1]" for name in NAMES[: len(start)]]
+    true = np.abs(np.column_stack([run[name] for name in outputs]) - np.array(states))
     estimated = np.column_stack([run[f"{ERROR_ESTIMATE}{name}"] for name in outputs])
     return float(estimated.max() / true.max()), float(estimated[-1].max() / true[-1].max())
 
@@ -139,26 +117,26 @@ def test_every_kind_of_run_is_estimated(linear: Build, capabilities: dict, setti
 
 @pytest.mark.parametrize(("extrapolation", "factor"), [(0, 3.0), (1, 2.0)])
 def test_the_run_itself_is_the_same(linear: Build, extrapolation: int, factor: float) -> None:
-    """The estimates are further columns, also of a run in a process of its own."""
-    experiment = Experiment(1.0, 0.1, extrapolation=extrapolation)
-    alone = simulate(coupled(linear), experiment)
-    estimated = [
-        simulate(coupled(linear), replace(experiment, error_estimate=True), timeout=timeout)
-        for timeout in (None, 60.0)
-    ]
-    for run in estimated:
-        assert run.names == (*alone.names, *(f"{ERROR_ESTIMATE}{name}" for name in alone.names))
-        assert np.array_equal(run.values[:, :2], alone.values)
-    assert np.array_equal(estimated[0].values, estimated[1].values)
-    difference = np.abs(
-        alone.values[::2] - simulate(coupled(linear), replace(experiment, step_size=0.2)).values
-    )
+    """The estimates are further columns."""
+    system, experiment = coupled(linear), Experiment(1.0, 0.1, extrapolation=extrapolation)
+    alone = simulate(system, experiment)
+    run = simulate(system, replace(experiment, error_estimate=True))
+    assert run.names == (*alone.names, *(f"{ERROR_ESTIMATE}{name}" for name in alone.names))
+    assert np.array_equal(run.values[:, :2], alone.values)
+    at_twice_the_step = simulate(system, replace(experiment, step_size=0.2))
+    difference = np.abs(alone.values[::2] - at_twice_the_step.values)
     largest = [difference[max(k - 2, 0) : k + 1].max(axis=0) for k in range(len(difference))]
-    assert np.array_equal(estimated[0].values[::2, 2:], factor * np.array(largest))
-    quantities = estimated[0].provenance["error_estimate"]["quantities"]
+    assert np.array_equal(run.values[::2, 2:], factor * np.array(largest))
     for name in OUTPUTS:
-        column = estimated[0][f"{ERROR_ESTIMATE}{name}"]
-        assert quantities[name] == {"maximum": column.max(), "at_end": column[-1]}
+        column = run[f"{ERROR_ESTIMATE}{name}"]
+        found = run.provenance["error_estimate"]["quantities"][name]
+        assert found == {"maximum": column.max(), "at_end": column[-1]}
+
+
+def test_a_run_in_a_process_of_its_own_has_the_same_estimate(linear: Build) -> None:
+    experiment = Experiment(1.0, 0.1, error_estimate=True)
+    apart = simulate(coupled(linear), experiment, timeout=60.0)
+    assert_same_bits(apart, simulate(coupled(linear), experiment))
 
 
 @pytest.mark.parametrize(
@@ -187,11 +165,9 @@ def test_a_second_run_that_fails_leaves_the_first(rogue: Build) -> None:
 
 
 def test_what_cannot_be_estimated_is_refused(linear: Build) -> None:
-    system = coupled(linear)
-    with pytest.raises(
-        SystemDefinitionError, match=r"expected a run of at least 0\.2 s, two steps .* got 0\.1 s"
-    ):
-        simulate(system, Experiment(0.1, 0.1, error_estimate=True))
+    message = r"expected a run of at least 0\.2 s, two steps .* got 0\.1 s"
+    with pytest.raises(SystemDefinitionError, match=message):
+        simulate(coupled(linear), Experiment(0.1, 0.1, error_estimate=True))
 
 
 def led(simulator: Simulator, experiment: Experiment, detours: int = 0) -> Recording:
@@ -209,26 +185,24 @@ def led(simulator: Simulator, experiment: Experiment, detours: int = 0) -> Recor
     return run.recording()
 
 
-@pytest.mark.parametrize("compiled", [True, False])
 def test_a_run_that_is_led_step_by_step_has_the_estimate_of_a_whole_run(
     linear: Build, compiled: bool
 ) -> None:
-    system, experiment = coupled(linear), Experiment(1.0, 0.1, error_estimate=True)
-    with Simulator(system, compiled) as simulator:
+    experiment = Experiment(1.0, 0.1, error_estimate=True)
+    with Simulator(coupled(linear), compiled) as simulator:
         complete = simulator.run(experiment)
         run = simulator.start(experiment)
         while not run.is_done:
             run.step()
         recording = run.recording()
-    assert recording.names == complete.names
-    assert np.array_equal(recording.values, complete.values)
+    assert_same_bits(recording, complete)
     assert recording.provenance["error_estimate"] == complete.provenance["error_estimate"]
 
 
 def test_the_estimate_takes_what_was_set_and_not_what_was_taken_back(linear: Build) -> None:
     """x' = A x + (sin t, 0): the error of holding exchanged and set inputs, beside small steps."""
-    able: dict[str, Any] = {"saves_state": True}
-    fmus = {"one": linear(b=(0.5, 1.0), d=((0.0, 0.0),), **able), "two": linear(a=-2.0, b=(-3.0,), **able)}
+    one = linear(b=(0.5, 1.0), d=((0.0, 0.0),), saves_state=True)
+    fmus = {"one": one, "two": linear(a=-2.0, b=(-3.0,), saves_state=True)}
     experiment = Experiment(2.0, 0.05, error_estimate=True)
     with Simulator(System(fmus, LOOP)) as simulator:
         run = led(simulator, experiment)
@@ -241,7 +215,7 @@ def test_the_estimate_takes_what_was_set_and_not_what_was_taken_back(linear: Bui
 
 
 def test_the_estimate_of_a_stepped_run_is_made_again_only_after_something_new(linear: Build) -> None:
-    with Simulator(System({"one": linear(b=(1.0,))})) as simulator:
+    with Simulator(alone(linear)) as simulator:
         run = simulator.start(Experiment(1.0, 0.1, error_estimate=True), ["one.u[1]"])
         for _ in range(4):
             run.step()

@@ -14,10 +14,8 @@ from fmus.fmi.description import describe, of_causality
 from fmus.fmi.instance import FmuInstance
 from orchestration.errors import FmuError, FmuWarning, SimulationError, SystemDefinitionError
 from orchestration.many.ensemble import Ensemble
-from orchestration.many.run_many import run_many
 from orchestration.results.recording import Recording
-from orchestration.run import Simulator, simulate
-from orchestration.run.checkpoint import Checkpoints, read_checkpoint
+from orchestration.run import Simulator, compiled_loop, simulate, simulator
 from orchestration.run.loop_data import LoopFunctions, Wiring
 from orchestration.scenarios import scenario
 from orchestration.system.experiment import Event, Experiment
@@ -25,52 +23,43 @@ from orchestration.system.signals import Cosine, Ramps
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import LOOP
-from tests.orchestration.rogue_systems import doing
+from tests.orchestration.many import instances as ensembles
+from tests.orchestration.rogue_systems import doing, run
+from tests.orchestration.runs import assert_same_bits
 from tests.shared_builds import Build, Fmus
 
 CONTROLLER, PLANT = "L1DepthController", "RovDepthPlant"
+DIVE_S = 15.0
 
 
 @pytest.fixture(scope="module")
-def dives(built: Fmus, fmi3_built: Fmus, scenario_fmus: None) -> Any:
+def dives(built: Fmus, fmi3_built: Fmus, vehicle_fmus: None) -> Any:
     """The nominal dive with a controller and a plant, each of FMI 2.0 or of FMI 3.0."""
     of_version = {2: built, 3: fmi3_built}
 
     def load(controller: int, plant: int, name: str = "nominal-extended") -> tuple[System, Experiment]:
-        fmus = {
-            "controller": str(of_version[controller][CONTROLLER]),
-            "plant": str(of_version[plant][PLANT]),
-        }
-        chosen = scenario.load(scenario.find(name), settings=fmus)
-        components = chosen.system.components
-        assert describe(components["controller"]).fmiVersion == f"{controller}.0"
-        assert describe(components["plant"]).fmiVersion == f"{plant}.0"
-        return chosen.system, chosen.experiment
+        fmus = {"controller": of_version[controller][CONTROLLER], "plant": of_version[plant][PLANT]}
+        settings = {component: str(path) for component, path in fmus.items()}
+        chosen = scenario.load(scenario.find(name), settings=settings)
+        versions = [describe(chosen.system.components[component]).fmiVersion for component in fmus]
+        assert versions == [f"{controller}.0", f"{plant}.0"]
+        return chosen.system, replace(chosen.experiment, stop_time=DIVE_S)
 
     return load
-
-
-def run(system: System, experiment: Experiment, **options: Any) -> Recording:
-    with Simulator(system, **options) as simulator:
-        return simulator.run(experiment)
 
 
 @pytest.mark.parametrize("versions", [(3, 2), (2, 3), (3, 3)])
 @pytest.mark.parametrize("name", ["nominal-extended", "nominal-extended-smooth"])
 def test_a_dive_is_that_of_fmi_2_bit_for_bit(dives: Any, versions: tuple[int, int], name: str) -> None:
     old, new = run(*dives(2, 2, name)), run(*dives(*versions, name))
-    assert old.names == new.names
-    assert np.array_equal(old.time, new.time)
-    assert np.array_equal(old.values, new.values)
-    assert np.ptp(new["plant.depth"]) > 0.2  # m: it dives
+    assert_same_bits(new, old)
+    assert np.ptp(new["plant.depth"]) > 0.05  # m: it dives
 
 
 def test_the_loop_is_the_compiled_one_and_agrees_with_that_in_python(
     dives: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from orchestration.run import compiled_loop, simulator
-
-    ran = []
+    ran: list[Any] = []
 
     def counted(wiring: Wiring) -> LoopFunctions:
         functions = compiled_loop.compiled_loop(wiring)
@@ -78,25 +67,18 @@ def test_the_loop_is_the_compiled_one_and_agrees_with_that_in_python(
         return functions
 
     monkeypatch.setattr(simulator, "compiled_loop", counted)
-    system, experiment = dives(3, 3)
-    short = replace(experiment, stop_time=5.0)
-    compiled, plain = run(system, short), run(system, short, compiled=False)
-    assert ran[0].func is compiled_loop.library().loop_run
-    assert len(ran) == 1
-    assert np.array_equal(compiled.values, plain.values)
+    assert_same_bits(run(*dives(3, 3)), run(*dives(3, 3), compiled=False))
+    assert [function.func for function in ran] == [compiled_loop.library().loop_run]
 
 
 def test_vectors_have_the_bits_of_single_runs(dives: Any) -> None:
     system, experiment = dives(3, 3)
-    short = replace(experiment, stop_time=5.0, record=("plant.depth",))
-    runs = [
-        replace(short, parameters={**short.parameters, "plant.net_weight": w}) for w in (-1.0, -2.0, -3.0)
-    ]
-    with Ensemble(system) as ensemble, Simulator(system) as simulator:
-        together = ensemble.run(runs)
-        alone = [simulator.run(one).values for one in runs]
-    assert np.array_equal(together.values, np.array(alone))
-    assert len(np.unique(together.values[:, -1])) == len(runs)
+    weights = {"plant.net_weight": [-1.0, -2.0, -3.0]}
+    experiments = ensembles.instances(replace(experiment, record=("plant.depth",)), weights)
+    with Ensemble(system) as ensemble, Simulator(system) as alone:
+        together = ensemble.run(experiments)
+        ensembles.assert_same_bits(together, alone, experiments)
+    assert len(np.unique(together.values[:, -1])) == len(experiments)
 
 
 # FMUs of others: arrays with value references of their own, and every type
@@ -141,7 +123,7 @@ def mirrored(system: System, inputs: dict[str, Any], compiled: bool = True) -> d
     record = tuple(f"m.{name}" for name in outputs)
     given = {f"m.{name}": value for name, value in inputs.items()}
     experiment = Experiment(0.2, 0.1, inputs=given, open_inputs="start", record=record)
-    recording = run(system, experiment, compiled=compiled)
+    recording = run(system, experiment, compiled)
     return {name.replace("_out", ""): recording[f"m.{name}"].tolist() for name in outputs}
 
 
@@ -166,14 +148,13 @@ def test_scalars_of_arrays_are_connected_in_any_order(mirror: Build, compiled: b
     pairs += [("one.u8_out", "two.level_in"), ("one.flag_out[1]", "two.flag_in[2]")]
     record = tuple(target.replace("_in", "_out") for _, target in pairs)
     experiment = Experiment(0.3, 0.1, open_inputs="start", record=record)
-    recording = run(System({"one": fmu, "two": fmu}, pairs), experiment, compiled=compiled)
+    recording = run(System({"one": fmu, "two": fmu}, pairs), experiment, compiled)
     for source, target in pairs:
         start = starts()[source.partition(".")[2].replace("_out", "")]
         assert recording[target.replace("_in", "_out")].tolist() == [start] * 4
 
 
-def test_an_array_follows_a_signal_and_a_change_of_one_scalar(mirror: Build, compiled: bool) -> None:
-    system = System({"m": mirror(EVERYTHING)})
+def test_an_array_follows_a_signal_and_a_change_of_one_scalar(everything: System, compiled: bool) -> None:
     experiment = Experiment(
         0.5,
         0.1,
@@ -182,7 +163,7 @@ def test_an_array_follows_a_signal_and_a_change_of_one_scalar(mirror: Build, com
         open_inputs="start",
         record=("m.single_out[1]", "m.single_out[2]", "m.single_in[2]"),
     )
-    recording = run(system, experiment, compiled=compiled)
+    recording = run(everything, experiment, compiled)
     assert recording["m.single_out[1]"].tolist() == [0.25, 0.25, 0.25, 4.0, 4.0, 4.0]
     singles = recording["m.single_in[2]"].astype(np.float32)
     assert recording["m.single_out[2]"][1:].tolist() == singles[:-1].tolist()
@@ -218,24 +199,20 @@ WIDE_AND_NARROW = {
 }
 
 
-def test_an_integer_that_an_input_cannot_hold_ends_the_run(mirror: Build, compiled: bool) -> None:
-    fmu = mirror(WIDE_AND_NARROW)
-    system = System({"one": fmu, "two": fmu}, (("one.big_out", "two.small_in"),))
-    message = r"two at t = 0 s: fmi3SetInt8 returned error: value reference \d+: 300: expected -128..127"
-    with pytest.raises(SimulationError, match=message):
-        run(system, Experiment(0.2, 0.1, open_inputs="start"), compiled=compiled)
-
-
-def test_a_real_that_an_input_of_single_precision_cannot_hold_ends_the_run(
-    mirror: Build, compiled: bool
+@pytest.mark.parametrize(
+    ("source", "target", "message"),
+    [
+        ("big_out", "small_in", r"fmi3SetInt8 returned error: value reference \d+: 300: expected -128..127"),
+        ("wide_out[1]", "narrow_in[2]", r"fmi3SetFloat32 returned .*: -1\.0.*e\+300: expected -3.4"),
+    ],
+)
+def test_a_number_that_an_input_cannot_hold_ends_the_run(
+    mirror: Build, compiled: bool, source: str, target: str, message: str
 ) -> None:
     fmu = mirror(WIDE_AND_NARROW)
-    system = System({"one": fmu, "two": fmu}, (("one.wide_out[1]", "two.narrow_in[2]"),))
-    message = (
-        r"two at t = 0 s: fmi3SetFloat32 returned error: value reference \d+: -1\.0.*e\+300: expected -3.4"
-    )
-    with pytest.raises(SimulationError, match=message):
-        run(system, Experiment(0.2, 0.1, open_inputs="start"), compiled=compiled)
+    system = System({"one": fmu, "two": fmu}, ((f"one.{source}", f"two.{target}"),))
+    with pytest.raises(SimulationError, match=f"two at t = 0 s: {message}"):
+        run(system, Experiment(0.2, 0.1, open_inputs="start"), compiled)
 
 
 def test_an_integer_beyond_those_of_the_master_is_refused(mirror: Build) -> None:
@@ -345,7 +322,7 @@ def test_a_step_that_ends_in_a_way_that_was_not_allowed_ends_the_run(
     with pytest.raises(
         SimulationError, match=f"m at t = 0.3 s: fmi3DoStep returned error: {message}"
     ) as caught:
-        run(system, Experiment(1.0, 0.1, open_inputs="start"), compiled=compiled)
+        run(system, Experiment(1.0, 0.1, open_inputs="start"), compiled)
     assert caught.value.recording.time[-1] == pytest.approx(0.3)
 
 
@@ -356,30 +333,12 @@ def test_errors_name_the_functions_of_fmi_3(rogue: Build, compiled: bool) -> Non
         (Misdeed.REFUSE_INPUT, "fmi3SetFloat64 returned discard: no input is taken any more"),
     ):
         with pytest.raises(SimulationError, match=message):
-            run(system, replace(doing(misdeed), signals={"rogue.u": Cosine(1.0, 3.0)}), compiled=compiled)
+            run(system, replace(doing(misdeed), signals={"rogue.u": Cosine(1.0, 3.0)}), compiled)
     with pytest.warns(FmuWarning, match="rogue at t = .* s: fmi3DoStep: the battery is low"):
-        run(system, replace(doing(Misdeed.WARNING), inputs={"rogue.u": 1.0}), compiled=compiled)
+        run(system, replace(doing(Misdeed.WARNING), inputs={"rogue.u": 1.0}), compiled)
 
 
 # Runs of every kind
-
-
-def test_a_run_goes_on_from_a_checkpoint_and_from_a_saved_state(linear: Build, tmp_path: Path) -> None:
-    options = {"saves_state": True, "serialises_state": True}
-    system = System({"one": linear(fmi=3, **options), "two": linear(a=-2.0, **options)}, LOOP)
-    experiment = Experiment(1.0, 0.1)
-    whole = simulate(system, experiment, checkpoints=Checkpoints(tmp_path / "checkpoint", every=0.45))
-    resumed = simulate(system, experiment, resume=read_checkpoint(tmp_path / "checkpoint"))
-    assert np.array_equal(resumed.values, whole.values)
-    with Simulator(system) as simulator:
-        stepped = simulator.start(experiment)
-        stepped.step()
-        state = stepped.save()
-        for _ in range(2):
-            while not stepped.is_done:
-                stepped.step()
-            assert np.array_equal(stepped.recording().values, whole.values)
-            stepped.restore(state)
 
 
 @pytest.mark.parametrize("versions", [(3, 2), (2, 3), (3, 3)])
@@ -396,15 +355,6 @@ def test_an_algebraic_loop_starts_from_the_values_of_fmi_2(
         return simulate(system, Experiment(0.2, 0.1, initialisation=method))
 
     assert np.array_equal(first(*versions).values, first(2, 2).values)
-
-
-def test_many_runs_are_made_in_processes_too(linear: Build) -> None:
-    system = System({"one": linear(fmi=3), "two": linear()}, LOOP)
-    experiments = [Experiment(0.5, 0.1, parameters={"one.initial_state": x}) for x in (1.0, 2.0)]
-    expected = [simulate(system, one).values for one in experiments]
-    apart = [recording.values for recording in run_many(system, experiments, workers=2, isolate=True)]
-    assert np.array_equal(apart, expected)
-    assert np.array_equal(simulate(system, experiments[1], timeout=30.0).values, expected[1])
 
 
 SWEPT = """
@@ -429,7 +379,7 @@ high = -1.0
 
 
 def test_commands_take_an_fmu_of_fmi_3_by_its_file(
-    command: Any, built: Fmus, fmi3_built: Fmus, scenario_fmus: None, tmp_path: Path
+    command: Any, built: Fmus, fmi3_built: Fmus, vehicle_fmus: None, tmp_path: Path
 ) -> None:
     """`run` in a process of its own, and `sweep`: the files are those with FMI 2.0."""
     tables = []

@@ -15,6 +15,7 @@ from orchestration.errors import FmuError, OrchestrationError, SimulationError
 from orchestration.run import simulate
 from orchestration.run.initialisation import solve_initial_values
 from orchestration.system.experiment import Experiment, Initialisation
+from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.system import CheckedSystem, System, check
 from tests.shared_builds import Build
 
@@ -84,23 +85,16 @@ def settled(
         return {target: value(checked, live, target) for _, target in connections}
 
 
-def test_a_chain_is_one_pass_in_the_order_of_the_dependencies(linear: Build) -> None:
-    double = gain(linear, 2.0)
+@pytest.mark.parametrize("declares", [True, False])
+def test_a_chain_is_one_pass_in_the_order_of_the_dependencies(linear: Build, declares: bool) -> None:
+    """Listed in reverse; an output that declares nothing follows every input."""
+    double = gain(linear, 2.0, declares_dependencies=declares)
     chain = (("b.y[1]", "c.u[1]"), ("a.y[1]", "b.u[1]"))
-    with initialising({"a": double, "b": double, "c": double}, chain, a=5.0) as (checked, live):
+    with initialising(dict.fromkeys("abc", double), chain, a=5.0) as (checked, live):
         solve_initial_values(checked, live, AUTOMATIC)
         assert sum((component.calls for component in live.values()), Counter()) == {"get": 2, "set": 2}
         assert value(checked, live, "c.u[1]") == 1.0 + 2.0 * (1.0 + 2.0 * 5.0)
-
-
-def test_an_output_that_declares_nothing_follows_every_input(linear: Build) -> None:
-    """A chain in reverse order, and a loop of one component, as if it were declared."""
-    undeclared = gain(linear, 2.0, declares_dependencies=False)
-    chain = (("b.y[1]", "c.u[1]"), ("a.y[1]", "b.u[1]"))
-    with initialising(dict.fromkeys("abc", undeclared), chain, a=5.0) as (checked, live):
-        solve_initial_values(checked, live, AUTOMATIC)
-        assert value(checked, live, "c.u[1]") == 1.0 + 2.0 * (1.0 + 2.0 * 5.0)
-    with initialising({"a": undeclared}, (("a.y[1]", "a.u[1]"),)) as (checked, live):
+    with initialising({"a": double}, (("a.y[1]", "a.u[1]"),)) as (checked, live):
         assert [group.is_loop for group in checked.connection_groups] == [True]
 
 
@@ -117,25 +111,17 @@ def test_an_output_that_follows_no_input_closes_no_loop(linear: Build) -> None:
 
 
 LOOP = (("a.y[1]", "b.u[1]"), ("b.y[1]", "a.u[1]"))
+NAMED = r"the loop b.u\[1\], a.u\[1\]"
 
 
-@pytest.mark.parametrize("loop_gain", [0.5, -0.7, 0.9])
-@pytest.mark.parametrize("method", list(Initialisation))
-def test_a_contracting_loop_comes_to_its_solution(
+CONTRACTING = [(method, gain) for method in Initialisation for gain in (0.5, -0.7, 0.9)]
+OTHERS = [(method, gain) for method in (AUTOMATIC, NEWTON) for gain in (0.99, -1.0, -2.0, 30.0)]
+
+
+@pytest.mark.parametrize(("method", "loop_gain"), CONTRACTING + OTHERS)
+def test_a_loop_comes_to_its_solution_by_newtons_method_if_it_does_not_contract(
     linear: Build, method: Initialisation, loop_gain: float
 ) -> None:
-    check_linear_loop(linear, method, loop_gain)
-
-
-@pytest.mark.parametrize("loop_gain", [0.99, -1.0, -2.0, 30.0])
-@pytest.mark.parametrize("method", [AUTOMATIC, NEWTON])
-def test_newtons_method_solves_what_does_not_contract(
-    linear: Build, method: Initialisation, loop_gain: float
-) -> None:
-    check_linear_loop(linear, method, loop_gain)
-
-
-def check_linear_loop(linear: Build, method: Initialisation, loop_gain: float) -> None:
     """a.u = 3 + g b.u, b.u = 1 + a.u."""
     components = {"a": gain(linear, 1.0), "b": gain(linear, loop_gain, 3.0)}
     solved = settled(components, LOOP, method)
@@ -162,41 +148,30 @@ def test_several_loop_variables_of_different_size_are_solved_together(linear: Bu
     assert list(solved.values()) == pytest.approx(exact, rel=ROUNDING)
 
 
-def test_fixed_points_alone_give_up_where_they_diverge(linear: Build) -> None:
-    components = {"a": gain(linear, 1.0), "b": gain(linear, -2.0)}
-    with pytest.raises(OrchestrationError, match=r"the loop b.u\[1\], a.u\[1\] .* iteration diverges"):
-        settled(components, LOOP, FIXED_POINT)
-
-
-@pytest.mark.parametrize("method", list(Initialisation))
-def test_a_loop_without_a_solution_is_said(linear: Build, method: Initialisation) -> None:
-    """a.u = 1 + b.u and b.u = 1 + a.u."""
-    components = {"a": gain(linear, 1.0), "b": gain(linear, 1.0)}
-    with pytest.raises(OrchestrationError, match=r"no solution was found for the loop b.u\[1\], a.u\[1\]"):
+@pytest.mark.parametrize(
+    ("loop_gain", "offset", "method", "message"),
+    [
+        *((1.0, 1.0, method, f"no solution was found for {NAMED}") for method in Initialisation),
+        (-2.0, 1.0, FIXED_POINT, f"{NAMED} .* iteration diverges"),
+        (1.0, 0.0, NEWTON, "the loop is singular"),
+    ],
+)
+def test_a_loop_without_one_solution_that_is_found_is_said(
+    linear: Build, loop_gain: float, offset: float, method: Initialisation, message: str
+) -> None:
+    """a.u = offset + g b.u and b.u = offset + a.u: none, one to which no exchange leads, or every number."""
+    components = {"a": gain(linear, 1.0, offset), "b": gain(linear, loop_gain, offset)}
+    with pytest.raises(OrchestrationError, match=message):
         settled(components, LOOP, method)
-
-
-def test_a_solution_that_does_not_stand_alone_is_not_taken(linear: Build) -> None:
-    """a.u = b.u and b.u = a.u hold for every number; Newton's method would give any."""
-    components = {"a": gain(linear, 1.0, 0.0), "b": gain(linear, 1.0, 0.0)}
-    with pytest.raises(OrchestrationError, match="the loop is singular"):
-        settled(components, LOOP, NEWTON)
 
 
 def test_two_loops_and_the_chain_between_them_are_solved_in_order(linear: Build) -> None:
     """The first loop's value feeds the chain, the chain's the second loop; the chain is read once."""
     joined = linear(d=((0.5, 1.0),), b=(0.0, 0.0), initial_state=1.0)  # y = 1 + u1 / 2 + u2
-    components = {
-        "a": gain(linear, 0.5),
-        "b": gain(linear, 1.0),
-        "c": gain(linear, 3.0),
-        "d": joined,
-        "e": it(linear),
-    }
-    connections = (
-        ("e.y[1]", "d.u[1]"), ("d.y[1]", "e.u[1]"), ("c.y[1]", "d.u[2]"), ("b.y[1]", "c.u[1]"), *LOOP,
-    )  # fmt: skip
-    with initialising(components, connections) as (checked, live):
+    gains = {name: gain(linear, d) for name, d in (("a", 0.5), ("b", 1.0), ("c", 3.0))}
+    chain = (("c.y[1]", "d.u[2]"), ("b.y[1]", "c.u[1]"))
+    connections = (("e.y[1]", "d.u[1]"), ("d.y[1]", "e.u[1]"), *chain, *LOOP)
+    with initialising(gains | {"d": joined, "e": gain(linear, 1.0, 0.0)}, connections) as (checked, live):
         loops = [len(group.connections) for group in checked.connection_groups if group.is_loop]
         solve_initial_values(checked, live, AUTOMATIC)
         assert loops == [2, 2]
@@ -205,22 +180,17 @@ def test_two_loops_and_the_chain_between_them_are_solved_in_order(linear: Build)
         assert value(checked, live, "e.u[1]") == pytest.approx(28.0, rel=ROUNDING)  # d = 1 + d / 2 + 13
 
 
-def it(linear: Build) -> Path:
-    return gain(linear, 1.0, 0.0)
-
-
+@pytest.mark.parametrize(
+    ("expression", "nominal", "solution"),
+    [("cos(u)", None, DOTTIE), ("1e-9 + 0.5 * u", 1e-9, 2e-9)],
+    ids=["nonlinear", "below what counts as none without a nominal"],
+)
 @pytest.mark.parametrize("method", list(Initialisation))
-def test_a_nonlinear_loop_comes_to_its_solution(function: Build, method: Initialisation) -> None:
-    assert settled({"f": function("cos(u)")}, (("f.y", "f.u"),), method)["f.u"] == pytest.approx(
-        DOTTIE, rel=ROUNDING
-    )
-
-
-@pytest.mark.parametrize("method", list(Initialisation))
-def test_nominals_say_what_is_small(function: Build, method: Initialisation) -> None:
-    """x = 1e-9 + x / 2; without a nominal, a change of 1e-12 counts as none."""
-    solved = settled({"f": function("1e-9 + 0.5 * u", nominal=1e-9)}, (("f.y", "f.u"),), method)
-    assert solved["f.u"] == pytest.approx(2e-9, rel=ROUNDING, abs=0.0)
+def test_a_loop_of_one_output_comes_to_its_solution(
+    function: Build, method: Initialisation, expression: str, nominal: float | None, solution: float
+) -> None:
+    solved = settled({"f": function(expression, nominal=nominal)}, (("f.y", "f.u"),), method)
+    assert solved["f.u"] == pytest.approx(solution, rel=ROUNDING, abs=0.0)
 
 
 def test_newtons_method_takes_shorter_steps_where_a_value_is_discarded(function: Build) -> None:
@@ -229,25 +199,26 @@ def test_newtons_method_takes_shorter_steps_where_a_value_is_discarded(function:
     assert solved["f.u"] == pytest.approx(np.e, rel=ROUNDING)
 
 
-def test_a_loop_whose_every_value_is_discarded_says_so(function: Build) -> None:
+@pytest.mark.parametrize(
+    ("method", "message"),
+    [
+        (AUTOMATIC, "no solution .* was discarded"),
+        (NEWTON, r"\(Newton's method ends .*, and a value was discarded"),
+    ],
+)
+def test_a_loop_whose_every_value_is_discarded_says_so(
+    function: Build, method: Initialisation, message: str
+) -> None:
     path = function("log(u) - 10", start=0.5)  # less than its own argument wherever it is defined
-    with pytest.raises(
-        OrchestrationError, match=r"no solution .* was discarded: f at t = 0 s: .*has no value"
-    ):
-        settled({"f": path}, (("f.y", "f.u"),))
-    with pytest.raises(
-        OrchestrationError,
-        match=r"\(Newton's method ends .*, and a value was discarded: f at t = 0 s: .*has no",
-    ):
-        settled({"f": path}, (("f.y", "f.u"),), NEWTON)
+    with pytest.raises(OrchestrationError, match=f"{message}: f at t = 0 s: .*has no"):
+        settled({"f": path}, (("f.y", "f.u"),), method)
 
 
 def test_an_output_that_is_no_number_is_not_passed_on(linear: Build) -> None:
     components = {"a": linear(c=(10.0,), initial_state=1e308), "b": gain(linear, 2.0)}
+    message = r"a.y\[1\] is inf: .* finite number, as it goes to b.u\[1\]"
     with initialising(components, (("a.y[1]", "b.u[1]"),), a=0.0) as (checked, live):
-        with pytest.raises(
-            OrchestrationError, match=r"a.y\[1\] is inf: .* finite number, as it goes to b.u\[1\]"
-        ):
+        with pytest.raises(OrchestrationError, match=message):
             solve_initial_values(checked, live, AUTOMATIC)
         assert live["b"].calls["set"] == 0
 
@@ -320,14 +291,7 @@ def test_the_controller_follows_the_plant(built: Mapping[str, Path]) -> None:
             ("plant.depth_rate", "controller.measured_depth_rate"),
         ),
     )
-    idle = [
-        "plant.thruster_efficiency[1]", "plant.thruster_efficiency[2]", "plant.external_force",
-        "plant.buoyancy_change", "plant.current_velocity", "plant.roll", "plant.pitch",
-        "plant.wave_velocity", "plant.wave_acceleration", "plant.wave_pressure_head",
-        "controller.roll", "controller.pitch", "controller.depth_reference",
-        "controller.depth_reference_rate", "controller.depth_reference_acceleration",
-    ]  # fmt: skip
-    groups = check(system, idle).connection_groups
+    groups = check(system, open_inputs=OpenInputs.START).connection_groups
     targets = [target.name for group in groups for _, target in group.connections]
     assert not any(group.is_loop for group in groups)
     assert targets.index("controller.measured_depth") < targets.index("plant.voltage[1]")

@@ -3,44 +3,40 @@
 import signal
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from orchestration.errors import SimulationError
-from orchestration.results.recording import Recording
 from orchestration.run import simulate
 from orchestration.run.checkpoint import Checkpoints, read_checkpoint
 from orchestration.run.interrupt import deferred_interrupt
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
-from tests.orchestration.linear_systems import coupled
+from tests.orchestration.linear_systems import RESUMABLE, coupled
 from tests.shared_builds import Build
 
-
-class InterruptSoon:
-    """A progress that raises SIGINT half a second after the run has begun."""
-
-    def __init__(self) -> None:
-        self.timer: threading.Timer | None = None
-
-    def __call__(self, done: int, total: int) -> None:
-        if self.timer is None:
-            self.timer = threading.Timer(0.5, lambda: signal.raise_signal(signal.SIGINT))
-            self.timer.start()
+Progress = Callable[[int, int], None]
 
 
 @pytest.fixture
-def interrupt_soon() -> Iterator[InterruptSoon]:
-    progress = InterruptSoon()
+def interrupt_soon() -> Iterator[Progress]:
+    """A progress that raises SIGINT some time after the run has begun."""
+    timer = threading.Timer(0.2, lambda: signal.raise_signal(signal.SIGINT))
+
+    def progress(done: int, total: int) -> None:
+        if timer.ident is None:
+            timer.start()
+
     yield progress
-    if progress.timer:
-        progress.timer.join()
+    if timer.ident:
+        timer.join()
 
 
 def test_an_interrupt_waits_for_the_end_of_a_step(
-    python_built: Mapping[str, Path], interrupt_soon: InterruptSoon
+    python_built: Mapping[str, Path], interrupt_soon: Progress
 ) -> None:
     """Inside an FMU it would strike the FMU's Python and look like the FMU's failure."""
     inputs = {"p.control": 0.0, "p.disturbance": 0.0}
@@ -52,16 +48,10 @@ def test_an_interrupt_waits_for_the_end_of_a_step(
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_runs_in_other_threads_do_not_touch_signals(foreign: Mapping[str, Path]) -> None:
-    done: list[Recording] = []
-
-    def work() -> None:
-        done.append(simulate(System({"lag": foreign["Lag"]}), Experiment(0.1, 0.1, inputs={"lag.u": 0.0})))
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert len(done) == 1
+def test_runs_in_other_threads_do_not_touch_signals(linear: Build) -> None:
+    with ThreadPoolExecutor(1) as thread:
+        recording = thread.submit(simulate, coupled(linear), Experiment(0.1, 0.1)).result()
+    assert len(recording.time) == 2
 
 
 def test_an_interrupt_of_the_last_stretch_is_not_lost() -> None:
@@ -71,22 +61,16 @@ def test_an_interrupt_of_the_last_stretch_is_not_lost() -> None:
 
 
 def test_an_interrupt_ends_shorter_steps_between_two_points(
-    linear: Build, tmp_path: Path, interrupt_soon: InterruptSoon
+    linear: Build, tmp_path: Path, interrupt_soon: Progress
 ) -> None:
     """And the system goes back to the point before them, from where it can go on."""
-    system = coupled(linear, saves_state=True, serialises_state=True)
+    system, checkpoints = coupled(linear, **RESUMABLE), Checkpoints(tmp_path / "c")
     with pytest.raises(SimulationError, match="interrupted; saved in"):
-        simulate(
-            system,
-            Experiment(2.0, 2.0, tolerance=1e-7),
-            interrupt_soon,
-            checkpoints=Checkpoints(tmp_path / "c"),
-        )
-    checkpoint = read_checkpoint(tmp_path / "c")
-    assert checkpoint.position == 0
+        simulate(system, Experiment(2.0, 2.0, tolerance=1e-7), interrupt_soon, checkpoints=checkpoints)
+    assert read_checkpoint(tmp_path / "c").position == 0
 
 
-def test_an_interrupt_ends_a_wait_for_the_clock(linear: Build, interrupt_soon: InterruptSoon) -> None:
+def test_an_interrupt_ends_a_wait_for_the_clock(linear: Build, interrupt_soon: Progress) -> None:
     begun = time.monotonic()
     with pytest.raises(SimulationError, match="interrupted"):
         simulate(coupled(linear), Experiment(600.0, 300.0), interrupt_soon, real_time=1.0)

@@ -4,7 +4,7 @@ import itertools
 import math
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,19 +30,21 @@ from tests.described_fmus import XML, members
 from tests.fmus.compliance.archives import write
 from tests.fmus.native.exchanged import BALL
 from tests.mutants.slaves import EXCHANGE_CHANGES, write_slave
+from tests.orchestration.runs import assert_same_bits
 from tests.shared_builds import Fmus
 
 TIMES: dict[str, Any] = {"start_time": 0.5, "stop_time": 4.5, "step_size": 0.04}  # the default experiment
 COMPLETED = "completed 1"  # with noSetFMUStatePriorToCurrentPoint, as fmi2DoStep is called
 RECORDED = ("m.x", "m.v", "m.stairs", "m.turns", "m.above")
+EXPERIMENT = Experiment(4.5, 0.04, 0.5, record=RECORDED, open_inputs="start")
 
 
-def model_exchange_alone(path: Path, folder: Path) -> Path:
+def model_exchange_alone(path: Path, folder: Path, name: str = "") -> Path:
     """The FMU without its interface for co-simulation."""
     content = members(path)
     xml = re.sub(rb"<CoSimulation\b([^>]*/>|.*?</CoSimulation>)", b"", content[XML], flags=re.DOTALL)
     assert xml != content[XML]
-    return write(content | {XML: xml}, folder / path.name)
+    return write(content | {XML: xml}, folder / (name or path.name))
 
 
 def exchange(folder: Path, mutation: str = "", flags: str = "") -> System:
@@ -51,29 +53,35 @@ def exchange(folder: Path, mutation: str = "", flags: str = "") -> System:
     return System({"m": write_slave(folder, mutation, flags, changes, "Exchange")})
 
 
-@pytest.fixture(params=[2, 3])
-def ball(tmp_path: Path, request: pytest.FixtureRequest) -> System:
-    file = builder.build_block(BALL, tmp_path, fmi=request.param)
-    return System({"ball": model_exchange_alone(file, tmp_path)})
+def exchanged(folder: Path, mutation: str = "", flags: str = "", **settings: Any) -> Recording:
+    """The recording of a run of it."""
+    return simulate(exchange(folder, mutation, flags), open_inputs="start", **(TIMES | settings))
+
+
+@pytest.fixture(scope="module")
+def vehicles(built: Fmus, fmi3_built: Fmus, tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
+    """The plant for model exchange alone, by version of FMI."""
+    folder = tmp_path_factory.mktemp("vehicles")
+    return {
+        fmi: model_exchange_alone(fmus["RovDepthPlant"], folder, f"{fmi}.fmu")
+        for fmi, fmus in ((2, built), (3, fmi3_built))
+    }
 
 
 def largest_difference(first: Recording, second: Recording) -> float:
     return float(np.abs(first.values - second.values).max())
 
 
-@pytest.mark.parametrize(
-    ("name", "driven"),
-    [("ExamplePlant", {"plant.control": 1.0}), ("RovDepthPlant", {"plant.voltage[1]": 2.0})],
-)
 def test_a_plant_converges_to_co_simulation_with_the_tolerance_of_the_solver(
-    built: Fmus, tmp_path: Path, name: str, driven: Mapping[str, float]
+    built: Fmus, vehicles: dict[int, Path]
 ) -> None:
     """The error of a step is some tolerances, and CVode starts anew in each of 100 steps. The scheme of
     co-simulation has errors below 1e-8 here: from an internal step of 1 ms to 0.1 ms they change by less.
     """
+    driven = {"plant.voltage[1]": 2.0}
     settings: dict[str, Any] = {"stop_time": 1.0, "step_size": 0.01, "inputs": driven, "open_inputs": "start"}
-    reference = simulate(System({"plant": built[name]}), **settings)
-    system = System({"plant": model_exchange_alone(built[name], tmp_path)})
+    reference = simulate(System({"plant": built["RovDepthPlant"]}), **settings)
+    system = System({"plant": vehicles[2]})
     errors = [
         largest_difference(simulate(system, fmu_tolerance=tolerance, **settings), reference)
         for tolerance in (1e-6, 1e-8, 1e-10)
@@ -83,8 +91,8 @@ def test_a_plant_converges_to_co_simulation_with_the_tolerance_of_the_solver(
     assert largest_difference(simulate(system, **settings), reference) < 1e-5  # by default 1e-9
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
-def test_a_scenario_runs_with_it_in_closed_loop(scenario_fmus: None, tmp_path: Path, fmi: int) -> None:
+@pytest.mark.usefixtures("vehicle_fmus")
+def test_a_scenario_runs_with_it_in_closed_loop(vehicles: dict[int, Path]) -> None:
     """Internal steps of 1 ms of co-simulation have errors of 1e-6 m in this loop. Larger ones change which
     step of 2 mm the sensor rounds to, after which the depths differ by 1e-3 m.
     """
@@ -93,24 +101,25 @@ def test_a_scenario_runs_with_it_in_closed_loop(scenario_fmus: None, tmp_path: P
         "metrics": dict.fromkeys(("holding_thrust", "settling_time", "overshoot"), False),
         "parameters": {"plant.internal_step": 1e-3},
     }
-    vehicle = model_exchange_alone(builder.build_block("RovDepthPlant", tmp_path, fmi=fmi), tmp_path)
     own = load_scenario("nominal-l1", short)
-    other = load_scenario("nominal-l1", short | {"components": {"plant": str(vehicle)}})
+    other = load_scenario("nominal-l1", short | {"components": {"plant": str(vehicles[2])}})
     expected, recording = (simulate(s.system, s.experiment) for s in (own, other))
     assert np.ptp(expected["plant.depth"]) > 0.05
     assert np.array_equal(recording["plant.measured_depth"], expected["plant.measured_depth"])
     assert np.abs(recording["plant.depth"] - expected["plant.depth"]).max() < 5e-6
 
 
-def test_a_ball_bounces_where_the_closed_form_has_it(ball: System) -> None:
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_ball_bounces_where_the_closed_form_has_it(tmp_path: Path, fmi: int) -> None:
     """From 1 m with 8 m/s2 and a restitution of a half it bounces at 0.5, 1 and 1.25 s. The height is read
     at multiples of 0.25 s, which are time events; the tolerance is 1000 of the solver's 1e-9.
     """
+    ball = System({"ball": model_exchange_alone(builder.build_block(BALL, tmp_path, fmi=fmi), tmp_path)})
     recording = simulate(ball, stop_time=1.3, step_size=0.1, open_inputs="start")
     for time, height in zip(recording["time"], recording["ball.height"], strict=True):
         begin, speed = max((t, v) for t, v in ((0.5, 2.0), (1.0, 1.0), (1.25, 0.5)) if t <= max(time, 0.5))
         since = time - begin
-        expected = 1.0 - 4.0 * time**2 if time < 0.5 else speed * since * 1.0 - 4.0 * since**2
+        expected = 1.0 - 4.0 * time**2 if time < 0.5 else speed * since - 4.0 * since**2
         assert height == pytest.approx(expected, abs=1e-6), time
     bounces = {0.4: 0, 0.6: 1, 0.9: 1, 1.1: 2, 1.3: 3}
     rows = [int(np.argmin(np.abs(recording["time"] - time))) for time in bounces]
@@ -118,36 +127,31 @@ def test_a_ball_bounces_where_the_closed_form_has_it(ball: System) -> None:
     assert recording["ball.reading"][3] == pytest.approx(0.75, abs=1e-6)  # of 0.25 s
 
 
-def test_both_standards_have_the_same_bits(tmp_path: Path) -> None:
+def test_both_standards_have_the_same_bits(vehicles: dict[int, Path]) -> None:
     """With an array of inputs, an input that changes, a sampled sensor, and a last step that is shorter."""
-    recordings = []
-    for fmi in (2, 3):
-        file = builder.build_block("RovDepthPlant", tmp_path, fmi=fmi)
-        system = System({"plant": model_exchange_alone(file, tmp_path)})
-        settings: dict[str, Any] = {"stop_time": 1.01, "step_size": 0.02, "open_inputs": "start"}
-        changes = (Event(0.5, {"plant.external_force": -2.0}),)
-        recordings.append(simulate(system, inputs={"plant.voltage[2]": 1.5}, events=changes, **settings))
-    assert recordings[1].names == recordings[0].names
-    assert recordings[1].values.tobytes() == recordings[0].values.tobytes()
-    assert np.ptp(recordings[0]["plant.depth"]) > 1e-3
+    changes, inputs = (Event(0.5, {"plant.external_force": -2.0}),), {"plant.voltage[2]": 1.5}
+    experiment = Experiment(1.01, 0.02, inputs=inputs, events=changes, open_inputs="start")
+    old, new = (simulate(System({"plant": path}), experiment) for path in vehicles.values())
+    assert_same_bits(new, old)
+    assert np.ptp(old["plant.depth"]) > 1e-3
 
 
 def test_a_time_event_may_be_a_rounding_error_after_a_communication_point(tmp_path: Path) -> None:
     """The 49th point is 3e-17 s before the time event at 0.25 s, an interval that CVode refuses."""
     step_size = 0.25 / 49
     assert 0 < 0.25 - 49 * step_size < 1e-16
-    settings: dict[str, Any] = {"start_time": 0.0, "stop_time": 60 * step_size, "step_size": step_size}
-    recording = simulate(exchange(tmp_path), record=("m.stairs",), open_inputs="start", **settings)
+    times: dict[str, Any] = {"start_time": 0.0, "stop_time": 60 * step_size, "step_size": step_size}
+    recording = exchanged(tmp_path, record=("m.stairs",), **times)
     assert recording["m.stairs"].tolist() == [0.0] * 50 + [1.0] * 11
 
 
 def test_an_event_follows_what_is_set_at_a_communication_point(tmp_path: Path) -> None:
     """A relation of the parameter k, which an event alone evaluates, adds 1 to the acceleration."""
-    system = exchange(tmp_path, flags="a relation of a parameter")
-    settings: dict[str, Any] = TIMES | {"stop_time": 0.7, "record": ("m.v",)}
-    other = simulate(system, open_inputs="start", **settings)
-    recording = simulate(system, open_inputs="start", events=(Event(0.58, {"m.k": 4.02}),), **settings)
-    gained = recording["m.v"] - other["m.v"]
+    changed, unchanged = (
+        exchanged(tmp_path, flags="a relation of a parameter", stop_time=0.7, record=("m.v",), events=events)
+        for events in ([Event(0.58, {"m.k": 4.02})], [])
+    )
+    gained = changed["m.v"] - unchanged["m.v"]
     assert gained[:3].tolist() == [0.0, 0.0, 0.0]
     assert gained[3] == pytest.approx(0.04, rel=0.05)  # in the first of three steps; k adds less
 
@@ -177,40 +181,33 @@ def test_time_state_and_step_events_are_those_of_fmpy(tmp_path: Path, flags: str
 
 
 def test_the_loop_in_python_gives_the_same_and_a_second_run_too(tmp_path: Path) -> None:
-    system, experiment = exchange(tmp_path), Experiment(4.5, 0.04, 0.5, record=RECORDED, open_inputs="start")
+    system = exchange(tmp_path)
     with Simulator(system) as compiled, Simulator(system, compiled=False) as slow:
-        first = compiled.run(experiment)
-        assert np.array_equal(first.values, compiled.run(experiment).values)
-        assert np.array_equal(first.values, slow.run(experiment).values)
+        first = compiled.run(EXPERIMENT)
+        assert_same_bits(compiled.run(EXPERIMENT), first)
+        assert_same_bits(slow.run(EXPERIMENT), first)
 
 
 def test_inputs_and_parameters_act_from_the_point_at_which_they_change(tmp_path: Path) -> None:
     """With no spring the acceleration is the input: the velocity is its sum until the first time event."""
-    changes = (Event(0.58, {"m.u": 1.0}),)
-    settings: dict[str, Any] = TIMES | {"stop_time": 0.66, "parameters": {"m.k": 0.1}, "events": changes}
-    recording = simulate(exchange(tmp_path), record=("m.v",), open_inputs="start", **settings)
-    slopes = np.diff(recording["m.v"]) / 0.04
+    settings = {"stop_time": 0.66, "parameters": {"m.k": 0.1}, "events": (Event(0.58, {"m.u": 1.0}),)}
+    slopes = np.diff(exchanged(tmp_path, record=("m.v",), **settings)["m.v"]) / 0.04
     assert slopes == pytest.approx([0.2 - 0.05, 0.2 - 0.05, 1.0 - 0.05, 1.0 - 0.05], abs=0.01)
 
 
 def test_a_run_goes_on_from_saved_states(tmp_path: Path) -> None:
     """The solver starts anew in each step, so that a saved state of the FMU is the whole state."""
-    system, path = exchange(tmp_path), tmp_path / "saved"
-    experiment = Experiment(4.5, 0.04, 0.5, record=RECORDED, open_inputs="start")
-    with Simulator(system) as simulator:
-        whole = simulator.run(experiment, checkpoints=Checkpoints(path, 2.0))
-        resumed = simulator.run(experiment, resume=read_checkpoint(path))
-    assert np.array_equal(whole.values, resumed.values)
+    path = tmp_path / "saved"
+    with Simulator(exchange(tmp_path)) as simulator:
+        whole = simulator.run(EXPERIMENT, checkpoints=Checkpoints(path, 2.0))
+        assert_same_bits(simulator.run(EXPERIMENT, resume=read_checkpoint(path)), whole)
 
 
 def test_the_simulation_ends_where_the_fmu_terminates_it(tmp_path: Path) -> None:
     """The third time event, at 0.5 + 3 * 0.25 s, is within a step."""
-    recording = simulate(exchange(tmp_path, "ends without a message"), open_inputs="start", **TIMES)
-    assert recording.provenance["terminated"] == {
-        "component": "m",
-        "time_s": 1.25,
-        "messages": ["the FMU terminates the simulation at 1.25 s"],
-    }
+    recording = exchanged(tmp_path, "ends without a message")
+    messages = ["the FMU terminates the simulation at 1.25 s"]
+    assert recording.provenance["terminated"] == {"component": "m", "time_s": 1.25, "messages": messages}
     assert recording["time"][-1] == 1.25
 
 
@@ -230,7 +227,7 @@ def test_a_call_that_fails_ends_the_run_with_its_name(
     tmp_path: Path, mutation: str, message: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SimulationError, match=message) as error:
-        simulate(exchange(tmp_path, mutation), open_inputs="start", **TIMES)
+        exchanged(tmp_path, mutation)
     assert "DoStep" not in str(error.value), "the FMU has no such function"
     assert capfd.readouterr().err == ""
 
@@ -367,10 +364,9 @@ def test_a_machine_for_which_fmpy_has_no_cvode_is_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "fmus.fmi.model_exchange", None)
-    with pytest.raises(
-        FmuLoadError, match=r"Exchange\.fmu is for model exchange alone, for which CVode lacks"
-    ):
-        simulate(exchange(tmp_path), open_inputs="start", **TIMES)
+    message = r"Exchange\.fmu is for model exchange alone, for which CVode lacks"
+    with pytest.raises(FmuLoadError, match=message):
+        exchanged(tmp_path)
 
 
 def test_an_fmu_without_an_interface_is_refused(built: Fmus, tmp_path: Path) -> None:

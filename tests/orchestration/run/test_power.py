@@ -10,12 +10,13 @@ from orchestration.results import metrics
 from orchestration.results.power import energy_residuals
 from orchestration.results.recording import Recording
 from orchestration.run import simulate
-from orchestration.scenarios.declarations import fault
 from orchestration.system.experiment import Algorithm, Experiment
+from orchestration.system.faults import Delay, Fault
 from orchestration.system.system import System
 from tests.shared_builds import Build
 
 FORCE, VELOCITY = "spring.y[1]", "mass.y[1]"
+RESIDUAL = {"function": "energy_residual", "signal": FORCE, "flow": VELOCITY}
 STIFFNESS, MASS, DAMPING = 2.0, 0.5, 0.3  # N/m, kg, N.s/m
 
 
@@ -53,8 +54,7 @@ def test_what_a_damper_takes_is_no_residual(linear: Build) -> None:
     recording = run(linear, DAMPING, 0.005)
     gained = energy(recording)[-1] - energy(recording)[0]
     dissipated = DAMPING * np.trapezoid(recording[VELOCITY] ** 2, recording.time)
-    call = {"function": "energy_residual", "signal": FORCE, "flow": VELOCITY}
-    created = -metrics.evaluate(recording, {"residual": call})["residual"]
+    created = -metrics.evaluate(recording, {"residual": RESIDUAL})["residual"]
     assert created > 5e-3
     assert gained + dissipated == pytest.approx(created, abs=1e-5)
 
@@ -71,39 +71,32 @@ def test_the_residual_of_extrapolated_inputs_is_nearly_what_is_gained(
 
 def test_extrapolated_inputs_create_less(linear: Build) -> None:
     """Energy of order 2 in the step instead of 1."""
-    created = [
-        [
-            abs(energy_residuals(run(linear, 0.0, h, extrapolation=order), FORCE, VELOCITY).sum())
-            for h in (0.02, 0.01)
-        ]
-        for order in (0, 1)
-    ]
-    ratios = [coarse / fine for coarse, fine in created]
-    assert ratios[0] == pytest.approx(2.0, rel=0.1)
-    assert ratios[1] > 3.5
+
+    def created(step: float, order: int) -> float:
+        recording = run(linear, 0.0, step, extrapolation=order)
+        return abs(energy_residuals(recording, FORCE, VELOCITY).sum())
+
+    assert created(0.02, 0) / created(0.01, 0) == pytest.approx(2.0, rel=0.1)
+    assert created(0.02, 1) / created(0.01, 1) > 3.5
 
 
-def test_a_run_whose_inputs_are_not_known_between_its_points_has_no_residual(linear: Build) -> None:
-    recording = run(linear, 0.0, 0.5, step_sizes={"spring": 1.0})
-    with pytest.raises(
-        ScenarioError,
-        match="expected a run with steps of one size and without faults, got one with step_sizes_s",
-    ):
-        energy_residuals(recording, FORCE, VELOCITY)
-
-
-def test_a_run_with_faults_has_no_residual(linear: Build) -> None:
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"step_sizes": {"spring": 1.0}}, "steps of one size and without faults, got one with step_sizes_s"),
+        ({"faults": (Fault("mass.u[1]", Delay(0.5)),)}, "got one with faults"),
+    ],
+)
+def test_a_run_whose_inputs_are_not_known_between_its_points_has_no_residual(
+    linear: Build, settings: dict[str, Any], message: str
+) -> None:
     """A component behind a fault is not given the output itself."""
-    delayed = fault({"input": "mass.u[1]", "kind": "delay", "delay": 0.5}, "fault")
-    recording = run(linear, 0.0, 0.5, faults=(delayed,))
-    with pytest.raises(ScenarioError, match="got one with faults"):
-        energy_residuals(recording, FORCE, VELOCITY)
+    with pytest.raises(ScenarioError, match=message):
+        energy_residuals(run(linear, 0.0, 0.5, **settings), FORCE, VELOCITY)
 
 
 def test_the_residual_of_a_window_is_that_of_the_steps_within_it(linear: Build) -> None:
     recording = run(linear, 0.0, 0.05)
     residuals = energy_residuals(recording, FORCE, VELOCITY)
-    call = {"function": "energy_residual", "signal": FORCE, "flow": VELOCITY, "window": [0.5, 1.0]}
-    assert metrics.evaluate(recording, {"residual": call})["residual"] == pytest.approx(
-        residuals[10:20].sum()
-    )
+    measured = metrics.evaluate(recording, {"residual": RESIDUAL | {"window": [0.5, 1.0]}})
+    assert measured["residual"] == pytest.approx(residuals[10:20].sum())

@@ -4,7 +4,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from orchestration.errors import SimulationError
@@ -13,7 +12,9 @@ from orchestration.run.checkpoint import Checkpoints, read_checkpoint
 from orchestration.system.experiment import AlgorithmName, Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
-from tests.orchestration.linear_systems import coupled
+from tests.orchestration.linear_systems import RESUMABLE, coupled
+from tests.orchestration.rogue_systems import doing, pair
+from tests.orchestration.runs import assert_same_bits, interrupt_at
 from tests.shared_builds import Build, Fmus
 
 EXPERIMENT = Experiment(1.0, 0.1)
@@ -35,7 +36,6 @@ def steps(statistics: dict[str, Any]) -> dict[str, int]:
 
 
 @pytest.mark.parametrize("algorithm", ["jacobi", "gauss-seidel"])
-@pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "in Python"])
 def test_every_step_is_counted_and_all_times_lie_within_the_run(
     linear: Build, compiled: bool, algorithm: AlgorithmName
 ) -> None:
@@ -48,7 +48,7 @@ def test_every_step_is_counted_and_all_times_lie_within_the_run(
         whole = time.perf_counter() - before
         again = simulator.run(experiment, statistics=True).provenance["statistics"]
         unasked = simulator.run(experiment)
-    assert np.array_equal(recording.values, plain.values)
+    assert_same_bits(recording, plain)
     assert "statistics" not in plain.provenance | unasked.provenance
     found = recording.provenance["statistics"]
     assert steps(found) == steps(again) == {"one": 10, "two": 4}  # of 0.3 s, the last of 0.1 s
@@ -63,7 +63,6 @@ def test_every_step_is_counted_and_all_times_lie_within_the_run(
     assert again["phases_s"]["loading"] < found["phases_s"]["loading"]  # FMUs that were loaded are reset
 
 
-@pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "in Python"])
 def test_time_is_that_of_the_fmu_that_takes_it(linear: Build, tmp_path: Path, compiled: bool) -> None:
     (tmp_path / "slow.py").write_text(SLOW)
     fmus = {"quick": linear(), "slow": f"{tmp_path / 'slow.py'}:Slow"}
@@ -90,36 +89,27 @@ def test_a_run_in_a_process_of_its_own_is_measured_there(linear: Build) -> None:
     assert min(found["phases_s"].values()) > 0.0
 
 
-def test_a_run_that_fails_has_the_statistics_of_its_part(rogue: Build) -> None:
-    system = System({"one": rogue()}, [])
-    parameters = {"one.misdeed": int(Misdeed.ERROR), "one.misdeed_time": 0.55}
-    experiment = Experiment(1.0, 0.1, parameters=parameters, open_inputs="start")
+def test_a_run_that_fails_has_the_statistics_of_its_part(linear: Build, rogue: Build) -> None:
     with pytest.raises(SimulationError) as failure:
-        simulate(system, experiment, statistics=True)
+        simulate(pair(linear, rogue), doing(Misdeed.ERROR, 0.55), statistics=True)
     found = failure.value.recording.provenance["statistics"]
-    assert steps(found) == {"one": 6 + 1}  # that failed
+    assert steps(found) == {"rogue": 6 + 1, "lag": 6}  # that failed
     assert found["simulated_s"] == pytest.approx(0.6)
 
 
 def test_a_run_that_fails_before_its_first_step_has_no_factor(built: Fmus) -> None:
     """Its parameters contradict each other."""
-    experiment = Experiment(
-        6.0, 0.1, start_time=5.0, parameters={"plant.net_weight": 100.0}, open_inputs="start"
-    )
+    contradictory = {"plant.net_weight": 100.0}
+    experiment = Experiment(6.0, 0.1, 5.0, parameters=contradictory, open_inputs="start")
     with pytest.raises(SimulationError, match="net_weight below weight") as failure:
         simulate(System({"plant": built["RovDepthPlant"]}, []), experiment, statistics=True)
     assert [*failure.value.recording.provenance["statistics"]] == ["phases_s"]
 
 
 def test_a_resumed_run_counts_from_its_checkpoint(linear: Build, tmp_path: Path) -> None:
-    system, file = coupled(linear, saves_state=True, serialises_state=True), tmp_path / "half"
-
-    def stop(done: int, total: int) -> None:
-        if done >= 5:
-            raise KeyboardInterrupt
-
+    system, file = coupled(linear, **RESUMABLE), tmp_path / "half"
     with pytest.raises(SimulationError, match="interrupted"):
-        simulate(system, EXPERIMENT, stop, checkpoints=Checkpoints(file, every=0.1))
+        simulate(system, EXPERIMENT, interrupt_at(5), checkpoints=Checkpoints(file, every=0.1))
     found = simulate(system, EXPERIMENT, resume=read_checkpoint(file), statistics=True).provenance
     assert steps(found["statistics"]) == {"one": 5, "two": 5}
     assert found["statistics"]["simulated_s"] == pytest.approx(0.5)

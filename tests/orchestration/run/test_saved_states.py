@@ -1,5 +1,6 @@
 """Saved states of a run that is led step by step: from each it goes on as if nothing had come between."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -12,10 +13,10 @@ from orchestration.run import Simulator
 from orchestration.run.step_by_step import SteppedRun
 from orchestration.scenarios.declarations import fault
 from orchestration.system.experiment import Event, Experiment
-from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
-from tests.orchestration.linear_systems import coupled
+from tests.orchestration.linear_systems import alone, coupled
 from tests.orchestration.rogue_systems import doing, pair
+from tests.orchestration.runs import assert_same_bits
 from tests.shared_builds import Build
 
 FORCE = "one.u[1]"
@@ -23,8 +24,17 @@ FORCED = Experiment(1.0, 0.1)
 DELAYED = fault({"input": "two.u[1]", "kind": "delay", "delay": 0.2}, "fault")
 
 
-def forced(linear: Build) -> System:
-    return System({"one": linear(saves_state=True)})
+@pytest.fixture
+def simulator(linear: Build) -> Iterator[Simulator]:
+    """Of one linear system, x' = -x + u, that saves its state."""
+    with Simulator(alone(linear, saves_state=True)) as simulator:
+        yield simulator
+
+
+@pytest.fixture
+def run(simulator: Simulator) -> SteppedRun:
+    """Whose force is external."""
+    return simulator.start(FORCED, external=(FORCE,))
 
 
 def led_by(run: SteppedRun, *forces: float) -> None:
@@ -41,13 +51,12 @@ def to_the_end(run: SteppedRun) -> None:
 
 def recorded(linear: Build, *forces: float) -> Recording:
     """The recording of a run that goes straight on."""
-    with Simulator(forced(linear)) as simulator:
+    with Simulator(alone(linear)) as simulator:
         run = simulator.start(FORCED, external=(FORCE,))
         led_by(run, *forces)
         return run.recording()
 
 
-@pytest.mark.parametrize("is_compiled", [True, False])
 @pytest.mark.parametrize(
     "options",
     [
@@ -59,11 +68,10 @@ def recorded(linear: Build, *forces: float) -> Recording:
     ids=["extrapolation", "fault", "events", "tolerance"],
 )
 def test_a_run_that_goes_back_at_every_third_step_is_the_run(
-    linear: Build, options: Any, is_compiled: bool
+    linear: Build, options: Any, compiled: bool
 ) -> None:
     experiment = Experiment(1.0, 0.1, **options)
-    system = coupled(linear, saves_state=True)
-    with Simulator(system, compiled=is_compiled) as simulator:
+    with Simulator(coupled(linear, saves_state=True), compiled=compiled) as simulator:
         expected = simulator.run(experiment)
         run = simulator.start(experiment)
         while run.time < 0.75:
@@ -73,59 +81,49 @@ def test_a_run_that_goes_back_at_every_third_step_is_the_run(
             run.restore(state)
             run.step()
         to_the_end(run)
-        recording = run.recording()
-    assert np.array_equal(recording.values, expected.values)
-    assert np.array_equal(recording.time, expected.time)
+        assert_same_bits(run.recording(), expected)
 
 
-def test_each_of_many_states_leads_back_to_its_own_record(linear: Build) -> None:
+def test_each_of_many_states_leads_back_to_its_own_record(linear: Build, run: SteppedRun) -> None:
     """A tree of states, as a planner makes it: 1, 1.2 and 1.3 begin alike; 1.2 goes another way than 1.3."""
-    with Simulator(forced(linear)) as simulator:
-        run = simulator.start(FORCED, external=(FORCE,))
-        led_by(run, 1.0, 1.0)
-        fork = run.save()
-        led_by(run, 2.0)
-        early = run.save()
-        led_by(run, 2.0, 2.0)
-        one = run.save()
-        run.restore(fork)
-        led_by(run, 3.0, 3.0)
-        other = run.save()
-        led_by(run, 3.0, 3.0, 3.0)
-        ways = []
-        for state in (one, other, early, one, fork):
-            run.restore(state)
-            ways.append(run.recording())
-        run.restore(one)
-        led_by(run, 4.0)
+    led_by(run, 1.0, 1.0)
+    fork = run.save()
+    led_by(run, 2.0)
+    early = run.save()
+    led_by(run, 2.0, 2.0)
+    one = run.save()
+    run.restore(fork)
+    led_by(run, 3.0, 3.0)
+    other = run.save()
+    led_by(run, 3.0, 3.0, 3.0)
+    ways = []
+    for state in (one, other, early, one, fork):
+        run.restore(state)
         ways.append(run.recording())
+    run.restore(one)
+    led_by(run, 4.0)
+    ways.append(run.recording())
     forces = [(2.0,) * 3, (3.0,) * 2, (2.0,), (2.0,) * 3, (), (2.0, 2.0, 2.0, 4.0)]
     for way, more in zip(ways, forces, strict=True):
-        straight = recorded(linear, 1.0, 1.0, *more)
-        assert np.array_equal(way.time, straight.time)
-        assert np.array_equal(way.values, straight.values)
+        assert_same_bits(way, recorded(linear, 1.0, 1.0, *more))
 
 
-def test_a_state_holds_what_was_set(linear: Build) -> None:
-    with Simulator(forced(linear)) as simulator:
-        run = simulator.start(FORCED, external=(FORCE,))
-        run.set(FORCE, 2.0)
-        run.set("one.a", -3.0)
-        state = run.save()
-        run.set(FORCE, 5.0)
-        run.set("one.a", -4.0)
-        run.restore(state)
-        assert (run.get(FORCE), run.get("one.a")) == (2.0, -3.0)
+def test_a_state_holds_what_was_set(run: SteppedRun) -> None:
+    run.set(FORCE, 2.0)
+    run.set("one.a", -3.0)
+    state = run.save()
+    run.set(FORCE, 5.0)
+    run.set("one.a", -4.0)
+    run.restore(state)
+    assert (run.get(FORCE), run.get("one.a")) == (2.0, -3.0)
 
 
-def test_a_state_serves_its_run_alone(linear: Build) -> None:
-    with Simulator(forced(linear)) as simulator:
-        run = simulator.start(FORCED, external=(FORCE,))
-        state = run.save()
-        run = simulator.start(FORCED, external=(FORCE,))
-        with pytest.raises(OrchestrationError, match="the saved state belongs to a run that has ended"):
-            run.restore(state)
-        run.step()
+def test_a_state_serves_its_run_alone(simulator: Simulator, run: SteppedRun) -> None:
+    state = run.save()
+    other = simulator.start(FORCED, external=(FORCE,))
+    with pytest.raises(OrchestrationError, match="the saved state belongs to a run that has ended"):
+        other.restore(state)
+    other.step()
 
 
 def test_a_state_needs_fmus_that_save_theirs(linear: Build) -> None:
@@ -135,14 +133,9 @@ def test_a_state_needs_fmus_that_save_theirs(linear: Build) -> None:
             run.save()
 
 
-def misbehaving(misdeed: Misdeed) -> Experiment:
-    parameters = {"r.misdeed": int(misdeed), "r.misdeed_time": 0.5}
-    return Experiment(1.0, 0.1, inputs={"r.u": 1.0}, parameters=parameters)
-
-
-def test_a_run_goes_back_to_before_a_failure(rogue: Build) -> None:
-    with Simulator(System({"r": rogue(saves_state=True)})) as simulator:
-        run = simulator.start(misbehaving(Misdeed.ERROR))
+def test_a_run_goes_back_to_before_a_failure(linear: Build, rogue: Build) -> None:
+    with Simulator(pair(linear, rogue)) as simulator:
+        run = simulator.start(doing(Misdeed.ERROR))
         run.step()
         state = run.save()
         for _ in range(2):
@@ -172,23 +165,21 @@ def test_a_run_goes_back_to_before_its_termination(linear: Build, rogue: Build) 
     assert ends[0].provenance == ends[1].provenance
 
 
-def test_no_run_goes_back_after_a_fatal_error(rogue: Build) -> None:
-    with Simulator(System({"r": rogue(saves_state=True)})) as simulator:
-        run = simulator.start(misbehaving(Misdeed.FATAL))
+def test_no_run_goes_back_after_a_fatal_error(linear: Build, rogue: Build) -> None:
+    with Simulator(pair(linear, rogue)) as simulator:
+        run = simulator.start(doing(Misdeed.FATAL))
         state = run.save()
         with pytest.raises(SimulationError, match="fmi2DoStep returned fatal"):
             to_the_end(run)
         with pytest.raises(OrchestrationError, match="fmi2DoStep returned fatal"):
             run.restore(state)
-        simulator.run(replace(misbehaving(Misdeed.NONE), stop_time=0.2))
+        simulator.run(replace(doing(Misdeed.NONE), stop_time=0.2))
 
 
-def test_a_state_that_is_dropped_makes_room_for_the_next(linear: Build) -> None:
-    with Simulator(forced(linear)) as simulator:
-        run = simulator.start(FORCED, external=(FORCE,))
-        first = run.save()
-        memory = first.memory
-        del first
-        again, more = run.save(), run.save()
+def test_a_state_that_is_dropped_makes_room_for_the_next(run: SteppedRun) -> None:
+    first = run.save()
+    memory = first.memory
+    del first
+    again, more = run.save(), run.save()
     assert again.memory is memory
     assert more.memory is not memory

@@ -1,6 +1,5 @@
 """FMUs that stay loaded: run after run as if each were the first."""
 
-import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -14,9 +13,10 @@ from fmus.fmi.instance import FmuInstance
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.run import Simulator, simulate
 from orchestration.system.experiment import Experiment
-from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
-from tests.orchestration.linear_systems import coupled
+from tests.orchestration.linear_systems import alone, coupled
+from tests.orchestration.rogue_systems import doing, pair
+from tests.orchestration.runs import assert_same_bits
 from tests.shared_builds import Build
 
 EXPERIMENT = Experiment(1.0, 0.1)
@@ -42,12 +42,12 @@ def test_a_second_run_is_like_the_first_and_loads_nothing(linear: Build, loaded:
         other = simulator.run(Experiment(1.0, 0.1, parameters={"one.initial_state": 3.0}))
         again = simulator.run(EXPERIMENT)
     assert loaded == ["one", "two"]
-    assert np.array_equal(first.values, again.values)
+    assert_same_bits(again, first)
     assert other["one.y[1]"][0] == 3.0
 
 
 def test_runs_of_other_signals_and_records_share_the_fmus(linear: Build, loaded: list[str]) -> None:
-    with Simulator(System({"one": linear()})) as simulator:
+    with Simulator(alone(linear)) as simulator:
         simulator.run(Experiment(1.0, 0.1, inputs={"one.u[1]": 0.0}))
         run = simulator.run(Experiment(2.0, 0.5, signals={"one.u[1]": lambda t: t}, record=("one.u[1]",)))
     assert run["one.u[1]"].tolist() == [0.0, 0.5, 1.0, 1.5, 2.0]
@@ -60,9 +60,8 @@ def test_an_fmu_that_cannot_be_reset_is_loaded_anew(
     with Simulator(coupled(linear)) as simulator:
         first = simulator.run(EXPERIMENT)
         monkeypatch.setattr(FmuInstance, "reset", lambda self: False)
-        again = simulator.run(EXPERIMENT)
+        assert_same_bits(simulator.run(EXPERIMENT), first)
     assert loaded == ["one", "two"] * 2
-    assert np.array_equal(first.values, again.values)
 
 
 def test_a_run_whose_reset_failed_is_not_wired_as_the_run_before_it(
@@ -78,8 +77,7 @@ def test_a_run_whose_reset_failed_is_not_wired_as_the_run_before_it(
             failing.setattr(FmuInstance, "reset", fail)
             with pytest.raises(OrchestrationError, match="no reset"):
                 simulator.run(extrapolated)
-        again = simulator.run(extrapolated)
-    assert np.array_equal(again.values, simulate(system, extrapolated).values)
+        assert_same_bits(simulator.run(extrapolated), simulate(system, extrapolated))
 
 
 def test_a_reset_that_is_refused_is_told(linear: Build) -> None:
@@ -105,30 +103,27 @@ class Refusing(Library):
 
 
 @pytest.mark.parametrize("misdeed", [Misdeed.ERROR, Misdeed.FATAL])
-def test_after_a_failure_the_fmus_are_loaded_anew(rogue: Build, loaded: list[str], misdeed: Misdeed) -> None:
-    bad = Experiment(1.0, 0.1, parameters={"bad.misdeed": int(misdeed)}, inputs={"bad.u": 1.0})
-    good = Experiment(1.0, 0.1, inputs={"bad.u": 1.0})
-    with Simulator(System({"bad": rogue()})) as simulator:
-        with pytest.raises(SimulationError):
-            simulator.run(bad)
-        assert simulator.run(good)["bad.y"][-1] == pytest.approx(1.0)
-    assert loaded == ["bad", "bad"]
-
-
-def test_nothing_is_left_when_it_closes(
-    linear: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_after_a_failure_the_fmus_are_loaded_anew(
+    linear: Build, rogue: Build, loaded: list[str], misdeed: Misdeed
 ) -> None:
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    with Simulator(coupled(linear)) as simulator:
+    with Simulator(pair(linear, rogue)) as simulator:
+        with pytest.raises(SimulationError):
+            simulator.run(doing(misdeed))
+        assert len(simulator.run(doing(Misdeed.NONE)).time) == 11
+    assert loaded == ["rogue", "lag"] * 2
+
+
+def test_nothing_is_left_when_it_closes(linear: Build, temporary: Path) -> None:
+    system = coupled(linear)
+    with Simulator(system) as simulator:
         simulator.run(EXPERIMENT)
-        assert len(list(tmp_path.iterdir())) == 2
-    assert not list(tmp_path.iterdir())
+        assert len(list(temporary.iterdir())) == 2
+    assert not list(temporary.iterdir())
 
 
 def test_a_run_is_asked_for_by_an_experiment_or_by_its_settings(linear: Build) -> None:
     system = coupled(linear)
-    one, other = simulate(system, EXPERIMENT), simulate(system, stop_time=1.0, step_size=0.1)
-    assert np.array_equal(one.values, other.values)
+    assert_same_bits(simulate(system, stop_time=1.0, step_size=0.1), simulate(system, EXPERIMENT))
     with pytest.raises(SystemDefinitionError, match="an experiment or its settings, got both: stop_time"):
         simulate(system, EXPERIMENT, stop_time=1.0)
 

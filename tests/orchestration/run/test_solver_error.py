@@ -1,6 +1,5 @@
 """Error control where an FMU's own solver leaves an error that no shorter step takes away."""
 
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +10,16 @@ from orchestration.errors import FmuError, FmuWarning, SimulationError
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator, simulate, stepping
 from orchestration.run.checkpoint import Checkpoints, read_checkpoint
-from orchestration.run.loop_data import LoopFunctions
 from orchestration.run.snapshot import Snapshot
 from orchestration.run.step_by_step import SteppedRun
 from orchestration.run.step_control import StepControl
 from orchestration.run.tolerance import step_together_and_split
-from orchestration.run.wiring import WiredRun
 from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
-from tests.orchestration.linear_systems import LOOP, coupled, solution
+from tests.orchestration.linear_systems import LOOP, RESUMABLE, coupled, solution
 from tests.orchestration.rogue_systems import doing, pair
+from tests.orchestration.runs import assert_same_bits
 from tests.shared_builds import Build
 
 SOLVER_ERROR = 1e-4
@@ -30,7 +28,7 @@ INTERPOLATES = pytest.mark.parametrize("interpolates", [True, False], ids=["by t
 
 def inexact(linear: Build, **capabilities: Any) -> System:
     """`coupled`, each of whose FMUs leaves up to `SOLVER_ERROR` in every step longer than 1 us."""
-    return coupled(linear, solver_error=SOLVER_ERROR, saves_state=True, serialises_state=True, **capabilities)
+    return coupled(linear, solver_error=SOLVER_ERROR, **RESUMABLE, **capabilities)
 
 
 def numbers_of_steps(run: Recording) -> list[int]:
@@ -40,6 +38,12 @@ def numbers_of_steps(run: Recording) -> list[int]:
 def true_error(run: Recording) -> float:
     ours = np.column_stack([run["one.y[1]"], run["two.y[1]"]])
     return float(np.abs(ours - solution(run.time)).max())
+
+
+def assert_same_steps(run: Recording, expected: Recording) -> None:
+    """The same error of the solver was found, in the same numbers of steps."""
+    assert run.provenance["solver_error"] == expected.provenance["solver_error"]
+    assert numbers_of_steps(run) == numbers_of_steps(expected)
 
 
 @INTERPOLATES
@@ -62,28 +66,23 @@ def test_steps_stay_as_long_as_the_error_does_not_fall(
     assert 1e-4 < true_error(run) <= reached["estimated_error"] < 100 * SOLVER_ERROR
 
 
+@pytest.mark.filterwarnings("error")
 def test_a_tolerance_above_the_solvers_error_is_met(linear: Build) -> None:
     """At 100 times the solver's error the exchange is what the steps are chosen for."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        run = simulate(
-            inexact(linear, interpolates_inputs=True),
-            Experiment(0.5, 0.1, tolerance=100 * SOLVER_ERROR, extrapolation=1),
-        )
+    experiment = Experiment(0.5, 0.1, tolerance=100 * SOLVER_ERROR, extrapolation=1)
+    run = simulate(inexact(linear, interpolates_inputs=True), experiment)
     assert "solver_error" not in run.provenance
     assert true_error(run) <= 100 * SOLVER_ERROR
 
 
 @INTERPOLATES
 @pytest.mark.parametrize("extrapolation", [0, 1])
+@pytest.mark.filterwarnings("error")
 def test_a_stiff_system_is_no_solvers_error(linear: Build, extrapolation: int, interpolates: bool) -> None:
     """x_1' = -500 x_1 + 500 x_2, x_2' = -x_2 + 0.5 x_1: from 0.5 s down to 2 ms the error hardly falls."""
     able: dict[str, Any] = {"saves_state": True, "interpolates_inputs": interpolates}
     fmus = {"one": linear(a=-500.0, b=(500.0,), **able), "two": linear(b=(0.5,), initial_state=0.0, **able)}
-    experiment = Experiment(0.5, 0.5, tolerance=1e-2, extrapolation=extrapolation)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        run = simulate(System(fmus, LOOP), experiment)
+    run = simulate(System(fmus, LOOP), Experiment(0.5, 0.5, tolerance=1e-2, extrapolation=extrapolation))
     assert run.provenance["inexact_steps"] > 2
     assert "solver_error" not in run.provenance
 
@@ -94,15 +93,10 @@ def test_a_step_in_two_halves_without_an_exchange_is_the_same_to_an_exact_fmu(
     linear: Build, algorithm: Algorithm, interpolates: bool, tmp_path: Path
 ) -> None:
     """Stiff from 0.5 s on, where inputs have slopes; what was learned is in the checkpoint of 1 s."""
-    able: dict[str, Any] = {
-        "saves_state": True,
-        "serialises_state": True,
-        "interpolates_inputs": interpolates,
-    }
+    able = RESUMABLE | {"interpolates_inputs": interpolates}
     fmus = {"one": linear(b=(1.0,), **able), "two": linear(b=(0.5,), initial_state=0.0, **able)}
-    experiment = Experiment(
-        1.5, 0.5, tolerance=1e-3, extrapolation=1, algorithm=algorithm, events=[Event(0.5, {"one.a": -500.0})]
-    )
+    settings: dict[str, Any] = {"extrapolation": 1, "events": [Event(0.5, {"one.a": -500.0})]}
+    experiment = Experiment(1.5, 0.5, tolerance=1e-3, algorithm=algorithm, **settings)
     checkpoints = Checkpoints(tmp_path / "checkpoint", every=1.0)
     simulate(System(fmus, LOOP), experiment, checkpoints=checkpoints)
     learned = read_checkpoint(checkpoints.path).step_control["known_solver_error"]
@@ -116,14 +110,7 @@ def simulate_warned(*arguments: Any, **settings: Any) -> Recording:
         return simulate(*arguments, **settings)
 
 
-def test_a_run_continues_with_the_solvers_error_that_it_knows(linear: Build, tmp_path: Path) -> None:
-    system, checkpoints = inexact(linear), Checkpoints(tmp_path / "checkpoint", every=0.3)
-    experiment = Experiment(0.5, 0.1, tolerance=1e-3)
-    complete = simulate_warned(system, experiment, checkpoints=checkpoints)
-    continued = simulate_warned(system, experiment, resume=read_checkpoint(checkpoints.path))
-    assert np.array_equal(continued.values, complete.values)
-    assert continued.provenance["solver_error"] == complete.provenance["solver_error"]
-    assert numbers_of_steps(continued) == numbers_of_steps(complete)
+ROUGH = Experiment(0.5, 0.1, tolerance=1e-3)
 
 
 def step_twice_from_each_point(run: SteppedRun) -> None:
@@ -136,16 +123,12 @@ def step_twice_from_each_point(run: SteppedRun) -> None:
 
 
 def test_steps_taken_back_do_not_count(linear: Build) -> None:
-    system, experiment = inexact(linear), Experiment(0.5, 0.1, tolerance=1e-3)
-    with Simulator(system) as simulator:
-        with pytest.warns(FmuWarning, match="may not be met"):
-            complete = simulator.run(experiment)
-        run = simulator.start(experiment)
+    complete = simulate_warned(inexact(linear), ROUGH)
+    with Simulator(inexact(linear)) as simulator:
+        run = simulator.start(ROUGH)
         with pytest.warns(FmuWarning, match="may not be met"):
             step_twice_from_each_point(run)
-        recording = run.recording()
-    assert recording.provenance["solver_error"] == complete.provenance["solver_error"]
-    assert numbers_of_steps(recording) == numbers_of_steps(complete)
+        assert_same_steps(run.recording(), complete)
 
 
 def test_steps_before_an_interrupt_between_two_points_do_not_count(
@@ -153,13 +136,12 @@ def test_steps_before_an_interrupt_between_two_points_do_not_count(
 ) -> None:
     """The run continues from the point before them, with the step size and the errors of that point."""
     system, checkpoints = inexact(linear), Checkpoints(tmp_path / "checkpoint")
-    experiment = Experiment(0.5, 0.1, tolerance=1e-3)
-    complete = simulate_warned(system, experiment)
+    complete = simulate_warned(system, ROUGH)
     tries = iter(range(20))
     step = StepControl.try_controlled_step
 
     def interrupted(control: StepControl, point: int, start: float, end: float) -> bool:
-        if next(tries, None) is None and start > experiment.step_size * point + 1e-9:
+        if next(tries, None) is None and start > ROUGH.step_size * point + 1e-9:
             raise KeyboardInterrupt
         return step(control, point, start, end)
 
@@ -169,11 +151,10 @@ def test_steps_before_an_interrupt_between_two_points_do_not_count(
             pytest.warns(FmuWarning, match="may not be met"),
             pytest.raises(SimulationError, match="interrupted; saved in"),
         ):
-            simulate(system, experiment, checkpoints=checkpoints)
-    continued = simulate_warned(system, experiment, resume=read_checkpoint(checkpoints.path))
-    assert np.array_equal(continued.values, complete.values)
-    assert continued.provenance["solver_error"] == complete.provenance["solver_error"]
-    assert numbers_of_steps(continued) == numbers_of_steps(complete)
+            simulate(system, ROUGH, checkpoints=checkpoints)
+    continued = simulate_warned(system, ROUGH, resume=read_checkpoint(checkpoints.path))
+    assert_same_bits(continued, complete)
+    assert_same_steps(continued, complete)
 
 
 def test_the_error_of_an_output_with_feedthrough_is_no_mean_over_time(linear: Build) -> None:
@@ -184,20 +165,7 @@ def test_the_error_of_an_output_with_feedthrough_is_no_mean_over_time(linear: Bu
     assert run.provenance["solver_error"]["estimated_error"] > tolerance
 
 
-@pytest.fixture
-def controlled(monkeypatch: pytest.MonkeyPatch) -> list[tuple[WiredRun, LoopFunctions]]:
-    """What each run gives the control of its steps."""
-    given: list[tuple[WiredRun, LoopFunctions]] = []
-
-    def step_control(run: WiredRun, loop: LoopFunctions) -> StepControl:
-        given.append((run, loop))
-        return StepControl(run, loop)
-
-    monkeypatch.setattr(stepping, "StepControl", step_control)
-    return given
-
-
-@pytest.mark.parametrize("failing", ["the whole step", "the second half"])
+@pytest.mark.parametrize("misdeed_time", [0.0, 0.05], ids=["the whole step", "the second half"])
 @pytest.mark.parametrize(
     ("misdeed", "message"),
     [
@@ -209,16 +177,17 @@ def controlled(monkeypatch: pytest.MonkeyPatch) -> list[tuple[WiredRun, LoopFunc
 def test_a_step_that_fails_to_find_the_solvers_error_ends_the_run(
     linear: Build,
     rogue: Build,
-    controlled: list[tuple[WiredRun, LoopFunctions]],
+    monkeypatch: pytest.MonkeyPatch,
     misdeed: Misdeed,
     message: str,
-    failing: str,
+    misdeed_time: float,
 ) -> None:
     """After a fatal error no state is set; a discarded step only leaves the error unknown."""
-    misdeed_time = 0.0 if failing == "the whole step" else 0.05
+    given: list[Any] = []
+    monkeypatch.setattr(stepping, "StepControl", lambda *arguments: given.extend(arguments))
     with Simulator(pair(linear, rogue)) as simulator:
         simulator.start(doing(misdeed, misdeed_time))
-        ((run, loop),) = controlled
+        run, loop = given
         before = Snapshot(run, loop)
         before.take()
         arguments = run, loop, before, 0, 0.0, 0.1

@@ -10,13 +10,15 @@ import pytest
 
 from orchestration.errors import FmuWarning, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.results.recording import Recording
-from orchestration.run import Simulator, simulate
+from orchestration.run import Simulator
 from orchestration.run.step_by_step import SteppedRun
 from orchestration.scenarios.declarations import fault
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
-from tests.orchestration.linear_systems import coupled
+from tests.orchestration.linear_systems import alone, coupled
+from tests.orchestration.rogue_systems import doing, pair
+from tests.orchestration.runs import assert_same_bits
 from tests.shared_builds import Build
 
 STATES = {"saves_state": True}
@@ -32,13 +34,18 @@ def stepped(simulator: Simulator, experiment: Experiment, external: tuple[str, .
 
 
 @pytest.fixture
-def forced(linear: Build) -> Iterator[SteppedRun]:
-    """A run of one linear system, x' = -x + u, whose input is external."""
-    with Simulator(System({"one": linear(**STATES)})) as simulator:
-        yield simulator.start(FORCED, EXTERNAL)
+def one(linear: Build) -> Iterator[Simulator]:
+    """Of one linear system, x' = -x + u, that saves its state."""
+    with Simulator(alone(linear, saves_state=True)) as simulator:
+        yield simulator
 
 
-@pytest.mark.parametrize("is_compiled", [True, False])
+@pytest.fixture
+def forced(one: Simulator) -> SteppedRun:
+    """A run whose input is external."""
+    return one.start(FORCED, EXTERNAL)
+
+
 @pytest.mark.parametrize("algorithm", ["jacobi", "gauss-seidel"])
 @pytest.mark.parametrize(
     ("options", "capabilities"),
@@ -53,28 +60,22 @@ def forced(linear: Build) -> Iterator[SteppedRun]:
     ids=["plain", "extrapolation", "events", "fault", "step sizes", "tolerance"],
 )
 def test_steps_make_the_recording_of_a_run(
-    linear: Build, algorithm: Any, options: Any, capabilities: Any, is_compiled: bool
+    linear: Build, algorithm: Any, options: Any, capabilities: Any, compiled: bool
 ) -> None:
     experiment = Experiment(1.0, 0.1, algorithm=algorithm, **options)
-    with Simulator(coupled(linear, **capabilities), compiled=is_compiled) as simulator:
+    with Simulator(coupled(linear, **capabilities), compiled=compiled) as simulator:
         expected = simulator.run(experiment)
         steps = stepped(simulator, experiment)
-    assert np.array_equal(steps.values, expected.values)
-    assert np.array_equal(steps.time, expected.time)
-    assert (steps.names, steps.units, steps.provenance) == (
-        expected.names,
-        expected.units,
-        expected.provenance,
-    )
+    assert_same_bits(steps, expected)
+    assert (steps.units, steps.provenance) == (expected.units, expected.provenance)
 
 
 @pytest.mark.parametrize("saves_state", [True, False])
 def test_a_discarded_step_is_taken_in_shorter_ones_as_in_a_run(rogue: Build, saves_state: bool) -> None:
     """At once: every step is a plain one but the first."""
-    parameters = {"r.misdeed": int(Misdeed.DISCARD), "r.misdeed_time": 0.5, "r.longest_step": 0.04}
-    experiment = Experiment(1.0, 0.1, inputs={"r.u": 1.0}, parameters=parameters)
+    experiment = replace(doing(Misdeed.DISCARD, longest_step=0.04), inputs={"rogue.u": 1.0})
     made = []
-    with Simulator(System({"r": rogue(saves_state=saves_state)})) as simulator:
+    with Simulator(System({"rogue": rogue(saves_state=saves_state)})) as simulator:
         for make in (simulator.run, partial(stepped, simulator)):
             try:
                 made.append(make(experiment))
@@ -86,34 +87,28 @@ def test_a_discarded_step_is_taken_in_shorter_ones_as_in_a_run(rogue: Build, sav
     assert steps.provenance == expected.provenance
 
 
-def test_warnings_of_fmus_are_emitted(rogue: Build) -> None:
-    parameters = {"r.misdeed": int(Misdeed.WARNING), "r.misdeed_time": 0.5}
-    with Simulator(System({"r": rogue()})) as simulator, pytest.warns(FmuWarning, match="fmi2DoStep"):
-        stepped(simulator, Experiment(1.0, 0.1, inputs={"r.u": 1.0}, parameters=parameters))
+def test_warnings_of_fmus_are_emitted(linear: Build, rogue: Build) -> None:
+    with Simulator(pair(linear, rogue)) as simulator, pytest.warns(FmuWarning, match="fmi2DoStep"):
+        stepped(simulator, doing(Misdeed.WARNING))
 
 
-def test_what_an_external_input_is_set_to_acts_like_a_signal_of_the_same_values(linear: Build) -> None:
-    system = System({"one": linear()})
-
+def test_what_an_external_input_is_set_to_acts_like_a_signal_of_the_same_values(one: Simulator) -> None:
     def force(time: float) -> float:
         return 3.0 if time > 0.45 else -1.0
 
-    expected = simulate(system, Experiment(1.0, 0.1, signals={"one.u[1]": force}))
-    with Simulator(system) as simulator:
-        run = simulator.start(Experiment(1.0, 0.1), external=EXTERNAL)
-        while run.time < 1.0:
-            run.set("one.u[1]", force(run.time))
-            run.step()
-        run.set("one.u[1]", force(1.0))
-        steps = run.recording()
-    assert steps.names == expected.names
+    expected = one.run(Experiment(1.0, 0.1, signals={"one.u[1]": force}))
+    run = one.start(Experiment(1.0, 0.1), external=EXTERNAL)
+    while run.time < 1.0:
+        run.set("one.u[1]", force(run.time))
+        run.step()
+    run.set("one.u[1]", force(1.0))
     # the initial value of a signal is that of the start time, of an external input the FMU's start value
-    assert np.array_equal(steps.values, expected.values)
+    assert_same_bits(run.recording(), expected)
 
 
 def test_an_external_input_is_held_where_others_are_extrapolated(linear: Build) -> None:
     made = []
-    with Simulator(System({"one": linear(interpolates_inputs=True)})) as simulator:
+    with Simulator(alone(linear, interpolates_inputs=True)) as simulator:
         for order in (0, 1):
             run = simulator.start(Experiment(1.0, 0.25, extrapolation=order), EXTERNAL)
             while not run.is_done:
@@ -123,10 +118,9 @@ def test_an_external_input_is_held_where_others_are_extrapolated(linear: Build) 
     assert np.array_equal(*made)
 
 
-def test_a_fault_acts_on_an_external_input(linear: Build) -> None:
+def test_a_fault_acts_on_an_external_input(one: Simulator) -> None:
     stuck = fault({"input": "one.u[1]", "kind": "stuck", "value": 7.0, "start": 0.5}, "fault")
-    with Simulator(System({"one": linear()})) as simulator:
-        recording = stepped(simulator, Experiment(1.0, 0.25, faults=(stuck,)), EXTERNAL)
+    recording = stepped(one, Experiment(1.0, 0.25, faults=(stuck,)), EXTERNAL)
     assert recording["one.u[1]"].tolist() == [0.0, 0.0, 7.0, 7.0, 7.0]
 
 
@@ -154,17 +148,15 @@ def test_a_variable_that_is_not_recorded_is_read_from_its_fmu(linear: Build) -> 
         assert repr(run.get("one.integer_out")) == "3"
 
 
-def test_tunable_parameters_and_constant_inputs_are_set_between_steps(linear: Build) -> None:
-    system = System({"one": linear()})
+def test_tunable_parameters_and_constant_inputs_are_set_between_steps(one: Simulator) -> None:
+    experiment = Experiment(1.0, 0.5, inputs={"one.u[1]": 2.0})
     change = Event(0.5, {"one.a": -4.0, "one.u[1]": 1.0})
-    inputs = {"one.u[1]": 2.0}
-    expected = simulate(system, Experiment(1.0, 0.5, inputs=inputs, events=(change,)))
-    with Simulator(system) as simulator:
-        run = simulator.start(Experiment(1.0, 0.5, inputs=inputs))
-        run.step()
-        run.writer("one.a", "one.u[1]")(-4.0, 1.0)
-        run.step()
-        assert np.array_equal(run.recording().values, expected.values)
+    expected = one.run(replace(experiment, events=(change,)))
+    run = one.start(experiment)
+    run.step()
+    run.writer("one.a", "one.u[1]")(-4.0, 1.0)
+    run.step()
+    assert_same_bits(run.recording(), expected)
 
 
 @pytest.mark.parametrize(
@@ -200,47 +192,47 @@ def test_a_connected_input_cannot_be_set(linear: Build) -> None:
             simulator.start(Experiment(1.0, 0.1), external=("two.u[1]",))
 
 
-def test_a_step_needs_a_time_before_the_stop_time(linear: Build) -> None:
-    with Simulator(System({"one": linear()})) as simulator:
-        run = simulator.start(FORCED)
-        while not run.is_done:
-            run.step()
-        recording = run.recording()
-        with pytest.raises(OrchestrationError, match="at its stop time, 1 s: expected no further step"):
-            run.step()
-        assert np.array_equal(run.recording().values, recording.values)
+def test_a_step_needs_a_time_before_the_stop_time(one: Simulator) -> None:
+    recording = stepped(one, FORCED)
+    run = one.start(FORCED)
+    while not run.is_done:
+        run.step()
+    with pytest.raises(OrchestrationError, match="at its stop time, 1 s: expected no further step"):
+        run.step()
+    assert_same_bits(run.recording(), recording)
 
 
-def test_a_run_with_its_readers_and_writers_ends_when_another_begins(linear: Build) -> None:
-    with Simulator(System({"one": linear(**STATES)})) as simulator:
-        run = simulator.start(FORCED, EXTERNAL)
-        read, write, state = run.reader("one.y[1]"), run.writer("one.u[1]"), run.save()
-        simulator.run(FORCED)
-        with pytest.raises(OrchestrationError, match="the reader belongs to a run that has ended"):
-            read()
-        with pytest.raises(OrchestrationError, match="the writer belongs to a run that has ended"):
-            write(1.0)
-        for call in (
-            run.step,
-            run.save,
-            run.recording,
-            partial(run.restore, state),
-            partial(run.get, "one.y[1]"),
-            partial(run.set, "one.u[1]", 1.0),
-        ):
-            with pytest.raises(OrchestrationError, match="the run has ended: expected start"):
-                call()
+def test_a_run_with_its_readers_and_writers_ends_when_another_begins(
+    one: Simulator, forced: SteppedRun
+) -> None:
+    calls = {
+        "the reader belongs to a run that has ended": forced.reader("one.y[1]"),
+        "the writer belongs to a run that has ended": partial(forced.writer("one.u[1]"), 1.0),
+    }
+    state = forced.save()
+    one.run(FORCED)
+    for message, call in calls.items():
+        with pytest.raises(OrchestrationError, match=message):
+            call()
+    for call in (
+        forced.step,
+        forced.save,
+        forced.recording,
+        partial(forced.restore, state),
+        partial(forced.get, "one.y[1]"),
+        partial(forced.set, "one.u[1]", 1.0),
+    ):
+        with pytest.raises(OrchestrationError, match="the run has ended: expected start"):
+            call()
 
 
-def test_a_step_that_fails_keeps_the_recording_and_ends_the_run(rogue: Build) -> None:
-    well_done = Experiment(1.0, 0.1, inputs={"r.u": 0.0})
-    misdeed = {"r.misdeed": int(Misdeed.ERROR), "r.misdeed_time": 0.5}
-    with Simulator(System({"r": rogue()})) as simulator:
-        run = simulator.start(replace(well_done, parameters=misdeed))
+def test_a_step_that_fails_keeps_the_recording_and_ends_the_run(linear: Build, rogue: Build) -> None:
+    with Simulator(pair(linear, rogue)) as simulator:
+        run = simulator.start(doing(Misdeed.ERROR))
         with pytest.raises(SimulationError) as failure:
             [run.step() for _ in range(10)]
         assert len(failure.value.recording.time) == 6
-        assert np.array_equal(run.recording().values, failure.value.recording.values)
+        assert_same_bits(run.recording(), failure.value.recording)
         with pytest.raises(OrchestrationError, match="fmi2DoStep returned error"):
             run.step()
-        assert len(stepped(simulator, well_done).time) == 11
+        assert len(stepped(simulator, doing(Misdeed.NONE)).time) == 11

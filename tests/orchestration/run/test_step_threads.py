@@ -1,6 +1,7 @@
-"""Steps go to threads where that is faster. That the results are equal is a claim of test_loop.py."""
+"""Steps go to threads where that is faster. That the results are equal is a claim of test_combinations.py."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,6 +14,7 @@ from orchestration.run import Simulator
 from orchestration.run.compiled_loop import StepThreads
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
+from tests.orchestration.runs import interrupt_at
 
 LIGHT_S, HEAVY_S, FIRST_S = 1e-6, 1e-3, 5e-3
 
@@ -74,20 +76,15 @@ def test_fmus_that_may_share_memory_stay_on_one_thread_unless_threads_are_asked_
 
 def test_an_interrupt_ends_a_run_on_threads(built: Mapping[str, Path]) -> None:
     """The one of a progress is taken as one of the keyboard: between two batches."""
-
-    def interrupted(done: int, total: int) -> None:
-        if done:
-            raise KeyboardInterrupt
-
-    inputs = {f"{name}.{i}": 0.0 for name in ("one", "two") for i in ("control", "disturbance")}
     system = System(dict.fromkeys(("one", "two"), built["ExamplePlant"]))
+    experiment = Experiment(1.0, 1e-3, open_inputs="start")
     with Simulator(system, threads=2) as simulator:
         with pytest.raises(SimulationError, match=r"^interrupted$") as caught:
-            simulator.run(Experiment(1.0, 1e-3, inputs=inputs), interrupted)
+            simulator.run(experiment, interrupt_at(1))
         assert len(caught.value.recording.time) > 1
-        assert len(simulator.run(Experiment(0.1, 1e-3, inputs=inputs)).time) == 101
+        assert len(simulator.run(replace(experiment, stop_time=0.1)).time) == 101
 
 
-def test_less_than_one_thread_is_refused(built: Mapping[str, Path]) -> None:
+def test_less_than_one_thread_is_refused() -> None:
     with pytest.raises(OrchestrationError, match="threads: 0: expected at least 1"):
-        Simulator(System({"one": built["ExamplePlant"]}), threads=0)
+        Simulator(System({}), threads=0)

@@ -6,8 +6,8 @@ import os
 import sys
 import threading
 import types
-import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +18,16 @@ from orchestration.run import simulate
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
-from tests.orchestration.linear_systems import coupled
+from tests.orchestration.linear_systems import alone, coupled
+from tests.orchestration.rogue_systems import doing, pair
 from tests.shared_builds import Build
 
 TIMEOUT = 2.0
 pytestmark = pytest.mark.usefixtures("importable")
+
+
+def of_signal(signal: Callable[[float], float]) -> Experiment:
+    return Experiment(1.0, 0.1, signals={"one.u[1]": signal})
 
 
 def test_a_signal_may_be_of_a_module_beside_a_script(
@@ -31,22 +36,19 @@ def test_a_signal_may_be_of_a_module_beside_a_script(
     (tmp_path / "beside.py").write_text("def twice(t):\n    return 2.0 * t\n")
     monkeypatch.syspath_prepend(tmp_path)
     beside = importlib.import_module("beside")
-    experiment = Experiment(1.0, 0.1, signals={"one.u[1]": beside.twice})
-    recording = simulate(System({"one": linear()}), experiment, timeout=TIMEOUT)
+    recording = simulate(alone(linear), of_signal(beside.twice), timeout=TIMEOUT)
     assert recording["one.u[1]"].tolist() == (2.0 * recording.time).tolist()
 
 
 def test_what_cannot_travel_is_named(linear: Build, monkeypatch: pytest.MonkeyPatch) -> None:
     lock = threading.Lock()
-    system = System({"one": linear()})
-    locked = Experiment(1.0, 0.1, signals={"one.u[1]": lambda t: float(lock.locked())})
     with pytest.raises(OrchestrationError, match=r"the signal of one.u\[1\] cannot be given .*lock"):
-        simulate(system, locked, timeout=TIMEOUT)
+        simulate(alone(linear), of_signal(lambda t: float(lock.locked())), timeout=TIMEOUT)
     nowhere = types.ModuleType("nowhere")
     exec("def signal(t):\n    return t", nowhere.__dict__)
     monkeypatch.setitem(sys.modules, "nowhere", nowhere)
     with pytest.raises(OrchestrationError, match=r"cannot be loaded .*No module named 'nowhere'"):
-        simulate(system, Experiment(1.0, 0.1, signals={"one.u[1]": nowhere.signal}), timeout=TIMEOUT)
+        simulate(alone(linear), of_signal(nowhere.signal), timeout=TIMEOUT)
 
 
 class Stubborn(BaseException):
@@ -60,7 +62,7 @@ def failing(error: Callable[[], BaseException]) -> Experiment:
     def signal(t: float) -> float:
         raise error()
 
-    return Experiment(1.0, 0.1, signals={"one.u[1]": signal})
+    return of_signal(signal)
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError, SystemExit])
@@ -68,50 +70,44 @@ def test_what_a_signal_raises_is_the_same(linear: Build, error: type[BaseExcepti
     errors = []
     for seconds in (TIMEOUT, None):
         with pytest.raises((SystemDefinitionError, SystemExit), match="no draught") as caught:
-            simulate(System({"one": linear()}), failing(lambda: error("no draught")), timeout=seconds)
+            simulate(alone(linear), failing(lambda: error("no draught")), timeout=seconds)
         errors.append((caught.type, str(caught.value)))
     assert errors[0] == errors[1]
 
 
 def test_an_error_that_does_not_travel_is_told(linear: Build) -> None:
-    experiment = failing(lambda: Stubborn("no ", "draught"))
     with pytest.raises(OrchestrationError) as caught:
-        simulate(System({"one": linear()}), experiment, timeout=TIMEOUT)
+        simulate(alone(linear), failing(lambda: Stubborn("no ", "draught")), timeout=TIMEOUT)
     assert str(caught.value) == "Stubborn: no draught"
 
 
-WARNS = {"bad.misdeed": int(Misdeed.WARNING), "bad.misdeed_time": 0.2}
+WARNS = doing(Misdeed.WARNING, 0.2)
 
 
-def test_a_warning_is_the_same(rogue: Build) -> None:
-    experiment = Experiment(1.0, 0.1, parameters=WARNS, inputs={"bad.u": 1.0})
-    with pytest.warns(FmuWarning) as here:
-        simulate(System({"bad": rogue()}), experiment)
-    with pytest.warns(FmuWarning) as there:
-        simulate(System({"bad": rogue()}), experiment, timeout=TIMEOUT)
-    assert str(there[0].message) == str(here[0].message)
-    assert there[0].filename == here[0].filename
+def test_a_warning_is_the_same(linear: Build, rogue: Build) -> None:
+    heard = []
+    for seconds in (TIMEOUT, None):
+        with pytest.warns(FmuWarning) as warned:
+            simulate(pair(linear, rogue), WARNS, timeout=seconds)
+        heard.append((str(warned[0].message), warned[0].filename))
+    assert heard[0] == heard[1]
 
 
 def test_a_warning_is_heard_of_a_process_that_crashed(rogue: Build) -> None:
-    parameters = {**WARNS, "worse.misdeed": int(Misdeed.SEGFAULT), "worse.misdeed_time": 0.5}
-    experiment = Experiment(1.0, 0.1, parameters=parameters, inputs={"bad.u": 1.0, "worse.u": 1.0})
-    with (
-        pytest.warns(FmuWarning) as heard,
-        pytest.raises(SimulationError, match=r"worse at t = 0.5 s: ended its process with SIGSEGV"),
-    ):
-        simulate(System({"bad": rogue(), "worse": rogue()}), experiment, real_time=100.0, timeout=TIMEOUT)
-    assert [str(warning.message).partition(":")[0] for warning in heard] == [
-        f"bad at t = {t} s" for t in (0.2, 0.3, 0.4)
-    ]
+    worse = {"worse.misdeed": int(Misdeed.SEGFAULT), "worse.misdeed_time": 0.5}
+    experiment = replace(WARNS, parameters={**WARNS.parameters, **worse}, open_inputs="start")
+    system = System({"rogue": rogue(), "worse": rogue()})
+    message = r"worse at t = 0.5 s: ended its process with SIGSEGV"
+    with pytest.warns(FmuWarning) as heard, pytest.raises(SimulationError, match=message):
+        simulate(system, experiment, real_time=100.0, timeout=TIMEOUT)
+    before = [str(warning.message).partition(":")[0] for warning in heard]
+    assert before == [f"rogue at t = {t} s" for t in (0.2, 0.3, 0.4)]
 
 
-def test_a_warning_that_is_an_error_keeps_the_recording(rogue: Build) -> None:
-    experiment = Experiment(1.0, 0.1, parameters=WARNS, inputs={"bad.u": 1.0})
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", FmuWarning)
-        with pytest.raises(SimulationError, match=r"FmuWarning.*the battery is low") as caught:
-            simulate(System({"bad": rogue()}), experiment, timeout=TIMEOUT)
+@pytest.mark.filterwarnings("error::orchestration.errors.FmuWarning")
+def test_a_warning_that_is_an_error_keeps_the_recording(linear: Build, rogue: Build) -> None:
+    with pytest.raises(SimulationError, match=r"FmuWarning.*the battery is low") as caught:
+        simulate(pair(linear, rogue), WARNS, timeout=TIMEOUT)
     assert len(caught.value.recording.time) > 2
 
 
@@ -132,19 +128,17 @@ def refuse(done: int, total: int) -> None:
 
 
 @pytest.mark.parametrize("progress", [None, refuse])
-def test_no_file_stays_mapped(rogue: Build, progress: Any) -> None:
+def test_no_file_stays_mapped(linear: Build, rogue: Build, progress: Any) -> None:
     """Windows does not remove one that is."""
-    parameters = {"bad.misdeed": int(Misdeed.SEGFAULT), "bad.misdeed_time": 0.5}
-    experiment = Experiment(1.0, 0.1, parameters=parameters, inputs={"bad.u": 1.0})
     with pytest.raises(SimulationError) as caught:
-        simulate(System({"bad": rogue()}), experiment, progress, real_time=1.0, timeout=TIMEOUT)
+        simulate(pair(linear, rogue), doing(Misdeed.SEGFAULT), progress, real_time=1.0, timeout=TIMEOUT)
     assert caught.tb  # with all that its frames refer to
     assert "l1-depth-run-" not in Path("/proc/self/maps").read_text()
 
 
 def test_what_does_not_fit_is_said_before_a_process_starts(linear: Build) -> None:
     with pytest.raises(SystemDefinitionError, match="driven by nothing"):
-        simulate(System({"one": linear()}), Experiment(1.0, 0.1), timeout=TIMEOUT)
+        simulate(alone(linear), Experiment(1.0, 0.1), timeout=TIMEOUT)
     with pytest.raises(SystemDefinitionError, match="timeout 0 s: expected more than 0"):
         simulate(coupled(linear), Experiment(1.0, 0.1), timeout=0)
 
@@ -159,7 +153,6 @@ def test_a_record_without_room_is_refused_before_the_run(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "posix_fallocate", full)
-    experiment = Experiment(1.0, 0.1, inputs={"one.u[1]": 0.0})
     with pytest.raises(OrchestrationError, match=r"no room for a record of .* MB, .*No space left"):
-        simulate(System({"one": linear()}), experiment, timeout=TIMEOUT)
+        simulate(coupled(linear), Experiment(1.0, 0.1), timeout=TIMEOUT)
     assert not list(temporary.iterdir())

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -29,11 +28,9 @@ def passing(linear: Build) -> System:
     return System({"p": linear(b=(), d=((),), passes_discrete=True)})
 
 
-def driven(**signals: Any) -> Experiment:
-    defaults = {"p.integer_in": 0, "p.boolean_in": False}
-    named = {f"p.{name}": signal for name, signal in signals.items()}
-    inputs = {name: value for name, value in defaults.items() if name not in named}
-    return Experiment(0.5, 0.1, signals=named, inputs=inputs)
+def driven(**signals: Signal) -> Experiment:
+    signals_by_name = {f"p.{name}": signal for name, signal in signals.items()}
+    return Experiment(0.5, 0.1, signals=signals_by_name, open_inputs="start")
 
 
 def test_integers_and_booleans_follow_signals(linear: Build, compiled: bool) -> None:
@@ -57,18 +54,20 @@ def test_a_table_of_an_integer_or_a_boolean_holds(linear: Build, compiled: bool)
 @pytest.mark.parametrize(
     ("name", "signal", "message"),
     [
-        ("integer_in", Ramps([[0.0, 0.0], [1.0, 10.0]], smooth=True),
-         r"signal p.integer_in is .* at t = 0.1 s: expected an integer, -2.14748e\+09..2.14748e\+09, "
-         "as the input has type Integer"),
-        ("integer_in", lambda t: 2.0**31, "signal p.integer_in is .* at t = 0 s: expected an integer"),
-        ("integer_in", lambda t: float("nan"), "signal p.integer_in is nan at t = 0 s: expected an integer"),
-        ("boolean_in", lambda t: 2.0, "signal p.boolean_in is 2 at t = 0 s: expected true or false"),
+        (
+            "integer_in",
+            Ramps([[0.0, 0.0], [1.0, 10.0]], smooth=True),
+            r".* at t = 0.1 s: expected an integer, -2.14748e\+09..2.14748e\+09, as .* has type Integer",
+        ),
+        ("integer_in", lambda t: 2.0**31, ".* at t = 0 s: expected an integer"),
+        ("integer_in", lambda t: float("nan"), "nan at t = 0 s: expected an integer"),
+        ("boolean_in", lambda t: 2.0, "2 at t = 0 s: expected true or false"),
     ],
-)  # fmt: skip
+)
 def test_a_signal_that_its_input_cannot_have_is_refused(
     linear: Build, name: str, signal: Signal, message: str
 ) -> None:
-    with pytest.raises(SystemDefinitionError, match=message):
+    with pytest.raises(SystemDefinitionError, match=f"signal p.{name} is {message}"):
         simulate(passing(linear), driven(**{name: signal}))
 
 
@@ -88,35 +87,30 @@ def test_an_integer_output_drives_a_real_input(linear: Build, stair: Build, comp
     assert recording["lag.y[1]"] == pytest.approx(1.0 + np.array([0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 6.0]))
 
 
-TYPES = ["Real", "Integer", "Boolean", "String"]
-ACCEPTED = {("Integer", "Real"), *zip(TYPES, TYPES, strict=True)}
+PORTS = {
+    "Real": ("Lag", "y", "u"),
+    "Integer": ("Types", "c", "a"),
+    "Boolean": ("Types", "d", "b"),
+    "String": ("Diary", "page", "entry"),
+}
+ACCEPTED = {("Integer", "Real"), *zip(PORTS, PORTS, strict=True)}
 
 
-@pytest.mark.parametrize("output", TYPES)
-@pytest.mark.parametrize("target", TYPES)
+@pytest.mark.parametrize("output", PORTS)
+@pytest.mark.parametrize("target", PORTS)
 def test_an_output_drives_an_input_that_can_have_its_every_value(
     foreign: Mapping[str, Path], output: str, target: str
 ) -> None:
-    names = {"Real": ("y", "u"), "Integer": ("c", "a"), "Boolean": ("d", "b"), "String": ("page", "entry")}
-    fmus = {"Real": foreign["Lag"], "Integer": foreign["Types"], "Boolean": foreign["Types"]}
-    system = System(
-        {"one": fmus.get(output, foreign["Diary"]), "two": fmus.get(target, foreign["Diary"])},
-        ((f"one.{names[output][0]}", f"two.{names[target][1]}"),),
-    )
-    own = {"u": 0.0, "a": 0, "b": False, "entry": ""}
-    inputs = {"Lag": ("u",), "Types": ("a", "b"), "Diary": ("entry",)}
-    undriven = {
-        f"{c}.{name}": own[name] for c, path in system.components.items() for name in inputs[path.stem]
-    }
-    undriven.pop(f"two.{names[target][1]}")
-    experiment = Experiment(0.2, 0.1, inputs=undriven)
+    source, given, _ = PORTS[output]
+    receiver, _, taken = PORTS[target]
+    fmus = {"one": foreign[source], "two": foreign[receiver]}
+    system = System(fmus, ((f"one.{given}", f"two.{taken}"),))
+    experiment = Experiment(0.2, 0.1, open_inputs="start")
     if (output, target) in ACCEPTED:
         simulate(system, experiment)
     else:
-        with pytest.raises(
-            SystemDefinitionError,
-            match=f"expected an output of type {target}.* for an input of type {target}, got {output}",
-        ):
+        message = f"expected an output of type {target}.* for an input of type {target}, got {output}"
+        with pytest.raises(SystemDefinitionError, match=message):
             simulate(system, experiment)
 
 
@@ -126,21 +120,22 @@ def diaries(foreign: Mapping[str, Path]) -> System:
 
 
 RECORD = ("two.page", "one.page", "two.entry", "one.entry", "one.length", "one.gain", "one.twice")
-MONDAY = Experiment(
-    0.4,
-    0.1,
-    inputs={"one.entry": "Mon,day"},
-    events=(Event(0.2, {"one.entry": "Tuesday ä", "one.gain": 3.0}),),
-    record=RECORD,
-)
+CHANGE = Event(0.2, {"one.entry": "Tuesday ä", "one.gain": 3.0})
+MONDAY = Experiment(0.4, 0.1, inputs={"one.entry": "Mon,day"}, events=(CHANGE,), record=RECORD)
 
 
 def test_strings_are_connected_and_recorded(foreign: Mapping[str, Path], compiled: bool) -> None:
+    """Beside them local variables and parameters: an event's value from its time on, and what an FMU
+    computes of it after the next step.
+    """
     recording = run(diaries(foreign), MONDAY, compiled)
     assert recording["one.entry"].tolist() == ["Mon,day", "Mon,day", "Tuesday ä", "Tuesday ä", "Tuesday ä"]
     assert recording["one.page"].tolist() == ["begun", "Mon,day|", "Mon,day|", "Tuesday ä|", "Tuesday ä|"]
     assert recording["two.entry"].tolist() == recording["one.page"].tolist()
     assert recording["two.page"].tolist() == ["begun", "begun|", "Mon,day||", "Mon,day||", "Tuesday ä||"]
+    assert recording["one.gain"].tolist() == [2, 2, 3, 3, 3]
+    assert recording["one.twice"].tolist() == [4, 4, 4, 6, 6]
+    assert recording["one.length"].tolist() == [0, 16, 16, 30, 30]
 
 
 def test_a_string_that_is_recorded_can_be_read_at_every_point(
@@ -150,14 +145,6 @@ def test_a_string_that_is_recorded_can_be_read_at_every_point(
         run = simulator.start(MONDAY)
         run.step()
         assert (run.get("one.page"), run.get("one.length")) == ("Mon,day|", 16)
-
-
-def test_local_variables_and_parameters_are_recorded(foreign: Mapping[str, Path], compiled: bool) -> None:
-    """An event's value is recorded from its time on; what an FMU computes of it, after the next step."""
-    recording = run(diaries(foreign), MONDAY, compiled)
-    assert recording["one.gain"].tolist() == [2, 2, 3, 3, 3]
-    assert recording["one.twice"].tolist() == [4, 4, 4, 6, 6]
-    assert recording["one.length"].tolist() == [0, 16, 16, 30, 30]
 
 
 @pytest.mark.parametrize("ending", ["csv", "parquet"])
@@ -222,12 +209,9 @@ def test_no_signal_drives_a_string(foreign: Mapping[str, Path]) -> None:
 def test_an_output_with_an_exact_start_value_can_be_set(stair: Build, linear: Build) -> None:
     recording = simulate(System({"stair": stair()}), Experiment(20.0, 1.0, parameters={"stair.counter": 5}))
     assert recording["stair.counter"].tolist() == [5, 6, 7, 8, 9, 10]
-    with pytest.raises(
-        SystemDefinitionError,
-        match=r'p.y\[1\]: expected a parameter, or a variable with initial = "exact" or "approx", got output '
-        "with initial = calculated",
-    ):
-        simulate(System({"p": linear(b=(), d=((),))}), Experiment(1.0, 1.0, parameters={"p.y[1]": 1.0}))
+    message = r'y\[1\]: expected a parameter, or .* initial = "exact" .*, got output with initial = calc'
+    with pytest.raises(SystemDefinitionError, match=message):
+        simulate(passing(linear), replace(driven(), parameters={"p.y[1]": 1.0}))
 
 
 def test_strings_keep_their_numbers_in_another_run() -> None:
