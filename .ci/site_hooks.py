@@ -136,6 +136,7 @@ def _zipped(folder: Path, working: Path) -> bytes:
 def _gallery(working: Path) -> Contents:
     """gallery/NAME.md and gallery/NAME.ipynb of each script, its pictures, and the page that lists them."""
     downloads.run("l1-depth", "build", "--cache", folder=working)
+    downloads.run("l1-depth", "build", "L1DepthController", "RovDepthPlant", folder=working)
     contents: Contents = {}
     index = ["# Gallery\n", _GALLERY]
     for script in GALLERY:

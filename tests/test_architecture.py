@@ -92,6 +92,7 @@ LEVELS = {
     "orchestration.errors": 5,
     "orchestration.system": 6,
     "orchestration.results": 6,
+    "orchestration.fmpy_master": 7,
     "orchestration.run": 7,
     "orchestration.many": 8,
     "orchestration.scenarios": 9,
@@ -142,7 +143,7 @@ def test_no_folder_has_more_than_25_files() -> None:
     files = [path for package in PACKAGES for path in (ROOT / package).rglob("*") if path.is_file()]
     counts = Counter(path.parent.relative_to(ROOT).as_posix() for path in files if path.suffix not in data)
     assert {name for name, count in counts.items() if count > MOST_FILES} == set()
-    assert counts["orchestration"] <= 4
+    assert counts["orchestration"] <= 5
 
 
 def test_tests_mirror_the_rooms() -> None:

@@ -16,9 +16,23 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def block(language: str) -> str:
-    """The only fenced block of a language."""
-    (code,) = re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
-    return code
+    """The last fenced block of a language."""
+    return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)[-1]
+
+
+def test_the_first_program_is_the_script_without_its_figure() -> None:
+    """Which tests/orchestration/test_fmpy_master.py runs."""
+    script = (ROOT / "docs" / "gallery" / "fmpy_master.py").read_text(encoding="utf-8")
+    program = README.partition("```python\n")[2].partition("```")[0]
+    assert (
+        program.split()
+        == "".join(
+            line
+            for cell in script.split("# %%\n")[1:3]
+            for line in cell.splitlines(keepends=True)
+            if "matplotlib" not in line
+        ).split()
+    )
 
 
 def test_the_python_example_runs(tmp_path: Path) -> None:

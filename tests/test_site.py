@@ -61,13 +61,13 @@ def test_the_checksums_are_those_of_all_files(archive: Path) -> None:
     assert all(hashlib.sha256(files[name].read_bytes()).hexdigest() == listed[name] for name in listed)
 
 
-def test_the_gallery_has_five_notebooks_that_ran(archive: Path) -> None:
+def test_the_gallery_has_seven_notebooks_that_ran(archive: Path) -> None:
     """Each page shows what the notebook beside it printed and drew."""
     notebooks = sorted((archive / "documentation" / "gallery").glob("*.ipynb"))
     assert [path.stem for path in notebooks] == sorted(
         path.stem for path in (ROOT / "docs" / "gallery").glob("*.py")
     )
-    assert len(notebooks) == 5
+    assert len(notebooks) == 7
     for path in notebooks:
         cells = [cell for cell in json.loads(path.read_text(encoding="utf-8"))["cells"] if "outputs" in cell]
         assert [cell["execution_count"] for cell in cells] == [*range(1, len(cells) + 1)]

@@ -1,0 +1,206 @@
+"""The master algorithm on FMPy, on one page: the loop of `orchestration.run`, call by call.
+
+    Jacobi         all inputs are set, all components step, all outputs are read
+    Gauss-Seidel   component by component, each with the newest outputs there are
+
+Communication points are start + i h, never accumulated. Faults, events, extrapolation, step sizes of single
+components and step control are left to `orchestration.simulate`. Where both can run a system, every recorded
+value has the same bits (tests/orchestration/test_fmpy_master.py).
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal
+
+import numpy as np
+from fmpy import extract, read_model_description
+from fmpy.fmi2 import FMU2Slave
+from fmpy.fmi3 import FMU3Slave
+
+from fmus.errors import nearest
+from orchestration.errors import OrchestrationError, SystemDefinitionError
+from orchestration.results.recording import Recording
+from orchestration.system.signals import values_at
+from orchestration.system.time_grid import time_grid
+from orchestration.system.values import Value
+
+_PYTHON_TYPE = {"String": str, "Real": float, "Float64": float, "Float32": float}  # others are integers
+
+
+class Variable:
+    """A scalar variable of an instance: a variable of the model description, or one element of its array."""
+
+    def __init__(self, component: "Component", declared: Any, index: int) -> None:
+        self.component, self._index, self._references = component, index, [declared.valueReference]
+        self.unit, self._is_array = declared.unit or "", bool(declared.shape)
+        items = declared.declaredType.items if declared.type == "Enumeration" else ()
+        self._items = {item.name: int(item.value) for item in items}
+        self._convert = _PYTHON_TYPE.get(declared.type, int)
+        integer, size = ("Int64", (math.prod(declared.shape),)) if component.is_fmi_3 else ("Integer", ())
+        suffix = integer if declared.type == "Enumeration" else declared.type
+        self._get, self._set = (getattr(component.fmu, verb + suffix) for verb in ("get", "set"))
+        self._size = size  # a further argument of FMI 3.0: how many values the variable has
+
+    def get(self) -> Any:
+        """Returns the value."""
+        return self._get(self._references, *self._size)[self._index]
+
+    def set(self, value: Value) -> None:
+        """Sets the value, of an Enumeration also by the name of an item."""
+        values = self._get(self._references, *self._size) if self._is_array else [None]
+        values[self._index] = self._convert(self._items.get(value, value))
+        self._set(self._references, values)
+
+
+class Component:
+    """An instance of an FMU for co-simulation, of FMI 2.0 or 3.0, which `resources` frees."""
+
+    def __init__(self, name: str, path: str | Path, resources: ExitStack) -> None:
+        self.name, description = name, read_model_description(str(path))
+        if not description.coSimulation:
+            raise SystemDefinitionError(f"{path}: expected co-simulation, got model exchange alone")
+        self.is_fmi_3 = str(description.fmiVersion).startswith("3")
+        self.fmu: Any = (FMU3Slave if self.is_fmi_3 else FMU2Slave)(
+            instanceName=name,
+            guid=description.guid,
+            modelIdentifier=description.coSimulation.modelIdentifier,
+            unzipDirectory=extract(str(path), resources.enter_context(TemporaryDirectory())),
+        )
+        self.fmu.instantiate(loggingOn=True)
+        resources.callback(self.fmu.freeInstance)
+        self.variables: dict[str, Variable] = {}
+        for declared in description.modelVariables:
+            for element, index in enumerate(np.ndindex(*declared.shape or ())):
+                suffix = f"[{','.join(str(i + 1) for i in index)}]" if index else ""
+                self.variables[declared.name + suffix] = Variable(self, declared, element)
+
+    def enter_initialization_mode(self, start: float, stop: float) -> None:
+        """Begins the initialisation of an experiment from `start` to `stop` [s]."""
+        times = {"startTime": start, "stopTime": stop}
+        if not self.is_fmi_3:
+            self.fmu.setupExperiment(**times)
+        self.fmu.enterInitializationMode(**(times if self.is_fmi_3 else {}))
+
+    def step(self, start: float, end: float) -> None:
+        """Steps from `start` to `end` [s]."""
+        reply = self.fmu.doStep(start, end - start)
+        if self.is_fmi_3 and any(reply[:3]):
+            raise OrchestrationError(f"{self.name}: the step from {start:.9g} s to {end:.9g} s ended early")
+
+
+class Master:
+    """Components, connections (output, input), and the newest values of what is exchanged or recorded.
+
+    driven: inputs that signals drive; recorded: further variables to read
+    """
+
+    def __init__(
+        self,
+        components: Sequence[Component],
+        connections: Sequence[tuple[str, str]],
+        driven: Sequence[str],
+        recorded: Sequence[str],
+    ) -> None:
+        self.components, self.connections, self.values = components, connections, dict[str, Any]()
+        self._variables = {f"{c.name}.{name}": v for c in components for name, v in c.variables.items()}
+        targets = [*driven, *(target for _, target in connections)]
+        sources = {*recorded, *(source for source, _ in connections)}.difference(targets)
+        self._inputs, self._outputs = (
+            {c: [(n, v) for n in names if (v := self[n]).component is c] for c in components}
+            for names in (targets, sorted(sources))
+        )
+
+    def __getitem__(self, name: str) -> Variable:
+        """Returns the variable "component.variable"."""
+        if name not in self._variables:
+            raise SystemDefinitionError(f"no variable {name!r}; {nearest(name, self._variables)}")
+        return self._variables[name]
+
+    def exchange(self, signals: Mapping[str, float]) -> None:
+        """Gives every driven input the value of its signal or of its output."""
+        self.values.update(signals)
+        for source, target in self.connections:
+            value = self.values[target] = self.values[source]
+            if isinstance(value, float) and not math.isfinite(value):
+                raise OrchestrationError(f"{target}: expected a finite number, {source} is {value}")
+
+    def set_inputs(self, component: Component) -> None:
+        for name, variable in self._inputs[component]:
+            variable.set(self.values[name])
+
+    def read_outputs(self, component: Component) -> None:
+        self.values.update((name, variable.get()) for name, variable in self._outputs[component])
+
+    def initialise(self, signals: Mapping[str, float]) -> None:
+        """Exchanges initial values until none changes."""
+        most = len(self.connections) + 2  # n connections in a row need n, and one more to see no change
+        for _ in range(most):
+            before = self.values.copy()
+            self.for_each(self.read_outputs)
+            self.exchange(signals)
+            self.for_each(self.set_inputs)
+            if self.values == before:
+                return
+        raise OrchestrationError("initial values do not settle: `simulate` solves algebraic loops")
+
+    def step(self, start: float, end: float, algorithm: str) -> None:
+        """Steps all components from `start` to `end` [s]."""
+        if algorithm == "jacobi":
+            self.for_each(self.set_inputs)
+            self.for_each(lambda component: component.step(start, end))
+            self.for_each(self.read_outputs)
+            return
+        for component in self.components:
+            self.exchange({})
+            self.set_inputs(component)
+            component.step(start, end)
+            self.read_outputs(component)
+
+    def for_each(self, action: Callable[[Component], object]) -> None:
+        for component in self.components:
+            action(component)
+
+
+def simulate(
+    fmus: Mapping[str, str | Path],
+    connections: Sequence[tuple[str, str]] = (),
+    *,
+    stop_time: float,
+    step_size: float,
+    start_time: float = 0.0,
+    algorithm: Literal["jacobi", "gauss-seidel"] = "jacobi",
+    start_values: Mapping[str, Value] = {},
+    signals: Mapping[str, Callable[[float], float]] = {},
+    record: Sequence[str],
+) -> Recording:
+    """Runs components once and returns the recorded variables at the communication points.
+
+    fmus: component -> FMU; connections: (output, input), as "component.variable"
+    stop_time, step_size, start_time: [s]
+    start_values: of parameters and inputs; signals: input -> function of time [s]
+
+    Raises SystemDefinitionError for an unknown name, OrchestrationError for a value that is not finite and
+    for initial values that do not settle, FMPy's FMICallException for a call that an FMU refuses.
+    """
+    points = time_grid(start_time, stop_time, step_size)
+    tables = {name: values_at(signal, points).tolist() for name, signal in signals.items()}
+    rows = np.empty((len(points), len(record)))
+    with ExitStack() as resources:
+        components = [Component(name, path, resources) for name, path in fmus.items()]
+        master = Master(components, connections, [*signals], record)
+        for name, value in start_values.items():
+            master[name].set(value)
+        master.for_each(lambda component: component.enter_initialization_mode(start_time, stop_time))
+        master.initialise({name: table[0] for name, table in tables.items()})
+        master.for_each(lambda component: component.fmu.exitInitializationMode())
+        master.for_each(master.read_outputs)
+        for point, time in enumerate(points.tolist()):
+            if point:
+                master.step(float(points[point - 1]), time, algorithm)
+            master.exchange({name: table[point] for name, table in tables.items()})
+            rows[point] = [master.values[name] for name in record]
+        master.for_each(lambda component: component.fmu.terminate())
+    return Recording(tuple(record), tuple(master[name].unit for name in record), points, rows)
