@@ -12,7 +12,7 @@ Inputs are held over a step, first order in h, or extrapolated with their last s
     simulator.py       FMUs that stay loaded, and runs of them
     initialisation.py  initial values
     wiring.py          a prepared run as arrays
-    loop.py            the communication loop over these arrays; compiled_loop.py compiled, and on threads
+    loop.c             the communication loop over these arrays; compiled_loop.py calls it, also on threads
     stepping.py        from the first point to the last, with events and progress
     step_by_step.py    a run led by the caller's own loop
     step_control.py, tolerance.py  shorter steps: after a discard, and to meet a tolerance

@@ -12,7 +12,6 @@ were faster.
 import ctypes
 import threading
 import time
-import warnings
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
@@ -23,7 +22,7 @@ import numpy as np
 from fmus.errors import ExportError
 from fmus.native import compiled_library
 from fmus.operating_system import usable_processors
-from orchestration.run.loop import python_loop
+from orchestration.errors import OrchestrationError
 from orchestration.run.loop_data import LoopFunctions, Team, Wiring
 
 _SOURCE = "loop.c"
@@ -31,12 +30,8 @@ _loading = threading.Lock()
 
 
 def compiled_loop(wiring: Wiring) -> LoopFunctions:
-    """Returns the functions of the loop for one wiring: compiled, or with a warning those in Python."""
-    try:
-        functions = library()
-    except (ExportError, OSError) as error:
-        warnings.warn(f"the communication loop runs in Python, which is slower: {error}", stacklevel=2)
-        return python_loop(wiring)
+    """Returns the functions of the loop for one wiring; OrchestrationError if it cannot be compiled."""
+    functions = library()
     memory = np.array(_members(wiring), np.int64)
     pointer = ctypes.c_void_p(memory.ctypes.data)
     pointer.memory = memory, wiring  # type: ignore[attr-defined]  # they must live as long as the functions
@@ -78,11 +73,11 @@ def _flat(value: Any) -> list[int]:
 
 
 def library() -> ctypes.CDLL:
-    """Returns the loop of the wheel, or one compiled once for this user; else ExportError or OSError."""
+    """Returns the loop of the wheel, or one compiled once for this user; OrchestrationError if it fails."""
     with _loading:  # two threads would load it twice, each with a floating-point mode of its own to restore
         loaded = _library_or_error()
     if isinstance(loaded, Exception):
-        raise loaded
+        raise OrchestrationError(f"the communication loop is not compiled: {loaded}") from loaded
     return loaded
 
 

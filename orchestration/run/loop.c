@@ -1,5 +1,5 @@
-/* The communication loop: the twin of orchestration/run/loop.py, function by function; read it there.
-   The structures are those of loop_data.py, whose docstrings explain their members.
+/* The communication loop. orchestration/fmpy_master.py is the algorithm without what this one adds; the twin of
+   this file in Python, function by function, is tests/orchestration/python_loop.py. The structures are those of loop_data.py, whose docstrings explain their members.
 
    Every member of Wiring is eight bytes wide: a count, an address, or a number that Python writes there. But in
    WebAssembly no Python does, and addresses have four (orchestration/exchange/files/web_program.c). */

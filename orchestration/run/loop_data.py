@@ -190,9 +190,9 @@ SavedMemory = ctypes.Array[ctypes.c_int64]
 
 
 class LoopFunctions(NamedTuple):
-    """The functions of the loop for one wiring: those of loop.py, without their first argument.
+    """The functions of the loop for one wiring: those of loop.c, without their first argument.
 
-    help: called by each thread that shares the steps of `run`, until that ends; the loop in Python has none
+    help: called by each thread that shares the steps of `run`, until that ends
     """
 
     run: Callable[[int, int], int]

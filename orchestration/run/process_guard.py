@@ -19,7 +19,6 @@ from functools import cache, partial
 
 import numpy as np
 
-from fmus.errors import ExportError
 from fmus.fmi import parent_process
 from fmus.fmi.process import CHILD_RETURNED
 from orchestration.errors import FmuWarning, OrchestrationError
@@ -43,18 +42,16 @@ class ProcessGuard:
         lines = [f"l1-depth: {name}".encode()[:100] + ends.encode() for name in names]
         texts = b"".join(line.ljust(_TEXT_SIZE, b"\0") for line in lines)
         with _lock:
-            self._library = _library()
-            runs = _runs() if self._library else np.zeros((0, 2), np.int64)
+            runs = _runs()
             free = np.flatnonzero(runs[:, 0] == 0)
             self._row = int(free[0]) if len(free) else -1
             if self._row >= 0:
                 _texts[self._row] = report, texts
                 runs[self._row] = report.ctypes.data, np.frombuffer(texts, np.uint8).ctypes.data
         parent_process.share_names(names)
-        self._report, self.end_call = report, lambda: 0
-        if self._library:
-            self._library.guard_forget_forks()
-            self.end_call = partial(self._library.guard_end_call, report.ctypes.data_as(ctypes.c_void_p))
+        library().guard_forget_forks()
+        self._report = report
+        self.end_call = partial(library().guard_end_call, report.ctypes.data_as(ctypes.c_void_p))
 
     def restore(self, name: str) -> None:
         """Puts the floating-point mode back, with a warning if it was changed.
@@ -89,20 +86,10 @@ def new_report() -> np.ndarray:
 
 
 @cache
-def _library() -> ctypes.CDLL | None:
-    try:
-        loaded = library()
-    except (ExportError, OSError):  # nothing is compiled
-        return None
-    loaded.guard_runs.restype = ctypes.POINTER(ctypes.c_int64)
-    return loaded
-
-
-@cache
 def _runs() -> np.ndarray:
     """Returns the table in C, a row for each run in progress: addresses of its report and its texts."""
-    guard = _library()
-    assert guard
+    guard = library()
+    guard.guard_runs.restype = ctypes.POINTER(ctypes.c_int64)
     runs = np.ctypeslib.as_array(guard.guard_runs(), (_MOST_RUNS, 2))
     atexit.register(runs.fill, 0)  # from then on the process ends by itself
     return runs

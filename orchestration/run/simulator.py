@@ -19,7 +19,6 @@ from orchestration.run.compiled_loop import compiled_loop
 from orchestration.run.error_estimate import with_error_estimate
 from orchestration.run.initialisation import initialise
 from orchestration.run.interrupt import Pacing, deferred_interrupt
-from orchestration.run.loop import python_loop
 from orchestration.run.loop_data import Report, Storage
 from orchestration.run.process_guard import ProcessGuard, new_report
 from orchestration.run.run_recording import reason_of
@@ -108,8 +107,6 @@ class Simulator(LoadedSystem):
     """A system whose FMUs stay loaded over many runs, made at once or step by step; a context manager.
 
     The FMUs are loaded for the first run and reset for the next; after a failure they are loaded anew.
-    compiled: whether the communication loop is compiled; in Python it is slower, with the same results to the
-        last bit
     threads: number of threads that step the FMUs of a Jacobi run, with the same results; by default as many
         as make `run` faster, if that is measured, and one for FMUs that may share memory. A run that the
         caller steps has one thread
@@ -117,13 +114,13 @@ class Simulator(LoadedSystem):
     """
 
     _kind = "simulator"
+    _loop = staticmethod(compiled_loop)
 
-    def __init__(self, system: System, compiled: bool = True, threads: int | None = None) -> None:
+    def __init__(self, system: System, threads: int | None = None) -> None:
         if threads is not None and threads < 1:
             raise OrchestrationError(f"threads: {threads}: expected at least 1")
         super().__init__(system)
         self._threads = threads
-        self._loop = compiled_loop if compiled else python_loop
         self._guard: ProcessGuard | None = None
         self._last_run: RunInProgress | None = None  # until another one begins
         self._first_batch = 1
@@ -183,7 +180,7 @@ class Simulator(LoadedSystem):
             if experiment.error_estimate:
                 self._check_can_load_twice()
             wired, guard = self._prepare_run(experiment, tuple(external))
-            second = partial(Simulator, self.system, self._loop is compiled_loop)
+            second = partial(type(self), self.system)
             run = SteppedRun(wired, self._loop(wired.wiring), guard, second)
             try:
                 with deferred_interrupt():

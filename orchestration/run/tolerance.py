@@ -8,7 +8,7 @@ tolerance of its own, does not.
 import numpy as np
 
 from fmus.fmi.description import of_causality
-from orchestration.run.loop import python_loop
+from orchestration.run.compiled_loop import compiled_loop
 from orchestration.run.loop_data import InputMode, LoopFunctions
 from orchestration.run.run_recording import step_unless_discarded
 from orchestration.run.snapshot import Snapshot
@@ -113,7 +113,7 @@ def step_together_and_split(
     together, slopes = wiring.bus.copy(), wiring.slopes.copy()
     before.restore()
     _carry_on(run, together, slopes, start)
-    halves = python_loop(wiring._replace(gauss_seidel=0))  # which would exchange within a half
+    halves = compiled_loop(wiring._replace(gauss_seidel=0))  # which would exchange within a half
     middle = start + 0.5 * (end - start)
     if not (
         step_unless_discarded(run, halves, point, start, middle)

@@ -11,12 +11,13 @@ import pytest
 
 from orchestration.errors import FmuWarning, SimulationError
 from orchestration.results.recording import Recording
-from orchestration.run import Simulator, simulate
+from orchestration.run import simulate
 from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.faults import Delay, DropOut, Effect, Fault, Noise
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.fault_model import received
+from tests.orchestration.python_loop import simulator_of
 from tests.orchestration.rogue_systems import doing, pair, run
 from tests.shared_builds import Build
 
@@ -288,7 +289,7 @@ def test_a_process_of_its_own_gives_the_same(system: System, temporary: Path) ->
 def test_the_next_run_of_a_simulator_is_as_if_nothing_had_happened(
     system: System, compiled: bool, misdeed: Misdeed
 ) -> None:
-    with warnings.catch_warnings(), Simulator(system, compiled=compiled) as simulator:
+    with warnings.catch_warnings(), simulator_of(system, compiled) as simulator:
         warnings.simplefilter("error")
         with pytest.raises(SimulationError):
             simulator.run(doing(misdeed))

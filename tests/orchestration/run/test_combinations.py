@@ -18,6 +18,7 @@ from orchestration.system.signals import Cosine
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import RESUMABLE
+from tests.orchestration.python_loop import LoopInPython
 from tests.orchestration.runs import assert_same_bits, interrupt_at
 from tests.shared_builds import Build
 
@@ -173,7 +174,7 @@ def test_all_loops_agree_and_interrupts_change_nothing(
         faults=tuple(fault({"input": name, **_later(declared, start)}, "here") for name, declared in faulty),
     )
     system = chain(linear, rogue, order, through, interpolates, versions)
-    with Simulator(system) as compiled, Simulator(system, compiled=False) as plain:
+    with Simulator(system) as compiled, LoopInPython(system) as plain:
         uninterrupted = compiled.run(experiment)
         assert_same_bits(plain.run(experiment), uninterrupted)
         with Simulator(system, threads=3) as shared:

@@ -20,6 +20,7 @@ from orchestration.system.prepared_run import prepare
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import LOOP, alone, coupled, solution
+from tests.orchestration.python_loop import simulator_of
 from tests.orchestration.runs import assert_same_bits
 from tests.shared_builds import Build
 
@@ -189,7 +190,7 @@ def test_a_run_that_is_led_step_by_step_has_the_estimate_of_a_whole_run(
     linear: Build, compiled: bool
 ) -> None:
     experiment = Experiment(1.0, 0.1, error_estimate=True)
-    with Simulator(coupled(linear), compiled) as simulator:
+    with simulator_of(coupled(linear), compiled) as simulator:
         complete = simulator.run(experiment)
         run = simulator.start(experiment)
         while not run.is_done:

@@ -15,7 +15,7 @@ from fmus.fmi.instance import FmuInstance
 from orchestration.errors import FmuError, FmuWarning, SimulationError, SystemDefinitionError
 from orchestration.many.ensemble import Ensemble
 from orchestration.results.recording import Recording
-from orchestration.run import Simulator, compiled_loop, simulate, simulator
+from orchestration.run import Simulator, compiled_loop, simulate
 from orchestration.run.loop_data import LoopFunctions, Wiring
 from orchestration.scenarios import scenario
 from orchestration.system.experiment import Event, Experiment
@@ -66,7 +66,7 @@ def test_the_loop_is_the_compiled_one_and_agrees_with_that_in_python(
         ran.append(functions.run)
         return functions
 
-    monkeypatch.setattr(simulator, "compiled_loop", counted)
+    monkeypatch.setattr(Simulator, "_loop", staticmethod(counted))
     assert_same_bits(run(*dives(3, 3)), run(*dives(3, 3), compiled=False))
     assert [function.func for function in ran] == [compiled_loop.library().loop_run]
 

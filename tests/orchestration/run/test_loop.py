@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from fmus.errors import ExportError
-from orchestration.errors import SimulationError
+from orchestration.errors import OrchestrationError, SimulationError
 from orchestration.run import Simulator, compiled_loop, simulate
 from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.faults import Fault, Offset
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import coupled
+from tests.orchestration.python_loop import LoopInPython
 from tests.orchestration.rogue_systems import doing, pair
 from tests.orchestration.runs import assert_same_bits
 from tests.shared_builds import Build
@@ -22,8 +23,8 @@ from tests.shared_builds import Build
 def in_each_way(system: System, experiment: Experiment) -> list[Any]:
     """What each loop makes of it, compiled, in Python, on threads: recordings, or errors that hold them."""
     outcomes = []
-    for is_compiled, threads in ((True, 1), (False, 1), (True, 3)):
-        with Simulator(system, is_compiled, threads) as simulator:
+    for made in (Simulator(system, threads=1), LoopInPython(system), Simulator(system, threads=3)):
+        with made as simulator:
             try:
                 outcomes.append(simulator.run(experiment))
             except SimulationError as error:
@@ -56,17 +57,10 @@ def test_all_loops_fail_alike(rogue: Build, linear: Build, misdeed: Misdeed) -> 
     assert 5 <= len(fast.recording.time) <= 7
 
 
-def test_without_a_compiler_the_loop_in_python_runs_with_a_warning(
-    linear: Build, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse() -> None:
-        raise ExportError("no compiler")
-
-    expected = simulate(coupled(linear), Experiment(1.0, 0.1))
-    monkeypatch.setattr(compiled_loop, "library", refuse)
-    with pytest.warns(UserWarning, match="the communication loop runs in Python, which is slower: no compil"):
-        recording = simulate(coupled(linear), Experiment(1.0, 0.1))
-    assert_same_bits(recording, expected)
+def test_a_loop_that_cannot_be_compiled_is_an_error(linear: Build, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled_loop, "_library_or_error", lambda: ExportError("no compiler"))
+    with pytest.raises(OrchestrationError, match="the communication loop is not compiled: no compiler"):
+        simulate(coupled(linear), Experiment(1.0, 0.1))
 
 
 def test_all_loops_name_the_function_of_a_call_that_fails(linear: Build) -> None:

@@ -30,6 +30,7 @@ from tests.described_fmus import XML, members
 from tests.fmus.compliance.archives import write
 from tests.fmus.native.exchanged import BALL
 from tests.mutants.slaves import EXCHANGE_CHANGES, write_slave
+from tests.orchestration.python_loop import LoopInPython
 from tests.orchestration.runs import assert_same_bits
 from tests.shared_builds import Fmus
 
@@ -182,7 +183,7 @@ def test_time_state_and_step_events_are_those_of_fmpy(tmp_path: Path, flags: str
 
 def test_the_loop_in_python_gives_the_same_and_a_second_run_too(tmp_path: Path) -> None:
     system = exchange(tmp_path)
-    with Simulator(system) as compiled, Simulator(system, compiled=False) as slow:
+    with Simulator(system) as compiled, LoopInPython(system) as slow:
         first = compiled.run(EXPERIMENT)
         assert_same_bits(compiled.run(EXPERIMENT), first)
         assert_same_bits(slow.run(EXPERIMENT), first)

@@ -17,6 +17,7 @@ from orchestration.system.experiment import Event, Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import alone, coupled
+from tests.orchestration.python_loop import simulator_of
 from tests.orchestration.rogue_systems import doing, pair
 from tests.orchestration.runs import assert_same_bits
 from tests.shared_builds import Build
@@ -63,7 +64,7 @@ def test_steps_make_the_recording_of_a_run(
     linear: Build, algorithm: Any, options: Any, capabilities: Any, compiled: bool
 ) -> None:
     experiment = Experiment(1.0, 0.1, algorithm=algorithm, **options)
-    with Simulator(coupled(linear, **capabilities), compiled=compiled) as simulator:
+    with simulator_of(coupled(linear, **capabilities), compiled) as simulator:
         expected = simulator.run(experiment)
         steps = stepped(simulator, experiment)
     assert_same_bits(steps, expected)

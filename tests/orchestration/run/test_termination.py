@@ -9,12 +9,13 @@ import pytest
 
 from orchestration.errors import OrchestrationError
 from orchestration.results.recording import Recording
-from orchestration.run import Simulator, simulate
+from orchestration.run import simulate
 from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.faults import Drift, Fault, Noise
 from orchestration.system.signals import Cosine
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
+from tests.orchestration.python_loop import simulator_of
 from tests.orchestration.rogue_systems import doing, pair, run
 from tests.shared_builds import Build
 
@@ -162,7 +163,7 @@ def test_components_with_step_sizes_of_their_own_hold_their_last_outputs(
 
 def test_a_run_that_is_led_step_by_step_ends_too(linear: Build, rogue: Build, compiled: bool) -> None:
     system, experiment = pair(linear, rogue), doing(Misdeed.TERMINATE, 0.55)
-    with Simulator(system, compiled=compiled) as simulator:
+    with simulator_of(system, compiled) as simulator:
         stepped = simulator.start(experiment)
         for _ in range(6):
             stepped.step()
@@ -179,7 +180,7 @@ def test_a_run_that_is_led_step_by_step_ends_too(linear: Build, rogue: Build, co
 
 def test_the_next_run_goes_on_to_its_stop_time(linear: Build, rogue: Build, compiled: bool) -> None:
     system = pair(linear, rogue)
-    with Simulator(system, compiled=compiled) as simulator:
+    with simulator_of(system, compiled) as simulator:
         simulator.run(doing(Misdeed.TERMINATE, 0.55))
         again = simulator.run(doing(Misdeed.NONE))
     assert np.array_equal(again.values, run(system, doing(Misdeed.NONE), compiled).values)

@@ -11,7 +11,7 @@ from orchestration.errors import OrchestrationError, ScenarioError, SimulationEr
 from orchestration.results import metrics
 from orchestration.results.figures import run_figure
 from orchestration.results.recording import Recording
-from orchestration.run import Simulator, simulate
+from orchestration.run import simulate
 from orchestration.run.bus import Strings
 from orchestration.run.checkpoint import Checkpoints, read_checkpoint
 from orchestration.system.experiment import Event, Experiment
@@ -19,6 +19,7 @@ from orchestration.system.faults import Delay, Fault, Stuck
 from orchestration.system.signals import Ramps, Signal, Table
 from orchestration.system.system import System
 from tests import foreign_pythonfmu
+from tests.orchestration.python_loop import simulator_of
 from tests.orchestration.rogue_systems import run
 from tests.shared_builds import Build
 
@@ -141,7 +142,7 @@ def test_strings_are_connected_and_recorded(foreign: Mapping[str, Path], compile
 def test_a_string_that_is_recorded_can_be_read_at_every_point(
     foreign: Mapping[str, Path], compiled: bool
 ) -> None:
-    with Simulator(diaries(foreign), compiled=compiled) as simulator:
+    with simulator_of(diaries(foreign), compiled) as simulator:
         run = simulator.start(MONDAY)
         run.step()
         assert (run.get("one.page"), run.get("one.length")) == ("Mon,day|", 16)

@@ -1,8 +1,7 @@
-"""The communication loop over the arrays of `loop_data.py`.
+"""The communication loop over the arrays of `loop_data.py` in Python: the oracle of `loop.c`.
 
-Read the loop here. `loop.c` is its twin, function by function, with the same results to the last bit
-(tests/orchestration/run/test_loop.py). At a communication point `exchange_and_record` updates every
-connection and records; `step` leads to the next point:
+It is its twin, function by function, with the same results to the last bit (run/test_loop.py). At a
+communication point `exchange_and_record` updates every connection and records; `step` leads to the next:
 
     Jacobi         all inputs are set, then all components step, then all outputs are read
     Gauss-Seidel   component by component, each with the newest outputs there are
@@ -22,12 +21,24 @@ import numpy as np
 
 from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME, OK, TERMINATED, WARNING
 from orchestration.run.loop_data import Call, Calls, InputMode, LoopFunctions, Report, SavedMemory, Wiring
+from orchestration.run.simulator import Simulator
+from orchestration.system.system import System
 
 
 def python_loop(wiring: Wiring) -> LoopFunctions:
     """Returns the functions below for one wiring."""
     functions: Any = (run, exchange_and_record, exchange, step, read_outputs, save, restore)
     return LoopFunctions(*(partial(function, wiring) for function in functions))
+
+
+class LoopInPython(Simulator):
+    """A simulator whose communication loop is this one."""
+
+    _loop = staticmethod(python_loop)
+
+
+def simulator_of(system: System, compiled: bool) -> Simulator:
+    return (Simulator if compiled else LoopInPython)(system)
 
 
 def run(wiring: Wiring, first: int, last: int) -> int:
