@@ -28,9 +28,9 @@ from fmus.native import toolchain
 from fmus.registry import Flavour
 from tests.shared_builds import Fmus, one_of_a_kind
 
+from .blocks import EVERYTHING, Mode, block_named
 from .exchanged import BALL, TANK, Exchanged
 from .fmi3_instance import Fmi3Instance, scalars
-from .native_block import EVERYTHING, Mode, block_named
 
 NAMES = one_of_a_kind(builder.block_names())
 Open = Callable[..., Fmi3Instance]
@@ -138,10 +138,8 @@ def test_derivatives_are_an_array_where_their_states_are(nominal: Any, indices: 
     x = variable((0.0, 0.0), "States", unit="m", nominal=nominal)
     continuous = make_dataclass("Continuous", [("x", tuple[float, ...], x)], frozen=True)
     output = make_dataclass("Outputs", [("y", float, variable(0.0, "Output"))], frozen=True)
-    block = Block(
-        "Two", "Two states", continuous=continuous, outputs=output,
-        derivative=lambda *_: continuous(), output=lambda *_: output(),
-    )  # fmt: skip
+    functions: Any = {"derivative": lambda *_: continuous(), "output": lambda *_: output()}
+    block = Block("Two", "Two states", continuous=continuous, outputs=output, **functions)
     states = [f"state.x{index}" for index in indices]
     assert variable_names(block.states) == [*states, *(f"der({state})" for state in states)]
 
@@ -291,11 +289,9 @@ def test_a_saved_state_is_all_of_it_and_crosses_instances_as_bytes(open_fmi3: Op
 
 @pytest.mark.parametrize("name", ["ExamplePlant", BALL.name])
 def test_model_exchange_has_the_states_derivatives_and_events_of_fmi_2(
-    fmi3_built: Fmus, open_fmi3: Open, tmp_path: Path, name: str
+    open_fmi3: Open, exchange: Callable[[str], Exchanged], tmp_path: Path, name: str
 ) -> None:
-    block = block_named(name)
-    old = Exchanged(builder.build_block(block, tmp_path / "fmi2"), tmp_path / "old").begin()
-    new = open_fmi3(name, "ModelExchange").begin()
+    old, new = exchange(name).begin(), open_fmi3(name, "ModelExchange").begin()
     count = new.fmu.getNumberOfContinuousStates()
     x = np.linspace(-0.25, -0.5, count)  # a ball that hits the ground
     assert old.event() == new.fmu.updateDiscreteStates()
@@ -380,9 +376,9 @@ with EcosSimulationStructure() as structure:
 
 
 @pytest.mark.importers
-def test_ecos_gives_the_numbers_of_fmi_2(fmi3_built: Fmus, tmp_path: Path) -> None:
+def test_ecos_gives_the_numbers_of_fmi_2(fmi3_built: Fmus, small_built: Fmus) -> None:
     """It reads FMUs with FMI Library, which is no relative of FMPy."""
-    paths = fmi3_built[EVERYTHING.name], builder.build_block(EVERYTHING, tmp_path)
+    paths = fmi3_built[EVERYTHING.name], small_built[EVERYTHING.name]
     new, old = (
         subprocess.run([sys.executable, "-c", _ECOS, str(path)], capture_output=True, text=True, check=True)
         for path in paths
@@ -392,13 +388,21 @@ def test_ecos_gives_the_numbers_of_fmi_2(fmi3_built: Fmus, tmp_path: Path) -> No
     assert len(numbers[0]) == len(set(numbers[0])) == 3
 
 
-def test_fmi_3_is_for_native_fmus_with_their_types(tmp_path: Path) -> None:
-    with pytest.raises(
-        ExportError, match=r"FMI 3.0 in the python flavour: expected FMI 2.0, or 3.0 in native"
-    ):
-        builder.build_block("ExamplePlant", tmp_path, Flavour.PYTHON, fmi=3)
-    with pytest.raises(ExportError, match=r"Reals only: expected the native flavour and FMI 2.0"):
-        builder.build_block("ExamplePlant", tmp_path, reals_only=True, fmi=3)
-    with pytest.raises(ExportError, match=r"FMI 4.0 in the native flavour: expected FMI 2.0"):
-        builder.build_block("ExamplePlant", tmp_path, fmi=4)
+@pytest.mark.parametrize(
+    ("flavour", "options", "reason"),
+    [
+        (Flavour.PYTHON, {"fmi": 3}, "FMI 3.0 in the python flavour: expected FMI 2.0, or 3.0 in native"),
+        (Flavour.NATIVE, {"fmi": 4}, "FMI 4.0 in the native flavour: expected FMI 2.0"),
+        (
+            Flavour.NATIVE,
+            {"fmi": 3, "reals_only": True},
+            "Reals only: expected the native flavour and FMI 2.0",
+        ),
+    ],
+)
+def test_fmi_3_is_for_native_fmus_with_their_types(
+    tmp_path: Path, flavour: Flavour, options: dict[str, Any], reason: str
+) -> None:
+    with pytest.raises(ExportError, match=reason):
+        builder.build_block("ExamplePlant", tmp_path, flavour, **options)
     assert not [*tmp_path.iterdir()]

@@ -12,9 +12,9 @@ from fmpy.fmi1 import FMICallException
 from fmus.build import builder
 from tests.shared_builds import Fmus, one_of_a_kind
 
+from .blocks import EVERYTHING, block_named
 from .exchanged import BALL, TANK
 from .fmi3_instance import Fmi3Instance, scalars
-from .native_block import EVERYTHING, block_named
 
 Open = Callable[..., Fmi3Instance]
 SET, GET = (True, False, False), (False, True, True)
