@@ -12,8 +12,13 @@ from .beside import NAMES, SELDOM, TINY, Beside
 from .model import ALL, INITIALIZATION, INSTANTIATED, STEPPING, TERMINATED, WRITABLE, Model, Model3
 from .session import ERROR, GUID, OK
 
-SLOTS = 3
+SLOT, SAVED = st.integers(0, 1), st.integers(0, 2)  # of instances, of saved states
 NAN, INF, HUGE = float("nan"), float("inf"), 1e300
+STARTS = st.sampled_from((0.0, 0.0, -HUGE, -HUGE, -1.0, NAN, INF))
+STOPS = st.sampled_from((1.0, 1.0, 2.0, HUGE, 0.0, NAN, INF, -HUGE))
+LATE = st.sampled_from((*8 * (0.0,), 1e-12, -1e-12, 1.0, NAN, INF, -INF))
+WRONG_STEPS = st.sampled_from((*4 * (1e11, HUGE), 0.0, -0.0, -1.0, NAN, INF, sys.float_info.max))
+CATEGORIES = st.lists(st.sampled_from((*ALL, *ALL, "logAll", "%n#", None)), max_size=3)
 ALLOWED = {"enter": INSTANTIATED, "leave": INITIALIZATION, "terminate": STEPPING}
 
 
@@ -25,7 +30,7 @@ class Calls(Beside):
     refusable: ClassVar[str] = "RIB"  # kinds of values that may be refused
     changes: ClassVar[tuple[str, ...]] = ("enter", "leave", "terminate", "reset")
 
-    @rule(data=st.data(), slot=st.integers(0, 1))
+    @rule(data=st.data(), slot=SLOT)
     def replace(self, data: Any, slot: int) -> None:
         assert self.send("free", slot=slot).status == OK
         name, logging = data.draw(st.sampled_from(NAMES)), data.draw(st.booleans())
@@ -44,26 +49,20 @@ class Calls(Beside):
         """Whether an instantiation that fails has a message."""
         return logging
 
-    @rule(data=st.data(), slot=st.integers(0, 1))
+    @rule(data=st.data(), slot=SLOT)
     def change_mode(self, data: Any, slot: int) -> None:
         name = data.draw(st.sampled_from(self.changes))
         if name == "reset" or self.is_time(data, slot, ALLOWED.get(name, "")):
             self.call(slot, name) if name != "enter" else self.enter(slot)
 
-    @rule(
-        data=st.data(),
-        slot=st.integers(0, 1),
-        start=st.sampled_from((0.0, 0.0, -HUGE, -HUGE, -1.0, NAN, INF)),
-        has_stop=st.booleans(),
-        stop=st.sampled_from((1.0, 1.0, 2.0, HUGE, 0.0, NAN, INF, -HUGE)),
-    )
+    @rule(data=st.data(), slot=SLOT, start=STARTS, has_stop=st.booleans(), stop=STOPS)
     def set_up(self, data: Any, slot: int, start: float, has_stop: bool, stop: float) -> None:
         if self.is_time(data, slot, INSTANTIATED):
             self.call(slot, self.setup, start, has_stop, stop)
 
     # values
 
-    @rule(data=st.data(), slot=st.integers(0, 1), refused=st.integers(0, 3))
+    @rule(data=st.data(), slot=SLOT, refused=st.integers(0, 3))
     def set_values(self, data: Any, slot: int, refused: int) -> None:
         if not self.is_time(data, slot, *WRITABLE):
             return
@@ -82,31 +81,26 @@ class Calls(Beside):
         self.call(slot, "set", kind, self.array(data, asked), self.array(data, values))
         self.call(slot, "get", kind, references, True)
 
-    @rule(data=st.data(), slot=st.integers(0, 1))
+    @rule(data=st.data(), slot=SLOT)
     def get_values(self, data: Any, slot: int) -> None:
         kind = data.draw(st.sampled_from(self.kinds))
         references = self.one_wrong(data, self.some(data, self.by_kind[kind]))
         self.call(slot, "get", kind, self.array(data, references), not data.draw(SELDOM))
 
-    @rule(slot=st.integers(0, 1))
+    @rule(slot=SLOT)
     def read(self, slot: int) -> None:
         self.read_everything(slot)
 
     # steps and derivatives
 
-    @rule(
-        data=st.data(),
-        slot=st.integers(0, 1),
-        late=st.sampled_from((*8 * (0.0,), 1e-12, -1e-12, 1.0, NAN, INF, -INF)),
-        h=st.sampled_from((*4 * (1e11, HUGE), 0.0, -0.0, -1.0, NAN, INF, sys.float_info.max)),
-    )
+    @rule(data=st.data(), slot=SLOT, late=LATE, h=WRONG_STEPS)
     def step_wrongly(self, data: Any, slot: int, late: float, h: float) -> None:
         """At another time, or by a length that is illegal or too long."""
         if self.is_time(data, slot, STEPPING):
             model = self.models[slot]
             self.call(slot, "step", model.data.time + late, model.internal_step if late else h)
 
-    @rule(data=st.data(), slot=st.integers(0, 1))
+    @rule(data=st.data(), slot=SLOT)
     def step_beyond_the_stop_time(self, data: Any, slot: int) -> None:
         """By one internal step; without a stop time the step is far too long."""
         if self.is_time(data, slot, STEPPING):
@@ -114,12 +108,12 @@ class Calls(Beside):
             to_the_end = max(model.stop - model.data.time, 0.0)
             self.call(slot, "step", model.data.time, to_the_end + model.internal_step)
 
-    @rule(data=st.data(), slot=st.integers(0, 1), steps=st.sampled_from((1.0, 0.3, 2.0, 4.4, 1e-9)))
+    @rule(data=st.data(), slot=SLOT, steps=st.sampled_from((1.0, 0.3, 2.0, 4.4, 1e-9)))
     def step(self, data: Any, slot: int, steps: float) -> None:
         if self.is_time(data, slot, STEPPING):
             self.take_step(slot, steps)
 
-    @rule(data=st.data(), slot=st.integers(0, 1))
+    @rule(data=st.data(), slot=SLOT)
     def get_output_derivatives(self, data: Any, slot: int) -> None:
         if not self.is_time(data, slot, STEPPING, TERMINATED):
             return
@@ -129,7 +123,7 @@ class Calls(Beside):
         orders, out = self.array(data, self.orders(data, len(references))), not data.draw(SELDOM)
         self.call(slot, "get_output_derivatives", self.array(data, references), orders, out)
 
-    @rule(data=st.data(), slot=st.integers(0, 1))
+    @rule(data=st.data(), slot=SLOT)
     def directional_derivative(self, data: Any, slot: int) -> None:
         if not self.is_time(data, slot, INITIALIZATION, STEPPING, TERMINATED):
             return
@@ -144,11 +138,7 @@ class Calls(Beside):
         known, out = self.array(data, known), not data.draw(SELDOM)
         self.call(slot, name, self.array(data, unknown), known, self.array(data, seed), out)
 
-    @rule(
-        data=st.data(),
-        slot=st.integers(0, 1),
-        value=st.sampled_from((1.0, -3.0, 2e155, 1e308)),
-    )
+    @rule(data=st.data(), slot=SLOT, value=st.sampled_from((1.0, -3.0, 2e155, 1e308)))
     def step_on(self, data: Any, slot: int, value: float) -> None:
         """Two steps with every unlimited input at a value or, in FMI 2.0, on its way there; some diverge."""
         if not self.is_time(data, slot, STEPPING):
@@ -165,22 +155,18 @@ class Calls(Beside):
 
     # messages
 
-    @rule(
-        slot=st.integers(0, 1),
-        on=st.booleans(),
-        categories=st.lists(st.sampled_from((*ALL, *ALL, "logAll", "%n#", None)), max_size=3),
-    )
+    @rule(slot=SLOT, on=st.booleans(), categories=CATEGORIES)
     def set_debug_logging(self, slot: int, on: bool, categories: list[str | None]) -> None:
         self.call(slot, "set_debug_logging", on, categories)
 
     # saved states
 
-    @rule(slot=st.integers(0, 1), saved_slot=st.integers(0, SLOTS - 1))
+    @rule(slot=SLOT, saved_slot=SAVED)
     def save(self, slot: int, saved_slot: int) -> None:
         self.state_call(slot, "get_state", (saved_slot,))
         self.states[saved_slot] = self.models[slot].saved()
 
-    @rule(data=st.data(), slot=st.integers(0, 1), saved_slot=st.integers(0, SLOTS - 1))
+    @rule(data=st.data(), slot=SLOT, saved_slot=SAVED)
     def restore(self, data: Any, slot: int, saved_slot: int) -> None:
         """Of whichever instance and mode; without a saved state there it is an error."""
         model = self.models[slot]
@@ -189,19 +175,14 @@ class Calls(Beside):
         self.state_call(slot, "set_state", (saved_slot,), model.restore(self.states.get(saved_slot)))
         self.read_everything(slot)
 
-    @rule(slot=st.integers(0, 1), saved_slot=st.sampled_from((0, 1, 2, None)))
+    @rule(slot=SLOT, saved_slot=st.sampled_from((0, 1, 2, None)))
     def free(self, slot: int, saved_slot: int | None) -> None:
         self.state_call(slot, "free_state", (saved_slot,))
         if saved_slot is not None:
             self.states.pop(saved_slot, None)
         assert self.send.live() == self.live + 2 + len(self.states)
 
-    @rule(
-        data=st.data(),
-        slot=st.integers(0, 1),
-        saved_slot=st.integers(0, SLOTS - 1),
-        change=st.sampled_from((*8 * (0,), 1, -1)),
-    )
+    @rule(data=st.data(), slot=SLOT, saved_slot=SAVED, change=st.sampled_from((*8 * (0,), 1, -1)))
     def serialize(self, data: Any, slot: int, saved_slot: int, change: int) -> None:
         model = self.models[slot]
         if saved_slot not in self.states and not data.draw(SELDOM):
@@ -216,7 +197,7 @@ class Calls(Beside):
         if saved and fits:
             self.buffers.append(([int(v) for v in answer.values[:size]], saved))
 
-    @rule(data=st.data(), slot=st.integers(0, 1), saved_slot=st.integers(0, SLOTS - 1))
+    @rule(data=st.data(), slot=SLOT, saved_slot=SAVED)
     def deserialize(self, data: Any, slot: int, saved_slot: int) -> None:
         """Bytes as they were, or with one bit, the end or a piece wrong."""
         if not self.buffers:
@@ -251,7 +232,7 @@ class Calls2(Calls):
     def is_told(self, logging: bool) -> bool:
         return True
 
-    @rule(data=st.data(), slot=st.integers(0, 1))
+    @rule(data=st.data(), slot=SLOT)
     def set_input_derivatives(self, data: Any, slot: int) -> None:
         if not self.is_time(data, slot, *WRITABLE):
             return
@@ -269,12 +250,7 @@ class Calls2(Calls):
         else:
             super().push(data, slot, inputs, values)
 
-    @rule(
-        data=st.data(),
-        slot=st.integers(0, 1),
-        kind=st.sampled_from("RRBIN"),
-        what=st.sampled_from((2, 3, 2, 0, -1, 4)),
-    )
+    @rule(data=st.data(), slot=SLOT, kind=st.sampled_from("RRBIN"), what=st.sampled_from((2, 3, 2, 0, -1, 4)))
     def get_status(self, data: Any, slot: int, kind: str, what: int) -> None:
         if self.is_time(data, slot, STEPPING, TERMINATED):
             self.call(slot, "get_status", kind, what, not data.draw(SELDOM))
@@ -297,12 +273,7 @@ class Calls3(Calls):
     def enter(self, slot: int, *setup: Any) -> None:
         self.call(slot, "enter", *(setup or (0.0, False, 0.0)))
 
-    @rule(
-        data=st.data(),
-        slot=st.integers(0, 1),
-        name=st.sampled_from(("get", "set")),
-        more=st.sampled_from((1, -1)),
-    )
+    @rule(data=st.data(), slot=SLOT, name=st.sampled_from(("get", "set")), more=st.sampled_from((1, -1)))
     def count_wrongly(self, data: Any, slot: int, name: str, more: int) -> None:
         """An array has a value too many or too few."""
         kind = data.draw(st.sampled_from(self.kinds))
@@ -313,7 +284,7 @@ class Calls3(Calls):
             arguments = kind, references, f"+{count}" if name == "get" else values
             self.state_call(slot, name, arguments, self.models[slot].refuse())
 
-    @rule(slot=st.integers(0, 1))
+    @rule(slot=SLOT)
     def get_time(self, slot: int) -> None:
         model = self.models[slot]
         expected = model.refuse() if model.contradicts() else (OK, [model.data.time])

@@ -123,30 +123,6 @@ def test_derivatives_and_indicators_are_those_of_the_block(exchange: Exchange, n
         assert fmu.indicators == pytest.approx(indicators, rel=rounding, abs=rounding)
 
 
-@pytest.mark.parametrize("name", CONTINUOUS)
-def test_directional_derivatives_are_those_of_differences(exchange: Exchange, name: str) -> None:
-    """Of outputs and derivatives by continuous states and inputs, at a point away from corners."""
-    fmu = exchange(name).solving()
-    x = 0.3 + 0.01 * np.arange(fmu.count)
-    inputs = [v.name for v in fmu.description.modelVariables if v.causality == "input" and v.type == "Real"]
-    point = {name: 0.5 - 0.02 * i for i, name in enumerate(inputs)}
-    outputs = [unknown.variable.name for unknown in (*fmu.description.outputs, *fmu.description.derivatives)]
-    states = [v.name for v in fmu.description.modelVariables if v.name.startswith("state.")]
-
-    def values(changed: str, change: float) -> np.ndarray:
-        for own, value in point.items():
-            fmu[own] = value + change * (own == changed)
-        fmu.at(0.01, [xi + change * (own == changed) for own, xi in zip(states, x, strict=True)])
-        return np.array([fmu[own] for own in outputs])
-
-    unknowns = [fmu.references[name] for name in outputs]
-    for known in (*inputs, *states):
-        difference = (values(known, 1e-5) - values(known, -1e-5)) / 2e-5
-        values("", 0.0)
-        given = fmu.model.getDirectionalDerivative(unknowns, [fmu.references[known]], [1.0])
-        assert given == pytest.approx(difference, rel=1e-6, abs=1e-6), known
-
-
 @pytest.mark.parametrize(("dead_zone", "expected"), [(0.0, 0.5 / 0.25), (0.1, 0.0)])
 def test_at_0_v_the_derivative_of_a_thruster_is_that_of_its_line_or_of_its_dead_zone(
     exchange: Exchange, dead_zone: float, expected: float
