@@ -7,6 +7,8 @@ import struct
 import subprocess
 import sys
 import zipfile
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -83,12 +85,13 @@ class Library:
         return str(getattr(binary.header, "machine" if self.platform == "win64" else name))
 
 
-Libraries = dict[tuple[str, str], Library]  # by block and platform
+Libraries = Callable[[str, str], Library]  # by block and platform
 
 
 @pytest.fixture(scope="session")
 def libraries(built_everywhere: Fmus) -> Libraries:
-    return {(n, p): Library(built_everywhere[n], p) for n in BLOCKS for p in PLATFORMS}
+    """Reads a library of a block's FMU, which is built when a test first wants one of it."""
+    return cache(lambda name, platform: Library(built_everywhere[name], platform))
 
 
 @pytest.fixture(params=BLOCKS)
@@ -103,7 +106,7 @@ def test_it_is_the_platforms_and_has_the_functions_of_fmi_and_nothing_else(
     """FMI 2.0.5, 2.1, 3.2 and 4.2: with those of both interfaces."""
     header = (toolchain.FMI_HEADERS / "fmi2Functions.h").read_text("utf-8")
     functions = set(re.findall(r"^ *FMI2_Export \w+ +(\w+);", header, re.MULTILINE))
-    library = libraries[block, platform]
+    library = libraries(block, platform)
     assert len(functions) == 44
     assert [library.machine(binary) for binary in library.slices] == MACHINES[platform]
     for binary in library.slices:
@@ -112,7 +115,7 @@ def test_it_is_the_platforms_and_has_the_functions_of_fmi_and_nothing_else(
 
 @pytest.mark.parametrize("platform", PLATFORMS)
 def test_it_needs_nothing_but_the_systems_c_library(libraries: Libraries, block: str, platform: str) -> None:
-    library = libraries[block, platform]
+    library = libraries(block, platform)
     for binary in library.slices:
         assert library.imports(binary)
         assert not [name for name in library.imports(binary) if re.match(r"_*(Py|casadi)", name)]
@@ -122,7 +125,7 @@ def test_it_needs_nothing_but_the_systems_c_library(libraries: Libraries, block:
 
 @pytest.mark.parametrize("platform", LINUX)
 def test_it_runs_with_an_old_glibc(libraries: Libraries, block: str, platform: str) -> None:
-    (binary,) = libraries[block, platform].slices
+    (binary,) = libraries(block, platform).slices
     versions = {a.name for need in binary.symbols_version_requirement for a in need.get_auxiliary_symbols()}
     assert versions
     for version in versions:
@@ -133,14 +136,14 @@ def test_it_runs_with_an_old_glibc(libraries: Libraries, block: str, platform: s
 @pytest.mark.parametrize("platform", LINUX)
 def test_its_stack_and_its_tables_are_protected(libraries: Libraries, block: str, platform: str) -> None:
     """A library that wants an executable stack is refused by glibc 2.41 and later."""
-    (binary,) = libraries[block, platform].slices
+    (binary,) = libraries(block, platform).slices
     (stack,) = [segment for segment in binary.segments if str(segment.type) == "TYPE.GNU_STACK"]
     assert not int(stack.flags) & 1
     assert any(str(segment.type) == "TYPE.GNU_RELRO" for segment in binary.segments)
 
 
 def test_on_windows_it_can_be_placed_anywhere(libraries: Libraries, block: str) -> None:
-    (binary,) = libraries[block, "win64"].slices
+    (binary,) = libraries(block, "win64").slices
     characteristics = int(binary.optional_header.dll_characteristics)
     for flag in ("HIGH_ENTROPY_VA", "DYNAMIC_BASE", "NX_COMPAT"):
         assert characteristics & int(getattr(lief.PE.OptionalHeader.DLL_CHARACTERISTICS, flag)), flag
@@ -151,7 +154,7 @@ def test_on_windows_it_can_be_placed_anywhere(libraries: Libraries, block: str) 
 def test_on_macos_it_is_a_library_found_beside_its_importer(
     libraries: Libraries, block: str, platform: str
 ) -> None:
-    library = libraries[block, platform]
+    library = libraries(block, platform)
     for binary in library.slices:
         assert str(binary.header.file_type) == "FILE_TYPE.DYLIB"
         (identity,) = [c for c in binary.commands if str(c.command) == "TYPE.ID_DYLIB"]
@@ -165,7 +168,7 @@ def test_on_apple_silicon_every_page_has_the_signed_hash(
     libraries: Libraries, block: str, platform: str
 ) -> None:
     """The kernel kills a process when a page of its library has another one."""
-    library = libraries[block, platform]
+    library = libraries(block, platform)
     signed = [binary for binary in library.slices if binary.has_code_signature]
     assert [library.machine(binary) for binary in signed] == ["CPU_TYPE.ARM64"]
     for binary in signed:
@@ -201,7 +204,7 @@ def test_on_arm_no_product_and_sum_are_fused_into_one_rounding(
     libraries: Libraries, block: str, platform: str
 ) -> None:
     """Compilers for ARM do so unless told not to, and the trajectory would be another than on x86-64."""
-    library = libraries[block, platform]
+    library = libraries(block, platform)
     (arm,) = [binary for binary in library.slices if library.machine(binary) != "CPU_TYPE.X86_64"]
     code = bytes(arm.get_section("__text" if platform in APPLE else ".text").content)
     words = struct.unpack(f"<{len(code) // 4}I", code)
@@ -212,7 +215,7 @@ def test_on_arm_no_product_and_sum_are_fused_into_one_rounding(
 
 
 def test_the_universal_library_holds_both_slices_where_it_says(libraries: Libraries, block: str) -> None:
-    data = libraries[block, "darwin64"].data
+    data = libraries(block, "darwin64").data
     magic, count = struct.unpack_from(">II", data)
     assert (magic, count) == (0xCAFEBABE, 2)
     end = 8 + 20 * count
@@ -227,14 +230,14 @@ def test_the_universal_library_holds_both_slices_where_it_says(libraries: Librar
 
 
 def test_the_arm_slice_is_the_library_for_apple_silicon(libraries: Libraries, block: str) -> None:
-    data = libraries[block, "darwin64"].data
+    data = libraries(block, "darwin64").data
     _, _, offset, size, _ = struct.unpack_from(">5I", data, 8 + 20)
-    assert data[offset : offset + size] == libraries[block, "aarch64-darwin"].data
+    assert data[offset : offset + size] == libraries(block, "aarch64-darwin").data
 
 
 @pytest.mark.parametrize("platform", PLATFORMS)
 def test_it_tells_no_place_nor_time_of_its_making(libraries: Libraries, block: str, platform: str) -> None:
-    library = libraries[block, platform]
+    library = libraries(block, platform)
     places = [str(Path.home()), str(Path.cwd()), sys.prefix, "/tmp", "l1-depth-build", ".pdb"]
     for path in places:
         assert path.encode() not in library.data
