@@ -10,17 +10,19 @@ from fmus.build import builder
 from fmus.build.native import c_sources
 from tests.shared_builds import Fmus, LazyFmus, built_once, session_folder
 
-from .exchanged import BALL, TANK
+from .blocks import EVERYTHING, SMALL, block_named
+from .exchanged import Exchanged
 from .fmi3_instance import Fmi3Instance
-from .native_block import EVERYTHING, block_named
-from .native_session import GUID, Session, compiled
+from .session import GUID, Session, compiled
+
+Open = Callable[[str], Session]
 
 
 @pytest.fixture(scope="session", params=["plain", pytest.param("sanitized", marks=pytest.mark.cross)])
 def program(
     tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest
 ) -> Callable[[str], Path]:
-    """The program of a block, compiled once a session."""
+    """The program of a block by its name, compiled once a session."""
     folder = session_folder(tmp_path_factory, f"{request.param} programs")
 
     def build(path: Path) -> None:
@@ -30,34 +32,51 @@ def program(
 
 
 @pytest.fixture
-def open_session(program: Callable[[str], Path]) -> Iterator[Callable[[str], Session]]:
+def open_session(program: Callable[[str], Path]) -> Iterator[Open]:
+    """Starts a session of a block by its name; at the end no instance has left memory behind."""
     opened: list[Session] = []
 
     def one(name: str) -> Session:
-        opened.append(Session(program(name)))
+        opened.append(Session(program(name), block_named(name)))
         return opened[-1]
 
     yield one
     for session in opened:
         if session.is_alive:
-            session("free", 0)
-            assert session("live").values == ["0"]
+            session("free")
+            assert session.live() == 0
             session.close()
+
+
+@pytest.fixture
+def session(open_session: Open) -> Session:
+    """A session of the block `EVERYTHING`."""
+    return open_session(EVERYTHING.name)
+
+
+@pytest.fixture
+def plant(open_session: Open) -> Session:
+    """A session of the block ExamplePlant."""
+    return open_session("ExamplePlant")
+
+
+@pytest.fixture(scope="session")
+def small_built(tmp_path_factory: pytest.TempPathFactory) -> Fmus:
+    """FMUs of FMI 2.0 of the small blocks by name."""
+    folder = session_folder(tmp_path_factory, "small")
+    return LazyFmus(SMALL, folder, lambda name, to: builder.build_block(SMALL[name], to))
 
 
 @pytest.fixture(scope="session")
 def fmi3_built(tmp_path_factory: pytest.TempPathFactory) -> Fmus:
     """FMUs of FMI 3.0 by name: of every installed block, and of the small ones."""
-
-    def build(name: str, folder: Path) -> Path:
-        return builder.build_block(block_named(name), folder, fmi=3)
-
-    names = [*builder.block_names(), EVERYTHING.name, BALL.name, TANK.name]
-    return LazyFmus(names, session_folder(tmp_path_factory, "fmi 3"), build)
+    folder, names = session_folder(tmp_path_factory, "fmi 3"), [*builder.block_names(), *SMALL]
+    return LazyFmus(names, folder, lambda name, to: builder.build_block(block_named(name), to, fmi=3))
 
 
 @pytest.fixture
 def open_fmi3(fmi3_built: Fmus, tmp_path: Path) -> Iterator[Callable[..., Fmi3Instance]]:
+    """Instances of FMUs of FMI 3.0, by the name of the block and the options of `Fmi3Instance`."""
     opened: list[Fmi3Instance] = []
 
     def one(name: str, *arguments: Any, **options: Any) -> Fmi3Instance:
@@ -68,3 +87,18 @@ def open_fmi3(fmi3_built: Fmus, tmp_path: Path) -> Iterator[Callable[..., Fmi3In
     yield one
     for instance in opened:
         instance.fmu.freeInstance()
+
+
+@pytest.fixture
+def exchange(built: Fmus, small_built: Fmus, tmp_path: Path) -> Iterator[Callable[[str], Exchanged]]:
+    """Instances of FMUs of FMI 2.0 for model exchange, by the name of the block."""
+    opened: list[Exchanged] = []
+
+    def one(name: str) -> Exchanged:
+        path = small_built[name] if name in small_built else built[name]
+        opened.append(Exchanged(path, tmp_path / f"exchanged {len(opened)}"))
+        return opened[-1]
+
+    yield one
+    for instance in opened:
+        instance.model.freeInstance()

@@ -150,15 +150,15 @@ TANK = Block(
 
 
 class Exchanged:
-    """An instance for model exchange, its variables by name."""
+    """An instance of FMI 2.0 for model exchange, its variables by name."""
 
     def __init__(self, path: Path, folder: Path) -> None:
         self.description: Any = fmpy.read_model_description(str(path))
         fmpy.extract(str(path), folder)
         self.references = {v.name: v.valueReference for v in self.description.modelVariables}
         self.log: list[str] = []
-        callbacks = fmi2CallbackFunctions()
-        callbacks.logger = fmi2CallbackLoggerTYPE(
+        self._callbacks = fmi2CallbackFunctions()
+        self._callbacks.logger = fmi2CallbackLoggerTYPE(
             lambda _, name, status, kind, text: self.log.append(text.decode())
         )
         self.model: Any = FMU2Model(
@@ -167,18 +167,38 @@ class Exchanged:
             modelIdentifier=self.description.modelExchange.modelIdentifier,
             instanceName="exchanged",
         )
-        self._callbacks = callbacks
-        self.model.instantiate(callbacks=callbacks, loggingOn=True)
+        self.model.instantiate(callbacks=self._callbacks, loggingOn=True)
         self.count = self.description.numberOfContinuousStates
 
-    def begin(self, t: float = 0.0, stop_time: float | None = None, **values: float) -> "Exchanged":
-        """Leads to event mode; the first event is not handled yet."""
+    # modes
+
+    def initialize(self, t: float = 0.0, stop_time: float | None = None, **values: float) -> "Exchanged":
+        """Leads to initialization mode."""
         self.model.setupExperiment(startTime=t, stopTime=stop_time)
         self.model.enterInitializationMode()
         for name, value in values.items():
             self[name] = value
-        self.model.exitInitializationMode()
         return self
+
+    def begin(self, t: float = 0.0, stop_time: float | None = None, **values: float) -> "Exchanged":
+        """Leads to event mode; the first event is not handled yet."""
+        self.initialize(t, stop_time, **values).model.exitInitializationMode()
+        return self
+
+    def solving(self, t: float = 0.0, stop_time: float | None = None, **values: float) -> "Exchanged":
+        """Leads to continuous-time mode."""
+        self.begin(t, stop_time, **values).event()
+        self.model.enterContinuousTimeMode()
+        return self
+
+    def event(self, t: float | None = None) -> tuple[Any, ...]:
+        """Handles an event, from continuous-time mode if a time is given; returns what fmi2EventInfo has."""
+        if t is not None:
+            self.model.setTime(t)
+            self.model.enterEventMode()
+        return self.model.newDiscreteStates()
+
+    # values
 
     def __getitem__(self, name: str) -> float:
         return self.model.getReal([self.references[name]])[0]
@@ -188,21 +208,21 @@ class Exchanged:
 
     @property
     def states(self) -> np.ndarray:
-        return self._vector(self.model.getContinuousStates, self.count)
+        return self._numbers(self.model.getContinuousStates, self.count)
 
     @property
     def rates(self) -> np.ndarray:
-        return self._vector(self.model.getDerivatives, self.count)
+        return self._numbers(self.model.getDerivatives, self.count)
 
     @property
     def nominals(self) -> np.ndarray:
-        return self._vector(self.model.getNominalsOfContinuousStates, self.count)
+        return self._numbers(self.model.getNominalsOfContinuousStates, self.count)
 
     @property
     def indicators(self) -> np.ndarray:
-        return self._vector(self.model.getEventIndicators, self.description.numberOfEventIndicators)
+        return self._numbers(self.model.getEventIndicators, self.description.numberOfEventIndicators)
 
-    def _vector(self, method: Any, count: int) -> np.ndarray:
+    def _numbers(self, method: Any, count: int) -> np.ndarray:
         values = np.full(count, np.nan)
         method(values.ctypes.data_as(POINTER(c_double)), count)
         return values
@@ -214,12 +234,27 @@ class Exchanged:
         self.model.setContinuousStates(values.ctypes.data_as(POINTER(c_double)), len(values))
         return self
 
-    def event(self, t: float | None = None) -> tuple[Any, ...]:
-        """Handles an event, from continuous-time mode if a time is given; returns what fmi2EventInfo has."""
-        if t is not None:
-            self.model.setTime(t)
-            self.model.enterEventMode()
-        return self.model.newDiscreteStates()
+    # statuses
+
+    def status(self, call: Any, *arguments: Any) -> str:
+        """Returns what a method of FMPy's model, by its name, gives: ok, or the status that FMPy raises."""
+        try:
+            getattr(self.model, call)(*arguments)
+        except FMICallException as error:
+            return ("ok", "warning", "discard", "error", "fatal")[error.status]
+        return "ok"
+
+    def refused(self, call: Any, *arguments: Any, status: str = "error") -> str:
+        """Returns the message of a call that has this status."""
+        assert self.status(call, *arguments) == status
+        return self.log[-1]
+
+    def vector(self, name: str, count: int | None = None, array: Any = None) -> tuple[Any, ...]:
+        """Returns a call of a function with an array of doubles and its length, as arguments of `status`."""
+        values = (c_double * 8)() if array is None else array
+        return f"fmi2{name}", self.model.component, values, self.count if count is None else count
+
+    # the solver
 
     def run(self, end: float, h: float, begin: float = 0.0) -> "Exchanged":
         """Integrates from event mode with the classical Runge-Kutta method, and with all time events."""
@@ -240,14 +275,6 @@ class Exchanged:
 
     def slope(self, t: float, x: np.ndarray) -> np.ndarray:
         return self.at(t, x).rates
-
-    def status(self, call: Callable[..., Any], *arguments: Any) -> str:
-        """Returns what a call gives: ok, or the status that FMPy raises."""
-        try:
-            call(*arguments)
-        except FMICallException as error:
-            return ("ok", "warning", "discard", "error", "fatal")[error.status]
-        return "ok"
 
 
 def euler(slope: Slope, t: float, x: np.ndarray, h: float) -> np.ndarray:

@@ -70,13 +70,20 @@ Open = Callable[[str, int], tuple[Block, casadi.DaeBuilder]]
 CASES = [("RovDepthPlant", 2), ("Drift", 2), ("Drift", 3)]
 
 
+@pytest.fixture(scope="module")
+def drift(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
+    """FMUs of `DRIFT` by version of FMI."""
+    folder = tmp_path_factory.mktemp("drift")
+    return {fmi: builder.build_block(DRIFT, folder / f"fmi{fmi}", fmi=fmi) for fmi in (2, 3)}
+
+
 @pytest.fixture
-def imported(built: Fmus, tmp_path: Path) -> Open:
+def imported(built: Fmus, fmi3_built: Fmus, drift: dict[int, Path], tmp_path: Path) -> Open:
     """Returns a block and its FMU as CasADi reads it."""
 
     def one(name: str, fmi: int) -> tuple[Block, casadi.DaeBuilder]:
         block = DRIFT if name == "Drift" else builder.load_block(name)
-        path = built[name] if name in built and fmi == 2 else builder.build_block(block, tmp_path, fmi=fmi)
+        path = drift[fmi] if name == "Drift" else (built if fmi == 2 else fmi3_built)[name]
         folder = fmpy.extract(str(path), str(tmp_path / "unpacked"))
         return block, casadi.DaeBuilder(name, str(folder))
 

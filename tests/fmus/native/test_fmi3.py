@@ -28,9 +28,9 @@ from fmus.native import toolchain
 from fmus.registry import Flavour
 from tests.shared_builds import Fmus, one_of_a_kind
 
+from .blocks import EVERYTHING, Mode, block_named
 from .exchanged import BALL, TANK, Exchanged
 from .fmi3_instance import Fmi3Instance, scalars
-from .native_block import EVERYTHING, Mode, block_named
 
 NAMES = one_of_a_kind(builder.block_names())
 Open = Callable[..., Fmi3Instance]
@@ -91,7 +91,7 @@ def test_fmpy_finds_no_problem_and_simulates_both_interfaces(fmi3_built: Fmus, n
 
 @pytest.mark.parametrize("name", ["L1DepthController", EVERYTHING.name, BALL.name])
 def test_the_descriptions_fit_the_schemas_and_the_library(fmi3_built: Fmus, name: str) -> None:
-    """FMI 3.0.2, 2.5: every function of the standard is there; files are where it says."""
+    """FMI 3.0.2, 2.5: files are where it says."""
     with zipfile.ZipFile(fmi3_built[name]) as archive:
         members = {member: archive.read(member) for member in archive.namelist()}
     for path, schema in {
@@ -138,10 +138,8 @@ def test_derivatives_are_an_array_where_their_states_are(nominal: Any, indices: 
     x = variable((0.0, 0.0), "States", unit="m", nominal=nominal)
     continuous = make_dataclass("Continuous", [("x", tuple[float, ...], x)], frozen=True)
     output = make_dataclass("Outputs", [("y", float, variable(0.0, "Output"))], frozen=True)
-    block = Block(
-        "Two", "Two states", continuous=continuous, outputs=output,
-        derivative=lambda *_: continuous(), output=lambda *_: output(),
-    )  # fmt: skip
+    functions: Any = {"derivative": lambda *_: continuous(), "output": lambda *_: output()}
+    block = Block("Two", "Two states", continuous=continuous, outputs=output, **functions)
     states = [f"state.x{index}" for index in indices]
     assert variable_names(block.states) == [*states, *(f"der({state})" for state in states)]
 
@@ -171,17 +169,16 @@ def test_a_value_that_is_refused_leaves_all_as_they_were(open_fmi3: Open) -> Non
     assert fmu.status("doStep", 0.0, 0.1) == "ok"
 
 
+# what FMI 2.0 has alike is in test_native_refusals.py
 @pytest.mark.parametrize(
     ("calls", "call", "reason"),
     [
         (0, ("doStep", 0.0, 0.1), "fmi3DoStep is not allowed in the state 'instantiated'"),
-        (0, ("exitInitializationMode",), "not allowed in the state 'instantiated'"),
         (0, ("enterInitializationMode", None, 1.0, 1.0), "stop time 1 s: expected more than the start time"),
         (0, ("enterInitializationMode", None, math.nan), "start time nan s: expected a finite number"),
         (1, ("enterInitializationMode",), "not allowed in the state 'initialization mode'"),
-        (2, ("enterInitializationMode",), "not allowed in the state 'step complete'"),
-        (2, ("doStep", 1.0, 0.1), "communication point 1 s: expected 0 s, the current time"),
-        (2, ("doStep", 0.0, 0.0), "communication step size 0 s: expected more than 0"),
+        (1, ("getOutputDerivatives", [18], [1]), "not allowed in the state 'initialization mode'"),
+        (1, ("getDirectionalDerivative", [18], [19], [1.0, 1.0]), "state.x[1] is no known in this mode"),
         (2, ("doStep", 0.0, 3.0), "step to 3 s: expected at most the stop time 2 s"),
         (2, ("enterEventMode",), "expected an instance for model exchange"),
         (2, ("updateDiscreteStates",), "expected an instance for model exchange"),
@@ -195,12 +192,10 @@ def test_a_value_that_is_refused_leaves_all_as_they_were(open_fmi3: Open) -> Non
         (2, ("setFloat64", [16], [0.0, 0.0]), "state[1] can not be set, it is calculated"),
         (2, ("setFloat64", [23], [0.0]), "time can not be set, it is calculated"),
         (2, ("setFloat64", [12], [0.0, 0.0]), "initial_state[1] is fixed"),
-        (1, ("getOutputDerivatives", [18], [1]), "not allowed in the state 'initialization mode'"),
         (2, ("getOutputDerivatives", [18], [1]), "ExamplePlant has no derivatives of outputs"),
         (2, ("getDirectionalDerivative", [14], [14], [1.0]), "control is no unknown in this mode"),
         (2, ("getAdjointDerivative", [18], [18], [1.0]), "output is no known in this mode"),
         (2, ("getAdjointDerivative", [18], [14], [1.0, 2.0]), "2 values: expected 1"),
-        (1, ("getDirectionalDerivative", [18], [19], [1.0, 1.0]), "state.x[1] is no known in this mode"),
         (2, ("setDebugLogging", True, ["logNothing"]), "log category 'logNothing'"),
     ],
 )
@@ -221,33 +216,25 @@ def test_a_call_that_is_not_allowed_is_an_error_with_its_reason(
 
 
 @pytest.mark.parametrize(
-    ("changes", "reason"),
+    ("changes", "options", "reason"),
     [
-        ({"instanceName": " "}, "expected an instance name"),
-        ({"guid": "other 50 %d #1#"}, "instantiation token other 50 %d ##1##: expected"),
+        ({"instanceName": " "}, {}, "expected an instance name"),
+        ({"guid": "other 50 %d #1#"}, {}, "instantiation token other 50 %d ##1##: expected"),
+        ({}, {"eventModeUsed": True}, "eventModeUsed"),  # FMI 3.0.2, 2.3.1: hasEventMode is false
     ],
 )
 def test_an_instance_that_cannot_be_is_refused_with_the_reason(
-    open_fmi3: Open, changes: dict[str, str], reason: str
+    open_fmi3: Open, changes: dict[str, str], options: dict[str, bool], reason: str
 ) -> None:
     plant = open_fmi3("ExamplePlant")
+    assert not plant.description.coSimulation.hasEventMode
     for name, value in changes.items():
         setattr(plant.fmu, name, value)
-    with pytest.raises(Exception, match="Failed to instantiate"):
-        plant.fmu.instantiate(loggingOn=True, logMessage=plant._message)
-    assert reason in plant.log[-1][2]
-    with pytest.raises(Exception, match="Failed to instantiate"):
-        plant.fmu.instantiate(loggingOn=False, logMessage=plant._message)
-    assert len(plant.log) == 1
-
-
-def test_event_mode_of_co_simulation_is_refused(open_fmi3: Open) -> None:
-    """FMI 3.0.2, 2.3.1: hasEventMode is false."""
-    plant = open_fmi3("ExamplePlant")
-    assert not plant.description.coSimulation.hasEventMode
-    with pytest.raises(Exception, match="Failed to instantiate"):
-        plant.fmu.instantiate(loggingOn=True, logMessage=plant._message, eventModeUsed=True)
-    assert "eventModeUsed" in plant.log[-1][2]
+    for logging in (True, False):
+        with pytest.raises(Exception, match="Failed to instantiate"):
+            plant.fmu.instantiate(loggingOn=logging, logMessage=plant._message, **options)
+    (message,) = plant.log
+    assert reason in message[2]
 
 
 def test_categories_are_switched_on_and_off_one_by_one(open_fmi3: Open) -> None:
@@ -268,20 +255,21 @@ def test_categories_are_switched_on_and_off_one_by_one(open_fmi3: Open) -> None:
 
 def test_a_saved_state_is_all_of_it_and_crosses_instances_as_bytes(open_fmi3: Open) -> None:
     one, other = open_fmi3("RovDepthPlant").begin(), open_fmi3("RovDepthPlant").begin()
+    outputs = block_named("RovDepthPlant")
+
+    def stepped(vehicle: Fmi3Instance) -> list[Any]:
+        assert vehicle["time"] == [0.02]
+        vehicle.fmu.doStep(0.02, 0.02)
+        return scalars(vehicle, outputs, "output")
+
     one["voltage"] = [2.0, 1.0]
     one.fmu.doStep(0.0, 0.02)
     state = one.fmu.getFMUState()
     content = one.fmu.serializeFMUState(state)
-    one.fmu.doStep(0.02, 0.02)
-    block = block_named("RovDepthPlant")
-    reached = scalars(one, block, "output")
+    reached = stepped(one)
     one.fmu.setFMUState(state)
-    assert one["time"] == [0.02]
-    one.fmu.doStep(0.02, 0.02)
-    assert scalars(one, block, "output") == reached
     other.fmu.setFMUState(other.fmu.deserializeFMUState(content))
-    other.fmu.doStep(0.02, 0.02)
-    assert scalars(other, block, "output") == reached
+    assert stepped(one) == stepped(other) == reached
     damaged = bytes([*content[:300], content[300] ^ 1, *content[301:]])
     assert "the state is damaged" in other.refused("deserializeFMUState", damaged)
     exchange = open_fmi3("RovDepthPlant", "ModelExchange")
@@ -291,11 +279,9 @@ def test_a_saved_state_is_all_of_it_and_crosses_instances_as_bytes(open_fmi3: Op
 
 @pytest.mark.parametrize("name", ["ExamplePlant", BALL.name])
 def test_model_exchange_has_the_states_derivatives_and_events_of_fmi_2(
-    fmi3_built: Fmus, open_fmi3: Open, tmp_path: Path, name: str
+    open_fmi3: Open, exchange: Callable[[str], Exchanged], tmp_path: Path, name: str
 ) -> None:
-    block = block_named(name)
-    old = Exchanged(builder.build_block(block, tmp_path / "fmi2"), tmp_path / "old").begin()
-    new = open_fmi3(name, "ModelExchange").begin()
+    old, new = exchange(name).begin(), open_fmi3(name, "ModelExchange").begin()
     count = new.fmu.getNumberOfContinuousStates()
     x = np.linspace(-0.25, -0.5, count)  # a ball that hits the ground
     assert old.event() == new.fmu.updateDiscreteStates()
@@ -380,9 +366,9 @@ with EcosSimulationStructure() as structure:
 
 
 @pytest.mark.importers
-def test_ecos_gives_the_numbers_of_fmi_2(fmi3_built: Fmus, tmp_path: Path) -> None:
+def test_ecos_gives_the_numbers_of_fmi_2(fmi3_built: Fmus, small_built: Fmus) -> None:
     """It reads FMUs with FMI Library, which is no relative of FMPy."""
-    paths = fmi3_built[EVERYTHING.name], builder.build_block(EVERYTHING, tmp_path)
+    paths = fmi3_built[EVERYTHING.name], small_built[EVERYTHING.name]
     new, old = (
         subprocess.run([sys.executable, "-c", _ECOS, str(path)], capture_output=True, text=True, check=True)
         for path in paths
@@ -392,13 +378,21 @@ def test_ecos_gives_the_numbers_of_fmi_2(fmi3_built: Fmus, tmp_path: Path) -> No
     assert len(numbers[0]) == len(set(numbers[0])) == 3
 
 
-def test_fmi_3_is_for_native_fmus_with_their_types(tmp_path: Path) -> None:
-    with pytest.raises(
-        ExportError, match=r"FMI 3.0 in the python flavour: expected FMI 2.0, or 3.0 in native"
-    ):
-        builder.build_block("ExamplePlant", tmp_path, Flavour.PYTHON, fmi=3)
-    with pytest.raises(ExportError, match=r"Reals only: expected the native flavour and FMI 2.0"):
-        builder.build_block("ExamplePlant", tmp_path, reals_only=True, fmi=3)
-    with pytest.raises(ExportError, match=r"FMI 4.0 in the native flavour: expected FMI 2.0"):
-        builder.build_block("ExamplePlant", tmp_path, fmi=4)
+@pytest.mark.parametrize(
+    ("flavour", "options", "reason"),
+    [
+        (Flavour.PYTHON, {"fmi": 3}, "FMI 3.0 in the python flavour: expected FMI 2.0, or 3.0 in native"),
+        (Flavour.NATIVE, {"fmi": 4}, "FMI 4.0 in the native flavour: expected FMI 2.0"),
+        (
+            Flavour.NATIVE,
+            {"fmi": 3, "reals_only": True},
+            "Reals only: expected the native flavour and FMI 2.0",
+        ),
+    ],
+)
+def test_fmi_3_is_for_native_fmus_with_their_types(
+    tmp_path: Path, flavour: Flavour, options: dict[str, Any], reason: str
+) -> None:
+    with pytest.raises(ExportError, match=reason):
+        builder.build_block("ExamplePlant", tmp_path, flavour, **options)
     assert not [*tmp_path.iterdir()]

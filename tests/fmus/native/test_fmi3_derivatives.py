@@ -16,9 +16,9 @@ from fmus.build.fmi3 import array_name, arrays, other_variables
 from fmus.build.symbolic import traced
 from tests.shared_builds import one_of_a_kind
 
+from .blocks import EVERYTHING, block_named
 from .exchanged import BALL
 from .fmi3_instance import Fmi3Instance
-from .native_block import EVERYTHING, block_named
 
 NAMES = [*one_of_a_kind(builder.block_names()), EVERYTHING.name, BALL.name]
 Open = Callable[..., Fmi3Instance]

@@ -14,32 +14,27 @@ from hypothesis.stateful import run_state_machine_as_test
 from fmus.block import Block
 from fmus.build.native import c_sources
 
-from .native_beside import Pool
-from .native_block import EVERYTHING, block_named
-from .native_rules import Calls2, Calls3
-from .native_session import GUID, compiled
+from .blocks import EVERYTHING, block_named
+from .rules import CALLS
+from .session import GUID, Session, compiled
 
 
 def run(block: Block, program: Path, examples: int, *, fmi: int = 2, shrink: bool = True) -> None:
     """The same examples at every run."""
-    pool = Pool(program)
-    machine: Any = type(
-        "CallsOf" + block.name, (Calls3 if fmi == 3 else Calls2,), {"block": block, "pool": pool}
-    )
-    phases = (Phase.generate, Phase.shrink) if shrink else (Phase.generate,)
+    machine: Any = type(f"CallsOf{block.name}", (CALLS[fmi],), {"send": Session(program, block)})
     checks = settings(
         max_examples=examples,
         stateful_step_count=40,
         deadline=None,
         derandomize=True,
         database=None,
-        phases=phases,
+        phases=(Phase.generate, Phase.shrink) if shrink else (Phase.generate,),
         report_multiple_bugs=False,
         suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
         verbosity=Verbosity.normal if shrink else Verbosity.quiet,
     )
     run_state_machine_as_test(machine, settings=checks)
-    pool.session().close()
+    machine.send.close()
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
@@ -50,14 +45,10 @@ def test_any_sequence_of_calls_of_a_small_block_is_answered_as_fmi_wants_it(tmp_
 
 @pytest.mark.cross
 @pytest.mark.parametrize(
-    ("name", "fmi"),
+    ("fmi", "name"),
     [
-        ("RovDepthPlant", 2),
-        ("L1Controller", 2),
-        ("L1DepthController", 2),
-        ("RovDepthPlant", 3),
-        (EVERYTHING.name, 3),
-        ("ExamplePlant", 3),
+        *((2, name) for name in ("RovDepthPlant", "L1Controller", "L1DepthController")),
+        *((3, name) for name in ("RovDepthPlant", "ExamplePlant", EVERYTHING.name)),
     ],
 )
 def test_any_sequence_of_calls_is_answered_as_fmi_wants_it(tmp_path: Path, name: str, fmi: int) -> None:

@@ -6,8 +6,8 @@ from pathlib import Path
 from fmus.build.native import c_sources
 from fmus.native import toolchain
 
-from .native_block import EVERYTHING
-from .native_session import GUID
+from .blocks import EVERYTHING
+from .session import GUID
 
 _COMMA = """
 #include <stdarg.h>

@@ -13,8 +13,9 @@ from fmus.build import builder
 from fmus.compliance.examine import examine
 from fmus.errors import ExportError
 from fmus.registry import Flavour
+from tests.shared_builds import Fmus
 
-from .native_block import EVERYTHING, ITEMS
+from .blocks import EVERYTHING, ITEMS
 
 
 @pytest.fixture(scope="module")
@@ -52,8 +53,8 @@ def test_what_depends_on_an_item_may_depend_on_all(reals: Path) -> None:
     assert listed["product"] == " ".join(str(names.index(name) + 1) for name in ("gain", "limit"))
 
 
-def test_it_steps_as_the_ordinary_fmu_does(reals: Path, load: Any, tmp_path: Path) -> None:
-    plain = load(builder.build_block(EVERYTHING, tmp_path)).begin()
+def test_it_steps_as_the_ordinary_fmu_does(reals: Path, load: Any, small_built: Fmus) -> None:
+    plain = load(small_built[EVERYTHING.name]).begin()
     fmu = load(reals).begin()
     for values in ({"mode": 0, "level": 3}, {"mode": 3, "enabled": 0}):
         for name, value in values.items():

@@ -13,9 +13,9 @@ from fmus.build.shipped import ShippedLibrary
 from fmus.errors import ExportError
 from fmus.platforms import host_platform, library_name
 from tests.described_fmus import members
-from tests.shared_builds import Fmus, with_libraries
+from tests.shared_builds import Fmus, one_of_a_kind, with_libraries
 
-from .native_block import EVERYTHING
+from .blocks import EVERYTHING
 
 RESULTS = {"calculate": "c", "initial_state": "x", "step": "next", "output": "y"}
 CODE = "sources/model_code.h"
@@ -60,7 +60,7 @@ def test_a_library_that_differs_in_one_function_is_refused(
         check_shipped(check_trace(EVERYTHING), library)
 
 
-@pytest.mark.parametrize("name", ["Everything", *builder.block_names()])
+@pytest.mark.parametrize("name", ["Everything", *one_of_a_kind(builder.block_names())])
 def test_a_library_is_compared_at_most_points_of_each_function(
     built: Fmus, library_of: Callable[..., ShippedLibrary], monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:

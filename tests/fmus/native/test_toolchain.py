@@ -63,7 +63,6 @@ def test_what_the_compiler_says_is_passed_on(tmp_path: Path, source: str, messag
         zig(["cc", "broken.c"], tmp_path)
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="a FIFO keeps the compiler waiting")
 def test_a_compiler_that_does_not_end_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     os.mkfifo(tmp_path / "endless.c")
     monkeypatch.setattr(toolchain, "_PATIENCE_S", 0.001)
@@ -106,7 +105,6 @@ def test_an_interrupt_while_the_compiler_ends_stays_an_interrupt(
         zig(["version"], tmp_path)
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="a FIFO keeps the compiler waiting")
 def test_a_long_wait_for_the_compiler_is_announced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -118,7 +116,6 @@ def test_a_long_wait_for_the_compiler_is_announced(
     assert "another build has the lock of its cache" in capsys.readouterr().err
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="a FIFO keeps the compiler waiting")
 def test_an_interrupted_build_leaves_no_process_and_no_file(tmp_path: Path) -> None:
     process, endless = compiling_for_ever(tmp_path)
     with endless.open("wb", buffering=0) as stream:  # opens when the compiler reads
@@ -128,7 +125,6 @@ def test_an_interrupted_build_leaves_no_process_and_no_file(tmp_path: Path) -> N
         wait_for_the_end_of_readers(stream)
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="a FIFO keeps the compiler waiting")
 def test_a_killed_build_leaves_no_process(tmp_path: Path) -> None:
     """It would keep the lock of the compiler's cache."""
     process, endless = compiling_for_ever(tmp_path)
@@ -138,7 +134,6 @@ def test_a_killed_build_leaves_no_process(tmp_path: Path) -> None:
         wait_for_the_end_of_readers(stream)
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="a FIFO keeps the compiler waiting")
 def test_builds_of_different_sources_do_not_wait_for_each_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -173,7 +168,6 @@ def test_the_lock_that_a_process_waits_for_is_named(tmp_path: Path) -> None:
     assert toolchain._awaited_lock(os.getpgid(0)) == ""
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="a FIFO keeps the compiler waiting")
 @pytest.mark.parametrize("ends", [True, False])
 def test_a_compile_that_does_not_end_is_tried_again_in_a_cache_of_its_own(
     ends: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

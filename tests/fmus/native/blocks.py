@@ -8,7 +8,7 @@ from fmus.block import Block, variable
 from fmus.build import builder
 from fmus.numerics import floor, where
 
-from .exchanged import BALL, TANK
+from .exchanged import BALL, GROWTH, TANK
 
 
 class Mode(IntEnum):
@@ -72,10 +72,12 @@ def output(t: float, s: State, p: Parameters, c: Calculated) -> Outputs:
 
 
 EVERYTHING = Block.of_module(
-    __name__, "Everything", "Everything that the C layer distinguishes",
+    __name__,
+    "Everything",
+    "Everything that the C layer distinguishes",
     calculate=lambda p: Calculated(p.gain * p.limit, p.gain / p.limit),
     initial_state=lambda t, u, p, c: State(p.start + u.force, p.count + 0.0 * t),
-)  # fmt: skip
+)
 
 
 _either: Any = where  # of numbers that are no items
@@ -123,7 +125,10 @@ ITEMS = Block(
 )
 
 
+SMALL = {block.name: block for block in (EVERYTHING, ITEMS, BALL, GROWTH, TANK)}
+"""Blocks of this file and of `exchanged` by name."""
+
+
 def block_named(name: str) -> Block:
-    """A block of this file, one of `exchanged` with a derivative, or one that is installed."""
-    own = {block.name: block for block in (EVERYTHING, ITEMS, BALL, TANK)}
-    return own[name] if name in own else builder.load_block(name)
+    """A small block, or one that is installed."""
+    return SMALL[name] if name in SMALL else builder.load_block(name)

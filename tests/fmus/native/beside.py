@@ -1,95 +1,56 @@
 """A native FMU beside its model: what each rule of the state machine is made of."""
 
 import math
-from pathlib import Path
 from typing import Any, ClassVar
 
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize
 
-from fmus.block import Block
 from fmus.block.variables import BlockVariable
 
-from .native_model import (
-    DISCARD,
-    ERROR,
-    FAILED,
-    INITIALIZATION,
-    INSTANTIATED,
-    OK,
-    STEPPING,
-    WARNING,
-    Data,
-    Model,
-    Null,
-)
-from .native_session import GUID, Answer, Session
+from .model import FAILED, INITIALIZATION, INSTANTIATED, STEPPING, Data, Model
+from .session import CATEGORIES, GUID, OK, WARNING, Answer, Null, Session
 
 TINY = 5e-324
 SELDOM = st.integers(0, 24).map(lambda i: i == 13)
 NAMES = ("it", "a%n%s#r1#%", "long" * 1300)
-_CATEGORY = {WARNING: "logStatusWarning", DISCARD: "logStatusDiscard", ERROR: "logStatusError"}
 # what writes numbers as its last argument -> place of the references to what they belong to
 _WRITES = {
-    "get": 1, "get_output_derivatives": 0, "directional_derivative": 0, "adjoint_derivative": 1,
-    "get_status": None,
-}  # fmt: skip
-
-
-class Pool:
-    """The process that serves the examples; one that has ended is replaced."""
-
-    def __init__(self, program: Path) -> None:
-        self.program, self._session = program, Session(program)
-
-    def session(self) -> Session:
-        if not self._session.is_alive:
-            self._session = Session(self.program)
-        return self._session
+    **{"get": 1, "get_output_derivatives": 0, "get_status": None},
+    **{"directional_derivative": 0, "adjoint_derivative": 1},
+}
 
 
 class Beside(RuleBasedStateMachine):
-    """Two instances and three saved states of one FMU, beside their models."""
+    """Two instances and three saved states of one FMU, beside their models.
 
-    block: ClassVar[Block]
-    pool: ClassVar[Pool]
+    send: the process of all examples; one that has ended is replaced
+    """
+
+    send: ClassVar[Session]
     model: ClassVar[type[Model]] = Model
-    setup: ClassVar[str] = "setup"  # the call that has the start time
 
     def __init__(self) -> None:
         super().__init__()
-        self.send = self.pool.session()
-        self.live = int(self.send("live").values[0])
+        type(self).send = self.send.running()
+        self.block, self.live = self.send.block, self.send.live()
         self.models: dict[int, Model] = {}
         self.names: dict[int, str] = {}
         self.states: dict[int, Data] = {}
         self.buffers: list[tuple[list[int], Data]] = []
         model = self.model(self.block, False)
-        self.variables = [v for v in self.block.variables if self.is_variable(model, v.value_reference)]
+        self.variables = [v for v in self.block.variables if model.is_variable(v.value_reference)]
         self.by_kind = {k: [v for v in self.variables if model.kinds[v.type] == k] for k in "RIBE"}
         self.elements = [v.value_reference for v in self.block.variables if v not in self.variables]
         self.kinds = [k for k in "RIBE" if self.by_kind[k]]
 
-    # what the standards have otherwise
-
-    @staticmethod
-    def is_variable(model: Any, reference: int) -> bool:
-        """Whether it is a value reference of the model description."""
-        return True
-
-    @staticmethod
-    def instantiation(slot: int, name: str | None, guid: str) -> tuple[Any, ...]:
-        """Returns the arguments of the instantiation but whether messages are wanted."""
-        return name, 1, guid, "all"
-
     def enter(self, slot: int, *setup: Any) -> None:
-        if setup:
-            self.call(slot, "setup", *setup)
-        self.call(slot, "enter")
+        """Leads to initialization mode, with the arguments of a setup if there is one."""
+        raise NotImplementedError
 
-    def beyond(self) -> int:
-        """Returns a value reference after the last one."""
-        return len(self.block.variables) + len(self.block.states)
+    def instantiation(self, slot: int, name: str | None, guid: str) -> tuple[Any, ...]:
+        """Returns the arguments of the instantiation but whether messages are wanted."""
+        raise NotImplementedError
 
     # both sides
 
@@ -103,9 +64,9 @@ class Beside(RuleBasedStateMachine):
     def compare(self, slot: int, enabled: set[str], name: str, arguments: Any, expected: Any) -> Answer:
         if name in _WRITES and not isinstance(arguments[-1], str):
             place = _WRITES[name]
-            count = 1 if place is None else self.count(arguments[place])
+            count = 1 if place is None else self.models[slot].count(arguments[place])
             arguments = (*arguments[:-1], f"+{count}" if arguments[-1] else Null(count))
-        answer = self.send(name, slot, *arguments)
+        answer = self.send(name, *arguments, slot=slot)
         status, values = expected
         call = (name, slot, *arguments)
         assert answer.status == status, (call, answer, expected)
@@ -118,18 +79,12 @@ class Beside(RuleBasedStateMachine):
             self.read_everything(slot)
         return answer
 
-    def count(self, references: list[int] | Null) -> int:
-        """Returns how many numbers these variables have."""
-        if isinstance(references, Null):
-            return references.size
-        return len(self.models[0].scalars(references))
-
     def check_messages(self, slot: int, enabled: set[str], answer: Answer) -> None:
-        due = answer.status != OK and _CATEGORY[answer.status] in enabled
+        due = answer.status != OK and CATEGORIES[answer.status] in enabled
         assert bool(answer.messages) == due, answer
         assert len(answer.messages) <= 1 or answer.status == WARNING, answer  # one for each part left out
         for message in answer.messages:
-            assert (message.status, message.category) == (answer.status, _CATEGORY[answer.status])
+            assert (message.status, message.category) == (answer.status, CATEGORIES[answer.status])
             assert message.name == self.names[slot]
             assert message.text
 
@@ -141,13 +96,10 @@ class Beside(RuleBasedStateMachine):
             for chosen in filter(model.is_settable, every), (r for r in every if not model.is_settable(r)):
                 references = list(chosen)
                 expected = model.get(kind, references, True)
-                answer = self.send("get", slot, kind, references, f"+{self.count(references)}")
+                answer = self.send("get", kind, references, f"+{model.count(references)}", slot=slot)
                 assert answer.status == expected[0]
-                answered = [_exactly(v) for v in answer.values] if answer.status == OK else None
-                expected_values = (
-                    [_exactly(float(v)) for v in expected[1]] if expected[1] is not None else None
-                )
-                assert answered == expected_values, (kind, references)
+                answered = [_exactly(v) for v in answer.values] if answer.status == OK else []
+                assert answered == [_exactly(float(v)) for v in expected[1] or ()], (kind, references)
 
     # life
 
@@ -166,16 +118,17 @@ class Beside(RuleBasedStateMachine):
         return False
 
     def instantiate(self, slot: int, name: str, logging: bool) -> None:
-        assert self.send("instantiate", slot, *self.instantiation(slot, name, GUID), logging) == (OK, [], [])
+        arguments = *self.instantiation(slot, name, GUID), logging
+        assert self.send("instantiate", *arguments, slot=slot) == (OK, [], [])
         self.models[slot], self.names[slot] = self.model(self.block, logging), name
 
     def teardown(self) -> None:
         if self.send.is_alive and self.models:
             for saved_slot in self.states:
-                self.send("free_state", 0, saved_slot)
+                self.send("free_state", saved_slot)
             for slot in self.models:
-                self.send("free", slot)
-            if int(self.send("live").values[0]) != self.live:
+                self.send("free", slot=slot)
+            if self.send.live() != self.live:
                 self.send.kill()  # the next example shall not find what this one has lost
                 raise AssertionError("memory is lost")
 
@@ -195,9 +148,8 @@ class Beside(RuleBasedStateMachine):
             self.take_step(slot, data.draw(st.sampled_from((1.0, 0.3, 2.0, 4.4))))
         elif following == "reset" and self.states and data.draw(st.booleans()):
             saved_slot = data.draw(st.sampled_from(sorted(self.states)))
-            self.state_call(
-                slot, "set_state", (saved_slot,), self.models[slot].restore(self.states[saved_slot])
-            )
+            expected = self.models[slot].restore(self.states[saved_slot])
+            self.state_call(slot, "set_state", (saved_slot,), expected)
         else:
             self.call(slot, following)
 
@@ -210,7 +162,7 @@ class Beside(RuleBasedStateMachine):
 
     # arguments
 
-    def some(self, data: Any, slot: int, variables: list[BlockVariable]) -> list[int]:
+    def some(self, data: Any, variables: list[BlockVariable]) -> list[int]:
         chosen = data.draw(st.lists(st.sampled_from(variables), max_size=4)) if variables else []
         return [v.value_reference for v in chosen]
 
@@ -221,14 +173,11 @@ class Beside(RuleBasedStateMachine):
         """Now and then a value reference of any type or none among them."""
         if data.draw(st.integers(0, 9)) != 4:
             return references
-        wrong = data.draw(
-            st.sampled_from(
-                (0, len(self.block.variables) - 1, self.beyond(), 2**31, 2**32 - 1, *4 * self.elements)
-            )
-        )
-        return [*references, wrong]
+        beyond = self.models[0].beyond(), 2**31, 2**32 - 1
+        places = (0, len(self.block.variables) - 1, *beyond, *4 * self.elements)
+        return [*references, data.draw(st.sampled_from(places))]
 
-    def array(self, data: Any, items: list) -> list | Null:
+    def array(self, data: Any, items: list) -> list:
         """Now and then NULL."""
         return Null(len(items)) if data.draw(SELDOM) else items
 

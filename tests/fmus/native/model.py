@@ -14,38 +14,25 @@ from typing import ClassVar
 import casadi
 
 from fmus.block import Block
+from fmus.build.fmi3 import extents
 from fmus.build.sensitivities import sensitivities
 from fmus.build.symbolic import Traced
 from fmus.fmi.variable_types import INTEGER_RANGE, TRANSFER_TYPE
 
-OK, WARNING, DISCARD, ERROR = 0, 1, 2, 3
-INSTANTIATED, INITIALIZATION, STEPPING, TERMINATED, FAILED = [
-    "instantiated",
-    "initialization",
-    "step",
-    "end",
-    "error",
-]
+from .session import DISCARD, ENDED, ERROR, LAST_TIME, OK, WARNING, Null
+
+INSTANTIATED, INITIALIZATION, STEPPING = "instantiated", "initialization", "step"
+TERMINATED, FAILED = "end", "error"
 WRITABLE = (INSTANTIATED, INITIALIZATION, STEPPING)
 ALL: tuple[str, ...] = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
 TYPES = {name: transferred[0] for name, transferred in TRANSFER_TYPE.items()}
-LAST_TIME, ENDED = 2, 3  # fmi2LastSuccessfulTime, fmi2Terminated
+NO_VARIABLE = 2**32 - 1
+Result = tuple[int, list | None]  # status, and what was written
 _HIGHEST = sys.float_info.max
 _LEAST_WHOLE, _HIGHEST_WHOLE = INTEGER_RANGE  # of an Integer without limits
 
 
-class Null(list):
-    """No items: a NULL where an array of so many is announced."""
-
-    def __init__(self, size: int) -> None:
-        super().__init__()
-        self.size = size
-
-    def __bool__(self) -> bool:
-        return self.size > 0
-
-
-_traced = cache(Traced)
+_traced, _extents = cache(Traced), cache(extents)
 
 
 @cache
@@ -96,42 +83,54 @@ class Model:
         self._n_states = self._traced.step.numel_out(0)
         self.reset()
 
-    def reset(self) -> tuple[int, None]:
+    def reset(self) -> Result:
         starts = [float(v.start) for v in self.block.variables]
         rates = [0.0] * (self.inputs.stop - self.inputs.start)
         self.data = Data(starts, rates, state=[0.0] * self._n_states)
         self.stop = _HIGHEST  # of the setup, whichever state is restored
         return OK, None
 
-    # values
+    # variables and values
+
+    def is_variable(self, reference: int) -> bool:
+        """Whether it is a value reference of the model description."""
+        return True
+
+    def beyond(self) -> int:
+        """Returns a value reference after the last one."""
+        return len(self.block.variables) + len(self.block.states)
 
     def scalars(self, references: list[int]) -> list[int]:
         """Returns the value references of the scalars that these variables have."""
         return references
 
-    def get(self, kind: str, references: list[int] | Null, out: bool) -> tuple[int, list | None]:
+    def count(self, references: list[int]) -> int:
+        """Returns how many numbers these variables have."""
+        return references.size if isinstance(references, Null) else len(references)
+
+    def get(self, kind: str, references: list[int], out: bool) -> Result:
         if self._is_malformed(kind, references, out):
-            return self._error()
+            return self.refuse()
         if any(not self.is_settable(r) for r in references) and not self._refresh():
-            return self._error()
+            return self.refuse()
         return OK, [self.data.values[r] for r in references]
 
-    def set(self, kind: str, references: list[int] | Null, values: list | Null) -> tuple[int, None]:
+    def set(self, kind: str, references: list[int], values: list) -> Result:
         is_given = not isinstance(values, Null)
         if self.data.mode not in WRITABLE or self._is_malformed(kind, references, is_given):
-            return self._error()
+            return self.refuse()
         pairs = list(zip(references, values, strict=True)) if references and is_given else []
         for reference, value in pairs:
             variable = self.block.variables[reference]
             late = variable.variability == "fixed" and self.data.mode == STEPPING
             if not self.is_settable(reference) or late:
-                return self._error()
+                return self.refuse()
             if not self.is_acceptable(reference, value):
                 is_parameter = reference < self.inputs.start
                 is_start = self.data.mode == INSTANTIATED or (
                     is_parameter and self.data.mode == INITIALIZATION
                 )
-                return self._error() if is_start else (DISCARD, None)
+                return self.refuse() if is_start else (DISCARD, None)
         for reference, value in pairs:
             if self.data.values[reference] != value:
                 self.data.values[reference] = float(value)
@@ -147,26 +146,25 @@ class Model:
         is_whole = variable.type == "Integer"
         return variable.refuse(value) is None and (not is_whole or _LEAST_WHOLE <= value <= _HIGHEST_WHOLE)
 
-    def _is_malformed(self, kind: str, references: list[int] | Null, is_given: bool) -> bool:
+    def _is_malformed(self, kind: str, references: list[int], is_given: bool) -> bool:
         if isinstance(references, Null):
             return bool(references)
         known = all(r < len(self.block.variables) for r in references)
         typed = known and all(self.kinds[self.block.variables[r].type] == kind for r in references)
         return not typed or bool(references and not is_given)
 
-    def _error(self) -> tuple[int, None]:
+    def refuse(self) -> Result:
+        """An illegal call."""
         self.data.mode = FAILED
         return ERROR, None
 
     # what follows from parameters and inputs
 
     def _calculate(self, name: str, *arguments: list[float] | float) -> list[float]:
-        columns = [casadi.DM(a) if a else casadi.DM(0, 1) for a in self._columns(arguments)]
-        return getattr(self._traced, name)(*columns).nonzeros()
-
-    @staticmethod
-    def _columns(arguments: tuple[list[float] | float, ...]) -> list[list[float]]:
-        return [a if isinstance(a, list) else [a] for a in arguments]
+        columns = [a if isinstance(a, list) else [a] for a in arguments]
+        return getattr(self._traced, name)(
+            *(casadi.DM(a) if a else casadi.DM(0, 1) for a in columns)
+        ).nonzeros()
 
     def _prepared(self) -> list[float] | None:
         """The calculated parameters, None if the parameters contradict each other."""
@@ -193,7 +191,7 @@ class Model:
         outputs = self._calculate("output", t, state, p, calculated)
         pairs = zip(self.block.variables[self.outputs], outputs, strict=True)
         whole = [value for v, value in pairs if v.type != "Real"]
-        if not _is_finite([*state, *outputs]):
+        if not all(map(math.isfinite, [*state, *outputs])):
             return False
         if not all(_LEAST_WHOLE <= value <= _HIGHEST_WHOLE for value in whole):
             return False
@@ -203,46 +201,46 @@ class Model:
 
     # modes
 
-    def setup(self, start: float, has_stop: bool, stop: float) -> tuple[int, None]:
+    def setup(self, start: float, has_stop: bool, stop: float) -> Result:
         good = math.isfinite(start) and (not has_stop or stop > start)
         if self.data.mode != INSTANTIATED or not good:
-            return self._error()
+            return self.refuse()
         self.data.time, self.stop = start, min(stop, _HIGHEST) if has_stop else _HIGHEST
         return OK, None
 
-    def enter(self) -> tuple[int, None]:
+    def enter(self) -> Result:
         return self._go(INSTANTIATED, INITIALIZATION)
 
-    def leave(self) -> tuple[int, None]:
+    def leave(self) -> Result:
         if self.data.mode == INITIALIZATION and not self._refresh():
-            return self._error()
+            return self.refuse()
         answer = self._go(INITIALIZATION, STEPPING)
         self.data.is_held = self.data.is_held or answer[0] == OK
         return answer
 
-    def terminate(self) -> tuple[int, None]:
+    def terminate(self) -> Result:
         return self._go(STEPPING, TERMINATED)
 
-    def cancel(self) -> tuple[int, None]:
-        return self._error()
+    def cancel(self) -> Result:
+        return self.refuse()
 
-    def _go(self, before: str, after: str) -> tuple[int, None]:
+    def _go(self, before: str, after: str) -> Result:
         if self.data.mode != before:
-            return self._error()
+            return self.refuse()
         self.data.mode = after
         return OK, None
 
     # steps
 
-    def step(self, t: float, h: float) -> tuple[int, list | None]:
+    def step(self, t: float, h: float) -> Result:
         d = self.data
         tolerance = min(1e-9 * max(1.0, abs(t)), 1e-3 * h) + 8.0 * sys.float_info.epsilon * abs(t)
         legal = d.mode == STEPPING and math.isfinite(t) and math.isfinite(h) and h > 0
         if not (legal and abs(t - d.time) <= tolerance and t + h <= self.stop + tolerance):
-            return self._error()
+            return self.refuse()
         calculated, ratio = self._prepared(), h / self.internal_step * (1 - 1e-9)
         if calculated is None or not ratio <= 1e9:
-            return self._error()
+            return self.refuse()
         state, count = d.state, max(1, math.ceil(ratio))
         p, internal = d.values[: self.calculated.start], h / count
         for i in range(count):
@@ -270,76 +268,63 @@ class Model:
 
     # derivatives
 
-    def set_input_derivatives(
-        self, references: list[int] | Null, orders: list[int] | Null, values: list[float] | Null
-    ) -> tuple[int, None]:
+    def set_input_derivatives(self, references: list[int], orders: list[int], values: list[float]) -> Result:
         given = not isinstance(values, Null)
         if self.data.mode not in WRITABLE or self._is_malformed("R", references, given):
-            return self._error()
+            return self.refuse()
         if references and isinstance(orders, Null):
-            return self._error()
+            return self.refuse()
         for reference, order, value in zip(references, orders, values, strict=False):
             is_input = self.inputs.start <= reference < self.inputs.stop
             if not is_input or order < 1 or not math.isfinite(value):
-                return self._error()
+                return self.refuse()
         for reference, order, value in zip(references, orders, values, strict=False):
             if order == 1:
                 self.data.rates[reference - self.inputs.start] = value
         return (WARNING if any(order > 1 for order in orders) else OK), None
 
-    def get_output_derivatives(
-        self, references: list[int] | Null, orders: list[int] | Null, out: bool
-    ) -> tuple[int, list[float] | None]:
+    def get_output_derivatives(self, references: list[int], orders: list[int], out: bool) -> Result:
         if self.data.mode not in (STEPPING, TERMINATED, FAILED) or references:
-            return self._error()
+            return self.refuse()
         return OK, []
 
-    def directional_derivative(
-        self, unknown: list[int] | Null, known: list[int] | Null, seed: list[float] | Null, out: bool
-    ) -> tuple[int, list[float] | None]:
+    def directional_derivative(self, unknown: list[int], known: list[int], seed: list, out: bool) -> Result:
         return self._derive("forward", unknown, known, seed, out)
 
     def is_unknown(self, reference: int) -> bool:
         return not self.is_settable(reference)
 
-    def _derive(
-        self,
-        kind: str,
-        unknown: list[int] | Null,
-        known: list[int] | Null,
-        seed: list[float] | Null,
-        out: bool,
-    ) -> tuple[int, list[float] | None]:
+    def _derive(self, kind: str, unknown: list[int], known: list[int], seed: list, out: bool) -> Result:
         to, of = (unknown, known) if kind == "forward" else (known, unknown)
         is_given = not isinstance(seed, Null)
         malformed = self._is_malformed("R", to, out) or self._is_malformed("R", of, is_given)
         if self.data.mode == INSTANTIATED or malformed:
-            return self._error()
+            return self.refuse()
         if not all(map(self.is_unknown, unknown)) or not all(map(self.is_settable, known)):
-            return self._error()
+            return self.refuse()
         d, p, u = self.data, self.data.values[: self.calculated.start], self.data.values[self.inputs]
         along = [0.0] * (len(self.block.variables) + len(self.block.states) + 1)
         for reference, value in zip(of, seed, strict=False):
             along[reference] += value
         if d.mode == INITIALIZATION and not self._refresh():
-            return self._error()
+            return self.refuse()
         mode = "initial" if d.mode == INITIALIZATION else "step"
         derivatives = self._derivatives[f"{mode}_{kind}"](d.time, d.state, u, p, along)
         return OK, [float(derivatives[r]) for r in to]
 
     # the rest
 
-    def get_status(self, kind: str, what: int, out: bool) -> tuple[int, list | None]:
+    def get_status(self, kind: str, what: int, out: bool) -> Result:
         available = (kind, what) in (("R", LAST_TIME), ("B", ENDED))
         if self.data.mode not in (STEPPING, TERMINATED) or (available and not out):
-            return self._error()
+            return self.refuse()
         if not available:
             return DISCARD, None
         return OK, [self.data.time if kind == "R" else 0]
 
-    def set_debug_logging(self, on: bool, categories: list[str | None] | Null) -> tuple[int, None]:
+    def set_debug_logging(self, on: bool, categories: list[str | None]) -> Result:
         if isinstance(categories, Null) and categories:
-            return self._error()
+            return self.refuse()
         unknown = any(category not in (*ALL, "logAll") for category in categories)
         named: set[str] = set(ALL) if "logAll" in categories else set(ALL) & set(categories)
         usual: set[str] = set(ALL) if on else set(ALL) - {"logStatusDiscard"}
@@ -349,16 +334,82 @@ class Model:
     def saved(self) -> Data:
         return copy.deepcopy(self.data)
 
-    def restore(self, saved: Data | None) -> tuple[int, None]:
+    def restore(self, saved: Data | None) -> Result:
         if saved is None:
-            return self._error()
+            return self.refuse()
         self.data = copy.deepcopy(saved)
         return OK, None
 
-    def refuse(self) -> tuple[int, None]:
-        """An illegal call."""
-        return self._error()
 
+class Model3(Model):
+    """One instance of FMI 3.0.2, where it is not as in 2.0: value references are those of whole arrays."""
 
-def _is_finite(state: list[float]) -> bool:
-    return all(map(math.isfinite, state))
+    fmi: ClassVar[int] = 3
+    kinds: ClassVar[dict[str, str]] = {name: name[0] for name in TYPES}
+
+    def __init__(self, block: Block, logging: bool) -> None:
+        super().__init__(block, logging)
+        self.extents = _extents(block)
+        self.log = set(ALL) if logging else set()
+
+    def scalars(self, references: list[int]) -> list[int]:
+        if isinstance(references, Null):
+            return references
+        found: list[int] = []
+        for r in references:
+            extent = self.extents[r] if r < len(self.extents) else 0
+            found += range(r, r + extent) if extent else [NO_VARIABLE]
+        return found
+
+    def is_variable(self, reference: int) -> bool:
+        return self.extents[reference] > 0
+
+    def beyond(self) -> int:
+        return len(self.extents)
+
+    def count(self, references: list[int]) -> int:
+        """Without numbers for what is no variable."""
+        if isinstance(references, Null):
+            return references.size
+        return sum(scalar < len(self.block.variables) for scalar in self.scalars(references))
+
+    def get(self, kind: str, references: list[int], out: bool) -> Result:
+        return super().get(kind, self.scalars(references), out)
+
+    def set(self, kind: str, references: list[int], values: list) -> Result:
+        scalars = self.scalars(references)
+        if not isinstance(references, Null) and not isinstance(values, Null) and len(values) != len(scalars):
+            return self.refuse()
+        return super().set(kind, scalars, values)
+
+    # modes and messages
+
+    def enter(self, start: float = 0.0, has_stop: bool = False, stop: float = 0.0) -> Result:
+        return super().enter() if self.setup(start, has_stop, stop)[0] == OK else (ERROR, None)
+
+    def set_debug_logging(self, on: bool, categories: list[str | None]) -> Result:
+        if isinstance(categories, Null) and categories:
+            return self.refuse()
+        if any(category not in (*ALL, "logAll") for category in categories):
+            return self.refuse()
+        named = set(ALL) if not categories or "logAll" in categories else set(ALL) & set(categories)
+        self.log = self.log | named if on else self.log - named
+        return OK, None
+
+    def step(self, t: float, h: float) -> Result:
+        """With the last successful time."""
+        status, _ = super().step(t, h)
+        return status, [self.data.time] if status == OK else None
+
+    # derivatives
+
+    def directional_derivative(self, unknown: list[int], known: list[int], seed: list, out: bool) -> Result:
+        return self._derive("forward", self.scalars(unknown), self.scalars(known), seed, out)
+
+    def adjoint_derivative(self, unknown: list[int], known: list[int], seed: list, out: bool) -> Result:
+        return self._derive("adjoint", self.scalars(unknown), self.scalars(known), seed, out)
+
+    def is_unknown(self, reference: int) -> bool:
+        """After the initialization calculated parameters rest."""
+        is_initial = self.data.mode == INITIALIZATION
+        return super().is_unknown(reference) and (is_initial or reference >= self.outputs.start)
