@@ -223,10 +223,7 @@ OWN = """class Own:
     ],
 )  # fmt: skip
 def test_a_step_that_fails_is_named_with_its_line(tmp_path: Path, step: str, message: str) -> None:
-    cls = written(
-        tmp_path,
-        OWN.format(step),
-    )
+    cls = written(tmp_path, OWN.format(step))
     with pytest.raises(BlockError, match=message):
         begun(cls)
 

@@ -1,4 +1,4 @@
-"""Small blocks with one output each, which must work; `refused_blocks` has those that must not."""
+"""Small blocks with one output each, which must work; `test_check_trace` has those that must not."""
 
 import math
 from collections.abc import Callable

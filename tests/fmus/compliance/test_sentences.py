@@ -5,15 +5,7 @@ import runpy
 from pathlib import Path
 
 from fmus.compliance.rule import Level, Stage, all_rules
-from fmus.compliance.sentences import (
-    ADVICE,
-    NO_DEMANDS,
-    levels,
-    rule_table,
-    sentences,
-    sentences_of,
-    titles,
-)
+from fmus.compliance.sentences import ADVICE, NO_DEMANDS, levels, rule_table, sentences, sentences_of, titles
 
 ROOT = Path(__file__).parents[3]
 
