@@ -120,12 +120,8 @@ class SwitchState:
     ("state", "step", "message"),
     [
         (GearState, lambda s: GearState(s.gear + 1), "gear = 2: expected one of 1 (low), 3 (high)"),
-        (
-            CountState,
-            lambda s: CountState(s.x + 0.5),
-            "expected a whole number, as CountState declares it with 0;",
-        ),
-        (SwitchState, lambda s: SwitchState(0.5), "expected 0 or 1, as SwitchState declares it with False;"),
+        (CountState, lambda s: CountState(s.x + 0.5), "expected a whole number, as CountState declares it"),
+        (SwitchState, lambda s: SwitchState(0.5 + s.x), "expected 0 or 1, as SwitchState declares it"),
     ],
 )
 def test_a_state_of_another_number_is_refused(state: Any, step: Callable[[Any], Any], message: str) -> None:
