@@ -15,8 +15,13 @@ from fmus.registry import FOLDER_VARIABLE, Flavour
 from orchestration.errors import FmuLoadError
 
 
-def test_the_environment_names_the_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+@pytest.fixture(autouse=True)
+def folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The environment names the folder."""
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
+
+
+def test_the_environment_names_the_folder(tmp_path: Path) -> None:
     assert registry.fmu_path("ExamplePlant") == tmp_path / "native" / "ExamplePlant.fmu"
     assert registry.fmu_folder(Flavour.PYTHON) == tmp_path / "python"
 
@@ -31,19 +36,13 @@ def test_the_folder_is_outside_the_package_and_one_for_each_installation(
     assert registry.fmu_folder() != here
 
 
-def test_only_files_of_blocks_in_that_folder_are_built(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
+def test_only_files_of_blocks_in_that_folder_are_built(tmp_path: Path) -> None:
     python = registry.fmu_path("ExamplePlant", Flavour.PYTHON)
     paths = [tmp_path / "ExamplePlant.fmu", python, registry.fmu_path("Stranger")]
     assert registry.block_fmus(paths) == [("ExamplePlant", Flavour.PYTHON)]
 
 
-def test_an_fmu_that_is_not_built_is_one_line_with_the_command(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
+def test_an_fmu_that_is_not_built_is_one_line_with_the_command() -> None:
     with pytest.raises(FmuLoadError, match=r"l1-depth build --cache --flavour native ExamplePlant writes "):
         describe(registry.fmu_path("ExamplePlant"))
 

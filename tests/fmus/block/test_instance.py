@@ -12,15 +12,14 @@ from hypothesis import strategies as st
 from fmus.block import Block, variable
 from fmus.block.instance import BlockError, BlockInstance
 from fmus.build import builder
-
-NAMES = builder.block_names()
+from tests.shared_builds import one_of_a_kind
 
 
 def outputs(instance: BlockInstance) -> list[float]:
     return [instance.get(v.value_reference) for v in instance.block.of_causality("output")]
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", one_of_a_kind(builder.block_names()))
 @given(data=st.data())
 def test_save_step_restore_step_gives_identical_results(name: str, data: st.DataObject) -> None:
     block = builder.load_block(name)
@@ -49,7 +48,7 @@ def test_save_step_restore_step_gives_identical_results(name: str, data: st.Data
     assert instance.snapshot() == other.snapshot()
 
 
-def damaged(driver: Any, key: str, index: int, value: Any) -> str:
+def damaged(driver: Any, key: str, index: int | slice, value: Any) -> str:
     """A snapshot with one entry changed."""
     saved = json.loads(driver.instance.snapshot())
     saved[key][index] = value
@@ -67,10 +66,13 @@ def damaged(driver: Any, key: str, index: int, value: Any) -> str:
         (lambda d: d.instance.do_step(0.0, -1.0), "communication step size -1.0 s"),
         (lambda d: d.instance.do_step(0.0, float("nan")), "communication step size nan s"),
         (lambda d: d.instance.do_step(5.0, 0.1), "communication point 5.0 s: expected 0.0"),
+        (lambda d: d.instance.do_step(math.inf, 0.1), "communication point inf s"),
+        (lambda d: d.instance.do_step(0.0, 1e300), r"step size 1e\+300 s: expected at most 1e\+09 internal"),
         (lambda d: d.instance.restore("{}"), "not a serialised state of RovDepthPlant"),
         (lambda d: d.instance.restore("nonsense"), "not a serialised state of RovDepthPlant"),
         (lambda d: d.instance.restore(damaged(d, "state", 0, "x")), "not a serialised state"),
         (lambda d: d.instance.restore(damaged(d, "state", 0, math.nan)), "not finite"),
+        (lambda d: d.instance.restore(damaged(d, "state", slice(0, 0), [0.0])), "too many"),
         (lambda d: d.instance.restore(damaged(d, "values", 3, -7.0)), r"inertia = -7.0: expected 0.1"),
     ],
 )
@@ -87,14 +89,6 @@ def test_another_blocks_state_is_refused() -> None:
     other = BlockInstance(builder.load_block("RovDepthPlant"), "two")
     with pytest.raises(BlockError, match="expected"):
         other.restore(plant.snapshot())
-
-
-def test_a_state_of_another_length_is_refused() -> None:
-    plant = BlockInstance(builder.load_block("RovDepthPlant"), "one")
-    saved = json.loads(plant.snapshot())
-    saved["state"].append(0.0)
-    with pytest.raises(BlockError, match="too many"):
-        plant.restore(json.dumps(saved))
 
 
 def test_a_diverging_step_is_refused_and_the_state_kept(driver: Any) -> None:
@@ -200,13 +194,6 @@ def test_contradicting_parameters_are_refused(driver: Any) -> None:
         plant.begin()
 
 
-def test_a_step_that_would_take_for_ever_is_refused(driver: Any) -> None:
-    plant = driver(builder.load_block("ExamplePlant")).begin()
-    with pytest.raises(BlockError, match=r"step size 1e\+300 s: expected at most 1e\+09 internal steps"):
-        plant.step(1e300)
-    assert plant.instance.time == 0.0
-
-
 def test_a_refused_step_leaves_calculated_parameters_as_they_were(driver: Any) -> None:
     """Also when the parameter that changed them is fine, and the step fails for another reason."""
     controller = driver(builder.load_block("L1DepthController")).begin()
@@ -225,9 +212,3 @@ def test_an_initial_state_that_is_not_finite_is_refused(driver: Any) -> None:
         plant.begin()
     plant["initial_depth"] = 1.0
     assert plant.begin()["depth"] == 1.0
-
-
-def test_infinity_is_no_communication_point(driver: Any) -> None:
-    plant = driver(builder.load_block("ExamplePlant")).begin()
-    with pytest.raises(BlockError, match="communication point inf s"):
-        plant.instance.do_step(math.inf, 0.1)

@@ -162,15 +162,13 @@ def test_the_init_of_a_plain_class_finds_its_parameters() -> None:
 def test_the_interface_is_that_of_the_depth_controllers() -> None:
     """`control_force` is what a controller without an allocation has in place of the voltages."""
 
-    def units(cls: type) -> dict[str, str | None]:
-        block = Block("B", "b", inputs=cls, outputs=DepthOutputs, output=lambda *_: DepthOutputs())
-        return {v.name: v.unit for v in block.variables}
+    def block_of(inputs: type) -> Block:
+        return Block("B", "b", inputs=inputs, outputs=DepthOutputs, output=lambda *_: DepthOutputs())
 
-    interface = units(DepthInputs)
+    interface = {v.name: v.unit for v in block_of(DepthInputs).variables}
     assert INPUTS.items() <= interface.items()
     assert {n: u for n, u in OUTPUTS.items() if n != "control_force"}.items() <= interface.items()
-    assert {v.name for v in Block("B", "b", inputs=DepthInputs, outputs=DepthOutputs,
-            output=lambda *_: DepthOutputs()).of_causality("input")} == {*INPUTS}  # fmt: skip
+    assert {v.name for v in block_of(DepthInputs).of_causality("input")} == {*INPUTS}
 
 
 def changed(**members: Any) -> type:
@@ -223,10 +221,7 @@ OWN = """class Own:
     ],
 )  # fmt: skip
 def test_a_step_that_fails_is_named_with_its_line(tmp_path: Path, step: str, message: str) -> None:
-    cls = written(
-        tmp_path,
-        OWN.format(step),
-    )
+    cls = written(tmp_path, OWN.format(step))
     with pytest.raises(BlockError, match=message):
         begun(cls)
 

@@ -94,9 +94,8 @@ def test_a_unit_besides_those_of_the_table_names_the_extra_that_knows_it(
 ) -> None:
     monkeypatch.setitem(sys.modules, "pint", None)  # as if it were not installed
     assert display("rad/s", "rad/s") == (1.0, 0.0)
-    with pytest.raises(
-        MissingExtraError, match=re.escape("unit 'grad' needs pint: pip install 'l1-depth[units]'")
-    ):
+    message = re.escape("unit 'grad' needs pint: pip install 'l1-depth[units]'")
+    with pytest.raises(MissingExtraError, match=message):
         display("rad", "grad")
 
 

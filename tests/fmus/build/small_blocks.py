@@ -1,4 +1,4 @@
-"""Small blocks with one output each, which must work; `refused_blocks` has those that must not."""
+"""Small blocks with one output each, which must work; `test_check_trace` has those that must not."""
 
 import math
 from collections.abc import Callable
@@ -51,8 +51,8 @@ Rule = Callable[..., Any]  # (state, inputs, parameters, t, h) -> the next state
 
 def block_of(rule: Rule, state: Any = NoValues, read: Callable[[Any], Any] = lambda state: state.x) -> Block:
     return Block(
-        "Small",
-        "A rule for the next state",
+        name="Small",
+        description="A rule for the next state",
         parameters=Parameters,
         inputs=Inputs,
         state=state,
@@ -141,17 +141,17 @@ def horner(coefficients: tuple[float, ...], value: Any) -> Any:
     return head + value * horner(tuple(tail), value) if tail else head
 
 
-def one_dimensional(s: Number, u: Inputs, p: Parameters, t: float, h: float) -> Number:
-    return Number(n.interp(u.u, (-2.0, 0.0, 3.0), (1.0, 0.0, 4.0)))
+def one_dimensional(s: Number, u: Inputs, p: Parameters, t: float, h: float) -> Any:
+    return n.interp(u.u, (-2.0, 0.0, 3.0), (1.0, 0.0, 4.0))
 
 
-def two_dimensional(s: Number, u: Inputs, p: Parameters, t: float, h: float) -> Number:
-    return Number(n.interp2d(u.u, u.v[0], (0.0, 1.0), (0.0, 2.0, 3.0), ((0.0, 1.0, 5.0), (2.0, 3.0, 4.0))))
+def two_dimensional(s: Number, u: Inputs, p: Parameters, t: float, h: float) -> Any:
+    return n.interp2d(u.u, u.v[0], (0.0, 1.0), (0.0, 2.0, 3.0), ((0.0, 1.0, 5.0), (2.0, 3.0, 4.0)))
 
 
-def solved(s: Number, u: Inputs, p: Parameters, t: float, h: float) -> Number:
+def solved(s: Number, u: Inputs, p: Parameters, t: float, h: float) -> Any:
     matrix = ((4.0, 1.0, u.u / 10.0), (1.0, 5.0, 1.0), (0.0, u.v[0] / 10.0, 6.0))
-    return Number(n.solve(matrix, (s.x, *u.v))[1])
+    return n.solve(matrix, (s.x, *u.v))[1]
 
 
 def pendulum(s: Chain, u: Inputs, p: Parameters, t: float, h: float) -> Chain:
@@ -161,17 +161,19 @@ def pendulum(s: Chain, u: Inputs, p: Parameters, t: float, h: float) -> Chain:
 
 GAIN, MATRIX, NAMES = 3.0, numpy.array([[1.0, 2.0], [3.0, 4.0]]), {"slow": 0.5, "fast": 2.0}
 
+
+def number_of(expression: Rule) -> Block:
+    """A block whose next state is one number, that of the expression."""
+    return block_of(lambda *arguments: Number(expression(*arguments)), Number)
+
+
 WORKING: dict[str, Block] = {
-    "tanh of fmus.numerics": block_of(lambda s, u, p, t, h: Number(n.tanh(u.u)), Number),
-    "where": block_of(lambda s, u, p, t, h: Number(where(u.u > 0.0, s.x, -1.0)), Number),
-    "an untaken division by zero": block_of(
-        lambda s, u, p, t, h: Number(where(u.u == 0.0, 1.0, lambda: s.x / u.u)), Number
-    ),
-    "an untaken root": block_of(
-        lambda s, u, p, t, h: Number(where(u.u < 0.0, 0.0, lambda: n.sqrt(u.u))), Number
-    ),
-    "a table": block_of(one_dimensional, Number),
-    "a table of two inputs": block_of(two_dimensional, Number),
+    "tanh of fmus.numerics": number_of(lambda s, u, p, t, h: n.tanh(u.u)),
+    "where": number_of(lambda s, u, p, t, h: where(u.u > 0.0, s.x, -1.0)),
+    "an untaken division by zero": number_of(lambda s, u, p, t, h: where(u.u == 0.0, 1.0, lambda: s.x / u.u)),
+    "an untaken root": number_of(lambda s, u, p, t, h: where(u.u < 0.0, 0.0, lambda: n.sqrt(u.u))),
+    "a table": number_of(one_dimensional),
+    "a table of two inputs": number_of(two_dimensional),
     "a filter of thirty states": block_of(filter_of_thirty_states, Chain, lambda s: s.x[-1]),
     "sub-blocks": block_of(sub_blocks, FilteredIntegral),
     "an Integer state": block_of(
@@ -182,19 +184,17 @@ WORKING: dict[str, Block] = {
     "a sampled part": block_of(
         lambda s, u, p, t, h: sampled(t, 0.25, s, SampledMean(0.5 * (s.x + u.u))), SampledMean
     ),
-    "a vector as input": block_of(lambda s, u, p, t, h: Number(n.matmul(p.gains, u.v) + s.x / 2.0), Number),
-    "a system of equations": block_of(solved, Number),
-    "round": block_of(lambda s, u, p, t, h: Number(n.round(2.0 * u.u) / 2.0), Number),
-    "a recursion of fixed depth": block_of(
-        lambda s, u, p, t, h: Number(horner((1.0, -2.0, 0.5), u.u)), Number
+    "a vector as input": number_of(lambda s, u, p, t, h: n.matmul(p.gains, u.v) + s.x / 2.0),
+    "a system of equations": number_of(solved),
+    "round": number_of(lambda s, u, p, t, h: n.round(2.0 * u.u) / 2.0),
+    "a recursion of fixed depth": number_of(lambda s, u, p, t, h: horner((1.0, -2.0, 0.5), u.u)),
+    "a loop of fixed length": number_of(lambda s, u, p, t, h: newton(abs(u.u) + 1.0)),
+    "a list comprehension": number_of(lambda s, u, p, t, h: sum([x * x for x in u.v])),
+    "a constant of the file": number_of(lambda s, u, p, t, h: GAIN * s.x + math.pi * u.u),
+    "constants of NumPy": number_of(
+        lambda s, u, p, t, h: where(MATRIX[0, 1] * u.u > 0.0, n.matmul(MATRIX, u.v)[0], s.x)
     ),
-    "a loop of fixed length": block_of(lambda s, u, p, t, h: Number(newton(abs(u.u) + 1.0)), Number),
-    "a list comprehension": block_of(lambda s, u, p, t, h: Number(sum([x * x for x in u.v])), Number),
-    "a constant of the file": block_of(lambda s, u, p, t, h: Number(GAIN * s.x + math.pi * u.u), Number),
-    "constants of NumPy": block_of(
-        lambda s, u, p, t, h: Number(where(MATRIX[0, 1] * u.u > 0.0, n.matmul(MATRIX, u.v)[0], s.x)), Number
-    ),
-    "a key that is constant": block_of(lambda s, u, p, t, h: Number(NAMES["slow"] * s.x), Number),
+    "a key that is constant": number_of(lambda s, u, p, t, h: NAMES["slow"] * s.x),
     "a differential equation": block_of(pendulum, Chain, lambda s: s.x[0]),
     "replace": block_of(lambda s, u, p, t, h: replace(s, x=u.u), FilteredIntegral),
 }

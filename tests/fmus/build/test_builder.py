@@ -24,26 +24,11 @@ def offer(monkeypatch: pytest.MonkeyPatch) -> object:
 
 
 def test_the_shipped_blocks_are_found() -> None:
-    assert registry.block_names() == [
-        "AdrcDepthController",
-        "BlueRov2Plant",
-        "DepthReference",
-        "ExamplePlant",
-        "L1Controller",
-        "L1DepthController",
-        "L1HeavePitchController",
-        "MracDepthController",
-        "PidDepthController",
-        "RovDepthPlant",
-        "RovHeavePitchPlant",
-        "SlidingModeDepthController",
-        "SuperTwistingDepthController",
-        "ThrustAllocation",
-        "WaveSource",
-    ]
-
-
-BAD_NAMES = ("None", "class", "two__parts", "2nd", "my-block", "Blöck", "CON", "nul", "Com1", "LPT9")
+    laws = "Adrc", "L1", "Mrac", "Pid", "SlidingMode", "SuperTwisting"
+    depth_controllers = [f"{law}DepthController" for law in laws]
+    others = "DepthReference L1Controller L1HeavePitchController ThrustAllocation WaveSource"
+    plants = "BlueRov2Plant ExamplePlant RovDepthPlant RovHeavePitchPlant"
+    assert registry.block_names() == sorted([*depth_controllers, *others.split(), *plants.split()])
 
 
 def test_a_block_must_bear_the_name_of_its_entry_point(offer: object) -> None:
@@ -66,14 +51,16 @@ def test_an_entry_point_must_lead_to_a_block(offer: object) -> None:
         builder.load_block("Mine")
 
 
-@pytest.mark.parametrize("name", ["", *BAD_NAMES])
-def test_a_name_that_no_class_no_identifier_of_c_and_no_file_of_windows_can_have_is_refused(
-    name: str,
-) -> None:
-    block = replace(builder.load_block("ExamplePlant"), name=name)
-    with pytest.raises(
-        ExportError, match=f"block {name!r}: expected ASCII letters, digits and single underscores"
-    ):
+BAD_NAMES = "None class two__parts 2nd my-block Blöck CON nul Com1 LPT9"
+
+
+@pytest.mark.parametrize("name", ["", *BAD_NAMES.split()])
+def test_a_name_that_no_class_identifier_of_c_or_file_of_windows_can_have_is_refused(name: str) -> None:
+    block, expected = (
+        replace(builder.load_block("ExamplePlant"), name=name),
+        "ASCII letters, digits and single un",
+    )
+    with pytest.raises(ExportError, match=f"block {name!r}: expected {expected}"):
         builder.verified(block)
 
 

@@ -19,18 +19,14 @@ def test_it_starts_with_the_values_and_differs_in_nothing_else() -> None:
 
 def test_elements_of_a_matrix_are_set_by_their_names() -> None:
     block = builder.load_block("ExamplePlant")
-    (first, second), started = (
-        block.parameters.state_matrix,
-        with_start_values(block, {"state_matrix[2,1]": -7.0}),
-    )
+    first, second = block.parameters.state_matrix
+    started = with_start_values(block, {"state_matrix[2,1]": -7.0})
     assert started.parameters.state_matrix == (first, (-7.0, second[1]))
 
 
 def test_it_steps_as_the_block_does_with_these_values_set() -> None:
-    block, values = (
-        builder.load_block("ExamplePlant"),
-        {"omega": 2.0, "control": 1.5, "initial_state[1]": 0.5},
-    )
+    block = builder.load_block("ExamplePlant")
+    values = {"omega": 2.0, "control": 1.5, "initial_state[1]": 0.5}
     started, plain = BlockInstance(with_start_values(block, values)), BlockInstance(block)
     references = {v.name: v.value_reference for v in block.variables}
     for name, value in values.items():

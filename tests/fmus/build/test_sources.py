@@ -37,16 +37,12 @@ def test_every_absolute_import_moves_into_the_package() -> None:
 
 NEEDS_NUMPY = """
 from dataclasses import dataclass
-
 import numpy
-
 from fmus.block import Block, variable
-
 
 @dataclass(frozen=True)
 class Outputs:
     y: float = variable(0.0, "Output")
-
 
 def output(t, s, p, c):
     return Outputs(float(numpy.float64(2.0)))
@@ -59,9 +55,8 @@ BLOCK = Block.of_module(__name__, "NeedsNumpy", "A block that needs NumPy")
 def test_a_block_that_imports_numpy_is_for_the_native_flavour(tmp_path: Path) -> None:
     file = tmp_path / "needs_numpy.py"
     file.write_text(NEEDS_NUMPY)
-    with pytest.raises(
-        ExportError, match=r"needs_numpy imports numpy: expected .*; the native flavour, .* any"
-    ):
+    message = r"needs_numpy imports numpy: expected .*; the native flavour, .* any"
+    with pytest.raises(ExportError, match=message):
         builder.fmu_of_file(file, Flavour.PYTHON)
     assert builder.fmu_of_file(file).is_file()
 

@@ -27,21 +27,17 @@ from dataclasses import dataclass
 from gains import GAIN
 from fmus.block import Block, variable
 
-
 @dataclass(frozen=True)
 class Parameters:
     gain: float = variable(1.0, "Gain")
-
 
 @dataclass(frozen=True)
 class State:
     x: float = 0.0
 
-
 @dataclass(frozen=True)
 class Outputs:
     y: float = variable(0.0, "Output")
-
 
 def step(t, h, s, u, p, c):
     return State(s.x + h * GAIN * p.gain)
@@ -144,19 +140,11 @@ def test_a_file_that_comes_or_goes_makes_it_stale(
     assert current(order) is None
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"platforms": PLATFORMS},
-        {"platforms": ("win64",)},
-        {"flavour": Flavour.PYTHON},
-        {"with_terminals": True},
-        {"reals_only": True},
-        {"fmi": 3},
-    ],
-)
-def test_other_options_make_it_stale(order: BuildRequest, options: dict) -> None:
-    assert current(BuildRequest(order.source, order.folder, **options)) is None
+def test_other_options_make_it_stale(order: BuildRequest) -> None:
+    of_platforms = [{"platforms": PLATFORMS}, {"platforms": ("win64",)}]
+    others = {"flavour": Flavour.PYTHON, "with_terminals": True, "reals_only": True, "fmi": 3}
+    for options in (*of_platforms, *({name: value} for name, value in others.items())):
+        assert current(BuildRequest(order.source, order.folder, **options)) is None, options
 
 
 @pytest.mark.parametrize("library", ["casadi", "ziglang", "l1-depth"])
@@ -230,7 +218,6 @@ def test_another_date_makes_it_stale(order: BuildRequest, monkeypatch: pytest.Mo
         "list({text for text in ('a', 'b')})",
         "list(frozenset(('a', 'b')))",
         "list({'a': 1}.keys() | {'b': 1}.keys())",
-        "list({'a': 1}.items() | {'b': 1}.items())",
         "hash('a')",
         "id(GAIN)",
     ],
@@ -321,9 +308,12 @@ def test_a_helper_named_like_a_module_of_python_is_a_source(
     assert sources.modules["statistics"][0] == str(helper)
 
 
-@pytest.mark.parametrize("file", ["gains.py", "lag.py", "tools/__init__.py"])
+@pytest.mark.parametrize(
+    ("file", "expected"),
+    [("lag.py", (1.5, 2.0, 1.0)), ("gains.py", (1.0, 2.5, 1.0)), ("tools/__init__.py", (1.0, 2.0, 1.5))],
+)
 def test_a_changed_source_of_the_same_size_and_second_is_what_is_imported(
-    order: BuildRequest, tmp_path: Path, file: str, monkeypatch: pytest.MonkeyPatch
+    order: BuildRequest, tmp_path: Path, file: str, expected: tuple, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Python takes the compiled file of the older one for it."""
     monkeypatch.setattr(sys, "dont_write_bytecode", False)
@@ -339,12 +329,7 @@ def test_a_changed_source_of_the_same_size_and_second_is_what_is_imported(
     os.utime(source, (1e9, 1e9))
     with blocks_in(Path(order.source)) as (block,):
         values = block.parameters().gain, sys.modules["gains"].GAIN, sys.modules["tools"].TOOL
-    assert (
-        values
-        == {"gains.py": (1.0, 2.5, 1.0), "lag.py": (1.5, 2.0, 1.0), "tools/__init__.py": (1.0, 2.0, 1.5)}[
-            file
-        ]
-    )
+    assert values == expected
     stamp(order)
     assert current(order)
 
@@ -368,12 +353,18 @@ def test_an_fmu_that_another_process_wrote_meanwhile_is_not_current(
     assert current(order) is None
 
 
+@pytest.fixture
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Builds into a cache of the test's own, in which files of the test count as older than the process."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(builder, "BuildCache", partial(BuildCache, begun=LATER))
+
+
+@pytest.mark.usefixtures("own_cache")
 def test_an_fmu_that_was_found_and_not_built_is_stamped_for_runs_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its GUID tells neither its icon nor whether it has terminals, with which `build --cache` wrote it."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(builder, "BuildCache", partial(BuildCache, begun=LATER))
     with monkeypatch.context() as older_sources:
         older_sources.setattr(builder, "icon", lambda block: b"an older icon")
         path = builder.build_block("ExamplePlant", tmp_path / "built", with_terminals=True)
@@ -389,12 +380,11 @@ def test_an_fmu_that_was_found_and_not_built_is_stamped_for_runs_alone(
     assert path.read_bytes() != older
 
 
+@pytest.mark.usefixtures("own_cache")
 def test_an_fmu_without_a_record_of_its_build_is_built_again_where_it_can_be(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It would run like one of another tool, as one does in a folder of the administrator's."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(builder, "BuildCache", partial(BuildCache, begun=LATER))
     fmu = builder.build_block("ExamplePlant", tmp_path / "built").read_bytes()
     shutil.rmtree(store.folder(store.BUILDS))
     with monkeypatch.context() as of_another_user:

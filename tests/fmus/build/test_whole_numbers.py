@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
 
@@ -80,17 +80,17 @@ def test_floats_that_are_whole_numbers_are_given_in_the_declared_types() -> None
     assert list(map(type, given)) == [int, int, bool, Gear]
 
 
-REFUSED = [
+REFUSED: Any = [
     (block_of(Outputs), "output gives count = ", "a whole number, as Outputs declares it with 0;"),
     (
-        block_of(lambda x: Outputs(is_on=2.0 + floor(x))),  # type: ignore[arg-type]
+        block_of(lambda x: Outputs(is_on=2.0 + floor(x))),
         "output gives is_on = ",
-        "0 or 1, as Outputs declares it with False;",
+        "0 or 1, as Outputs declares it",
     ),
     (
-        block_of(lambda x: Outputs(gear=floor(x))),  # type: ignore[arg-type]
+        block_of(lambda x: Outputs(gear=floor(x))),
         "output gives gear = 0.0",
-        "one of 1 (low), 3 (high), as Outputs declares it",
+        "one of 1 (low), 3 (high), as Out",
     ),
     (
         block_of(number=lambda g: 0.3 * g),
@@ -106,16 +106,28 @@ def test_another_number_is_refused_with_function_and_name(block: Block, got: str
         check_trace(block)
 
 
-def test_a_state_that_is_no_item_of_its_enumeration_is_refused() -> None:
-    block = Block(
-        name="Gears",
-        description="Two, which is no gear",
-        state=GearState,
-        outputs=Outputs,
-        step=lambda t, h, s, u, p, c: GearState(s.gear + 1),
-        output=lambda t, s, p, c: Outputs(),
-    )
-    with pytest.raises(ExportError, match=r"step gives gear = 2: expected one of 1 \(low\), 3 \(high\)"):
+@dataclass(frozen=True)
+class CountState:
+    x: int = 0
+
+
+@dataclass(frozen=True)
+class SwitchState:
+    x: bool = False
+
+
+@pytest.mark.parametrize(
+    ("state", "step", "message"),
+    [
+        (GearState, lambda s: GearState(s.gear + 1), "gear = 2: expected one of 1 (low), 3 (high)"),
+        (CountState, lambda s: CountState(s.x + 0.5), "expected a whole number, as CountState declares it"),
+        (SwitchState, lambda s: SwitchState(0.5 + s.x), "expected 0 or 1, as SwitchState declares it"),
+    ],
+)
+def test_a_state_of_another_number_is_refused(state: Any, step: Callable[[Any], Any], message: str) -> None:
+    block = Block("States", "States", state=state, outputs=Outputs, output=lambda *_: Outputs())
+    block = replace(block, step=lambda t, h, s, u, p, c: step(s))
+    with pytest.raises(ExportError, match=re.escape(message)):
         check_trace(block)
 
 

@@ -13,15 +13,12 @@ Members = dict[str, bytes]
 # places in the sources of a native FMU
 STEP = "if (!is_allowed(instance, STEPPING, NAME(DoStep))) return ERROR;"
 GLOBALS = "static const char *const TYPE_TEXTS[]"
+DIRECTIONAL = "providesDirectionalDerivative"
 # rule, what our python FMUs declare, and what they might claim
 FALSE_CLAIMS = [
     ("input-derivatives", 'canInterpolateInputs="false"', 'canInterpolateInputs="true"'),
     ("allowed-calls-succeed", 'maxOutputDerivativeOrder="0"', 'maxOutputDerivativeOrder="1"'),
-    (
-        "directional-derivatives",
-        'providesDirectionalDerivative="false"',
-        'providesDirectionalDerivative="true"',
-    ),
+    ("directional-derivatives", f'{DIRECTIONAL}="false"', f'{DIRECTIONAL}="true"'),
 ]
 PATCHED = "ExamplePlant"  # the quickest to compile
 PYTHONFMU_ERRORS = {"resource-locations-of-both-forms", "freed-state-is-null"}  # of its binary

@@ -20,6 +20,7 @@ from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
 from fmus.errors import HostError
 from tests.described_fmus import XML, members
+from tests.mutants.mutant import broken_rules as static_rules
 from tests.shared_builds import Fmus
 
 from .archives import GLOBALS, STEP, broken_rules, patched, write
@@ -64,9 +65,8 @@ def test_answers_that_an_fmu_writes_itself_are_findings_and_what_it_prints_is_dr
     assert "0 error" not in capfd.readouterr().out
     (fmu,) = json.loads(verdict.read_text(encoding="utf-8"))["fmus"]
     ((message,),) = [rule["messages"] for rule in fmu["rules"] if rule["rule"] == "steps-and-terminates"]
-    assert "an answer to request 99: expected one" in message or message.startswith(
-        "the FMU ended the process"
-    )
+    is_ended = message.startswith("the FMU ended the process")
+    assert is_ended or "an answer to request 99: expected one" in message
 
 
 @pytest.mark.slow
@@ -122,12 +122,10 @@ def test_memory_and_the_size_of_files_are_limited(tmp_path: Path) -> None:
         f'const int file = open("{tmp_path}/big", O_CREAT | O_WRONLY, 0600);\n'
         f"    if (lseek(file, 2L << 30, SEEK_SET) > 0 && write(file, forged, 1) != 1) {REFUSE}"
     )
+    step = "co-simulation: in the state 'step complete': fmi2DoStep"
     for code in (memory, f'static const char forged[] = "x";\n    {big_file}'):
-        (message,) = broken_rules(attacker(code, tmp_path))["steps-and-terminates"]
-        assert (
-            message
-            == "co-simulation: in the state 'step complete': fmi2DoStep returned error: expected ok; limited"
-        )
+        messages = broken_rules(attacker(code, tmp_path))["steps-and-terminates"]
+        assert messages == (f"{step} returned error: expected ok; limited",)
     assert (tmp_path / "big").stat().st_size == 0
 
 
@@ -135,7 +133,7 @@ def test_a_message_moves_no_cursor_and_is_one_line(built: Fmus, tmp_path: Path) 
     content = members(built[NAME])
     xml = content[XML].decode()
     forged = xml.replace('name="internal_step"', 'name="&#155;2K&#10;out.fmu: 72 passed"', 1)
-    broken = broken_rules(write(content | {XML: forged.encode()}, tmp_path / "forged.fmu"))
+    broken = static_rules(write(content | {XML: forged.encode()}, tmp_path / "forged.fmu"))
     text = " ".join(message for messages in broken.values() for message in messages)
     assert r"\x9b2K" in text
     assert "out.fmu: 72 passed" in text
@@ -144,7 +142,7 @@ def test_a_message_moves_no_cursor_and_is_one_line(built: Fmus, tmp_path: Path) 
 
 def test_findings_are_as_many_as_somebody_may_read(built: Fmus, tmp_path: Path) -> None:
     stray = {f"stray{i}": b"" for i in range(300)}
-    broken = broken_rules(write(members(built[NAME]) | stray, tmp_path / "stray.fmu"))
+    broken = static_rules(write(members(built[NAME]) | stray, tmp_path / "stray.fmu"))
     assert len(broken["archive-layout"]) == 101
     assert broken["archive-layout"][-1] == "200 more of this kind"
 

@@ -1,32 +1,33 @@
 """The check finds nothing in our FMUs, and ends with findings whatever a file holds."""
 
+from collections.abc import Collection, Iterable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from fmus.build import builder
-from fmus.compliance.examine import examine, static_results
-from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.examine import examine
 from fmus.compliance.rule import all_rules
-from tests.shared_builds import KINDS, Fmus, one_of_a_kind
+from tests.shared_builds import KINDS, Fmus
 
 from .archives import PYTHONFMU_ERRORS, broken_rules, errors
 
-
-@pytest.mark.parametrize("name", builder.block_names())
-def test_the_files_of_our_native_fmus_break_no_rule(built: Fmus, name: str) -> None:
-    results = list(static_results(FmuFile(built[name])))
-    assert {r.rule.name: r.messages for r in results if r.messages} == {}
+# of all types, without a state, without an input
+OURS = "L1DepthController", "ThrustAllocation", "WaveSource"
 
 
-@pytest.mark.parametrize("name", one_of_a_kind(builder.block_names()))
+def some_by_default(names: Iterable[str], default: Collection[str]) -> list[Any]:
+    """The names as parameters; but for the default ones they are slow."""
+    return [name if name in default else pytest.param(name, marks=pytest.mark.slow) for name in names]
+
+
+@pytest.mark.parametrize("name", some_by_default(builder.block_names(), OURS))
 def test_our_native_fmus_break_no_rule(built: Fmus, name: str) -> None:
     assert broken_rules(built[name]) == {}
 
 
-@pytest.mark.parametrize(
-    "name", ["L1Controller", *(pytest.param(name, marks=pytest.mark.slow) for name in KINDS)]
-)
+@pytest.mark.parametrize("name", some_by_default(KINDS, ["ExamplePlant"]))
 def test_our_python_fmus_break_what_the_binary_of_pythonfmu_breaks(python_built: Fmus, name: str) -> None:
     assert errors(python_built[name]) == PYTHONFMU_ERRORS
 

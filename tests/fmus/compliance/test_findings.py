@@ -41,9 +41,8 @@ def test_a_waiver_names_an_fmu_or_a_pattern_and_gives_its_reason(pattern: str) -
 
 def test_a_waiver_may_name_brackets_and_the_text_as_it_is_shown() -> None:
     found = replace(finding(fmu="x[1].fmu"), maker="PythonFMU")
-    assert accepted(findings.waived([found], [Waiver(FIRST, "x[1].fmu", "r", found.text)], TODAY)) == [
-        "waived: r"
-    ]
+    waiver = Waiver(FIRST, "x[1].fmu", "r", found.text)
+    assert accepted(findings.waived([found], [waiver], TODAY)) == ["waived: r"]
 
 
 @pytest.mark.parametrize(
@@ -112,10 +111,8 @@ def baseline_of(found: list[Finding], folder: Path) -> dict[str, int]:
 
 def test_a_baseline_holds_in_another_folder_another_order_and_with_other_numbers(tmp_path: Path) -> None:
     before = [finding("/tmp/x1/model.so needs 12 bytes at 0x7f: no"), finding("two", SECOND)]
-    after = [
-        finding("two", SECOND, "/b/plant.fmu"),
-        finding("/home/y/model.so needs 7.5e3 bytes at 0x8a: no"),
-    ]
+    moved = finding("/home/y/model.so needs 7.5e3 bytes at 0x8a: no")
+    after = [finding("two", SECOND, "/b/plant.fmu"), moved]
     assert findings.baseline_text(before) == findings.baseline_text(before[::-1])
     compared = findings.without_known(after, baseline_of(before, tmp_path))
     assert accepted(compared) == [IN_BASELINE, IN_BASELINE]

@@ -38,9 +38,8 @@ def test_ours_passes_and_one_line_tells_that_behaviour_is_not_judged(
     path = write(content, tmp_path / "plant.fmu")
     others = [rule for stage in Stage if stage is not Stage.FILE for rule in registered(stage)]
     results = {result.rule.name: result for result in examine(path)}
-    assert {name for name, result in results.items() if result.not_judged} == {
-        rule.name for rule in others
-    } - {"schema"}
+    not_judged = {name for name, result in results.items() if result.not_judged}
+    assert not_judged == {rule.name for rule in others} - {"schema"}
     assert {result.not_judged for result in results.values()} == {"", NOTE}
     assert main([str(path)]) == 0
     (line,) = [line for line in capsys.readouterr().out.splitlines() if "not judged:" in line]
@@ -85,9 +84,7 @@ def test_findings_have_the_exit_status_the_line_and_the_waivers_of_fmi_2(
 def test_other_versions_are_an_error_and_judged_no_further(
     content: Members, version: bytes, tmp_path: Path
 ) -> None:
-    path = changed(
-        content, b'Description fmiVersion="3.0"', b'Description fmiVersion="%s"' % version, tmp_path
-    )
-    assert broken_rules(path) == {
-        "fmi-version": (f"fmiVersion '{version.decode()}': expected '2.0' or '3.0'",)
-    }
+    stated = b'Description fmiVersion="%s"'
+    path = changed(content, stated % b"3.0", stated % version, tmp_path)
+    expected = f"fmiVersion '{version.decode()}': expected '2.0' or '3.0'"
+    assert broken_rules(path) == {"fmi-version": (expected,)}

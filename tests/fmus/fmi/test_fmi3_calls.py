@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -141,18 +142,10 @@ def test_a_real_is_set_within_the_range_of_single_precision_or_infinite(path: Pa
         assert instance.get(variable) == 0.0
 
 
-@pytest.mark.parametrize(
-    ("macro", "part", "function"),
-    [
-        ("AFTER_SET", 1, "fmi3SetFloat64"),
-        ("AFTER_GET", 1, "fmi3GetFloat64"),
-        ("AFTER_SET", 2, "fmi3SetFloat64"),
-    ],
-)
-def test_a_warning_and_a_discard_of_one_call_are_those_of_all(
-    mirror: Build, macro: str, part: int, function: str
-) -> None:
+@pytest.mark.parametrize(("macro", "part"), [("AFTER_SET", 1), ("AFTER_GET", 1), ("AFTER_SET", 2)])
+def test_a_warning_and_a_discard_of_one_call_are_those_of_all(mirror: Build, macro: str, part: int) -> None:
     """part: how many of two scalars are set; a part of an array is read first."""
+    function = "fmi3SetFloat64" if macro == "AFTER_SET" else "fmi3GetFloat64"
     pairs = {"row": ("Float64", "[1] 1.5 [2] 2.5")}
     for status in ("Warning", "Discard"):
         path = mirror(pairs, {f"{macro}(status)": f"((void)(status), fmi2{status})"})
@@ -195,12 +188,9 @@ def test_any_calls_are_clean_under_sanitizers(tool: Callable[[str], str], tmp_pa
     runtime = subprocess.run(find, capture_output=True, text=True, check=True).stdout.strip()
     environment = {"LD_PRELOAD": runtime, "ASAN_OPTIONS": "detect_leaks=0"}
     test = f"{__file__}::test_any_calls_agree_with_a_table"
+    command = [sys.executable, "-c", _NESTED, str(library), test]
     done = subprocess.run(
-        [sys.executable, "-c", _NESTED, str(library), test],
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        check=False,
+        command, env={**os.environ, **environment}, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "1 passed" in done.stdout
@@ -223,13 +213,10 @@ def test_events_of_model_exchange_have_the_flags_of_fmi_2() -> None:
             place[0] = value
         return 0
 
+    of_instance = partial(ctypes.CFUNCTYPE, ctypes.c_int, ctypes.c_void_p)
     functions = {
-        "CompletedIntegratorStep": ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, flag, pointer, pointer)(
-            completed
-        ),
-        "UpdateDiscreteStates": ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, *[pointer] * 5, number)(
-            update
-        ),
+        "CompletedIntegratorStep": of_instance(flag, pointer, pointer)(completed),
+        "UpdateDiscreteStates": of_instance(*[pointer] * 5, number)(update),
     }
     addresses = [ctypes.cast(functions.get(name, 0), ctypes.c_void_p).value or 0 for name in fmi3._FUNCTIONS]
     table, calls = np.array(addresses, np.int64), fmi3._calls()

@@ -2,6 +2,9 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
+from itertools import chain
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -91,11 +94,11 @@ def of_fmpy(path: Path) -> tuple[list[Any], list[list[Any]]]:
         stated = [getattr(v, n) or (declared and getattr(declared, n, None)) for n in ("min", "max")]
         is_relative = bool(declared and declared.relativeQuantity)  # FMPy reads that of a type alone
         low, high = (given or limit for given, limit in zip(stated, own, strict=True))
+        kind = OF_FMI_2.get(v.type, "String" if v.type == "String" else "Integer")
         for i, name in enumerate(names[id(v)]):
             begin = (start * math.prod(shape) if len(start) == 1 else start)[i] if start else None
-            kind = OF_FMI_2.get(v.type, "String" if v.type == "String" else "Integer")
-            stated = (v.causality, v.variability, v.description, begin, low, high, is_relative)
-            rows.append((name, v.valueReference, kind, *stated))
+            own_row = (kind, v.causality, v.variability, v.description, begin, low, high, is_relative)
+            rows.append((name, v.valueReference, *own_row))
     outputs = [
         [names[id(u.variable)], None if u.dependencies is None else [names[id(d)] for d in u.dependencies]]
         for u in read.outputs
@@ -116,31 +119,13 @@ def test_everything_that_fmpy_reads_is_read(
 ) -> None:
     ours = described()
     rows, outputs = of_fmpy(tmp_path / "everything.fmu")
-    assert [
-        (
-            v.name,
-            ours.elements[i].reference,
-            v.type,
-            v.causality,
-            v.variability,
-            v.description,
-            v.start if v.type != "String" else None,
-            v.min,
-            v.max,
-            v.is_relative,
-        )
-        for i, v in enumerate(ours.modelVariables)
-    ] == rows
+    read = attrgetter("type", "causality", "variability", "description", "start", "min", "max", "is_relative")
+    variables = [v if v.type != "String" else replace(v, start=None) for v in ours.modelVariables]
+    assert [(v.name, ours.elements[i].reference, *read(v)) for i, v in enumerate(variables)] == rows
     assert [v.valueReference for v in ours.modelVariables] == [*range(len(rows))]
-    flat = [
-        (name, None if known is None else [name for group in known for name in group])
-        for group, known in outputs
-        for name in group
-    ]
-    assert [
-        (u.variable.name, None if u.dependencies is None else [v.name for v in u.dependencies])
-        for u in ours.outputs
-    ] == flat
+    flat = [(name, known and [*chain(*known)]) for group, known in outputs for name in group]
+    found = [(u.variable.name, u.dependencies and [v.name for v in u.dependencies]) for u in ours.outputs]
+    assert found == flat
     assert ours.left_out == {"frame": "Binary", "tick": "Clock"}
 
 
@@ -219,12 +204,9 @@ def test_a_library_of_another_standard_or_platform_is_refused(linear: Build, tmp
     of_2, of_3 = members(linear()), members(linear(fmi=3))
     (library,) = (name for name in of_3 if name.startswith("binaries/"))
     (other,) = (content for name, content in of_2.items() if name.startswith("binaries/"))
-    cases = {
-        "linear.so lacks fmi3InstantiateCoSimulation, .*fmi3DoStep.*: expected them in FMI 3.0": {
-            library: other
-        },
-        "has no binary for x86_64-linux: it has aarch64-linux": {"binaries/aarch64-linux/linear.so": b""},
-    }
+    lacks = "linear.so lacks fmi3InstantiateCoSimulation, .*fmi3DoStep.*: expected them in FMI 3.0"
+    no_binary = "has no binary for x86_64-linux: it has aarch64-linux"
+    cases = {lacks: {library: other}, no_binary: {"binaries/aarch64-linux/linear.so": b""}}
     for message, libraries in cases.items():
         path = write_archive(tmp_path / f"{len(message)}.fmu", {XML: of_3[XML], **libraries})
         with pytest.raises(FmuLoadError, match=message):

@@ -38,7 +38,12 @@ def findings(path: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    "options", [{}, EVERYTHING, {"varies_step_size": False}, TWO_BY_TWO | {"passes_discrete": True}]
+    "options",
+    [
+        EVERYTHING,
+        TWO_BY_TWO | {"passes_discrete": True},
+        *(pytest.param(less, marks=pytest.mark.slow) for less in ({}, {"varies_step_size": False})),
+    ],
 )
 def test_linear_fmus_break_no_rule(linear: Build, options: dict[str, Any]) -> None:
     assert findings(linear(**options)) == {}

@@ -4,7 +4,6 @@ import contextlib
 import ctypes
 import pickle
 import sys
-import tempfile
 import threading
 import warnings
 from collections.abc import Mapping
@@ -46,18 +45,24 @@ def load(path: Path, name: str = "it") -> FmuInstance:
     return FmuInstance(name, path, describe(path))
 
 
+@pytest.fixture
+def unloaded(monkeypatch: pytest.MonkeyPatch) -> list[Library]:
+    """Libraries in place of whose unloading they are noted here."""
+    libraries: list[Library] = []
+
+    def unload(library: Library) -> None:
+        libraries.append(library)
+
+    monkeypatch.setattr(Library, "unload", unload)
+    return libraries
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not list threads")
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_a_library_whose_thread_may_still_run_stays_loaded(
-    linear: Build, monkeypatch: pytest.MonkeyPatch, fmi: int
+    linear: Build, unloaded: list[Library], fmi: int
 ) -> None:
     """A thread of C that was not there before, also if it has called Python; no thread of Python."""
-    unloaded: list[Library] = []
-
-    def unload(library: Library) -> None:
-        unloaded.append(library)
-
-    monkeypatch.setattr(Library, "unload", unload)
     is_over, has_begun = threading.Event(), threading.Event()
     path = linear(fmi=fmi)
     before, earlier = load(path), load(path)
@@ -87,25 +92,18 @@ def test_a_library_whose_thread_may_still_run_stays_loaded(
 
 
 def test_closing_terminates_frees_unloads_and_removes(
-    foreign: Mapping[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    foreign: Mapping[str, Path], temporary: Path, unloaded: list[Library]
 ) -> None:
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    unloaded: list[Library] = []
-
-    def unload(library: Library) -> None:
-        unloaded.append(library)
-
-    monkeypatch.setattr(Library, "unload", unload)
     component = load(foreign["Lag"])
     library = component.library
     component.library = spy = Spy(component.library)
     component.initialise(0.0, None)
     component.exit_initialization_mode()
-    assert list(tmp_path.iterdir())
+    assert list(temporary.iterdir())
     component.close()
     assert spy.calls == ["fmi2Terminate", "fmi2FreeInstance"]
     assert unloaded == [library]
-    assert not list(tmp_path.iterdir())
+    assert not list(temporary.iterdir())
 
 
 def test_after_fatal_nothing_is_called_any_more(foreign: Mapping[str, Path]) -> None:

@@ -21,9 +21,10 @@ from tests.orchestration.linear_systems import coupled
 from tests.shared_builds import Build
 
 
-def changed(fmu: Path, path: Path, pattern: str, text: str) -> Path:
-    """A copy of an FMU whose model description has `text` for the pattern."""
-    return redescribed(fmu, path, lambda description: re.sub(pattern, text, description))
+def identified(fmu: Path, path: Path, identifier: str) -> Path:
+    """A copy of an FMU with another modelIdentifier."""
+    stated = f'modelIdentifier="{identifier}"'
+    return redescribed(fmu, path, lambda text: re.sub('modelIdentifier="[^"]*"', stated, text))
 
 
 @pytest.mark.parametrize(
@@ -61,9 +62,7 @@ def test_a_library_that_lacks_functions_is_refused(linear: Build, tmp_path: Path
 def test_a_model_identifier_that_leads_out_of_the_archive_is_refused(
     linear: Build, tmp_path: Path, identifier: str
 ) -> None:
-    fmu = changed(
-        linear(), tmp_path / "evil.fmu", 'modelIdentifier="[^"]*"', f'modelIdentifier="{identifier}"'
-    )
+    fmu = identified(linear(), tmp_path / "evil.fmu", identifier)
     with pytest.raises(FmuLoadError, match=r"evil.fmu: modelIdentifier '.*': expected a C identifier"):
         simulate(System({"one": fmu}), inputs={"one.u[1]": 0.0}, stop_time=1.0)
 
@@ -72,13 +71,9 @@ def test_a_model_identifier_that_leads_out_of_the_archive_is_refused(
 def test_a_model_identifier_that_is_no_c_identifier_runs(
     linear: Build, tmp_path: Path, identifier: str
 ) -> None:
-    fmu = changed(
-        linear(), tmp_path / "odd.fmu", 'modelIdentifier="[^"]*"', f'modelIdentifier="{identifier}"'
-    )
-    with pytest.raises(
-        FmuLoadError,
-        match=f"for linux64 called {identifier}, its modelIdentifier: it has binaries/linux64/linear.so",
-    ):
+    fmu = identified(linear(), tmp_path / "odd.fmu", identifier)
+    expected = f"for linux64 called {identifier}, its modelIdentifier: it has binaries/linux64/linear.so"
+    with pytest.raises(FmuLoadError, match=expected):
         simulate(System({"one": fmu}), inputs={"one.u[1]": 0.0}, stop_time=1.0)
     named = {name.replace("linear.so", f"{identifier}.so"): data for name, data in members(fmu).items()}
     write_archive(tmp_path / "named.fmu", named)

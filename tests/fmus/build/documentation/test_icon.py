@@ -79,7 +79,6 @@ def test_a_long_name_and_many_ports_stay_inside_the_picture() -> None:
     assert [pixel[3] for pixel in frame] == [0, 0]  # type: ignore[index]
 
 
-@pytest.mark.parametrize("name", builder.block_names())
-def test_it_is_inside_every_fmu(either: dict[str, Path], name: str) -> None:
-    with zipfile.ZipFile(either[name]) as archive:
-        assert archive.read("model.png") == icon_of(name)
+def test_it_is_inside_the_fmu(either: dict[str, Path]) -> None:
+    with zipfile.ZipFile(either["ExamplePlant"]) as archive:
+        assert archive.read("model.png") == icon_of("ExamplePlant")
