@@ -289,31 +289,23 @@ def test_a_measured_velocity_bypasses_the_observer(driver: Any) -> None:
     assert driver(block, measured_depth_rate=0.1).begin()["estimated_depth_rate"] == 0.0
 
 
-def test_a_tilted_vehicle_is_driven_by_less(driver: Any) -> None:
+def test_a_tilted_vehicle_is_driven_by_less_from_the_step_on_in_which_the_tilt_is_measured(
+    driver: Any,
+) -> None:
     """u = K^-1 T^+ J' (u_m + u_a + u_p)."""
     controller = driver(builder.load_block("L1DepthController"), measured_depth=1.0, roll=0.3, pitch=0.2)
     controller.begin()
-    expected = math.cos(0.3) * math.cos(0.2) * controller["demanded_force"] / (2.0 * 0.25)
-    assert controller["voltage[1]"] == pytest.approx(expected)
-
-
-def test_a_tilt_acts_from_the_step_on_in_which_it_is_measured(driver: Any) -> None:
-    controller = driver(builder.load_block("L1DepthController"), measured_depth=1.0).begin().step(0.02)
-    controller["roll"] = 1.0
-    controller.step(0.02)
-    expected = math.cos(1.0) * controller["demanded_force"] / (2.0 * 0.25)
-    assert controller["voltage[1]"] == pytest.approx(expected)
+    for roll in (0.3, 1.0):
+        expected = math.cos(roll) * math.cos(0.2) * controller["demanded_force"] / (2.0 * 0.25)
+        assert controller["voltage[1]"] == pytest.approx(expected)
+        controller["roll"] = 1.0
+        controller.step(0.02)
 
 
 @pytest.mark.parametrize(
     ("values", "expected"),
     [
-        ({"state_matrix[2,2]": 1.4}, "expected a Hurwitz A_m"),
         ({"state_matrix[2,1]": 1.0}, "expected a Hurwitz A_m"),  # a saddle: its trace is negative
-        (
-            {"state_matrix[1,1]": -1.0, "state_matrix[2,1]": 2.0},
-            "expected a Hurwitz A_m",
-        ),  # -1 * -1.4 < 1 * 2
         ({"input_gain_uncertainty": 1.0}, "input_gain_uncertainty below input_gain"),
     ],
 )
