@@ -60,8 +60,8 @@ def test_the_l1_norm_of_a_first_order_lag_and_of_a_resonance_are_analytic() -> N
 @pytest.mark.parametrize(("k_p", "k_i", "omega"), [(0.0, 0.0, 1.0), (3.0, 0.4, 0.7), (3.0, 0.4, 1.3)])
 def test_g_is_the_transfer_function_it_says(order: FilterOrder, k_p: float, k_i: float, omega: float) -> None:
     s, w = 0.7j, 5.0
-    extended = (design.Extension((1.0, 0.0), k_p, k_i), omega) if k_p else ()
-    system = design.uncompensated(A_M, B, order, w, *extended)
+    extension = design.Extension((1.0, 0.0), k_p, k_i) if k_p else design.NO_EXTENSION
+    system = design.uncompensated(A_M, B, order, w, extension, omega)
     g = system.c @ np.linalg.solve(s * np.eye(len(system.a)) - system.a, system.b)
     k_d = w / s if order == FilterOrder.FIRST else (3.0 * w**2 * s + w**3) / (s**2 * (s + 3.0 * w))
     c_omega = omega * k_d / (1.0 + omega * k_d)

@@ -24,12 +24,8 @@ def test_the_lyapunov_function_falls_whatever_the_thrusters_withhold(numbers: li
     """V' = -e' Q e where no projection acts, less where one does, for true parameters within the bounds."""
     p, matrices = START, calculate(START)
     z, v, r, rate, acceleration, depth, speed, theta_hat, sigma_hat, theta, sigma, withheld = numbers
-    x, model, estimates = (
-        np.array([z, v]),
-        np.array([depth, speed]),
-        np.array([5.0 * theta_hat, 10.0 * sigma_hat]),
-    )
-    true = np.array([4.0 * theta, 8.0 * sigma])
+    x, model = np.array([z, v]), np.array([depth, speed])
+    estimates, true = np.array([5.0 * theta_hat, 10.0 * sigma_hat]), np.array([4.0 * theta, 8.0 * sigma])
     adaptive = Adaptive((depth, speed), *estimates)
     now = DepthMeasurement(z, v, r, rate, acceleration)
 

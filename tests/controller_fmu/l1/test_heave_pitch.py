@@ -112,7 +112,7 @@ def test_with_the_pitch_at_rest_the_depth_axis_is_that_controller(
     """
     one, two = (driver(block, **given).begin() for block in (DEPTH, BOTH))
     names = [v.name for v in DEPTH.of_causality("output")]
-    for k in range(500):
+    for k in range(300):
         for name, value in depth_at(0.02 * k).items():
             one[name] = two[name] = value
         one.step(0.02)
@@ -134,7 +134,7 @@ def test_the_pitch_axis_is_the_same_law_with_its_own_gains(driver: Any) -> None:
     one = driver(DEPTH, depth_feedback_gain=4.5, **own, **wide).begin()
     of_pitch = {f"pitch_{name}": value for name, value in own.items()}
     two = driver(BOTH, pitch_feedback_gain=4.5, pitch_model_stiffness=0.0, **of_pitch, **wide).begin()
-    for k in range(500):
+    for k in range(300):
         pitch = 0.1 * math.sin(0.04 * k)
         one["measured_depth"], two["measured_pitch"] = pitch, pitch
         one["depth_reference"] = two["pitch_reference"] = 0.05
