@@ -47,26 +47,17 @@ def rmse_pair(parameters: dict[str, Any], **others: Any) -> str:
 
 def test_the_cost_of_an_uncertain_input_gain_is_documented(scenario_fmus: None) -> None:
     """omega_hat that learns from u_a alone, or from u_a + u_p, against omega that is held."""
-    costs = [
-        f"{run('nominal-extended', parameters)[1]['rmse']:.2f} cm"
-        for parameters in (
-            {"controller.input_gain_uncertainty": 0.3},
-            {
-                "controller.input_gain_uncertainty": 0.3,
-                "controller.input_gain_regressor": "adaptive_control_and_extension",
-            },
-            {},
-        )
-    ]
+    learning = {"controller.input_gain_uncertainty": 0.3}
+    from_both = learning | {"controller.input_gain_regressor": "adaptive_control_and_extension"}
+    runs = (run("nominal-extended", parameters) for parameters in (learning, from_both, {}))
+    costs = [f"{values['rmse']:.2f} cm" for _, values in runs]
     assert f"| nominal, extended | {' | '.join(costs)} |" in THEORY
 
 
 def test_the_filter_causes_a_fifth_of_the_lag_on_a_ramp_and_the_reference_model_the_rest() -> None:
     p = depth_controller.Parameters()
-    of_model, of_filter = (
-        (p.model_damping + p.rate_feedback_gain) / p.depth_feedback_gain,
-        1 / p.filter_bandwidth,
-    )
+    of_model = (p.model_damping + p.rate_feedback_gain) / p.depth_feedback_gain
+    of_filter = 1 / p.filter_bandwidth
     assert of_filter / (of_model + of_filter) == pytest.approx(1 / 5, abs=0.02)
     sentence = (
         f"lags by `(D_z + k_m2) / k_m1 = {of_model:.1f} s`, and the filter adds `1 / w = {of_filter:.1f} s`, "
@@ -75,15 +66,12 @@ def test_the_filter_causes_a_fifth_of_the_lag_on_a_ramp_and_the_reference_model_
     assert sentence in THEORY
 
 
+IDEAL = {"plant.sensor_ideal": True, "controller.velocity_source": "measured"}
 LIMITS = {
     "12 V": {"controller.voltage_limit": 12.0},
     "2.8 V": {"controller.voltage_limit": 2.8},
     "2.6 V": {"controller.voltage_limit": 2.6},
-    "2.6 V, ideal sensor and velocity": {
-        "controller.voltage_limit": 2.6,
-        "plant.sensor_ideal": True,
-        "controller.velocity_source": "measured",
-    },
+    "2.6 V, ideal sensor and velocity": {"controller.voltage_limit": 2.6, **IDEAL},
 }
 
 

@@ -66,27 +66,25 @@ def nominal(settings: Mapping[str, object]) -> dict[str, float]:
     return metrics.evaluate(recording, loaded.metrics)
 
 
+LINE = {"controller.thruster_gain[1]": 6.65, "controller.thruster_gain[2]": 6.65}  # N/V of a pair: of 12 V
+
+
+@pytest.mark.parametrize(
+    ("settings", "rmse"),
+    [
+        ({}, 0.08),
+        (LINE | {"controller.thruster_tabulated": False}, 0.66),
+        ({"plant.sensor_noise": 0.002}, 0.10),
+        ({"plant.sensor_noise": 0.02}, 0.54),
+    ],
+    ids=["inverse table", "line", "noise 2 mm", "noise 20 mm"],
+)
 def test_the_inverse_of_the_table_follows_the_trajectory_on_the_edge_of_the_dead_band(
-    built: Mapping[str, Path],
+    built: Mapping[str, Path], settings: dict[str, float], rmse: float
 ) -> None:
-    """Without the inverse: a linear allocation with the same force at 12 V, 6.65 N/V a pair."""
+    """A linear allocation has the same force at 12 V."""
     assert built["PidDepthController"].is_file()
-    line: dict[str, object] = {f"controller.thruster_gain[{i}]": 6.65 for i in (1, 2)}
-    assert nominal({})["rmse"] == pytest.approx(0.08, abs=0.005)
-    assert nominal(line | {"controller.thruster_tabulated": False})["rmse"] == pytest.approx(0.66, abs=0.005)
-
-
-@pytest.mark.parametrize(("noise", "rmse"), [(0.002, 0.10), (0.02, 0.54)])
-def test_noise_of_the_depth_counts(built: Mapping[str, Path], noise: float, rmse: float) -> None:
-    assert built["PidDepthController"].is_file()
-    assert nominal({"plant.sensor_noise": noise})["rmse"] == pytest.approx(rmse, abs=0.005)
-
-
-def test_a_sensor_aft_of_the_centre_of_gravity_changes_nothing_without_pitch(
-    built: Mapping[str, Path],
-) -> None:
-    assert built["PidDepthController"].is_file()
-    assert nominal({"plant.sensor_forward": -0.16}) == nominal({})
+    assert nominal(settings)["rmse"] == pytest.approx(rmse, abs=0.005)
 
 
 def test_a_score_tells_the_table_and_computes_the_force_by_it() -> None:

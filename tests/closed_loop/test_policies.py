@@ -1,7 +1,6 @@
 """A Python class as the controller of the vehicle: one result wherever it runs, and that of a block's law."""
 
 import tomllib
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,14 +11,11 @@ import pytest
 from fmus.build import builder
 from fmus.registry import Flavour
 from orchestration.cli.commands import run_command
-from orchestration.gym import FmuEnv, Task
 from orchestration.many.run_many import run_many
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator, simulate
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
-from orchestration.score.closed_loop import ClosedLoop, Controller
-from orchestration.score.protocol import read_protocol
 
 PID = """
 from controller_fmu import pid
@@ -84,7 +80,7 @@ def lead(tmp_path: Path, scenario_fmus: None) -> str:
 def loaded(
     controller: str,
     flavour: Flavour = Flavour.NATIVE,
-    stop: float = 10.0,
+    stop: float = 5.0,
     recorded: tuple[str, ...] = ("controller.control_force",),
     **parameters: Any,
 ) -> Scenario:
@@ -109,14 +105,14 @@ def test_the_law_of_a_block_gives_the_recording_of_the_block(
     """The same functions on the same numbers, but for the step that they integrate over.
 
     The class takes its period of 0.02 s, the block the distance of two communication points, which rounding
-    moves by 4e-15 s at 40 s: an error of 0.1 m and ki = 5.5 N/(m.s) in 2000 steps make 4e-12 N, or 9e-12 V
-    of two thrusters of 0.25 N/V. At the start the error is 0 without noise, and so is its integral over a
+    moves by 1e-15 s at 10 s: an error of 0.1 m and ki = 5.5 N/(m.s) in 500 steps make 3e-13 N, or 6e-13 V of
+    two thrusters of 0.25 N/V. At the start the error is 0 without noise, and so is its integral over a
     step, which the class has at once.
     """
     (tmp_path / "own.py").write_text(PID)
     builder.build_if_stale("PidDepthController", flavour=Flavour.PYTHON)
-    own = run(loaded(f"{tmp_path / 'own.py'}:Pid", Flavour.PYTHON, 40.0, VOLTAGES))
-    block = run(loaded("PidDepthController", Flavour.PYTHON, 40.0, VOLTAGES, voltage_limit=2.0))
+    own = run(loaded(f"{tmp_path / 'own.py'}:Pid", Flavour.PYTHON, 10.0, VOLTAGES))
+    block = run(loaded("PidDepthController", Flavour.PYTHON, 10.0, VOLTAGES, voltage_limit=2.0))
     voltages = block["controller.voltage[1]"]
     assert np.abs(voltages).max() == 2.0
     assert voltages.std() > 0.1  # V: it is no constant
@@ -150,14 +146,6 @@ def test_a_scenario_file_names_it_relative_to_itself(lead: str, tmp_path: Path) 
     assert "allocation" in components
 
 
-def test_it_is_judged_in_a_case_of_the_protocol(lead: str) -> None:
-    protocol = read_protocol()
-    with ClosedLoop(Controller("lead", lead), protocol) as loop:
-        stiff = loop.metrics(protocol.nominal, names=["rmse"])["rmse"]
-        soft = loop.metrics(protocol.nominal, {"kp": 4.0}, ["rmse"])["rmse"]
-    assert stiff < soft < 80.0  # cm: four times as stiff it follows better
-
-
 @pytest.mark.slow
 def test_the_command_tunes_it(lead: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
@@ -166,46 +154,3 @@ def test_the_command_tunes_it(lead: str, tmp_path: Path, monkeypatch: pytest.Mon
     assert not run_command(["tune", file, *small])
     written = tomllib.loads(Path("results/Lead.toml").read_text())["parameters"]
     assert 1.0 <= written["controller.kp"]["value"] <= 20.0
-
-
-SWEPT = """
-base = "nominal-extended"
-components = { controller = "lead.py:Lead" }
-metrics = { settling_time = false, overshoot = false, holding_thrust = false, lag = false }
-experiment = { stop_time = 1.0 }
-[sweep]
-samples = 2
-vary."controller.kp" = { distribution = "uniform", low = 4.0, high = 17.0 }
-"""
-
-
-def test_a_sweep_and_margins_take_it(
-    lead: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "swept.toml").write_text(SWEPT)
-    assert not run_command(["sweep", "swept.toml"])
-    assert "2 samples, 0 failed" in capsys.readouterr().out
-    hold = ("--signal", "plant.depth", "--window", "0.5", "1.0", "--over", "controller.kp=4")
-    assert not run_command(["margins", "swept.toml", *hold])
-    assert "controller.kp" in capsys.readouterr().out
-
-
-def test_an_environment_has_it_beside_the_agent(lead: str) -> None:
-    """The agent pushes the vehicle, which the class holds."""
-    chosen = loaded(lead)
-    task = Task(
-        chosen.system,
-        chosen.experiment,
-        actions=("plant.external_force",),
-        observations=("plant.depth",),
-        reward=lambda before, after, h: 0.0,
-        bounds={"plant.external_force": (-1.0, 1.0)},
-    )
-    with closing(FmuEnv(task)) as env:
-        depths = []
-        for push in (0.0, 1.0, 0.0):
-            env.reset(seed=1)
-            depths.append([env.step(np.array([push]))[0][0] for _ in range(100)])
-    assert depths[0] == depths[2]
-    assert depths[1][-1] > depths[0][-1] + 0.01  # m

@@ -55,6 +55,10 @@ BLUE_L1: Settings = {
     "controller.pitch_model_stiffness": 1.33, "controller.pitch_feedback_gain": 0.1,
     "controller.pitch_rate_feedback_gain": 0.2,
 }  # fmt: skip
+LAGGING: Settings = {
+    **BLUE, **LINE, "plant.thruster_efficiency[1]": 0.8, "plant.initial_pitch": 0.2,
+    "plant.sensor_forward": 0.2, "plant.thruster_lag[1]": 0.1, "plant.thruster_lag[2]": 0.1,
+}  # fmt: skip
 LOOPS: dict[str, tuple[str, Settings]] = {
     "both axes": ("heave-pitch", BOTH),
     "both, turned": ("heave-pitch", {**BOTH, **TURNED, "controller.pitch_augmentation": "pi"}),
@@ -65,13 +69,7 @@ LOOPS: dict[str, tuple[str, Settings]] = {
     "sea": ("hold-jonswap-sea", BOTH),
     "BlueROV2": ("nominal-extended", {**BLUE, **INVERSE}),
     "BlueROV2, dead band": ("nominal-extended", {**BLUE, **LINE}),
-    "BlueROV2, lag, pitch": (
-        "nominal-extended",
-        {
-            **BLUE, **LINE, "plant.thruster_efficiency[1]": 0.8, "plant.initial_pitch": 0.2,
-            "plant.sensor_forward": 0.2, "plant.thruster_lag[1]": 0.1, "plant.thruster_lag[2]": 0.1,
-        },
-    ),
+    "BlueROV2, lag, pitch": ("nominal-extended", LAGGING),
     "BlueROV2, both axes, waves": ("hold-regular-waves", BLUE_L1),
 }  # fmt: skip
 
@@ -112,7 +110,7 @@ def test_a_second_program_moves_in_heave_and_pitch_alike(built: Fmus, loop: str)
     """
     name, settings = LOOPS[loop]
     assert all(built[fmu].is_file() for fmu in (settings["plant"], settings["controller"], "WaveSource"))
-    loaded = loop_of(name, settings, stop=40.0)
+    loaded = loop_of(name, settings, stop=20.0)
     own, case = simulate(loaded.system, loaded.experiment), shipped_case(loaded)
     second = run(case, 0.02, law(settings)(case, 0.02), parts=8)
     pitch, reference = second["state"][:, 2], own["controller.depth_reference"]
@@ -141,9 +139,8 @@ def test_depth_and_pitch_tend_to_those_of_the_continuous_system_with_first_order
         loaded = loop_of(name, ideal, 40.0, step)
         own, case = simulate(loaded.system, loaded.experiment), shipped_case(loaded)
         every = slice(None, None, round(0.5 / step))
-        exact = continuous(
-            case, own.time[every], Pid(case, step) if loop == "BlueROV2" else ContinuousHeavePitch(case)
-        )
+        law_of_loop = Pid(case, step) if loop == "BlueROV2" else ContinuousHeavePitch(case)
+        exact = continuous(case, own.time[every], law_of_loop)
         r = own["controller.depth_reference"][every]
         limits = np.array([rmse(exact[:, 0], r), rmse(exact[:, 2], 0.0)])
         found = np.array([rmse(own["plant.depth"][every], r), rmse(own["plant.pitch"][every], 0.0)])

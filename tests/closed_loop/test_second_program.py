@@ -73,16 +73,11 @@ def test_the_first_seconds_are_those_of_a_second_program(scenario_fmus: None, na
     compare(chosen(name, stop=10.0))
 
 
+HOLDS = [name for name in scenario.shipped() if name.startswith("hold-")]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [
-        "nominal-l1",
-        "nominal-extended",
-        "buoyancy-extended",
-        *(name for name in scenario.shipped() if name.startswith("hold-")),
-    ],
-)
+@pytest.mark.parametrize("name", ["nominal-l1", "nominal-extended", "buoyancy-extended", *HOLDS])
 def test_a_second_program_gives_the_figures_of_the_scenario(scenario_fmus: None, name: str) -> None:
     """Within 0.5 % and 0.05 s, whatever second order makes of a held measurement."""
     loaded = chosen(name)
@@ -94,10 +89,8 @@ def test_a_second_program_gives_the_figures_of_the_scenario(scenario_fmus: None,
         for metric, theirs in figures(loaded, recording(other)).items():
             if metric in ("settling_time", "recovery_time"):
                 assert theirs == pytest.approx(ours[metric], abs=0.05), metric
-            else:
-                assert theirs == pytest.approx(ours[metric], rel=tolerance, abs=1e-3), (
-                    metric
-                )  # of cm, s and %
+            else:  # of cm, s and %
+                assert theirs == pytest.approx(ours[metric], rel=tolerance, abs=1e-3), metric
 
 
 @pytest.mark.slow
@@ -182,8 +175,9 @@ def limits_of(loaded: Sequence[Scenario]) -> list[dict[str, float]]:
 def figures(loaded: Scenario, run: Recording) -> dict[str, float]:
     """Those of the scenario's metrics that follow from depth and reference."""
     both = {"plant.depth", "controller.depth_reference"}
-    calls = loaded.metrics.items()
     judged = {
-        name: call for name, call in calls if {call["signal"], call.get("reference", "")} <= {*both, ""}
+        name: call
+        for name, call in loaded.metrics.items()
+        if {call["signal"], call.get("reference", "")} <= {*both, ""}
     }
     return metrics.evaluate(run, judged)

@@ -4,7 +4,6 @@ Their estimates and filters are fast, and both programs take steps of first orde
 the step of the tuning by more than 0.5 % is less at a quarter of it (docs/explanation/disturbances.md).
 """
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +13,7 @@ from orchestration.run import simulate
 from orchestration.scenarios.scenario import Scenario
 from orchestration.score.closed_loop import ClosedLoop, Controller, tuned
 from orchestration.score.protocol import read_protocol
-from tests.closed_loop.same_experiment import SMOOTH
+from tests.closed_loop.same_experiment import SMOOTH, figures
 from tests.closed_loop.second_laws import LAWS
 from tests.closed_loop.second_loop import run
 from tests.closed_loop.second_program import LawStep, sampled
@@ -46,12 +45,6 @@ def second(loaded: Scenario, controller: Controller, step: float) -> dict[str, n
     if not controller.reference_rates:
         case = replace(case, reference_rate=lambda t: 0.0)
     return run(case, step, LAWS[controller.fmu](case, step))
-
-
-def figures(time: np.ndarray, depth: np.ndarray, reference: np.ndarray) -> tuple[float, float]:
-    """RMSE [m], and settling time [s] to 5 % of 0.8 m."""
-    outside = time[abs(depth - 0.8) > 0.04]
-    return math.sqrt(np.mean((depth - reference) ** 2)), float(outside[-1])
 
 
 def apart(controller: Controller, step: float) -> float:

@@ -19,6 +19,7 @@ from orchestration.scenarios import scenario
 
 DURATION = 4.0
 STEPS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5)
+ESTIMATE, ERROR = "theta_hat[2]", "prediction_error[2]"
 CONVERGING = STEPS[2:]  # 2113 rad/s turn by less than half a radian in a step
 THEORY = Path(__file__).parents[2] / "docs" / "explanation" / "theory.md"
 
@@ -51,20 +52,17 @@ def co_simulated(r: float, h: float, algorithm: str = "jacobi") -> Figures:
             "parameters": {"controller.inputs_at_step_end": algorithm == "gauss-seidel"},
             "signals": {"controller.reference": {"kind": "cosine", "amplitude": r, "angular_frequency": 0.0}},
             "metrics": {"lag": False, "rmse": False},
-            "record": [
-                "plant.output", "controller.control", "controller.theta_hat[2]",
-                "controller.prediction_error[2]",
-            ],
+            "record": ["plant.output", *(f"controller.{n}" for n in ("control", ESTIMATE, ERROR))],
         },
-    )  # fmt: skip
+    )
     run = simulate(chosen.system, chosen.experiment)
     u = run["controller.control"]
     return Figures(
         y=float(run["plant.output"][-1]),
-        theta=float(run["controller.theta_hat[2]"][run.time >= 0.5 * DURATION].mean()),
+        theta=float(run[f"controller.{ESTIMATE}"][run.time >= 0.5 * DURATION].mean()),
         variation=float(np.abs(np.diff(u)).sum()),
         variation_per_ms=float(np.abs(np.diff(u[:: round(1e-3 / h)])).sum()),
-        prediction_error=float(np.abs(run["controller.prediction_error[2]"]).max()),
+        prediction_error=float(np.abs(run[f"controller.{ERROR}"]).max()),
     )
 
 
@@ -101,10 +99,8 @@ def test_the_prediction_error_does_not_grow_with_the_step_of_the_reference(
     scenario_fmus: None, r: float, h: float
 ) -> None:
     """The transient bound of fast adaptation: |x_tilde| <= sqrt(theta_max / (lambda_min(P) Gamma))."""
-    sampled = co_simulated(r, h).prediction_error
-    assert sampled == pytest.approx(
-        CONTINUOUS[r].prediction_error, rel=0.01
-    )  # its peak lies between two points
+    # its peak lies between two points
+    assert co_simulated(r, h).prediction_error == pytest.approx(CONTINUOUS[r].prediction_error, rel=0.01)
 
 
 def test_the_theory_page_shows_these_figures(scenario_fmus: None) -> None:

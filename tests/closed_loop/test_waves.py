@@ -159,9 +159,8 @@ def test_the_exchange_of_20_ms_lowers_the_motion_by_what_the_page_states(
 
     def deviation(step: float, **layer: Any) -> float:
         steps = {"plant.internal_step": step, "controller.internal_step": step, "plant.sensor_ideal": True}
-        chosen = scenario.load(
-            scenario.find(hold), {"experiment": {"step_size": step}} | layer, settings=steps
-        )
+        layer = {"experiment": {"step_size": step}} | layer
+        chosen = scenario.load(scenario.find(hold), layer, settings=steps)
         run = simulate(chosen.system, chosen.experiment)
         return float(np.std(run["plant.depth"][run.time >= 60.0]))
 

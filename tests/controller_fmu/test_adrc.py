@@ -47,12 +47,6 @@ def test_with_a_perfect_observer_both_poles_are_at_the_control_bandwidth() -> No
     assert [1.0, -of_rate / INERTIA, -of_depth / INERTIA] == pytest.approx(np.poly([-1.3, -1.3]))
 
 
-def test_the_estimated_disturbance_converges_to_what_moves_the_vehicle() -> None:
-    loop = closed_loop(BLOCK, START, stop_time=25.0, h=0.01, depth=0.2, disturbance=lambda t: -1.2)
-    assert loop.outputs["estimated_disturbance"][-1] == pytest.approx(-1.2, abs=1e-4)  # e^-25 and its powers
-    assert loop.depth[-1] == pytest.approx(0.0, abs=1e-4)
-
-
 def test_the_observer_does_not_learn_the_saturation() -> None:
     """Damping and a force of 0.5 N are all that it may see while the thrusters give 2 N of 16 N."""
     p, h = replace(START, voltage_limit=4.0, observer_bandwidth=10.0), 2e-3

@@ -11,7 +11,6 @@ from orchestration.system.signal_derivatives import derivative
 from orchestration.system.signals import Ramps
 
 ROUNDING = 1e-12  # of a depth of 1 m; both evaluate the same formula
-NAMES = ("depth_reference", "depth_reference_rate", "depth_reference_acceleration")
 
 
 def reference(driver: Any, points: list[tuple[float, float]], **values: Any) -> Any:
@@ -48,20 +47,6 @@ def test_its_derivatives_are_those_of_the_scenarios_signals(driver: Any, smooth:
         block = reference(driver, points, smooth=smooth).begin(t)
         assert block["depth_reference_rate"] == pytest.approx(rate(t), abs=ROUNDING)
         assert block["depth_reference_acceleration"] == pytest.approx(acceleration(t), abs=ROUNDING)
-
-
-def test_its_derivatives_are_the_differences_of_its_depth(driver: Any) -> None:
-    """Of quintic ramps, by central differences; the third derivative jumps by up to 7.5e-4 m/s3."""
-    points, h = [(0.0, 0.0), (40.0, 0.8), (60.0, 0.8), (100.0, 0.2)], 0.01
-    points += [(110.0 + i, 0.2) for i in range(POINTS - len(points))]
-    block = reference(driver, points, smooth=True).begin(1.0)
-    rows = []
-    while block.instance.time < 99.0:
-        rows.append([block[name] for name in NAMES])
-        block.step(h)
-    z, rate, acceleration = np.array(rows).T
-    np.testing.assert_allclose(rate[1:-1], (z[2:] - z[:-2]) / (2.0 * h), atol=h**2 * 7.5e-4)
-    np.testing.assert_allclose(acceleration[1:-1], (rate[2:] - rate[:-2]) / (2.0 * h), atol=h * 7.5e-4)
 
 
 def test_a_long_step_gives_the_same_as_many_short_ones(driver: Any) -> None:

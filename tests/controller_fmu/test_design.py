@@ -57,13 +57,16 @@ def test_the_l1_norm_of_a_first_order_lag_and_of_a_resonance_are_analytic() -> N
 
 
 @pytest.mark.parametrize("order", list(FilterOrder))
-def test_g_is_the_transfer_function_it_says(order: FilterOrder) -> None:
-    system = design.uncompensated(A_M, B, order, 5.0)
-    s = 0.7j
+@pytest.mark.parametrize(("k_p", "k_i", "omega"), [(0.0, 0.0, 1.0), (3.0, 0.4, 0.7), (3.0, 0.4, 1.3)])
+def test_g_is_the_transfer_function_it_says(order: FilterOrder, k_p: float, k_i: float, omega: float) -> None:
+    s, w = 0.7j, 5.0
+    extension = design.Extension((1.0, 0.0), k_p, k_i) if k_p else design.NO_EXTENSION
+    system = design.uncompensated(A_M, B, order, w, extension, omega)
     g = system.c @ np.linalg.solve(s * np.eye(len(system.a)) - system.a, system.b)
-    c = 5.0 / (s + 5.0) if order == FilterOrder.FIRST else (75.0 * s + 125.0) / (s + 5.0) ** 3
-    expected = np.linalg.solve(s * np.eye(2) - A_M, B.reshape(-1, 1)) * (c - 1.0)
-    np.testing.assert_allclose(g, expected, rtol=1e-12)
+    k_d = w / s if order == FilterOrder.FIRST else (3.0 * w**2 * s + w**3) / (s**2 * (s + 3.0 * w))
+    c_omega = omega * k_d / (1.0 + omega * k_d)
+    closed = s * np.eye(2) - A_M + omega * (k_p + k_i / s) * np.outer(B, C)
+    np.testing.assert_allclose(g, np.linalg.solve(closed, B.reshape(-1, 1)) * (c_omega - 1.0), rtol=1e-12)
 
 
 @pytest.mark.parametrize("order", list(FilterOrder))
@@ -101,18 +104,6 @@ def test_the_shipped_vehicle_design_satisfies_the_l1_norm_condition() -> None:
 
 
 EXTENDED = design.Extension((1.0, 0.0), 3.967, 0.00499)
-
-
-@pytest.mark.parametrize("order", list(FilterOrder))
-@pytest.mark.parametrize("omega", [0.7, 1.3])
-def test_g_with_the_extension_is_the_transfer_function_it_says(order: FilterOrder, omega: float) -> None:
-    s, w, k_p, k_i = 0.7j, 5.0, 3.0, 0.4
-    system = design.uncompensated(A_M, B, order, w, design.Extension((1.0, 0.0), k_p, k_i), omega)
-    g = system.c @ np.linalg.solve(s * np.eye(len(system.a)) - system.a, system.b)
-    k_d = w / s if order == FilterOrder.FIRST else (3.0 * w**2 * s + w**3) / (s**2 * (s + 3.0 * w))
-    c_omega = omega * k_d / (1.0 + omega * k_d)
-    closed = s * np.eye(2) - A_M + omega * (k_p + k_i / s) * np.outer(B, C)
-    np.testing.assert_allclose(g, np.linalg.solve(closed, B.reshape(-1, 1)) * (c_omega - 1.0), rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -154,55 +145,52 @@ def test_the_condition_takes_the_worst_input_gain_of_the_box() -> None:
 
 
 Common = tuple[np.ndarray, np.ndarray, FilterOrder, float, float]
+P_ALONE = design.Extension((1.0, 0.0))
+TUNED = design.Extension((1.0, 0.0), 3.709, 0.004373)
 
 
-def conditions(common: Common, extension: design.Extension, gain: float, *omegas: Any) -> list[float]:
-    """Returns the L1 condition a little below and a little above a proportional gain."""
-    gains = 0.99 * gain, 1.01 * gain
-    return [design.l1_condition(*common, replace(extension, proportional_gain=g), *omegas) for g in gains]
+def of_vehicle(k_1: float, k_2: float, bandwidth: float) -> Common:
+    a_m = np.array([[0.0, 1.0], [-k_1 / 5.5, -k_2 / 5.5]])
+    return a_m, np.array([0.0, 1.0 / 5.5]), FilterOrder.FIRST, bandwidth, 5.0
 
 
-def test_the_proportional_gain_is_bounded_on_the_edge_of_the_condition() -> None:
-    common = A_M, B, FilterOrder.FIRST, 160.0, 20.0
-    least, largest = design.proportional_gain_range(*common, design.Extension((1.0, 0.0)))
-    below, above = conditions(common, design.Extension((1.0, 0.0)), largest)
-    assert least == 0.0
-    assert below < 1.0 < above
+SLOW = of_vehicle(1.895, 22.73, 0.3017)
 
 
-def test_an_extension_may_be_needed_for_the_condition() -> None:
-    """The vehicle with omega = 0.7: the condition is lost without the PI, and holds from a K_P on."""
-    a_m, b = np.array([[0.0, 1.0], [-1.895 / 5.5, -22.73 / 5.5]]), np.array([0.0, 1.0 / 5.5])
-    common, omegas = (a_m, b, FilterOrder.FIRST, 0.3017, 5.0), (0.7,)
-    least, largest = design.proportional_gain_range(*common, EXTENDED, omegas)
-    below, above = conditions(common, EXTENDED, least, omegas)
-    assert above < 1.0 < below
-    assert largest == np.inf
-
-
-def test_the_integral_gain_remains_where_the_proportional_gain_is_zero() -> None:
-    """The tuned PI on the vehicle: plain L1 satisfies the condition, and K_I alone does not."""
-    a_m, b = np.array([[0.0, 1.0], [-1.764 / 5.5, -20.97 / 5.5]]), np.array([0.0, 1.0 / 5.5])
-    common, extension = (
-        (a_m, b, FilterOrder.FIRST, 0.3073, 5.0),
-        design.Extension((1.0, 0.0), 3.709, 0.004373),
+@pytest.mark.parametrize(
+    ("common", "extension", "omega", "end"),
+    [
+        ((A_M, B, FilterOrder.FIRST, 160.0, 20.0), P_ALONE, 1.0, "largest"),
+        (SLOW, EXTENDED, 0.7, "least"),  # the condition is lost without the PI
+        (of_vehicle(1.764, 20.97, 0.3073), TUNED, 1.0, "least"),  # and here by K_I alone
+    ],
+    ids=["example", "weak vehicle", "tuned PI"],
+)
+def test_the_range_of_the_proportional_gain_ends_on_the_edge_of_the_condition(
+    common: Common, extension: design.Extension, omega: float, end: str
+) -> None:
+    """K_I remains where K_P is 0, which plain L1 need not bear."""
+    least, largest = design.proportional_gain_range(*common, extension, (omega,))
+    assert (least == 0.0, largest == np.inf) == (end == "largest", end == "least")
+    edge = largest if end == "largest" else least
+    within, beyond = (
+        design.l1_condition(*common, replace(extension, proportional_gain=gain * edge), (omega,))
+        for gain in ((0.99, 1.01) if end == "largest" else (1.01, 0.99))
     )
-    assert design.l1_condition(*common) < 1.0
-    least, largest = design.proportional_gain_range(*common, extension)
-    below, above = conditions(common, extension, least)
-    assert above < 1.0 < below
-    assert largest == np.inf
+    assert within < 1.0 < beyond
+    assert (design.l1_condition(*common, omegas=(omega,)) < 1.0) == (common is not SLOW)
 
 
 def test_a_condition_that_holds_with_no_proportional_gain_has_no_range() -> None:
-    extension = design.Extension((1.0, 0.0))
-    assert np.isnan(design.proportional_gain_range(A_M, B, FilterOrder.FIRST, 10.0, 50.0, extension)).all()
+    assert np.isnan(design.proportional_gain_range(A_M, B, FilterOrder.FIRST, 10.0, 50.0, P_ALONE)).all()
 
 
 def test_the_extension_of_the_vehicle_lets_a_smaller_bandwidth_do() -> None:
-    a_m, b = np.array([[0.0, 1.0], [-1.895 / 5.5, -22.73 / 5.5]]), np.array([0.0, 1.0 / 5.5])
-    without = design.smallest_bandwidth(a_m, b, FilterOrder.FIRST, 5.0)
-    extended = design.smallest_bandwidth(a_m, b, FilterOrder.FIRST, 5.0, extension=EXTENDED)
+    a_m, b, order, _, lipschitz = SLOW
+    without = design.smallest_bandwidth(a_m, b, order, lipschitz)
+    extended = design.smallest_bandwidth(a_m, b, order, lipschitz, extension=EXTENDED)
     assert extended < without
-    assert design.l1_condition(a_m, b, FilterOrder.FIRST, 1.01 * extended, 5.0, EXTENDED) < 1.0
-    assert design.l1_condition(a_m, b, FilterOrder.FIRST, 0.99 * extended, 5.0, EXTENDED) > 1.0
+    below, above = (
+        design.l1_condition(a_m, b, order, part * extended, lipschitz, EXTENDED) for part in (0.99, 1.01)
+    )
+    assert above < 1.0 < below

@@ -77,15 +77,6 @@ def test_each_voltage_is_limited_on_both_sides() -> None:
     assert saturate((-5.0, 5.0), 3.0) == (-3.0, 3.0)
 
 
-@pytest.mark.parametrize("j", [1.0, 0.5, -0.5])
-def test_what_saturation_takes_from_a_tilted_vehicle_is_in_the_earth_frame(j: float) -> None:
-    """24 V, of which 6 V are left, and these twice 0.25 N/V over J."""
-    p = depth_interface.ActuatorParameters(voltage_limit=6.0)
-    delivered = depth_interface.deliver(12.0 / j, j, p)
-    assert delivered.force == pytest.approx(3.0 / j)
-    assert delivered.saturation_error == pytest.approx(delivered.force - 12.0 / j)
-
-
 TABLE = depth_interface.ActuatorParameters(thruster_tabulated=True)
 VOLTAGES, FORCES = TABLE.thruster_table_voltage, TABLE.thruster_table_force
 

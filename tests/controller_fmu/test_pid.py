@@ -32,9 +32,3 @@ def test_beta_places_the_zeros_and_no_pole(beta: float) -> None:
     _, expected = signal.step(signal.TransferFunction(zeros, [*poles, 0.0]), T=loop.time)
     late = 2.0 * h * max(loop.rate)  # the control is a step late, and held for one
     assert loop.depth == pytest.approx(expected, abs=late)
-
-
-def test_a_constant_force_is_cancelled_by_the_integral() -> None:
-    loop = closed_loop(BLOCK, START, stop_time=25.0, h=0.01, disturbance=lambda t: -1.2)
-    assert loop.outputs["integral_force"][-1] == pytest.approx(1.2, rel=1e-6)  # e^-25 and its powers
-    assert loop.depth[-1] == pytest.approx(0.0, abs=1e-6)

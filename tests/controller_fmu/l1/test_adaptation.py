@@ -223,22 +223,6 @@ def test_each_parameter_stays_where_its_bound_is_zero(free: int) -> None:
     assert after.theta_hat[free] != 0.0
 
 
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_the_projection_slows_what_moves_outwards_over_the_step(side: float) -> None:
-    """s is 0 at the beginning: its direction is that of the middle."""
-    p = parameters(theta_bound=(0.0, 0.0), sigma_bound=5.0)
-    start, matrices, h = Estimates(sigma_hat=4.9 * side), siso_controller.calculate(p), 1e-4
-    moved = {}
-    for eta in (1.0, -1.0):
-        over = Interval(h, (0.0, 0.0), (0.0, 0.0), eta - start.sigma_hat, 0.0)
-        after, _ = adapt(start, over, p, matrices)
-        moved[eta] = after.sigma_hat - start.sigma_hat
-    inwards, outwards = moved[side], moved[-side]
-    slowed = project(start.sigma_hat, side, p.sigma_bound, p.projection_tolerance) / side
-    assert outwards == pytest.approx(-slowed * inwards, rel=1e-6)
-    assert 0.0 < slowed < 0.5
-
-
 def test_the_projection_goes_by_the_middle_of_a_step_in_which_s_changes_its_sign() -> None:
     """s grows from -3/4 to 1/4 of `growth`: its mean moves sigma_hat upwards."""
     p = parameters(theta_bound=(0.0, 0.0), sigma_bound=5.0)

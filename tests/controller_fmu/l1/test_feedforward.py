@@ -1,7 +1,6 @@
 """The reference feedforward against the closed loops that it makes, in closed form."""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -16,7 +15,7 @@ from controller_fmu.depth_interface import DepthInputs
 from controller_fmu.l1 import depth_controller, siso_controller
 from controller_fmu.l1 import law as l1
 from controller_fmu.l1.feedforward import reference_feedforward
-from controller_fmu.l1.law import Control, Measurement
+from controller_fmu.l1.law import Measurement
 from controller_fmu.l1.matrices import law_matrices
 from controller_fmu.l1.parameters import Augmentation, ReferenceFeedforward
 from controller_fmu.observer import VelocitySource
@@ -107,16 +106,10 @@ def test_inside_the_filter_the_depth_is_the_filtered_reference() -> None:
 # The design of the example, a reference and a matched disturbance of two frequencies, fast adaptation.
 W, K_P, OF_REFERENCE, OF_DISTURBANCE = 3.0, 5.0, 1.0, 2.0  # rad/s, 1, rad/s, rad/s
 STEP, SETTLED = 0.01, 12.0  # s
-Received = Callable[[Control], float]
 
 
-def tracking_error(
-    kind: ReferenceFeedforward, augmentation: Augmentation, not_received: Received = lambda u: 0.0
-) -> tuple[complex, complex]:
-    """Phasors of e at both frequencies, for r = cos(OF_REFERENCE t), d = 5 cos(OF_DISTURBANCE t).
-
-    not_received: the part of the control that the predictor is not given
-    """
+def tracking_error(kind: ReferenceFeedforward, augmentation: Augmentation) -> tuple[complex, complex]:
+    """Phasors of e at both frequencies, for r = cos(OF_REFERENCE t), d = 5 cos(OF_DISTURBANCE t)."""
     p = replace(
         siso_controller.Parameters(), reference_feedforward=kind, augmentation=augmentation,
         filter_bandwidth=W, proportional_gain=K_P, adaptation_gain=1e5, theta_bound=(0.0, 0.0),
@@ -134,8 +127,7 @@ def tracking_error(
         law = law or l1.initial_law(now, 1.0)
         u = l1.control(law, p.feedback_gain, p)
         rows.append((t, z - r))
-        received = u.total - not_received(u)
-        law = l1.law_step(STEP, law, now, u, received, 0.0, p.feedback_gain, p, matrices)
+        law = l1.law_step(STEP, law, now, u, u.total, 0.0, p.feedback_gain, p, matrices)
         x = (step @ [*x, u.total + 5.0 * math.cos(OF_DISTURBANCE * (t + 0.5 * STEP))])[:2]
     time, error = np.array(rows)[round(SETTLED / STEP) :].T
     columns = [g(omega * time) for omega in (OF_REFERENCE, OF_DISTURBANCE) for g in (np.cos, np.sin)]
@@ -166,27 +158,6 @@ def test_it_acts_on_the_reference_and_the_extension_on_the_error(
     """Each as if the other were not there: inside, the PI sees what the filter leaves."""
     k_p = K_P if augmentation == Augmentation.PI else 0.0
     assert tracking_error(kind, augmentation) == pytest.approx(expected_error(kind, k_p), abs=TOLERANCE)
-
-
-@pytest.mark.parametrize("kind", [INSIDE, OUTSIDE])
-def test_a_predictor_without_the_extension_lets_the_filter_cancel_it(kind: ReferenceFeedforward) -> None:
-    """C(s) (-u_p) then answers u_p: what is left of it is (1 - C) u_p."""
-    s = 1j * OF_DISTURBANCE
-    h, c = 1.0 / (s * s + 1.4 * s + 1.0), W / (s + W)
-    cancelled = 5.0 * h * (1.0 - c) / (1.0 + h * (1.0 - c) * K_P)
-    _, of_disturbance = tracking_error(kind, Augmentation.PI, lambda u: u.u_p)
-    assert of_disturbance == pytest.approx(cancelled, abs=TOLERANCE)
-    assert abs(cancelled - expected_error(kind, K_P)[1]) > 5.0 * TOLERANCE
-
-
-def test_a_predictor_without_the_feedforward_lets_the_filter_cancel_it() -> None:
-    """What is left of f is (1 - C) f: e = -C r / (1 + H K_P)."""
-    s = 1j * OF_REFERENCE
-    h, c = 1.0 / (s * s + 1.4 * s + 1.0), W / (s + W)
-    of_reference, _ = tracking_error(OUTSIDE, Augmentation.NONE, lambda u: u.u_f)
-    assert of_reference == pytest.approx(-c, abs=TOLERANCE)
-    of_reference, _ = tracking_error(OUTSIDE, Augmentation.PI, lambda u: u.u_f)
-    assert of_reference == pytest.approx(-c / (1.0 + h * K_P), abs=TOLERANCE)
 
 
 @pytest.mark.parametrize("kind", list(ReferenceFeedforward))

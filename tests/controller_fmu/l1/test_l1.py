@@ -40,7 +40,7 @@ def stepped(p: siso_controller.Parameters, law: LawState, h: float, count: int, 
 @pytest.mark.parametrize("order", list(FilterOrder))
 def test_either_filter_settles_where_eta_hat_is_k_g_r(order: FilterOrder, at_end: bool) -> None:
     p = parameters(filter_order=order, inputs_at_step_end=at_end, state_matrix=((0.0, 1.0), (-2.0, -1.4)))
-    law = stepped(p, l1.initial_law(SEEN, 1.0), 4e-3, 10000, SEEN)
+    law = stepped(p, l1.initial_law(SEEN, 1.0), 4e-3, 5000, SEEN)
     e = law.estimates
     eta = e.omega_hat * law.filter.u_a + e.theta_hat[0] * 2.0 - e.theta_hat[1] + e.sigma_hat
     assert eta == pytest.approx(2.0 * SEEN.r, rel=1e-6)  # k_g = -1 / (C A_m^-1 B_m) = 2
@@ -250,20 +250,10 @@ def one_step(
     p: siso_controller.Parameters, start: FilterState, saturation_error: float, reference: float = 0.0
 ) -> LawState:
     """1 ms from rest at x = 0."""
-    law = LawState(filter=start)
-    control = l1.control(law, p.feedback_gain, p)
-    now, matrices = Measurement(r=reference), siso_controller.calculate(p)
-    return l1.law_step(
-        1e-3,
-        law,
-        now,
-        control,
-        control.total + saturation_error,
-        saturation_error,
-        p.feedback_gain,
-        p,
-        matrices,
-    )
+    law, now, matrices = LawState(filter=start), Measurement(r=reference), siso_controller.calculate(p)
+    u = l1.control(law, p.feedback_gain, p)
+    delivered = u.total + saturation_error
+    return l1.law_step(1e-3, law, now, u, delivered, saturation_error, p.feedback_gain, p, matrices)
 
 
 @pytest.mark.parametrize(
@@ -289,31 +279,23 @@ def test_a_measured_velocity_bypasses_the_observer(driver: Any) -> None:
     assert driver(block, measured_depth_rate=0.1).begin()["estimated_depth_rate"] == 0.0
 
 
-def test_a_tilted_vehicle_is_driven_by_less(driver: Any) -> None:
+def test_a_tilted_vehicle_is_driven_by_less_from_the_step_on_in_which_the_tilt_is_measured(
+    driver: Any,
+) -> None:
     """u = K^-1 T^+ J' (u_m + u_a + u_p)."""
     controller = driver(builder.load_block("L1DepthController"), measured_depth=1.0, roll=0.3, pitch=0.2)
     controller.begin()
-    expected = math.cos(0.3) * math.cos(0.2) * controller["demanded_force"] / (2.0 * 0.25)
-    assert controller["voltage[1]"] == pytest.approx(expected)
-
-
-def test_a_tilt_acts_from_the_step_on_in_which_it_is_measured(driver: Any) -> None:
-    controller = driver(builder.load_block("L1DepthController"), measured_depth=1.0).begin().step(0.02)
-    controller["roll"] = 1.0
-    controller.step(0.02)
-    expected = math.cos(1.0) * controller["demanded_force"] / (2.0 * 0.25)
-    assert controller["voltage[1]"] == pytest.approx(expected)
+    for roll in (0.3, 1.0):
+        expected = math.cos(roll) * math.cos(0.2) * controller["demanded_force"] / (2.0 * 0.25)
+        assert controller["voltage[1]"] == pytest.approx(expected)
+        controller["roll"] = 1.0
+        controller.step(0.02)
 
 
 @pytest.mark.parametrize(
     ("values", "expected"),
     [
-        ({"state_matrix[2,2]": 1.4}, "expected a Hurwitz A_m"),
         ({"state_matrix[2,1]": 1.0}, "expected a Hurwitz A_m"),  # a saddle: its trace is negative
-        (
-            {"state_matrix[1,1]": -1.0, "state_matrix[2,1]": 2.0},
-            "expected a Hurwitz A_m",
-        ),  # -1 * -1.4 < 1 * 2
         ({"input_gain_uncertainty": 1.0}, "input_gain_uncertainty below input_gain"),
     ],
 )

@@ -42,10 +42,7 @@ def test_a_sampled_system_is_that_of_the_matrix_exponential(
     block = np.block([[np.array(matrix), np.eye(2)], [np.zeros((2, 4))]])
     exact = expm(block * period)[:2]
     transition, error_input, inverse = map(np.array, sampled_system(matrix, period))
-    phi, rounding = (
-        exact[:, 2:],
-        1e-12,
-    )  # a step of -20 / trace, the longest that is permitted, costs 4 digits
+    phi, rounding = exact[:, 2:], 1e-12  # a step of -20 / trace, the longest permitted, costs 4 digits
     np.testing.assert_allclose(transition, exact[:, :2], atol=rounding)
     np.testing.assert_allclose(error_input, phi, atol=rounding * np.abs(phi).max())
     np.testing.assert_allclose(phi @ inverse, exact[:, :2], atol=rounding)

@@ -79,14 +79,6 @@ def test_the_estimate_of_a_constant_disturbance_is_its_exponential_share(
         assert estimates.x_tilde == pytest.approx(tuple(-phi @ d), rel=1e-10)
 
 
-@pytest.mark.parametrize("rate", [0.1, 1.0, 10.0, 100.0])
-def test_a_faster_error_matrix_leaves_a_larger_offset(rate: float) -> None:
-    """1 - e^(-a Ts): 0.1 % of the disturbance at a = 0.1 / s, 63 % at 100 / s, with Ts = 10 ms."""
-    last = estimated(parameters(((-rate, 0.0), (0.0, -rate)), 0.01), [0.01] * 3, 2.0, 0.5)[-1]
-    assert last.sigma_hat == pytest.approx(2.0 * math.exp(-0.01 * rate), rel=1e-10)
-    assert last.sigma_u == pytest.approx(0.5 * math.exp(-0.01 * rate), rel=1e-10)
-
-
 def test_a_period_that_communication_points_miss_is_sampled_at_the_next_one() -> None:
     """Steps of 15 ms, Ts = 20 ms: a sample every 30 ms, of the mean since the last."""
     history = estimated(parameters(SLOW, 0.02), [0.015] * 6, matched=1.7, unmatched=0.0)

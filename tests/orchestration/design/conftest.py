@@ -9,6 +9,7 @@ import pytest
 from orchestration.design.rules import Conditions, L1Design, PidDesign, design_l1, design_pid
 from orchestration.design.vehicle_data import Draws, VehicleData, data_of, draws_of
 from orchestration.score.vehicle import Vehicle
+from tests.shared_builds import Fmus
 
 CONDITIONS = Conditions(step=0.02, speed=0.02, depth=0.8)  # of the paper's trajectory
 
@@ -33,12 +34,14 @@ def _designed(name: str) -> Designed:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _built(scenario_fmus: None) -> None:
-    """The FMUs of the scenarios are built."""
+def _built(built: Fmus) -> None:
+    """The FMUs of vehicles that are designed for, and of the controllers that are, are built."""
+    vehicles = "RovDepthPlant", "RovHeavePitchPlant", "BlueRov2Plant"
+    assert all(built[name].is_file() for name in (*vehicles, "L1DepthController", "PidDepthController"))
 
 
 @pytest.fixture(scope="session")
-def designed(scenario_fmus: None) -> Callable[[str], Designed]:
+def designed() -> Callable[[str], Designed]:
     """Returns the design for a block, made once."""
     return _designed
 

@@ -6,21 +6,22 @@ from typing import Any
 
 import pytest
 
-from fmus.registry import fmu_path
 from orchestration import Experiment, Recording, run_many
 from orchestration.fit.dive import Dive
 from orchestration.score.vehicle import Vehicle
 from orchestration.system.system import System
 from tests.orchestration.fit.dives import COMMANDS, TRUE, as_dive
+from tests.shared_builds import Fmus
 
 
 @pytest.fixture(scope="session")
-def vehicle(scenario_fmus: None) -> Vehicle:
+def vehicle(built: Fmus) -> Vehicle:
+    assert built["RovDepthPlant"].is_file()
     return Vehicle.of("RovDepthPlant")
 
 
 @pytest.fixture(scope="session")
-def recorded(scenario_fmus: None) -> Callable[..., list[Recording]]:
+def recorded(built: Fmus) -> Callable[..., list[Recording]]:
     """Recordings of dives with other seeds of the sensor's noise, or other parameters."""
 
     def run(count: int = 1, **parameters: Any) -> list[Recording]:
@@ -34,7 +35,7 @@ def recorded(scenario_fmus: None) -> Callable[..., list[Recording]]:
         )
         seeds = [{**experiment.parameters, "plant.sensor_seed": seed} for seed in range(1, count + 1)]
         runs = (replace(experiment, parameters=values) for values in seeds)
-        return [*run_many(System({"plant": fmu_path("RovDepthPlant")}), runs)]
+        return [*run_many(System({"plant": built["RovDepthPlant"]}), runs)]
 
     return run
 

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import pytest
 
-from orchestration.errors import OrchestrationError
 from orchestration.fit.least_squares import (
     LeastSquares,
     Values,
@@ -141,8 +140,3 @@ def test_a_search_ends_when_its_evaluations_are_used_up_and_keeps_the_best() -> 
     assert search.ended == "the 6 evaluations are used up"
     assert costs == sorted(costs, reverse=True)
     assert search.cost == costs[-1]
-
-
-def test_limits_in_the_wrong_order_are_refused() -> None:
-    with pytest.raises(OrchestrationError, match="a=2:1: expected finite limits, the lower one first"):
-        FreeParameter("a", 2.0, 1.0)

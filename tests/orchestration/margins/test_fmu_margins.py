@@ -133,28 +133,24 @@ def test_a_component_without_a_loop_is_refused(integrator: Scenario) -> None:
         scanned(open_loop, LoopSignal.MEASUREMENT)
 
 
-def test_the_hold_of_the_vehicle_is_the_last_part_of_its_longest_constant_reference(
-    scenario_fmus: None,
-) -> None:
+def test_the_hold_of_the_vehicle_is_the_last_part_of_its_longest_constant_reference() -> None:
     chosen = scenario.load(scenario.find("nominal-extended"))
     assert hold_of(chosen) == Hold("plant.depth", 100.0, 140.0)
     with pytest.raises(ScenarioError, match=r"controller\.reference is never constant"):
         hold_of(scenario.load(scenario.find("example-l1")))
 
 
-def test_control_and_measurement_of_the_vehicle_are_what_enters_and_leaves_it(scenario_fmus: None) -> None:
+def test_control_and_measurement_of_the_vehicle_are_what_enters_and_leaves_it() -> None:
     with HoldRuns(scenario.load(scenario.find("nominal-extended"))) as runs:
-        assert loop_inputs(runs.prepared, "plant.depth", LoopSignal.CONTROL) == (
-            "plant.voltage[1]",
-            "plant.voltage[2]",
+        of_control, of_measurement = (
+            loop_inputs(runs.prepared, "plant.depth", signal)
+            for signal in (LoopSignal.CONTROL, LoopSignal.MEASUREMENT)
         )
-        assert loop_inputs(runs.prepared, "plant.depth", LoopSignal.MEASUREMENT) == (
-            "controller.measured_depth",
-            "controller.measured_depth_rate",
-        )
+    assert of_control == ("plant.voltage[1]", "plant.voltage[2]")
+    assert of_measurement == ("controller.measured_depth", "controller.measured_depth_rate")
 
 
-def test_the_vehicle_bears_what_its_linear_loop_does_less_its_sampling(scenario_fmus: None) -> None:
+def test_the_vehicle_bears_what_its_linear_loop_does_less_its_sampling() -> None:
     """With the true state: 0.4133 s in continuous time, less a step by Jacobi and half a one by the hold.
 
     The law's own step costs less than another half. docs/explanation/margins.md has the figures.

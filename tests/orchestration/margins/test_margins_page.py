@@ -42,13 +42,11 @@ THEORY = ("L1-norm condition", "linear loop", "prediction error")
 @pytest.mark.parametrize(
     ("name", "column"), [("nominal-l1", 0), ("nominal-extended", 1), ("example-extended", 0)]
 )
-def test_the_page_has_the_metrics_that_follow_from_theory(
-    scenario_fmus: None, name: str, column: int
-) -> None:
+def test_the_page_has_the_metrics_that_follow_from_theory(name: str, column: int) -> None:
     assert not missing(name, False, THEORY, column)
 
 
-def test_the_table_of_adaptation_gains_is_that_of_the_linear_loop(scenario_fmus: None) -> None:
+def test_the_table_of_adaptation_gains_is_that_of_the_linear_loop() -> None:
     shown_metrics = metrics("nominal-extended", False)
     for gain in (10, 100, 1000, 10000, 100000):
         shown = shown_metrics[f"linear loop: delay margin, adaptation_gain = {gain}"].shown
@@ -57,12 +55,12 @@ def test_the_table_of_adaptation_gains_is_that_of_the_linear_loop(scenario_fmus:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "column"), [("nominal-l1", 0), ("nominal-extended", 1)])
-def test_the_page_has_the_metrics_that_are_measured(scenario_fmus: None, name: str, column: int) -> None:
+def test_the_page_has_the_metrics_that_are_measured(name: str, column: int) -> None:
     assert not missing(name, True, ("through the FMUs",), column)
 
 
 @pytest.mark.slow
-def test_the_tables_of_adaptation_gains_and_of_steps_are_measured(scenario_fmus: None) -> None:
+def test_the_tables_of_adaptation_gains_and_of_steps_are_measured() -> None:
     shown_metrics = metrics("nominal-extended", True)
     for gain in (10, 100, 1000, 10000, 100000):
         names = [

@@ -119,17 +119,6 @@ def test_no_controller_is_told_the_true_rate_in_any_case(protocol: Protocol) -> 
         ]  # fmt: skip
 
 
-def test_a_score_has_other_noise_than_whoever_tuned_could_learn(protocol: Protocol) -> None:
-    with ClosedLoop(PID, protocol) as loop:
-        seeds = {
-            loop.experiment(case).parameters["plant.sensor_seed"]
-            for seed in range(30)
-            for case in drawn_cases(protocol, seed)
-        }
-    assert len(seeds) == 30 * len(protocol.cases)
-    assert not seeds & set(protocol.tables.practice_seeds)
-
-
 def test_who_acts_at_the_known_time_of_a_step_is_too_early(
     protocol: Protocol, knowing: Callable[..., Controller]
 ) -> None:

@@ -85,9 +85,8 @@ def test_overshoot_and_breach_are_failures_with_their_numbers(protocol: Protocol
 def test_where_the_reference_does_not_move_there_is_neither_lag_nor_overshoot(protocol: Protocol) -> None:
     zero = np.zeros_like(TIME)
     holding = replace(protocol.nominal, target=replace(protocol.nominal.target, moves=False))
-    metrics = metrics_of(
-        run(zero + 0.8, zero, zero), declared(holding, protocol, ["lag", "overshoot", "rmse"])
-    )
+    names = declared(holding, protocol, ["lag", "overshoot", "rmse"])
+    metrics = metrics_of(run(zero + 0.8, zero, zero), names)
     assert math.isnan(metrics["lag"])
     assert math.isnan(metrics["overshoot"])
     assert set(metrics) == {"lag", "overshoot", "rmse"}
@@ -96,11 +95,8 @@ def test_where_the_reference_does_not_move_there_is_neither_lag_nor_overshoot(pr
 def test_median_percentile_and_cvar_of_one_to_a_hundred() -> None:
     shuffled = np.random.default_rng(3).permutation(np.arange(1.0, 101.0))
     over_plants = distribution(shuffled.tolist())
-    assert (over_plants.median, over_plants.p95, over_plants.cvar) == (
-        50.0,
-        95.0,
-        98.0,
-    )  # 98 is the mean of 96 .. 100
+    # 98 is the mean of 96 .. 100
+    assert (over_plants.median, over_plants.p95, over_plants.cvar) == (50.0, 95.0, 98.0)
 
 
 @pytest.mark.parametrize(("plants", "worst"), [(1, 1.0), (20, 20.0), (21, 20.5), (30, 29.5), (41, 40.0)])

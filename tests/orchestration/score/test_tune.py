@@ -146,14 +146,8 @@ def test_a_journal_with_gains_that_the_search_did_not_ask_for_is_refused(tmp_pat
 
 def test_progress_counts_what_is_done_with_the_lowest_cost(tmp_path: Path) -> None:
     calls: list[tuple[int, float]] = []
-    tuning = tune(
-        Problem(GAINS),
-        SEEDS,
-        4,
-        tmp_path / "journal",
-        at_once(known_cost),
-        lambda done, cost: calls.append((done, cost)),
-    )
+    path, evaluate = tmp_path / "journal", at_once(known_cost)
+    tuning = tune(Problem(GAINS), SEEDS, 4, path, evaluate, lambda *done: calls.append(done))
     assert sum(done for done, _ in calls) == tuning.evaluations
     costs = [cost for _, cost in calls]
     assert costs == sorted(costs, reverse=True)
@@ -207,13 +201,8 @@ def test_the_lowest_cost_must_not_fall_in_the_last_half_of_the_last_search() -> 
 def test_the_least_that_can_be_tuned_has_its_judgements(tmp_path: Path) -> None:
     """One gain, one seed, one evaluation: no part of the last search is the first one; it tells nothing."""
     tuning = tune(Problem(GAINS[:1]), [1], 1, tmp_path / "journal", at_once(lambda gains: {"cost": 4.0}))
-    assert (tuning.improvement, tuning.evaluations, tuning.is_flat, tuning.seeds_agree) == (
-        0.0,
-        2,
-        False,
-        True,
-    )
-    assert (tuning.is_long_enough, tuning.fewest) == (False, 12)
+    assert (tuning.improvement, tuning.evaluations, tuning.fewest) == (0.0, 2, 12)
+    assert (tuning.is_flat, tuning.seeds_agree, tuning.is_long_enough) == (False, True, False)
 
 
 def test_seeds_agree_if_most_come_near_the_lowest_cost() -> None:
