@@ -154,6 +154,15 @@ def test_a_source_outside_the_package_or_with_a_fragment_is_refused(tmp_path: Pa
     assert f"a: source {source!r}: expected a file in the package, as a relative URI" in message
 
 
+def test_a_file_outside_the_package_is_refused_though_it_is_there(tmp_path: Path) -> None:
+    """By its path, and from the folder of the package up to the root and down again."""
+    outside = str(tmp_path / "f.fmu")
+    for source in (outside, "../" * 40 + outside.lstrip("/")):
+        message = refusal(package(tmp_path, source=source))
+        assert f"a: source {source!r}: expected a file in the package" in message
+    assert Path(outside).is_file()
+
+
 def test_sources_are_written_as_uris_without_escapes(tmp_path: Path) -> None:
     """FMUs of different content have different names, also where those differ in what is replaced."""
     for name, unit in (("größe 1#", "m"), ("größe_1%", "cm")):
