@@ -6,6 +6,7 @@ import re
 import sys
 from collections.abc import Iterator
 from dataclasses import astuple
+from functools import cache
 from itertools import combinations
 from pathlib import Path
 from statistics import median
@@ -189,11 +190,11 @@ def many_runs(document: Score) -> Iterator[tuple[ManyRuns, int]]:
 
 def test_the_statistics_are_those_of_the_runs(document: Score) -> None:
     """As far as the file has the values of each run: of the tuned controllers, and of nominal cases."""
+    interval = cache(proportion_interval)  # of few numbers of failures
     for runs, count in many_runs(document):
         assert runs.count == count
         assert runs.failure_rate == pytest.approx(len(runs.failed) / count, rel=ROUNDED)
-        expected = proportion_interval(len(runs.failed), count)
-        assert runs.failure_interval == pytest.approx(expected, rel=ROUNDED)
+        assert runs.failure_interval == pytest.approx(interval(len(runs.failed), count), rel=ROUNDED)
         for metric in runs.metrics.values():
             if metric.values:
                 statistics = [metric.median, metric.p95, metric.cvar]

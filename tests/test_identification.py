@@ -60,7 +60,7 @@ def exact(scenario_fmus: None) -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def points(exact: Any) -> dict[str, np.ndarray]:
-    return posterior.drawn_points(exact, WIDE, seed=1, count=200, extensions=4, proposal=None)
+    return posterior.drawn_points(exact, WIDE, seed=1, count=100, extensions=4, proposal=None)
 
 
 # The page

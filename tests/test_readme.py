@@ -63,14 +63,3 @@ def test_the_extras_are_installed_before_the_commands_that_need_them() -> None:
     use = README.partition("## Use\n")[2]
     first = use.partition("```sh\n")[2].partition("\n")[0]
     assert first == "pip install -e '.[all]'"
-
-
-def test_every_command_shown_exists() -> None:
-    help_text = subprocess.run(
-        [sys.executable, "-c", "from orchestration.cli import main; main()", "--help"],
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout
-    for command in set(re.findall(r"^l1-depth (\w+)", README, re.MULTILINE)):
-        assert command in help_text

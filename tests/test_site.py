@@ -44,11 +44,7 @@ def test_the_archive_holds_every_fmu_for_all_platforms(archive: Path) -> None:
 
 
 def test_the_archive_holds_what_each_tool_reads(archive: Path) -> None:
-    for name in (
-        "ssp/nominal-extended.ssp",
-        "documentation/index.html",
-        "LICENSE",
-    ):
+    for name in ("ssp/nominal-extended.ssp", "documentation/index.html", "LICENSE"):
         assert (archive / name).stat().st_size > 0
     assert version("l1-depth") in (archive / "README.txt").read_text(encoding="utf-8")
 

@@ -48,7 +48,9 @@ def test_the_page_agrees_with_the_results_that_it_shows() -> None:
 FAULTS = dict(re.findall(r"/\* (\d+): ([a-z-]+)", (FOLDER / "reproductions.c").read_text(encoding="utf-8")))
 
 
-@pytest.mark.parametrize("number", ["0", *sorted(FAULTS, key=int)])
+@pytest.mark.parametrize(
+    "number", ["0", *(pytest.param(number, marks=pytest.mark.slow) for number in sorted(FAULTS, key=int))]
+)
 def test_a_reproduction_breaks_the_rule_that_it_names_and_no_other(number: str, tmp_path: Path) -> None:
     """With 0 it breaks none. The survey met each of these rules broken."""
     assert [*map(int, sorted(FAULTS, key=int))] == [*range(1, 11)]

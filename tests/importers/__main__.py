@@ -1,6 +1,6 @@
 """Run packages in other people's importers and compare the depth in each with this master's.
 
-Run `python -m tests.importers` in the project's root, with the extra `test` installed.
+Run `python -m tests.importers` in the project's root, with the extra `test` installed: it prints Markdown.
 """
 
 import tempfile
@@ -8,34 +8,28 @@ from collections.abc import Iterator
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
-from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 from fmus.build import builder
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from tests.importers.comparison import SCENARIOS, Outcome, outcome, packaged
 from tests.importers.importers import IMPORTERS
-from tests.printing import print_tables
 
 
-def main(
-    markdown: Annotated[bool, typer.Option(help="Print a table of Markdown.")] = False,
-) -> None:
+def main() -> None:
     """Run two packages in every importer of the extra `test` and compare the depth with this master's."""
     count = len(IMPORTERS) * len(SCENARIOS)
     outcomes = list(track(_outcomes(), total=count, console=Console(stderr=True), transient=True))
-    table = Table(title="Our master against other importers")
-    for heading in ("Importer", "Version", "Scenario", "Largest difference", "Labels early by"):
-        table.add_column(heading, overflow="fold")
-    for row in outcomes:
-        cells = (row.problem, "") if row.problem else (f"{row.difference:.1e} m", f"{row.shift} steps")
-        table.add_row(row.importer, version(IMPORTERS[row.importer].distribution), row.scenario, *cells)
-    print_tables([table], markdown)
+    rows = [("Importer", "Version", "Scenario", "Largest difference", "Labels early by"), ("---",) * 5]
+    for one in outcomes:
+        cells = (one.problem, "") if one.problem else (f"{one.difference:.1e} m", f"{one.shift} steps")
+        rows.append((one.importer, version(IMPORTERS[one.importer].distribution), one.scenario, *cells))
+    for row in rows:
+        print(f"| {' | '.join(row)} |")
     if failed := sorted({row.importer for row in outcomes if row.problem}):
         raise SystemExit(f"{', '.join(failed)} failed: expected the same values as this master's")
 

@@ -51,6 +51,13 @@ def run_isolated(importer: str, job: ImporterJob) -> Trajectory | str:
     return answer_of(run_job, (importer, job), _LONGEST_S)
 
 
+def trajectory(importer: str, job: ImporterJob) -> Trajectory:
+    """The importer's trajectory; AssertionError says why there is none."""
+    answer = run_isolated(importer, job)
+    assert isinstance(answer, Trajectory), answer
+    return answer
+
+
 def outcome(importer: str, job: ImporterJob, ours: Recording) -> Outcome:
     """One importer on one package."""
     blank = Outcome(importer, job.package.stem)

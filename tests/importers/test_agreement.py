@@ -17,7 +17,7 @@ from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
-from tests.importers.comparison import OUTPUT, SCENARIOS, least_difference, outcome, packaged, run_isolated
+from tests.importers.comparison import OUTPUT, SCENARIOS, least_difference, outcome, packaged, trajectory
 from tests.importers.importers import IMPORTERS, ImporterJob, Trajectory
 
 pytestmark = pytest.mark.importers
@@ -33,8 +33,7 @@ STEP_SHIFT = {"fmpy_ssp": 1, "libcosim": 0, "ecos": 0, "fmucontainer": 0, "omsim
 def test_the_depth_is_that_of_this_master(
     importer: str, name: str, jobs: dict[str, ImporterJob], ours: dict[str, Recording]
 ) -> None:
-    answer = run_isolated(importer, jobs[name])
-    assert isinstance(answer, Trajectory), answer
+    answer = trajectory(importer, jobs[name])
     assert len(answer.values) >= 15500
     shift, difference = least_difference(answer, ours[name], jobs[name])
     assert difference < ROUNDING_OF_TIME
@@ -55,8 +54,7 @@ READ_SSP_2 = [name for name in ("libcosim", "fmucontainer", "omsimulator") if na
 def test_the_depth_is_that_of_this_master_from_a_package_of_ssp_2(
     importer: str, package_of_ssp_2: ImporterJob, ours: dict[str, Recording]
 ) -> None:
-    answer = run_isolated(importer, package_of_ssp_2)
-    assert isinstance(answer, Trajectory), answer
+    answer = trajectory(importer, package_of_ssp_2)
     assert least_difference(answer, ours["nominal-l1"], package_of_ssp_2)[1] < ROUNDING_OF_TIME
 
 
@@ -84,8 +82,7 @@ def test_fmpy_applies_the_parameter_set_of_another_scenario_when_it_is_named(
 ) -> None:
     """Each set has every value that one of them has, as the FMUs start with those of the packaged one."""
     job = replace(jobs["nominal-extended"], parameter_set="nominal-l1")
-    answer = run_isolated("fmpy_ssp", job)
-    assert isinstance(answer, Trajectory), answer
+    answer = trajectory("fmpy_ssp", job)
     assert least_difference(answer, ours["nominal-l1"], job)[1] < ROUNDING_OF_TIME
 
 
@@ -116,13 +113,11 @@ def test_packages_and_extraction_in_folders_of_any_name_work(
     folder = tmp_path / "a space #1 + 2 %20 [x] (y) Tiefe-äø 水深"
     folder.mkdir()
     short = replace(jobs["nominal-extended"], stop_time=1.0)
-    plain = run_isolated(importer, short)
+    plain = trajectory(importer, short)
     package = folder / "loop.ssp"
     package.write_bytes(short.package.read_bytes())
     monkeypatch.setattr("tempfile.tempdir", str(folder))  # where importers extract
-    odd = run_isolated(importer, replace(short, package=package))
-    assert isinstance(plain, Trajectory), plain
-    assert isinstance(odd, Trajectory), odd
+    odd = trajectory(importer, replace(short, package=package))
     np.testing.assert_array_equal(odd.values, plain.values)
 
 
@@ -131,14 +126,12 @@ def test_an_importer_asked_for_the_last_value_alone_gives_the_same(
     importer: str, jobs: dict[str, ImporterJob]
 ) -> None:
     short = replace(jobs["nominal-extended"], stop_time=1.0)
-    every, last = run_isolated(importer, short), run_isolated(importer, replace(short, report_every=50))
-    assert isinstance(every, Trajectory), every
-    assert isinstance(last, Trajectory), last
+    every, last = trajectory(importer, short), trajectory(importer, replace(short, report_every=50))
     assert last.values[-1] == every.values[-1]
 
 
 def test_the_command_writes_a_row_for_each_importer_and_scenario(scenario_fmus: None) -> None:
-    command = [sys.executable, "-m", "tests.importers", "--markdown"]
+    command = [sys.executable, "-m", "tests.importers"]
     printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     lines = [line for line in printed.splitlines() if line.startswith("|")]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]

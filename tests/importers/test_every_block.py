@@ -11,8 +11,8 @@ from fmus.build import builder
 from orchestration.results.recording import Recording
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
-from tests.importers.comparison import least_difference, packaged, run_isolated
-from tests.importers.importers import IMPORTERS, ImporterJob, Trajectory
+from tests.importers.comparison import least_difference, packaged, trajectory
+from tests.importers.importers import IMPORTERS, ImporterJob
 from tests.shared_builds import Fmus
 
 pytestmark = pytest.mark.importers
@@ -69,8 +69,7 @@ def test_every_block_runs_without_an_error_or_a_warning(
     job, ours = job_and_ours
     for output in OUTPUTS:
         own = replace(job, output=output)
-        answer = run_isolated(importer, own)
-        assert isinstance(answer, Trajectory), answer
+        answer = trajectory(importer, own)
         assert not [line for line in answer.printed.splitlines() if is_complaint(line)]
         assert np.ptp(answer.values) > 0.0
         assert least_difference(answer, ours, own)[1] < ROUNDING
@@ -90,7 +89,6 @@ def test_fmus_of_the_python_flavour_run_in_importers_that_python_calls(
     )
     chosen = scenario.load(tmp_path / "python.toml")
     job = replace(packaged(chosen, tmp_path), output="plant.depth")
-    answer = run_isolated(importer, job)
-    assert isinstance(answer, Trajectory), answer
+    answer = trajectory(importer, job)
     assert np.ptp(answer.values) > 0.0
     assert least_difference(answer, simulate(chosen.system, chosen.experiment), job)[1] < ROUNDING

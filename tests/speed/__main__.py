@@ -57,8 +57,10 @@ def main(
     with tempfile.TemporaryDirectory(prefix="l1-depth-speed-") as name:
         folder = Path(name)
         try:
-            states = [state(before, folder / "before")] if before else []
-            states.append(state(str(ROOT), folder / "now"))
+            now = state(str(ROOT), folder / "now")
+            # this clone beside itself, as .ci/run has it, builds and compiles everything once
+            is_same = before and Path(before).is_dir() and now.sources.samefile(before)
+            states = [now if is_same else state(before, folder / "before"), now] if before else [now]
         except OrchestrationError as error:
             raise typer.BadParameter(str(error)) from error
         tables, failed = measure(parts or [*PARTS], states, quick)

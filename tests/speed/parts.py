@@ -387,16 +387,10 @@ PARTS: dict[str, tuple[tuple[str, ...], list[Measure]]] = {
     "runs": (("runs",), [inside("runs", "run", (), (), 12), Measure(nominal_in_c, 7)]),
     "steps": (
         ("steps",),
-        [
-            step_in_c("RovDepthPlant", "0.45 of before"),
-            step_in_c("L1DepthController", "0.65 of before"),
-        ],
+        [step_in_c("RovDepthPlant", "0.45 of before"), step_in_c("L1DepthController", "0.65 of before")],
     ),
     "sweeps": (("sweeps", "million"), [*map(sweep, WAYS), Measure(on_dask, 1, compared=False)]),
-    "samples": (
-        ("samples",),
-        [growing(1000), growing(20_000), growing(100_000)],
-    ),
+    "samples": (("samples",), [growing(1000), growing(20_000), growing(100_000)]),
     "ensemble": (("ensemble",), [inside("ensemble", "ensemble", (1, 8, 64, 1024), (8,), 5)]),
     "scale": (("scale",), [Measure(many_lags, 3)]),
     "memory": (("memory",), [memory(way) for way in ("run", "parquet", "csv")]),

@@ -5,6 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.foreign_fmus import Misdeed
+from tests.shared_builds import Build
+
 
 @pytest.fixture(scope="session", autouse=True)
 def _built(scenario_fmus: None) -> None:
@@ -45,5 +48,20 @@ def short_scenario(tmp_path: Path) -> Callable[..., Path]:
         path = tmp_path / "short.toml"
         path.write_text(SHORT.format(stop=stop) + more)
         return path
+
+    return write
+
+
+@pytest.fixture
+def misbehaving(rogue: Build, tmp_path: Path) -> Callable[..., str]:
+    """Writes mine.toml, whose FMU, the rudder, misbehaves from a time on [s]."""
+
+    def write(misdeed: Misdeed, time: float = 0.0, stop: float = 1.0) -> str:
+        (tmp_path / "mine.toml").write_text(
+            f'[components]\nrudder = "{rogue(saves_state=True, serialises_state=True)}"\n'
+            f'[experiment]\nstop_time = {stop}\nstep_size = 0.1\n[inputs]\n"rudder.u" = 1.0\n'
+            f'[parameters]\n"rudder.misdeed" = {int(misdeed)}\n"rudder.misdeed_time" = {time}\n'
+        )
+        return "mine.toml"
 
     return write

@@ -16,13 +16,9 @@ from orchestration.results.recording import Recording
 Command = Callable[..., Any]
 
 
-def test_build_check_inspect(command: Command, built: Mapping[str, Path]) -> None:
-    done = command("build", "ExamplePlant", "--flavour", "python", "--out", "out")
-    assert done.stdout == "out/ExamplePlant.fmu\n"
+def test_what_is_built_can_be_inspected(command: Command, built: Mapping[str, Path]) -> None:
+    command("build", "ExamplePlant", "--flavour", "python", "--out", "out")
     assert "disturbance" in command("inspect", "out/ExamplePlant.fmu").stdout
-    judged = command("check", built["L1Controller"]).stdout
-    assert " passed" in judged
-    assert " error" not in judged  # a rule may be called one
     lines = command("inspect", built["L1Controller"]).stdout.splitlines()
     (augmentation,) = [line for line in lines if "augmentation" in line]
     assert "1 (none), 2 (pi), 3 (nonlinear_p)" in augmentation
@@ -40,13 +36,10 @@ def test_build_writes_fmus_of_fmi_3_to_a_folder_of_their_own(command: Command, r
     assert command("build", "ExamplePlant", "--fmi", "3").stdout == "fmus-built/fmi3/ExamplePlant.fmu\n"
     description = zipfile.ZipFile("fmus-built/fmi3/ExamplePlant.fmu").read("modelDescription.xml")
     assert b'<fmiModelDescription fmiVersion="3.0"' in description
-    assert "--fmi: no effect with --cache" in refused("build", "ExamplePlant", "--fmi", "3", "--cache")
-    assert "expected FMI 2.0, or 3.0 in native" in refused(
-        "build", "ExamplePlant", "--fmi", "3", "--flavour", "python"
-    )
-    assert "expected the native flavour and FMI 2.0" in refused(
-        "build", "ExamplePlant", "--fmi", "3", "--reals-only"
-    )
+    build = ("build", "ExamplePlant", "--fmi", "3")
+    assert "--fmi: no effect with --cache" in refused(*build, "--cache")
+    assert "expected FMI 2.0, or 3.0 in native" in refused(*build, "--flavour", "python")
+    assert "expected the native flavour and FMI 2.0" in refused(*build, "--reals-only")
 
 
 def test_new_and_build_make_the_fmu_of_a_file_beside_that_of_an_installed_block(command: Command) -> None:
@@ -70,7 +63,7 @@ def test_the_block_that_new_writes_runs_in_the_papers_loop_and_passes_every_rule
     command: Command, short_scenario: Command
 ) -> None:
     command("new", "pid")
-    command("run", short_scenario(stop=4.0), "--controller", "pid.py", "--out", "results")
+    command("run", short_scenario(stop=4.0), "--controller", "pid.py", "--formats", "none")
     recording = Recording.read(Path("results", "short-Pid.csv"))
     assert 0.0 < recording["plant.total_force"][-1] <= 6.0
     fmu = builder.fmu_of_file(Path("pid.py"))

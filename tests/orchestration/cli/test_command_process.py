@@ -38,8 +38,9 @@ def ended(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return done
 
 
-@pytest.mark.parametrize("unbuffered", ["", "1"])
-@pytest.mark.parametrize("argument", ["scenarios", "--help", "--version"])
+@pytest.mark.parametrize(
+    ("argument", "unbuffered"), [("scenarios", ""), ("scenarios", "1"), ("--help", ""), ("--version", "1")]
+)
 def test_a_command_whose_output_nobody_reads_ends_without_a_word(argument: str, unbuffered: str) -> None:
     """Its status is that of other tools in a shell: 128 + SIGPIPE."""
     reader, output = os.pipe()
@@ -126,26 +127,13 @@ def test_a_cache_that_can_only_be_read_is_still_read(
     assert capsys.readouterr().err == ""
 
 
-@pytest.fixture
-def misbehaving(rogue: Callable[..., Path], tmp_path: Path) -> Callable[[Misdeed], str]:
-    """Writes a scenario whose FMU misbehaves in the first second of a minute."""
-
-    def write(misdeed: Misdeed) -> str:
-        (tmp_path / "mine.toml").write_text(
-            f'[components]\nr = "{rogue(saves_state=True, serialises_state=True)}"\n'
-            "[experiment]\nstop_time = 60.0\nstep_size = 0.1\n"
-            f'[inputs]\n"r.u" = 1.0\n[parameters]\n"r.misdeed" = {int(misdeed)}\n"r.misdeed_time" = 0.5\n'
-        )
-        return "mine.toml"
-
-    return write
-
-
 def test_an_fmu_that_changes_the_permissions_of_new_files_hides_no_results(
-    misbehaving: Callable[[Misdeed], str], tmp_path: Path
+    misbehaving: Callable[..., str], tmp_path: Path
 ) -> None:
     (tmp_path / "usual").touch()
-    done = ended(tmp_path, "run", misbehaving(Misdeed.HIDE_FILES), "--checkpoint", "saved", "--every", "1")
+    done = ended(
+        tmp_path, "run", misbehaving(Misdeed.HIDE_FILES, 0.5, 2.0), "--checkpoint", "saved", "--every", "1"
+    )
     assert done.returncode == 0, done.stderr
     results = [*(tmp_path / "results").iterdir()]
     assert len(results) == 3
@@ -154,9 +142,9 @@ def test_an_fmu_that_changes_the_permissions_of_new_files_hides_no_results(
 
 
 def test_an_fmu_that_limits_the_size_of_files_is_named_and_harmless_in_a_process_of_its_own(
-    misbehaving: Callable[[Misdeed], str], tmp_path: Path
+    misbehaving: Callable[..., str], tmp_path: Path
 ) -> None:
-    done = ended(tmp_path, "run", misbehaving(Misdeed.LIMIT_FILES))
+    done = ended(tmp_path, "run", misbehaving(Misdeed.LIMIT_FILES, 0.5))
     assert done.returncode == 1
     assert done.stderr == (
         "l1-depth: results/mine.csv: File too large: an FMU may have limited this process; "
@@ -167,9 +155,16 @@ def test_an_fmu_that_limits_the_size_of_files_is_named_and_harmless_in_a_process
 
 
 def test_an_interrupt_at_the_terminal_reaches_a_run_whose_fmu_has_left_it(
-    misbehaving: Callable[[Misdeed], str], tmp_path: Path
+    misbehaving: Callable[..., str], tmp_path: Path
 ) -> None:
-    arguments = ["run", misbehaving(Misdeed.LEAVE_SESSION), "--real-time", "1", "--out", str(tmp_path)]
+    arguments = [
+        "run",
+        misbehaving(Misdeed.LEAVE_SESSION, 0.5, 60.0),
+        "--real-time",
+        "1",
+        "--out",
+        str(tmp_path),
+    ]
     process, terminal = pty.fork()
     if not process:
         os.chdir(tmp_path)

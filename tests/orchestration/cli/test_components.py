@@ -82,6 +82,7 @@ def output(t, s, p, _):
 
 P = Block.of_module(__name__, "Proportional", "Proportional control", step_size=0.02)
 """
+NO_FIGURE = ("--formats", "none")
 OURS = {"controller": "L1DepthController", "plant": "RovDepthPlant"}
 FILES = {"controller": PROPORTIONAL, "plant": BOAT}
 
@@ -98,9 +99,8 @@ def test_an_fmu_a_block_and_a_python_file_take_the_place_of_a_component(
     short_scenario()
     shutil.copy(built[OURS[component]], tmp_path / "my.fmu")
     (tmp_path / "own.py").write_text(FILES[component])
-    command("run", "short.toml")
-    for fmu in ("my.fmu", OURS[component], "own.py"):
-        command("run", "short.toml", f"--{component}", fmu)
+    for options in ((), *((f"--{component}", fmu) for fmu in ("my.fmu", OURS[component], "own.py"))):
+        command("run", "short.toml", *options, *NO_FIGURE)
     results = tmp_path / "results"
     ours, other, block = (
         (results / f"{name}.csv").read_text().splitlines()[1:]
@@ -178,7 +178,7 @@ def test_a_vehicle_of_ten_lines_follows_the_laws_of_motion(
     """M z'' = F - D z', by explicit Euler, computed here from the recorded force."""
     short_scenario(2.0)
     (tmp_path / "boat.py").write_text(BOAT)
-    command("run", "short.toml", "--plant", "boat.py", "--controller", "PidDepthController")
+    command("run", "short.toml", "--plant", "boat.py", "--controller", "PidDepthController", *NO_FIGURE)
     recording = Recording.read(tmp_path / "results" / "short-PidDepthController-Boat.csv")
     depth, rate = 0.0, 0.0
     for recorded, force in zip(recording["plant.depth"], recording["plant.control_force"], strict=True):

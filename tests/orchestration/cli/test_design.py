@@ -12,16 +12,10 @@ import pytest
 Command = Callable[..., Any]
 
 
-@pytest.fixture
-def designed(command: Command) -> str:
-    """What the command prints for the paper's vehicle; its files lie in out."""
-    printed: str = command("design", "--plant", "RovDepthPlant", "--draws", "2", "--out", "out").stdout
-    return printed
-
-
 def test_every_corner_of_our_vehicle_settles_and_a_run_takes_the_file(
-    command: Command, designed: str, tmp_path: Path
+    command: Command, tmp_path: Path
 ) -> None:
+    designed = command("design", "--plant", "RovDepthPlant", "--draws", "2", "--out", "out").stdout
     assert designed.splitlines()[-2:] == ["out/RovDepthPlant-l1.toml", "out/RovDepthPlant-pid.toml"]
     assert re.search(r"RovDepthPlant: 128 corners, 2 draws", designed)
     assert designed.count("131 of 131") == 3
@@ -29,10 +23,8 @@ def test_every_corner_of_our_vehicle_settles_and_a_run_takes_the_file(
         path = tmp_path / f"out/RovDepthPlant-{ending}.toml"
         written = tomllib.loads(path.read_text())
         assert all(entry["unit"] and entry["source"] for entry in written["parameters"].values())
-        command(
-            "run", "nominal-extended", *controller, "--parameters", str(path), "--formats", "none",
-            "--out", f"run-{ending}",
-        )  # fmt: skip
+        options = ("--parameters", path, "--formats", "none", "--out", f"run-{ending}")
+        command("run", "nominal-extended", *controller, *options)
         (result,) = (tmp_path / f"run-{ending}").glob("*.json")
         rmse = json.loads(result.read_text())["metrics"]["rmse"]["value"]
         assert rmse == pytest.approx(written["design"]["checked"][-1]["rmse_cm"], abs=6e-4)  # 3 decimals
@@ -44,15 +36,8 @@ def test_a_place_that_does_not_settle_ends_the_command_and_writes_nothing(
 ) -> None:
     """The rules do not know the dead zone."""
     zones = [f"plant.thruster_dead_zone[{i}]=11.9" for i in (1, 2)]
-    done = command(
-        "design",
-        "--plant",
-        "RovDepthPlant",
-        *(part for z in zones for part in ("--set", z)),
-        "--draws",
-        "0",
-        expect=1,
-    )
+    settings = (part for zone in zones for part in ("--set", zone))
+    done = command("design", "--plant", "RovDepthPlant", *settings, "--draws", "0", expect=1)
     assert re.search(r"L1: does not settle at the start values; \d+ more runs do not: no file", done.stderr)
     assert not list(tmp_path.rglob("*.toml"))
 
@@ -62,10 +47,7 @@ def test_a_place_that_does_not_settle_ends_the_command_and_writes_nothing(
     [
         (("--set", "controller.kp=1"), "controller.kp: expected plant.NAME"),
         (("--bandwidth", "9"), "no L1 for RovDepthPlant: .* at 9 rad/s"),
-        (
-            ("--phase-margin", "60", "--bandwidth", "0.5"),
-            "60 deg are asked for, at .* a smaller --phase-margin",
-        ),
+        (("--phase-margin", "60", "--bandwidth", "0.5"), "60 deg are asked for, .* a smaller --phase-margin"),
     ],
 )
 def test_a_design_that_cannot_be_made_is_refused(

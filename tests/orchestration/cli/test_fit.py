@@ -110,15 +110,12 @@ def test_one_reading_is_spoken_of_as_one(
     assert line in capsys.readouterr().out.splitlines()
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
+def test_a_mistake_is_one_line(refused: Command, log: Path) -> None:
+    for options, message in (
         (["--free", "mas"], "--free mas: expected a parameter of type Real; nearest is 'mass'"),
         (["--free", "mass", "--set", "controller.kp=1"], "controller.kp: expected plant.NAME"),
         (["--free", "mass", "--map", "depth=z"], "controller.depth: expected plant.NAME or data.NAME"),
         (["--free", "mass", "--map", "data.time=zeit"], "no column 'zeit'"),
         (["--free", "mass", "--map", "data.control_force=nothing"], "no column 'nothing'"),
-    ],
-)
-def test_a_mistake_is_one_line(refused: Command, log: Path, options: list[str], message: str) -> None:
-    assert message in refused("fit", "rover.py", "--data", log, *COLUMNS[:4], *options)
+    ):
+        assert message in refused("fit", "rover.py", "--data", log, *COLUMNS[:4], *options)

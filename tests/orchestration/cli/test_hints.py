@@ -177,14 +177,14 @@ def test_a_file_of_a_class_without_a_block_offers_the_class(
     assert "no block at the top level of the file; expected BLOCK = Block(...), or " in message
     (offered,) = re.findall(r"or (\S+:\w+) for its class Pd$", message)
     assert offered == f"{folder}mine.py:Pd"
-    command("run", "short.toml", "--controller", offered)
+    command("run", "short.toml", "--controller", offered, "--formats", "none")
 
 
 def test_a_variable_without_its_component_is_offered_with_it(
     command: Command, error: Callable[..., str], short_scenario: Callable[..., Path]
 ) -> None:
     short_scenario()
-    options = ("run", "short.toml", "--controller", "PidDepthController")
+    options = ("run", "short.toml", "--controller", "PidDepthController", "--formats", "none")
     message = error(*options, "--set", "kp=10")
     assert message == ("l1-depth: kp = '10': no component 'kp' to replace; expected controller.kp=10")
     command(*options, "--set", message.rpartition(" ")[2])
@@ -212,7 +212,7 @@ def test_parameters_of_another_vehicle_ask_for_it(
     short_scenario()
     command("new", "rover", "--vehicle")
     (tmp_path / "rover-fit.toml").write_text('[parameters."plant.mass"]\nvalue = 6.0\nsource = "a fit"\n')
-    options = ("run", "short.toml", "--parameters", "rover-fit.toml")
+    options = ("run", "short.toml", "--parameters", "rover-fit.toml", "--formats", "none")
     message = error(*options)
     assert message == (
         "l1-depth: rover-fit.toml: plant.mass: plant is RovDepthPlant, which has no such parameter: "
@@ -242,7 +242,8 @@ def test_actuators_are_told_of_a_vehicle_that_a_file_of_the_user_names(
     command: Command, short_scenario: Callable[..., Path]
 ) -> None:
     short_scenario(more='[components]\nplant = "RovHeavePitchPlant"\n')
-    assert "of the actuators of plant: controller.voltage_limit = 12" in command("run", "short.toml").stderr
+    told = command("run", "short.toml", "--formats", "none").stderr
+    assert "of the actuators of plant: controller.voltage_limit = 12" in told
 
 
 def test_inspect_takes_what_other_commands_take(command: Command, error: Callable[..., str]) -> None:

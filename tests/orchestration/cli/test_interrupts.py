@@ -228,7 +228,7 @@ def interrupted(*arguments):
     _check_end(started(interrupted + code, "check", "any.fmu"), tmp_path)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)])
 def test_the_worker_processes_end_with_the_command_and_write_nothing(
     number: signal.Signals, started: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:
@@ -244,14 +244,10 @@ def test_the_worker_processes_end_with_the_command_and_write_nothing(
 
 
 def test_a_second_interrupt_ends_a_run_whose_fmu_hangs(
-    rogue: Callable[..., Path], started: Callable[..., subprocess.Popen[str]], tmp_path: Path
+    misbehaving: Callable[..., str], started: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:
-    (tmp_path / "hangs.toml").write_text(
-        f'[components]\nr = "{rogue()}"\n[experiment]\nstop_time = 1.0\nstep_size = 0.1\n'
-        f'[inputs]\n"r.u" = 0.0\n[parameters]\n"r.misdeed" = {int(Misdeed.HANG)}\n'
-    )
     quick = "from orchestration.cli import interrupts; interrupts.SAME_S = interrupts.GRACE_S = 0.1"
-    process = started(quick, "run", "hangs.toml")
+    process = started(quick, "run", misbehaving(Misdeed.HANG))
     _wait_for(lambda: list((tmp_path / "tmp").rglob("*.so")))
     _wait_for(lambda: _is_idle(process))  # it hangs; before that one interrupt would be enough
     process.send_signal(signal.SIGINT)
@@ -261,13 +257,9 @@ def test_a_second_interrupt_ends_a_run_whose_fmu_hangs(
 
 
 def test_an_fmu_that_ends_the_process_at_once_is_named_and_the_status_is_not_0(
-    rogue: Callable[..., Path], started: Callable[..., subprocess.Popen[str]], tmp_path: Path
+    misbehaving: Callable[..., str], started: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:
-    (tmp_path / "ends.toml").write_text(
-        f'[components]\nrudder = "{rogue()}"\n[experiment]\nstop_time = 1.0\nstep_size = 0.1\n'
-        f'[inputs]\n"rudder.u" = 0.0\n[parameters]\n"rudder.misdeed" = {int(Misdeed.EXIT_AT_ONCE)}\n'
-    )
-    process = started("", "run", "ends.toml", "--out", "out")
+    process = started("", "run", misbehaving(Misdeed.EXIT_AT_ONCE), "--out", "out")
     out, error = process.communicate(timeout=60)
     assert (process.returncode, out) == (70, "")
     assert error.startswith("l1-depth: rudder ended the process with exit status 0: the run is lost")
@@ -275,15 +267,11 @@ def test_an_fmu_that_ends_the_process_at_once_is_named_and_the_status_is_not_0(
 
 
 def test_an_fmu_that_crashes_while_it_is_freed_loses_nothing_of_the_run(
-    rogue: Callable[..., Path], started: Callable[..., subprocess.Popen[str]], tmp_path: Path
+    misbehaving: Callable[..., str], started: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:
-    (tmp_path / "ends.toml").write_text(
-        f'[components]\nrudder = "{rogue()}"\n[experiment]\nstop_time = 1.0\nstep_size = 0.1\n'
-        f'[inputs]\n"rudder.u" = 0.0\n[parameters]\n"rudder.misdeed" = {int(Misdeed.CRASH_IN_FREE)}\n'
-    )
-    process = started("", "run", "ends.toml", "--out", "out", "--formats", "none")
+    process = started("", "run", misbehaving(Misdeed.CRASH_IN_FREE), "--out", "out", "--formats", "none")
     out, error = process.communicate(timeout=60)
-    assert (process.returncode, out.splitlines()) == (139, ["out/ends.csv", "out/ends.json"])
+    assert (process.returncode, out.splitlines()) == (139, ["out/mine.csv", "out/mine.json"])
     assert error.startswith(
         "l1-depth: rudder ended the process with SIGSEGV: the files of the run are written; with --timeout"
     )

@@ -23,10 +23,7 @@ GAINS = (
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (
-            ["--slider", "plant.mas"],
-            "a constant input of type Real; nearest is 'plant.inertia'",
-        ),
+        (["--slider", "plant.mas"], "a constant input of type Real; nearest is 'plant.inertia'"),
         (["--slider", "plant.depth"], "--slider plant.depth: expected a parameter or a constant input"),
         (["--slider", "plant.voltage[1]"], "--slider plant.voltage[1]: expected a parameter or a constant"),
         (["--slider", "controller.depth_reference"], "--slider controller.depth_reference: expected a"),

@@ -47,12 +47,10 @@ def protocol_file(tmp_path: Path, scenario_fmus: None) -> Path:
 
 
 def test_score_prints_tables_and_writes_a_document_and_a_page(
-    command: Callable[..., object], protocol_file: Path, tmp_path: Path
+    command: Callable[..., Any], protocol_file: Path, tmp_path: Path
 ) -> None:
-    done = command(
-        "score", "L1DepthController", "--set", "controller.augmentation=pi", "--protocol", protocol_file
-    )
-    text = done.stdout  # type: ignore[attr-defined]
+    options = ("--set", "controller.augmentation=pi", "--protocol", protocol_file)
+    text = command("score", "L1DepthController", *options).stdout
     assert re.match(r"Protocol of a test, seed \d+\. The vehicle is simulated;", text)
     assert "Nominal" in text
     document = json.loads((tmp_path / "results" / "score.json").read_text(encoding="utf-8"))
@@ -88,25 +86,18 @@ def test_a_score_that_its_schema_refuses_is_not_written(
 def test_the_table_of_differences_says_on_how_many_plants_both_have_a_value() -> None:
     table = differences_table(made_up_score().document)
     assert table is not None
-    headings = [column.header for column in table.columns]
-    cells = [str(next(iter(column.cells))) for column in table.columns]
-    assert dict(zip(headings, cells, strict=True))["Pairs"] == "2"
+    first = {column.header: str(next(iter(column.cells))) for column in table.columns}
+    assert first["Pairs"] == "2"
 
 
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
         (["L1DepthControler"], "no block 'L1DepthControler'"),
-        (
-            ["L1DepthController", "--set", "plant.inertia=9"],
-            "--set plant.inertia: expected controller.NAME",
-        ),
+        (["L1DepthController", "--set", "plant.inertia=9"], "--set plant.inertia: expected controller.NAME"),
         (["L1DepthController", "--set", "controller.gain=9"], "controller.gain"),
         (["L1DepthController", "--out", f"{__file__}/results"], "Not a directory: expected a folder"),
-        (
-            ["a.fmu", "b.fmu", "--set", "controller.gain=9"],
-            "--set, --map and --parameters with 2 controllers: expected one",
-        ),
+        (["a.fmu", "b.fmu", "--set", "controller.gain=9"], "--parameters with 2 controllers: expected one"),
     ],
 )
 def test_what_cannot_be_scored_is_refused(
@@ -164,14 +155,14 @@ def test_no_word_of_a_score_is_cut_on_a_terminal(width: int) -> None:
 
 @pytest.mark.slow
 def test_compare_writes_a_document_and_a_page_of_all_rows(
-    command: Callable[..., object], protocol_file: Path, tmp_path: Path
+    command: Callable[..., Any], protocol_file: Path, tmp_path: Path
 ) -> None:
     text = protocol_file.read_text(encoding="utf-8").replace("[controllers]", "")
     l1 = {"title": "L1", "fmu": "L1DepthController"}
     protocol_file.write_text(text + tomli_w.dumps({"controllers": {"l1-pi": l1}}), encoding="utf-8")
     done = command("compare", "--protocol", protocol_file)
     written = [f"results/comparison.{ending}" for ending in ("json", "html")]
-    assert done.stdout.splitlines()[-2:] == written  # type: ignore[attr-defined]
+    assert done.stdout.splitlines()[-2:] == written
     document = json.loads((tmp_path / written[0]).read_text(encoding="utf-8"))
     assert [row["name"] for row in document["rows"]] == ["tuned/l1-pi", "start/l1-pi"]
     page = (tmp_path / written[1]).read_text(encoding="utf-8")

@@ -7,9 +7,17 @@ import pytest
 
 from fmus.files import write_archive
 from orchestration.cli.package_fmus import build_ramp_source
-from orchestration.exchange import ssp_write
+from orchestration.errors import ScenarioError
+from orchestration.exchange import ssp_read, ssp_write
 from orchestration.scenarios import scenario
 from tests.described_fmus import members
+
+
+def refusal(package: Path, parameter_set: str = "") -> str:
+    """The message of a package, or of a parameter set in it, that cannot be opened."""
+    with pytest.raises(ScenarioError) as error, ssp_read.opened(package, parameter_set):
+        pass
+    return str(error.value)
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -31,11 +39,8 @@ def package(tmp_path_factory: pytest.TempPathFactory, asked_starts: dict[str, di
         asked_starts[folder.name] = dict(starts)
         return fmu
 
-    chosen, path = (
-        scenario.load(scenario.find("nominal-extended")),
-        tmp_path_factory.mktemp("ssp") / "loop.ssp",
-    )
-    return ssp_write.package(chosen, path, build_ramp_source, as_it_is)
+    chosen = scenario.load(scenario.find("nominal-extended"))
+    return ssp_write.package(chosen, tmp_path_factory.mktemp("ssp") / "loop.ssp", build_ramp_source, as_it_is)
 
 
 @pytest.fixture

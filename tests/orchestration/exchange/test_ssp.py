@@ -1,7 +1,5 @@
 """SSP packages: what is in them, and that a package is its scenario."""
 
-import io
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree
@@ -27,14 +25,10 @@ VEHICLE = [name for name in scenario.shipped() if name.startswith(SAME_SYSTEM)]
 
 
 def test_it_holds_a_structure_and_a_parameter_set_for_each_scenario_of_the_system(package: Path) -> None:
-    with zipfile.ZipFile(package) as archive:
-        names = set(archive.namelist())
-    fmus = {
-        f"resources/{name}.fmu" for name in ("Ramps_depth_reference", "L1DepthController", "RovDepthPlant")
-    }
-    others = {name for name in VEHICLE if name != "nominal-extended"}
-    expected = {f"{name}.ssd" for name in others} | {f"parameters/{name}.ssv" for name in VEHICLE}
-    assert names == expected | fmus | {STRUCTURE}
+    blocks = ("Ramps_depth_reference", "L1DepthController", "RovDepthPlant")
+    expected = {f"{name}.ssd" for name in VEHICLE if name != "nominal-extended"}
+    expected |= {f"parameters/{name}.ssv" for name in VEHICLE} | {f"resources/{name}.fmu" for name in blocks}
+    assert members(package).keys() == expected | {STRUCTURE}
 
 
 @pytest.mark.parametrize("name", VEHICLE)
@@ -62,16 +56,13 @@ def test_packing_twice_gives_the_same_file_and_packing_a_package_its_loop(
 
 
 def test_importers_that_read_prefixes_find_them_declared_on_the_root(package: Path) -> None:
-    with zipfile.ZipFile(package) as archive:
-        text = archive.read(STRUCTURE).decode()
-    root, _, rest = text.partition("<ssd:System ")
+    root, _, rest = members(package)[STRUCTURE].decode().partition("<ssd:System ")
     assert all(f"xmlns:{prefix}=" in root for prefix in ("ssd", "ssc", "ssv", "osp"))
     assert "xmlns" not in rest
 
 
 def test_the_system_has_no_connector_of_its_own(package: Path) -> None:
-    with zipfile.ZipFile(package) as archive:
-        system = ElementTree.fromstring(archive.read(STRUCTURE)).find(tag("ssd:System"))
+    system = ElementTree.fromstring(members(package)[STRUCTURE]).find(tag("ssd:System"))
     assert system is not None
     assert system.find(tag("ssd:Connectors")) is None
     assert all(c.get("startElement") and c.get("endElement") for c in system.iter(tag("ssd:Connection")))
@@ -83,9 +74,7 @@ def test_a_package_runs_as_its_scenario_bit_by_bit(package: Path, name: str) -> 
 
 
 @pytest.mark.slow
-def test_a_package_whose_fmus_start_with_the_values_runs_as_its_scenarios_bit_by_bit(
-    tmp_path: Path,
-) -> None:
+def test_a_package_whose_fmus_start_with_the_values_runs_as_its_scenarios_bit_by_bit(tmp_path: Path) -> None:
     """As `l1-depth package` writes it, with blocks built again."""
     chosen = scenario.load(scenario.find("nominal-extended"))
     path = ssp_write.package(chosen, tmp_path / "loop.ssp", build_ramp_source, build_started)
@@ -128,16 +117,14 @@ def test_a_unit_has_the_factor_and_the_offset_of_the_fmus_definition(tmp_path: P
 
 def test_no_two_structures_have_one_name(package: Path) -> None:
     """OMSimulator refuses them: names are those of its variants."""
-    with zipfile.ZipFile(package) as archive:
-        structures = [name for name in archive.namelist() if name.endswith(".ssd")]
-        names = [ElementTree.fromstring(archive.read(name)).get("name") for name in structures]
+    structures = [text for path, text in members(package).items() if path.endswith(".ssd")]
+    names = [ElementTree.fromstring(text).get("name") for text in structures]
     assert sorted(map(str, names)) == sorted(VEHICLE)
 
 
 def test_omsimulator_finds_the_step_size_where_both_of_its_versions_look_for_it(package: Path) -> None:
     """First among the annotations of the system, in an element of its own and as attributes."""
-    with zipfile.ZipFile(package) as archive:
-        (system,) = ElementTree.fromstring(archive.read(STRUCTURE)).findall(tag("ssd:System"))
+    (system,) = ElementTree.fromstring(members(package)[STRUCTURE]).findall(tag("ssd:System"))
     (annotation,) = system.findall(f"{tag('ssd:Annotations')}/{tag('ssc:Annotation')}")
     assert annotation.get("type") == "org.openmodelica"
     (information,) = annotation.findall(f"{tag('oms:Annotations')}/{tag('oms:SimulationInformation')}")
@@ -201,32 +188,30 @@ def test_a_free_name_is_chosen_where_the_component_has_the_name_of_another_file(
 
 
 def test_a_variant_has_the_values_of_its_parameter_set(package: Path) -> None:
-    with zipfile.ZipFile(package) as archive:
-        root = ElementTree.fromstring(archive.read("buoyancy-l1.ssd"))
-    bound = {}
-    for component in root.iter(tag("ssd:Component")):
-        for parameter in component.iter(tag("ssv:Parameter")):
-            bound[f"{component.get('name')}.{parameter.get('name')}"] = parameter[0].get("value")
+    bound = {
+        f"{component.get('name')}.{parameter.get('name')}": parameter[0].get("value")
+        for component in ElementTree.fromstring(members(package)["buoyancy-l1.ssd"]).iter(
+            tag("ssd:Component")
+        )
+        for parameter in component.iter(tag("ssv:Parameter"))
+    }
     assert bound == {p.name: p.value for p in read_ssv(str(package), "parameters/buoyancy-l1.ssv").parameters}
 
 
 def test_its_fmus_say_integer_for_enumeration_and_are_otherwise_the_same(
     package: Path, built: Mapping[str, Path], tmp_path: Path
 ) -> None:
-    with zipfile.ZipFile(package) as archive:
-        content = archive.read("resources/L1DepthController.fmu")
-    (tmp_path / "plain.fmu").write_bytes(content)
-    assert validate_fmu(str(tmp_path / "plain.fmu")) == []
-    with zipfile.ZipFile(io.BytesIO(content)) as plain, zipfile.ZipFile(built["L1DepthController"]) as own:
-        assert plain.namelist() == own.namelist()
-        same = [name for name in own.namelist() if name != "modelDescription.xml"]
-        assert all(plain.read(name) == own.read(name) for name in same)
+    packed, own = tmp_path / "packed.fmu", built["L1DepthController"]
+    packed.write_bytes(members(package)["resources/L1DepthController.fmu"])
+    assert validate_fmu(str(packed)) == []
+    assert list(members(packed)) == list(members(own))
+    differing = {name for name, content in members(own).items() if members(packed)[name] != content}
+    assert differing == {"modelDescription.xml"}
     described, original = (
-        {v.name: v for v in fmpy.read_model_description(str(path)).modelVariables}
-        for path in (tmp_path / "plain.fmu", built["L1DepthController"])
+        {v.name: v for v in fmpy.read_model_description(str(path)).modelVariables} for path in (packed, own)
     )
     kinds = {(original[name].type, described[name].type) for name in original}
-    assert {(own, packed) for own, packed in kinds if own != packed} == {("Enumeration", "Integer")}
+    assert {kind for kind in kinds if kind[0] != kind[1]} == {("Enumeration", "Integer")}
     choice = described["augmentation"]
     assert (choice.min, choice.max, choice.start) == ("1", "3", "2")
     assert "1 none, 2 pi, 3 nonlinear_p" in (choice.description or "")
@@ -235,17 +220,14 @@ def test_its_fmus_say_integer_for_enumeration_and_are_otherwise_the_same(
 def test_a_package_of_ssp_2_differs_in_the_version_alone(package: Path, tmp_path: Path) -> None:
     """FMUs and importers that know 1.0 alone find the same elements in the same namespaces."""
     chosen = scenario.load(scenario.find("nominal-extended"))
-    ramps = tmp_path / "Ramps_depth_reference.fmu"
-    ramps.write_bytes(zipfile.ZipFile(package).read(f"resources/{ramps.name}"))
-    second = ssp_write.package(
-        chosen, tmp_path / "two.ssp", lambda source, folder: ramps, version=SspVersion.V2
-    )
-    with zipfile.ZipFile(package) as one, zipfile.ZipFile(second) as two:
-        assert one.namelist() == two.namelist()
-        for name in (name for name in one.namelist() if not name.endswith(".fmu")):
-            first = one.read(name)
-            assert b' version="1.0"' in first
-            assert two.read(name) == first.replace(b' version="1.0"', b' version="2.0"')
+    one, ramps = members(package), tmp_path / "Ramps_depth_reference.fmu"
+    ramps.write_bytes(one[f"resources/{ramps.name}"])
+    second = ssp_write.package(chosen, tmp_path / "two.ssp", lambda *_: ramps, version=SspVersion.V2)
+    assert list(members(second)) == list(one)
+    for name, text in members(second).items():
+        if not name.endswith(".fmu"):
+            assert b' version="1.0"' in one[name]
+            assert text == one[name].replace(b' version="1.0"', b' version="2.0"')
     with ssp_read.opened(package) as first, ssp_read.opened(second) as later:
         assert later.experiment == first.experiment
         assert later.system.connections == first.system.connections

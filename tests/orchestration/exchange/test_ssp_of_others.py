@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from fmus.files import write_archive
-from orchestration.errors import ScenarioError
 from orchestration.exchange import ssp_read, ssp_write
 from orchestration.exchange.ssp_xml import STRUCTURE
 from orchestration.scenarios import scenario
 from orchestration.system.system import LinearTransformation
 from tests.described_fmus import described, members
+from tests.orchestration.exchange.conftest import refusal
 
 SPACES = " ".join(
     f'xmlns:{prefix}="http://ssp-standard.org/SSP1/SystemStructure{name}"'
@@ -99,11 +99,7 @@ def test_one_connector_whose_kind_is_a_direction_decides(
 def test_two_connectors_of_one_direction_are_refused(
     tmp_path: Path, start: str, end: str, message: str
 ) -> None:
-    with (
-        pytest.raises(ScenarioError, match=message),
-        ssp_read.opened(package(tmp_path, connection(start, end))),
-    ):
-        pass
+    assert message in refusal(package(tmp_path, connection(start, end)))
 
 
 @pytest.mark.parametrize(
@@ -140,14 +136,12 @@ def test_a_source_with_escapes_is_read_as_a_uri_first(tmp_path: Path) -> None:
         "f.fmu#part",
         "f.fmu?part",
         "file:f.fmu",
-        "file:///f.fmu",
         "http://host/f.fmu",
         "//host/f.fmu",
         "/f.fmu",
         "%2Ff.fmu",
         "../f.fmu",
-        "%2e%2e/f.fmu",
-        "in/%2E%2E/f.fmu",
+        "in/%2e%2E/f.fmu",
         "C%3A/f.fmu",
         "in%5Cf.fmu",
         "f%00.fmu",
@@ -156,13 +150,17 @@ def test_a_source_with_escapes_is_read_as_a_uri_first(tmp_path: Path) -> None:
     ],
 )
 def test_a_source_outside_the_package_or_with_a_fragment_is_refused(tmp_path: Path, source: str) -> None:
-    with (
-        pytest.raises(
-            ScenarioError, match=r"a: source '.*': expected a file in the package, as a relative URI"
-        ),
-        ssp_read.opened(package(tmp_path, source=source)),
-    ):
-        pass
+    message = refusal(package(tmp_path, source=source))
+    assert f"a: source {source!r}: expected a file in the package, as a relative URI" in message
+
+
+def test_a_file_outside_the_package_is_refused_though_it_is_there(tmp_path: Path) -> None:
+    """By its path, and from the folder of the package up to the root and down again."""
+    outside = str(tmp_path / "f.fmu")
+    for source in (outside, "../" * 40 + outside.lstrip("/")):
+        message = refusal(package(tmp_path, source=source))
+        assert f"a: source {source!r}: expected a file in the package" in message
+    assert Path(outside).is_file()
 
 
 def test_sources_are_written_as_uris_without_escapes(tmp_path: Path) -> None:

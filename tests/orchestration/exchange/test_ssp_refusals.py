@@ -1,5 +1,6 @@
 """SSP packages that others changed: what is refused, and what stands in for what is missing."""
 
+import re
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,6 +19,7 @@ from orchestration.exchange.ssp_xml import STRUCTURE
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from tests.described_fmus import members
+from tests.orchestration.exchange.conftest import refusal
 from tests.shared_builds import Fmus
 
 
@@ -26,6 +28,7 @@ from tests.shared_builds import Fmus
     [
         ('[[events]]\ntime = 1.0\nset = {"plant.roll" = 0.1}', "events"),
         ("[experiment]\nfmu_tolerance = 1e-6", "a tolerance"),
+        ('[[faults]]\ninput = "controller.measured_depth"\nkind = "freeze"', "faults"),
     ],
 )
 def test_a_scenario_with_what_a_package_cannot_hold_is_refused(tmp_path: Path, lines: str, what: str) -> None:
@@ -62,8 +65,6 @@ def test_a_package_with_an_fmu_of_fmi_3_runs(package: Path, fmi3_built: Fmus, tm
     [
         ("<ssd:Elements>", "<ssd:Connectors/><ssd:Elements>", "connectors of the system itself"),
         ("<ssd:Elements>", '<ssd:Elements><ssd:System name="inner"/>', "a system inside the system"),
-        ('source="resources/', 'source="/etc/resources/', "expected a file in the package"),
-        ('source="resources/', 'source="file:resources/', "expected a file in the package"),
         ("application/x-fmu-sharedlibrary", "application/x-ssp-package", "type 'application/x-ssp-package'"),
         ('stopTime="310.0"', 'stopTime="soon"', "expected numbers of seconds"),
         ('source="resources/', 'source="../resources/', "expected a file in the package"),
@@ -77,11 +78,7 @@ def test_a_package_with_an_fmu_of_fmi_3_runs(package: Path, fmi3_built: Fmus, tm
 def test_what_is_not_understood_is_refused(
     edited: Callable[[str, str, str], Path], old: str, new: str, message: str
 ) -> None:
-    with (
-        pytest.raises(ScenarioError, match=message),
-        ssp_read.opened(edited(STRUCTURE, old, new)),
-    ):
-        pass
+    assert message in refusal(edited(STRUCTURE, old, new))
 
 
 def test_a_misspelt_parameter_is_answered_with_the_nearest(edited: Callable[[str, str, str], Path]) -> None:
@@ -94,11 +91,7 @@ def test_a_misspelt_parameter_is_answered_with_the_nearest(edited: Callable[[str
 
 
 def test_an_unknown_parameter_set_is_answered_with_the_nearest(package: Path) -> None:
-    with (
-        pytest.raises(ScenarioError, match="nearest is 'nominal-extended'"),
-        ssp_read.opened(package, "nominal-extendet"),
-    ):
-        pass
+    assert "nearest is 'nominal-extended'" in refusal(package, "nominal-extendet")
 
 
 @pytest.mark.parametrize("name", ["../outside", "/etc/outside", "C:outside", "a\\\\b", "line\nbreak"])
@@ -106,35 +99,19 @@ def test_a_parameter_set_whose_name_leads_out_of_the_folder_of_results_is_refuse
     edited: Callable[[str, str, str], Path], name: str
 ) -> None:
     path = edited("parameters/nominal-l1.ssv", 'name="nominal-l1"', f"name={quoteattr(name)}")
-    with (
-        pytest.raises(ScenarioError, match=r"edited\.ssp: parameter set .*: expected a name of a file"),
-        ssp_read.opened(path, name),
-    ):
-        pass
+    assert re.search(r"edited\.ssp: parameter set .*: expected a name of a file", refusal(path, name))
 
 
 def test_a_package_larger_than_any_tool_writes_is_refused(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "bomb.ssp", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("zeros", bytes(110_000_000))
-    with (
-        pytest.raises(ScenarioError, match=r"bomb\.ssp: .* bytes unpacked from"),
-        ssp_read.opened(tmp_path / "bomb.ssp"),
-    ):
-        pass
+    assert re.search(r"bomb\.ssp: .* bytes unpacked from", refusal(tmp_path / "bomb.ssp"))
 
 
 def test_what_is_no_package_is_said(package: Path, tmp_path: Path) -> None:
     (tmp_path / "text.ssp").write_text("no zip")
-    with (
-        pytest.raises(ScenarioError, match="expected an SSP package, a zip"),
-        ssp_read.opened(tmp_path / "text.ssp"),
-    ):
-        pass
-    with (
-        pytest.raises(ScenarioError, match=r"nearest is 'loop\.ssp'"),
-        ssp_read.opened(package.parent / "lop.ssp"),
-    ):
-        pass
+    assert "expected an SSP package, a zip" in refusal(tmp_path / "text.ssp")
+    assert "nearest is 'loop.ssp'" in refusal(package.parent / "lop.ssp")
 
 
 def test_a_step_size_that_is_not_stated_is_the_smallest_that_an_fmu_suggests(
@@ -175,15 +152,13 @@ def test_the_prefix_of_a_binding_stands_before_each_name_of_its_set(
 ) -> None:
     binding = BINDING.format(prefix=prefix, name=name)
     text = members(package)[STRUCTURE].decode()
-    first = "<ssd:ParameterBindings>"
-    old = "<ssd:Elements>"
-    new = f"{first}{binding}</ssd:ParameterBindings>{old}"
-    if not of_system:
+    if of_system:
+        old = "<ssd:Elements>"
+        new = f"<ssd:ParameterBindings>{binding}</ssd:ParameterBindings>{old}"
+    else:
         begin = text.index('<ssd:Component name="plant"')
-        old = text[begin : text.index(first, begin) + len(first)]
-        rest = text[text.index(old) + len(old) :]
-        own = rest[: rest.index("</ssd:ParameterBindings>")]  # the last of two bindings holds
-        old, new = old + own, old + own + binding
+        old = text[begin : text.index("</ssd:ParameterBindings>", begin)]
+        new = old + binding  # the last of two bindings holds
     with ssp_read.opened(edited(STRUCTURE, old, new)) as loop:
         assert loop.experiment.parameters["plant.inertia"] == 7.5
 

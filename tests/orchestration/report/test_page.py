@@ -33,10 +33,7 @@ def everything(opened: Open, tmp_path: Path) -> OpenedPage:
 
 def test_runs_with_the_same_metrics_stand_side_by_side(everything: OpenedPage) -> None:
     tables = [" ".join(table.text.split()) for table in everything.all("#metrics table")]
-    assert tables == [
-        "Run rmse [cm] settling_time [s] a 12.1 ★ -2 b ★ 4.35 -10",
-        "Run overshoot c -0.5",
-    ]
+    assert tables == ["Run rmse [cm] settling_time [s] a 12.1 ★ -2 b ★ 4.35 -10", "Run overshoot c -0.5"]
 
 
 def test_runs_are_sorted_by_a_metric_and_have_the_part_of_their_names_that_differs(

@@ -1,7 +1,6 @@
 """Metrics of many runs are those of each run alone, to the last bit; and metrics at their edges."""
 
 import math
-import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -70,10 +69,8 @@ def test_every_metric_has_the_bits_of_single_runs(function: str, one_reference: 
 @pytest.mark.parametrize("function", ["shift_lag", "energy_residual"])
 def test_points_at_other_distances_too(function: str) -> None:
     equal = recordings()
-    time = np.sort([*equal.time[:-1], 7.77])
-    runs = replace(equal, time=time)
-    call = {"function": function, **CALLS[function]}
-    assert_bits_of_single_runs(runs, call)
+    runs = replace(equal, time=np.sort([*equal.time[:-1], 7.77]))
+    assert_bits_of_single_runs(runs, {"function": function, **CALLS[function]})
 
 
 def test_a_metric_that_is_infinite_or_cannot_be_computed_in_one_of_the_runs_is_an_error() -> None:
@@ -100,19 +97,13 @@ def recording(time: np.ndarray, **signals: np.ndarray) -> Recording:
     return Recording(names, ("m",) * len(names), time, np.column_stack(list(signals.values())))
 
 
-def test_a_value_at_the_edge_of_the_band_is_within_it() -> None:
-    run = recording(np.arange(4.0), z=np.array([0.0, 1.25, 0.75, 1.25]))
-    assert metrics.settling_time(run, "z", target=1.0, band=0.25) == 0.0
+def test_a_value_at_a_limit_is_within_the_band_and_neither_above_nor_below_the_limit() -> None:
+    def run(*values: float) -> Recording:
+        return recording(np.arange(4.0), z=np.array(values))
 
-
-def test_a_signal_that_only_reaches_a_level_has_not_been_above_it() -> None:
-    run = recording(np.arange(4.0), z=np.array([0.0, 0.5, 0.5, 0.0]))
-    assert math.isnan(metrics.time_below(run, "z", limit=0.1, after=0.5))
-
-
-def test_a_signal_at_a_limit_is_not_below_it() -> None:
-    run = recording(np.arange(4.0), z=np.array([1.0, 0.5, 0.5, 0.5]))
-    assert metrics.time_below(run, "z", limit=0.5, after=0.9) == 0.0
+    assert metrics.settling_time(run(0.0, 1.25, 0.75, 1.25), "z", target=1.0, band=0.25) == 0.0
+    assert math.isnan(metrics.time_below(run(0.0, 0.5, 0.5, 0.0), "z", limit=0.1, after=0.5))
+    assert metrics.time_below(run(1.0, 0.5, 0.5, 0.5), "z", limit=0.5, after=0.9) == 0.0
 
 
 def test_a_sampled_variation_takes_the_points_of_its_period_whatever_their_rounding() -> None:
@@ -148,13 +139,8 @@ def test_a_delay_is_searched_in_a_run_that_ended_early_if_it_is_long_enough(
 ) -> None:
     """A run from 100 s that an FMU terminated at 101 s."""
     wave = np.cos(20.0 * TENTHS)
-    run = Recording(
-        ("z", "r"),
-        ("m", "m"),
-        100.0 + TENTHS,
-        np.column_stack([wave, wave]),
-        {"terminated": {"time_s": 101.0}},
-    )
+    whole = recording(100.0 + TENTHS, z=wave, r=wave)
+    run = replace(whole, provenance={"terminated": {"time_s": 101.0}})
     call = {"function": "shift_lag", "signal": "z", "reference": "r", "largest": largest}
     assert math.isnan(metrics.evaluate(run, {"lag": call})["lag"]) != is_complete
 
@@ -163,19 +149,12 @@ def check(*windows: list[float]) -> None:
     metrics.check_run({f"m{i}": {"window": window} for i, window in enumerate(windows)}, 10.0, 20.0, ())
 
 
-@pytest.mark.parametrize("window", [[0.0, 10.0], [20.0, 30.0]])
-def test_a_window_that_only_touches_the_run_is_refused(window: list[float]) -> None:
-    with pytest.raises(ScenarioError, match=r"expected to overlap 10..20 s"):
-        check(window)
-
-
-@pytest.mark.parametrize("window", [[9.0, 20.0], [10.0, 21.0]])
-def test_a_window_that_begins_before_the_run_or_ends_after_it_is_warned_of(window: list[float]) -> None:
-    with pytest.warns(ScenarioWarning, match="m1"):
-        check([10.0, 20.0], window)
-
-
-def test_a_window_of_the_whole_run_is_not_warned_of() -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check([10.0, 20.0], [10.0 - 1e-9, 20.0 + 1e-9])
+@pytest.mark.filterwarnings("error")
+def test_a_window_that_only_touches_the_run_is_refused_and_one_beyond_it_warned_of() -> None:
+    for window in ([0.0, 10.0], [20.0, 30.0]):
+        with pytest.raises(ScenarioError, match=r"expected to overlap 10..20 s"):
+            check(window)
+    for window in ([9.0, 20.0], [10.0, 21.0]):
+        with pytest.warns(ScenarioWarning, match="m1"):
+            check([10.0, 20.0], window)
+    check([10.0, 20.0], [10.0 - 1e-9, 20.0 + 1e-9])  # without a warning

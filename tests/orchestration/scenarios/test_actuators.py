@@ -139,9 +139,7 @@ def test_a_table_is_handed_on_with_the_points_that_the_controller_has(tmp_path: 
     np.testing.assert_allclose(np.interp(everywhere, voltages, forces), expected, atol=1e-12)  # rounding
 
 
-def test_a_longer_table_than_the_controller_has_is_refused_and_a_line_takes_its_place(
-    tmp_path: Path,
-) -> None:
+def test_a_longer_table_than_the_controller_has_is_refused_and_a_line_takes_its_place(tmp_path: Path) -> None:
     """The line meets the table at its weaker end: 30 N at 10 V, times the thrusters."""
     plant, controller = thrusters(tmp_path, 2)
     given = {"controller": str(controller), **VALUES}

@@ -158,15 +158,9 @@ LACKING = (
     [
         ({}, LACKING),
         ({**MAPPED, "voltage[2]": "v3"}, r"mapping.controller: controller has no variable 'v3'; known: "),
-        (
-            {**MAPPED, "depth_refrence": "r"},
-            r"nothing names controller.depth_refrence; nearest is 'controller.dep",
-        ),
+        ({**MAPPED, "depth_refrence": "r"}, r"names controller.depth_refrence; nearest is 'controller.dep"),
         ({"depth_reference": "r", "measured_depth": "z"}, r"lacks voltage\[1\], voltage\[2\]; .*NAME or in"),
-        (
-            {n: o for n, o in MAPPED.items() if o != "z"},
-            r"lacks measured_depth, .* drives its z, its outputs",
-        ),
+        ({n: o for n, o in MAPPED.items() if o != "z"}, r"lacks measured_depth, .* drives its z, its outp"),
     ],
 )
 def test_an_fmu_that_is_not_joined_is_refused_with_its_names(

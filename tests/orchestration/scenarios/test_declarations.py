@@ -28,13 +28,10 @@ def test_a_declaration_becomes_a_signal() -> None:
         ({"kind": "constant", "value": math.nan}, r"here: value = nan: expected a finite number"),
         (
             {"kind": "constant", "value": True},
-            r"here: value = True: expected a number; a Boolean input takes 0",
+            r"here: value = True: expected a number; a Boolean input takes",
         ),
         ({"kind": "ramps", "points": [[0.0, "a"]]}, r"here: points\[0\]\[1\] = 'a': expected a number"),
-        (
-            {"kind": "ramps", "points": [[0.0, math.inf]]},
-            r"here: points\[0\]\[1\] = inf: expected a finite number",
-        ),
+        ({"kind": "ramps", "points": [[0.0, math.inf]]}, r"here: points\[0\]\[1\] = inf: expected a finite"),
         ({"kind": "ramps", "points": 3.0}, r"here: points = 3.0: expected a list"),
         ({"kind": "ramps", "points": [[1.0, 0.0], [1.0, 2.0]]}, r"here: ramps: .*ascending time"),
         ({"kind": "table", "times": [0.0, 1.0], "values": [0.0]}, r"here: table: .*\(2,\) and \(1,\)"),

@@ -43,24 +43,15 @@ def test_false_removes_parameters_inputs_and_signals(tmp_path: Path) -> None:
     assert (experiment.parameters, experiment.inputs, experiment.signals) == ({"a.on": True}, {}, {})
 
 
-def test_false_is_the_value_of_a_boolean_parameter(tmp_path: Path) -> None:
-    loaded = load(tmp_path, '[parameters]\n"a.on" = false\n')
-    assert loaded.experiment.parameters == {"a.p": 1.0, "a.on": False}
-
-
-def test_false_is_the_constant_value_of_a_boolean_input_that_the_base_drives_by_a_signal(
+def test_false_is_the_value_of_a_boolean_parameter_and_of_a_boolean_input_that_a_signal_drives(
     tmp_path: Path,
 ) -> None:
+    loaded = load(tmp_path, '[parameters]\n"a.on" = false\n')
+    assert loaded.experiment.parameters == {"a.p": 1.0, "a.on": False}
     base = BASE + '"a.open" = { kind = "constant", value = 1.0 }\n'
     experiment = load(tmp_path, '[inputs]\n"a.open" = false\n', base, ("u", "v", "open:Boolean")).experiment
     assert experiment.inputs == {"a.u": 1.0, "a.open": False}
     assert list(experiment.signals) == ["a.v"]
-
-
-def test_a_removed_component_takes_its_step_size_along(tmp_path: Path) -> None:
-    base = BASE + "[step_sizes]\na = 0.2\nb = 0.2\n"
-    loaded = load(tmp_path, "[components]\nb = false\n", base)
-    assert loaded.experiment.step_sizes == {"a": 0.2}
 
 
 def test_tables_change_the_lists_of_connections_and_records(tmp_path: Path) -> None:
@@ -80,7 +71,9 @@ def test_a_list_replaces_that_of_the_base(tmp_path: Path) -> None:
 
 
 def test_a_component_can_be_removed_with_all_that_names_it(tmp_path: Path) -> None:
-    loaded = load(tmp_path, "[components]\nb = false\n")
+    base = BASE + "[step_sizes]\na = 0.2\nb = 0.2\n"
+    loaded = load(tmp_path, "[components]\nb = false\n", base)
+    assert loaded.experiment.step_sizes == {"a": 0.2}
     assert list(loaded.system.components) == ["a"]
     assert (loaded.system.connections, loaded.experiment.record) == ((), ("a.y",))
 

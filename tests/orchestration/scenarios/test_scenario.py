@@ -127,16 +127,14 @@ def test_a_metric_of_the_base_can_be_dropped(tmp_path: Path) -> None:
     assert not scenario.load(write(tmp_path, 'base = "base.toml"\n[metrics]\na = false\n')).metrics
 
 
-def test_an_fmu_of_the_base_is_found_beside_the_base(tmp_path: Path) -> None:
+def test_an_fmu_path_is_relative_to_the_file_that_gives_it(tmp_path: Path) -> None:
     (tmp_path / "lib").mkdir()
-    write(tmp_path / "lib", MINIMAL.replace('"ExamplePlant"', '"mine.fmu"'), "base.toml")
-    loaded = scenario.load(write(tmp_path, 'base = "lib/base.toml"'))
-    assert loaded.system.components["p"] == tmp_path / "lib" / "mine.fmu"
-
-
-def test_an_fmu_path_is_relative_to_the_scenario_file(tmp_path: Path) -> None:
     text = MINIMAL.replace('"ExamplePlant"', '"models/mine.fmu"')
-    assert scenario.load(write(tmp_path, text)).system.components["p"] == tmp_path / "models/mine.fmu"
+    for folder in (tmp_path, tmp_path / "lib"):
+        write(folder, text, "base.toml")
+        base = (folder / "base.toml").relative_to(tmp_path)
+        for path in (folder / "base.toml", write(tmp_path, f'base = "{base}"')):
+            assert scenario.load(path).system.components["p"] == folder / "models/mine.fmu"
 
 
 @pytest.mark.parametrize("name", list(scenario.shipped()))
@@ -186,10 +184,7 @@ def test_scenarios_are_found_by_name_or_path_and_misspelt_ones_offer_the_nearest
         ("events = [{ time = 1.0 }]\n" + MINIMAL, r"events\[0\].set is missing"),
         ("faults = [3]\n" + MINIMAL, r"faults\[0\] = 3: expected a table"),
         (MINIMAL + '[faults]\nkind = "freeze"\n', r"faults = .*: expected a list"),
-        (
-            MINIMAL + '[[faults]]\ninput = "p.control"\n',
-            r"faults\[0\]: kind is missing; expected one",
-        ),
+        (MINIMAL + '[[faults]]\ninput = "p.control"\n', r"faults\[0\]: kind is missing; expected one"),
         (MINIMAL.replace("[inputs]", 'initialisation = "newtn"\n[inputs]'), r"'newtn'; nearest is 'newton'"),
         ('components = "p"\n', r"components = 'p': expected a table"),
         (MINIMAL + '[signals]\n"p.control" = 3\n', r'signals."p.control" = 3: expected a table'),
@@ -198,24 +193,12 @@ def test_scenarios_are_found_by_name_or_path_and_misspelt_ones_offer_the_nearest
         ("title = 2020-01-01\n" + MINIMAL, r"title = .*: expected a text"),
         (MINIMAL.replace('"ExamplePlant"', "5"), r"components.p = 5: expected a text"),
         (MINIMAL.replace("step_size = 0.1", "step_size = 1e-14"), r"1e\+14 .*steps: expected at most 1e\+09"),
-        (
-            MINIMAL.replace("[inputs]", "start_time = -inf\n[inputs]"),
-            r"start_time = -inf: expected a finite",
-        ),
-        (
-            MINIMAL.replace("stop_time = 1", "stop_time = 1" + 400 * "0"),
-            r"stop_time = 10.*: expected a number",
-        ),
+        (MINIMAL.replace("[inputs]", "start_time = -inf\n[inputs]"), r"start_time = -inf: expected a fin"),
+        (MINIMAL.replace("stop_time = 1", "stop_time = 1" + 400 * "0"), r"stop_time = 10.*: expected a num"),
         ("events = [{ time = 5, set = {} }]\n" + MINIMAL, r"event at 5.0 s: expected a time within the run"),
-        (
-            "events = [{ time = nan, set = {} }]\n" + MINIMAL,
-            r"events\[0\].time = nan: expected a finite",
-        ),
+        ("events = [{ time = nan, set = {} }]\n" + MINIMAL, r"events\[0\].time = nan: expected a finite"),
         ("events = [{ time = 1, set = 5 }]\n" + MINIMAL, r"events\[0\].set = 5: expected a table"),
-        (
-            MINIMAL + '[metrics.a]\nfunction = "rms"\n',
-            r"metrics.a: unknown function 'rms'; .*'rmse'",
-        ),
+        (MINIMAL + '[metrics.a]\nfunction = "rms"\n', r"metrics.a: unknown function 'rms'; .*'rmse'"),
         (
             'record = ["p.output"]\n' + MINIMAL + '[metrics.a]\nfunction = "mean"\nsignal = "p.outpt"\n',
             r"metric a: 'p.outpt' is not recorded; nearest is 'p.output'; record = \[...\] names all",
@@ -328,10 +311,7 @@ def test_a_mistake_that_the_fmus_show_is_told_with_the_line_of_its_name(
             'mine.toml:2: parameters: plant.inertia has a dot: quote it, "plant',
         ),
         ('[signals]\nplant.roll = { kind = "constant", value = 0.1 }\n', "signals: plant.roll has a dot"),
-        (
-            "[[events]]\ntime = 1.0\n[events.set]\nplant.roll = 0.1\n",
-            r"events\[0\].set: plant.roll has a dot",
-        ),
+        ("[[events]]\ntime = 1.0\n[events.set]\nplant.roll = 0.1\n", r"\[0\].set: plant.roll has a dot"),
     ],
 )
 def test_a_name_with_a_dot_that_is_not_quoted_is_told_so(tmp_path: Path, text: str, expected: str) -> None:

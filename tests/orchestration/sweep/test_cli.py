@@ -114,7 +114,6 @@ values = ["none", "hang"]
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--sample", "12"], "sample 12: expected 0..11"),
         (["--recordings", "r.z"], "recordings: no variable 'r.z'; nearest is 'r.y'"),
         (["--recordings", "r.u"], "recordings: r.u: expected an output or an input driven by a signal"),
     ],

@@ -283,10 +283,7 @@ def varying(name: str, low: float, high: float) -> str:
     [
         (varying("experiment.step_size", 0.01, 0.02), "experiment.step_size is varied"),
         (varying("plant.internal_step", 0.01, 0.02), "plant.internal_step is varied"),
-        (
-            VEHICLE.replace("stop_time", "tolerance = 1e-4\nstop_time"),
-            "tolerance: an Ensemble does not",
-        ),
+        (VEHICLE.replace("stop_time", "tolerance = 1e-4\nstop_time"), "tolerance: an Ensemble does not"),
         (VEHICLE.replace(f"= {COUNT}", "= 7"), "7 runs are less than the 8 that step at once"),
         (VEHICLE.replace("stop_time = 4.0", "stop_time = 3e4"), "8 runs at once record"),
         (VEHICLE, "takes longer than 6000 steps save"),
@@ -308,10 +305,9 @@ def test_threads_share_the_memory_of_recordings(tmp_path: Path) -> None:
 
 def test_the_note_says_what_runs_the_samples(planned: Make, tmp_path: Path) -> None:
     """A foreign FMU in a process; an ensemble that is asked for is refused."""
-    notes: list[str] = []
-    sweep(planned(), tmp_path, LocalRuns(1, note=notes.append))
-    assert notes == ["1 processes of simulators: r is no native FMU that l1-depth build wrote for this user"]
-    with pytest.raises(EnsembleError, match=r"r is no native FMU that l1-depth build wrote for this user"):
+    reason = "r is no native FMU that l1-depth build wrote for this user"
+    assert note_of(planned(), 1) == f"1 processes of simulators: {reason}"
+    with pytest.raises(EnsembleError, match=reason):
         sweep(planned(), tmp_path, LocalRuns(1, vectorise=True), restart=True)
 
 

@@ -195,9 +195,7 @@ def test_truncation_keeps_to_the_range_of_the_fmu(tmp_path: Path) -> None:
     assert 0.1 <= min(inertias) < 0.5  # kg; without truncation a third would be below 0
 
 
-def test_a_relative_draw_about_a_negative_value_keeps_to_the_range_of_the_fmu(
-    tmp_path: Path,
-) -> None:
+def test_a_relative_draw_about_a_negative_value_keeps_to_the_range_of_the_fmu(tmp_path: Path) -> None:
     """Of -2 with the range -3 to 1 the factors are -0.5 to 1.5: the limits change places."""
     plain = described(tmp_path / "plain.fmu", inputs=["u"])
     fmu = redescribed(plain, tmp_path / "r.fmu", lambda xml: xml.replace("<Real ", '<Real min="-3" max="1" '))
@@ -312,19 +310,13 @@ UNIFORM = 'distribution = "uniform"\nlow = 1.0\nhigh = 3.0'
         (of_u(UNIFORM, 0), r"samples = 0: expected 1 or more"),
         (of_u(UNIFORM).replace("seed = 3", "seed = -3"), r"seed = -3: expected 0 or more"),
         (of_u(UNIFORM).replace("seed = 3", "timeout = 0"), r"timeout = 0: expected more than 0"),
-        (
-            '[sweep.vary."r.u"]\nvalue = [1]',
-            r"expected one of the keys distribution, values, linspace; nearest is 'values'",
-        ),
+        ('[sweep.vary."r.u"]\nvalue = [1]', r"the keys distribution, values, linspace; nearest is 'values'"),
         ('[sweep.vary]\n"r.u" = 3', r'vary."r.u" = 3: expected a table'),
         ('[sweep.vary."r.misded"]\nvalues = [1]', r"no variable 'r.misded'; nearest is 'r.misdeed'"),
         ('[sweep.vary."s.u"]\nvalues = [1]', r"no component 's'"),
         ('[sweep.vary."r.y"]\nvalues = [1]', r"r.y: expected a parameter or an input, got output"),
         ('[sweep.vary."experiment.step"]\nvalues = [1]', r"nearest is 'experiment.step_size'"),
-        (
-            '[sweep.vary."experiment.step_size"]\nvalues = [0]',
-            r"experiment.step_size = 0: expected more than 0 s",
-        ),
+        ('[sweep.vary."experiment.step_size"]\nvalues = [0]', r"step_size = 0: expected more than 0 s"),
         ('[sweep.vary."experiment.algorithm"]\nvalues = ["jakobi"]', r"nearest is 'jacobi'"),
         ('[sweep.vary."r.u"]\nvalues = []', r"values = \[\]: expected 1 or more items"),
         ('[sweep.vary."r.u"]\nvalues = ["a"]', r"r.u = 'a': expected a number"),
@@ -347,24 +339,14 @@ UNIFORM = 'distribution = "uniform"\nlow = 1.0\nhigh = 3.0'
         (of_u('distribution = "normal"\nmean = "a"\nstd = 1'), r"mean = 'a': expected a number"),
         (of_u('distribution = "normal"\nmean = 1.0\nstd = 0'), r"std = 0.0: expected more than 0"),
         (of_u('distribution = "normal"\nmean = 0\nstd = 1\nlow = 99'), r"expected some probability within"),
-        (
-            of_u('distribution = "uniform"\nlow = 3\nhigh = 1'),
-            r"low = 3.0, high = 1.0: expected low below high",
-        ),
+        (of_u('distribution = "uniform"\nlow = 3\nhigh = 1'), r"high = 1.0: expected low below high"),
         (of_u('distribution = "triangular"\nlow = 1\nmode = 0\nhigh = 2'), r"mode = 0.0: expected 1..2"),
         (of_u(UNIFORM + "\ntruncate = true"), r"vary.\"r.u\": unknown key 'truncate'"),
         (of_u('distribution = "seed"'), r"expected an FMU that gives min and max"),
         (of_u('distribution = "integers"\nlow = 0.5\nhigh = 2'), r"low = 0.5: expected a whole number"),
-        (
-            of_u('distribution = "choice"\nvalues = [1]\nweights = [0]'),
-            r"expected 1 numbers that are not all 0",
-        ),
+        (of_u('distribution = "choice"\nvalues = [1]\nweights = [0]'), r"1 numbers that are not all 0"),
         (of_u('distribution = "choice"\nvalues = [1, "a"]'), r"r.u = 'a': expected a number"),
         (of_u(UNIFORM).replace("r.u", "r.misdeed"), r"r.misdeed = 2.0: expected a value of type Enumeration"),
-        (
-            '[sweep.vary."r.u"]\nvalues = [1]\n[metrics.error]\nfunction = "mean"\nsignal = "r.y"',
-            r"metric error",
-        ),
         (
             '[sweep.vary."r.u"]\nvalues = [1]\n[metrics.typo]\nfunction = "mean"\nsignal = "r.z"',
             "metric typo: 'r.z' was not recorded; nearest is 'r.y'",

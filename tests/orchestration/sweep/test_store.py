@@ -15,8 +15,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from orchestration.errors import SweepError
+from orchestration.scenarios import scenario
 from orchestration.sweep import table
-from orchestration.sweep.plan import Plan
+from orchestration.sweep.plan import Plan, plan
 from orchestration.sweep.run import Store
 from orchestration.sweep.table import failed, statistics, summary_table
 
@@ -85,9 +86,6 @@ def test_other_bytes_of_an_fmu_of_the_same_guid_are_another_sweep(planned: Make,
 
 @pytest.mark.usefixtures("scenario_fmus")
 def test_units_stand_in_the_columns(tmp_path: Path) -> None:
-    from orchestration.scenarios import scenario
-    from orchestration.sweep.plan import plan
-
     columns = table.schema(plan(scenario.load(scenario.find("monte-carlo"))), None)
     units = {field.name: field.metadata[b"unit"].decode() for field in columns}
     assert units["plant.inertia"] == "kg"
@@ -218,9 +216,6 @@ def test_another_fmu_is_another_sweep_but_another_place_is_not(
     copy.write_bytes(rogue().read_bytes())
 
     def with_fmu(path: Path) -> Plan:
-        from orchestration.scenarios import scenario
-        from orchestration.sweep.plan import plan
-
         (tmp_path / "mine.toml").write_text(text.replace(str(rogue()), str(path)))
         return plan(scenario.load(tmp_path / "mine.toml"))
 

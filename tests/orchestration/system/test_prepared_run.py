@@ -12,12 +12,18 @@ from orchestration.errors import SystemDefinitionError
 from orchestration.run import Simulator, simulate
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.faults import Fault, Offset
-from orchestration.system.prepared_run import PreparedRuns, prepare
+from orchestration.system.prepared_run import PreparedRun, PreparedRuns, prepare
 from orchestration.system.signals import Constant, Cosine, Ramps, Signal
 from orchestration.system.system import System, check
 from tests.shared_builds import Build
 
 NEAR = 1e-13  # rounding, of times of about 1 s
+
+
+def prepared_lag(lag: Path, *events: Event, **settings: Any) -> PreparedRun:
+    """A run of 1 s in steps of 0.1 s, as it is prepared."""
+    inputs = {"one.u[1]": 0.0}
+    return prepare(System({"one": lag}), Experiment(1.0, 0.1, inputs=inputs, events=events, **settings))
 
 
 @pytest.mark.parametrize("varies_step_size", [True, False])
@@ -26,17 +32,15 @@ def test_an_event_near_a_communication_point_is_at_it(
     linear: Build, varies_step_size: bool, offset: float
 ) -> None:
     """7 times 0.1 is not 0.7 in floating point: it is the same point, without a step of 1e-16 s."""
-    system = System({"one": linear(varies_step_size=varies_step_size)})
-    event = Event(0.7 + offset, {"one.a": -2.0})
-    prepared = prepare(system, Experiment(1.0, 0.1, inputs={"one.u[1]": 0.0}, events=[event]))
+    lag = linear(varies_step_size=varies_step_size)
+    prepared = prepared_lag(lag, Event(0.7 + offset, {"one.a": -2.0}))
     assert len(prepared.points) == 11
     assert list(prepared.changes) == [7]
 
 
 def test_events_near_each_other_share_a_communication_point(linear: Build) -> None:
     events = [Event(0.25 + i * NEAR, {"one.a": -2.0 - i}) for i in range(3)]
-    system = System({"one": linear()})
-    prepared = prepare(system, Experiment(1.0, 0.1, inputs={"one.u[1]": 0.0}, events=events))
+    prepared = prepared_lag(linear(), *events)
     assert len(prepared.points) == 12
     assert {index: [value for _, value in changes] for index, changes in prepared.changes.items()} == {
         3: [-2.0, -3.0, -4.0]
@@ -46,19 +50,14 @@ def test_events_near_each_other_share_a_communication_point(linear: Build) -> No
 def test_events_that_are_not_near_have_points_of_their_own(linear: Build) -> None:
     """A thousandth of a step apart."""
     events = [Event(t, {"one.a": -2.0}) for t in (0.2001, 0.25, 0.2501)]
-    system = System({"one": linear()})
-    prepared = prepare(system, Experiment(1.0, 0.1, inputs={"one.u[1]": 0.0}, events=events))
+    prepared = prepared_lag(linear(), *events)
     assert prepared.points[2:7].tolist() == pytest.approx([0.2, 0.2001, 0.25, 0.2501, 0.3], abs=NEAR)
     assert list(prepared.changes) == [3, 4, 5]
 
 
 def test_an_event_after_the_last_point_of_a_slow_component_is_at_the_end(linear: Build) -> None:
     """Steps of 0.4 s in 1 s: the next of its own points would be at 1.2 s."""
-    event = Event(0.9, {"one.a": -2.0})
-    inputs, slow = {"one.u[1]": 0.0}, {"one": 0.4}
-    prepared = prepare(
-        System({"one": linear()}), Experiment(1.0, 0.1, inputs=inputs, events=[event], step_sizes=slow)
-    )
+    prepared = prepared_lag(linear(), Event(0.9, {"one.a": -2.0}), step_sizes={"one": 0.4})
     assert list(prepared.changes) == [len(prepared.points) - 1] == [10]
 
 
@@ -138,9 +137,7 @@ def test_the_sign_of_a_zero_is_that_of_the_run(system: System) -> None:
             assert np.signbit(simulator.run(experiment)["p.control"]).all() == np.signbit(value)
 
 
-@pytest.mark.parametrize(
-    "signal", [Constant, lambda value: Cosine(value, 0.0), lambda value: Ramps([(0.0, value)])]
-)
+@pytest.mark.parametrize("signal", [Constant, lambda x: Cosine(x, 0.0), lambda x: Ramps([(0.0, x)])])
 def test_numbers_that_numpy_shows_alike_are_those_of_the_run(
     system: System, signal: Callable[[Any], Signal]
 ) -> None:

@@ -102,10 +102,7 @@ def test_an_fmu_without_units_connects_to_one_with(foreign: Fmus, built: Fmus) -
     ("settings", "message"),
     [
         ({"step_sizes": {"t": math.inf}}, "step size of t, inf s: expected a multiple"),
-        (
-            {"inputs": {"t.a": 2**40, "t.b": False}},
-            r"t.a = 1099511627776: expected -2.14748e\+09..2.14748e\+09",
-        ),
+        ({"inputs": {"t.a": 2**40, "t.b": False}}, r"1099511627776: expected -2.14748e\+09..2.14748e\+09"),
     ],
 )
 def test_what_no_fmu_can_take_is_refused_before_the_run(
