@@ -236,7 +236,7 @@ def test_the_worker_processes_end_with_the_command_and_write_nothing(
     as_one = "from orchestration.cli import interrupts; interrupts.SAME_S = 5.0"
     process = started(as_one, "sweep", "monte-carlo", "--isolated", "--workers", "2")
     journal = tmp_path / "results" / "monte-carlo.sweep.jsonl"
-    _wait_for(lambda: journal.exists() and journal.read_bytes().count(b"\n") > 4)  # and nothing is imported any more
+    _wait_for(lambda: journal.exists() and journal.read_bytes().count(b"\n") > 4)  # nothing is imported then
     workers = psutil.Process(process.pid).children(recursive=True)
     os.killpg(process.pid, number)
     _check_end(process, tmp_path, r": \d+ of 1000 samples are done and kept; the same command continues")
