@@ -35,6 +35,7 @@ class Variable:
 
     def __init__(self, component: "Component", declared: Any, index: int) -> None:
         self.component, self._index, self._references = component, index, [declared.valueReference]
+        self._name, self._type = f"{component.name}.{declared.name}", declared.type
         self.unit, self._is_array = declared.unit or "", bool(declared.shape)
         items = declared.declaredType.items if declared.type == "Enumeration" else ()
         self._items = {item.name: int(item.value) for item in items}
@@ -46,12 +47,15 @@ class Variable:
 
     def get(self) -> Any:
         """Returns the value."""
-        return self._get(self._references, *self._size)[self._index]
+        value = self._get(self._references, *self._size)[self._index]
+        return value.decode() if isinstance(value, bytes) else value  # FMPy decodes Strings of FMI 3.0 alone
 
     def set(self, value: Value) -> None:
         """Sets the value, of an Enumeration also by the name of an item."""
         values = self._get(self._references, *self._size) if self._is_array else [None]
-        values[self._index] = self._convert(self._items.get(value, value))
+        if (given := self._items.get(value, value)) != self._convert(given):
+            raise SystemDefinitionError(f"{self._name} = {value!r}: expected a value of type {self._type}")
+        values[self._index] = self._convert(given)
         self._set(self._references, values)
 
 
@@ -107,6 +111,8 @@ class Master:
         self.components, self.connections, self.values = components, connections, dict[str, Any]()
         self._variables = {f"{c.name}.{name}": v for c in components for name, v in c.variables.items()}
         targets = [*driven, *(target for _, target in connections)]
+        if twice := next((name for name in targets if targets.count(name) > 1), ""):
+            raise SystemDefinitionError(f"{twice}: expected one connection or one signal, got several")
         sources = {*recorded, *(source for source, _ in connections)}.difference(targets)
         self._inputs, self._outputs = (
             {c: [(n, v) for n in names if (v := self[n]).component is c] for c in components}
@@ -182,9 +188,11 @@ def simulate(
     stop_time, step_size, start_time: [s]
     start_values: of parameters and inputs; signals: input -> function of time [s]
 
-    Raises SystemDefinitionError for an unknown name, OrchestrationError for a value that is not finite and
-    for initial values that do not settle, FMPy's FMICallException for a call that an FMU refuses.
+    Raises SystemDefinitionError for a wrong name, input or value, OrchestrationError for values that are not
+    finite or do not settle at the start, FMPy's FMICallException for a call that an FMU refuses.
     """
+    if algorithm not in ("jacobi", "gauss-seidel"):
+        raise SystemDefinitionError(f"algorithm {algorithm!r}: expected 'jacobi' or 'gauss-seidel'")
     points = time_grid(start_time, stop_time, step_size)
     tables = {name: values_at(signal, points).tolist() for name, signal in signals.items()}
     rows = np.empty((len(points), len(record)))

@@ -36,6 +36,8 @@ def signal(kind: str, **arguments: Any) -> Any:
 
 # %%
 scenario = tables(Path(str(files("orchestration") / "scenarios" / "nominal-extended.toml")))
+if left_out := scenario.keys() & {"faults", "events"}:
+    raise NotImplementedError(f"{left_out}: `l1-depth run` has them")
 recording = simulate(
     {name: f"fmus-built/{model}.fmu" for name, model in scenario["components"].items()},
     [tuple(ends) for ends in scenario["connections"]],

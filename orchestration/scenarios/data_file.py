@@ -3,7 +3,7 @@
 Delimiters are commas, semicolons, tabs or bars. Numbers may have decimal commas if no comma separates cells.
 Times may be those of ISO 8601, as 2026-05-04T12:00:00.25. A first line of titles may have units, "depth [m]".
 All rows have as many cells. Empty lines and lines that begin with # are left out, but where numbers come
-first, the last of these above them that has as many cells holds the titles.
+first, the last of these above them that has as many cells, and units if any has, holds the titles.
 """
 
 import csv
@@ -126,9 +126,11 @@ def read_data_file(path: Path) -> DataFile:
         # a comma is the delimiter only where no other is: it may be that of decimals
         delimiter = next((one for one in _DELIMITERS if lines and one in lines[0][1]), ",")
         if lines and _FIRST_NUMBER.match(lines[0][1]):
-            above = [(n, line[1:].lstrip(" ")) for n, line in numbered[: lines[0][0] - 1] if line[0] == "#"]
+            above = [(n, line.lstrip("# \t")) for n, line in numbered[: lines[0][0] - 1] if line[0] == "#"]
             titles = [x for x in above if not _FIRST_NUMBER.match(x[1])]
-            lines = [x for x in titles if x[1].count(delimiter) == lines[0][1].count(delimiter)][-1:] + lines
+            titles = [x for x in titles if x[1].count(delimiter) == lines[0][1].count(delimiter)]
+            titles.sort(key=lambda x: any(si_unit(_title_and_unit(y)[1]) for y in x[1].split(delimiter)))
+            lines = titles[-1:] + lines
         cells = csv.reader((line for _, line in lines), delimiter=delimiter, strict=True)
         rows = tuple((number, row) for (number, _), row in zip(lines, cells, strict=True))
     except (OSError, csv.Error, ValueError) as error:

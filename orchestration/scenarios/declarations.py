@@ -112,7 +112,7 @@ def _check_values(port: Port, values: Sequence[object], places: Sequence[str]) -
         expected, is_possible = possible_values(port, np.array(numbers, float))
         for i in np.flatnonzero(~is_possible)[:1]:
             where = places[i] if places else f"values[{i}]"
-            raise ScenarioError(f"{where}: {numbers[i]:g}: expected {expected}")
+            raise ScenarioError(f"{where}: {numbers[i]:.9g}: expected {expected}")
 
 
 def _one_unit(unit: str, of_title: str) -> str:

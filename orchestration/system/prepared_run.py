@@ -93,7 +93,7 @@ class PreparedRun:
         expected, is_possible = possible_values(self.system.ports[name], values)
         for i in np.flatnonzero(~is_possible)[:1]:
             value, t = values[i], self.points[i]
-            raise SystemDefinitionError(f"signal {name} is {value:g} at t = {t:.9g} s: expected {expected}")
+            raise SystemDefinitionError(f"signal {name} is {value:.9g} at t = {t:.9g} s: expected {expected}")
         return values
 
     @property

@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -126,6 +127,39 @@ def test_an_unknown_name_is_refused_with_the_nearest(linear: Build, temporary: P
     with pytest.raises(SystemDefinitionError, match=r"no variable 'one\.Y\[1\]'; nearest is 'one\.y\[1\]'"):
         fmpy_master.simulate({"one": linear()}, stop_time=1.0, step_size=0.1, record=["one.Y[1]"])
     assert not list(temporary.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"algorithm": "Jacobi"}, "algorithm 'Jacobi': expected 'jacobi' or 'gauss-seidel'"),
+        (
+            {"connections": [("a.y[1]", "b.u[1]"), ("b.y[1]", "b.u[1]")]},
+            r"b\.u\[1\]: expected one connection",
+        ),
+        (
+            {"connections": [("a.y[1]", "b.u[1]")], "signals": {"b.u[1]": Cosine(1.0, 6.0)}},
+            "or one signal, got",
+        ),
+        ({"start_values": {"a.integer_in": 2.7}}, r"a\.integer_in = 2\.7: expected a value of type Integer"),
+        (
+            {"connections": [("a.y[1]", "b.integer_in")], "start_values": {"a.u[1]": 0.3}},
+            r"b\.integer_in = 1\.03: expected",
+        ),
+    ],
+)
+def test_what_would_run_otherwise_than_stated_is_refused(
+    linear: Build, changes: dict[str, Any], message: str
+) -> None:
+    fmus = dict.fromkeys("ab", linear(a=-2.0, d=((0.1,),), passes_discrete=True))
+    with pytest.raises(SystemDefinitionError, match=message):
+        fmpy_master.simulate(fmus, stop_time=1.0, step_size=0.1, record=["b.y[1]"], **changes)
+
+
+def test_strings_go_over_connections(foreign: Mapping[str, Path]) -> None:
+    experiment = Experiment(0.4, 0.1, inputs={"one.entry": "Tuesday ä"}, record=("one.length", "two.length"))
+    fmus = {"one": foreign["Diary"], "two": foreign["Diary"]}
+    assert_same_bits(System(fmus, (("one.page", "two.entry"),)), experiment)
 
 
 def test_initial_values_that_do_not_settle_are_an_error(linear: Build, temporary: Path) -> None:

@@ -124,6 +124,8 @@ def test_dates_have_no_unit(tmp_path: Path, unit: str) -> None:
         ("# a,b\nt [ms],u [cm]\n# c,d\n0,1\n", ("t", "u"), 2),
         ("# 0,0\n0,1\n", (), 2),
         ("# t [ms],u [cm]\n# 0,0\n0,1\n", ("t", "u"), 1),
+        ("#\tt [ms]\tu [cm]\n0\t1\n", ("t", "u"), 1),
+        ("# u [mm],t\n## t [ms],u [cm]\n# fresh water, calm\n0,1\n", ("t", "u"), 2),
     ],
 )
 def test_titles_may_be_a_comment_above_the_numbers(

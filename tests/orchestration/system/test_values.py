@@ -15,7 +15,7 @@ from orchestration.run.run_recording import make_recording
 from orchestration.sweep.varied import target
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.prepared_run import check_for, prepare, prepare_checked
-from orchestration.system.signals import Ramps, Signal, Table
+from orchestration.system.signals import Constant, Ramps, Signal, Table
 from orchestration.system.system import System
 from orchestration.system.values import fmi_value, possible_values
 from tests.described_fmus import XML
@@ -168,3 +168,8 @@ def test_a_signal_stays_within_the_range_of_its_input_but_for_rounding(
         SystemDefinitionError, match=r"signal m.u is 0.55 at t = 0.75 s: expected -inf..0.4 m$"
     ):
         _ = prepare(loops[1], experiment).signal_values
+    barely = Experiment(1.0, 0.25, signals={"m.u": Constant(0.40000001)})
+    with pytest.raises(
+        SystemDefinitionError, match=r"signal m.u is 0.40000001 at t = 0 s: expected -inf..0.4"
+    ):
+        _ = prepare(loops[1], barely).signal_values
