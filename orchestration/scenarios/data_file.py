@@ -29,7 +29,8 @@ _TITLE = re.compile(
     r"(.*?)(?:\s*/)?(?:\s+[\[(]|(?:\[|(?<!\bder)\()(?![\d,\s]*[\])]))([^\[\]()]*)[\])]", re.DOTALL
 )
 _OVER = re.compile(r"(.+?)(\s*/\s*|\s+in\s+)(.+)", re.DOTALL)  # "u / cm"
-_FIRST_NUMBER = re.compile(r' *"? *[+-]?[.,]?\d')  # begins a file without titles
+# begins a file without titles
+_FIRST_NUMBER = re.compile(r' *"? *[+-]?([.,]?\d|(nan|inf) *[",;\t|])', re.IGNORECASE)
 _DECIMAL = re.compile(r"\s*[+-]?\d*([.,])\d+(?:[eE][+-]?\d+)?\s*")
 _CLOCK_TIME = re.compile(r"\d+:\d+(:\d+([.,]\d*)?)?")
 _ONE_SIGN = "expected one decimal sign in a file, and digits that are not in groups"

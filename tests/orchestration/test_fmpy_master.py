@@ -109,9 +109,17 @@ def test_a_scenario_file_runs_on_fmpy(
     built: Mapping[str, Path], scenario_fmus: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fmus_of_a_build(built, tmp_path, monkeypatch)
-    recording = runpy.run_path(str(GALLERY / "fmpy_scenario.py"))["recording"]
+    script = runpy.run_path(str(GALLERY / "fmpy_scenario.py"))
+    recording = script["recording"]
     chosen = load_scenario("nominal-extended")
     assert recording.values.tobytes() == simulate(chosen.system, chosen.experiment).values.tobytes()
+    for name, path in shipped().items():
+        if name == "heave-pitch":  # replaces both components
+            with pytest.raises(NotImplementedError, match="replaces components"):
+                script["tables"](path)
+            continue
+        connections = {(source, target) for target, source in script["tables"](path)["connections"].items()}
+        assert connections == {*load_scenario(name).system.connections}, name
 
 
 def fmus_of_a_build(built: Mapping[str, Path], folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
