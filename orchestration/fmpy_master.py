@@ -4,8 +4,8 @@
     Gauss-Seidel   component by component, each with the newest outputs there are
 
 Communication points are start + i h, never accumulated. Faults, events, extrapolation, step sizes of single
-components and step control are left to `orchestration.simulate`. Where both can run a system, every recorded
-value has the same bits (tests/orchestration/test_fmpy_master.py).
+components, step control, and checks of units and ranges are left to `orchestration.simulate`. Where both can
+run a system, every recorded value has the same bits (tests/orchestration/test_fmpy_master.py).
 """
 
 import math
@@ -27,6 +27,7 @@ from orchestration.system.signals import values_at
 from orchestration.system.time_grid import time_grid
 from orchestration.system.values import Value
 
+Connections = Sequence[tuple[str, str]]
 _PYTHON_TYPE = {"String": str, "Real": float, "Float64": float, "Float32": float}  # others are integers
 
 
@@ -98,22 +99,18 @@ class Component:
 class Master:
     """Components, connections (output, input), and the newest values of what is exchanged or recorded.
 
-    driven: inputs that signals drive; recorded: further variables to read
+    driven: inputs that signals drive; read: further variables to read after each step
     """
 
     def __init__(
-        self,
-        components: Sequence[Component],
-        connections: Sequence[tuple[str, str]],
-        driven: Sequence[str],
-        recorded: Sequence[str],
+        self, components: list[Component], connections: Connections, driven: list[str], read: Sequence[str]
     ) -> None:
         self.components, self.connections, self.values = components, connections, dict[str, Any]()
         self._variables = {f"{c.name}.{name}": v for c in components for name, v in c.variables.items()}
         targets = [*driven, *(target for _, target in connections)]
         if twice := next((name for name in targets if targets.count(name) > 1), ""):
             raise SystemDefinitionError(f"{twice}: expected one connection or one signal, got several")
-        sources = {*recorded, *(source for source, _ in connections)}.difference(targets)
+        sources = {*read, *(source for source, _ in connections)}.difference(targets)
         self._inputs, self._outputs = (
             {c: [(n, v) for n in names if (v := self[n]).component is c] for c in components}
             for names in (targets, sorted(sources))
@@ -172,7 +169,7 @@ class Master:
 
 def simulate(
     fmus: Mapping[str, str | Path],
-    connections: Sequence[tuple[str, str]] = (),
+    connections: Connections = (),
     *,
     stop_time: float,
     step_size: float,
