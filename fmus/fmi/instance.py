@@ -6,6 +6,7 @@ Every call that an FMU refuses becomes an FmuError with the messages that the FM
 import contextlib
 import ctypes
 import threading
+import time
 import warnings
 import zipfile
 from collections.abc import Callable, Iterable, Iterator
@@ -230,8 +231,11 @@ class UnpackedFmu:
 
     def close(self) -> None:
         """Removes the folder, and unloads the library unless a thread that it started may still run."""
-        if foreign_threads() <= self._threads_before:
-            self.library.unload()
+        for _ in range(10):
+            if foreign_threads() <= self._threads_before:
+                self.library.unload()
+                break
+            time.sleep(0.01)  # the system lists a thread of Python for a moment after its end
         self._temporary.cleanup()
 
 

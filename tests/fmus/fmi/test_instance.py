@@ -14,7 +14,7 @@ import fmpy
 import numpy as np
 import pytest
 
-from fmus.fmi import binding
+from fmus.fmi import binding, instance
 from fmus.fmi.binding import Library
 from fmus.fmi.description import describe
 from fmus.fmi.instance import FmuInstance
@@ -89,6 +89,17 @@ def test_a_library_whose_thread_may_still_run_stays_loaded(
     finally:
         is_over.set()
         c.pthread_join(thread, None)
+        ours.join()
+
+
+def test_a_thread_that_the_system_lists_for_a_moment_does_not_keep_a_library(
+    linear: Build, unloaded: list[Library], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listed = iter([set[str](), {"7"}, {"7"}, set[str]()])  # when loaded, then when closed
+    monkeypatch.setattr(instance, "foreign_threads", lambda: next(listed))
+    component = load(linear())
+    component.close()
+    assert unloaded == [component.library]
 
 
 def test_closing_terminates_frees_unloads_and_removes(
