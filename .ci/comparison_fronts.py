@@ -10,7 +10,7 @@ from typing import Any
 
 from scipy import stats
 
-from orchestration.score.protocol import read_protocol
+from orchestration.studies.score.protocol import read_protocol
 
 DATA = Path(__file__).parent.parent / "docs" / "explanation" / "fronts.json"
 SENSITIVITY = DATA.with_name("sensitivity.json")

@@ -23,14 +23,14 @@ from jinja2 import Environment, StrictUndefined
 
 from orchestration.results.figures import front_figure
 from orchestration.results.formats import FigureFormat
-from orchestration.score.closed_loop import GAINS
-from orchestration.score.protocol import read_protocol
-from orchestration.score.protocol_format import DELAY_MARGIN
-from orchestration.score.score import START, TUNED, part
-from orchestration.score.score_document import ManyRuns, MetricOverRuns, Row, Score
-from orchestration.score.statistics import EQUIVALENCE, paired, profile, ratios_to_best
-from orchestration.score.tune import LARGEST_SPREAD
-from orchestration.score.tune_problem import LARGEST_CHANGE
+from orchestration.results.statistics import EQUIVALENCE, paired, profile, ratios_to_best
+from orchestration.studies.score.closed_loop import GAINS
+from orchestration.studies.score.protocol import read_protocol
+from orchestration.studies.score.protocol_format import DELAY_MARGIN
+from orchestration.studies.score.score import START, TUNED, part
+from orchestration.studies.score.score_document import ManyRuns, MetricOverRuns, Row, Score
+from orchestration.studies.score.tune import LARGEST_SPREAD
+from orchestration.studies.score.tune_problem import LARGEST_CHANGE
 
 PAGES = Path(__file__).parent.parent / "docs" / "explanation"
 DATA = PAGES / "comparison.json"

@@ -10,7 +10,7 @@ from pathlib import Path
 from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
-from tests.orchestration.report.opened import OpenedPage, chromium
+from tests.orchestration.results.opened import OpenedPage, chromium
 
 _FILE = Path(__file__).parent.parent / "docs" / "images" / "live.png"
 _SIZE = 1200, 860  # px

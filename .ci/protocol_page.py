@@ -11,7 +11,8 @@ FOLDER = SCHEMA.parents[1] / "score"
 _HEAD = """\
 # Protocol of the score
 
-Metrics and cases of `orchestration/score/protocol.toml`, version {version}, and the keys of `score.json`.
+Metrics and cases of `orchestration/studies/score/protocol.toml`, version {version}, and the keys of
+`score.json`.
 [Score](score.md) explains them. `python .ci/protocol_page.py` prints this page.
 """
 

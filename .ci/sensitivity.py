@@ -26,11 +26,12 @@ from scipy.stats import rankdata, sobol_indices
 
 from fmus.operating_system import usable_processors
 from orchestration.many.job import Failure
-from orchestration.many.run_many import LocalRuns, in_order
-from orchestration.score.closed_loop import ClosedLoop, ClosedLoopRun, tuned
-from orchestration.score.protocol import Case, Protocol, read_protocol
-from orchestration.score.run_metrics import declared, failures, metrics_of
-from orchestration.score.vehicle import Vehicle
+from orchestration.many.local_runs import LocalRuns
+from orchestration.many.run_many import in_order
+from orchestration.studies.score.closed_loop import ClosedLoop, ClosedLoopRun, tuned
+from orchestration.studies.score.protocol import Case, Protocol, read_protocol
+from orchestration.studies.score.run_metrics import declared, failures, metrics_of
+from orchestration.studies.vehicle import Vehicle
 from orchestration.sweep.distributions import Distribution, uniform
 
 VEHICLES = ("RovDepthPlant", "RovHeavePitchPlant", "BlueRov2Plant")

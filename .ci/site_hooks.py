@@ -201,13 +201,15 @@ def commands_page(printed: str) -> str:
 
 
 def _names() -> Contents:
-    """The page of every public name of `orchestration`."""
+    """The page of every public name of `orchestration` and of its studies."""
     import orchestration
+    from orchestration import studies
 
     head = (
-        "# Python: systems and runs\n\nEvery name that `from orchestration import NAME` gives. "
-        "[A tutorial](../../tutorials/your-own-fmus.md) shows them at work.\n"
+        "# Python: systems and runs\n\nEvery name that `from orchestration import NAME` gives, and those "
+        "of `orchestration.studies`. [A tutorial](../../tutorials/your-own-fmus.md) shows them at work.\n"
     )
     short = "    options: {show_root_full_path: false}\n"
-    names = [f"::: orchestration.{name}\n{short}" for name in sorted(orchestration.__all__)]
+    known = [*sorted(orchestration.__all__), *(f"studies.{name}" for name in studies.__all__)]
+    names = [f"::: orchestration.{name}\n{short}" for name in known]
     return {"reference/api/orchestration.md": "\n".join([head, *names])}

@@ -1,7 +1,7 @@
-"""Registry of the installed blocks and the paths of their FMUs; nothing is loaded or built here.
+"""Registry of what is installed and of the paths of FMUs; nothing is loaded or built here.
 
-Blocks are entry points of the group `l1_depth.blocks`, so that another package's blocks build the same way:
-`MyBlock = "my_package.my_module:BLOCK"`.
+Blocks, commands and places where runs are made are entry points, so that those of another package work the
+same way: in the group `l1_depth.blocks` `MyBlock = "my_package.my_module:BLOCK"`.
 """
 
 import os
@@ -11,12 +11,14 @@ from contextlib import suppress
 from enum import StrEnum
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
 from pathlib import Path
 
 from fmus import store
 from fmus.errors import ExportError
 
-GROUP = "l1_depth.blocks"
+BLOCKS, COMMANDS, PLACES = "l1_depth.blocks", "l1_depth.commands", "l1_depth.places"
+"""Groups of entry points."""
 FOLDER_VARIABLE = "L1_DEPTH_FMUS"
 
 
@@ -27,17 +29,24 @@ class Flavour(StrEnum):
     PYTHON = "python"
 
 
-def block_entry_points() -> dict[str, EntryPoint]:
-    """Returns the entry point of every installed block, by its name, sorted."""
-    return dict(_read_entry_points(entry_points, tuple(map(_version, sys.path))))
+def installed(group: str) -> dict[str, EntryPoint]:
+    """Returns the entry points of a group by name, sorted; without those whose module is not there."""
+    return dict(_read_entry_points(entry_points, group, tuple(map(_version, sys.path))))
 
 
-@lru_cache(1)
+@lru_cache(3)
 def _read_entry_points(
-    read: Callable[..., Iterable[EntryPoint]], folders: tuple[tuple[str, int], ...]
+    read: Callable[..., Iterable[EntryPoint]], group: str, folders: tuple[tuple[str, int], ...]
 ) -> dict[str, EntryPoint]:
     """Returns `read()`, read once while these folders of packages are unchanged: it opens many files."""
-    return {point.name: point for point in sorted(read(group=GROUP), key=lambda point: point.name)}
+    points = sorted(read(group=group), key=lambda point: point.name)
+    return {point.name: point for point in points if group == BLOCKS or _is_there(point.module)}
+
+
+def _is_there(module: str) -> bool:
+    with suppress(ModuleNotFoundError):  # of a folder above it
+        return find_spec(module) is not None
+    return False
 
 
 def _version(folder: str) -> tuple[str, int]:
@@ -49,7 +58,7 @@ def _version(folder: str) -> tuple[str, int]:
 
 def block_names() -> list[str]:
     """Returns the names of all installed blocks, sorted."""
-    return list(block_entry_points())
+    return list(installed(BLOCKS))
 
 
 def fmu_folder(flavour: Flavour = Flavour.NATIVE) -> Path:

@@ -1,8 +1,8 @@
 """Everything that uses FMUs, through their model descriptions alone: the master algorithm and its tools.
 
-Users import from here, from `orchestration.fmpy_master` and from `orchestration.gym`. The names stand in
-`__init__.pyi` alone, a line each. A name is imported when it is asked for: a command loads nothing that it
-does not use.
+Users import from here and from `orchestration.fmpy_master`, and from the rooms beside the core that say so.
+The names stand in `__init__.pyi` alone, a line each. A name is imported when it is asked for: a command loads
+nothing that it does not use.
 """
 
 from importlib import import_module

@@ -13,8 +13,6 @@ from orchestration.run.checkpoint import read_checkpoint as read_checkpoint
 from orchestration.scenarios.scenario import Scenario as Scenario
 from orchestration.scenarios.scenario import load_scenario as load_scenario
 from orchestration.scenarios.task import task_of as task_of
-from orchestration.score.closed_loop import Controller as Controller
-from orchestration.score.score import score_controllers as score_controllers
 from orchestration.sweep.run import run_sweep as run_sweep
 from orchestration.system.experiment import Event as Event
 from orchestration.system.experiment import Experiment as Experiment

@@ -48,7 +48,7 @@ if sys.platform == "win32":  # these send signals, or limit, fork and inspect pr
         "orchestration/many/test_isolated.py",
         "orchestration/results/test_recording.py",
         "orchestration/run/test_subprocess_run.py",
-        "orchestration/score/test_tune_command.py",
+        "orchestration/studies/score/test_tune_command.py",
         "orchestration/sweep/test_cli.py",
         "orchestration/sweep/test_cluster.py",
         "test_packaging.py",

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 from dask import config
 from distributed import Client, LocalCluster, Worker, WorkerPlugin
 
-from orchestration.many.cluster import ClusterRuns
+from orchestration.places.cluster import ClusterRuns
 
 
 class IgnoreSigint(WorkerPlugin):

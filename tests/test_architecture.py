@@ -98,14 +98,17 @@ LEVELS = {
     "orchestration.scenarios": 9,
     "orchestration.exchange": 10,
     "orchestration.sweep": 10,
-    "orchestration.gym": 10,
-    "orchestration.margins": 10,
-    "orchestration.score": 11,
-    "orchestration.design": 12,
-    "orchestration.fit": 12,
+    "orchestration.cli": 11,
+    "orchestration.gym": 12,
+    "orchestration.places": 12,
     "orchestration.report": 12,
-    "orchestration.cli": 13,
-    "orchestration": 14,  # the names that it exports, each imported when it is asked for
+    "orchestration.studies.vehicle": 12,
+    "orchestration.studies.margins": 13,
+    "orchestration.studies.score": 14,
+    "orchestration.studies.design": 15,
+    "orchestration.studies.fit": 15,
+    "orchestration.studies": 16,  # the names that it exports, each imported when it is asked for
+    "orchestration": 16,
 }
 
 # What running FMUs needs of `fmus`. `fmus.native` imports the compiler if nothing compiled is there.
@@ -182,7 +185,7 @@ def test_models_import_only_the_standard_library_and_the_declaration(package: st
 def test_orchestration_knows_no_model() -> None:
     for package in ("controller_fmu", "plant_fmu"):
         known = {name for name in importers(package) if is_in(name, "orchestration")}
-        designing = ("orchestration.margins", "orchestration.design")
+        designing = ("orchestration.studies.margins", "orchestration.studies.design")
         assert {name for name in known if not any(is_in(name, one) for one in designing)} == set()
     for name, imported in arrows():
         if is_in(name, "orchestration") and is_in(imported, "controller_fmu"):
@@ -218,7 +221,7 @@ def test_one_file_knows_the_users_cache_and_holds_locks() -> None:
         "fmus.build.policy",
         "fmus.native.compiled_library",
         "fmus.build.stamp",
-        "orchestration.score.score_rows",
+        "orchestration.studies.score.score_rows",
     }
     assert {
         name for name, path in MODULES.items() if re.search(r"\bstore\.(put|write)\(", text(path))
@@ -272,10 +275,10 @@ EXTRAS = {
     "fmus.block": {"units"},
     "fmus.compliance": {"check"},
     "orchestration.gym": {"gym"},
-    "orchestration.many": {"gpu", "sweep"},
+    "orchestration.places": {"gpu", "sweep"},
     "orchestration.report": {"report"},
-    "orchestration.results": {"tables"},
-    "orchestration.score": {"study"},
+    "orchestration.results": {"report", "tables"},
+    "orchestration.studies.score": {"study"},
     "orchestration.sweep": {"sweep"},
 }
 
@@ -321,12 +324,12 @@ def test_one_file_makes_runs_in_processes_and_one_chooses_vectors() -> None:
         "orchestration.run.subprocess_run",
     }
     assert importers("orchestration.many.runners") == {
-        "orchestration.many.run_many",
-        "orchestration.many.cluster",
+        "orchestration.many.local_runs",
+        "orchestration.places.cluster",
     }
     assert importers("orchestration.many.ensemble") == {
         "orchestration.many.runners",
-        "orchestration.scenarios.task_runs",
+        "orchestration.gym.episodes",
     }
 
 
@@ -355,7 +358,7 @@ def test_what_is_declared_is_imported() -> None:
             },
         ),
         ("matplotlib", {"orchestration.results.figures"}),
-        ("jinja2", {"orchestration.report.render"}),
+        ("jinja2", {"orchestration.results.page"}),
         ("PIL", {"fmus.build.documentation.terminals_and_icon"}),
         ("pint", {"fmus.block.units"}),
     ],

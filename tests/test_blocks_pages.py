@@ -15,8 +15,8 @@ from fmus.block import Block
 from fmus.block.block_file import write_new_block
 from fmus.build.builder import load_block
 from fmus.units import SYMBOLS
-from orchestration.score.protocol import read_protocol
-from orchestration.score.score_document import Score
+from orchestration.studies.score.protocol import read_protocol
+from orchestration.studies.score.score_document import Score
 
 from .page_examples import examples
 

@@ -17,13 +17,13 @@ import pytest
 from scipy import stats
 
 from fmus.fmi.description import describe
-from orchestration.score import score
-from orchestration.score.closed_loop import built_in, tuned_gains
-from orchestration.score.protocol import read_protocol
-from orchestration.score.score_document import ManyRuns, Row, Score
-from orchestration.score.statistics import distribution, holm, paired, proportion_interval
-from orchestration.score.tune import LARGEST_IMPROVEMENT
-from orchestration.score.vehicle import built
+from orchestration.results.statistics import distribution, holm, paired, proportion_interval
+from orchestration.studies.score import score
+from orchestration.studies.score.closed_loop import built_in, tuned_gains
+from orchestration.studies.score.protocol import read_protocol
+from orchestration.studies.score.score_document import ManyRuns, Row, Score
+from orchestration.studies.score.tune import LARGEST_IMPROVEMENT
+from orchestration.studies.vehicle import built
 from orchestration.system.system import Port
 from orchestration.system.values import value_range
 from tests.page_text import long_cells, long_sentences

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestration.score.closed_loop import ClosedLoop, tuned
-from orchestration.score.protocol import Case, Protocol, read_protocol
-from orchestration.score.vehicle import Vehicle
+from orchestration.studies.score.closed_loop import ClosedLoop, tuned
+from orchestration.studies.score.protocol import Case, Protocol, read_protocol
+from orchestration.studies.vehicle import Vehicle
 
 FOLDER = Path(__file__).parent.parent / ".ci"
 sys.path.insert(0, str(FOLDER))

@@ -33,7 +33,7 @@ from fmus.files import packed, write_bytes_atomically
 from fmus.fmi.binding import library_member
 from fmus.operating_system import usable_processors
 from fmus.platforms import host_platform, library_name
-from fmus.registry import Flavour, block_entry_points, block_fmus, block_names, fmu_folder, unwritable
+from fmus.registry import BLOCKS, Flavour, block_fmus, block_names, fmu_folder, installed, unwritable
 
 _AT_ONCE = usable_processors()  # orders that are compiled
 _ICONS = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
@@ -41,7 +41,7 @@ _ICONS = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
 
 def load_block(name: str) -> Block:
     """Returns the block of that name; ExportError offers the nearest one."""
-    point = block_entry_points().get(name)
+    point = installed(BLOCKS).get(name)
     if point is None:
         file = f"; the file is {name}.py" if Path(f"{name}.py").is_file() else ""
         raise ExportError(f"no block named {name!r}; {nearest(name, block_names())}{file}")

@@ -22,7 +22,7 @@ import fmus
 from fmus import store
 from fmus.block.block_file import SourceLoader
 from fmus.build.imports import Import, ImpureError, Modules, may_take, pure_imports
-from fmus.registry import Flavour, block_entry_points, block_fmus, fmu_folder, fmu_path
+from fmus.registry import BLOCKS, Flavour, block_fmus, fmu_folder, fmu_path, installed
 
 _LIBRARIES = ("casadi", "fmpy", "l1-depth", "pillow", "pint", "pythonfmu", "ziglang")
 _NOT_BUILDING = ("compliance",)  # folders of this package that no FMU is made from
@@ -154,7 +154,7 @@ class BuildCache:
 
     def _origin(self, order: BuildRequest) -> str:
         """Returns MODULE:NAME of an installed block, or the path of a file."""
-        point = block_entry_points().get(order.source)
+        point = installed(BLOCKS).get(order.source)
         if not order.file and point is None:
             raise ImpureError(order.source)
         return order.file or getattr(point, "value", "")

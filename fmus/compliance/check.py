@@ -18,6 +18,7 @@ from fmus.compliance.rule import ALLOCATIONS, Level, Result, repeated
 if TYPE_CHECKING:
     from fmus.compliance.report import Checked
 
+PANEL = "FMUs"  # of the help of l1-depth
 NO_VERDICT, NOT_JUDGED = 3, 4  # exit status
 
 

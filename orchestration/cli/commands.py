@@ -15,6 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
+from fmus import registry
 from fmus.errors import ExportError, MissingExtraError
 from orchestration.cli.interrupts import INTERRUPTED, is_interrupted
 from orchestration.cli.shared import fail
@@ -23,33 +24,48 @@ from orchestration.errors import FmuWarning, OrchestrationError, ScenarioWarning
 OUTPUT_CLOSED = 141  # exit status that shells report for SIGPIPE
 
 _PANELS = {
-    "FMUs": ("fmu.new", "fmu.build", "fmu.check", "fmu.verify", "fmu.inspect", "cache.cache"),
-    "Scenarios": ("run.scenarios", "run.run", "run.live", "sweep.sweep", "run.report"),
-    "Controllers compared": ("score.score", "tune.tune", "score.compare", "sweep.margins"),
-    "Vehicles": ("vehicles.design", "vehicles.fit"),
+    "FMUs": ("fmu.new", "fmu.build", "fmu.verify", "fmu.inspect", "cache.cache"),
+    "Scenarios": ("run.scenarios", "run.run", "sweep.sweep"),
     "The paper": ("run.reproduce",),
     "Other tools": ("exchange.package",),
 }
 """Panel of the help -> module of this package, and function in it: a command of that name."""
-COMMANDS = {
+_CORE = {
     where.partition(".")[2]: (where.partition(".")[0], panel)
     for panel, functions in _PANELS.items()
     for where in functions
 }
-"""Name of a command -> its module, and its panel of the help."""
 
 
-def application(names: Iterable[str] = COMMANDS) -> typer.Typer:
-    """Returns the command line with these commands; only their modules are imported."""
+def command_names() -> list[str]:
+    """Returns the names of all commands: those of this package, then the installed ones.
+
+    The latter are entry points of the group `l1_depth.commands`, functions whose modules state the `PANEL` of
+    the help.
+    """
+    return [*_CORE, *registry.installed(registry.COMMANDS)]
+
+
+def command_function(name: str) -> tuple[Callable[..., None], str]:
+    """Returns the function of a command, and its panel of the help."""
+    if name in _CORE:
+        module, panel = _CORE[name]
+        return getattr(import_module(f"orchestration.cli.{module}"), name), panel
+    point = registry.installed(registry.COMMANDS)[name]
+    return point.load(), import_module(point.module).PANEL
+
+
+def application(names: Iterable[str] = ()) -> typer.Typer:
+    """Returns the command line with these commands, by default all; only their modules are imported."""
     app = typer.Typer(
         callback=_l1_depth,
         pretty_exceptions_enable=False,
         rich_markup_mode="markdown",  # square brackets stay what they are
         context_settings={"help_option_names": ["-h", "--help"]},
     )
-    for name in names:
-        module, panel = COMMANDS[name]
-        app.command(rich_help_panel=panel)(getattr(import_module(f"orchestration.cli.{module}"), name))
+    for name in names or command_names():
+        function, panel = command_function(name)
+        app.command(name, rich_help_panel=panel)(function)
     return app
 
 
@@ -74,7 +90,8 @@ def run_command(arguments: Sequence[str]) -> int:
 
     A command whose output is no longer read, as with `| head`, ends without a message.
     """
-    app = application(arguments[:1] if arguments[:1] and arguments[0] in COMMANDS else COMMANDS)
+    first = arguments[:1]
+    app = application(first if first and (first[0] in _CORE or first[0] in command_names()) else ())
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("always", ScenarioWarning)

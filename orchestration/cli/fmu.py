@@ -1,4 +1,4 @@
-"""Commands on FMUs: build, check, inspect."""
+"""Commands on FMUs: new, build, verify, inspect."""
 
 import json
 import zipfile
@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fmus.build.stamp import BuildCache, BuildRequest
-from fmus.compliance import check as compliance
 from fmus.errors import ExportError
 from fmus.files import write_bytes_atomically
 from fmus.platforms import PLATFORMS, check_platforms
@@ -25,7 +24,6 @@ _FMI3_FOLDER = Path("fmus-built", "fmi3")
 Current = Mapping[BuildRequest, Sequence[Path] | None]
 """Request -> its FMUs, if they are what it would build now."""
 _PIPED_WIDTH = 260  # a line a variable, for grep
-check = compliance.check
 
 
 def new(

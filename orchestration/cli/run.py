@@ -1,7 +1,6 @@
 """Commands on scenarios, run, report, scenarios, and on the paper: reproduce."""
 
 import math
-import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -10,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fmus.files import write_text_atomically
 from fmus.operating_system import usable_processors
 from fmus.registry import Flavour
 from orchestration.cli import shared
@@ -150,76 +148,6 @@ def _print_pace(recording: "Recording") -> None:
     if pace:
         missed, worst, where = pace["missed_deadlines"], pace["worst_lateness_s"], pace["worst_at_s"]
         print(f"{missed} deadlines missed, the worst by {1e3 * worst:.3g} ms at t = {where:g} s")
-
-
-@takes_changes()
-def live(
-    name: shared.ScenarioArgument,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Write this page.")] = Path("live.html"),
-    sliders: Annotated[
-        list[str],
-        typer.Option(
-            "--slider",
-            metavar="NAME=LOW:HIGH",
-            help="Give component.variable a slider too, or another range; several are separated by commas.",
-        ),
-    ] = [],  # noqa: B006  (Typer copies it)
-    beside: Annotated[
-        list[str],
-        typer.Option(
-            metavar="NAME=VALUE",
-            help="Draw the same scenario with this value beside it; by default that without an extension.",
-        ),
-    ] = [],  # noqa: B006
-    changes: Changes = NO_CHANGES,
-) -> None:
-    """Write a scenario as one HTML page that runs its FMUs in the browser, with sliders for its values.
-
-    For example, l1-depth live nominal-extended --slider controller.adaptation_gain=10:1000 adds a slider.
-    """
-    from orchestration.cli import chosen_scenario
-    from orchestration.report.live_page import live_page
-
-    chosen = chosen_scenario.load(name, changes=changes)
-    runs = {chosen.title: chosen}
-    if beside := beside or _without_extension(chosen):
-        settings = {**changes.settings, **Changes.of_options(settings=beside).settings}
-        runs[", ".join(beside)] = chosen_scenario.load(name, changes=replace(changes, settings=settings))
-    write_text_atomically(out, live_page(runs, sliders))
-    print(out)
-
-
-def _without_extension(scenario: "Scenario") -> list[str]:
-    """Returns the setting that switches the extension of the controller off, if it has one that is on."""
-    from orchestration.system.prepared_run import values_of
-
-    extension = values_of(scenario.prepared, "controller").get("augmentation", "none")
-    return [] if extension == "none" else ["controller.augmentation=none"]
-
-
-def report(
-    results: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="RESULT",
-            help="What run, reproduce or sweep has written: .json, .csv, .parquet or a folder.",
-        ),
-    ],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Write this page.")] = Path("report.html"),
-    title: Annotated[str, typer.Option(help="Give the page this title, not the names of the results.")] = "",
-) -> None:
-    """Write results as one interactive HTML page that needs no network.
-
-    For example, l1-depth report results --out paper.html shows every result in a folder.
-    """
-    from orchestration import report as page
-
-    found = page.found_results(results)
-    for result in found:
-        for column, reason in result.provenance.get("left_out", {}).items():
-            print(f"l1-depth: warning: {column} is left out: {reason}", file=sys.stderr)
-    write_text_atomically(out, page.render(found, title))
-    print(out)
 
 
 def scenarios() -> None:

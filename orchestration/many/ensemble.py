@@ -9,8 +9,7 @@ from fmus.fmi.description import describe, is_independent
 from fmus.fmi.variable_types import FmiValue
 from fmus.platforms import instruction_sets
 from orchestration.errors import EnsembleError, OrchestrationError, SystemDefinitionError
-from orchestration.many.device import Device, DeviceLoop, DeviceProgram
-from orchestration.many.ensemble_loop import EnsembleLoop, loop_library
+from orchestration.many.ensemble_loop import Device, EnsembleLoop, loop_library
 from orchestration.many.job import ENTRIES
 from orchestration.many.lane_library import LANES, aligned, is_compiled, lane_library
 from orchestration.many.stepped_ensemble import EnsembleRecording, SteppedEnsemble
@@ -49,8 +48,8 @@ class Ensemble(LoadedSystem):
     A context manager, which frees the FMUs that the initial values are taken from.
 
     instructions: "x86-64-v4", "x86-64-v3" or "portable", by default the best that this processor has
-    device: what runs the instances in place of this processor, as `gpu()`: elementary functions are then
-    those of the device
+    device: what runs the instances in place of this processor, as `device_of("gpu")`: elementary functions
+    are then those of the device
 
     Raises EnsembleError for any other FMU, or without a compiler.
     """
@@ -70,9 +69,9 @@ class Ensemble(LoadedSystem):
                     "l1-depth build wrote for this user; Simulator runs any FMU"
                 )
         self._device, self._libraries = device, dict[str, Any]()
-        self._loop_class = DeviceLoop if device else EnsembleLoop
+        self._loop_class = device.loop if device else EnsembleLoop
         if device:
-            self._functions: Any = DeviceProgram(device, system.components)
+            self._functions: Any = device.program(system.components)
             self._libraries |= self._functions.components
         else:
             self._functions = loop_library(self.instructions)

@@ -4,7 +4,7 @@ import ctypes
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -240,3 +240,22 @@ def loop_library(instructions: str) -> ctypes.CDLL:
     library.ensemble_exchange.argtypes = [ctypes.c_void_p, ctypes.c_int64]
     library.ensemble_run.restype = library.ensemble_exchange.restype = None
     return library
+
+
+class Device(Protocol):
+    """Device on which an ensemble steps in place of this processor, such as a GPU.
+
+    loop: class of the instances there
+    arrays: a module of arrays with the interface of NumPy, and `get` for a copy of it as one of NumPy
+    """
+
+    loop: type[EnsembleLoop]
+    arrays: Any
+
+    def program(self, components: Mapping[str, Path]) -> Any:
+        """Returns the functions of `loop_library` for a system, with `components`: its libraries by name."""
+        ...
+
+    def free_bytes(self) -> int:
+        """Returns how many bytes arrays may take."""
+        ...

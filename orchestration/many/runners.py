@@ -16,8 +16,8 @@ import cloudpickle
 
 from fmus.fmi.process import Parent, ProcessEndedError, WorkerProcess
 from orchestration.errors import EnsembleError, OrchestrationError, SweepError
-from orchestration.many.device import Device
 from orchestration.many.ensemble import Ensemble, check_ensemble, shape
+from orchestration.many.ensemble_loop import Device
 from orchestration.many.job import BATCH_S, ENDED, TOO_LONG, ClosedError, Done, Failure, Job, Run
 from orchestration.many.lane_library import LANES
 from orchestration.results.recording import Recording
@@ -94,7 +94,7 @@ def vector_limits(
         if job.not_in_vectors:
             raise EnsembleError(job.not_in_vectors)
         if device and job.timeout:
-            raise EnsembleError(f"a GPU ends no run: expected no timeout, got {job.timeout:g} s")
+            raise EnsembleError(f"a device ends no run: expected no timeout, got {job.timeout:g} s")
         group_bytes = check_ensemble(job.system, job.base, count, bool(vectorise), threads=workers)
         Ensemble(job.system, device=device).close()
         if device:

@@ -1,7 +1,5 @@
 """Data of runs and sweeps that a page embeds for its scripts to draw."""
 
-import base64
-import zlib
 from typing import Any
 
 import numpy as np
@@ -9,17 +7,8 @@ import numpy as np
 from orchestration.report.result import RunResult, SweepResult, correlations, groups_of, strongest
 from orchestration.results.files import points_down
 from orchestration.results.metrics import SIGNALS
+from orchestration.results.page import packed
 from orchestration.sweep.table import categorical
-
-
-def packed(values: np.ndarray) -> str:
-    """Doubles -> base64 of zlib of their bytes, all first bytes before all second ones and so on.
-
-    Neighbours in time share sign and exponent, so that these bytes compress well side by side.
-    """
-    bytes_of_values = np.ascontiguousarray(values, dtype="<f8").view(np.uint8).reshape(-1, 8)
-    return base64.b64encode(zlib.compress(bytes_of_values.T.tobytes())).decode("ascii")
-
 
 COLUMNS = 2000
 """Columns of pixels of a chart: a screen shows no more of one of them than its least and largest value."""

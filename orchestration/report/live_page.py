@@ -5,6 +5,7 @@ import math
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from fmus.errors import nearest
@@ -12,10 +13,9 @@ from fmus.fmi.description import start_value
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.exchange.web_program import program
-from orchestration.report.embedded import packed
-from orchestration.report.render import page
 from orchestration.results.files import points_down
 from orchestration.results.metrics import SIGNALS
+from orchestration.results.page import packed, page
 from orchestration.scenarios import free_parameter
 from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.scenarios.scenario import Scenario
@@ -25,6 +25,7 @@ from orchestration.system.quantities import Conversion, in_unit_of
 from orchestration.system.system import Port
 from orchestration.system.values import value_range
 
+_TEMPLATE = Path(__file__).parent / "files" / "live.html"
 _CONTROLLER = "controller"  # the component whose parameters are gains
 _SPAN = 4.0  # of a gain: from a fourth of its value to four times that
 # of disturbances that the description of no vehicle varies; the thrusters of the paper's can hold them
@@ -54,7 +55,7 @@ def live_page(runs: Mapping[str, Scenario], sliders: Sequence[str] = ()) -> str:
     components = dict.fromkeys(s.name.partition(".")[0] for s in shown)
     scored = {call.get(key) for call in first.metrics.values() for key in SIGNALS}
     return page(
-        "live.html",
+        _TEMPLATE,
         ("live.js",),
         title=first.title,
         groups={name: [s for s in shown if s.name.startswith(f"{name}.")] for name in components},

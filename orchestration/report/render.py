@@ -1,23 +1,13 @@
-"""The page itself: template, style and scripts of `files/` with the results put in.
+"""The page of runs and sweeps."""
 
-Text from files is escaped by jinja2, data is JSON without markup, and the content security policy lets
-only the scripts run whose hashes it names and nothing be fetched.
-"""
-
-import base64
-import hashlib
 import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from importlib import metadata
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from fmus.extras import imports_of
 from orchestration.report.embedded import COLUMNS, run_data, sweep_data
 from orchestration.report.result import (
     RunResult,
@@ -30,13 +20,10 @@ from orchestration.report.result import (
     toml,
 )
 from orchestration.results.metric_units import shown
+from orchestration.results.page import page
 from orchestration.sweep.table import HEADINGS, categorical
 
-with imports_of("report", "a report"):
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-    from markupsafe import Markup
-
-_FILES = Path(__file__).with_name("files")
+_TEMPLATE = Path(__file__).parent / "files" / "page.html"
 _SCRIPTS = ("points.js", "tables.js", "signals.js", "sweeps.js")
 
 
@@ -47,8 +34,9 @@ def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
     labels = shortened([run.name for run in runs]) | shortened([sweep.name for sweep in swept])
     compared = common_metrics(swept)
     return page(
-        "page.html",
+        _TEMPLATE,
         _SCRIPTS,
+        {"toml": toml, "facts": _facts},
         title=title or _title(runs, swept),
         runs=runs,
         sweeps=swept,
@@ -71,31 +59,6 @@ def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
             "compared": list(compared.items()),
         },
     )
-
-
-def page(template: str, script_files: Sequence[str], **content: Any) -> str:
-    """Returns a self-contained HTML page of a template of `files/`, which extends `base.html`.
-
-    content: what the template shows, with `title`, and `data` for its scripts
-    """
-    environment = Environment(loader=FileSystemLoader(_FILES), autoescape=True, undefined=StrictUndefined)
-    environment.filters |= {"toml": toml, "number": _number, "breakable": _breakable, "facts": _facts}
-    scripts = [_file(name) for name in ("uplot.js", "common.js", *script_files)]
-    return environment.get_template(template).render(
-        **content,
-        style=Markup(_file("page.css") + _file("uplot.css")),
-        scripts=[Markup(script) for script in scripts],
-        hashes=" ".join(f"'sha256-{_sha256(script)}'" for script in scripts),
-        made_by=f"l1-depth {metadata.version('l1-depth')}, {_file('uplot.LICENSE').partition(' (')[0]}",
-    )
-
-
-def _file(name: str) -> str:
-    return (_FILES / name).read_text(encoding="utf-8")
-
-
-def _sha256(script: str) -> str:
-    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
 
 
 def _title(runs: Sequence[RunResult], swept: Sequence[SweepResult]) -> str:
@@ -143,16 +106,6 @@ def _facts(provenance: Mapping[str, Any]) -> dict[str, str]:
     """Returns the provenance of a result without the FMUs; "step_size_s" is a step size [s]."""
     facts = {key: value for key, value in provenance.items() if key != "fmus" and value is not None}
     return {re.sub(r"_s$", " [s]", key).replace("_", " "): value for key, value in flat(facts).items()}
-
-
-def _number(value: Any) -> str:
-    """Returns five digits of a number; whole numbers and texts as they are."""
-    return f"{value:.5g}" if isinstance(value, (float, np.floating)) else str(value)
-
-
-def _breakable(name: str) -> Markup:
-    """Returns a name that breaks after a dot, an underscore or a comma, if three letters follow."""
-    return Markup("<wbr>").join(re.split(r"(?<=[._,])(?=\w{3})", name))
 
 
 _ABSENT = "absent"

@@ -19,6 +19,7 @@ from fmus.extras import imports_of
 from orchestration.errors import OrchestrationError
 from orchestration.results.metric_units import shown
 from orchestration.results.recording import Recording
+from orchestration.results.statistics import holm, paired
 
 with imports_of("report", "a report"):
     import pyarrow  # noqa: F401  (of the table, which would name its own extra)
@@ -195,8 +196,6 @@ def paired_differences(sweeps: Sequence[SweepResult]) -> list[dict[str, Any]]:
 
     Samples of equal numbers are a pair if the values of all that both vary are equal, and neither failed.
     """
-    from orchestration.score.statistics import holm, paired
-
     first, *others = sweeps
     tests = {}
     for other in others:

@@ -20,7 +20,7 @@ import numpy as np
 
 from fmus.errors import nearest
 from fmus.extras import require
-from fmus.files import open_atomically
+from fmus.files import open_atomically, write_json_atomically
 from fmus.operating_system import allocate
 from orchestration.errors import OrchestrationError
 from orchestration.results.formats import RecordingFormat
@@ -97,6 +97,24 @@ def write(path: Path, content: Columns) -> str:
         # before it is at the path, where another run may write at the same time
         stream.seek(0)
         return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def write_document(
+    path: Path, digest: str, scenario: Mapping[str, Any], run: Mapping[str, Any], metrics: Mapping[str, Any]
+) -> Path:
+    """Writes the .json of a run beside its recording and returns it; digest: SHA-256 of the recording.
+
+    scenario: resolved, as TOML has it; run: its provenance; metrics: name -> "value" and "unit"
+    """
+    document = {
+        "recording": path.name,
+        "sha256": digest,
+        "scenario": scenario,
+        "run": run,
+        "metrics": metrics,
+    }
+    write_json_atomically(file := path.with_suffix(".json"), document)
+    return file
 
 
 def read(path: Path) -> Columns:

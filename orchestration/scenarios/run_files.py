@@ -117,14 +117,7 @@ def write_result(
     digest = _write(recording, file)
     if "statistics" in recording.provenance:
         recording.provenance["statistics"]["phases_s"]["writing"] = time.perf_counter() - start
-    document = {
-        "recording": file.name,
-        "sha256": digest,
-        "scenario": loaded.resolved,
-        "run": recording.provenance,
-        "metrics": result.metrics_with_units,
-    }
-    write_json_atomically(folder / f"{loaded.name}.json", document)
+    files.write_document(file, digest, loaded.resolved, recording.provenance, result.metrics_with_units)
     return result
 
 

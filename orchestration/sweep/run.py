@@ -24,7 +24,7 @@ from fmus.operating_system import usable_processors
 from orchestration.errors import SweepError
 from orchestration.many.job import Batches, Failure, Finished, Job, Place, Run
 from orchestration.many.journal import Journal
-from orchestration.many.run_many import LocalRuns
+from orchestration.many.local_runs import LocalRuns
 from orchestration.results import metrics
 from orchestration.results.recording import Recording
 from orchestration.scenarios.changes import with_values

@@ -13,10 +13,10 @@ import pytest
 from orchestration.results import metrics
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
-from orchestration.score.closed_loop import ClosedLoop, tuned
-from orchestration.score.protocol import read_protocol
-from orchestration.score.run_metrics import failures
-from orchestration.score.vehicle import Vehicle
+from orchestration.studies.score.closed_loop import ClosedLoop, tuned
+from orchestration.studies.score.protocol import read_protocol
+from orchestration.studies.score.run_metrics import failures
+from orchestration.studies.vehicle import Vehicle
 from plant_fmu.thruster import T200_FORCE, T200_VOLTAGE
 
 pytestmark = pytest.mark.usefixtures("scenario_fmus")

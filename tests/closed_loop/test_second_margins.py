@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestration.margins.fmu_margins import DELAYS, scan
-from orchestration.margins.hold import HoldRuns, LoopSignal
 from orchestration.scenarios import scenario
+from orchestration.studies.margins.fmu_margins import DELAYS, scan
+from orchestration.studies.margins.hold import HoldRuns, LoopSignal
 from tests.closed_loop.second_program import L1Case, LawStep, sampled
 from tests.closed_loop.shipped_case import noisy_case
 

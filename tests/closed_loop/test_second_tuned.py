@@ -11,8 +11,8 @@ import pytest
 
 from orchestration.run import simulate
 from orchestration.scenarios.scenario import Scenario
-from orchestration.score.closed_loop import ClosedLoop, Controller, tuned
-from orchestration.score.protocol import read_protocol
+from orchestration.studies.score.closed_loop import ClosedLoop, Controller, tuned
+from orchestration.studies.score.protocol import read_protocol
 from tests.closed_loop.same_experiment import SMOOTH, figures
 from tests.closed_loop.second_laws import LAWS
 from tests.closed_loop.second_loop import run

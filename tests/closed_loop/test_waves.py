@@ -12,8 +12,8 @@ from fmus.registry import Flavour, fmu_path
 from orchestration.results.recording import Recording
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
-from orchestration.score.closed_loop import tuned
-from orchestration.score.protocol import read_protocol
+from orchestration.studies.score.closed_loop import tuned
+from orchestration.studies.score.protocol import read_protocol
 from orchestration.system.experiment import Experiment
 from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.system import System

@@ -12,12 +12,13 @@ import pytest
 
 from orchestration.errors import OrchestrationError
 from orchestration.many.job import Failure
-from orchestration.many.run_many import LocalRuns, in_order
+from orchestration.many.local_runs import LocalRuns
+from orchestration.many.run_many import in_order
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator, simulate
 from orchestration.scenarios import scenario
-from orchestration.score.closed_loop import ClosedLoop, ClosedLoopRun, Controller
-from orchestration.score.protocol import read_protocol
+from orchestration.studies.score.closed_loop import ClosedLoop, ClosedLoopRun, Controller
+from orchestration.studies.score.protocol import read_protocol
 from orchestration.sweep import table
 from orchestration.sweep.plan import plan
 from orchestration.sweep.run import sweep

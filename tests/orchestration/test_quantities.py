@@ -16,11 +16,11 @@ from orchestration.cli.changes import Changes
 from orchestration.errors import OrchestrationError, ScenarioError, SystemDefinitionError
 from orchestration.exchange import ssp_read
 from orchestration.exchange.ssp_xml import STRUCTURE
-from orchestration.fit.dive import read_dive
 from orchestration.report.find import _measured
 from orchestration.scenarios import scenario
-from orchestration.score.protocol import read_protocol
-from orchestration.score.vehicle import Vehicle
+from orchestration.studies.fit.dive import read_dive
+from orchestration.studies.score.protocol import read_protocol
+from orchestration.studies.vehicle import Vehicle
 from orchestration.sweep.varied import sweep_table, target, varied
 from orchestration.system.experiment import Experiment
 from orchestration.system.open_inputs import OpenInputs

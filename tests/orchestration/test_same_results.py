@@ -25,7 +25,7 @@ import tomli_w
 
 from orchestration import Recording
 from orchestration.scenarios import scenario
-from orchestration.score.protocol import read_protocol
+from orchestration.studies.score.protocol import read_protocol
 
 FILE = Path(__file__).with_name("same_results.json")
 C_LIBRARY = " ".join(platform.libc_ver())
@@ -150,15 +150,15 @@ def test_a_shipped_scenario_has_the_same_recording(
     is_same(name, {"time": recording.time, **{signal: recording[signal] for signal in recording.names}})
 
 
-@pytest.mark.parametrize("places", [["--ensemble"], ["--no-ensemble"], ["--isolated", "--workers", "1"]])
+@pytest.mark.parametrize("where", ["vectors", "processor", "processes"])
 @pytest.mark.usefixtures("scenario_fmus")
 def test_a_shipped_sweep_has_the_same_rows_wherever_they_run(
-    places: list[str], command: Command, is_same: Check, tmp_path: Path
+    where: str, command: Command, is_same: Check, tmp_path: Path
 ) -> None:
     """The first 20 samples: two whole groups of an ensemble, and a group that is not full."""
     path = tmp_path / "first.toml"
     path.write_text('base = "monte-carlo"\n[sweep]\nsamples = 20\n', encoding="utf-8")
-    command("sweep", path, "--out", tmp_path, *places)
+    command("sweep", path, "--out", tmp_path, "--where", where)
     rows = pq.read_table(tmp_path / "first.sweep.parquet").drop(["warned", "error"]).to_pydict()
     is_same("monte-carlo", {name: np.array(column, float) for name, column in rows.items()})
 

@@ -165,8 +165,8 @@ def stepping(repeats: str, *numbers: str) -> Rows:
         env.reset()
         rows["FmuEnv, steps a second"] = 1e6 / best(lambda: env.step(np.zeros(2)))
     for number in map(int, numbers):
-        for way in ("simulators", "ensemble"):
-            with closing(FmuVectorEnv(task, number, way == "ensemble")) as envs:
+        for way, where in {"simulators": "processor", "ensemble": "vectors"}.items():
+            with closing(FmuVectorEnv(task, number, where)) as envs:
                 envs.reset()
                 taken = best(lambda: envs.step(np.zeros((number, 2))), 100)  # noqa: B023
                 rows[f"FmuVectorEnv of {number}, {way}, steps a second"] = number * 1e6 / taken

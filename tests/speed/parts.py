@@ -140,10 +140,10 @@ def elsewhere(name: str) -> Measure:
 SHORT = "[experiment]\nstop_time = 5.0\n[metrics]\nholding_thrust = false\nlag = false\n"
 WAYS = {
     f"by default, {WORKERS} workers": (),
-    "ensembles, one thread": ("--workers", "1", "--ensemble"),
-    "simulators, one thread": ("--workers", "1", "--no-ensemble"),
-    f"simulators, {WORKERS} threads": ("--workers", str(WORKERS), "--no-ensemble"),
-    f"simulators, {WORKERS} processes": ("--workers", str(WORKERS), "--isolated"),
+    "ensembles, one thread": ("--workers", "1", "--where", "vectors"),
+    "simulators, one thread": ("--workers", "1", "--where", "processor"),
+    f"simulators, {WORKERS} threads": ("--workers", str(WORKERS), "--where", "processor"),
+    f"simulators, {WORKERS} processes": ("--workers", str(WORKERS), "--where", "processes"),
 }
 
 
@@ -165,7 +165,7 @@ def sweep(way: str) -> Measure:
             "CPU of a sample more, ms": 1e3 * more,
         }
         million = {f"{way}: on these cores, min": million_s / 60.0}
-        if "--isolated" in WAYS[way]:
+        if "processes" in WAYS[way]:
             million[f"{way}: on 16 cores, from CPU time, min"] = 1e6 * more / 16 / 60.0
         return {"sweeps": {f"{way}: {what}": x for what, x in rows.items()}, "million": million}
 
@@ -203,7 +203,7 @@ def on_dask(state: State, quick: bool) -> Rows:
         address: Any = client.scheduler
         stream: Any = get_task_stream(client)
         with stream:
-            line = "sweep", _scenario(state, samples), "--scheduler", address.address, "--restart"
+            line = "sweep", _scenario(state, samples), "--where", address.address, "--restart"
             state.cost(*COMMAND, *line)
     for task in stream.data:
         computed = [part for part in task["startstops"] if part["action"] == "compute"]

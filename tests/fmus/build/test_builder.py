@@ -16,7 +16,7 @@ def offer(monkeypatch: pytest.MonkeyPatch) -> object:
     """Make the builder find one block only, under the name given."""
 
     def one(name: str, block: Block) -> None:
-        point = EntryPoint(name, "somewhere:BLOCK", registry.GROUP)
+        point = EntryPoint(name, "somewhere:BLOCK", registry.BLOCKS)
         monkeypatch.setattr(EntryPoint, "load", lambda self: block)
         monkeypatch.setattr(registry, "entry_points", lambda group: [point])
 
@@ -39,7 +39,7 @@ def test_a_block_must_bear_the_name_of_its_entry_point(offer: object) -> None:
 
 
 def test_an_entry_point_that_cannot_be_loaded_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    point = EntryPoint("Broken", "no_such_package:BLOCK", registry.GROUP)
+    point = EntryPoint("Broken", "no_such_package:BLOCK", registry.BLOCKS)
     monkeypatch.setattr(registry, "entry_points", lambda group: [point])
     with pytest.raises(ExportError, match=r"'Broken': .* no_such_package:BLOCK .*No module named"):
         builder.load_block("Broken")

@@ -15,13 +15,12 @@ from typing import Any
 
 import pytest
 
-from fmus.compliance.check import NO_VERDICT, NOT_JUDGED, _progress, check, main
+from fmus.compliance.check import NO_VERDICT, NOT_JUDGED, _progress, main
 from fmus.compliance.examine import examine
 from fmus.compliance.probe import refusal
 from fmus.compliance.rule import OUTCOMES, Result, all_rules, repeated
 from fmus.compliance.script import Message
 from fmus.compliance.sentences import rule_table
-from orchestration.cli import fmu
 from tests.described_fmus import members
 from tests.mutants.base import BASE, XML, changed, written
 from tests.mutants.mutant import broken_rules
@@ -260,10 +259,6 @@ def test_errors_come_first_and_a_waiver_without_effect_is_told(
     assert re.findall(r"^  (\w+): ", shown.out, re.MULTILINE) == ["error", "deviation"]
     assert "the waiver of schema for *.fmu matches no finding" in shown.err
     assert "1 error found: expected none" in shown.err
-
-
-def test_both_command_lines_are_one() -> None:
-    assert fmu.check is check
 
 
 def test_all_shows_the_rules_that_hold_and_those_that_do_not_apply(

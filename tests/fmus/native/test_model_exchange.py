@@ -22,14 +22,14 @@ from fmus.build import builder
 from fmus.build.random_points import drawn
 from fmus.compliance.examine import examine
 from fmus.errors import ExportError
-from fmus.registry import block_entry_points
+from fmus.registry import BLOCKS, installed
 from tests.shared_builds import Fmus, one_of_a_kind
 
 from .exchanged import BALL, Exchanged, Outputs, Reading, State, euler, heun, rk4
 
 CONTROLLERS = [
     name
-    for name, point in block_entry_points().items()
+    for name, point in installed(BLOCKS).items()
     if any(v.name == "measured_depth" for v in point.load().of_causality("input"))
 ]
 CONTINUOUS = one_of_a_kind(("ExamplePlant", "RovDepthPlant", "RovHeavePitchPlant", "BlueRov2Plant"))

@@ -14,44 +14,6 @@ def _built(scenario_fmus: None) -> None:
     """Every block's FMU stands where scenarios find it."""
 
 
-SHORT = """
-base = "nominal-extended"
-title = "Short"
-[experiment]
-stop_time = {stop}
-step_size = 0.02
-[metrics.settling_time]
-function = "settling_time"
-signal = "plant.depth"
-target = 0.8
-band = 0.04
-[metrics.overshoot]
-function = "overshoot"
-signal = "plant.depth"
-target = 0.8
-[metrics.holding_thrust]
-function = "mean"
-signal = "plant.total_force"
-[metrics.lag]
-function = "shift_lag"
-signal = "plant.depth"
-reference = "controller.depth_reference"
-largest = 0.1
-"""
-
-
-@pytest.fixture
-def short_scenario(tmp_path: Path) -> Callable[..., Path]:
-    """Writes a scenario of the vehicle that runs for a fraction of a second."""
-
-    def write(stop: float = 0.2, more: str = "") -> Path:
-        path = tmp_path / "short.toml"
-        path.write_text(SHORT.format(stop=stop) + more)
-        return path
-
-    return write
-
-
 @pytest.fixture
 def misbehaving(rogue: Build, tmp_path: Path) -> Callable[..., str]:
     """Writes mine.toml, whose FMU, the rudder, misbehaves from a time on [s]."""

@@ -75,9 +75,9 @@ def test_broken_blocks_of_another_package_are_listed_and_stop_no_other(
     names: list[str], command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     offered = [
-        EntryPoint("Broken", "no_such_package:BLOCK", registry.GROUP),
-        registry.block_entry_points()["DepthReference"],
-        EntryPoint("Wrong", "no_such_module:BLOCK", registry.GROUP),
+        EntryPoint("Broken", "no_such_package:BLOCK", registry.BLOCKS),
+        registry.installed(registry.BLOCKS)["DepthReference"],
+        EntryPoint("Wrong", "no_such_module:BLOCK", registry.BLOCKS),
     ]
     monkeypatch.setattr(registry, "entry_points", lambda group: offered)
     done = command("build", *names, "--flavour", "python", "--out", "out", expect=1)

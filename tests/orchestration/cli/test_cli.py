@@ -161,7 +161,7 @@ def test_inspect_shows_an_fmu_for_model_exchange_alone(command: Command, built: 
         (["sweep", "monte-carlo", "--sample", "1", "--restart"], "--restart: no effect with --sample"),
         (["sweep", "monte-carlo", "--sample", "1", "--recordings", "all"], "--recordings: no effect with"),
         (["sweep", "monte-carlo", "--sample", "1", "--workers", "2"], "--workers: no effect with --sample"),
-        (["sweep", "monte-carlo", "--scheduler", "a", "--workers", "2"], "no effect with --scheduler"),
+        (["sweep", "monte-carlo", "--where", "tcp://a:1", "--workers", "2"], "with 2 workers: expected none"),
     ],
 )
 def test_an_option_without_effect_is_refused(refused: Command, arguments: list[str], message: str) -> None:

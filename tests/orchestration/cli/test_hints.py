@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from orchestration.score.protocol import read_protocol
-from orchestration.score.vehicle import Vehicle
+from orchestration.studies.score.protocol import read_protocol
+from orchestration.studies.vehicle import Vehicle
 from tests.described_fmus import described
 
 Command = Callable[..., Any]

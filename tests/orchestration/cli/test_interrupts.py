@@ -17,7 +17,8 @@ import pytest
 from fmus.files import TEMPORARY_VARIABLE
 from orchestration.cli import run_interruptible
 from orchestration.cli.app import app
-from orchestration.report import RunResult, found_results
+from orchestration.report.find import found_results
+from orchestration.report.result import RunResult
 from orchestration.results import files
 from orchestration.results.recording import Recording
 from tests.foreign_fmus import Misdeed
@@ -35,14 +36,14 @@ AT_WORK = {
     "run nominal-l1 --out .": "orchestration.system.prepared_run.prepare_checked",
     "live nominal-l1 --out live.html": "orchestration.report.live_page.live_page",
     "sweep monte-carlo": "orchestration.sweep.run.sweep",
-    "report .": "orchestration.report.found_results",
-    "score L1DepthController --out .": "orchestration.score.score.score_controllers",
-    "tune l1-pi --out .": "orchestration.score.tune_problem.problem_of",
-    "compare --out .": "orchestration.score.score.compare",
-    "margins nominal-l1": "orchestration.margins.margins.judge",
-    "design --plant RovDepthPlant --out .": "orchestration.design.rules.design_l1",
+    "report .": "orchestration.report.find.found_results",
+    "score L1DepthController --out .": "orchestration.studies.score.score.score_controllers",
+    "tune l1-pi --out .": "orchestration.studies.score.tune_problem.problem_of",
+    "compare --out .": "orchestration.studies.score.score.compare",
+    "margins nominal-l1": "orchestration.studies.margins.margins.judge",
+    "design --plant RovDepthPlant --out .": "orchestration.studies.design.rules.design_l1",
     "reproduce": "orchestration.scenarios.run_files.run_all",
-    "fit RovDepthPlant --free inertia --data {fmu} --out .": "orchestration.fit.dive.read_dive",
+    "fit RovDepthPlant --free inertia --data {fmu} --out .": "orchestration.studies.fit.dive.read_dive",
     "package nominal-l1": "orchestration.exchange.ssp_write.ramp_sources",
 }
 
@@ -234,7 +235,7 @@ def test_the_worker_processes_end_with_the_command_and_write_nothing(
 ) -> None:
     # the signal comes twice, from the group and passed on, on a busy machine more than 1 s apart
     as_one = "from orchestration.cli import interrupts; interrupts.SAME_S = 5.0"
-    process = started(as_one, "sweep", "monte-carlo", "--isolated", "--workers", "2")
+    process = started(as_one, "sweep", "monte-carlo", "--where", "processes", "--workers", "2")
     journal = tmp_path / "results" / "monte-carlo.sweep.jsonl"
     _wait_for(lambda: journal.exists() and journal.read_bytes().count(b"\n") > 4)  # nothing is imported then
     workers = psutil.Process(process.pid).children(recursive=True)

@@ -22,8 +22,8 @@ from fmus.store import record_build
 from orchestration import Ensemble, Event, Experiment, Fault, Offset, Ramps, Simulator, System
 from orchestration.errors import EnsembleError, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.many import ensemble_loop
-from orchestration.many.device import Device
 from orchestration.many.ensemble import check_ensemble
+from orchestration.many.ensemble_loop import Device
 from orchestration.many.lane_library import LANES, lane_library
 from orchestration.many.run_many import run_many
 from orchestration.many.stepped_ensemble import EnsembleRecording
@@ -209,11 +209,11 @@ def test_an_fmu_that_was_built_without_equations_for_vectors_runs_in_simulators(
     with pytest.raises(EnsembleError, match=reason):
         check_ensemble(system, experiment, 10**9)
     experiments = [replace(experiment, parameters={"one.a": a}) for a in np.linspace(0.0, 1.0, LANES)]
-    expected = run_many(System({"one": growing}), experiments, vectorise=True)
+    expected = run_many(System({"one": growing}), experiments, where="vectors")
     for recorded, one in zip(run_many(system, experiments), expected, strict=True):
         assert recorded.values.tobytes() == one.values.tobytes()
     with pytest.raises(EnsembleError, match=reason):
-        list(run_many(system, experiments, vectorise=True))
+        list(run_many(system, experiments, where="vectors"))
 
 
 def test_the_range_of_an_input_is_that_of_values_it_is_given_not_of_the_last_point(

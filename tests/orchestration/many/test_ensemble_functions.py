@@ -22,10 +22,10 @@ from fmus.platforms import instruction_sets
 from fmus.registry import block_names
 from orchestration import Ensemble, Event, Experiment, Simulator, System
 from orchestration.errors import EnsembleError, OrchestrationError, SimulationError, SystemDefinitionError
-from orchestration.many.device import Device
+from orchestration.many.ensemble_loop import Device
 from orchestration.many.lane_library import LANES
-from tests.orchestration.many.host_device import HostDevice
 from tests.orchestration.many.instances import assert_same_bits, built_for_ensembles, instances
+from tests.orchestration.places.host_device import HostDevice
 
 pytestmark = pytest.mark.slow
 

@@ -11,7 +11,7 @@ import pytest
 
 from orchestration import Constant, Cosine, Ensemble, Event, Experiment, Ramps, Simulator, System, Table
 from orchestration.errors import SystemDefinitionError
-from orchestration.many.device import Device
+from orchestration.many.ensemble_loop import Device
 from orchestration.results.recording import on_host
 from orchestration.system.signals import Signal
 from tests.orchestration.many.instances import CURRENT, REFERENCE, assert_same_bits, instances

@@ -12,7 +12,9 @@ import pytest
 
 from orchestration import Failure, Recording, run_many, simulate
 from orchestration.errors import EnsembleError
+from orchestration.many import ensemble
 from orchestration.many.job import ENDED, Job, Run, changed, differences
+from orchestration.many.places import place_of
 from orchestration.many.runners import Simulated
 from orchestration.results import metrics
 from orchestration.scenarios import scenario
@@ -43,10 +45,9 @@ def rmse(runs: Recording) -> Sequence[float]:
 @pytest.mark.parametrize(
     "place",
     [
-        {"vectorise": False, "workers": 1},
-        {"vectorise": True, "workers": 1},
-        pytest.param({"isolate": True, "workers": 2}, marks=pytest.mark.cluster),
-        pytest.param({"isolate": True, "vectorise": True, "workers": 1}, marks=pytest.mark.cluster),
+        {"where": "processor", "workers": 1},
+        {"where": "vectors", "workers": 1},
+        pytest.param({"where": "processes", "workers": 2}, marks=pytest.mark.cluster),
     ],
 )
 def test_recordings_come_in_the_order_given_with_the_bytes_of_simulate(
@@ -66,11 +67,11 @@ def test_recordings_come_in_the_order_given_with_the_bytes_of_simulate(
         assert recording.values.tobytes() == alone.values.tobytes()
 
 
-@pytest.mark.parametrize("vectorise", [False, True])
+@pytest.mark.parametrize("where", ["processor", "vectors"])
 def test_a_reduction_takes_the_place_of_recordings(
-    nominal: Scenario, experiments: list[Experiment], vectorise: bool
+    nominal: Scenario, experiments: list[Experiment], where: str
 ) -> None:
-    made = list(run_many(nominal.system, experiments, reduce=rmse, vectorise=vectorise))
+    made = list(run_many(nominal.system, experiments, reduce=rmse, where=where))
     expected = [
         metrics.rmse(simulate(nominal.system, one), "plant.depth", "controller.depth_reference")
         for one, inertia in zip(experiments, INERTIAS, strict=True)
@@ -80,13 +81,29 @@ def test_a_reduction_takes_the_place_of_recordings(
 
 
 @pytest.mark.cluster
-def test_a_process_steps_runs_together(nominal: Scenario, experiments: list[Experiment]) -> None:
+def test_a_process_steps_runs_together(
+    nominal: Scenario, experiments: list[Experiment], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ensemble, "is_compiled", lambda *_: True)
+
     def counts(runs: Recording) -> list[int]:
         return [len(runs.values)] * len(runs.values)
 
     valid = [*experiments[:3], *experiments[4:]]
-    places = {"isolate": True, "vectorise": True, "workers": 1}
-    assert list(run_many(nominal.system, valid, reduce=counts, **places)) == [8] * 8
+    made = run_many(nominal.system, valid, reduce=counts, where="processes", workers=1)
+    assert list(made) == [8] * 8
+
+
+@pytest.mark.parametrize(
+    ("where", "problem"),
+    [
+        ("vektors", "no place 'vektors' for runs; nearest is 'vectors'"),
+        ("ftp://a:1", "no place 'ftp://a:1' for runs; nearest is 'tcp'"),
+    ],
+)
+def test_a_place_that_is_not_installed_is_refused(where: str, problem: str) -> None:
+    with pytest.raises(EnsembleError, match=problem):
+        place_of(where)
 
 
 def test_a_reduction_that_fails_for_one_run_is_a_failure_of_that_run_alone(
@@ -99,8 +116,8 @@ def test_a_reduction_that_fails_for_one_run_is_a_failure_of_that_run_alone(
             raise ValueError("the first")
         return runs["plant.depth"][:, -1].tolist()
 
-    for vectorise in (False, True):
-        made = list(run_many(nominal.system, experiments, reduce=not_the_first, vectorise=vectorise))
+    for where in ("processor", "vectors"):
+        made = list(run_many(nominal.system, experiments, reduce=not_the_first, where=where))
         assert made[0] == Failure("ValueError: the first")
         assert [type(value) for value in made[1:3]] == [float, float]
 
@@ -109,12 +126,12 @@ def test_experiments_that_differ_in_more_than_values_step_in_vectors_of_their_ow
     nominal: Scenario, experiments: list[Experiment]
 ) -> None:
     mixed = [*experiments[:2], replace(experiments[2], stop_time=0.5)]
-    for vectorise in (True, False):
-        made = run_many(nominal.system, mixed, vectorise=vectorise)
+    for where in ("vectors", "processor"):
+        made = run_many(nominal.system, mixed, where=where)
         assert [len(one.time) for one in made] == [51, 51, 26]
     tolerant = [replace(one, tolerance=1e-4) for one in mixed]
     with pytest.raises(EnsembleError, match="tolerance: an Ensemble does not run it"):
-        list(run_many(nominal.system, tolerant, vectorise=True))
+        list(run_many(nominal.system, tolerant, where="vectors"))
 
 
 def test_a_foreign_fmu_that_crashes_is_a_failure_and_leaves_no_process(rogue: Callable[..., Path]) -> None:
@@ -138,7 +155,7 @@ def test_runs_end_when_nobody_asks_for_the_next(
     run_one = Simulated.run_one
     monkeypatch.setattr(Simulated, "run_one", lambda self, run: (made.append(run), run_one(self, run))[1])
     threads = threading.active_count()
-    runs = run_many(nominal.system, experiments * 20, vectorise=False, workers=2)
+    runs = run_many(nominal.system, experiments * 20, where="processor", workers=2)
     next(runs)
     runs.close()  # type: ignore[attr-defined]
     assert 1 <= len(made) < len(experiments * 20)

@@ -7,7 +7,7 @@ import pytest
 
 from orchestration import Ensemble, Event, Experiment, Ramps, Simulator, System
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
-from orchestration.many.device import Device
+from orchestration.many.ensemble_loop import Device
 from tests.orchestration.many.instances import CURRENT, instances
 
 EFFICIENCY = "plant.thruster_efficiency[1]"

@@ -6,23 +6,14 @@ from pathlib import Path
 import pytest
 from selenium import webdriver
 
-from orchestration import report as page
-
-from .opened import OpenedPage, chromium
+from orchestration.report.find import found_results
+from orchestration.report.render import render
+from tests.orchestration.results.opened import OpenedPage
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _built(scenario_fmus: None) -> None:
     """The made-up results are of shipped scenarios."""
-
-
-@pytest.fixture(scope="session")
-def browser(
-    tool: Callable[[str], str], tmp_path_factory: pytest.TempPathFactory
-) -> Iterator["webdriver.Chrome"]:
-    """Debian's Chromium, steered by its own driver."""
-    with chromium(tool("chromium"), tool("chromedriver"), tmp_path_factory.mktemp("browser")) as driver:
-        yield driver
 
 
 @pytest.fixture
@@ -32,7 +23,7 @@ def opened(browser: "webdriver.Chrome", tmp_path: Path) -> Iterator[Callable[...
 
     def open_page(*results: Path, title: str = "") -> OpenedPage:
         file = tmp_path / "report.html"
-        file.write_text(page.render(page.found_results(results), title), encoding="utf-8")
+        file.write_text(render(found_results(results), title), encoding="utf-8")
         pages.append(OpenedPage(browser, file))
         return pages[-1]
 

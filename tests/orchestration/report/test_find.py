@@ -14,7 +14,9 @@ import pytest
 from markupsafe import escape
 
 from orchestration.errors import OrchestrationError
-from orchestration.report import RunResult, SweepResult, found_results, render
+from orchestration.report.find import found_results
+from orchestration.report.render import render
+from orchestration.report.result import RunResult, SweepResult
 from orchestration.results.recording import Recording
 from orchestration.sweep import table
 
@@ -260,7 +262,7 @@ for library in {needed!r} + ("none",):
     loaded = {{name: sys.modules.pop(name) for name in list(sys.modules) if name.split(".")[0] == library}}
     sys.modules[library] = None
     try:
-        import orchestration.report
+        import orchestration.report.find, orchestration.report.render
     except ImportError as error:
         print(error)
     del sys.modules[library]

@@ -16,8 +16,7 @@ from orchestration.scenarios.fmu_files import build_missing
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Event
 from orchestration.system.faults import Delay, Fault, Noise
-
-from .opened import OpenedPage
+from tests.orchestration.results.opened import OpenedPage
 
 RELATIVE = (
     1e-9  # of the largest value of a signal: elementary functions of two C libraries differ in the last bit

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 import pyarrow.parquet as pq
 import pytest
 
+from tests.orchestration.results.opened import OpenedPage
+
 from .made_up import PROVENANCE, recording, write_run, write_sweep
-from .opened import OpenedPage
 
 if TYPE_CHECKING:
     from selenium.webdriver.remote.webelement import WebElement

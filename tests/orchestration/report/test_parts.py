@@ -18,10 +18,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from orchestration.errors import OrchestrationError
-from orchestration.report import RunResult, SweepResult, found_results
 from orchestration.report.embedded import COLUMNS, drawn_points, packed, run_data
+from orchestration.report.find import found_results
 from orchestration.report.render import differences, shortened
-from orchestration.report.result import correlations, distributions, strongest, toml
+from orchestration.report.result import RunResult, SweepResult, correlations, distributions, strongest, toml
 from orchestration.scenarios import scenario
 
 from .made_up import PROVENANCE, SCENARIO, recording, write_run
@@ -58,7 +58,7 @@ def test_a_scenario_that_toml_cannot_say_is_refused(tmp_path: Path) -> None:
 
 def test_the_chart_library_is_as_it_was_published() -> None:
     """With the hashes that stand beside its licence."""
-    files = resources.files("orchestration.report") / "files"
+    files = resources.files("orchestration.results") / "page_files"
     hashes = re.findall(r"([0-9a-f]{64})  (\S+)", (files / "uplot.LICENSE").read_text())
     assert [name for _, name in hashes] == ["uplot.js", "uplot.css"]
     for expected, name in hashes:

@@ -11,9 +11,9 @@ from selenium import webdriver
 from selenium.webdriver.common.keys import Keys
 
 from orchestration.results.recording import Recording
+from tests.orchestration.results.opened import OpenedPage
 
 from .made_up import recording, write_run
-from .opened import OpenedPage
 
 Open = Callable[..., OpenedPage]
 ERROR = "plant.depth - plant.reference"

@@ -11,13 +11,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from orchestration.report import SweepResult, found_results
-from orchestration.report.result import common_metrics, paired_differences
-from orchestration.score.statistics import paired
+from orchestration.report.find import found_results
+from orchestration.report.result import SweepResult, common_metrics, paired_differences
+from orchestration.results.statistics import paired
 from orchestration.sweep import table
+from tests.orchestration.results.opened import OpenedPage
 
 from .made_up import FAILED, write_sweep
-from .opened import OpenedPage
 
 Open = Callable[..., OpenedPage]
 

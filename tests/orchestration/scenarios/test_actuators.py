@@ -9,9 +9,9 @@ import pytest
 from orchestration.errors import ScenarioError
 from orchestration.scenarios import scenario
 from orchestration.scenarios.actuators import Actuators, ForceTable
-from orchestration.score.closed_loop import ClosedLoop, built_in
-from orchestration.score.protocol import read_protocol
-from orchestration.score.vehicle import Vehicle
+from orchestration.studies.score.closed_loop import ClosedLoop, built_in
+from orchestration.studies.score.protocol import read_protocol
+from orchestration.studies.vehicle import Vehicle
 from tests.described_fmus import described, redescribed
 
 VOLTAGES = ("voltage[1]", "voltage[2]")

@@ -9,7 +9,7 @@ import pytest
 from orchestration.errors import ScenarioWarning
 from orchestration.scenarios import scenario
 from orchestration.scenarios.vehicle import PLANT
-from orchestration.score.vehicle import Vehicle
+from orchestration.studies.vehicle import Vehicle
 from tests.described_fmus import described
 
 REFERENCE = Path(__file__).parents[3] / "docs" / "reference"

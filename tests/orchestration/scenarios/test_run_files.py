@@ -12,7 +12,8 @@ import pytest
 
 from fmus.fmi.instance import FmuInstance
 from orchestration.errors import OrchestrationError, ScenarioError, SimulationError
-from orchestration.report import found_results
+from orchestration.report.find import found_results
+from orchestration.results import files
 from orchestration.results.formats import RecordingFormat
 from orchestration.results.recording import Recording
 from orchestration.scenarios import run_files, scenario
@@ -64,7 +65,7 @@ def test_a_run_that_ends_between_its_files_is_not_shown(
 
     run_files.write_result(loaded, recording(), tmp_path)
     found_results([tmp_path / "dive.csv"])
-    monkeypatch.setattr(run_files, "write_json_atomically", killed)
+    monkeypatch.setattr(files, "write_json_atomically", killed)
     with pytest.raises(KeyboardInterrupt):
         run_files.write_result(loaded, recording(phase=0.5), tmp_path)
     with pytest.raises(OrchestrationError, match=r"of dive\.csv: it is of another run"):

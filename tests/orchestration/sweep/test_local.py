@@ -11,9 +11,9 @@ import pytest
 
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import EnsembleError, OrchestrationError
-from orchestration.many import ensemble, run_many, runners
+from orchestration.many import ensemble, local_runs, runners
 from orchestration.many.job import Batches, Failure, Finished, Run
-from orchestration.many.run_many import LocalRuns
+from orchestration.many.local_runs import LocalRuns
 from orchestration.results import metrics
 from orchestration.results.recording import Recording, run_by_run
 from orchestration.scenarios import scenario
@@ -189,7 +189,7 @@ def test_a_batch_ends_after_its_time_and_the_rest_is_run_in_others(
 
     job, numbers, lengths = job_of(vehicle, None), list[int](), list[int]()
     batches = Batches(samples_of(vehicle, job.base, range(9)), 9)
-    for module in (run_many, runners):
+    for module in (local_runs, runners):
         monkeypatch.setattr(module, "perf_counter", clock)
     with LocalRuns(1, vectorise=False) as place:
         for finished in place.runs(job, batches):

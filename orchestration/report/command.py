@@ -1,0 +1,88 @@
+"""Commands that write a page: report, of results, and live, of a scenario that runs in the browser."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fmus.files import write_text_atomically
+from orchestration.cli import shared
+from orchestration.cli.changes import NO_CHANGES, Changes, takes_changes
+
+if TYPE_CHECKING:
+    from orchestration.scenarios.scenario import Scenario
+
+PANEL = "Scenarios"
+
+
+@takes_changes()
+def live(
+    name: shared.ScenarioArgument,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Write this page.")] = Path("live.html"),
+    sliders: Annotated[
+        list[str],
+        typer.Option(
+            "--slider",
+            metavar="NAME=LOW:HIGH",
+            help="Give component.variable a slider too, or another range; several are separated by commas.",
+        ),
+    ] = [],  # noqa: B006  (Typer copies it)
+    beside: Annotated[
+        list[str],
+        typer.Option(
+            metavar="NAME=VALUE",
+            help="Draw the same scenario with this value beside it; by default that without an extension.",
+        ),
+    ] = [],  # noqa: B006
+    changes: Changes = NO_CHANGES,
+) -> None:
+    """Write a scenario as one HTML page that runs its FMUs in the browser, with sliders for its values.
+
+    For example, l1-depth live nominal-extended --slider controller.adaptation_gain=10:1000 adds a slider.
+    """
+    from orchestration.cli import chosen_scenario
+    from orchestration.report.live_page import live_page
+
+    chosen = chosen_scenario.load(name, changes=changes)
+    runs = {chosen.title: chosen}
+    if beside := beside or _without_extension(chosen):
+        settings = {**changes.settings, **Changes.of_options(settings=beside).settings}
+        runs[", ".join(beside)] = chosen_scenario.load(name, changes=replace(changes, settings=settings))
+    write_text_atomically(out, live_page(runs, sliders))
+    print(out)
+
+
+def _without_extension(scenario: "Scenario") -> list[str]:
+    """Returns the setting that switches the extension of the controller off, if it has one that is on."""
+    from orchestration.system.prepared_run import values_of
+
+    extension = values_of(scenario.prepared, "controller").get("augmentation", "none")
+    return [] if extension == "none" else ["controller.augmentation=none"]
+
+
+def report(
+    results: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RESULT",
+            help="What run, reproduce or sweep has written: .json, .csv, .parquet or a folder.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Write this page.")] = Path("report.html"),
+    title: Annotated[str, typer.Option(help="Give the page this title, not the names of the results.")] = "",
+) -> None:
+    """Write results as one interactive HTML page that needs no network.
+
+    For example, l1-depth report results --out paper.html shows every result in a folder.
+    """
+    from orchestration.report.find import found_results
+    from orchestration.report.render import render
+
+    found = found_results(results)
+    for result in found:
+        for column, reason in result.provenance.get("left_out", {}).items():
+            print(f"l1-depth: warning: {column} is left out: {reason}", file=sys.stderr)
+    write_text_atomically(out, render(found, title))
+    print(out)

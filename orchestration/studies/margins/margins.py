@@ -1,0 +1,85 @@
+"""Margins of a scenario: what follows from the design of its controller, and what its FMUs show."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from orchestration.errors import ScenarioError
+from orchestration.scenarios.scenario import Scenario
+from orchestration.studies.margins.fmu_margins import ADAPTATION_GAINS, Metric, parameter_metrics, run_metrics
+from orchestration.studies.margins.hold import QUIET, Hold, HoldRuns, hold_of
+from orchestration.studies.margins.l1_design import Design, design_of
+from orchestration.studies.margins.theory_metrics import design_metrics, step_metrics
+from orchestration.system.signals import values_at
+
+FOREIGN = (
+    "The L1-norm condition and the linear margins are not judged: they follow from the equations of a law, "
+    "and an FMU shows its inputs and outputs alone. The equations of L1DepthController and L1Controller are "
+    "known, on ExamplePlant and on vehicles whose description names their inertia: expected it in "
+    "NAME.vehicle.toml beside the vehicle, as RovDepthPlant has it."
+)
+
+
+@dataclass(frozen=True)
+class Margins:
+    """The margins of one scenario; not_judged: sentences on what is missing, and why."""
+
+    scenario: str
+    metrics: tuple[Metric, ...]
+    not_judged: tuple[str, ...]
+
+    def document(self) -> dict[str, Any]:
+        """Returns the margins for JSON."""
+        metrics = [metric.document() for metric in self.metrics]
+        return {"scenario": self.scenario, "metrics": metrics, "not_judged": list(self.not_judged)}
+
+
+def judge(
+    chosen: Scenario,
+    hold: Hold | None = None,
+    *,
+    quiet: float = QUIET,
+    over: Mapping[str, Sequence[float]] = {},
+    measured: bool = True,
+    progress: Callable[[], object] = lambda: None,
+) -> Margins:
+    """Judges all margins of a scenario.
+
+    hold: where it is judged through the FMUs; by default `hold_of`, with this largest deviation `quiet`
+    over: parameter -> values, at each of which the delay margins are measured; by default the adaptation gain
+    of an L1 controller
+    measured: whether the metrics that take many runs are among them
+    """
+    not_judged, runs = list[str](), None
+    try:
+        runs = HoldRuns(chosen, hold or hold_of(chosen, quiet))
+    except ScenarioError as error:
+        not_judged.append(f"Margins through the FMUs are not judged: {error}.")
+    with runs or nullcontext():
+        if runs:
+            for name in over:
+                runs.prepared.system.port(name, "--over")
+        design = _design(chosen, runs)
+        if not design:
+            not_judged.append(FOREIGN)
+        metrics = [*design_metrics(design, ADAPTATION_GAINS)] if design else []
+        if runs and measured:
+            metrics += run_metrics(runs, progress)
+            if design and design.has_gain and not over:
+                over = {f"{design.controller}.adaptation_gain": ADAPTATION_GAINS}
+            for parameter, values in over.items():
+                metrics += parameter_metrics(runs, parameter, values, progress)
+        if design and measured and math.isfinite(design.adaptation_gain):
+            metrics += step_metrics(chosen, progress)
+    return Margins(chosen.name, tuple(metrics), tuple(not_judged))
+
+
+def _design(chosen: Scenario, runs: HoldRuns | None) -> Design | None:
+    times = chosen.experiment.time_grid()
+    signals = [values_at(signal, times) for signal in chosen.experiment.signals.values()]
+    largest = max((float(np.abs(values).max()) for values in signals), default=0.0)
+    return design_of(chosen, largest, runs.mean if runs else math.nan)

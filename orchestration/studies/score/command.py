@@ -1,0 +1,295 @@
+"""Commands score and compare: controllers in every case of the protocol, beside the built-in ones or all."""
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fmus.errors import MissingExtraError
+from fmus.files import write_text_atomically
+from fmus.operating_system import usable_processors
+from orchestration.cli import shared
+from orchestration.cli.changes import CONTROLLER, NO_CHANGES, OF_LOOP, PLANT, Changes, fmu_name, takes_changes
+from orchestration.errors import ScenarioError
+from orchestration.system.open_inputs import OpenInputs
+
+if TYPE_CHECKING:
+    from orchestration.studies.score.closed_loop import Controller
+    from orchestration.studies.score.protocol import Protocol
+    from orchestration.studies.score.score import ScoreResult
+    from orchestration.studies.score.score_document import Score
+    from orchestration.studies.score.score_view import ScoreTable
+
+PANEL = "Controllers compared"
+FullOption = Annotated[
+    bool,
+    typer.Option(
+        "--full", help="Run 300 plants and 24 draws of each case too, with intervals and comparisons."
+    ),
+]
+SeedOption = Annotated[
+    int | None,
+    typer.Option(
+        metavar="NUMBER",
+        help="Seed of noise, times and plants; the same seed repeats a score. By default it is random.",
+        min=0,
+    ),
+]
+RatesOption = Annotated[
+    bool, typer.Option("--no-rates", help="Connect the reference alone, not its derivatives.")
+]
+BoundOption = Annotated[
+    list[str],
+    typer.Option("--bound", metavar="METRIC=NUMBER", help="Limit a metric, or delay_margin [s] from below."),
+]
+CasesOption = Annotated[
+    str, typer.Option("--cases", metavar="NAME,...", help="Compute the cost over these protocol cases.")
+]
+SeedsOption = Annotated[int, typer.Option(metavar="NUMBER", help="Number of seeds of the search.", min=1)]
+_SEEDS = 5
+EvaluationsOption = Annotated[
+    int,
+    typer.Option(
+        metavar="NUMBER", help="Evaluations for each free gain, each seed and each bound of a front.", min=1
+    ),
+]
+ProtocolOption = Annotated[
+    Path | None,
+    typer.Option("--protocol", metavar="FILE", help="Follow this protocol, not the one that ships."),
+]
+
+
+@takes_changes(**OF_LOOP, open_inputs="", parameters="")
+def score(
+    controllers: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="CONTROLLER",
+            help="An .fmu, a block, its .py file or a class FILE.py:Class; or several.",
+        ),
+    ],
+    no_rates: RatesOption = False,
+    full: FullOption = False,
+    seed: SeedOption = None,
+    out: shared.OutFolder = Path("results"),
+    changes: Changes = NO_CHANGES,
+    protocol_file: ProtocolOption = None,
+    timeout: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="End a run that takes longer; by default that of the protocol."),
+    ] = None,
+    workers: Annotated[int, typer.Option(help="Number of processes.", min=1)] = usable_processors(),
+) -> None:
+    """Score a controller on the simulated vehicle: terminal tables, score.json and an interactive page.
+
+    For example, l1-depth score PidDepthController writes results/score.json and results/score.html.
+    """
+    from orchestration.studies.score import score as scoring
+
+    protocol = chosen_protocol(changes, protocol_file)
+    chosen = scored_controllers(controllers, no_rates, changes)
+    shared.check_writable(out)
+    total = scoring.run_count(len(chosen), protocol, full)
+    with shared.progress("score", total) as bar:
+        result = scoring.score_controllers(
+            chosen,
+            protocol,
+            full=full,
+            seed=seed,
+            timeout=timeout,
+            workers=workers,
+            progress=bar.advance,
+        )
+    print_score(result.document)
+    scored = result.document.scored
+    write_score(result, result, out / "score.json", f"Score of {', '.join(row.title for row in scored)}")
+    if all(case.failed for row in scored for case in row.cases.values()):
+        name, case = next(iter(scored[0].cases.items()))
+        titles = " and ".join(row.title for row in scored)
+        shared.fail(f"{titles} failed every case, {name} with: {', '.join(case.failed)}")
+
+
+@takes_changes(**OF_LOOP)
+def compare(
+    full: FullOption = False,
+    seed: SeedOption = None,
+    workers: Annotated[int, typer.Option(help="Number of processes.", min=1)] = usable_processors(),
+    out: shared.OutFolder = Path("results"),
+    changes: Changes = NO_CHANGES,
+    protocol_file: ProtocolOption = None,
+    fronts: Annotated[
+        bool, typer.Option("--fronts", help="Search each law's Pareto front of error and total variation.")
+    ] = False,
+    laws: Annotated[str, typer.Option(metavar="NAME,...", help="Search the fronts of these laws only.")] = "",
+    bounds: BoundOption = [],  # noqa: B006  (Typer copies it)
+    cases: CasesOption = "",
+    seeds: SeedsOption = _SEEDS,
+    evaluations: EvaluationsOption = 40,
+) -> None:
+    """Score all controllers of the protocol, each with its default gains and with tuned gains.
+
+    Writes comparison.json and an interactive page. With --fronts: fronts.json and fronts.svg.
+    For example, l1-depth compare --fronts --laws l1,pid searches the fronts of two laws.
+    """
+    from orchestration.studies.score import score as scoring
+
+    protocol = chosen_protocol(changes, protocol_file)
+    scored_controllers([], False, changes)
+    shared.check_writable(out)
+    if fronts:
+        from orchestration.studies.score.protocol import with_cost
+        from orchestration.studies.score.tune_problem import cost_of_options, listed
+
+        shared.refuse_without_effect("--fronts", {"--full": full, "--seed": seed is not None})
+        protocol = with_cost(protocol, cost_of_options(bounds, cases))
+        return write_fronts(protocol, listed(laws), (seeds, evaluations), workers, out)
+    others = {"--laws": laws, "--bound": bounds, "--cases": cases, "--seeds": seeds != _SEEDS}
+    shared.refuse_without_effect("compare without --fronts", others)
+    with shared.progress("compare", scoring.run_count(len(protocol.controllers), protocol, full)) as bar:
+        result = scoring.compare(protocol, full, seed, workers, bar.advance)
+    document = result.document
+    shown = scoring.shown_tables(document).items()
+    print_tables(
+        [replace(table, title=f"{table.title}: {name}") for name, table in shown if table.rows],
+        scoring.with_papers_differences(document),
+    )
+    on_page = scoring.for_page(result)
+    return write_score(result, on_page, out / "comparison.json", "Comparison of the controllers")
+
+
+def write_score(result: "ScoreResult", on_page: "ScoreResult", file: Path, title: str) -> None:
+    """Writes a score and its page, or prints which extra the page needs; an earlier page is removed."""
+    page = file.with_suffix(".html")
+    page.unlink(missing_ok=True)
+    write_text_atomically(file, result.document.model_dump_json(indent=1) + "\n")
+    print(file)
+    try:
+        from orchestration.studies.score.score_page import score_page
+
+        write_text_atomically(page, score_page(on_page, title))
+        print(page)
+    except MissingExtraError as error:
+        print(f"l1-depth: no page: {error}", file=sys.stderr)
+
+
+def print_tables(tables: "Sequence[ScoreTable]", document: "Score") -> None:
+    """Prints the protocol, tables of a score, and the differences between its controllers, if it has any."""
+    from orchestration.studies.score.score_tables import BEST, FAILED, differences_table, in_parts
+
+    print(f"Protocol {document.protocol.version}, seed {document.seed}. {document.protocol.statement}")
+    for table in (*in_parts(tables, shared.console().width), differences_table(document)):
+        if table:
+            shared.print_table(table)
+    none = "- nothing to measure, such as the delay margin of a loop that is not quiet as it is"
+    print(f"{BEST} the best of a column, {FAILED} a run that failed, {none}")
+    for title, reason in document.protocol.left_out.items():
+        print(f"left out: {title}: {reason}")
+
+
+def print_score(document: "Score") -> None:
+    """Prints the tables of a score, why controllers are not ranked, and why runs failed."""
+    from orchestration.studies.score.score_tables import score_tables
+
+    print_tables(score_tables(document), document)
+    for row in document.scored:
+        for reason in row.unranked:
+            print(f"{row.title} is not ranked: {reason}")
+        for name, case in row.cases.items():
+            if case.failed:
+                print(f"{row.title}, {document.protocol.cases[name].title}: {', '.join(case.failed)}")
+    sys.stdout.flush()
+
+
+def chosen_protocol(changes: Changes, file: Path | None = None) -> "Protocol":
+    """Returns the protocol of a file, by default the one that ships, on the vehicle that --plant names."""
+    from orchestration.studies.score import protocol as protocols
+    from orchestration.studies.vehicle import Vehicle
+
+    if changes.parameter_set:
+        raise ScenarioError(f"--parameters {changes.parameter_set}: expected a file that ends in .toml")
+    vehicle = Vehicle.of_changes(changes) if PLANT in changes.components else None
+    return protocols.read_protocol(file or protocols.FILE, vehicle)
+
+
+def scored_controllers(names: Sequence[str], no_rates: bool, changes: Changes) -> list["Controller"]:
+    """Returns the FMUs, blocks and Python files of blocks; settings and mapping are those of the only one."""
+    from orchestration.studies.score.closed_loop import Controller
+
+    replaced = changes.components.keys() - {PLANT}
+    if replaced:
+        name = min(replaced)
+        own = "variable" if name in (CONTROLLER, PLANT) else name
+        raise ScenarioError(f"--set {name}: expected {CONTROLLER}.{own}=value")
+    named = [f"--set {name}" for name in changes.settings if "." in name]
+    named += [f"--map {component}.{name}" for component, names in changes.mapping.items() for name in names]
+    known = {CONTROLLER} if len(names) else set()
+    known |= {PLANT} & changes.components.keys()
+    for option in named:
+        if option.partition(" ")[2].partition(".")[0] not in known:
+            raise ScenarioError(f"{option}: expected controller.NAME, or --plant beside plant.NAME")
+    own, mapping = changes.of_component(CONTROLLER)
+    if len(names) > 1 and (own or mapping):
+        raise ScenarioError(
+            f"--set, --map and --parameters with {len(names)} controllers: expected one; score them one by "
+            "one with the same --seed"
+        )
+    return [
+        Controller(
+            name=fmu_name(name),
+            fmu=name,
+            reference_rates=not no_rates,
+            parameters=own,
+            mapping=mapping,
+            open_inputs=str(changes.open_inputs or OpenInputs.ERROR),
+        )
+        for name in names
+    ]
+
+
+def write_fronts(
+    protocol: "Protocol", names: Sequence[str], effort: tuple[int, int], workers: int, out: Path
+) -> None:
+    """Searches the fronts of laws and writes fronts.json and fronts.svg.
+
+    effort: seeds, and evaluations for each gain
+    Their journals are removed at the end; until then the same command continues.
+    """
+    from orchestration.results.figures import front_figure
+    from orchestration.studies.score.closed_loop import built_in
+    from orchestration.studies.score.fronts import LARGEST_ERROR, LARGEST_SPREAD, LEVELS, front_of_law
+
+    seeds, evaluations = effort
+    names = [built_in(protocol, name).name for name in names or protocol.controllers]
+    journals = {name: out / f"{name}.front.jsonl" for name in names}
+    total = LEVELS * seeds * evaluations * sum(len(protocol.controllers[name].gains) for name in names)
+    with shared.progress("fronts", total, kept="evaluations") as bar:
+        how = range(1, seeds + 1), evaluations, workers
+        laws = [
+            front_of_law(protocol, name, *how, path, lambda done, _: bar.advance(done))
+            for name, path in journals.items()
+        ]
+    document = {
+        "vehicle": protocol.vehicle.name,
+        "settings": dict(protocol.vehicle.settings),
+        "protocol": protocol.version,
+        "statement": protocol.statement,
+        "cost": protocol.tables.cost.model_dump(),
+        "effort": {"evaluations_per_gain_bound_and_seed": evaluations, "bounds": LEVELS, "seeds": seeds},
+        "units": {"error": "cm", "total_variation": "N", "delay_margin": "s", "step": "s"},
+        "hypervolume": f"in decades of both, from {LARGEST_ERROR:g} cm and the bound on the variation",
+        "laws": laws,
+    }
+    write_text_atomically(out / "fronts.json", f"{json.dumps(document, indent=1)}\n")
+    figures = front_figure({protocol.vehicle.name: laws}, out / "fronts")
+    for path in journals.values():
+        path.unlink()
+    for law in laws:
+        differ = " (they differ)" if (law["spread"] or 0.0) > LARGEST_SPREAD else ""
+        seeds_apart = "" if law["spread"] is None else f", seeds {100 * law['spread']:.2g} % apart{differ}"
+        print(f"{law['title']}: hypervolume {median(law['hypervolumes']):.3g}{seeds_apart}")
+    print(*(out / "fronts.json", *figures), sep="\n")

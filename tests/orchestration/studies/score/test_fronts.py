@@ -1,0 +1,212 @@
+"""Fronts: known fronts and their areas, what a front admits, and an interrupted search that continues."""
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from orchestration.errors import ScenarioError
+from orchestration.scenarios.free_parameter import FreeParameter
+from orchestration.studies.score.closed_loop import built_in, tuned, tuned_gains
+from orchestration.studies.score.fronts import (
+    LEVELS,
+    Point,
+    admitted,
+    bounded_cost,
+    front_of_law,
+    hypervolume,
+    nondominated,
+    search_front,
+    spread,
+    tuned_for,
+)
+from orchestration.studies.score.protocol import Protocol, read_protocol
+from orchestration.studies.score.tune import Problem
+from orchestration.studies.score.tune_problem import LARGEST, problem_of
+from orchestration.studies.vehicle import Vehicle
+
+REFERENCE = Point(10.0, 1000.0)
+
+
+def test_only_points_that_no_other_betters_are_a_front() -> None:
+    a, b, c = Point(3.0, 1.0), Point(2.0, 5.0), Point(1.0, 5.0)
+    assert nondominated([b, c, a, Point(3.0, 1.0), Point(3.0, 2.0), Point(1.5, 9.0)]) == [a, c]
+    assert nondominated([]) == []
+
+
+@pytest.mark.parametrize(
+    ("points", "area"),
+    [
+        ([], 0.0),
+        ([Point(1.0, 100.0)], 1.0),  # a decade of error times one of variation
+        ([Point(1.0, 10.0), Point(0.1, 100.0)], 1.0 * 1.0 + 1.0 * 2.0),
+        ([Point(0.1, 100.0), Point(1.0, 10.0), Point(1.0, 100.0), Point(5.0, 11.0)], 3.0),  # two dominated
+        ([Point(1.0, 10.0), Point(0.1, 100.0), Point(0.01, 1000.0), Point(20.0, 1.0)], 3.0),  # two outside
+    ],
+)
+def test_the_hypervolume_of_a_known_front_is_its_area_in_decades(points: list[Point], area: float) -> None:
+    assert hypervolume(points, REFERENCE) == pytest.approx(area, abs=1e-12)  # rounding of log10
+
+
+def test_the_spread_is_the_range_over_the_median_and_one_seed_has_none() -> None:
+    assert spread([2.1, 1.9, 2.0]) == pytest.approx(0.1)
+    assert math.isnan(spread([2.0]))
+    assert math.isnan(spread([0.0, 0.0]))  # no seed found anything
+
+
+def row(error: float, *variations: float, cost: float | None = None, failed: int = 0) -> dict[str, Any]:
+    cases = {str(i): {"total_variation": value} for i, value in enumerate(variations)}
+    cost = error if cost is None else cost
+    return {"cost": cost, "error": error, "metrics": cases, "failed": failed, "gains": {}}
+
+
+def test_an_evaluation_beyond_the_bound_loses_against_one_with_a_larger_error_within_it() -> None:
+    near, beyond = row(0.5, 50.0, 150.0), row(0.2, 100.0, 120.0)  # means of 100 and 110
+    assert bounded_cost(near, 100.0) == 0.5
+    assert bounded_cost(beyond, 100.0) == pytest.approx(0.2 + 10.0 * 0.1)
+    assert bounded_cost(beyond, 110.0) == 0.2
+    assert bounded_cost({"cost": LARGEST, "failure": "ended"}, 100.0) == LARGEST
+
+
+def test_a_front_admits_what_keeps_every_bound_and_does_not_fail() -> None:
+    rows = [
+        row(0.5, 100.0),
+        row(0.4, 100.1),  # beyond the largest variation
+        row(0.3, 90.0, cost=0.31),  # beyond another bound
+        row(0.2, 90.0, failed=1),
+        {"cost": LARGEST, "failure": "ended", "gains": {}},
+    ]
+    assert admitted(rows, 100.0) == [Point(0.5, 100.0, {})]
+
+
+def known(gains: Mapping[str, float]) -> dict[str, Any]:
+    """A law whose error times variation is 100 at best, where the second gain is 1."""
+    away = 1.0 + math.log(gains["b"]) ** 2
+    evaluated = row(away * 100.0 / gains["a"], away * gains["a"])
+    del evaluated["gains"]
+    return evaluated
+
+
+LARGEST_VARIATION = 640.0
+PROBLEM = Problem((FreeParameter("a", 1.0, 1000.0), FreeParameter("b", 0.1, 10.0)), {"law": "known"})
+
+
+def front_of(path: Path, law: Callable[..., Any] = known, seeds: Sequence[int] = (1, 2)) -> list[list[Point]]:
+    return search_front(PROBLEM, seeds, 30, LARGEST_VARIATION, path, lambda gains: map(law, gains))
+
+
+def test_the_front_of_a_known_law_is_found_over_all_bounds(tmp_path: Path) -> None:
+    found = front_of(tmp_path / "journal")
+    for front in found:
+        # each bound is reached from below, the last of which is a 32nd of the first
+        for level in range(LEVELS):
+            bound = LARGEST_VARIATION * 0.5**level
+            assert any(0.8 * bound < point.variation <= bound for point in front)
+        # the true front is error x variation = 100; 60 evaluations a bound leave some per cent
+        assert all(1.0 <= p.error * p.variation / 100.0 < 1.3 for p in front if p.variation >= 20.0)
+    volumes = [hypervolume(front, Point(10.0, LARGEST_VARIATION)) for front in found]
+    assert spread(volumes) < 0.05
+    # the area between the true front and the reference, from 20 N on
+    width, height = math.log10(32.0), math.log10(10.0 / 5.0)
+    exact = width**2 / 2 + height * width
+    assert 0.9 * exact < min(volumes)  # steps between points lie inside it
+    assert found[0] != found[1]
+
+
+def test_all_seeds_begin_near_the_gains_that_are_given(tmp_path: Path) -> None:
+    begin = {"a": 30.0, "b": 2.0}
+    search_front(PROBLEM, (1, 2), 30, LARGEST_VARIATION, tmp_path / "j", lambda g: map(known, g), begin=begin)
+    rows = [json.loads(line) for line in (tmp_path / "j").read_text().split("\n")[1:] if line]
+    for seed in (1, 2):
+        gains = next(row["gains"] for row in rows if row["seed"] == seed)
+        for gain in PROBLEM.gains:
+            # four steps of a twentieth of the range
+            assert abs(gain.share(gains[gain.name]) - gain.share(begin[gain.name])) < 0.2
+
+
+def test_tuned_gains_are_carried_to_another_vehicle_by_its_inertia(protocol: Protocol) -> None:
+    """Forces are in proportion to it; an adaptation whose model has 1 / M, to its square."""
+    ratio = 32.18 / 5.5
+    other = read_protocol(vehicle=Vehicle.of("BlueRov2Plant"))
+    for name, factors in {
+        "pid": {"kp": ratio, "observer_alpha": 1.0},
+        "l1": {"adaptation_gain": ratio**2},
+    }.items():
+        table = protocol.controllers[name]
+        gains, own = problem_of(built_in(protocol, name), protocol).gains, tuned_gains(name, table.fmu)
+        assert tuned(protocol, name).parameters == {**table.parameters, **own}
+        assert tuned_for(protocol, name, gains) == {gain.name: own[gain.name] for gain in gains}
+        carried = tuned_for(other, name, gains)
+        assert carried
+        for gain, factor in factors.items():
+            assert carried[gain] == pytest.approx(float(own[gain]) * factor)
+
+
+@pytest.mark.parametrize("calls", [7, 100])
+def test_an_interrupted_front_continues_to_the_same_one_bit_for_bit(tmp_path: Path, calls: int) -> None:
+    left = calls
+
+    def interrupted(gains: Mapping[str, float]) -> dict[str, Any]:
+        nonlocal left
+        left -= 1
+        if left < 0:
+            raise KeyboardInterrupt
+        return known(gains)
+
+    path = tmp_path / "journal"
+    with pytest.raises(KeyboardInterrupt):
+        front_of(path, interrupted)
+    left = 30 * 2 * LEVELS * 2 - calls  # not one evaluation is made twice
+    assert front_of(path, interrupted) == front_of(tmp_path / "other")
+    assert left == 0
+    assert path.read_bytes() == (tmp_path / "other").read_bytes()
+
+
+def test_a_front_without_a_bound_on_the_variation_is_refused(
+    protocol: Protocol, small_protocol: Callable[..., Path]
+) -> None:
+    cost = {**protocol.file.data["cost"], "cases": ["nominal"], "bounds": {"overshoot": 5.0}}
+    with pytest.raises(ScenarioError, match="expected --bound total_variation=NUMBER"):
+        front_of_law(read_protocol(small_protocol(cost=cost)), "l1-pi", [1], 1, 1, Path("journal"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--laws", "pid"], "--laws: no effect with compare without --fronts"),
+        (["--fronts", "--full"], "--full: no effect with --fronts"),
+        (["--fronts", "--seed", "0"], "--seed: no effect with --fronts"),
+        (["--fronts", "--laws", "pidd"], "nearest is 'pid'"),
+        (["--fronts", "--cases", "nominel"], "nearest is 'nominal'"),
+        (["--fronts", "--bound", "overshot=3"], "nearest is 'overshoot'"),
+        (["--fronts", "--bound", "overshoot=0"], "cost.bounds.overshoot"),
+        (["--fronts", "--bound", "overshoot"], "expected METRIC=NUMBER"),
+    ],
+)
+def test_what_has_no_front_is_refused(
+    refused: Callable[..., Any], arguments: list[str], message: str
+) -> None:
+    assert message in refused("compare", *arguments)
+    assert not Path("results").exists()
+
+
+@pytest.mark.slow
+def test_the_front_of_a_law_is_written_with_its_margins_and_drawn(command: Callable[..., Any]) -> None:
+    options = ("--laws", "adrc", "--seeds", "2", "--evaluations", "4", "--workers", "1", "--out", "here")
+    done = command("compare", "--fronts", *options)
+    assert done.stdout.splitlines()[-2:] == ["here/fronts.json", "here/fronts.svg"]
+    assert sorted(path.name for path in Path("here").iterdir()) == ["fronts.json", "fronts.svg"]
+    document = json.loads(Path("here/fronts.json").read_text())
+    assert document["effort"] == {"evaluations_per_gain_bound_and_seed": 4, "bounds": LEVELS, "seeds": 2}
+    (law,) = document["laws"]
+    points = [Point(p["error"], p["total_variation"]) for p in law["points"]]
+    assert len(points) > 1
+    assert nondominated(points) == points
+    assert all(p["delay_margin"] >= 0.1 for p in law["points"])
+    assert all(volume > 0.0 for volume in law["hypervolumes"])
+    assert law["spread"] == pytest.approx(spread(law["hypervolumes"]))
+    assert list(law["points"][0]["gains"]) == ["control_bandwidth", "observer_bandwidth"]
+    assert all(math.isfinite(p["change_at_half_the_step"]) for p in law["points"])

@@ -1,0 +1,82 @@
+"""The core knows no satellite: each can be removed with its folder, and the rest works."""
+
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("fmus", "controller_fmu", "plant_fmu", "orchestration")
+SATELLITES = ("fmus.compliance", "orchestration.studies", "orchestration.report", "orchestration.gym")
+SATELLITES += ("orchestration.places",)
+POINTS = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["entry-points"]
+
+
+def naming(satellite: str) -> re.Pattern[str]:
+    """The name of a module, also as `from PACKAGE import NAME`."""
+    package, _, name = satellite.rpartition(".")
+    return re.compile(rf"\b{re.escape(satellite)}\b|from {re.escape(package)} import [^\n]*\b{name}\b")
+
+
+def files(folder: Path, *roots: str) -> list[Path]:
+    return [file for root in roots for file in sorted((folder / root).rglob("*.py"))]
+
+
+@pytest.mark.parametrize("satellite", SATELLITES)
+def test_no_file_outside_a_satellite_names_it(satellite: str) -> None:
+    own = ROOT / satellite.replace(".", "/")
+    others = [file for file in files(ROOT, *PACKAGES) if not file.is_relative_to(own)]
+    assert not [file for file in others if naming(satellite).search(file.read_text("utf-8"))]
+
+
+def copied_without(satellites: tuple[str, ...], folder: Path) -> Path:
+    """A copy of the project without satellites, their tests, and the tests of other rooms that use them."""
+    leave_out = shutil.ignore_patterns("__pycache__", ".*_cache")
+    for name in (*PACKAGES, "tests"):
+        shutil.copytree(ROOT / name, folder / name, ignore=leave_out)
+    shutil.copy(ROOT / "pyproject.toml", folder)
+    for satellite in satellites:
+        for parent in (folder, folder / "tests"):
+            shutil.rmtree(parent / satellite.replace(".", "/"))
+        commands = [
+            name for name, where in POINTS["l1_depth.commands"].items() if where.startswith(satellite)
+        ]
+        called = rf'|(command|refused|started)\([^)]*"({"|".join(commands)})"' if commands else ""
+        uses = re.compile(naming(satellite).pattern + called)
+        for file in files(folder, "tests/fmus", "tests/orchestration"):
+            if file.name.startswith("test_") and uses.search(file.read_text("utf-8")):
+                file.unlink()
+    return folder
+
+
+def python(folder: Path, *arguments: str) -> str:
+    """What Python prints where the copy stands before the project."""
+    done = subprocess.run(
+        [sys.executable, *arguments], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout[-5000:] + done.stderr
+    return done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("satellite", SATELLITES)
+def test_without_a_satellite_all_else_is_imported_and_its_commands_are_gone(
+    satellite: str, tmp_path: Path
+) -> None:
+    copy = copied_without((satellite,), tmp_path)
+    modules = [".".join(file.relative_to(copy).with_suffix("").parts) for file in files(copy, *PACKAGES)]
+    modules = [name.removesuffix(".__init__") for name in modules if not name.endswith("__main__")]
+    python(copy, "-c", f"import importlib\nfor name in {modules}: importlib.import_module(name)")
+    shown = python(copy, "-c", "from orchestration.cli import main; main()", "--help")
+    for name, where in POINTS["l1_depth.commands"].items():
+        assert bool(re.search(rf"^│ {name} ", shown, re.M)) is not where.startswith(satellite)
+
+
+@pytest.mark.slow
+def test_without_any_satellite_the_tests_of_the_core_pass(tmp_path: Path) -> None:
+    copy = copied_without(SATELLITES, tmp_path)
+    python(copy, "-m", "pytest", "-q", "-n", "2", "tests/fmus", "tests/orchestration")
