@@ -19,7 +19,7 @@ _DIGITS = 4
 
 
 def reduced(documents: Sequence[Mapping[str, Any]]) -> str:
-    """Returns files of `compare --fronts` as JSON, without the gains of each point, a line for each law."""
+    """Returns files of `.ci/fronts.py` as JSON, without the gains of each point, a line for each law."""
     parts = list[str]()
     for document in documents:
         laws = [json.dumps(_law(law), separators=(",", ":")) for law in document["laws"]]

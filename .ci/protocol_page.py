@@ -6,7 +6,7 @@ from typing import Any
 
 from keys_page import SCHEMA, table
 
-FOLDER = SCHEMA.parents[1] / "score"
+FOLDER = SCHEMA.parents[1] / "studies" / "score"
 
 _HEAD = """\
 # Protocol of the score

@@ -5,7 +5,7 @@ settings of the caller are touched. The same data give the same file, byte by by
 """
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -24,9 +24,9 @@ from orchestration.results.formats import FigureFormat
 
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#666666"  # told apart by colour-blind readers
 _COLOURS = (BLUE, ORANGE, GREEN, "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-_LINES = ("-", "--", "-.", ":")
-_MARKERS = "osD^v<>ph*PX8dHx+"  # as many as the protocol has laws
-_WIDTH_IN = 7.16  # both columns of an IEEE or IFAC page
+LINES = ("-", "--", "-.", ":")
+MARKERS = "osD^v<>ph*PX8dHx+"  # as many as the protocol has laws
+WIDTH_IN = 7.16  # both columns of an IEEE or IFAC page
 _DPI, _DPI_OF_RUNS, _DPI_IN_A_NOTEBOOK = 300, 200, 100  # in print, and to look at
 _GAP_IN = 0.24  # between panels, which holds their letters
 _PAD_IN = 0.05  # around everything, and between the numbers of an axis and its label
@@ -105,7 +105,7 @@ def _outside(panels: Sequence[Axes], renderer: RendererAgg) -> tuple[float, floa
 
 def stacked_panels(heights_in: Sequence[float], x_label: str) -> tuple[ShownFigure, list[Axes]]:
     """Returns a figure as wide as a page: panels (a), (b), ... one below the other, on one time axis."""
-    figure = ShownFigure(figsize=(_WIDTH_IN, sum(heights_in) + 0.4), layout=StackedLayout())
+    figure = ShownFigure(figsize=(WIDTH_IN, sum(heights_in) + 0.4), layout=StackedLayout())
     grid = figure.subplots(
         len(heights_in), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights_in}
     )
@@ -202,7 +202,7 @@ def figure_of(recording: Columns, names: Sequence[str] = ()) -> ShownFigure:
                     label=name,
                     linewidth=0.7,
                     color=_COLOURS[index % len(_COLOURS)],
-                    linestyle=_LINES[index // len(_COLOURS) % len(_LINES)],
+                    linestyle=LINES[index // len(_COLOURS) % len(LINES)],
                 )
             if any(points_down(name, unit) for name in names):
                 panel.invert_yaxis()
@@ -214,38 +214,3 @@ def figure_of(recording: Columns, names: Sequence[str] = ()) -> ShownFigure:
 def _roughness(values: np.ndarray) -> float:
     """Returns the sum of changes: smooth signals are drawn last, over rough ones."""
     return float(np.abs(np.diff(values)).sum())
-
-
-def front_figure(
-    fronts: Mapping[str, Sequence[Mapping[str, Any]]],
-    path: Path,
-    formats: Sequence[FigureFormat] = (FigureFormat.SVG,),
-) -> list[Path]:
-    """Draws the fronts of all laws on each vehicle: error against total variation, delay margin as colour.
-
-    fronts: vehicle -> laws, each as `compare --fronts` writes it
-    """
-    drawn = {vehicle: [law for law in laws if law["points"]] for vehicle, laws in fronts.items()}
-    names = list(dict.fromkeys(law["name"] for laws in drawn.values() for law in laws))
-    margins = [point["delay_margin"] for laws in drawn.values() for law in laws for point in law["points"]]
-    with figure_style():
-        figure = Figure(figsize=(_WIDTH_IN, _WIDTH_IN), layout="constrained")
-        panels = list(figure.subplots(1, len(fronts), squeeze=False)[0])
-        shown: dict[str, Any] = {}
-        for panel, (vehicle, laws) in zip(panels, drawn.items(), strict=True):
-            panel.set(xscale="log", yscale="log", xlabel="Total variation [N]", title=vehicle)
-            for law in laws:
-                index, columns = names.index(law["name"]), ("total_variation", "error", "delay_margin")
-                x, y, colour = ([point[column] for point in law["points"]] for column in columns)
-                panel.plot(x, y, color=GREY, linestyle=_LINES[index % len(_LINES)], linewidth=0.5)
-                dots = panel.scatter(x, y, s=14.0, c=colour, marker=_MARKERS[index % len(_MARKERS)])
-                dots.set_clim(min(margins), max(margins))
-                spread = law["spread"] if len(fronts) == 1 else None
-                apart = "" if spread is None else f", seeds {100.0 * spread:.2g} % apart"
-                shown[f"{law['title']}{apart}"] = dots
-        panels[0].set_ylabel("RMSE [cm]")
-        if shown:
-            label = "Delay margin [s]"
-            figure.colorbar(shown[next(iter(shown))], ax=panels, label=label, location="top", shrink=0.5)
-            figure.legend([*shown.values()], [*shown], loc="outside lower center", ncols=2)
-        return write_figure(figure, path, formats)

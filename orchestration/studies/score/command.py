@@ -1,11 +1,9 @@
 """Commands score and compare: controllers in every case of the protocol, beside the built-in ones or all."""
 
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from statistics import median
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -51,12 +49,9 @@ CasesOption = Annotated[
     str, typer.Option("--cases", metavar="NAME,...", help="Compute the cost over these protocol cases.")
 ]
 SeedsOption = Annotated[int, typer.Option(metavar="NUMBER", help="Number of seeds of the search.", min=1)]
-_SEEDS = 5
 EvaluationsOption = Annotated[
     int,
-    typer.Option(
-        metavar="NUMBER", help="Evaluations for each free gain, each seed and each bound of a front.", min=1
-    ),
+    typer.Option(metavar="NUMBER", help="Evaluations for each free gain and each seed.", min=1),
 ]
 ProtocolOption = Annotated[
     Path | None,
@@ -122,34 +117,17 @@ def compare(
     out: shared.OutFolder = Path("results"),
     changes: Changes = NO_CHANGES,
     protocol_file: ProtocolOption = None,
-    fronts: Annotated[
-        bool, typer.Option("--fronts", help="Search each law's Pareto front of error and total variation.")
-    ] = False,
-    laws: Annotated[str, typer.Option(metavar="NAME,...", help="Search the fronts of these laws only.")] = "",
-    bounds: BoundOption = [],  # noqa: B006  (Typer copies it)
-    cases: CasesOption = "",
-    seeds: SeedsOption = _SEEDS,
-    evaluations: EvaluationsOption = 40,
 ) -> None:
     """Score all controllers of the protocol, each with its default gains and with tuned gains.
 
-    Writes comparison.json and an interactive page. With --fronts: fronts.json and fronts.svg.
-    For example, l1-depth compare --fronts --laws l1,pid searches the fronts of two laws.
+    Writes comparison.json and an interactive page.
+    For example, l1-depth compare --full --seed 1 compares over drawn plants, too.
     """
     from orchestration.studies.score import score as scoring
 
     protocol = chosen_protocol(changes, protocol_file)
     scored_controllers([], False, changes)
     shared.check_writable(out)
-    if fronts:
-        from orchestration.studies.score.protocol import with_cost
-        from orchestration.studies.score.tune_problem import cost_of_options, listed
-
-        shared.refuse_without_effect("--fronts", {"--full": full, "--seed": seed is not None})
-        protocol = with_cost(protocol, cost_of_options(bounds, cases))
-        return write_fronts(protocol, listed(laws), (seeds, evaluations), workers, out)
-    others = {"--laws": laws, "--bound": bounds, "--cases": cases, "--seeds": seeds != _SEEDS}
-    shared.refuse_without_effect("compare without --fronts", others)
     with shared.progress("compare", scoring.run_count(len(protocol.controllers), protocol, full)) as bar:
         result = scoring.compare(protocol, full, seed, workers, bar.advance)
     document = result.document
@@ -249,47 +227,3 @@ def scored_controllers(names: Sequence[str], no_rates: bool, changes: Changes) -
         )
         for name in names
     ]
-
-
-def write_fronts(
-    protocol: "Protocol", names: Sequence[str], effort: tuple[int, int], workers: int, out: Path
-) -> None:
-    """Searches the fronts of laws and writes fronts.json and fronts.svg.
-
-    effort: seeds, and evaluations for each gain
-    Their journals are removed at the end; until then the same command continues.
-    """
-    from orchestration.results.figures import front_figure
-    from orchestration.studies.score.closed_loop import built_in
-    from orchestration.studies.score.fronts import LARGEST_ERROR, LARGEST_SPREAD, LEVELS, front_of_law
-
-    seeds, evaluations = effort
-    names = [built_in(protocol, name).name for name in names or protocol.controllers]
-    journals = {name: out / f"{name}.front.jsonl" for name in names}
-    total = LEVELS * seeds * evaluations * sum(len(protocol.controllers[name].gains) for name in names)
-    with shared.progress("fronts", total, kept="evaluations") as bar:
-        how = range(1, seeds + 1), evaluations, workers
-        laws = [
-            front_of_law(protocol, name, *how, path, lambda done, _: bar.advance(done))
-            for name, path in journals.items()
-        ]
-    document = {
-        "vehicle": protocol.vehicle.name,
-        "settings": dict(protocol.vehicle.settings),
-        "protocol": protocol.version,
-        "statement": protocol.statement,
-        "cost": protocol.tables.cost.model_dump(),
-        "effort": {"evaluations_per_gain_bound_and_seed": evaluations, "bounds": LEVELS, "seeds": seeds},
-        "units": {"error": "cm", "total_variation": "N", "delay_margin": "s", "step": "s"},
-        "hypervolume": f"in decades of both, from {LARGEST_ERROR:g} cm and the bound on the variation",
-        "laws": laws,
-    }
-    write_text_atomically(out / "fronts.json", f"{json.dumps(document, indent=1)}\n")
-    figures = front_figure({protocol.vehicle.name: laws}, out / "fronts")
-    for path in journals.values():
-        path.unlink()
-    for law in laws:
-        differ = " (they differ)" if (law["spread"] or 0.0) > LARGEST_SPREAD else ""
-        seeds_apart = "" if law["spread"] is None else f", seeds {100 * law['spread']:.2g} % apart{differ}"
-        print(f"{law['title']}: hypervolume {median(law['hypervolumes']):.3g}{seeds_apart}")
-    print(*(out / "fronts.json", *figures), sep="\n")

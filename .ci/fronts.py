@@ -1,11 +1,17 @@
 """Pareto fronts: the error of a law against the total variation of u, within a bound on the delay margin.
 
+    python .ci/fronts.py --laws l1,pid --workers 2
+
+writes fronts.json and fronts.svg to results, for docs/explanation/comparison.md; the options are those of
+`l1-depth tune`.
+
 Each seed searches the least error under a bound on the total variation, then under half of that bound, and
 so on: the epsilon constraint (Haimes, Lasdon and Wismer, IEEE Trans. SMC 1(3), 1971). The first search begins
 at the tuned gains, each other one at the best gains that the seed has evaluated until then. The front is of
 all evaluations of all seeds that keep the other bounds of the cost and do not fail.
 """
 
+import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -13,14 +19,31 @@ from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+import typer
+from matplotlib.figure import Figure
 
-from orchestration.errors import ScenarioError
+from fmus.files import write_text_atomically
+from fmus.operating_system import usable_processors
+from orchestration.cli import shared
+from orchestration.cli.changes import NO_CHANGES, OF_LOOP, Changes, takes_changes
+from orchestration.errors import OrchestrationError, ScenarioError
+from orchestration.results.figures import GREY, LINES, MARKERS, WIDTH_IN, figure_style, write_figure
+from orchestration.results.formats import FigureFormat
 from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.studies.score import tune_problem
-from orchestration.studies.score.closed_loop import ClosedLoop, tuned
+from orchestration.studies.score.closed_loop import ClosedLoop, built_in, tuned
+from orchestration.studies.score.command import (
+    BoundOption,
+    CasesOption,
+    EvaluationsOption,
+    ProtocolOption,
+    SeedsOption,
+    chosen_protocol,
+    scored_controllers,
+)
 from orchestration.studies.score.protocol import Protocol, with_cost
 from orchestration.studies.score.protocol_format import DELAY_MARGIN
 from orchestration.studies.score.score_rows import delay_margin_of
@@ -149,9 +172,7 @@ def front_of_law(
     """
     largest = protocol.tables.cost.bounds.get(_VARIATION, math.inf)
     if not math.isfinite(largest):
-        raise ScenarioError(
-            f"--fronts: the cost bounds no {_VARIATION}: expected --bound {_VARIATION}=NUMBER"
-        )
+        raise ScenarioError(f"the cost bounds no {_VARIATION}: expected --bound {_VARIATION}=NUMBER")
     protocol = with_cost(protocol, {"bounds": {_VARIATION: _ANY}})
     controller = replace(tuned(protocol, name), parameters=protocol.controllers[name].parameters)
     problem = tune_problem.problem_of(controller, protocol)
@@ -178,3 +199,95 @@ def front_of_law(
         "spread": None if math.isnan(spread(volumes)) else spread(volumes),
         "points": points,
     }
+
+
+def front_figure(
+    fronts: Mapping[str, Sequence[Mapping[str, Any]]],
+    path: Path,
+    formats: Sequence[FigureFormat] = (FigureFormat.SVG,),
+) -> list[Path]:
+    """Draws the fronts of all laws on each vehicle: error against total variation, delay margin as colour.
+
+    fronts: vehicle -> laws, each as `fronts.json` has it
+    """
+    drawn = {vehicle: [law for law in laws if law["points"]] for vehicle, laws in fronts.items()}
+    names = list(dict.fromkeys(law["name"] for laws in drawn.values() for law in laws))
+    margins = [point["delay_margin"] for laws in drawn.values() for law in laws for point in law["points"]]
+    with figure_style():
+        figure = Figure(figsize=(WIDTH_IN, WIDTH_IN), layout="constrained")
+        panels = list(figure.subplots(1, len(fronts), squeeze=False)[0])
+        shown: dict[str, Any] = {}
+        for panel, (vehicle, laws) in zip(panels, drawn.items(), strict=True):
+            panel.set(xscale="log", yscale="log", xlabel="Total variation [N]", title=vehicle)
+            for law in laws:
+                index, columns = names.index(law["name"]), ("total_variation", "error", "delay_margin")
+                x, y, colour = ([point[column] for point in law["points"]] for column in columns)
+                panel.plot(x, y, color=GREY, linestyle=LINES[index % len(LINES)], linewidth=0.5)
+                dots = panel.scatter(x, y, s=14.0, c=colour, marker=MARKERS[index % len(MARKERS)])
+                dots.set_clim(min(margins), max(margins))
+                spread = law["spread"] if len(fronts) == 1 else None
+                apart = "" if spread is None else f", seeds {100.0 * spread:.2g} % apart"
+                shown[f"{law['title']}{apart}"] = dots
+        panels[0].set_ylabel("RMSE [cm]")
+        if shown:
+            label = "Delay margin [s]"
+            figure.colorbar(shown[next(iter(shown))], ax=panels, label=label, location="top", shrink=0.5)
+            figure.legend([*shown.values()], [*shown], loc="outside lower center", ncols=2)
+        return write_figure(figure, path, formats)
+
+
+@takes_changes(**OF_LOOP)
+def main(
+    laws: Annotated[str, typer.Option(metavar="NAME,...", help="Search the fronts of these laws only.")] = "",
+    bounds: BoundOption = [],  # noqa: B006  (Typer copies it)
+    cases: CasesOption = "",
+    seeds: SeedsOption = 5,
+    evaluations: EvaluationsOption = 40,
+    workers: Annotated[int, typer.Option(help="Number of processes.", min=1)] = usable_processors(),
+    out: shared.OutFolder = Path("results"),
+    changes: Changes = NO_CHANGES,
+    protocol_file: ProtocolOption = None,
+) -> None:
+    """Search each law's Pareto front of error and total variation; write fronts.json and fronts.svg.
+
+    Their journals are removed at the end; until then the same command continues.
+    """
+    protocol = with_cost(chosen_protocol(changes, protocol_file), tune_problem.cost_of_options(bounds, cases))
+    scored_controllers([], False, changes)
+    shared.check_writable(out)
+    names = [built_in(protocol, name).name for name in tune_problem.listed(laws) or protocol.controllers]
+    journals = {name: out / f"{name}.front.jsonl" for name in names}
+    total = LEVELS * seeds * evaluations * sum(len(protocol.controllers[name].gains) for name in names)
+    with shared.progress("fronts", total, kept="evaluations") as bar:
+        how = range(1, seeds + 1), evaluations, workers
+        laws = [
+            front_of_law(protocol, name, *how, path, lambda done, _: bar.advance(done))
+            for name, path in journals.items()
+        ]
+    document = {
+        "vehicle": protocol.vehicle.name,
+        "settings": dict(protocol.vehicle.settings),
+        "protocol": protocol.version,
+        "statement": protocol.statement,
+        "cost": protocol.tables.cost.model_dump(),
+        "effort": {"evaluations_per_gain_bound_and_seed": evaluations, "bounds": LEVELS, "seeds": seeds},
+        "units": {"error": "cm", "total_variation": "N", "delay_margin": "s", "step": "s"},
+        "hypervolume": f"in decades of both, from {LARGEST_ERROR:g} cm and the bound on the variation",
+        "laws": laws,
+    }
+    write_text_atomically(out / "fronts.json", f"{json.dumps(document, indent=1)}\n")
+    figures = front_figure({protocol.vehicle.name: laws}, out / "fronts")
+    for path in journals.values():
+        path.unlink()
+    for law in laws:
+        differ = " (they differ)" if (law["spread"] or 0.0) > LARGEST_SPREAD else ""
+        seeds_apart = "" if law["spread"] is None else f", seeds {100 * law['spread']:.2g} % apart{differ}"
+        print(f"{law['title']}: hypervolume {median(law['hypervolumes']):.3g}{seeds_apart}")
+    print(*(out / "fronts.json", *figures), sep="\n")
+
+
+if __name__ == "__main__":
+    try:
+        typer.run(main)
+    except OrchestrationError as error:
+        shared.fail(str(error))

@@ -1,33 +1,41 @@
-"""Fronts: known fronts and their areas, what a front admits, and an interrupted search that continues."""
+"""`.ci/fronts.py`: known fronts and their areas, what a front admits, a search that continues."""
 
 import json
 import math
+import re
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
+import tomli_w
+import typer
 
-from orchestration.errors import ScenarioError
+from orchestration.errors import OrchestrationError, ScenarioError
 from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.studies.score.closed_loop import built_in, tuned, tuned_gains
-from orchestration.studies.score.fronts import (
+from orchestration.studies.score.protocol import Protocol, read_protocol
+from orchestration.studies.score.tune import Problem
+from orchestration.studies.score.tune_problem import LARGEST, problem_of
+from orchestration.studies.vehicle import Vehicle
+
+sys.path.insert(0, str(Path(__file__).parent.parent / ".ci"))
+from fronts import (  # pyright: ignore[reportMissingImports]
     LEVELS,
     Point,
     admitted,
     bounded_cost,
     front_of_law,
     hypervolume,
+    main,
     nondominated,
     search_front,
     spread,
     tuned_for,
 )
-from orchestration.studies.score.protocol import Protocol, read_protocol
-from orchestration.studies.score.tune import Problem
-from orchestration.studies.score.tune_problem import LARGEST, problem_of
-from orchestration.studies.vehicle import Vehicle
 
+sys.path.pop(0)
 REFERENCE = Point(10.0, 1000.0)
 
 
@@ -165,39 +173,53 @@ def test_an_interrupted_front_continues_to_the_same_one_bit_for_bit(tmp_path: Pa
     assert path.read_bytes() == (tmp_path / "other").read_bytes()
 
 
-def test_a_front_without_a_bound_on_the_variation_is_refused(
-    protocol: Protocol, small_protocol: Callable[..., Path]
-) -> None:
+def test_a_front_without_a_bound_on_the_variation_is_refused(protocol: Protocol, tmp_path: Path) -> None:
     cost = {**protocol.file.data["cost"], "cases": ["nominal"], "bounds": {"overshoot": 5.0}}
+    path = tmp_path / "protocol.toml"
+    path.write_text(tomli_w.dumps({**protocol.file.data, "cost": cost}))
     with pytest.raises(ScenarioError, match="expected --bound total_variation=NUMBER"):
-        front_of_law(read_protocol(small_protocol(cost=cost)), "l1-pi", [1], 1, 1, Path("journal"))
+        front_of_law(read_protocol(path), "l1-pi", [1], 1, 1, Path("journal"))
+
+
+@pytest.fixture(scope="module")
+def protocol(scenario_fmus: None) -> Protocol:
+    """The protocol that ships; blocks are built."""
+    return read_protocol()
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--laws", "pid"], "--laws: no effect with compare without --fronts"),
-        (["--fronts", "--full"], "--full: no effect with --fronts"),
-        (["--fronts", "--seed", "0"], "--seed: no effect with --fronts"),
-        (["--fronts", "--laws", "pidd"], "nearest is 'pid'"),
-        (["--fronts", "--cases", "nominel"], "nearest is 'nominal'"),
-        (["--fronts", "--bound", "overshot=3"], "nearest is 'overshoot'"),
-        (["--fronts", "--bound", "overshoot=0"], "cost.bounds.overshoot"),
-        (["--fronts", "--bound", "overshoot"], "expected METRIC=NUMBER"),
+        (["--laws", "pidd"], "nearest is 'pid'"),
+        (["--cases", "nominel"], "nearest is 'nominal'"),
+        (["--bound", "overshot=3"], "nearest is 'overshoot'"),
+        (["--bound", "overshoot=0"], "cost.bounds.overshoot"),
+        (["--bound", "overshoot"], "expected METRIC=NUMBER"),
     ],
 )
 def test_what_has_no_front_is_refused(
-    refused: Callable[..., Any], arguments: list[str], message: str
+    arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert message in refused("compare", *arguments)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(OrchestrationError, match=re.escape(message)):
+        run(*arguments)
     assert not Path("results").exists()
 
 
+def run(*arguments: str) -> None:
+    """Runs the command line of the script."""
+    app = typer.Typer()
+    app.command()(main)
+    app([*arguments], standalone_mode=False)
+
+
 @pytest.mark.slow
-def test_the_front_of_a_law_is_written_with_its_margins_and_drawn(command: Callable[..., Any]) -> None:
-    options = ("--laws", "adrc", "--seeds", "2", "--evaluations", "4", "--workers", "1", "--out", "here")
-    done = command("compare", "--fronts", *options)
-    assert done.stdout.splitlines()[-2:] == ["here/fronts.json", "here/fronts.svg"]
+def test_the_front_of_a_law_is_written_with_its_margins_and_drawn(
+    scenario_fmus: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run("--laws", "adrc", "--seeds", "2", "--evaluations", "4", "--workers", "1", "--out", "here")
+    assert capsys.readouterr().out.splitlines()[-2:] == ["here/fronts.json", "here/fronts.svg"]
     assert sorted(path.name for path in Path("here").iterdir()) == ["fronts.json", "fronts.svg"]
     document = json.loads(Path("here/fronts.json").read_text())
     assert document["effort"] == {"evaluations_per_gain_bound_and_seed": 4, "bounds": LEVELS, "seeds": 2}
