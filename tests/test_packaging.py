@@ -16,8 +16,6 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
-from cyclonedx.schema import SchemaVersion
-from cyclonedx.validation.json import JsonStrictValidator
 
 from fmus.platforms import PLATFORMS, host_platform
 from tests.shared_builds import Build, built_once, session_folder
@@ -149,6 +147,9 @@ def test_the_wheel_holds_every_file_and_the_libraries_of_five_platforms(wheel: P
 
 def test_the_wheel_has_a_bill_of_materials_of_its_libraries(wheel: Path) -> None:
     """PEP 770, with the digest of each library, and in RECORD as every file."""
+    from cyclonedx.schema import SchemaVersion
+    from cyclonedx.validation.json import JsonStrictValidator
+
     with zipfile.ZipFile(wheel) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     (path,) = (name for name in members if ".dist-info/sboms/" in name)

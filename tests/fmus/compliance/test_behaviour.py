@@ -125,6 +125,7 @@ def test_findings_name_their_interface_unless_it_is_co_simulation_alone() -> Non
     assert joined(rule, reasons).not_applicable == "as ModelExchange"
 
 
+@pytest.mark.slow
 def test_an_instance_that_a_licence_refuses_after_others_is_tried_alone(tmp_path: Path) -> None:
     begin = "(void)fmuResourceLocation, (void)visible;"
     refusal = """

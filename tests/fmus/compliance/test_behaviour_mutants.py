@@ -218,7 +218,7 @@ def test_a_leak_goes_on_where_other_growth_of_the_heap_stops(steps: list[int], l
     assert (growth_of_the_heap(counts) >= LEAST_LEAK) is leaks
 
 
-@pytest.mark.parametrize("slave", ["Behaviour", "Oscillator"])
+@pytest.mark.parametrize("slave", ["Behaviour", pytest.param("Oscillator", marks=pytest.mark.slow)])
 def test_blanks_around_booleans_and_numbers_are_no_finding(slave: str, tmp_path: Path) -> None:
     """xs:boolean, xs:int and xs:double collapse them."""
     content = members(write_slave(tmp_path, slave=slave))
@@ -265,6 +265,7 @@ def test_a_call_that_ends_the_process_is_told_by_the_first_of_the_rules_that_are
     assert second.not_judged == f"{call} does not return, which free-of-null-is-ignored tells"
 
 
+@pytest.mark.slow
 def test_an_fmu_that_gives_one_instance_in_each_process_is_judged(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,12 +9,13 @@ import pytest
 from fmus.build import builder
 from fmus.compliance.examine import examine
 from fmus.compliance.rule import all_rules
+from tests.mutants.mutant import broken_rules as static_broken_rules
 from tests.shared_builds import KINDS, Fmus
 
 from .archives import PYTHONFMU_ERRORS, broken_rules, errors
 
-# of all types, without a state, without an input
-OURS = "L1DepthController", "ThrustAllocation", "WaveSource"
+OURS = "L1DepthController"  # of all types
+WITHOUT_A_STATE_OR_AN_INPUT = "ThrustAllocation", "WaveSource"
 
 
 def some_by_default(names: Iterable[str], default: Collection[str]) -> list[Any]:
@@ -22,9 +23,14 @@ def some_by_default(names: Iterable[str], default: Collection[str]) -> list[Any]
     return [name if name in default else pytest.param(name, marks=pytest.mark.slow) for name in names]
 
 
-@pytest.mark.parametrize("name", some_by_default(builder.block_names(), OURS))
+@pytest.mark.parametrize("name", some_by_default(builder.block_names(), [OURS]))
 def test_our_native_fmus_break_no_rule(built: Fmus, name: str) -> None:
     assert broken_rules(built[name]) == {}
+
+
+@pytest.mark.parametrize("name", WITHOUT_A_STATE_OR_AN_INPUT)
+def test_the_files_of_our_native_fmus_break_no_rule(built: Fmus, name: str) -> None:
+    assert static_broken_rules(built[name]) == {}
 
 
 @pytest.mark.parametrize("name", some_by_default(KINDS, ["ExamplePlant"]))

@@ -15,11 +15,11 @@ from fmus.compliance.rule import Result
 from fmus.errors import MissingExtraError
 from fmus.platforms import host_platform, library_name
 from tests.described_fmus import XML, members
-from tests.shared_builds import Fmus
+from tests.mutants.slaves import write_slave
 
 from .archives import write
 
-NAME = "DepthReference"
+NAME = "Behaviour"
 HERE, ELSEWHERE = library_name(NAME, host_platform()), f"binaries/elsewhere/{NAME}.so"
 IMPORT_FAILS = "raise ImportError('libstdc++.so.6: cannot open shared object file')"
 CRASHES = """
@@ -57,9 +57,9 @@ def lief_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
 
 
 @pytest.fixture
-def elsewhere(built: Fmus, tmp_path: Path) -> Path:
+def elsewhere(tmp_path: Path) -> Path:
     """An FMU that has no library for this platform: none of its code runs."""
-    content = members(built[NAME])
+    content = members(write_slave(tmp_path))
     content[ELSEWHERE] = content.pop(HERE)
     return write(content, tmp_path / "elsewhere.fmu")
 
@@ -124,10 +124,10 @@ def test_of_several_libraries_the_one_that_lief_fails_on_is_named(
 
 
 def test_the_behaviour_is_judged_although_lief_cannot_read_the_library(
-    lief_is: Callable[[str], Path], built: Fmus
+    lief_is: Callable[[str], Path], tmp_path: Path
 ) -> None:
     lief_is(CRASHES)
-    results = {result.rule.name: result for result in examine(built[NAME])}
+    results = {result.rule.name: result for result in examine(write_slave(tmp_path))}
     assert {name for name, result in results.items() if result.outcome == "error"} == {"library-format"}
     assert results["steps-and-terminates"].outcome == "passed"
 

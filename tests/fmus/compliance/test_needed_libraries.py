@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import lief
 import pytest
 
 from fmus.platforms import host_platform, library_name
@@ -21,6 +20,8 @@ pytestmark = pytest.mark.skipif(host_platform() != "linux64", reason="only ELF l
 
 def fmu(built: Fmus, folder: Path, added: Members, search_path: str = "") -> Path:
     """Our FMU, whose library needs another one."""
+    import lief
+
     content = members(built[NAME])
     library = lief.ELF.parse(list(content[LIBRARY]))
     assert library is not None

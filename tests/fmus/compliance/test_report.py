@@ -25,11 +25,9 @@ from tests.described_fmus import members
 from tests.mutants.base import BASE, XML, changed, written
 from tests.mutants.mutant import broken_rules
 from tests.mutants.slaves import write_slave
-from tests.shared_builds import Fmus
 
 from .archives import write
 
-NAME = "DepthReference"
 _RESULTS: dict[object, list[Result]] = {}  # by extension, members, and what is asked
 
 
@@ -48,15 +46,21 @@ def _examined_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def deviating(built: Fmus, tmp_path: Path) -> Path:
-    """An FMU with a deviation and no error."""
-    return write(members(built[NAME]) | {"readme.txt": b""}, tmp_path / "deviating.fmu")
+def legal(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """The members of an FMU that breaks no rule."""
+    return members(write_slave(tmp_path_factory.mktemp("legal")))
 
 
 @pytest.fixture
-def wrong(built: Fmus, tmp_path: Path) -> Path:
+def deviating(legal: dict[str, bytes], tmp_path: Path) -> Path:
+    """An FMU with a deviation and no error."""
+    return write(legal | {"readme.txt": b""}, tmp_path / "deviating.fmu")
+
+
+@pytest.fixture
+def wrong(legal: dict[str, bytes], tmp_path: Path) -> Path:
     """An FMU with an error."""
-    return write(members(built[NAME]) | {"../escape": b""}, tmp_path / "wrong.fmu")
+    return write(legal | {"../escape": b""}, tmp_path / "wrong.fmu")
 
 
 def assert_complete(document: dict[str, Any], path: Path, name: str, outcome: str) -> None:
@@ -116,12 +120,11 @@ WAIVERS = {
 
 
 @pytest.fixture
-def unjudged(built: Fmus, tmp_path: Path) -> Path:
+def unjudged(legal: dict[str, bytes], tmp_path: Path) -> Path:
     """An FMU whose library lacks a function, so that no behaviour is judged."""
-    content = members(built[NAME])
-    (library,) = (name for name in content if name.startswith("binaries/"))
-    lacking = content[library].replace(b"\0fmi2DoStep\0", b"\0fmi2NoStep\0")
-    return write(content | {library: lacking}, tmp_path / "unjudged.fmu")
+    (library,) = (name for name in legal if name.startswith("binaries/"))
+    lacking = legal[library].replace(b"\0fmi2DoStep\0", b"\0fmi2NoStep\0")
+    return write(legal | {library: lacking}, tmp_path / "unjudged.fmu")
 
 
 @pytest.mark.parametrize(
@@ -270,13 +273,12 @@ def test_all_shows_the_rules_that_hold_and_those_that_do_not_apply(
 
 
 def test_an_fmu_in_a_folder_of_any_name_breaks_no_rule(
-    built: Fmus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    legal: dict[str, bytes], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     name = '-größe_深さ a b#c+d%20e [a](b){c} it\'s "quoted" %s %d'
     folder = tmp_path / name
     folder.mkdir()
-    path = folder / f"{name}.fmu"
-    path.write_bytes(built[NAME].read_bytes())
+    path = write(legal, folder / f"{name}.fmu")
     file = folder / f"{name}.json"
     assert main([str(path), "--format", "json", "--out", str(file)]) == 0
     assert json.loads(file.read_text(encoding="utf-8"))["fmus"][0]["fmu"] == str(path)

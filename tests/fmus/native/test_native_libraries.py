@@ -12,7 +12,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import lief
 import pytest
 
 from fmus.native import toolchain
@@ -20,9 +19,6 @@ from fmus.platforms import PLATFORMS, library_name
 from tests.shared_builds import Fmus
 
 pytestmark = pytest.mark.cross
-
-
-lief.logging.disable()
 
 BLOCKS = ("RovDepthPlant", "WaveSource")  # with tables and events, and with the most of the C library
 LINUX = ["linux64", "aarch64-linux"]
@@ -57,6 +53,9 @@ class Library:
     """One library: its bytes, and what LIEF says of each slice (one but for a universal one)."""
 
     def __init__(self, fmu: Path, platform: str) -> None:
+        import lief
+
+        lief.logging.disable()
         self.name, self.platform, self.data = fmu.stem, platform, _read(fmu, platform)
         self.file = Path(library_name(fmu.stem, platform)).name
         if platform in APPLE:
@@ -143,6 +142,8 @@ def test_its_stack_and_its_tables_are_protected(libraries: Libraries, block: str
 
 
 def test_on_windows_it_can_be_placed_anywhere(libraries: Libraries, block: str) -> None:
+    import lief
+
     (binary,) = libraries(block, "win64").slices
     characteristics = int(binary.optional_header.dll_characteristics)
     for flag in ("HIGH_ENTROPY_VA", "DYNAMIC_BASE", "NX_COMPAT"):

@@ -5,12 +5,9 @@ import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
-import lief
 import pytest
 
 from fmus.platforms import library_name
-
-lief.logging.disable()
 
 # writable until the loader has put its addresses in, constant from then on
 OF_THE_LOADER = {
@@ -36,6 +33,9 @@ def test_a_library_has_no_memory_of_its_own_and_calls_what_has_none(
     built: Mapping[str, Path], fmi3_built: Mapping[str, Path], block: str, fmi: int
 ) -> None:
     """FMI 2.0.5, 2.1: so instances may share it, and run in threads side by side."""
+    import lief
+
+    lief.logging.disable()
     with zipfile.ZipFile((built if fmi == 2 else fmi3_built)[block]) as archive:
         library = lief.ELF.parse(io.BytesIO(archive.read(library_name(block, "linux64", fmi))))
     assert library

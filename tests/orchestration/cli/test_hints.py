@@ -119,7 +119,8 @@ def test_the_mappings_that_messages_ask_for_give_a_vehicle_to_tune(
     for _ in own:
         (hint,) = re.findall(r"(--map \S+)=NAME", error(*options, *hints))
         hints += f"{hint}={own[hint.partition('plant.')[2]]}".split()
-    assert "boat.fmu has no binary" in error(*options, *hints, "--evaluations", "1", "--seeds", "1")
+    least = ("--evaluations", "1", "--seeds", "1", "--workers", "1", "--cases", "nominal")
+    assert "boat.fmu has no binary" in error(*options, *hints, *least)
 
 
 @pytest.mark.parametrize(

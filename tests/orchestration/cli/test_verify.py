@@ -12,8 +12,6 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import pytest
-from cyclonedx.schema import SchemaVersion
-from cyclonedx.validation.json import JsonStrictValidator
 
 import fmus
 from fmus.build import builder, native
@@ -38,6 +36,9 @@ LISTED = b'<fmiBuildDescription><SourceFile name="%b"/></fmiBuildDescription>'
 
 
 def bill_of(fmu: Path) -> dict[str, Any]:
+    from cyclonedx.schema import SchemaVersion
+    from cyclonedx.validation.json import JsonStrictValidator
+
     text = members(fmu)[MEMBER].decode()
     assert JsonStrictValidator(SchemaVersion.V1_6).validate_str(text) is None
     return json.loads(text)

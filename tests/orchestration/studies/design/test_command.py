@@ -8,23 +8,38 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import tomli_w
+
+from orchestration.scenarios.vehicle import description_file
+from tests.shared_builds import Fmus
 
 Command = Callable[..., Any]
 
 
+@pytest.fixture
+def boat(built: Fmus, tmp_path: Path) -> Path:
+    """Our vehicle with the ranges of its inertia and thrust alone."""
+    path = tmp_path / "boat.fmu"
+    path.write_bytes(built["RovDepthPlant"].read_bytes())
+    described = dict(description_file("RovDepthPlant").data)
+    described["vary"] = {name: described["vary"][name] for name in ("inertia", "thrust")}
+    path.with_suffix(".vehicle.toml").write_text(tomli_w.dumps(described))
+    return path
+
+
 def test_every_corner_of_our_vehicle_settles_and_a_run_takes_the_file(
-    command: Command, tmp_path: Path
+    command: Command, boat: Path, tmp_path: Path
 ) -> None:
-    designed = command("design", "--plant", "RovDepthPlant", "--draws", "2", "--out", "out").stdout
-    assert designed.splitlines()[-2:] == ["out/RovDepthPlant-l1.toml", "out/RovDepthPlant-pid.toml"]
-    assert re.search(r"RovDepthPlant: 128 corners, 2 draws", designed)
-    assert designed.count("131 of 131") == 3
+    designed = command("design", "--plant", boat, "--draws", "2", "--bandwidth", "0.7", "--out", "out").stdout
+    assert designed.splitlines()[-2:] == ["out/boat-l1.toml", "out/boat-pid.toml"]
+    assert re.search(r"boat: 4 corners, 2 draws", designed)
+    assert designed.count("7 of 7") == 3
     for ending, controller in (("l1", ()), ("pid", ("--controller", "PidDepthController"))):
-        path = tmp_path / f"out/RovDepthPlant-{ending}.toml"
+        path = tmp_path / f"out/boat-{ending}.toml"
         written = tomllib.loads(path.read_text())
         assert all(entry["unit"] and entry["source"] for entry in written["parameters"].values())
         options = ("--parameters", path, "--formats", "none", "--out", f"run-{ending}")
-        command("run", "nominal-extended", *controller, *options)
+        command("run", "nominal-extended", "--plant", boat, *controller, *options)
         (result,) = (tmp_path / f"run-{ending}").glob("*.json")
         rmse = json.loads(result.read_text())["metrics"]["rmse"]["value"]
         assert rmse == pytest.approx(written["design"]["checked"][-1]["rmse_cm"], abs=6e-4)  # 3 decimals
@@ -32,14 +47,14 @@ def test_every_corner_of_our_vehicle_settles_and_a_run_takes_the_file(
 
 
 def test_a_place_that_does_not_settle_ends_the_command_and_writes_nothing(
-    command: Command, tmp_path: Path
+    command: Command, boat: Path, tmp_path: Path
 ) -> None:
     """The rules do not know the dead zone."""
     zones = [f"plant.thruster_dead_zone[{i}]=11.9" for i in (1, 2)]
-    settings = (part for zone in zones for part in ("--set", zone))
-    done = command("design", "--plant", "RovDepthPlant", *settings, "--draws", "0", expect=1)
+    options = (*(part for zone in zones for part in ("--set", zone)), "--bandwidth", "0.5", "--out", "out")
+    done = command("design", "--plant", boat, "--draws", "0", *options, expect=1)
     assert re.search(r"L1: does not settle at the start values; \d+ more runs do not: no file", done.stderr)
-    assert not list(tmp_path.rglob("*.toml"))
+    assert not list(tmp_path.glob("out/*"))
 
 
 @pytest.mark.parametrize(

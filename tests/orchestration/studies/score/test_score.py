@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import jsonschema
 import pytest
 
 from orchestration.errors import OrchestrationError, ScenarioError
@@ -181,6 +180,8 @@ def test_all_controllers_get_the_same_plants(document: Score, path: Path) -> Non
 
 
 def test_the_document_is_what_its_schema_says_and_reads_back(document: Score) -> None:
+    import jsonschema  # costs a second
+
     text = document.model_dump_json()
     schema = json.loads(score_document.SCHEMA.read_text(encoding="utf-8"))
     jsonschema.validate(json.loads(text), schema)
