@@ -9,7 +9,7 @@ import uuid
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -40,11 +40,17 @@ WITHOUT_WORKERS_S = 120.0
 _AHEAD = 3  # batches for each thread: one runs, the others wait
 
 
-@contextmanager
-def runs(address: str, workers: int | None, note: Callable[[str], object]) -> Iterator["ClusterRuns"]:
-    """Yields the workers of a scheduler somewhere, such as tcp://host:8786, as a place of runs."""
+def runs(
+    address: str, workers: int | None, note: Callable[[str], object]
+) -> AbstractContextManager["ClusterRuns"]:
+    """Returns the workers of a scheduler somewhere, such as tcp://host:8786, as a place of runs."""
     if workers:
         raise SweepError(f"{address} with {workers} workers: expected none; a cluster has its own")
+    return _connected(address)
+
+
+@contextmanager
+def _connected(address: str) -> Iterator["ClusterRuns"]:
     try:
         client = Client(address, timeout=PATIENCE_S, name="l1-depth sweep")
     except (OSError, ValueError) as error:

@@ -290,6 +290,11 @@ def test_a_cluster_whose_workers_are_gone_is_told(
             swept(made, started, tmp_path)
 
 
+def test_workers_of_this_machine_beside_a_cluster_are_refused(refused: Callable[..., str]) -> None:
+    message = refused("sweep", "monte-carlo", "--where", "tcp://a:1", "--workers", "2")
+    assert "tcp://a:1 with 2 workers: expected none" in message
+
+
 def test_a_scheduler_that_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "PATIENCE_S", 1.0)
     with (

@@ -177,3 +177,20 @@ def test_metrics_of_a_force_have_newtons_and_no_volts() -> None:
     )
     assert unlimited["u"].tolist() == [-8.0, 3.0]
     assert np.isnan(unlimited["saturated"]).all()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "margins nominal-l1 --plant",
+        "score PidDepthController --plant",
+        "tune pid --plant",
+        "compare --plant",
+        "design --plant",
+        "fit --data dive.csv --free mass",
+    ],
+)
+def test_every_study_takes_a_vehicle_by_the_same_names(refused: Callable[..., str], arguments: str) -> None:
+    assert "no block 'RovDepthPlan', and a path must end in .fmu, .py" in refused(
+        *arguments.split(), "RovDepthPlan"
+    )
