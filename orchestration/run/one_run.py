@@ -1,10 +1,7 @@
 """One run of a system."""
 
-from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import fields
-from inspect import signature
-from typing import Any, Never
+from typing import Any, Unpack
 
 from fmus.errors import nearest
 from orchestration.errors import SystemDefinitionError
@@ -12,19 +9,11 @@ from orchestration.results.recording import Recording
 from orchestration.run.checkpoint import Checkpoint, Checkpoints
 from orchestration.run.simulator import Simulator
 from orchestration.run.stepping import Progress
-from orchestration.system.experiment import (
-    AlgorithmName,
-    Event,
-    Experiment,
-    InitialisationName,
-    OpenInputsName,
-    suggested_times,
-)
-from orchestration.system.faults import Fault
+from orchestration.system.experiment import Experiment, ExperimentSettings, suggested_times
 from orchestration.system.prepared_run import PreparedRun, prepare
-from orchestration.system.signals import Signal
 from orchestration.system.system import System
-from orchestration.system.values import Value
+
+_TIMES = ("stop_time", "step_size", "start_time")
 
 
 def simulate(
@@ -32,36 +21,18 @@ def simulate(
     experiment: Experiment | None = None,
     progress: Progress | None = None,
     *,
-    stop_time: float | None = None,
-    step_size: float | None = None,
-    start_time: float | None = None,
-    algorithm: AlgorithmName = "jacobi",
-    parameters: Mapping[str, Value] = {},
-    inputs: Mapping[str, Value] = {},
-    signals: Mapping[str, Signal] = {},
-    events: Sequence[Event] = (),
-    record: Sequence[str] = (),
-    extrapolation: int = 0,
-    step_sizes: Mapping[str, float] = {},
-    tolerance: float | None = None,
-    fmu_tolerance: float | None = None,
-    initialisation: InitialisationName = "automatic",
-    faults: Sequence[Fault] = (),
-    open_inputs: OpenInputsName = "error",
-    error_estimate: bool = False,
     timeout: float | None = None,
     real_time: float | None = None,
     checkpoints: Checkpoints | None = None,
     resume: Checkpoint | None = None,
     statistics: bool = False,
-    **misspelt: Never,
+    **settings: Unpack[ExperimentSettings],
 ) -> Recording:
     """Runs a system once and frees its FMUs.
 
         simulate(system, stop_time=10.0, step_size=0.01)
 
-    experiment: in place of the settings stop_time .. error_estimate, which are those of `Experiment`
-    stop_time, step_size, start_time: [s], by default as the FMUs suggest
+    settings: those of `Experiment`, in place of one; times [s] are by default as the FMUs suggest
     timeout: longest time [s] that a call of an FMU may take, a step for instance; the FMUs then run in a
     process of their own, so that one that hangs or crashes does no harm to this process
     progress, real_time, checkpoints, resume, statistics: see `Simulator.run`
@@ -69,24 +40,24 @@ def simulate(
     Raises SystemDefinitionError or FmuLoadError before the run starts, SimulationError afterwards: its
     `recording` holds the values recorded until then.
     """
-    arguments = locals()
     if not isinstance(system, System):
         raise SystemDefinitionError(f"simulate: expected a System, got {system!r}")
-    known = signature(simulate).parameters
-    for name in misspelt:
-        raise SystemDefinitionError(f"no setting {name!r}; {nearest(name, [*known][1:-1])}")
-    names = [setting.name for setting in fields(Experiment)]  # the times first
+    known, others = (
+        ExperimentSettings.__annotations__,
+        ("timeout", "real_time", "checkpoints", "resume", "statistics"),
+    )
+    for name in settings.keys() - known.keys():
+        raise SystemDefinitionError(f"no setting {name!r}; {nearest(name, [*known, *others])}")
     if experiment is None:
-        times = suggested_times(system, stop_time, step_size, start_time)
-        experiment = Experiment(*times, **{name: arguments[name] for name in names[3:]})
-    else:
-        given = [name for name in names if arguments[name] != known[name].default]
-        if given:
-            raise SystemDefinitionError(
-                f"simulate: expected an experiment or its settings, got both: {', '.join(given)}"
-            )
-    options = {name: arguments[name] for name in ("real_time", "checkpoints", "resume", "statistics")}
-    return simulate_prepared(system, prepare(system, experiment), progress, timeout, **options)
+        given: dict[str, Any] = {**settings}
+        times = suggested_times(system, *(given.pop(name, None) for name in _TIMES))
+        experiment = Experiment(*times, **given)
+    elif settings:
+        raise SystemDefinitionError(
+            f"simulate: expected an experiment or its settings, got both: {', '.join(settings)}"
+        )
+    how = {"real_time": real_time, "checkpoints": checkpoints, "resume": resume, "statistics": statistics}
+    return simulate_prepared(system, prepare(system, experiment), progress, timeout, **how)
 
 
 def simulate_prepared(

@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 
@@ -130,6 +130,28 @@ class Experiment:
     def time_grid(self) -> np.ndarray:
         """Returns start time, stop time and the multiples of the step size between them [s], shape (n,)."""
         return time_grid(self.start_time, self.stop_time, self.step_size)
+
+
+class ExperimentSettings(TypedDict, total=False):
+    """The settings of an `Experiment` as keyword arguments."""
+
+    stop_time: float | None
+    step_size: float | None
+    start_time: float | None
+    algorithm: AlgorithmName
+    parameters: Mapping[str, Value]
+    inputs: Mapping[str, Value]
+    signals: Mapping[str, Signal]
+    events: Sequence[Event]
+    record: Sequence[str]
+    extrapolation: int
+    step_sizes: Mapping[str, float]
+    tolerance: float | None
+    fmu_tolerance: float | None
+    initialisation: InitialisationName
+    faults: Sequence[Fault]
+    open_inputs: OpenInputsName
+    error_estimate: bool
 
 
 def _member(kind: type[StrEnum], value: Any, name: str) -> StrEnum:

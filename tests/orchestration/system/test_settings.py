@@ -3,14 +3,14 @@
 import math
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 import pytest
 
 from orchestration import Cosine, Event, Experiment, Simulator, System, Table, simulate
 from orchestration.errors import SystemDefinitionError
-from orchestration.system.experiment import Algorithm, Initialisation, suggested_times
+from orchestration.system.experiment import Algorithm, ExperimentSettings, Initialisation, suggested_times
 from tests.described_fmus import redescribed
 from tests.shared_builds import Build
 
@@ -65,6 +65,13 @@ def test_times_that_the_fmus_do_not_agree_on_must_be_given(linear: Build, tmp_pa
 def test_natural_mistakes_are_told(linear: Build, settings: dict[str, Any], complaint: str) -> None:
     with pytest.raises(SystemDefinitionError, match=complaint):
         simulate(System({"one": linear()}), **settings)
+
+
+def test_the_settings_of_simulate_are_those_of_an_experiment() -> None:
+    """But for times, which may be None: the FMUs suggest them."""
+    of_simulate, of_experiment = map(get_type_hints, (ExperimentSettings, Experiment))
+    times = dict.fromkeys(("stop_time", "step_size", "start_time"), float | None)
+    assert of_simulate == of_experiment | times
 
 
 def test_plain_types_mean_what_they_say(linear: Build) -> None:
