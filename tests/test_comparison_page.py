@@ -182,10 +182,11 @@ def test_the_cases_that_repeat_the_nominal_one_are_those_that_do(document: Score
 
 
 def many_runs(document: Score) -> Iterator[tuple[ManyRuns, int]]:
+    tables = read_protocol().tables
     for row in document.rows:
-        yield plants(row), read_protocol().tables.plants.count
+        yield plants(row), tables.plants.count
         for runs in row.draws.values():
-            yield runs, read_protocol().tables.repetitions
+            yield runs, tables.repetitions
 
 
 def test_the_statistics_are_those_of_the_runs(document: Score) -> None:

@@ -161,8 +161,8 @@ def test_ranges_for_which_there_is_no_design_are_refused(
     message: str,
 ) -> None:
     """By a search of the same range in steps that are longer."""
-    monkeypatch.setattr(rules, "_RATIO", 1.5)
-    monkeypatch.setattr(rules, "_STEPS", 14)
+    monkeypatch.setattr(rules, "_RATIO", 2.25)
+    monkeypatch.setattr(rules, "_STEPS", 7)
     with pytest.raises(OrchestrationError, match=f"^no L1 for RovDepthPlant: {message}"):
         rules.design_l1(replace(data, **changed), conditions, bandwidth)
 
