@@ -128,7 +128,7 @@ def number_of(signals: Recording, number: int) -> int:
     return number
 
 
-@pytest.mark.parametrize("waits", ["child", "parent"])
+@pytest.mark.parametrize("waits", ["child", pytest.param("parent", marks=pytest.mark.slow)])
 def test_each_case_of_a_score_has_the_cause(forker: Build, vehicle_fmus: None, waits: str) -> None:
     names = {"depth_reference": "u", "control_force": "y"}
     controller = Controller("forker", str(forker(STEP, waits)), mapping=names)
