@@ -83,13 +83,14 @@ def test_the_headings_of_the_findings_are_those_of_the_run(document: Score, numb
 
 
 def test_delay_margins_are_over_the_noise_of_every_draw(document: Score, numbers: Any) -> None:
+    tables = read_protocol().tables
     for row in document.rows:
-        assert len(row.delay_margins) == read_protocol().tables.repetitions
+        assert len(row.delay_margins) == tables.repetitions
         assert row.delay_margin == pytest.approx(median(row.delay_margins), rel=ROUNDED)
         middle, low, high = map(float, re.findall(r"\d+", comparison_page.margin(row)))
         shown = 1e-3 * np.array([low, middle, high])
         assert shown == pytest.approx(np.quantile(row.delay_margins, [0.0, 0.5, 1.0]), abs=0.51e-3)
-    bound = read_protocol().tables.cost.bounds["delay_margin"]
+    bound = tables.cost.bounds["delay_margin"]
     in_all, in_median = ([row.name for row in rows] for rows in numbers.keeping(bound))
     assert in_all == [row.name for row in numbers.tuned if all(m >= bound for m in row.delay_margins)]
     assert in_median == [row.name for row in numbers.tuned if median(row.delay_margins) >= bound]
@@ -182,10 +183,11 @@ def test_the_cases_that_repeat_the_nominal_one_are_those_that_do(document: Score
 
 
 def many_runs(document: Score) -> Iterator[tuple[ManyRuns, int]]:
+    tables = read_protocol().tables
     for row in document.rows:
-        yield plants(row), read_protocol().tables.plants.count
+        yield plants(row), tables.plants.count
         for runs in row.draws.values():
-            yield runs, read_protocol().tables.repetitions
+            yield runs, tables.repetitions
 
 
 def test_the_statistics_are_those_of_the_runs(document: Score) -> None:

@@ -42,16 +42,16 @@ def test_it_follows_the_trajectory_and_is_quiet_at_its_start_gains(
 
 
 @pytest.mark.filterwarnings("error::orchestration.errors.ScenarioWarning")
+@pytest.mark.parametrize("name", CONTROLLERS)
 @pytest.mark.parametrize(
     "path",
     [p for n, p in scenario.shipped().items() if not n.startswith("example")],
     ids=lambda path: path.stem,
 )
 def test_every_scenario_takes_it_without_a_warning(
-    scenario_fmus: None, built: Mapping[str, Path], path: Path
+    scenario_fmus: None, built: Mapping[str, Path], path: Path, name: str
 ) -> None:
-    for name in CONTROLLERS:
-        scenario.load(path, settings={"controller": str(built[name])})
+    scenario.load(path, settings={"controller": str(built[name])})
 
 
 @pytest.mark.filterwarnings("error::orchestration.errors.ScenarioWarning")

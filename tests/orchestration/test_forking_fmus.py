@@ -28,6 +28,12 @@ from tests.foreign_fmus import FORKING_CALLS
 from tests.shared_builds import Build
 
 CAUSE = "and the child returned from the call; expected a child that calls _exit or exec"
+STEP = "fmi2DoStep"
+FORKS = [
+    pytest.param(call, waits, marks=[pytest.mark.slow] if waits == "parent" and call != STEP else [])
+    for call in FORKING_CALLS
+    for waits in ("child", "parent")
+]
 TO_END_S = 30.0  # for killed processes, on a machine that is busy
 # y' = u from 0 for 1 s, so that y ends at u
 SWEEP = """
@@ -69,8 +75,7 @@ def processes_of(temporary: Path) -> list[psutil.Process]:
     return found
 
 
-@pytest.mark.parametrize("waits", ["child", "parent"])
-@pytest.mark.parametrize("call", FORKING_CALLS)
+@pytest.mark.parametrize(("call", "waits"), FORKS)
 def test_each_sample_has_its_own_metrics_or_the_cause(
     forker: Build, folder: Path, call: str, waits: str
 ) -> None:
@@ -85,11 +90,7 @@ def test_each_sample_has_its_own_metrics_or_the_cause(
     assert any(row["error"] for row in rows)
 
 
-NOT_RESET = [call for call in FORKING_CALLS if call != "fmi2Reset"]
-
-
-@pytest.mark.parametrize("waits", ["child", "parent"])
-@pytest.mark.parametrize("call", NOT_RESET)
+@pytest.mark.parametrize(("call", "waits"), [fork for fork in FORKS if fork.values[0] != "fmi2Reset"])
 def test_a_run_ends_with_the_cause_and_its_child(forker: Build, call: str, waits: str) -> None:
     """With a timeout, than which its one step takes less, and in this process: there the child would go on
     with the program that called `simulate`.
@@ -104,7 +105,7 @@ def test_a_run_ends_with_the_cause_and_its_child(forker: Build, call: str, waits
 
 
 @pytest.mark.parametrize("child", ["exits", "becomes"])
-@pytest.mark.parametrize("call", ["fmi2Instantiate", "fmi2DoStep"])
+@pytest.mark.parametrize("call", ["fmi2Instantiate", STEP])
 def test_a_child_that_does_not_return_is_no_error(forker: Build, call: str, child: str) -> None:
     system = System({"f": forker(call, "child", child=child)})
     recording = simulate(system, Experiment(1.0, 0.1, inputs={"f.u": -2.0}))
@@ -113,7 +114,7 @@ def test_a_child_that_does_not_return_is_no_error(forker: Build, call: str, chil
 
 def test_a_fork_is_the_fault_of_its_own_run_alone(forker: Build, linear: Build) -> None:
     """The one that another run of this process ends with is neither of a run before nor of one after."""
-    forking = System({"f": forker("fmi2DoStep", "child")})
+    forking = System({"f": forker(STEP, "child")})
     with Simulator(System({"one": linear()})) as simulator:
         run = simulator.start(Experiment(1.0, 0.1, inputs={"one.u[1]": 1.0}))
         with pytest.raises(OrchestrationError, match=f"f forked its process {CAUSE}"):
@@ -128,10 +129,10 @@ def number_of(signals: Recording, number: int) -> int:
     return number
 
 
-@pytest.mark.parametrize("waits", ["child", "parent"])
+@pytest.mark.parametrize("waits", ["child", pytest.param("parent", marks=pytest.mark.slow)])
 def test_each_case_of_a_score_has_the_cause(forker: Build, vehicle_fmus: None, waits: str) -> None:
     names = {"depth_reference": "u", "control_force": "y"}
-    controller = Controller("forker", str(forker("fmi2DoStep", waits)), mapping=names)
+    controller = Controller("forker", str(forker(STEP, waits)), mapping=names)
     protocol = read_protocol()
     runs = [ClosedLoopRun(protocol.nominal, partial(number_of, number=i)) for i in range(2)]
     with LocalRuns(1, isolate=True) as place:

@@ -251,7 +251,7 @@ def test_a_process_of_its_own_ends_with_the_fmu_and_keeps_the_record(
 
 
 def test_an_initialisation_that_hangs_is_ended(function: Build, temporary: Path) -> None:
-    hangs = System({"f": function("({ for (;;) {} u; })")})
+    hangs = System({"f": function("({ extern int pause(void); for (;;) pause(); u; })")})
     with pytest.raises(SimulationError, match="in the initialisation: did not return within 1 s") as caught:
         simulate(hangs, Experiment(1.0, 0.1, inputs={"f.u": 0.0}), timeout=1.0)
     assert len(caught.value.recording.time) == 0

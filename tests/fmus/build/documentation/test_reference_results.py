@@ -2,6 +2,7 @@
 
 import csv
 import io
+import itertools
 import re
 import zipfile
 from collections.abc import Mapping
@@ -27,10 +28,20 @@ from fmus.build.documentation.reference_results import (
     reference_run,
 )
 from fmus.errors import ExportError
+from fmus.registry import Flavour
 from tests.mutants.mutant import broken_rules
-from tests.shared_builds import one_of_a_kind
+from tests.shared_builds import KINDS, one_of_a_kind
 
 ROUNDING = 1e-10  # of an output's largest value: a thousand times what was ever seen
+REPLAYED = [  # that of an interpreter takes long
+    *((name, Flavour.NATIVE) for name in KINDS),
+    ("ExamplePlant", Flavour.PYTHON),
+]
+REPLAYED += [
+    pytest.param(*row, marks=pytest.mark.slow)
+    for row in itertools.product(builder.block_names(), Flavour)
+    if row not in REPLAYED
+]
 MOST_BYTES = 1_000_000  # of a table, by the rules of the cross-check
 
 
@@ -81,6 +92,7 @@ def replayed(folder: Path, name: str, fmu: Path) -> tuple[Any, Any]:
     return reference, result[::every]
 
 
+@pytest.mark.parametrize(("name", "either"), REPLAYED, indirect=True)
 def test_an_importer_that_replays_the_files_gets_the_same(
     folder: Path, either: dict[str, Path], name: str
 ) -> None:

@@ -21,6 +21,7 @@ def written(folder: Path) -> dict[str, dict[str, Any]]:
 def test_every_figure_has_its_unit_its_assumption_and_its_source(
     command: Command, short_scenario: Callable[..., Path], tmp_path: Path
 ) -> None:
+    """What a group assumes is printed once, and each part of the rest with its number."""
     short_scenario()
     done = command("margins", "short.toml", *HOLD, "--over", "controller.adaptation_gain=100", "--out", "out")
     assert done.stdout.splitlines()[-1] == "out/margins.json"
@@ -36,13 +37,6 @@ def test_every_figure_has_its_unit_its_assumption_and_its_source(
     at_rest = figures["linear loop: delay margin, at this adaptation gain"]
     assert at_rest["assumption"].startswith("kappa = 100.0")
     assert figures["through the FMUs: delay margin, control"]["value"] == 0.6  # nothing is lost in 0.1 s
-
-
-def test_what_a_group_assumes_is_printed_once_and_each_part_of_the_rest_with_its_number(
-    command: Command, short_scenario: Callable[..., Path], tmp_path: Path
-) -> None:
-    short_scenario()
-    done = command("margins", "short.toml", *HOLD, "--out", "out")
     table, _, below = done.stdout.partition("└")
     lines = below.splitlines()
     of_group = {line.partition(": ")[0]: line for line in lines if not line.startswith("[")}
@@ -50,8 +44,7 @@ def test_what_a_group_assumes_is_printed_once_and_each_part_of_the_rest_with_its
     assert len(set(numbered.values())) == len(numbered) > 5
     rows = [[cell.strip() for cell in row.strip("│").split("│")] for row in table.splitlines() if "│" in row]
     rows = [row for row in rows if row[2]]  # a long name goes on in the next line
-    figures = written(tmp_path / "out").values()
-    for (*_, note), figure in zip(rows, figures, strict=True):
+    for (*_, note), figure in zip(rows, figures.values(), strict=True):
         printed = (
             f"{of_group[figure['group']].removeprefix(figure['group'] + ': ')}; {numbered.get(note, '')}"
         )

@@ -66,7 +66,7 @@ def test_a_python_class_is_scored_by_its_name_and_the_command_fails_where_it_fai
     command: Callable[..., Any], protocol_file: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "own.py").write_text(PROPORTIONAL)
-    arguments = "--set", "controller.gain=4.0", "--protocol", protocol_file
+    arguments = "--set", "controller.gain=4.0", "--protocol", protocol_file, "--workers", "1"
     done = command("score", "own.py:Proportional", *arguments, expect=1)
     assert done.stderr == "l1-depth: Proportional failed every case, nominal with: not settled\n"
     (row,) = json.loads((tmp_path / "results" / "score.json").read_text(encoding="utf-8"))["rows"]
