@@ -12,7 +12,7 @@ from fmus.errors import nearest
 from fmus.fmi.description import start_value
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
-from orchestration.exchange.web_program import program
+from orchestration.report.web_program import program
 from orchestration.results.files import points_down
 from orchestration.results.metrics import SIGNALS
 from orchestration.results.page import packed, page

@@ -1,4 +1,4 @@
-"""What a WebAssembly program cannot carry is refused; report/test_live.py runs programs."""
+"""What a WebAssembly program cannot carry is refused; test_live.py runs programs."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,7 +9,7 @@ from fmus.errors import FmuLoadError
 from fmus.files import write_archive
 from orchestration import Experiment, System
 from orchestration.errors import ScenarioError
-from orchestration.exchange.web_program import program
+from orchestration.report.web_program import program
 from orchestration.system.prepared_run import prepare
 from tests.described_fmus import described, members, redescribed
 

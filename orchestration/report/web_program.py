@@ -78,12 +78,12 @@ def program(prepared: PreparedRun, settings: Sequence[Setting]) -> bytes:
     here = resources.files("orchestration")
     with TemporaryDirectory(prefix="l1-depth-web-") as name:
         folder = Path(name)
-        compiled = ["exchange/web_program.c", *_unpack_sources(system, folder, FMI_HEADERS)]
-        (folder / "exchange").mkdir()
-        for file in ("exchange/files/web_program.c", "run/loop.c", "run/process_guard.h"):
+        compiled = ["program/web_program.c", *_unpack_sources(system, folder, FMI_HEADERS)]
+        (folder / "program").mkdir()
+        for file in ("report/files/web_program.c", "run/loop.c", "run/process_guard.h"):
             text = (here / file).read_text("utf-8")
-            (folder / "exchange" / Path(file).name).write_text(text, "utf-8", newline="\n")
-        (folder / "exchange" / "plan.h").write_text(_plan(prepared, settings), "utf-8", newline="\n")
+            (folder / "program" / Path(file).name).write_text(text, "utf-8", newline="\n")
+        (folder / "program" / "plan.h").write_text(_plan(prepared, settings), "utf-8", newline="\n")
         exported = [f"-Wl,--export={name}" for name in _EXPORTED]
         arguments = ["cc", *FLAGS, *_OPTIONS, *exported, "-I", str(FMI_HEADERS), "-o", "program.wasm"]
         zig([*arguments, *compiled], folder)
