@@ -5,9 +5,13 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
+
+from fmus import registry
+from orchestration.cli.commands import command_function, command_names, run_command
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("fmus", "controller_fmu", "plant_fmu", "orchestration")
@@ -81,3 +85,21 @@ def test_without_a_satellite_all_else_is_imported_and_its_commands_are_gone(
 def test_without_any_satellite_the_tests_of_the_core_pass(tmp_path: Path) -> None:
     copy = copied_without(SATELLITES, tmp_path)
     python(copy, "-m", "pytest", "-q", "-n", "2", "tests/fmus", "tests/orchestration")
+
+
+def test_a_command_of_another_package_is_run_and_one_that_is_gone_or_takes_a_name_is_not(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    offered = [
+        EntryPoint("others", "orchestration.cli.run:scenarios", registry.COMMANDS),
+        EntryPoint("gone", "orchestration.nowhere.command:gone", registry.COMMANDS),
+        EntryPoint("run", "orchestration.cli.run:scenarios", registry.COMMANDS),
+    ]
+    monkeypatch.setattr(registry, "entry_points", lambda group: offered)
+    names = command_names()
+    assert "others" in names
+    assert "gone" not in names
+    assert names.count("run") == 1
+    assert command_function("run")[0].__name__ == "run"
+    assert run_command(["others"]) == 0
+    assert "nominal-l1" in capsys.readouterr().out

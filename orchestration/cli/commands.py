@@ -40,10 +40,10 @@ _CORE = {
 def command_names() -> list[str]:
     """Returns the names of all commands: those of this package, then the installed ones.
 
-    The latter are entry points of the group `l1_depth.commands`, functions whose modules state the `PANEL` of
-    the help.
+    The latter are entry points of the group `l1_depth.commands`; their modules may state the `PANEL` of the
+    help. None takes the name of a command of this package.
     """
-    return [*_CORE, *registry.installed(registry.COMMANDS)]
+    return list(dict.fromkeys([*_CORE, *registry.installed(registry.COMMANDS)]))
 
 
 def command_function(name: str) -> tuple[Callable[..., None], str]:
@@ -52,7 +52,7 @@ def command_function(name: str) -> tuple[Callable[..., None], str]:
         module, panel = _CORE[name]
         return getattr(import_module(f"orchestration.cli.{module}"), name), panel
     point = registry.installed(registry.COMMANDS)[name]
-    return point.load(), import_module(point.module).PANEL
+    return point.load(), getattr(import_module(point.module), "PANEL", "Other tools")
 
 
 def application(names: Iterable[str] = ()) -> typer.Typer:

@@ -245,10 +245,11 @@ def loop_library(instructions: str) -> ctypes.CDLL:
 class Device(Protocol):
     """Device on which an ensemble steps in place of this processor, such as a GPU.
 
-    loop: class of the instances there
+    name: in messages; loop: class of the instances there
     arrays: a module of arrays with the interface of NumPy, and `get` for a copy of it as one of NumPy
     """
 
+    name: str
     loop: type[EnsembleLoop]
     arrays: Any
 

@@ -117,7 +117,7 @@ class LocalRuns(AbstractContextManager["LocalRuns"]):
         job = job.with_packed_fmus().with_unpacked_fmus(Path(folder))
         independent = all(is_independent(describe(path)) for path in job.system.components.values())
         if self.device:
-            self._note("the device")
+            self._note(self.device.name)
             runner = Vectorised(job, True, self.device)
             self._in_process = (self._loaded.enter_context(runner),)
             return self._in_process

@@ -94,7 +94,7 @@ def vector_limits(
         if job.not_in_vectors:
             raise EnsembleError(job.not_in_vectors)
         if device and job.timeout:
-            raise EnsembleError(f"a device ends no run: expected no timeout, got {job.timeout:g} s")
+            raise EnsembleError(f"{device.name} ends no run: expected no timeout, got {job.timeout:g} s")
         group_bytes = check_ensemble(job.system, job.base, count, bool(vectorise), threads=workers)
         Ensemble(job.system, device=device).close()
         if device:

@@ -39,6 +39,7 @@ OPTIONS = ("--std=c++14", "--fmad=false", "--device-as-default-execution-space",
 class CompiledDevice(ABC):
     """A GPU, or in tests this processor: it runs programs of C++; see `Device`."""
 
+    name: str
     loop: type[EnsembleLoop]  # set below: `DeviceLoop`
     arrays: Any
 
@@ -60,6 +61,8 @@ class CompiledDevice(ABC):
 
 class Gpu(CompiledDevice):
     """The GPU of this machine. EnsembleError if there is none, OrchestrationError without CuPy."""
+
+    name = "the GPU"
 
     def __init__(self) -> None:
         os.environ.setdefault("CUPY_CACHE_DIR", str(store.folder(GPU)))

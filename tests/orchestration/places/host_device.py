@@ -126,6 +126,7 @@ class _Arrays:
 class HostDevice(CompiledDevice):
     """This processor as a device."""
 
+    name = "the host"
     arrays: Any = _Arrays()
 
     def kernels(self, program: str) -> Mapping[str, Kernel]:

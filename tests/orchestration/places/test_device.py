@@ -168,7 +168,7 @@ def test_a_sweep_on_a_device_has_the_rows_of_the_processor(tmp_path: Path) -> No
         for where in ("vectors", "gpu")
     ]
     assert tables[0].equals(tables[1])
-    assert notes[-1] == "the device"
+    assert notes[-1] == "the host"
 
 
 @pytest.mark.usefixtures("on_device", "vehicle_fmus")
@@ -188,7 +188,7 @@ def test_a_run_that_fails_on_a_device_is_named_and_the_others_go_on() -> None:
 @pytest.mark.parametrize(
     ("settings", "problem"),
     [
-        ({"where": "gpu", "timeout": 3.0}, "a device ends no run: expected no timeout, got 3 s"),
+        ({"where": "gpu", "timeout": 3.0}, "the host ends no run: expected no timeout, got 3 s"),
         ({"where": "gpu", "workers": 2}, "gpu with 2 workers: expected gpu alone"),
         ({"where": "gpu:1"}, "gpu:1: expected gpu alone"),
     ],
