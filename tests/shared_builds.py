@@ -55,7 +55,7 @@ def built_once(path: Path, build: Callable[[Path], Any]) -> Path:
 
 def with_libraries(name: str, members: dict[str, bytes]) -> dict[str, bytes]:
     """The members of a native FMU, and its library for this platform, compiled from their sources."""
-    from fmus.build import native
+    from fmus.generate import native
 
     with native.compiled_libraries(name, members, ()) as libraries:
         return members | libraries()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from controller_fmu.l1 import depth_controller, law, lowpass
-from fmus.build import builder, symbolic
+from fmus.generate import builder, symbolic
 from orchestration.results.metrics import evaluate
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator

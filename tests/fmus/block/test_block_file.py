@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 
 from fmus.block.block_file import blocks_in, write_new_block
-from fmus.build import builder
-from fmus.build.check_trace import check_trace
-from fmus.build.sources import source_closure
-from fmus.build.stamp import BuildRequest
 from fmus.errors import ExportError
+from fmus.generate import builder
+from fmus.generate.check_trace import check_trace
+from fmus.generate.sources import source_closure
+from fmus.generate.stamp import BuildRequest
 from fmus.registry import Flavour
 
 LOWPASS = """\

@@ -4,9 +4,9 @@ import zipfile
 from pathlib import Path
 
 from fmus import files
-from fmus.build import builder
-from fmus.build import native as native_flavour
 from fmus.compliance.examine import examine
+from fmus.generate import builder
+from fmus.generate import native as native_flavour
 from tests.shared_builds import with_libraries
 
 Members = dict[str, bytes]

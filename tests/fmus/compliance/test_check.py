@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from fmus.build import builder
 from fmus.compliance.examine import examine
 from fmus.compliance.rule import all_rules
+from fmus.generate import builder
 from tests.shared_builds import KINDS, Fmus
 
 from .archives import PYTHONFMU_ERRORS, broken_rules, errors

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from fmus import files
-from fmus.build import builder
-from fmus.build import native as native_flavour
 from fmus.compliance.examine import examine
+from fmus.generate import builder
+from fmus.generate import native as native_flavour
 from fmus.platforms import host_platform, library_name
 from tests.described_fmus import members
 from tests.shared_builds import with_libraries

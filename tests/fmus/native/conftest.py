@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from fmus.build import builder
-from fmus.build.native import c_sources
+from fmus.generate import builder
+from fmus.generate.native import c_sources
 from tests.shared_builds import Fmus, LazyFmus, built_once, session_folder
 
 from .blocks import EVERYTHING, SMALL, block_named

@@ -14,10 +14,10 @@ from typing import ClassVar
 import casadi
 
 from fmus.block import Block
-from fmus.build.fmi3 import extents
-from fmus.build.sensitivities import sensitivities
-from fmus.build.symbolic import Traced
 from fmus.fmi.variable_types import INTEGER_RANGE, TRANSFER_TYPE
+from fmus.generate.fmi3 import extents
+from fmus.generate.sensitivities import sensitivities
+from fmus.generate.symbolic import Traced
 
 from .session import DISCARD, ENDED, ERROR, LAST_TIME, OK, WARNING, Null
 

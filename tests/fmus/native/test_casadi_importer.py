@@ -11,8 +11,8 @@ import pytest
 
 from fmus.block import Block, NoValues, variable
 from fmus.block.scalars import flatten, unflatten
-from fmus.build import builder
-from fmus.build.symbolic import traced
+from fmus.generate import builder
+from fmus.generate.symbolic import traced
 from fmus.numerics import absolute, exp, sin
 from tests.shared_builds import Fmus
 

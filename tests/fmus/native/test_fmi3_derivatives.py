@@ -11,9 +11,9 @@ import pytest
 
 from fmus.block import Block
 from fmus.block.variables import BlockVariable
-from fmus.build import builder
-from fmus.build.fmi3 import array_name, arrays, other_variables
-from fmus.build.symbolic import traced
+from fmus.generate import builder
+from fmus.generate.fmi3 import array_name, arrays, other_variables
+from fmus.generate.symbolic import traced
 from tests.shared_builds import one_of_a_kind
 
 from .blocks import EVERYTHING, block_named

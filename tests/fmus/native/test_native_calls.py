@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, Phase, Verbosity, settings
 from hypothesis.stateful import run_state_machine_as_test
 
 from fmus.block import Block
-from fmus.build.native import c_sources
+from fmus.generate.native import c_sources
 
 from .blocks import EVERYTHING, block_named
 from .rules import CALLS

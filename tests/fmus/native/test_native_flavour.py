@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from fmpy.fmi2 import defaultCallbacks, fmi2CoSimulation, fmi2LastSuccessfulTime, fmi2Terminated
 
-from fmus.build import builder, native
 from fmus.files import write_archive
+from fmus.generate import builder, native
 from tests.shared_builds import Fmus, one_of_a_kind, with_libraries
 
 

@@ -3,7 +3,7 @@
 import subprocess
 from pathlib import Path
 
-from fmus.build.native import c_sources
+from fmus.generate.native import c_sources
 from fmus.native import toolchain
 
 from .blocks import EVERYTHING

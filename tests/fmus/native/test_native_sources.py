@@ -17,9 +17,9 @@ import pytest
 from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
 from fmus import platforms
-from fmus.build import builder
-from fmus.build.native import c_sources
 from fmus.files import write_archive
+from fmus.generate import builder
+from fmus.generate.native import c_sources
 from fmus.native import toolchain
 from tests.described_fmus import members
 from tests.shared_builds import KINDS, Fmus

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from fmus.block import Block
-from fmus.build import builder, native
-from fmus.build.check_trace import _Comparison, check_shipped, check_trace
-from fmus.build.shipped import ShippedLibrary
 from fmus.errors import ExportError
+from fmus.generate import builder, native
+from fmus.generate.check_trace import _Comparison, check_shipped, check_trace
+from fmus.generate.shipped import ShippedLibrary
 from fmus.platforms import host_platform, library_name
 from tests.described_fmus import members
 from tests.shared_builds import Fmus, one_of_a_kind, with_libraries

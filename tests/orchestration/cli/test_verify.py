@@ -16,10 +16,10 @@ from cyclonedx.schema import SchemaVersion
 from cyclonedx.validation.json import JsonStrictValidator
 
 import fmus
-from fmus.build import builder, native
-from fmus.build.builder import build_block
 from fmus.files import packed, write_archive
 from fmus.fmi.description import describe
+from fmus.generate import builder, native
+from fmus.generate.builder import build_block
 from fmus.native import verify
 from fmus.native.sbom import MEMBER, RECIPE, with_files
 from fmus.native.toolchain import FMI_HEADERS

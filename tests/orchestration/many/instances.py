@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from fmus.block import Block
-from fmus.build import native
 from fmus.files import write_archive
+from fmus.generate import native
 from fmus.store import record_build
 from orchestration import Experiment
 from orchestration.results.recording import Recording

@@ -15,9 +15,9 @@ import pytest
 from fmus import numerics as n
 from fmus.block import Block, variable
 from fmus.block.scalars import flatten
-from fmus.build.builder import load_block
-from fmus.build.random_points import drawn
-from fmus.build.symbolic import traced
+from fmus.generate.builder import load_block
+from fmus.generate.random_points import drawn
+from fmus.generate.symbolic import traced
 from fmus.platforms import instruction_sets
 from fmus.registry import block_names
 from orchestration import Ensemble, Event, Experiment, Simulator, System
