@@ -8,7 +8,8 @@ import zipfile
 import zlib
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager, nullcontext, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -19,18 +20,16 @@ from fmus.block.instance import BlockError, BlockInstance
 from fmus.errors import ExportError, nearest
 from fmus.files import packed, write_bytes_atomically
 from fmus.fmi.binding import library_member
-from fmus.generate import native as native_flavour
-from fmus.generate import python as python_flavour
-from fmus.generate.check_sampling import check_sampling
-from fmus.generate.check_trace import check_shipped, check_trace
+from fmus.generate.archive import bill_of_materials, native_members, python_members
+from fmus.generate.cache import BuildCache, BuildRequest, order_of_file
+from fmus.generate.describe import variable_names
 from fmus.generate.documentation import reference_results
 from fmus.generate.documentation.reference_results import ReferenceRun, reference_run
 from fmus.generate.documentation.terminals_and_icon import icon, terminals
-from fmus.generate.fmi3 import variable_names
 from fmus.generate.guard import location, own_line
-from fmus.generate.shipped import ShippedLibrary
-from fmus.generate.stamp import BuildCache, BuildRequest, order_of_file
-from fmus.generate.symbolic import traced
+from fmus.generate.native import COMPILED, ShippedLibrary, compiled_libraries
+from fmus.generate.trace import Traced, trace
+from fmus.generate.verify import Comparison, check_sampling, check_shipped, check_trace
 from fmus.operating_system import usable_processors
 from fmus.platforms import host_platform, library_name
 from fmus.registry import BLOCKS, Flavour, block_fmus, block_names, fmu_folder, installed, unwritable
@@ -57,13 +56,14 @@ def load_block(name: str) -> Block:
         raise ExportError(f"block {name!r}: its entry point {point.value} is {block!r}: expected a Block")
     if block.name != name:
         raise ExportError(f"entry point {name!r} loads a block named {block.name!r}: expected one name")
-    return verified(block)
+    return block
 
 
 @contextmanager
-def loaded(name_or_path: str) -> Iterator[tuple[Block, ...]]:
-    """Yields the installed block of a name, or the blocks of a Python file, until the context ends.
+def loaded(name_or_path: str) -> Iterator[tuple[Traced, ...]]:
+    """Yields what is traced of the installed block of a name, or of the blocks of a Python file.
 
+    The modules of the file are there until the context ends.
     Raises ExportError for a block that cannot become an FMU.
     """
     try:
@@ -71,14 +71,14 @@ def loaded(name_or_path: str) -> Iterator[tuple[Block, ...]]:
             with blocks_in(Path(name_or_path)) as blocks:
                 yield tuple(map(verified, blocks))
         else:
-            yield (load_block(name_or_path),)
+            yield (verified(load_block(name_or_path)),)
     except SystemExit as error:
         file, line, expression = own_line(error) or (name_or_path, 1, "a function")
         raise ExportError(f"{file}:{line}: {expression}: ends Python: expected a returned value") from error
 
 
-def verified(block: Block) -> Block:
-    """Returns the block, if it takes a step at its start values."""
+def verified(block: Block) -> Traced:
+    """Returns what is traced of the block, if it takes a step at its start values."""
     name = block.name
     is_word = re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", name)
     if not is_word or keyword.iskeyword(name) or name.lower() in DEVICES:
@@ -86,7 +86,7 @@ def verified(block: Block) -> Block:
             f"block {name!r}: expected ASCII letters, digits and single underscores, and no word of Python's "
             "or device of Windows"
         )
-    traced(block)  # before a call with numbers, which a function could remember
+    traced = trace(block)  # before a call with numbers, which a function could remember
     trial = BlockInstance(block)
     try:
         trial.exit_initialization_mode()
@@ -97,7 +97,7 @@ def verified(block: Block) -> Block:
         raise ExportError(
             f"block {name!r}: {where}cannot take a step at its start values: {error!r}"
         ) from error
-    return block
+    return traced
 
 
 def build_block(
@@ -117,69 +117,95 @@ def build_block(
     reals_only: a native FMU whose every variable is a Real, for importers that know no other type
     fmi: the version of the standard, 2 or 3; 3 in the native flavour alone
     """
-    block = load_block(block) if isinstance(block, str) else block
-    order = BuildRequest(block.name, folder, flavour, tuple(platforms), with_terminals, reals_only, fmi=fmi)
-    with _building(block, order) as write:
-        return next(iter(write()))
+    traced = verified(load_block(block)) if isinstance(block, str) else trace(block)
+    name = traced.block.name
+    order = BuildRequest(name, folder, flavour, tuple(platforms), with_terminals, reals_only, fmi=fmi)
+    with ExitStack() as stack:
+        return next(iter(_written(_compiling(_content(traced, order), stack))))
 
 
-@contextmanager
-def _building(block: Block, order: BuildRequest) -> Iterator[Callable[[], dict[Path, bytes]]]:
-    """Yields a function that writes the FMU of a block, whose libraries are compiled meanwhile.
+@dataclass(frozen=True)
+class _Content:
+    """The members of an FMU without its libraries, as far as its GUID follows from them."""
 
-    The function returns the files that it wrote: the FMU, then what belongs to it.
+    traced: Traced
+    order: BuildRequest
+    guid: str
+    members: dict[str, bytes]
+
+
+@dataclass(frozen=True)
+class _Compiling:
+    """An FMU whose libraries are compiled beside this process.
+
+    compared: the calls that the compiled library must repeat
+    shown: members beside those of the content: icon, terminals, reference results
+    libraries: waits for the compiler; returns path inside the FMU -> library
     """
-    if order.reals_only and (order.flavour is not Flavour.NATIVE or order.fmi != 2):
+
+    content: _Content
+    compared: dict[str, Comparison]
+    reference: ReferenceRun
+    shown: dict[str, bytes]
+    libraries: Callable[[], dict[str, bytes]]
+
+
+def _content(traced: Traced, order: BuildRequest) -> _Content:
+    """Returns what the libraries are compiled from; ExportError for options that the flavour has not."""
+    is_native = order.flavour is Flavour.NATIVE
+    if order.reals_only and (not is_native or order.fmi != 2):
         raise ExportError("an FMU of Reals only: expected the native flavour and FMI 2.0")
-    if order.fmi not in native_flavour.COMPILED or (order.fmi == 3 and order.flavour is not Flavour.NATIVE):
+    if order.fmi not in COMPILED or (order.fmi == 3 and not is_native):
         raise ExportError(
             f"FMI {order.fmi}.0 in the {order.flavour} flavour: expected FMI 2.0, or 3.0 in native"
         )
-    if order.platforms and order.flavour is not Flavour.NATIVE:
+    if order.platforms and not is_native:
         raise ExportError(
             "platforms of the python flavour: expected none, its libraries are PythonFMU's; "
             "the native flavour is compiled for each"
         )
-    guid, members = _content(block, order)
-    compiling = nullcontext(dict[str, bytes])
+    made = native_members(traced, order.reals_only, order.fmi) if is_native else python_members(traced)
+    return _Content(traced, order, *made)
+
+
+def _compiling(content: _Content, stack: ExitStack) -> _Compiling:
+    """Starts the compiler, which does not outlive the stack, and checks the block meanwhile."""
+    block, order = content.traced.block, content.order
+    libraries: Callable[[], dict[str, bytes]] = dict
     if order.flavour is Flavour.NATIVE:
-        compiling = native_flavour.compiled_libraries(block.name, members, order.platforms, order.fmi)
-    with compiling as libraries:
-        compared = check_trace(block)
-        check_sampling(block)
-        reference = _reference_run(block)
-        shown = {_ICONS[order.fmi]: icon(block)} | reference_results.members(reference, block.name)
-        if order.with_terminals or order.fmi == 3:
-            shown |= terminals(block, variable_names) if order.fmi == 3 else terminals(block)
-
-        def write() -> dict[Path, bytes]:
-            built = libraries()
-            if path := library_member(built, block.name, order.fmi):
-                # OSError: no library can be loaded from where temporary files are
-                shipped = block, guid, built[path], order.fmi
-                with suppress(OSError), closing(ShippedLibrary(*shipped)) as library:
-                    check_shipped(compared, library)
-            if order.flavour is Flavour.NATIVE:
-                built |= native_flavour.bill_of_materials(block, built | shown, order.fmi)
-            files = {order.folder / f"{block.name}.fmu": packed(members | built | shown)}
-            if order.with_cross_check:
-                beside = reference_results.cross_check_files(reference, block.name)
-                files |= {order.folder / name: beside[name] for name in sorted(beside)}
-            is_cached = order.folder.is_relative_to(fmu_folder(order.flavour))
-            write_file = store.write if is_cached else write_bytes_atomically
-            store.record_build(next(iter(files.values())))
-            for path, content in files.items():
-                write_file(path, content)
-            return files
-
-        yield write
+        started = compiled_libraries(block.name, content.members, order.platforms, order.fmi)
+        libraries = stack.enter_context(started)
+    compared = check_trace(content.traced)
+    check_sampling(block)
+    reference = _reference_run(block)
+    shown = {_ICONS[order.fmi]: icon(block)} | reference_results.members(reference, block.name)
+    if order.with_terminals or order.fmi == 3:
+        shown |= terminals(block, variable_names) if order.fmi == 3 else terminals(block)
+    return _Compiling(content, compared, reference, shown, libraries)
 
 
-def _content(block: Block, order: BuildRequest) -> tuple[str, dict[str, bytes]]:
-    """Returns (GUID, path -> content) of the FMU without libraries that are compiled."""
+def _written(compiling: _Compiling) -> dict[Path, bytes]:
+    """Writes an FMU once its libraries are compiled; returns the FMU, then what belongs to it."""
+    content, order, block = compiling.content, compiling.content.order, compiling.content.traced.block
+    built = compiling.libraries()
+    if path := library_member(built, block.name, order.fmi):
+        # OSError: no library can be loaded from where temporary files are
+        shipped = content.traced, content.guid, built[path], order.fmi
+        with suppress(OSError), closing(ShippedLibrary(*shipped)) as library:
+            check_shipped(compiling.compared, library)
+    built |= compiling.shown
     if order.flavour is Flavour.NATIVE:
-        return native_flavour.content(block, order.reals_only, order.fmi)
-    return python_flavour.content(block)
+        built |= bill_of_materials(block, built, order.fmi)
+    files = {order.folder / f"{block.name}.fmu": packed(content.members | built)}
+    if order.with_cross_check:
+        beside = reference_results.cross_check_files(compiling.reference, block.name)
+        files |= {order.folder / name: beside[name] for name in sorted(beside)}
+    is_cached = order.folder.is_relative_to(fmu_folder(order.flavour))
+    write_file = store.write if is_cached else write_bytes_atomically
+    store.record_build(next(iter(files.values())))
+    for path, data in files.items():
+        write_file(path, data)
+    return files
 
 
 def _reference_run(block: Block) -> ReferenceRun:
@@ -223,11 +249,11 @@ class _CompilingOrder:
         self._stamps = BuildCache()
         sources = self._stamps.sources(order)
         with loaded(order.source) as blocks:
-            self._writers = [stack.enter_context(_building(block, order)) for block in blocks]
+            self._compiling = [_compiling(_content(traced, order), stack) for traced in blocks]
             self._sources = sources and sources.if_loaded
 
     def written(self) -> list[Path]:
-        files = {path: content for write in self._writers for path, content in write().items()}
+        files = {path: content for one in self._compiling for path, content in _written(one).items()}
         fmus = {path.name: content for path, content in files.items() if path.suffix == ".fmu"}
         self._stamps.write(self._sources, fmus)
         return [*files]
@@ -253,23 +279,22 @@ def _built_if_stale(order: BuildRequest) -> Path:
         return current[0]
     sources = stamps.sources(order)
     with loaded(order.source) as blocks:
-        block, *others = blocks
+        traced, *others = blocks
         if others:
-            names = ", ".join(defined.name for defined in blocks)
+            names = ", ".join(defined.block.name for defined in blocks)
             raise ExportError(
                 f"{order.source} defines {names}: expected one block; build them, and choose an FMU"
             )
-        path = order.folder / f"{block.name}.fmu"
-        guid, _ = _content(block, order)
-        native = order.flavour is Flavour.NATIVE
-        needed = library_name(block.name, host_platform()) if native else None
+        name, content = traced.block.name, _content(traced, order)
+        path = order.folder / f"{name}.fmu"
+        needed = library_name(name, host_platform()) if order.flavour is Flavour.NATIVE else None
         found = path.read_bytes() if path.is_file() else b""
-        fits = _fits(found, guid, needed)
+        fits = _fits(found, content.guid, needed)
         # without a record of its build, it would run like one of another tool
         fits = fits and (store.is_own_build(found) or not os.access(path.parent, os.W_OK))
         if not fits:
-            with _building(block, order) as write:
-                found = write()[path]
+            with ExitStack() as stack:
+                found = _written(_compiling(content, stack))[path]
         stamps.write(sources and sources.if_loaded, {path.name: found}, was_built=not fits)
     return path
 

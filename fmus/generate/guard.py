@@ -23,7 +23,7 @@ import numpy as np
 
 from fmus import numerics
 from fmus.errors import ExportError
-from fmus.generate.hints import hint
+from fmus.numerics.hints import hint
 
 _LIBRARIES = {*sys.stdlib_module_names, "casadi", "numpy"} - {"__main__"}
 _OURS = (f"{__name__}.", f"{numerics.__name__}.")

@@ -1,42 +1,37 @@
-"""Block -> FMU of compiled C that needs nothing on the host.
+"""Traced block -> C sources and compiled libraries, which need nothing on the host.
 
 `fmi2.c`, in an FMU of FMI 3.0 `fmi3.c`, is the only file to compile. It includes others of the hand-written
 layer, and of the block the tables in `model.h` and the equations in `model_code.h`; but `model_lanes.h` has
 the equations for groups of instances, which an ensemble compiles.
-
-The GUID follows from the compiler with its flags and from all members but the libraries and those whose
-digests stand in the bill of materials, such as the icon. It does not depend on which platforms were built.
 """
 
+import ctypes
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from importlib import resources
-from importlib.metadata import version
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from string import Template
-from xml.etree import ElementTree
+from typing import Any
 
-from fmus.block import Block
+from fmus.block.scalars import flatten
 from fmus.block.variables import BlockVariable
 from fmus.errors import ExportError
-from fmus.files import xml_document
-from fmus.fmi.integer_enumerations import REALS_ONLY, with_other_types
+from fmus.fmi.binding import OK, BoundInstance, Library, status_name
+from fmus.fmi.callbacks import Callbacks
+from fmus.fmi.fmi3 import Fmi3Library
 from fmus.fmi.variable_types import INTEGER_RANGE, TRANSFER_TYPE
-from fmus.generate import fmi3
-from fmus.generate.documentation.page import documentation, licenses
-from fmus.generate.model_description import model_description
-from fmus.generate.sensitivities import sensitivities
-from fmus.generate.symbolic import Traced, indicator_count, traced
-from fmus.guid import GUID, with_guid
-from fmus.native import sbom
+from fmus.generate.c_code import c_code
+from fmus.generate.derivatives import Sensitivities
+from fmus.generate.describe import extents, other_variables
+from fmus.generate.trace import Traced
 from fmus.native.toolchain import compiling
-from fmus.platforms import PLATFORMS, check_platforms, host_platform, library_name
+from fmus.platforms import check_platforms, host_platform, library_name
 
 COMPILED = {2: ("fmi2.c",), 3: ("fmi3.c",)}
-_WRITERS = ("l1-depth", "casadi")  # of the C
 _WORD = 32  # bits of the set of items
 _SETTABLE = {"fixed": "BEFORE_STEPPING", "continuous": "ALWAYS"} | dict.fromkeys(
     ("tunable", "discrete"), "AT_POINTS"
@@ -45,43 +40,6 @@ _EXTENTS = """
 /* By value reference: how many elements the variable has that begins there, 0 inside an array. */
 static const unsigned EXTENTS[] = {{{}}};
 """
-_OF_BOTH = {"canNotUseMemoryManagementFunctions": "true", "providesDirectionalDerivative": "true"}
-_OF_EXCHANGE = {"completedIntegratorStepNotNeeded": "true", **_OF_BOTH}
-_CAPABILITIES = {"canInterpolateInputs": "true", "maxOutputDerivativeOrder": "0", **_OF_BOTH}
-
-
-def content(block: Block, reals_only: bool = False, fmi: int = 2) -> tuple[str, dict[str, bytes]]:
-    """Returns (GUID, path -> content) of the FMU without its libraries.
-
-    reals_only: whether every variable is a Real, for importers that know no other type
-    fmi: the version of the standard, 2 or 3
-    """
-    files, sources = COMPILED[fmi], c_sources(block, GUID, reals_only, fmi)
-    if fmi == 3:
-        description = fmi3.model_description(block, GUID)
-    else:
-        description = model_description(block, GUID, _CAPABILITIES, _OF_EXCHANGE, files)
-    members = {
-        **{f"sources/{name}": text.encode() for name, text in sources.items()},
-        **documentation(block, *files, reals_only=reals_only, fmi=fmi),
-        **licenses("l1-depth", "fmi-headers", "zig", "mingw-w64", fmi=fmi),
-        "sources/buildDescription.xml": _build_description(block.name, fmi),
-        **bill_of_materials(block, {}, fmi),
-        "modelDescription.xml": with_other_types(description, REALS_ONLY) if reals_only else description,
-    }
-    return with_guid(members, recipe=sbom.RECIPE)
-
-
-def _build_description(name: str, fmi: int) -> bytes:
-    root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=name)
-    files = ElementTree.SubElement(configuration, "SourceFileSet", language="C99")
-    for file in COMPILED[fmi]:
-        ElementTree.SubElement(files, "SourceFile", name=file)
-    unprefixed = {"name": f"FMI{fmi}_OVERRIDE_FUNCTION_PREFIX", "optional": "true"}
-    unprefixed["description"] = "for a shared library: functions without the prefix of a static one"
-    ElementTree.SubElement(files, "PreprocessorDefinition", unprefixed)
-    return xml_document(root)
 
 
 @contextmanager
@@ -104,36 +62,18 @@ def compiled_libraries(
         yield lambda: {path: end() for path, end in ends.items()}
 
 
-def bill_of_materials(block: Block, files: Mapping[str, bytes], fmi: int = 2) -> dict[str, bytes]:
-    """Returns path inside the FMU -> bill of materials of its libraries, with digests of other files.
-
-    files: path inside the FMU -> content
-    fmi: the version of the standard
-    """
-    module = {"name": "l1-depth:module", "value": block.output.__module__}
-    subject = sbom.component(
-        block.name, block.version, block.license, description=block.description, properties=[module]
-    )
-    own, casadi = (sbom.component(name, version(name), None, type="application") for name in _WRITERS)
-    layer = sbom.component("l1-depth", version("l1-depth"), "MIT", description="sources, but for model*.h")
-    headers = sbom.component("fmi-headers", f"{fmi}.0", "BSD-2-Clause")
-    platforms = {library_name(block.name, platform, fmi): platform for platform in PLATFORMS}
-    known = {path: (platforms.get(path, ""), content) for path, content in files.items()}
-    return {sbom.MEMBER: sbom.bill_of_materials(subject, [layer, headers], [own, casadi], known)}
-
-
-def c_sources(block: Block, guid: str, reals_only: bool = False, fmi: int = 2) -> dict[str, str]:
+def c_sources(
+    traced: Traced, modes: Sensitivities, guid: str, reals_only: bool = False, fmi: int = 2
+) -> dict[str, str]:
     """Returns file name -> text of the FMU's folder `sources`: all but FMI's own headers (2.3).
 
     reals_only: every variable is a Real, what is an item, truth value or Integer one that is a whole number
-    Raises ExportError for a block that cannot be traced.
     """
     layer = resources.files("fmus") / "native"
     texts = dict(_included(layer, COMPILED[fmi][0]))
     template = Template((layer / "model.h.in").read_text("utf-8"))
-    functions = traced(block)
-    model = template.substitute(_tables(functions, reals_only, fmi), guid=guid)
-    return texts | {"model.h": model} | functions.c_code(sensitivities(block).functions(fmi))
+    model = template.substitute(_tables(traced, reals_only, fmi), guid=guid)
+    return texts | {"model.h": model} | c_code(traced, modes.functions(fmi))
 
 
 def _included(layer: Traversable, name: str) -> Iterator[tuple[str, str]]:
@@ -146,10 +86,10 @@ def _included(layer: Traversable, name: str) -> Iterator[tuple[str, str]]:
             yield from _included(layer, included)
 
 
-def _tables(functions: Traced, reals_only: bool, fmi: int) -> dict[str, object]:
+def _tables(traced: Traced, reals_only: bool, fmi: int) -> dict[str, object]:
     """Returns the values for the placeholders of `model.h.in`."""
-    block = functions.block
-    others = fmi3.other_variables(block) if fmi == 3 else ()
+    block = traced.block
+    others = other_variables(traced) if fmi == 3 else ()
     described = (*block.variables, *block.states, *others)
     not_real = [index for index, v in enumerate(block.of_causality("output")) if v.type != "Real"]
     return {
@@ -159,22 +99,22 @@ def _tables(functions: Traced, reals_only: bool, fmi: int) -> dict[str, object]:
         "calculated": len(block.of_causality("calculatedParameter")),
         "inputs": len(block.of_causality("input")),
         "outputs": len(block.of_causality("output")),
-        "states": functions.step.numel_out(0),
+        "states": traced.step.numel_out(0),
         "n_whole": len(not_real),
         "whole": ", ".join(map(str, (*not_real, 0))),  # never empty, which C99 has not
-        "requirements": len(functions.required),
+        "requirements": len(traced.required),
         "internal_step": next(v.value_reference for v in block.variables if v.name == "internal_step"),
         "continuous": len(block.states) // 2,
-        "indicators": indicator_count(block),
+        "indicators": traced.indicators,
         "step_size": repr(float(block.step_size)),
         "fmi": fmi,
         "others": len(others),
-        "extents": _EXTENTS.format(", ".join(map(str, fmi3.extents(block)))) if fmi == 3 else "",
+        "extents": _EXTENTS.format(", ".join(map(str, extents(traced)))) if fmi == 3 else "",
         "has_derivative": int(block.derivative is not None),
         "nominals": ", ".join(repr(float(v.nominal or 1.0)) for v in block.states) or "0",
         "variables": ",\n".join(_row(v, reals_only) for v in described),
         "access": ", ".join(_access(v, reals_only, fmi) for v in described),
-        "required": ",\n".join(f"    {_string(text)}" for text in (*functions.required, "")),
+        "required": ",\n".join(f"    {_string(text)}" for text in (*traced.required, "")),
     }
 
 
@@ -213,3 +153,75 @@ def _string(text: str) -> str:
     """Returns a C string literal of the UTF-8 bytes: everything but plain printable ASCII as octal."""
     plain = set(range(32, 127)) - set(b'"\\?')  # ?? would begin a trigraph
     return '"' + "".join(chr(b) if b in plain else f"\\{b:03o}" for b in text.encode()) + '"'
+
+
+# the first words of `Data` in fmus/native/instance.h: mode, stale parameters, stale outputs, rates of inputs
+_UNKNOWN_PARAMETERS, _AT_START, _IN_STEPS = (2, 1, 1, 0), (2, 0, 1, 0), (4, 0, 0, 0)
+
+
+class ShippedLibrary(BoundInstance):
+    """An instance of the library whose saved state is written in memory, as fmus/native/snapshot.h has it.
+
+    fmi: the version of the standard
+    """
+
+    def __init__(self, traced: Traced, guid: str, content: bytes, fmi: int = 2) -> None:
+        block = traced.block
+        # Windows does not remove a library that is loaded
+        with tempfile.TemporaryDirectory(prefix="l1-depth-build-", ignore_cleanup_errors=True) as folder:
+            path = Path(folder) / "library"
+            path.write_bytes(content)
+            super().__init__(Fmi3Library(path) if fmi == 3 else Library(path), Callbacks())
+        self.instantiate(block.name, guid, path, logging_on=False)
+        self._saved, self._states = self.get_fmu_state(), traced.step.numel_out(0)
+        self._calculated, self._variables = len(flatten(block.calculated)), 1 + len(block.variables)
+        words = self._saved + (len(guid) // 8 + 1) * 8
+        self._words = (ctypes.c_int64 * 4).from_address(words)
+        # time, variables, rates of inputs and state; the last two have one number more than there are
+        count = self._variables + len(flatten(block.inputs)) + self._states + 2
+        self._numbers = (ctypes.c_double * count).from_address(words + ctypes.sizeof(self._words))
+
+    def check_status(self, function: str, status: int) -> None:
+        if status != OK:
+            raise ExportError(f"the new library: {function} returns {status_name(status)}: expected ok")
+
+    def close(self) -> None:
+        """Frees the instance and unloads the library."""
+        self.free_fmu_state(self._saved)
+        self.free_instance()
+        self.library.unload()
+        self.callbacks.close()
+
+    def free_instance(self) -> None:
+        self.library.fmi2FreeInstance(self.handle)
+
+    def calculated(self, p: Any) -> list[float] | None:
+        """Returns the calculated parameters, at some inputs; None if the FMU refuses the parameters."""
+        first = 1 + len(flatten(p))
+        self._numbers[1:first] = flatten(p)
+        numbers = self._numbers_after(_UNKNOWN_PARAMETERS, "fmi2ExitInitializationMode")
+        return numbers and numbers[first : first + self._calculated]
+
+    def reached(self, t: float, *arguments: Any) -> tuple[float, list[float], list[float]] | None:
+        """Returns time [s], state and outputs after the initialization or a step; None if the FMU refuses it.
+
+        arguments: those of the block's `initial_state` after t, or of its `step`
+        """
+        *step, u, p, c = arguments
+        known = [t, *flatten(p), *flatten(c), *flatten(u)]
+        self._numbers[: len(known)] = known
+        call: tuple[Any, ...] = _AT_START, "fmi2ExitInitializationMode"
+        if step:
+            self._numbers[-self._states - 1 :] = [*flatten(step[1]), 0.0]
+            call = _IN_STEPS, "fmi2DoStep", t, step[0], 1
+        if (numbers := self._numbers_after(*call)) is None:
+            return None
+        return numbers[0], numbers[-self._states - 1 : -1], numbers[len(known) : self._variables]
+
+    def _numbers_after(self, words: tuple[int, ...], function: str, *times: float) -> list[float] | None:
+        self._words[:] = words
+        self.set_fmu_state(self._saved)
+        if self.status(function, *times) != OK:
+            return None
+        self.get_fmu_state(self._saved)
+        return self._numbers[:]

@@ -1,4 +1,4 @@
-"""The operations of a function of CasADi, and their order; `c_functions.py` writes them in a dialect of C.
+"""The operations of a function of CasADi, and their order; `c_code.py` writes them in a dialect of C.
 
 CasADi evaluates both alternatives of a choice. Here an operation that is needed only where a condition holds
 stands in an `if` of that condition, unless that would save less than a branch may cost. The operations and
@@ -6,7 +6,7 @@ their order in each expression are those of CasADi, so the results are the same 
 """
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from heapq import heappop, heappush
 from itertools import takewhile
@@ -86,6 +86,15 @@ def operations_of(function: casadi.Function) -> list[Operation]:
         operations.append(operation)
         held[function.instruction_output(i)[0]] = len(operations) - 1
     return operations + results
+
+
+def follows_from(operations: Sequence[Operation], names: Collection[str]) -> list[bool]:
+    """Returns for each operation whether it follows from one of these arguments."""
+    follows: list[bool] = []
+    for operation in operations:
+        is_one = operation.name == "INPUT" and operation.text.split("[")[0] in names
+        follows.append(is_one or any(follows[argument] for argument in operation.arguments))
+    return follows
 
 
 def _choice(operations: Sequence[Operation], terms: Sequence[int]) -> Operation | None:

@@ -32,11 +32,12 @@ from fmus.block.policy import PolicyInstance, line_below
 from fmus.errors import ExportError, nearest
 from fmus.files import packed
 from fmus.fmi.process import Parent, ProcessEndedError, WorkerProcess
-from fmus.generate.sources import in_package, source_closure, sources_beside
+from fmus.generate.python import entry_point, in_package, package_of, source_closure, sources_beside
+from fmus.guid import GUID
 from fmus.registry import Flavour, fmu_folder, unwritable
 
 _NAMED = re.compile(r"(.+\.py):([^:/\\]*)", re.DOTALL)
-_SLAVE = "fmus.generate.policy_slave"
+_SLAVE = "fmus.block.policy_slave"
 _PATIENCE_S = 120  # for the imports of a policy and its first steps
 _MOST_SAMPLES, _MOST_S = 20, 0.5  # of the first object
 _HELD = {FunctionType: "default values of arguments, closure or attributes of "}
@@ -115,25 +116,22 @@ def _worker(parent: Parent) -> None:
 
 
 def _fmu(file: Path, cls: str, sources: dict[str, str], carried: dict[str, bytes]) -> bytes:
-    from fmus.generate import python as python_flavour  # these load what builds FMUs
-    from fmus.generate.model_description import model_description
-    from fmus.guid import GUID, with_guid
+    from fmus.generate.archive import OF_PYTHON, with_resources  # these load what builds FMUs
+    from fmus.generate.describe import model_description
 
-    package = python_flavour.package_of(cls)
+    package = package_of(cls)
     own = source_closure(_SLAVE)
     # a module of the user's that hides one of Python's hides it from the user's modules alone
     text = in_package(own | sources, package) | in_package(own, package)
     imports, member = [f"from {package}.{_SLAVE} import PolicySlave"], f'module = "{package}.{file.stem}"'
-    text |= python_flavour.entry_point(cls, "PolicySlave", imports, member)
+    text |= entry_point(cls, "PolicySlave", imports, member)
     files = {path: source.encode() for path, source in text.items()}
     files |= {f"{package}/{path}": content for path, content in carried.items()}
     block, can_save = _tried(file, cls, files, package)
     known = [v.value_reference for v in block.variables if v.settable]
     outputs = {v.value_reference: known for v in block.of_causality("output")}
     state = {"canGetAndSetFMUstate": str(can_save).lower(), "canSerializeFMUstate": "false"}
-    capabilities = python_flavour.CAPABILITIES | state
-    description = model_description(block, GUID, capabilities, dependencies=outputs)
-    _, members = with_guid(python_flavour.archive(block, files, description))
+    _, members = with_resources(block, files, model_description(block, GUID, OF_PYTHON | state, outputs))
     return packed(members)
 
 

@@ -11,7 +11,7 @@ import typer
 
 from fmus.errors import ExportError
 from fmus.files import write_bytes_atomically
-from fmus.generate.stamp import BuildCache, BuildRequest
+from fmus.generate.cache import BuildCache, BuildRequest
 from fmus.platforms import PLATFORMS, check_platforms
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_names, fmu_folder
 from orchestration.cli.shared import FlavourOption, fail, print_table, progress, refuse_without_effect

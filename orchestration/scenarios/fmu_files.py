@@ -13,9 +13,9 @@ def fmu_file(fmu: str, flavour: Flavour = Flavour.NATIVE) -> Path:
     """
     if not fmu.endswith(".py"):
         return Path(fmu) if fmu.endswith(".fmu") else fmu_path(fmu, flavour)
-    from fmus.generate import stamp
+    from fmus.generate import cache
 
-    if current := stamp.BuildCache().current(stamp.order_of_file(Path(fmu), flavour), to_run=True):
+    if current := cache.BuildCache().current(cache.order_of_file(Path(fmu), flavour), to_run=True):
         return current[0]
     from fmus.generate import builder  # which loads CasADi
 
@@ -24,9 +24,9 @@ def fmu_file(fmu: str, flavour: Flavour = Flavour.NATIVE) -> Path:
 
 def build_missing(fmus: Iterable[Path]) -> None:
     """Builds the FMUs of our blocks that are missing or stale."""
-    from fmus.generate import stamp
+    from fmus.generate import cache
 
-    if stale := stamp.stale(fmus):
+    if stale := cache.stale(fmus):
         from fmus.generate import builder
 
         builder.build_missing(stale)

@@ -1,4 +1,4 @@
-"""Small blocks with one output each, which must work; `test_check_trace` has those that must not."""
+"""Small blocks with one output each, which must work; `test_verify` has those that must not."""
 
 import math
 from collections.abc import Callable

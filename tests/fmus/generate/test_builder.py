@@ -74,4 +74,4 @@ def test_a_block_that_cannot_take_a_step_is_refused(offer: object) -> None:
 
     offer("Mine", replace(plant, name="Mine", step=broken))  # type: ignore[operator]
     with pytest.raises(ExportError, match=r"cannot take a step at its start values: .*no such thing"):
-        builder.load_block("Mine")
+        builder.verified(builder.load_block("Mine"))

@@ -11,7 +11,8 @@ import pytest
 from fmus.block import Block, variable
 from fmus.errors import ExportError
 from fmus.files import write_archive
-from fmus.generate import native as native_flavour
+from fmus.generate.archive import native_members
+from fmus.generate.trace import trace
 from tests.shared_builds import with_libraries
 
 ODD = 'θ ≥ 0 "quoted" \\ %s%n ??/ \U0001f41f \x01 */'
@@ -84,9 +85,9 @@ def test_items_beyond_a_word_are_refused() -> None:
         kind: Wide = variable(Wide.FAR, "An enumeration")
 
     with pytest.raises(ExportError, match=r"kind: items \[32\]: expected numbers from 0 to 31"):
-        native_flavour.content(odd_block(parameters=Far, requirements=lambda p, c: ()))
+        native_members(trace(odd_block(parameters=Far, requirements=lambda p, c: ())))
 
 
 def write_fmu(block: Block, folder: Path) -> Path:
-    _, members = native_flavour.content(block)
+    _, members = native_members(trace(block))
     return write_archive(folder / f"{block.name}.fmu", with_libraries(block.name, members))

@@ -12,8 +12,8 @@ from fmus import numerics as n
 from fmus.block.instance import BlockInstance
 from fmus.errors import ExportError
 from fmus.generate import builder
-from fmus.generate.check_sampling import check_sampling
-from fmus.generate.check_trace import check_trace
+from fmus.generate.trace import trace
+from fmus.generate.verify import check_sampling, check_trace
 from fmus.numerics import Clock, sampled
 
 from .small_blocks import WORKING, SampledMean, block_of, one_block_of_all
@@ -23,7 +23,7 @@ TOO_LONG = r"step misses samples in internal steps of 0\.1 s: expected a step_si
 
 @pytest.mark.parametrize("name", WORKING)
 def test_it_works(name: str) -> None:
-    check_trace(WORKING[name])
+    check_trace(trace(WORKING[name]))
     builder.verified(WORKING[name])
 
 

@@ -10,7 +10,7 @@ import pytest
 from fmus.errors import ExportError
 from fmus.generate import builder
 from fmus.generate.documentation import page
-from fmus.generate.sources import defined_as, in_package, source_closure
+from fmus.generate.python import defined_as, in_package, source_closure
 from fmus.registry import Flavour
 
 

@@ -11,7 +11,8 @@ import pytest
 from fmus.block import Block, variable
 from fmus.block.instance import BlockError, BlockInstance
 from fmus.errors import ExportError
-from fmus.generate.check_trace import check_trace
+from fmus.generate.trace import trace
+from fmus.generate.verify import check_trace
 from fmus.numerics import floor, where
 
 
@@ -70,7 +71,7 @@ def block_of(outputs: Callable[[Any], Outputs] = outputs_of, number: Callable[[A
 
 def test_floats_that_are_whole_numbers_are_given_in_the_declared_types() -> None:
     block = block_of()
-    check_trace(block)
+    check_trace(trace(block))
     instance = BlockInstance(block)
     instance.exit_initialization_mode()
     instance.do_step(0.0, block.step_size)
@@ -103,7 +104,7 @@ REFUSED: Any = [
 @pytest.mark.parametrize(("block", "got", "expected"), REFUSED)
 def test_another_number_is_refused_with_function_and_name(block: Block, got: str, expected: str) -> None:
     with pytest.raises(ExportError, match=f"py:[0-9]+: {re.escape(got)}.*expected {re.escape(expected)}"):
-        check_trace(block)
+        check_trace(trace(block))
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,7 @@ def test_a_state_of_another_number_is_refused(state: Any, step: Callable[[Any], 
     block = Block("States", "States", state=state, outputs=Outputs, output=lambda *_: Outputs())
     block = replace(block, step=lambda t, h, s, u, p, c: step(s))
     with pytest.raises(ExportError, match=re.escape(message)):
-        check_trace(block)
+        check_trace(trace(block))
 
 
 def test_a_number_reached_later_that_is_no_item_refuses_the_step_and_keeps_the_state() -> None:

@@ -1,10 +1,10 @@
-"""Functions of CasADi in dialects of C, which write the same operations, each a statement.
+"""Traced functions -> C. Two dialects write the same operations, each a statement.
 
-So the numbers of all dialects are the same bit for bit.
+So the numbers of both are the same bit for bit.
 """
 
 import textwrap
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
@@ -19,8 +19,19 @@ from fmus.generate.operations import (
     Schedule,
     Step,
     as_late_as_possible,
+    follows_from,
     operations_of,
 )
+from fmus.generate.trace import Traced
+
+_INITIAL = """static void model_initial_{kind}(double t, const double *x, const double *u, const double *p,
+                                 const double *v, double *along) {{
+    double between[{size}];
+    model_{first}(t, x, u, p, v, between);
+    model_{second}(t, x, u, p, between, along);
+}}
+"""
+_ABOUT_LANES = "/* Equations in vectors, for ensembles: an importer compiles those of model_code.h. */\n"
 
 
 @dataclass(frozen=True)
@@ -156,6 +167,37 @@ class VectorC(ScalarC):
         return f"lanes_{function}({', '.join(terms)})"
 
 
+def c_code(traced: Traced, derivatives: Mapping[str, casadi.Function]) -> dict[str, str]:
+    """Returns file name -> C functions called model_FUNCTION, with the arguments of the traced ones.
+
+    derivatives: further functions, of directional derivatives
+
+    model_code.h has all of them, model_lanes.h those of a run for groups of instances. What a step needs of
+    its size and the parameters alone is computed apart, by model_step_constants.
+    """
+    step, constants = c_functions(traced.step, "model_step", held=("h", "p", "c"), inputs="u")
+    others = {name: function for name, function in traced.functions().items() if name != "step"}
+    others.update(derivatives)
+    code = {name: c_function(f, f"model_{name}", name == "output") for name, f in others.items()}
+    of_runs = [*step, *(code[name] for name in ("calculate", "requirements", "initial_state", "output"))]
+    size, scalar, vector = f"enum {{ N_STEP_CONSTANTS = {constants} }};\n", ScalarC(), VectorC()
+    lanes = [vector.function(f) for f in of_runs]
+    memory = f"enum {{ N_MEMORY = {vector.memory} }};\n"
+    equations = [size, *map(scalar.function, (*step, *code.values())), *_initial(derivatives)]
+    return {
+        "model_code.h": "\n".join(equations),
+        "model_lanes.h": "\n".join([_ABOUT_LANES, size, memory, *lanes]),
+    }
+
+
+def _initial(derivatives: Mapping[str, casadi.Function]) -> Iterator[str]:
+    """Yields the functions of initialization that are one after the other of two functions."""
+    for kind in ("forward", "adjoint"):
+        if start := derivatives.get(f"start_{kind}"):
+            first, second = (start.name(), f"step_{kind}")[:: 1 if kind == "forward" else -1]
+            yield _INITIAL.format(kind=kind, first=first, second=second, size=start.numel_out(0))
+
+
 def c_function(function: casadi.Function, name: str, is_inlined: bool = False) -> CFunction:
     """Returns the function of C of that name."""
     return CFunction(name, function.name_in(), function.name_out(0), operations_of(function), is_inlined)
@@ -187,15 +229,6 @@ def c_functions(
         CFunction(f"{name}_constants", of_held, "k", known + results),
         CFunction(name, [*arguments, "k"], function.name_out(0), operations),
     ], count
-
-
-def follows_from(operations: Sequence[Operation], names: Collection[str]) -> list[bool]:
-    """Returns for each operation whether it follows from one of these arguments."""
-    follows: list[bool] = []
-    for operation in operations:
-        is_one = operation.name == "INPUT" and operation.text.split("[")[0] in names
-        follows.append(is_one or any(follows[argument] for argument in operation.arguments))
-    return follows
 
 
 def _constants(operations: Sequence[Operation], varies: Sequence[bool]) -> list[int]:

@@ -14,9 +14,9 @@ from fmpy.validation import validate_fmu
 from fmus.block import variable
 from fmus.errors import ExportError
 from fmus.generate import builder
-from fmus.generate import native as native_flavour
-from fmus.generate import python as python_flavour
-from fmus.generate.model_description import model_description
+from fmus.generate.archive import native_members, python_members
+from fmus.generate.describe import model_description
+from fmus.generate.trace import trace
 from fmus.platforms import host_platform, library_name
 from fmus.registry import Flavour
 from tests.shared_builds import Fmus, one_of_a_kind
@@ -84,14 +84,14 @@ def test_both_flavours_have_the_same_variables(built: Fmus, python_built: Fmus, 
     assert native.guid != python.guid
 
 
-@pytest.mark.parametrize("content", [native_flavour.content, python_flavour.content])
+@pytest.mark.parametrize("content", [native_members, python_members])
 def test_the_guid_follows_the_content(content: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     block = builder.load_block("ExamplePlant")
-    guid, _ = content(block)
-    assert content(block)[0] == guid
+    guid, _ = content(trace(block))
+    assert content(trace(block))[0] == guid
     other = replace(block, description="another")
     monkeypatch.setattr("plant_fmu.example_plant.BLOCK", other)
-    assert content(other)[0] != guid
+    assert content(trace(other))[0] != guid
 
 
 @pytest.mark.slow
@@ -128,16 +128,16 @@ def test_a_native_fmu_of_another_platform_only_is_rebuilt_for_this_one(tmp_path:
 def test_the_generation_date_is_utc_and_only_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
     block = builder.load_block("ExamplePlant")
     monkeypatch.delenv("SOURCE_DATE_EPOCH", raising=False)
-    assert b"generationDateAndTime" not in model_description(block, "", {})
+    assert b"generationDateAndTime" not in model_description(block, "", {}, {})
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
-    assert b'generationDateAndTime="1970-01-01T00:00:00Z"' in model_description(block, "", {})
+    assert b'generationDateAndTime="1970-01-01T00:00:00Z"' in model_description(block, "", {}, {})
 
 
 def test_author_version_and_licence_are_those_of_the_block() -> None:
     """Somebody else's block is neither by us nor under our licence."""
     ours = builder.load_block("ExamplePlant")
     theirs = replace(ours, author="An author", version="2.1", license=None)
-    described = [ElementTree.fromstring(model_description(block, "", {})) for block in (ours, theirs)]
+    described = [ElementTree.fromstring(model_description(block, "", {}, {})) for block in (ours, theirs)]
     given = [[root.get(name) for name in ("author", "version", "license")] for root in described]
     assert given == [[None, None, "MIT"], ["An author", "2.1", None]]
 
@@ -150,7 +150,7 @@ def test_an_unknown_unit_is_refused_with_the_nearest() -> None:
     block = replace(builder.load_block("ExamplePlant"), outputs=Outputs)
     block = replace(block, output=lambda t, state, p, c: Outputs(state.x[0]))
     with pytest.raises(ExportError, match="unknown unit 'N/Volt': no unit 'Volt'; nearest is 'volt'"):
-        model_description(block, "", {})
+        model_description(block, "", {}, {})
 
 
 def test_units_are_defined_with_factor_and_offset_and_display_units_with_their_inverse() -> None:
@@ -164,7 +164,7 @@ def test_units_are_defined_with_factor_and_offset_and_display_units_with_their_i
 
     block = replace(builder.load_block("ExamplePlant"), outputs=Outputs)
     block = replace(block, output=lambda t, state, p, c: Outputs((state.x[0], 0.0)))
-    root = ElementTree.fromstring(model_description(block, "", {}))
+    root = ElementTree.fromstring(model_description(block, "", {}, {}))
     units = {unit.get("name"): [dict(part.attrib) for part in unit] for unit in root.iter("Unit")}
     assert units["rad"] == [{"rad": "1"}, {"name": "deg", "factor": repr(180.0 / math.pi)}]
     assert units["degC"] == [{"K": "1", "offset": "273.15"}, {"name": "K", "offset": "273.15"}]
@@ -176,4 +176,4 @@ def test_units_are_defined_with_factor_and_offset_and_display_units_with_their_i
 def test_a_text_that_xml_cannot_hold_is_refused() -> None:
     block = replace(builder.load_block("ExamplePlant"), description="a bell \a")
     with pytest.raises(ExportError, match="ExamplePlant: expected texts that XML can hold"):
-        model_description(block, "", {})
+        model_description(block, "", {}, {})

@@ -8,8 +8,8 @@ import pytest
 
 from fmus.block import Block, variable
 from fmus.generate import builder
-from fmus.generate.sensitivities import sensitivities
-from fmus.generate.symbolic import traced
+from fmus.generate.derivatives import Sensitivities
+from fmus.generate.trace import trace
 from fmus.numerics import maximum, sqrt, tanh
 
 
@@ -17,7 +17,7 @@ def test_the_plant_starts_independently_of_its_voltages() -> None:
     """Otherwise controller and plant would form a loop in initialisation mode."""
     plant = builder.load_block("RovDepthPlant")
     voltages = {v.value_reference for v in plant.variables if v.name.startswith("voltage")}
-    dependencies = sensitivities(plant).initial.dependencies()
+    dependencies = Sensitivities(trace(plant)).initial.dependencies()
     for known in (dependencies[v.value_reference] for v in plant.variables if v.causality == "output"):
         assert not voltages & set(known)
 
@@ -25,7 +25,7 @@ def test_the_plant_starts_independently_of_its_voltages() -> None:
 def test_initial_outputs_of_the_controller_follow_its_measurement() -> None:
     controller = builder.load_block("L1DepthController")
     reference = {v.name: v.value_reference for v in controller.variables}
-    dependencies = sensitivities(controller).initial.dependencies(controller.variables)
+    dependencies = Sensitivities(trace(controller)).initial.dependencies(controller.variables)
     assert reference["measured_depth"] in dependencies[reference["tracking_error"]]
     assert dependencies[reference["omega_hat"]] == (reference["input_gain"],)
 
@@ -59,9 +59,9 @@ def test_the_operations_of_a_wide_block_grow_with_its_width() -> None:
     narrow, wide = (
         {
             name: function.n_instructions()
-            for name, function in (traced(block).functions() | sensitivities(block).functions(2)).items()
+            for name, function in (traced.functions() | Sensitivities(traced).functions(2)).items()
         }
-        for block in (wide_block(10), wide_block(100))
+        for traced in (trace(wide_block(10)), trace(wide_block(100)))
     )
     assert {name for name in wide if wide[name] > 11 * narrow[name]} == set()
 
@@ -96,7 +96,7 @@ def test_a_steep_function_of_a_state_at_0_leaves_derivatives_by_parameters_numbe
 
     block = Block("Tank", "Tank", parameters=Gains, state=State, outputs=Outputs, step=step, output=output)
     flow = block.variables[-1].value_reference
-    functions = sensitivities(block).functions(2)
+    functions = Sensitivities(trace(block)).functions(2)
     for function in (functions["initial_forward"], functions["step_forward"]):
         seed = [1.0] + [0.0] * (function.numel_in(4) - 1)
         along = function(0.0, 0.0, casadi.DM(0, 1), [3.0, 0.02], seed)

@@ -1,12 +1,12 @@
-"""A block traced to CasADi: what its functions compute, as expressions and as C99.
+"""A block traced to CasADi: what its functions compute, as expressions.
 
 Every function takes and gives column vectors in the order of `flatten`; parameters `p`, calculated
 parameters `c`, inputs `u`, state `x`, outputs `y`, times `t` and `h` in s.
 """
 
 import math
-from collections.abc import Callable, Iterator
-from functools import cache, reduce
+from collections.abc import Callable
+from functools import reduce
 from typing import Any
 
 import casadi
@@ -16,20 +16,11 @@ from fmus.block.integration import between_events
 from fmus.block.scalars import flatten, unflatten
 from fmus.errors import ExportError
 from fmus.generate import guard
-from fmus.generate.c_functions import ScalarC, VectorC, c_function, c_functions
-from fmus.generate.declaration import check_declaration, check_requirements, check_result, scalar_names
+from fmus.generate.declare import check_declaration, check_requirements, check_result, scalar_names
 from fmus.generate.operations import operations_of
 from fmus.numerics.symbols import unsimplified
 
-_INITIAL = """static void model_initial_{kind}(double t, const double *x, const double *u, const double *p,
-                                 const double *v, double *along) {{
-    double between[{size}];
-    model_{first}(t, x, u, p, v, between);
-    model_{second}(t, x, u, p, between, along);
-}}
-"""
 _SHORT_STEP = 1e-11  # [s]
-_ABOUT_LANES = "/* Equations in vectors, for ensembles: an importer compiles those of model_code.h. */\n"
 
 
 class Traced:
@@ -41,6 +32,8 @@ class Traced:
     step: (t, h, x, u, p, c) -> x
     output: (t, x, p, c) -> y
     required: what each of the requirements expects, in words
+    indicators: how many event indicators the block has
+    restarted: value references of the continuous states that an event may change
 
     In model exchange `step` is evaluated with h = 0: what it copies from inputs follows them at once, what
     `sampled` and `at_events` guard is held, and the continuous states are the solver's. Of a block with these
@@ -76,6 +69,7 @@ class Traced:
         self.output = self._function("output", "t x p c", "y", outputs)
         for name in ("calculate", "step", "output"):
             self._check_constants(name)
+        self.indicators, self.restarted = 0, set[int]()
         if block.derivative:
             self._trace_exchange()
 
@@ -91,7 +85,9 @@ class Traced:
         self.derivative = self._function("rates", arguments, "rates", rates)
         crossings = tuple(self._called(block.crossings, arguments))
         self.crossings = self._function("crossings", arguments, "crossings", crossings)
+        self.indicators = self.crossings.numel_out(0)
         self.event = self._function("event", arguments, "event", event)
+        self.restarted = self._restarted()
         next_event = reduce(casadi.fmin, due, casadi.SX(math.inf))
         self.next_event = self._function("next_event", arguments, "next_event", next_event)
         if block.integrate:
@@ -112,6 +108,11 @@ class Traced:
         result = function(t, self.held(t, x, *others), *others)
         return casadi.Function(function.name(), [t, x, *others], [result])
 
+    def _restarted(self) -> set[int]:
+        _, x, *_ = arguments = self.event.sx_in()
+        after, states = self.event(*arguments), self.block.states[: len(self.block.states) // 2]
+        return {v.value_reference for i, v in enumerate(states) if not casadi.is_equal(after[i], x[i])}
+
     def _check_constants(self, name: str) -> None:
         """Raises ExportError for a function with a constant that is NaN."""
         if any(operation.text == "NAN" for operation in operations_of(getattr(self, name))):
@@ -124,30 +125,6 @@ class Traced:
         """Returns everything that an FMU needs, by name."""
         own = {name: value for name, value in vars(self).items() if isinstance(value, casadi.Function)}
         return {name: value for name, value in own.items() if name != "integrated_rate"}
-
-    def c_code(self, derivatives: dict[str, casadi.Function]) -> dict[str, str]:
-        """Returns file name -> C functions called model_FUNCTION, with the arguments of this class.
-
-        derivatives: further functions, of directional derivatives
-
-        model_code.h has all of them, model_lanes.h those of a run for groups of instances. What a step needs
-        of its size and the parameters alone is computed apart, by model_step_constants.
-        """
-        step, constants = c_functions(self.step, "model_step", held=("h", "p", "c"), inputs="u")
-        others = {
-            name: function for name, function in self.functions().items() if name != "step"
-        } | derivatives
-        code = {name: c_function(f, f"model_{name}", name == "output") for name, f in others.items()}
-        of_runs = [*step, *(code[name] for name in ("calculate", "requirements", "initial_state", "output"))]
-        size, scalar, vector = f"enum {{ N_STEP_CONSTANTS = {constants} }};\n", ScalarC(), VectorC()
-        lanes = [vector.function(f) for f in of_runs]
-        memory = f"enum {{ N_MEMORY = {vector.memory} }};\n"
-        return {
-            "model_code.h": "\n".join(
-                [size, *map(scalar.function, (*step, *code.values())), *_initial(derivatives)]
-            ),
-            "model_lanes.h": "\n".join([_ABOUT_LANES, size, memory, *lanes]),
-        }
 
     def _add_symbols(self, name: str, template: Any) -> None:
         """Adds the symbols of an argument in the shape of a class of the block, or of a value."""
@@ -176,9 +153,8 @@ class Traced:
         return casadi.Function(name, [self._columns[n] for n in names], [column], names, [result_name])
 
 
-@cache
-def traced(block: Block) -> Traced:
-    """Returns the functions of a block, traced once in a process; ExportError if it cannot be traced."""
+def trace(block: Block) -> Traced:
+    """Returns the functions of a block; ExportError if it cannot be traced."""
     try:
         return Traced(block)
     except ExportError:
@@ -190,14 +166,6 @@ def traced(block: Block) -> Traced:
             )
             raise ExportError(f"block {block.name!r} cannot be traced: {reason}") from error
         raise ExportError(f"block {block.name!r} cannot be traced: {error}") from error
-
-
-def _initial(derivatives: dict[str, casadi.Function]) -> Iterator[str]:
-    """Yields the functions of initialization that are one after the other of two functions."""
-    for kind in ("forward", "adjoint"):
-        if start := derivatives.get(f"start_{kind}"):
-            first, second = (start.name(), f"step_{kind}")[:: 1 if kind == "forward" else -1]
-            yield _INITIAL.format(kind=kind, first=first, second=second, size=start.numel_out(0))
 
 
 def _column(value: Any) -> casadi.SX:
@@ -226,19 +194,3 @@ def _copied(block: Block, state: casadi.SX, held: casadi.SX) -> list[int]:
             "expected at_events(state, new) or sampled(...) of fmus.numerics around it"
         )
     return changed
-
-
-def indicator_count(block: Block) -> int:
-    """Returns how many event indicators a block has."""
-    return traced(block).crossings.numel_out(0) if block.derivative else 0
-
-
-def restarted_states(block: Block) -> set[int]:
-    """Returns the value references of the continuous states that an event may change."""
-    if not block.derivative:
-        return set()
-    functions = traced(block)
-    _, x, *_ = arguments = functions.event.sx_in()
-    after = functions.event(*arguments)
-    states = block.states[: len(block.states) // 2]
-    return {v.value_reference for i, v in enumerate(states) if not casadi.is_equal(after[i], x[i])}

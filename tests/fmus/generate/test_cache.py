@@ -17,7 +17,7 @@ import fmus
 from fmus import store
 from fmus.block.block_file import blocks_in, write_new_block
 from fmus.generate import builder
-from fmus.generate.stamp import BuildCache, BuildRequest, Sources
+from fmus.generate.cache import BuildCache, BuildRequest, Sources
 from fmus.platforms import PLATFORMS
 from fmus.registry import Flavour, block_names
 
@@ -168,7 +168,7 @@ def test_python_without_assertions_and_docstrings_makes_it_stale(order: BuildReq
     code = """
 import sys
 from pathlib import Path
-from fmus.generate.stamp import BuildCache, BuildRequest, Sources
+from fmus.generate.cache import BuildCache, BuildRequest, Sources
 folder = Path(sys.argv[1])
 order = BuildRequest(str(folder / "lag.py"), folder / "built")
 print(BuildCache(folder / "package").current(order) is not None)

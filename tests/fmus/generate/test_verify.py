@@ -23,7 +23,8 @@ from fmus import numerics
 from fmus.block import Block, variable
 from fmus.errors import ExportError
 from fmus.generate import builder
-from fmus.generate.check_trace import check_trace
+from fmus.generate.trace import trace
+from fmus.generate.verify import check_trace
 
 
 class Mode(IntEnum):
@@ -129,7 +130,7 @@ def cached(u: float) -> float:
 AT_ANOTHER = "step gives x = .* at one call and .* at another, same arguments"
 IN_PYTHON = "step gives x = .* in Python and .* when it is traced"
 DIVISION = r"ZeroDivisionError\('float division by zero'\) at .*:\d+"
-SHAPES = r"test_check_trace.py:\d+: .*TypeError: alternatives"
+SHAPES = r"test_verify.py:\d+: .*TypeError: alternatives"
 REFUSED: list[tuple[Rule, str]] = [
     (lambda u, x, p: math.tanh(x), r"math.tanh\(x\): a number is needed.*use fmus.numerics.tanh$"),
     (lambda u, x, p: x + math.floor(math.exp(u)), r"math.exp\(u\): a number is needed.*fmus.numerics.exp$"),
@@ -230,7 +231,7 @@ REFUSED_RESULTS: list[tuple[Rule, str]] = [
     (lambda u, x, p: numerics.where(u > 0.0, x, math.nan), r"step holds a constant that is not a number"),
     (
         lambda u, x, p: [x, u][5 if type(u) is float else 0],
-        r"step raises IndexError\('list index out of range'\) at .*test_check_trace.py:\d+: \[x, u\]\[5",
+        r"step raises IndexError\('list index out of range'\) at .*test_verify.py:\d+: \[x, u\]\[5",
     ),
     (lambda u, x, p: np.array([u, x]) if type(u) is float else u, r"step raises TypeError\(.*only"),
     (lambda u, x, p: (x, u), r"step returns State.x as a tuple: expected one number"),
@@ -241,7 +242,7 @@ REFUSED_RESULTS: list[tuple[Rule, str]] = [
 @pytest.mark.parametrize(("rule", "message"), REFUSED, ids=range(len(REFUSED)))
 def test_a_line_that_cannot_be_traced_faithfully_is_refused(rule: Rule, message: str) -> None:
     with pytest.raises(ExportError, match=f"^block 'Trial'.*{message}") as refusal:
-        check_trace(block_of(rule))
+        check_trace(trace(block_of(rule)))
     code, start = inspect.getsourcelines(rule)
     named = int(re.findall(rf"{re.escape(__file__)}:(\d+)", str(refusal.value))[-1])
     assert start <= named < start + len(code)
@@ -250,7 +251,7 @@ def test_a_line_that_cannot_be_traced_faithfully_is_refused(rule: Rule, message:
 @pytest.mark.parametrize(("rule", "message"), REFUSED_RESULTS, ids=range(len(REFUSED_RESULTS)))
 def test_a_function_that_cannot_be_traced_faithfully_is_refused(rule: Rule, message: str) -> None:
     with pytest.raises(ExportError, match=f"^block 'Trial'.*{message}"):
-        check_trace(block_of(rule))
+        check_trace(trace(block_of(rule)))
 
 
 def changes_its_argument(t: float, h: float, state: State, inputs: Inputs, *_: object) -> State:
@@ -272,20 +273,20 @@ def test_a_step_that_gives_another_class_or_changes_its_argument_is_refused(
     step: Callable[..., Any], message: str
 ) -> None:
     with pytest.raises(ExportError, match=message):
-        check_trace(replace(block_of(branch), step=step))
+        check_trace(trace(replace(block_of(branch), step=step)))
 
 
 def test_a_refusal_names_file_and_line_of_the_users_code() -> None:
     line = inspect.getsourcelines(branch)[1] + 1
     with pytest.raises(ExportError) as refusal:
-        check_trace(block_of(branch))
+        check_trace(trace(block_of(branch)))
     assert f"cannot be traced: {__file__}:{line}: u > 0.0: a truth value" in str(refusal.value)
 
 
 def test_a_difference_names_file_and_line_of_the_function_and_both_values() -> None:
     block = block_of(lambda u, x, p: 1.0 if isinstance(u, float) else 2.0)
     with pytest.raises(ExportError) as refusal:
-        check_trace(block)
+        check_trace(trace(block))
     position = f"{__file__}:{inspect.getsourcelines(block.step)[1]}"
     assert f"{position}: step gives x = 1.0 in Python and 2.0 when it is traced" in str(refusal.value)
 
@@ -304,7 +305,7 @@ def test_what_the_garbage_collector_calls_meanwhile_is_not_the_blocks() -> None:
 
     gc.callbacks.append(collector_starts)
     try:
-        check_trace(block_of(collects))
+        check_trace(trace(block_of(collects)))
     finally:
         gc.callbacks.remove(collector_starts)
 
@@ -333,7 +334,7 @@ ACCEPTED: list[Rule] = [
 
 @pytest.mark.parametrize("rule", ACCEPTED, ids=range(len(ACCEPTED)))
 def test_a_faithful_block_is_accepted(rule: Rule) -> None:
-    check_trace(block_of(rule))
+    check_trace(trace(block_of(rule)))
 
 
 @dataclass(frozen=True)
@@ -354,7 +355,7 @@ def test_a_division_by_zero_where_one_input_is_0_at_the_start_is_refused(name: s
 
     block = replace(block_of(branch), inputs=ThreeInputs, step=step)
     with pytest.raises(ExportError, match=r"ZeroDivisionError.*state\.x / square, where compiled code gives"):
-        check_trace(block)
+        check_trace(trace(block))
 
 
 def test_a_block_is_compared_at_the_same_points_whatever_its_name() -> None:
@@ -369,7 +370,7 @@ def test_a_block_is_compared_at_the_same_points_whatever_its_name() -> None:
         return rule
 
     for name in points:
-        check_trace(replace(block_of(recording(name)), name=name))
+        check_trace(trace(replace(block_of(recording(name)), name=name)))
     assert points["Trial"]
     assert points["Trial"] == points["Other"]
 
@@ -396,7 +397,7 @@ def test_every_block_is_faithful_and_takes_its_branches_both_ways(
     for own_name, value in names.items():
         monkeypatch.setitem(where.__globals__, own_name, value)
     monkeypatch.setattr(where, "__code__", observed_where.__code__)
-    check_trace(block)
+    check_trace(trace(block))
     assert outcomes or name == "ExamplePlant"  # which is linear
     assert {position for position, both in outcomes.items() if both != {True, False}} == set()
 
@@ -436,6 +437,6 @@ def test_an_integration_with_a_limit_is_compared_by_the_slope_that_its_step_take
             output=lambda t, state, *_: Outputs(state.x),
         )  # fmt: skip
 
-    check_trace(block(_rate))
+    check_trace(trace(block(_rate)))
     with pytest.raises(ExportError, match="as the function integrate has it in a short step"):
-        check_trace(block(lambda *arguments: Level(1.001 * _rate(*arguments).x)))
+        check_trace(trace(block(lambda *arguments: Level(1.001 * _rate(*arguments).x))))

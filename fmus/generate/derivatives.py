@@ -1,16 +1,13 @@
 """Modes of an FMU: what is calculated in each by what is known, dependencies and directional derivatives."""
 
 from collections.abc import Iterable
-from functools import cache
 from typing import NamedTuple
 
 import casadi
 
-from fmus.block import Block
 from fmus.block.variables import BlockVariable
-from fmus.generate.c_functions import follows_from
-from fmus.generate.operations import operations_of
-from fmus.generate.symbolic import Traced, traced
+from fmus.generate.operations import follows_from, operations_of
+from fmus.generate.trace import Traced
 
 _STEEP = {
     "SQRT", "POW", "CONSTPOW", "ASIN", "ACOS", "ACOSH", "ATANH", "ATAN2", "HYPOT", "LOG", "LOG1P", "INV",
@@ -70,6 +67,7 @@ class Sensitivities:
         start = functions.initial_state(t, u, p, c)
         count = len(block.states) // 2
         inputs = _at(block.of_causality("parameter"), p) | _at(block.of_causality("input"), u)
+        self._settable = (*block.of_causality("parameter"), *block.of_causality("input"))
         time = {self._count - 1: t}
         outputs = block.of_causality("output")
 
@@ -93,6 +91,10 @@ class Sensitivities:
         before, after = (dict(zip(places, casadi.vertsplit(s), strict=True)) for s in (x, start))
         self._start = Mode(arguments, inputs | time, inputs | time | after)
         self._whole = Mode(arguments, known | before, before | self.step.unknown)
+
+    def of_settable(self) -> dict[int, tuple[int, ...]]:
+        """Returns value reference of each initial unknown -> those of the parameters and inputs behind it."""
+        return self.initial.dependencies(self._settable)
 
     def functions(self, fmi: int) -> dict[str, casadi.Function]:
         """Returns the functions of an FMU of a version of the standard, by name.
@@ -129,9 +131,3 @@ class Sensitivities:
 
 def _at(variables: tuple, values: casadi.SX) -> dict[int, casadi.SX]:
     return {v.value_reference: values[i] for i, v in enumerate(variables)}
-
-
-@cache
-def sensitivities(block: Block) -> Sensitivities:
-    """Returns the modes of a block, traced once in a process."""
-    return Sensitivities(traced(block))

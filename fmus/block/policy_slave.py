@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 from fmus.block.own_modules import OwnModules
 from fmus.block.policy import PolicyInstance, policy_block
-from fmus.generate.slave import BlockSlave
+from fmus.block.slave import BlockSlave
 
 
 class PolicySlave(BlockSlave):

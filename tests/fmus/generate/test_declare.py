@@ -31,12 +31,12 @@ def test_a_mistake_is_named_with_the_line_of_the_file(
 def test_the_block_without_a_mistake_is_accepted(tmp_path: Path) -> None:
     path = tmp_path / "lag.py"
     path.write_text(BLOCK)
-    with builder.loaded(str(path)) as (block,):
-        assert block.name == "Lag"
+    with builder.loaded(str(path)) as (traced,):
+        assert traced.block.name == "Lag"
 
 
 def test_a_step_size_may_be_a_whole_number_of_seconds(tmp_path: Path) -> None:
     path = tmp_path / "lag.py"
     path.write_text(BLOCK.replace('"A lag"', '"A lag", step_size=1'))
-    with builder.loaded(str(path)) as (block,):
-        assert {v.name: v.start for v in block.variables}["internal_step"] == 1.0
+    with builder.loaded(str(path)) as (traced,):
+        assert {v.name: v.start for v in traced.block.variables}["internal_step"] == 1.0

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from fmus.errors import ExportError
-from fmus.generate.c_functions import ScalarC, VectorC, c_function, c_functions
+from fmus.generate.c_code import ScalarC, VectorC, c_function, c_functions
 from fmus.generate.operations import Branch, Operation, as_late_as_possible
 from fmus.native import toolchain
 from fmus.platforms import host_platform, library_name
