@@ -16,9 +16,9 @@ from hypothesis import settings
 from fmus import platforms
 from fmus.block import Block
 from fmus.block.instance import BlockInstance
-from fmus.build import builder
-from fmus.build.stamp import BuildRequest
 from fmus.errors import ExportError
+from fmus.generate import builder
+from fmus.generate.cache import BuildRequest
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_names, fmu_folder
 from tests import foreign_fmus, foreign_pythonfmu
 from tests.c_programs import compile_c

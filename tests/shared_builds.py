@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from filelock import FileLock
 
+from fmus.block import Block
 from fmus.registry import block_names
 
 Build = Callable[..., Path]
@@ -55,10 +56,20 @@ def built_once(path: Path, build: Callable[[Path], Any]) -> Path:
 
 def with_libraries(name: str, members: dict[str, bytes]) -> dict[str, bytes]:
     """The members of a native FMU, and its library for this platform, compiled from their sources."""
-    from fmus.build import native
+    from fmus.generate import native
 
     with native.compiled_libraries(name, members, ()) as libraries:
         return members | libraries()
+
+
+def c_sources_of(block: Block, guid: str, **options: Any) -> dict[str, str]:
+    """The C sources of a block, which is traced for them."""
+    from fmus.generate.derivatives import Sensitivities
+    from fmus.generate.native import c_sources
+    from fmus.generate.trace import trace
+
+    traced = trace(block)
+    return c_sources(traced, Sensitivities(traced), guid, **options)
 
 
 class LazyFmus(Mapping[str, Path]):

@@ -82,13 +82,14 @@ LEVELS = {
     "fmus.block": 1,
     "fmus.native": 1,
     "fmus.fmi": 2,
+    "fmus.fmi.variable_types": 0,
     "fmus.numerics": 2,
-    "fmus.build.documentation": 3,
-    "fmus.build": 4,
+    "fmus.generate.documentation": 3,
+    "fmus.generate": 4,
     "fmus.compliance": 4,
     "fmus.compliance.rules": 5,
-    "fmus.build.builder": 5,
-    "fmus.build.policy": 5,
+    "fmus.generate.builder": 5,
+    "fmus.generate.policy": 5,
     "orchestration.errors": 5,
     "orchestration.system": 6,
     "orchestration.results": 6,
@@ -112,8 +113,8 @@ LEVELS = {
 }
 
 # What running FMUs needs of `fmus`. `fmus.native` imports the compiler if nothing compiled is there.
-# `fmus.build.policy` is imported where a component names a class, and makes its FMU in another process.
-FOR_RUNNING = ("fmus.fmi", "fmus.native", "fmus.build.policy")
+# `fmus.generate.policy` is imported where a component names a class, and makes its FMU in another process.
+FOR_RUNNING = ("fmus.fmi", "fmus.fmi.variable_types", "fmus.native", "fmus.generate.policy")
 
 
 def room(module: str) -> str:
@@ -207,7 +208,7 @@ def test_running_fmus_needs_no_export() -> None:
 
 def test_one_file_runs_the_compiler() -> None:
     names = {name for name, path in MODULES.items() if re.search("[\"']ziglang[\"']", text(path))}
-    assert names == {"fmus.native.toolchain", "fmus.build.stamp"}  # which compares its version
+    assert names == {"fmus.native.toolchain", "fmus.generate.cache"}  # which compares its version
 
 
 def test_one_file_knows_the_users_cache_and_holds_locks() -> None:
@@ -217,10 +218,10 @@ def test_one_file_knows_the_users_cache_and_holds_locks() -> None:
         "fmus.store"
     }
     writers = {
-        "fmus.build.builder",
-        "fmus.build.policy",
+        "fmus.generate.builder",
+        "fmus.generate.policy",
         "fmus.native.compiled_library",
-        "fmus.build.stamp",
+        "fmus.generate.cache",
         "orchestration.studies.score.score_rows",
     }
     assert {
@@ -238,7 +239,9 @@ def test_one_file_calls_what_some_operating_systems_lack() -> None:
 
 def test_one_file_walks_imports() -> None:
     """From a module to those that it names, which needs absolute names."""
-    assert {name for name, path in MODULES.items() if "resolve_name(" in text(path)} == {"fmus.build.imports"}
+    assert {name for name, path in MODULES.items() if "resolve_name(" in text(path)} == {
+        "fmus.generate.imports"
+    }
 
 
 def test_the_master_loads_nothing_that_running_does_not_need() -> None:
@@ -254,7 +257,7 @@ def test_the_master_loads_nothing_that_running_does_not_need() -> None:
         "rich",
         "typer",
     ]
-    heavy += ["fmus.build", "fmus.block", "fmus.build.builder", "orchestration.scenarios"]
+    heavy += ["fmus.generate", "fmus.block", "fmus.generate.builder", "orchestration.scenarios"]
     code = f"import sys, orchestration.run; print([n for n in {heavy} if n in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
@@ -346,20 +349,20 @@ def test_what_is_declared_is_imported() -> None:
 @pytest.mark.parametrize(
     ("package", "allowed"),
     [
-        ("pythonfmu", {"fmus.build.slave"}),
+        ("pythonfmu", {"fmus.block.slave"}),
         (
             "casadi",
             {
                 "fmus.numerics.symbols",
                 *(
-                    f"fmus.build.{name}"
-                    for name in ("guard", "symbolic", "sensitivities", "operations", "c_functions")
+                    f"fmus.generate.{name}"
+                    for name in ("guard", "trace", "derivatives", "operations", "c_code")
                 ),
             },
         ),
         ("matplotlib", {"orchestration.results.figures"}),
         ("jinja2", {"orchestration.results.page"}),
-        ("PIL", {"fmus.build.documentation.terminals_and_icon"}),
+        ("PIL", {"fmus.generate.documentation.terminals_and_icon"}),
         ("pint", {"fmus.block.units"}),
     ],
 )

@@ -13,7 +13,7 @@ import pytest
 from fmus import numerics
 from fmus.block import Block
 from fmus.block.block_file import write_new_block
-from fmus.build.builder import load_block
+from fmus.generate.builder import load_block
 from fmus.units import SYMBOLS
 from orchestration.studies.score.protocol import read_protocol
 from orchestration.studies.score.score_document import Score

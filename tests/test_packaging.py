@@ -210,7 +210,7 @@ recording = simulate(system, stop_time=1000.0, step_size=0.01)
 print(time.process_time() - start)
 assert len(recording.time) == 100001
 unneeded = {"casadi", "ziglang", "pint", "PIL", "matplotlib", "pandas", "rich", "typer"}
-unneeded |= {"fmus.build"}
+unneeded |= {"fmus.generate"}
 assert not unneeded & set(sys.modules), unneeded & set(sys.modules)
 maps = Path("/proc/self/maps").read_text()
 print(*{line.split("/", 1)[1] for line in maps.splitlines() if "l1-depth-" in line})

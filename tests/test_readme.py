@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fmus.build import builder
+from fmus.generate import builder
 from orchestration.scenarios import scenario
 from orchestration.system.prepared_run import prepare
 

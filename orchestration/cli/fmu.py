@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fmus.build.stamp import BuildCache, BuildRequest
 from fmus.errors import ExportError
 from fmus.files import write_bytes_atomically
+from fmus.generate.cache import BuildCache, BuildRequest
 from fmus.platforms import PLATFORMS, check_platforms
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_names, fmu_folder
 from orchestration.cli.shared import FlavourOption, fail, print_table, progress, refuse_without_effect
@@ -152,7 +152,7 @@ def build(
 
 def _built_class(name: str, folder: Path | None) -> Path:
     """Returns the FMU of a policy class, in a folder or, for None, in the cache."""
-    from fmus.build.policy import fmu_of_class
+    from fmus.generate.policy import fmu_of_class
 
     path = fmu_of_class(name)
     if folder is None:
@@ -192,7 +192,7 @@ def _built(orders: Sequence[BuildRequest], current: Current) -> Generator[Sequen
     """Yields the FMUs of each order, or why it cannot be built; builds only what is out of date."""
     stale, built = [order for order in orders if not current.get(order)], iter(())
     if stale:
-        from fmus.build import builder  # which loads what builds FMUs
+        from fmus.generate import builder  # which loads what builds FMUs
 
         built = builder.build_orders(stale)
     yield from (current.get(order) or next(built) for order in orders)

@@ -4,9 +4,9 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from fmus.build import builder
-from fmus.build.package_blocks import ramp_source, with_start_values
 from fmus.fmi.variable_types import FmiValue
+from fmus.generate import builder
+from fmus.generate.package_blocks import ramp_source, with_start_values
 from fmus.platforms import PLATFORMS
 from fmus.registry import Flavour, block_fmus
 from fmus.units import si_unit

@@ -13,20 +13,20 @@ def fmu_file(fmu: str, flavour: Flavour = Flavour.NATIVE) -> Path:
     """
     if not fmu.endswith(".py"):
         return Path(fmu) if fmu.endswith(".fmu") else fmu_path(fmu, flavour)
-    from fmus.build import stamp
+    from fmus.generate import cache
 
-    if current := stamp.BuildCache().current(stamp.order_of_file(Path(fmu), flavour), to_run=True):
+    if current := cache.BuildCache().current(cache.order_of_file(Path(fmu), flavour), to_run=True):
         return current[0]
-    from fmus.build import builder  # which loads CasADi
+    from fmus.generate import builder  # which loads CasADi
 
     return builder.fmu_of_file(Path(fmu), flavour)
 
 
 def build_missing(fmus: Iterable[Path]) -> None:
     """Builds the FMUs of our blocks that are missing or stale."""
-    from fmus.build import stamp
+    from fmus.generate import cache
 
-    if stale := stamp.stale(fmus):
-        from fmus.build import builder
+    if stale := cache.stale(fmus):
+        from fmus.generate import builder
 
         builder.build_missing(stale)

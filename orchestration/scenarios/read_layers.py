@@ -108,7 +108,7 @@ def named_fmu(fmu: str, folder: Path, at: At, keys: KeyPath) -> str:
     if fmu.endswith((".fmu", ".py")):
         return str((folder / fmu).absolute())
     if ".py:" in fmu:
-        from fmus.build.policy import fmu_of_class
+        from fmus.generate.policy import fmu_of_class
 
         try:
             return str(fmu_of_class(fmu, folder))

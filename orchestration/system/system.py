@@ -99,7 +99,7 @@ def _fmu(path: str | Path) -> Path:
     """Returns the path of an FMU, which is made first of a policy class, FILE.py:Class."""
     if ".py:" not in str(path):
         return Path(path)
-    from fmus.build.policy import fmu_of_class
+    from fmus.generate.policy import fmu_of_class
 
     return fmu_of_class(str(path))
 

@@ -1,6 +1,5 @@
 """What choices of the law cost, as docs/explanation/theory.md and docs/fidelity.md state it, run again."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 
 from controller_fmu.l1 import depth_controller, law, lowpass
-from fmus.build import builder, symbolic
+from fmus.generate import builder
 from orchestration.results.metrics import evaluate
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator
@@ -21,15 +20,13 @@ PAIR = ("l1", "extended")
 
 
 @pytest.fixture
-def no_anti_windup(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def no_anti_windup(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The FMU of the depth controller whose filter and integral go on in a saturation."""
     monkeypatch.setattr(lowpass, "widens", lambda saturation_error, change: False)
     monkeypatch.setattr(
         law, "integrate_error", lambda h, integral, error, saturation_error: integral + h * error
     )
-    symbolic.traced.cache_clear()
-    yield builder.build_block(depth_controller.BLOCK, tmp_path)
-    symbolic.traced.cache_clear()
+    return builder.build_block(depth_controller.BLOCK, tmp_path)
 
 
 def run(name: str, parameters: dict[str, Any], **others: Any) -> tuple[Recording, dict[str, float]]:

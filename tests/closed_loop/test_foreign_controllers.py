@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from fmus.block.block_file import write_new_block
-from fmus.build import builder
 from fmus.files import write_archive
+from fmus.generate import builder
 from fmus.native.toolchain import compile_library
 from fmus.platforms import host_platform, library_name
 from orchestration.results.recording import Recording

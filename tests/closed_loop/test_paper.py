@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from fmus.build import builder
+from fmus.generate import builder
 from orchestration.scenarios import scenario
 from orchestration.scenarios.published import PUBLISHED
 from orchestration.scenarios.run_files import Result, reproduced

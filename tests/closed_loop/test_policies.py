@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmus.build import builder
+from fmus.generate import builder
 from fmus.registry import Flavour
 from orchestration.cli.commands import run_command
 from orchestration.many.run_many import run_many

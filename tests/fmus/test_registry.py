@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from fmus import registry
-from fmus.build import builder
 from fmus.errors import ExportError, MissingExtraError
 from fmus.extras import require
 from fmus.fmi.description import describe
+from fmus.generate import builder
 from fmus.registry import FOLDER_VARIABLE, Flavour
 from orchestration.errors import FmuLoadError
 

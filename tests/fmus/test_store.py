@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from fmus import store
-from fmus.build import builder
-from fmus.build.stamp import BuildCache, BuildRequest
 from fmus.fmi.description import describe
+from fmus.generate import builder
+from fmus.generate.cache import BuildCache, BuildRequest
 from fmus.registry import FOLDER_VARIABLE, fmu_folder, fmu_path
 from fmus.store import reason_for_distrust
 from orchestration.errors import FmuLoadError

@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.progress import track
 
-from fmus.build import builder
+from fmus.generate import builder
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from tests.importers.comparison import SCENARIOS, Outcome, outcome, packaged

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmus.build.builder import build_missing
+from fmus.generate.builder import build_missing
 from orchestration.cli.package_fmus import build_ramp_source, build_started
 from orchestration.exchange import ssp_write
 from orchestration.exchange.ssp_xml import SspVersion

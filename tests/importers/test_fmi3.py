@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmus.build import builder
 from fmus.fmi.process import Worker
+from fmus.generate import builder
 from orchestration import Experiment, System, simulate
 from tests.importers.fmi3_loops import STEP, Link, Loop, run_in_container, run_in_ecos
 from tests.isolated import answer_of

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fmpy.fmi2 import FMU2Slave
 
-from fmus.build import builder
+from fmus.generate import builder
 from tests.importers.importers import loaded_by_fmpy
 from tests.shared_builds import KINDS, Fmus
 

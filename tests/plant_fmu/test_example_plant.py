@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from fmus.build import builder
+from fmus.generate import builder
 
 
 def test_free_and_forced_response(driver: Any) -> None:

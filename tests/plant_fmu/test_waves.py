@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from fmus.block.instance import BlockError
-from fmus.build import builder
+from fmus.generate import builder
 from plant_fmu import depth_sensor, waves
 from plant_fmu.heave import GRAVITY
 from plant_fmu.wave_source import BLOCK as SOURCE

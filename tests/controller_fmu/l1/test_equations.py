@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from controller_fmu.l1.parameters import EQUATIONS
-from fmus.build import builder
+from fmus.generate import builder
 
 THEORY = Path(__file__).parents[3] / "docs" / "explanation" / "theory.md"
 NOT_PRINTED_IN_THE_PAPER = {

@@ -19,7 +19,7 @@ from controller_fmu.l1.law import Measurement
 from controller_fmu.l1.matrices import law_matrices
 from controller_fmu.l1.parameters import Augmentation, ReferenceFeedforward
 from controller_fmu.observer import VelocitySource
-from fmus.build import builder
+from fmus.generate import builder
 from orchestration.system.signal_derivatives import derivative
 from orchestration.system.signals import Ramps, values_at
 

@@ -16,7 +16,7 @@ from controller_fmu.l1.adaptation import Interval, adapt
 from controller_fmu.l1.law import Held, LawState, Measurement
 from controller_fmu.l1.lowpass import FilterState
 from controller_fmu.l1.parameters import Augmentation, FilterOrder, ReferenceFeedforward
-from fmus.build import builder
+from fmus.generate import builder
 
 SEEN = Measurement(x=(2.0, -1.0), y=2.0, r=3.0)
 CONTROLLER = siso_controller.BLOCK

@@ -14,7 +14,7 @@ from controller_fmu.l1.adaptation import Estimates, Interval
 from controller_fmu.l1.matrices import Matrix
 from controller_fmu.l1.parameters import AdaptationLaw, Augmentation
 from controller_fmu.l1.piecewise import Sample, adapt_at_samples
-from fmus.build import builder
+from fmus.generate import builder
 
 A_M, B, B_U = np.array([[0.0, 1.0], [-1.0, -1.4]]), np.array([0.0, 1.0]), np.array([1.0, 0.0])
 SLOW: Matrix = ((-1.0, 0.0), (0.0, -1.0))

@@ -13,11 +13,12 @@ from pathlib import Path
 import pytest
 
 from fmus.block.block_file import blocks_in, write_new_block
-from fmus.build import builder
-from fmus.build.check_trace import check_trace
-from fmus.build.sources import source_closure
-from fmus.build.stamp import BuildRequest
 from fmus.errors import ExportError
+from fmus.generate import builder
+from fmus.generate.cache import BuildRequest
+from fmus.generate.python import source_closure
+from fmus.generate.trace import trace
+from fmus.generate.verify import check_trace
 from fmus.registry import Flavour
 
 LOWPASS = """\
@@ -78,8 +79,8 @@ def test_the_python_flavour_carries_what_lies_beside_the_file(tmp_path: Path) ->
         "from folder.more import GAIN as H\nfrom folder import more\nimport folder.more as m"
     )
     path = write(tmp_path, imports, "(GAIN + gains.GAIN + g.GAIN + H + more.GAIN + m.GAIN) * u.u")
-    with builder.loaded(str(path)) as (block,):
-        fmu = builder.build_block(block, tmp_path / "out", Flavour.PYTHON)
+    with builder.loaded(str(path)) as (traced,):
+        fmu = builder.build_block(traced.block, tmp_path / "out", Flavour.PYTHON)
     with zipfile.ZipFile(fmu) as archive:
         archive.extractall(tmp_path / "unpacked")
     (entry,) = (tmp_path / "unpacked" / "resources").glob("lowpass_*.py")
@@ -96,8 +97,8 @@ def test_the_python_flavour_refuses_what_reads_a_file_as_it_is_imported(tmp_path
     (tmp_path / "gain.txt").write_text("0.25")
     read = 'GAIN = float(open(__file__.replace("lowpass.py", "gain.txt")).read())'
     refusal = pytest.raises(ExportError, match="carries Python modules alone")
-    with builder.loaded(str(write(tmp_path, read, "GAIN * u.u"))) as (block,), refusal:
-        builder.build_block(block, tmp_path / "out", Flavour.PYTHON)
+    with builder.loaded(str(write(tmp_path, read, "GAIN * u.u"))) as (traced,), refusal:
+        builder.build_block(traced.block, tmp_path / "out", Flavour.PYTHON)
     assert not (tmp_path / "out").exists()
 
 
@@ -135,14 +136,14 @@ def test_a_module_beside_the_block_may_change_no_more_than_the_block(
     (tmp_path / "helper.py").write_text(helper)
     path = write(tmp_path, "from helper import gain", "(1.0 + gain()) * u.u")
     with blocks_in(path) as (block,), pytest.raises(ExportError, match=rf"helper\.py:\d+: .*{message}"):
-        check_trace(block)
+        check_trace(trace(block))
 
 
 def test_a_clock_that_is_read_once_at_an_import_is_a_constant(tmp_path: Path) -> None:
     (tmp_path / "helper.py").write_text("import random\nimport time\nGAIN = time.time() + random.random()\n")
     path = write(tmp_path, expression="__import__('helper').GAIN * u.u")
     with blocks_in(path) as (block,):
-        check_trace(block)
+        check_trace(trace(block))
 
 
 def test_what_an_installed_library_remembers_and_times_is_not_the_blocks(
@@ -161,7 +162,7 @@ def test_what_an_installed_library_remembers_and_times_is_not_the_blocks(
     gc.callbacks.append(a_library.watch)
     try:
         with blocks_in(write(tmp_path, "from a_library import twice", "twice(u.u)")) as (block,):
-            check_trace(block)
+            check_trace(trace(block))
     finally:
         gc.callbacks.remove(a_library.watch)
         del sys.modules["a_library"]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from fmus.block import Block, variable
 from fmus.block.instance import BlockError, BlockInstance
-from fmus.build import builder
+from fmus.generate import builder
 from tests.shared_builds import one_of_a_kind
 
 

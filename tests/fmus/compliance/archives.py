@@ -4,9 +4,10 @@ import zipfile
 from pathlib import Path
 
 from fmus import files
-from fmus.build import builder
-from fmus.build import native as native_flavour
 from fmus.compliance.examine import examine
+from fmus.generate import builder
+from fmus.generate.archive import native_members
+from fmus.generate.trace import trace
 from tests.shared_builds import with_libraries
 
 Members = dict[str, bytes]
@@ -44,7 +45,7 @@ def errors(path: Path) -> set[str]:
 
 def patched(patch: dict[str, str], folder: Path) -> Path:
     """A native FMU; in its sources each key of the patch is replaced by its value."""
-    _, content = native_flavour.content(builder.load_block(PATCHED))
+    _, content = native_members(trace(builder.load_block(PATCHED)))
     for old, new in patch.items():
         (path,) = [
             path

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from fmus.build import builder
 from fmus.compliance.examine import examine
 from fmus.compliance.rule import all_rules
+from fmus.generate import builder
 from tests.mutants.mutant import broken_rules as static_broken_rules
 from tests.shared_builds import KINDS, Fmus
 

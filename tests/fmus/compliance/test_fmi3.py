@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from fmus.build import builder
 from fmus.compliance.check import NOT_JUDGED, main
 from fmus.compliance.examine import examine
 from fmus.compliance.rule import Stage, registered
+from fmus.generate import builder
 from tests.described_fmus import XML, members
 
 from .archives import Members, broken_rules, write

@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from fmus import files
-from fmus.build import builder
-from fmus.build import native as native_flavour
 from fmus.compliance.examine import examine
+from fmus.generate import builder
+from fmus.generate.archive import native_members
+from fmus.generate.trace import trace
 from fmus.platforms import host_platform, library_name
 from tests.described_fmus import members
 from tests.shared_builds import with_libraries
@@ -77,7 +78,7 @@ def test_a_library_of_macos_exports_by_its_symbol_table_too(elsewhere: Path, tmp
 
 
 def test_a_library_compiled_without_a_function_is_caught(tmp_path: Path) -> None:
-    _, content = native_flavour.content(builder.load_block(NAME))
+    _, content = native_members(trace(builder.load_block(NAME)))
     source, name = content["sources/fmi2.c"], b"fmi2Status fmi2CancelStep("
     assert source.count(name) == 1
     content["sources/fmi2.c"] = source.replace(name, b"fmi2Status fmi2End(")

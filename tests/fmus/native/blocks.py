@@ -5,7 +5,7 @@ from enum import IntEnum
 from typing import Any
 
 from fmus.block import Block, variable
-from fmus.build import builder
+from fmus.generate import builder
 from fmus.numerics import floor, where
 
 from .exchanged import BALL, GROWTH, TANK

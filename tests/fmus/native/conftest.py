@@ -6,9 +6,8 @@ from typing import Any
 
 import pytest
 
-from fmus.build import builder
-from fmus.build.native import c_sources
-from tests.shared_builds import Fmus, LazyFmus, built_once, session_folder
+from fmus.generate import builder
+from tests.shared_builds import Fmus, LazyFmus, built_once, c_sources_of, session_folder
 
 from .blocks import EVERYTHING, SMALL, block_named
 from .exchanged import Exchanged
@@ -26,7 +25,7 @@ def program(
     folder = session_folder(tmp_path_factory, f"{request.param} programs")
 
     def build(path: Path) -> None:
-        compiled(c_sources(block_named(path.parent.name), GUID), path.parent, request.param == "sanitized")
+        compiled(c_sources_of(block_named(path.parent.name), GUID), path.parent, request.param == "sanitized")
 
     return lambda name: built_once(folder / name / "session", build)
 

@@ -10,7 +10,7 @@ from fmpy.fmi1 import FMICallException
 from fmpy.simulation import instantiate_fmu
 
 from fmus.block import Block
-from fmus.build.fmi3 import arrays
+from fmus.generate.describe import arrays
 
 STATUSES = ("ok", "warning", "discard", "error", "fatal")
 _FUNCTIONS = {"Enumeration": "Int64"}

@@ -14,10 +14,10 @@ from typing import ClassVar
 import casadi
 
 from fmus.block import Block
-from fmus.build.fmi3 import extents
-from fmus.build.sensitivities import sensitivities
-from fmus.build.symbolic import Traced
 from fmus.fmi.variable_types import INTEGER_RANGE, TRANSFER_TYPE
+from fmus.generate.derivatives import Sensitivities
+from fmus.generate.describe import extents
+from fmus.generate.trace import Traced
 
 from .session import DISCARD, ENDED, ERROR, LAST_TIME, OK, WARNING, Null
 
@@ -32,13 +32,13 @@ _HIGHEST = sys.float_info.max
 _LEAST_WHOLE, _HIGHEST_WHOLE = INTEGER_RANGE  # of an Integer without limits
 
 
-_traced, _extents = cache(Traced), cache(extents)
+_traced = cache(Traced)
 
 
 @cache
 def _derivatives(block: Block) -> dict[str, casadi.Function]:
     """Of initialization and step mode; calculated parameters have derivatives in both."""
-    modes, size = sensitivities(block), len(block.variables) + len(block.states) + 1
+    modes, size = Sensitivities(_traced(block)), len(block.variables) + len(block.states) + 1
     calculated = {
         v.value_reference: modes.initial.unknown[v.value_reference]
         for v in block.of_causality("calculatedParameter")
@@ -349,7 +349,7 @@ class Model3(Model):
 
     def __init__(self, block: Block, logging: bool) -> None:
         super().__init__(block, logging)
-        self.extents = _extents(block)
+        self.extents = extents(self._traced)
         self.log = set(ALL) if logging else set()
 
     def scalars(self, references: list[int]) -> list[int]:

@@ -11,8 +11,8 @@ import pytest
 
 from fmus.block import Block, NoValues, variable
 from fmus.block.scalars import flatten, unflatten
-from fmus.build import builder
-from fmus.build.symbolic import traced
+from fmus.generate import builder
+from fmus.generate.trace import trace
 from fmus.numerics import absolute, exp, sin
 from tests.shared_builds import Fmus
 
@@ -115,7 +115,7 @@ def held(block: Block, x: list[float], u: list[float]) -> tuple:
 
 def jacobian(block: Block) -> casadi.Function:
     """Returns the Jacobian of (derivatives, outputs) by (x, u), by CasADi, of the functions of the block."""
-    f, p = traced(block), flatten(block.parameters())
+    f, p = trace(block), flatten(block.parameters())
     c = f.calculate(p)
     start = f.initial_state(0.0, flatten(block.inputs()), p, c)
     count = len(flatten(block.continuous))

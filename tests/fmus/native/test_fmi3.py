@@ -19,11 +19,11 @@ from fmpy.validation import validate_fmu
 from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
 from fmus.block import Block, variable
-from fmus.build import builder
-from fmus.build.fmi3 import arrays, variable_names
 from fmus.compliance.examine import examine
 from fmus.errors import ExportError
 from fmus.fmi.description import describe, is_independent
+from fmus.generate import builder
+from fmus.generate.describe import arrays, variable_names
 from fmus.native import toolchain
 from fmus.registry import Flavour
 from tests.shared_builds import Fmus, one_of_a_kind

@@ -11,15 +11,16 @@ import pytest
 
 from fmus.block import Block
 from fmus.block.variables import BlockVariable
-from fmus.build import builder
-from fmus.build.fmi3 import array_name, arrays, other_variables
-from fmus.build.symbolic import traced
+from fmus.generate import builder
+from fmus.generate.describe import array_name, arrays, other_variables
+from fmus.generate.trace import trace
 from tests.shared_builds import one_of_a_kind
 
 from .blocks import EVERYTHING, block_named
 from .exchanged import BALL
 from .fmi3_instance import Fmi3Instance
 
+traced = cache(trace)
 NAMES = [*one_of_a_kind(builder.block_names()), EVERYTHING.name, BALL.name]
 Open = Callable[..., Fmi3Instance]
 
@@ -72,7 +73,7 @@ def derivatives(name: str) -> dict[str, Reference]:
 def references(name: str, mode: str) -> tuple[list[int], list[int]]:
     """Value references of the scalars that rows and columns of the Jacobian stand for."""
     block = block_named(name)
-    count, time = len(block.states) // 2, other_variables(block)[0].value_reference
+    count, time = len(block.states) // 2, other_variables(traced(block))[0].value_reference
     of = {role: [v.value_reference for v in block.of_causality(role)] for role in _ROLES}
     states, rates = (
         [v.value_reference for v in part] for part in (block.states[:count], block.states[count:])
@@ -89,7 +90,7 @@ _ROLES = ("parameter", "calculatedParameter", "input", "output")
 def in_arrays(chosen: Sequence[int], block: Block) -> tuple[list[int], list[int]]:
     """Value references of the Float64 variables of some scalars, and the scalars that they are made of."""
     variables, members = [], []
-    for *_, scalars in arrays((*block.variables, *block.states, other_variables(block)[0])):
+    for *_, scalars in arrays((*block.variables, *block.states, other_variables(traced(block))[0])):
         if scalars[0].value_reference in chosen and scalars[0].type == "Real":
             variables.append(scalars[0].value_reference)
             members += [v.value_reference for v in scalars]
@@ -193,7 +194,7 @@ def test_what_is_no_dependency_has_no_derivative(open_fmi3: Open, name: str) -> 
     """FMI 3.0.2, 2.4.8, where parameters and the time are knowns too."""
     block = block_named(name)
     description = open_fmi3(name).description
-    described = *block.variables, *block.states, other_variables(block)[0]
+    described = *block.variables, *block.states, other_variables(traced(block))[0]
     groups = [[v.value_reference for v in group] for *_, group in arrays(described)]
     first = {reference: group[0] for group in groups for reference in group}
     f = traced(block)

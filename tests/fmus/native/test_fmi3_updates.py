@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import pytest
 from fmpy.fmi1 import FMICallException
 
-from fmus.build import builder
+from fmus.generate import builder
 from tests.shared_builds import Fmus, one_of_a_kind
 
 from .blocks import EVERYTHING, block_named

@@ -18,10 +18,10 @@ from scipy.linalg import expm
 
 from fmus.block import Block, NoValues, variable
 from fmus.block.scalars import flatten, unflatten
-from fmus.build import builder
-from fmus.build.random_points import drawn
 from fmus.compliance.examine import examine
 from fmus.errors import ExportError
+from fmus.generate import builder
+from fmus.generate.verify import drawn
 from fmus.registry import BLOCKS, installed
 from tests.shared_builds import Fmus, one_of_a_kind
 

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, Phase, Verbosity, settings
 from hypothesis.stateful import run_state_machine_as_test
 
 from fmus.block import Block
-from fmus.build.native import c_sources
+from tests.shared_builds import c_sources_of
 
 from .blocks import EVERYTHING, block_named
 from .rules import CALLS
@@ -39,7 +39,7 @@ def run(block: Block, program: Path, examples: int, *, fmi: int = 2, shrink: boo
 
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_any_sequence_of_calls_of_a_small_block_is_answered_as_fmi_wants_it(tmp_path: Path, fmi: int) -> None:
-    program = compiled(c_sources(EVERYTHING, GUID, fmi=fmi), tmp_path, sanitized=False, fmi=fmi)
+    program = compiled(c_sources_of(EVERYTHING, GUID, fmi=fmi), tmp_path, sanitized=False, fmi=fmi)
     run(EVERYTHING, program, 30, fmi=fmi)
 
 
@@ -53,7 +53,7 @@ def test_any_sequence_of_calls_of_a_small_block_is_answered_as_fmi_wants_it(tmp_
 )
 def test_any_sequence_of_calls_is_answered_as_fmi_wants_it(tmp_path: Path, name: str, fmi: int) -> None:
     block = block_named(name)
-    run(block, compiled(c_sources(block, GUID, fmi=fmi), tmp_path, fmi=fmi), 120, fmi=fmi)
+    run(block, compiled(c_sources_of(block, GUID, fmi=fmi), tmp_path, fmi=fmi), 120, fmi=fmi)
 
 
 MUTANTS = tomllib.loads(Path(__file__).with_name("native_mutants.toml").read_text(encoding="utf-8"))
@@ -66,7 +66,7 @@ MUTANTS = tomllib.loads(Path(__file__).with_name("native_mutants.toml").read_tex
 def test_a_fault_of_the_c_layer_is_noticed(tmp_path: Path, fmi: int, fault: str) -> None:
     """Otherwise the test above would prove nothing."""
     good, bad = MUTANTS[f"fmi{fmi}"][fault]
-    sources = c_sources(EVERYTHING, GUID, fmi=fmi)
+    sources = c_sources_of(EVERYTHING, GUID, fmi=fmi)
     assert sum(text.count(good) for text in sources.values()) == 1
     program = compiled({name: text.replace(good, bad) for name, text in sources.items()}, tmp_path, fmi=fmi)
     with pytest.raises(AssertionError):

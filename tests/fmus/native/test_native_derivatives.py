@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmus.build import builder
+from fmus.generate import builder
 from tests.shared_builds import Fmus, one_of_a_kind
 
 from .session import LAST_TIME, OK, Session

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from fmpy.fmi2 import defaultCallbacks, fmi2CoSimulation, fmi2LastSuccessfulTime, fmi2Terminated
 
-from fmus.build import builder, native
 from fmus.files import write_archive
+from fmus.generate import builder
+from fmus.generate.archive import native_members
+from fmus.generate.trace import trace
 from tests.shared_builds import Fmus, one_of_a_kind, with_libraries
 
 
@@ -74,7 +76,7 @@ def test_two_versions_in_one_process_do_not_see_each_other(built: Fmus, load: An
     def twice(t: float, x: Any, u: Any, p: Any, c: Any) -> Any:
         return derivative(t, x, replace(u, control=2.0 * u.control), p, c)
 
-    _, members = native.content(replace(block, derivative=twice))
+    _, members = native_members(trace(replace(block, derivative=twice)))
     path = write_archive(tmp_path / "changed" / "ExamplePlant.fmu", with_libraries(block.name, members))
     fmus = load(built["ExamplePlant"]).begin(), load(path).begin()
     for fmu in fmus:

@@ -256,7 +256,7 @@ def built_elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """
     folder = tmp_path_factory.mktemp("elsewhere")
     script = (
-        "import sys, pathlib\nfrom fmus.build import builder\n"
+        "import sys, pathlib\nfrom fmus.generate import builder\n"
         "builder.build_block('RovDepthPlant', pathlib.Path(sys.argv[1]), platforms=sys.argv[2:])\n"
     )
     for subfolder, variables, platforms in (

@@ -9,7 +9,7 @@ from typing import Any
 import fmpy
 import pytest
 
-from fmus.build import builder
+from fmus.generate import builder
 from fmus.platforms import library_name
 
 pytestmark = pytest.mark.cross

@@ -3,8 +3,8 @@
 import subprocess
 from pathlib import Path
 
-from fmus.build.native import c_sources
 from fmus.native import toolchain
+from tests.shared_builds import c_sources_of
 
 from .blocks import EVERYTHING
 from .session import GUID
@@ -48,7 +48,7 @@ int main(int count, char **texts) {
 def test_numbers_in_messages_are_the_shortest_with_a_point_also_where_the_host_prints_commas(
     tmp_path: Path,
 ) -> None:
-    for name, text in (c_sources(EVERYTHING, GUID) | {"comma.c": _COMMA}).items():
+    for name, text in (c_sources_of(EVERYTHING, GUID) | {"comma.c": _COMMA}).items():
         (tmp_path / name).write_text(text, encoding="utf-8")
     toolchain.zig(
         ["cc", *toolchain.FLAGS, "-I", str(toolchain.FMI_HEADERS), "-o", "comma", "comma.c"], tmp_path

@@ -17,12 +17,11 @@ import pytest
 from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
 from fmus import platforms
-from fmus.build import builder
-from fmus.build.native import c_sources
 from fmus.files import write_archive
+from fmus.generate import builder
 from fmus.native import toolchain
 from tests.described_fmus import members
-from tests.shared_builds import KINDS, Fmus
+from tests.shared_builds import KINDS, Fmus, c_sources_of
 
 REBUILT = ("L1DepthController", "RovDepthPlant")
 # what is generated has all arguments and functions whether or not a model has use for them
@@ -38,7 +37,7 @@ def test_every_function_of_fmi_names_its_clause_of_the_standard(fmi: int, count:
     made = r"#define (?:DEFINE|ABSENT)_(GET|SET|TYPE)"
     defined = re.compile(rf"^(?:{returns} ?(fmi{fmi}\w+|FMI\(\w+\))|{made})\(", re.MULTILINE)
     names = []
-    sources = c_sources(builder.load_block("ExamplePlant"), "guid", fmi=fmi)
+    sources = c_sources_of(builder.load_block("ExamplePlant"), "guid", fmi=fmi)
     for text in sources.values():
         for function in defined.finditer(text):
             names.append(function[1] or function[2])
@@ -141,7 +140,7 @@ def written(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[int], P
     """Writes the sources of an FMU of a version of the standard."""
 
     def write(fmi: int) -> Path:
-        for name, text in c_sources(builder.load_block(request.param), "guid", fmi=fmi).items():
+        for name, text in c_sources_of(builder.load_block(request.param), "guid", fmi=fmi).items():
             (tmp_path / name).write_text(text, encoding="utf-8")
         return tmp_path
 

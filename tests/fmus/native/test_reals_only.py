@@ -9,9 +9,9 @@ from xml.etree import ElementTree
 import fmpy
 import pytest
 
-from fmus.build import builder
 from fmus.compliance.examine import examine
 from fmus.errors import ExportError
+from fmus.generate import builder
 from fmus.registry import Flavour
 from tests.shared_builds import Fmus
 

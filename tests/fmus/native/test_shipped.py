@@ -7,10 +7,12 @@ from pathlib import Path
 import pytest
 
 from fmus.block import Block
-from fmus.build import builder, native
-from fmus.build.check_trace import _Comparison, check_shipped, check_trace
-from fmus.build.shipped import ShippedLibrary
 from fmus.errors import ExportError
+from fmus.generate import builder
+from fmus.generate.archive import native_members
+from fmus.generate.native import ShippedLibrary
+from fmus.generate.trace import trace
+from fmus.generate.verify import Comparison, check_shipped, check_trace
 from fmus.platforms import host_platform, library_name
 from tests.described_fmus import members
 from tests.shared_builds import Fmus, one_of_a_kind, with_libraries
@@ -39,7 +41,7 @@ def library_of() -> Iterator[Callable[[Block, str, Mapping[str, bytes]], Shipped
     def one(block: Block, guid: str, members: Mapping[str, bytes]) -> ShippedLibrary:
         path = library_name(block.name, host_platform())
         built = members if path in members else with_libraries(block.name, dict(members))
-        opened.append(ShippedLibrary(block, guid, built[path]))
+        opened.append(ShippedLibrary(trace(block), guid, built[path]))
         return opened[-1]
 
     yield one
@@ -51,13 +53,13 @@ def library_of() -> Iterator[Callable[[Block, str, Mapping[str, bytes]], Shipped
 def test_a_library_that_differs_in_one_function_is_refused(
     library_of: Callable[..., ShippedLibrary], function: str
 ) -> None:
-    guid, members = native.content(EVERYTHING)
+    guid, members = native_members(trace(EVERYTHING))
     library = library_of(EVERYTHING, guid, altered(members, function))
     message = (
         rf"{function} gives .* in Python and .* when it is compiled; set ZIG_GLOBAL_CACHE_DIR to an empty"
     )
     with pytest.raises(ExportError, match=message):
-        check_shipped(check_trace(EVERYTHING), library)
+        check_shipped(check_trace(trace(EVERYTHING)), library)
 
 
 @pytest.mark.parametrize("name", ["Everything", *one_of_a_kind(builder.block_names())])
@@ -66,17 +68,17 @@ def test_a_library_is_compared_at_most_points_of_each_function(
 ) -> None:
     block = EVERYTHING if name == "Everything" else builder.load_block(name)
     shares: dict[str, float] = {}
-    check_numbers = _Comparison.check_numbers
+    check_numbers = Comparison.check_numbers
 
-    def counting(comparison: _Comparison, given: list[list[float] | None], *others: object) -> None:
+    def counting(comparison: Comparison, given: list[list[float] | None], *others: object) -> None:
         name = next(name for name, other in compared.items() if other is comparison)
         shares[name] = sum(numbers is not None for numbers in given) / len(given)
         check_numbers(comparison, given, *others)  # type: ignore[arg-type]
 
-    guid, content = native.content(block)
+    guid, content = native_members(trace(block))
     library = library_of(block, guid, members(built[name]) if name in built else content)
-    compared = check_trace(block)
-    monkeypatch.setattr(_Comparison, "check_numbers", counting)
+    compared = check_trace(trace(block))
+    monkeypatch.setattr(Comparison, "check_numbers", counting)
     check_shipped(compared, library)
     # but where a result is no value of its type; half of the outputs belong to states that no step reached
     assert shares["initial_state"] > 0.9
@@ -85,9 +87,9 @@ def test_a_library_is_compared_at_most_points_of_each_function(
 
 
 def test_an_fmu_whose_library_differs_is_not_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    compiled = native.compiled_libraries
+    compiled = builder.compiled_libraries
     monkeypatch.setattr(
-        native,
+        builder,
         "compiled_libraries",
         lambda name, members, *others: compiled(name, altered(members, "step"), *others),
     )
@@ -97,6 +99,6 @@ def test_an_fmu_whose_library_differs_is_not_written(monkeypatch: pytest.MonkeyP
 
 
 def test_a_library_of_another_guid_is_refused(library_of: Callable[..., ShippedLibrary]) -> None:
-    _, members = native.content(EVERYTHING)
+    _, members = native_members(trace(EVERYTHING))
     with pytest.raises(ExportError, match="fmi2GetFMUstate returns error: expected ok"):
         library_of(EVERYTHING, "another", members)

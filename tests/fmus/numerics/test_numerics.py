@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fmus import numerics as n
-from fmus.build.hints import COUNTERPARTS, INSTEAD, hint
+from fmus.numerics.hints import COUNTERPARTS, INSTEAD, hint
 
 FINITE = st.floats(-1e3, 1e3)
 POSITIVE = st.floats(1e-3, 1e3)

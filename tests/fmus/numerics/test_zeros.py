@@ -14,7 +14,7 @@ import casadi
 import pytest
 
 from fmus import numerics
-from fmus.build.c_functions import ScalarC, c_function
+from fmus.generate.c_code import ScalarC, c_function
 from fmus.native import toolchain
 from fmus.numerics.symbols import unsimplified
 from fmus.platforms import host_platform, library_name

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from fmus import registry
-from fmus.build import builder
+from fmus.generate import builder
 from orchestration.results.recording import Recording
 
 Command = Callable[..., Any]

@@ -27,7 +27,7 @@ SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 # a command, and a function that it calls when it is at work
 AT_WORK = {
     "new pid": "fmus.block.block_file.write_new_block",
-    "build ExamplePlant --out out": "fmus.build.builder.build_orders",
+    "build ExamplePlant --out out": "fmus.generate.builder.build_orders",
     "check {fmu}": "fmus.compliance.examine.examine",
     "verify {fmu}": "fmus.fmi.description.describe",
     "inspect my.fmu": "fmus.fmi.description.describe",

@@ -14,10 +14,12 @@ from typing import Any
 import pytest
 
 import fmus
-from fmus.build import builder, native
-from fmus.build.builder import build_block
 from fmus.files import packed, write_archive
 from fmus.fmi.description import describe
+from fmus.generate import builder
+from fmus.generate.archive import bill_of_materials, native_members
+from fmus.generate.builder import build_block
+from fmus.generate.trace import trace
 from fmus.native import verify
 from fmus.native.sbom import MEMBER, RECIPE, with_files
 from fmus.native.toolchain import FMI_HEADERS
@@ -152,10 +154,10 @@ def test_a_changed_description_and_an_added_member_are_another_guid(
     fmi: int, built: Fmus, verdicts: Verdicts
 ) -> None:
     block = builder.load_block(NAME)
-    _, inside = native.content(block, fmi=fmi)
+    _, inside = native_members(trace(block), fmi=fmi)
     path = library_name(NAME, host_platform(), fmi)
     library = {path: b"library"}
-    inside |= library | native.bill_of_materials(block, library, fmi)
+    inside |= library | bill_of_materials(block, library, fmi)
     assert not wrong(verdicts(inside))
     for old, new in {b' start="': b' start="1', b"</": b" </", b'"l1-depth ': b'"L1-depth '}.items():
         text = inside["modelDescription.xml"]

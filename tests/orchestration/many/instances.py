@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from fmus.block import Block
-from fmus.build import native
 from fmus.files import write_archive
+from fmus.generate.archive import native_members
+from fmus.generate.trace import trace
 from fmus.store import record_build
 from orchestration import Experiment
 from orchestration.results.recording import Recording
@@ -54,6 +55,6 @@ def assert_same_bits(recorded: Recording, simulator: Simulator, experiments: Seq
 def built_for_ensembles(folder: Path, block: Block, **options: bool) -> Path:
     """A native FMU of the block, as `l1-depth build` writes it."""
     path = folder / f"{block.name}.fmu"
-    write_archive(path, with_libraries(block.name, native.content(block, **options)[1]))
+    write_archive(path, with_libraries(block.name, native_members(trace(block), **options)[1]))
     record_build(path.read_bytes())
     return path

@@ -15,9 +15,9 @@ import pytest
 from fmus import numerics as n
 from fmus.block import Block, variable
 from fmus.block.scalars import flatten
-from fmus.build.builder import load_block
-from fmus.build.random_points import drawn
-from fmus.build.symbolic import traced
+from fmus.generate.builder import load_block
+from fmus.generate.trace import trace
+from fmus.generate.verify import drawn
 from fmus.platforms import instruction_sets
 from fmus.registry import block_names
 from orchestration import Ensemble, Event, Experiment, Simulator, System
@@ -178,13 +178,14 @@ def test_every_shipped_block_has_the_bits_of_single_runs(
 ) -> None:
     """At random parameters and inputs, and up to where a run ends early."""
     block, rng = load_block(name), random.Random(1)
+    traced = trace(block)
     names = [f"block.{v.name}" for v in (*block.of_causality("parameter"), *block.of_causality("input"))]
     rows: list[list[Any]] = []
     while len(rows) < 2 * LANES:
         p = drawn(block, "parameter", block.parameters, rng.choice((0.0, 0.1, 0.3)), rng)
         p = flatten(replace(p, internal_step=block.step_size))
-        c = traced(block).calculate(p).full()
-        if np.isfinite(c).all() and np.all(traced(block).requirements(p, c).full()):
+        c = traced.calculate(p).full()
+        if np.isfinite(c).all() and np.all(traced.requirements(p, c).full()):
             rows.append([*p, *flatten(drawn(block, "input", block.inputs, 0.5, rng))])
     vary = dict(zip(names, zip(*rows, strict=True), strict=True))
     experiment = Experiment(50 * block.step_size, block.step_size, open_inputs="start")

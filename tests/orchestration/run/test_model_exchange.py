@@ -12,11 +12,11 @@ import fmpy
 import numpy as np
 import pytest
 
-from fmus.build import builder
 from fmus.errors import FmuWarning
 from fmus.fmi.binding import DISCARD, ERROR, OK, WARNING
 from fmus.fmi.description import describe
 from fmus.fmi.model_exchange import ModelExchangeInstance
+from fmus.generate import builder
 from orchestration.cli.package_fmus import build_ramp_source
 from orchestration.errors import FmuLoadError, SimulationError
 from orchestration.exchange import ssp_read, ssp_write

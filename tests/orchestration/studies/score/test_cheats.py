@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmus.build import builder
+from fmus.generate import builder
 from orchestration.studies.score import score_rows
 from orchestration.studies.score.closed_loop import ClosedLoop, Controller, built_in, tuned
 from orchestration.studies.score.draws import drawn_cases

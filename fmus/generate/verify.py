@@ -1,0 +1,403 @@
+"""Check that a traced block, and its library, compute what its Python functions do at random points.
+
+A difference is rounding if the Python function itself changes as much when its arguments change by a few
+units in the last place. Any other difference refuses the block.
+"""
+
+import math
+import random
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from fmus.block import Block
+from fmus.block.scalars import flatten, members, unflatten
+from fmus.block.variables import BlockVariable
+from fmus.errors import ExportError
+from fmus.generate.declare import scalar_names
+from fmus.generate.guard import NO_MEMORY, location, own_line
+from fmus.generate.native import ShippedLibrary
+from fmus.generate.trace import Traced
+from fmus.numerics import Clock
+from fmus.numerics.symbols import are_numbers
+
+_POINTS, _STEPS = 60, 3  # draws of parameters; steps from each, with inputs drawn anew
+_DRAWS = 20  # of parameters for a point, until they meet the requirements
+_EQUAL = 1e-12  # relative: a few roundings of elementary functions, which differ between C libraries
+_PERTURBATIONS, _AMPLIFIED = 8, 32.0
+# of the points; a function that amplifies rounding at more of them is not compared at all
+_MOST_AMPLIFIED = 0.2
+_AT_TWO_CALLS = f"at one call and {{}} at another, same arguments; {NO_MEMORY}"
+_TRACED = "when it is traced"
+_COMPILED = "when it is compiled; set ZIG_GLOBAL_CACHE_DIR to an empty folder, and build again"
+_FUNCTIONS = ("calculate", "requirements", "initial_state", "output", "step")
+_OF_CONTINUOUS = ("derivative", "crossings")
+_INTEGRATED = "as the function integrate has it in a short step"
+_SPECIAL = (0.0, 0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, 2.5, -2.5)  # signs, and halves, which are rounded
+_ULP = 2.0**-52
+_LONGEST_VECTOR = 9  # numbers; a longer one is a table
+_INTERNAL_STEPS = 200  # internal steps, until one that is half a per cent longer than the period is late
+_NEARLY_EQUAL = 1e-9  # relative: two ways to the same derivative
+
+
+class Comparison:
+    """A function of a block beside its traced form."""
+
+    def __init__(self, traced: Traced, name: str) -> None:
+        block = traced.block
+        self._python: Callable[..., Any] = getattr(block, name)
+        self._where = f"block {block.name!r}: {location(self._python)}{name}"
+        self._traced = getattr(traced, name)
+        if name in _OF_CONTINUOUS:
+            function, self._traced = self._python, traced.between_events(self._traced)
+            self._python = lambda t, x, *others: function(t, block.held(t, x, *others), *others)
+        elif name == "step":
+            self._python = block.advance
+        self.calls: list[tuple[Sequence[Any], Any, list[float]]] = []  # arguments, result, its numbers
+        self._errors: list[tuple[Sequence[Any], Exception]] = []  # arguments without a result
+        self._attempts = 0
+        self._are_requirements = name == "requirements"
+
+    def __call__(self, *arguments: Any, is_reached: bool = True) -> Any:
+        """Returns the result of the Python function; None where that is no finite number.
+
+        is_reached: whether the block can have these arguments; an error at others is none of the block
+        """
+        self._attempts += 1
+        errors = len(self._errors)
+        result, numbers = self._evaluate(arguments)
+        if not is_reached:
+            del self._errors[errors:]
+        if numbers is not None:
+            self.calls.append((arguments, result, numbers))
+        return result
+
+    def _evaluate(self, arguments: Sequence[Any]) -> tuple[Any, list[float] | None]:
+        try:
+            result = self._python(*arguments)
+            values = [holds for holds, _ in result] if self._are_requirements else flatten(result)
+            if not all(isinstance(value, complex) or are_numbers(value) for value in values):
+                raise ExportError(f"{self._where} gives what an earlier call has kept; {NO_MEMORY}")
+            if any(isinstance(value, complex) or not math.isfinite(value) for value in values):
+                return None, None
+        except ExportError:
+            raise
+        except (ArithmeticError, ValueError) as error:
+            self._errors.append((arguments, error))
+            return None, None
+        except Exception as error:
+            raise ExportError(f"{self._where} raises {_described(error)}") from error
+        return result, list(map(float, values))
+
+    def check(self, rng: random.Random) -> None:
+        """Raises ExportError for the first point where the function differs, or for too few to compare."""
+        if self._attempts and not self.calls:
+            last = f": {_described(self._errors[-1][1])}" if self._errors else ""
+            raise ExportError(
+                f"{self._where} gives no finite numbers at any of {self._attempts} random points{last}"
+            )
+        self._check_errors()
+        for arguments, result, numbers in self.calls:
+            again = self._evaluate(arguments)[1] or [math.nan] * len(numbers)
+            exactly = [0.0] * len(numbers)
+            self._compare(result, numbers, again, exactly, _AT_TWO_CALLS)
+        self.check_traced(self._traced, _TRACED, rng)
+
+    def check_traced(self, function: Any, how: str, rng: random.Random, equal: float = _EQUAL) -> None:
+        """Checks the numbers of each call beside those of a traced function; raises ExportError likewise."""
+        self.check_numbers(_numbers_of(function, [a for a, _, _ in self.calls]), how, rng, equal)
+
+    def check_numbers(
+        self, given: Sequence[list[float] | None], how: str, rng: random.Random, equal: float = _EQUAL
+    ) -> None:
+        """Checks the numbers of each call, None where there are none; raises ExportError for a difference.
+
+        equal: relative difference of numbers that count as equal
+        """
+        amplified = 0
+        for (arguments, result, numbers), others in zip(self.calls, given, strict=True):
+            rounding = [equal * abs(x) for x in numbers]
+            if others is not None and not all(map(_are_near, numbers, others, rounding)):
+                amplified += 1
+                moved = self._moved(arguments, numbers, rng)
+                allowed = [max(a, _AMPLIFIED * b) for a, b in zip(rounding, moved, strict=True)]
+                self._compare(result, numbers, others, allowed, f"in Python and {{}} {how}")
+        if amplified > _MOST_AMPLIFIED * len(self.calls):
+            raise ExportError(f"{self._where} differs {how} at {amplified} of {len(self.calls)} points")
+
+    def _check_errors(self) -> None:
+        """Raises ExportError where Python divides by zero or leaves a domain, and compiled code does not.
+
+        A number that is too large for Python is no such error: compiled code takes it for infinite.
+        """
+        errors = [(a, error) for a, error in self._errors if not isinstance(error, OverflowError)]
+        results = _numbers_of(self._traced, [arguments for arguments, _ in errors])
+        for (_, error), numbers in zip(errors, results, strict=True):
+            if all(map(math.isfinite, numbers)):
+                raise ExportError(
+                    f"{self._where} raises {_described(error)}, where compiled code gives numbers; exclude "
+                    "such values with min, max or requirements, or give an alternative of "
+                    "fmus.numerics.where that is not always legal as a function: lambda: ..."
+                )
+
+    def _moved(self, arguments: Sequence[Any], numbers: Sequence[float], rng: random.Random) -> list[float]:
+        """Returns the distances that the numbers move when the arguments change by roundings."""
+        moved = [0.0] * len(numbers)
+        for _ in range(_PERTURBATIONS):
+            other = self._evaluate([rounded(argument, rng) for argument in arguments])[1] or numbers
+            moved = [max(most, abs(x - y)) for most, x, y in zip(moved, other, numbers, strict=True)]
+        return moved
+
+    def _compare(
+        self, result: Any, numbers: list[float], others: list[float], allowed: list[float], how: str
+    ) -> None:
+        """Raises ExportError for the first number that is not near the other, whose origin `how` states."""
+        if all(map(_are_near, numbers, others, allowed)):
+            return
+        names = [f"({text})" for _, text in result] if self._are_requirements else scalar_names(result)
+        for name, x, y, difference in zip(names, numbers, others, allowed, strict=True):
+            if not _are_near(x, y, difference):
+                raise ExportError(f"{self._where} gives {name} = {x!r} {how.format(repr(y))}")
+
+
+def check_trace(traced: Traced) -> dict[str, Comparison]:
+    """Checks that the traced functions of a block give the values of its Python functions.
+
+    Returns the calls of each function, for `check_shipped`. Raises ExportError for a difference.
+    """
+    block = traced.block
+    # The points follow from the variables alone: a block under another name is compared at the same ones.
+    rng = random.Random(0)
+    names = (*_FUNCTIONS, *(_OF_CONTINUOUS if block.derivative else ()))
+    compare = {name: Comparison(traced, name) for name in names}
+    for point in range(_POINTS):
+        _compare_at_a_point(block, compare, rng, at_start=point == 0)
+    _compare_at_zeros(block, compare)
+    for comparison in compare.values():
+        comparison.check(rng)
+    if block.integrate:
+        integrated = traced.between_events(traced.integrated_rate)
+        compare["derivative"].check_traced(integrated, _INTEGRATED, rng, _NEARLY_EQUAL)
+    return compare
+
+
+def check_shipped(compare: dict[str, Comparison], library: ShippedLibrary) -> None:
+    """Checks that the library of an FMU gives the values of Python; raises ExportError for a difference.
+
+    It gives outputs for the states that it reaches alone: they are compared where Python reached the same.
+    """
+    rng, outputs = random.Random(0), {}
+    given = {"calculate": [library.calculated(p) for (p,), _, _ in compare["calculate"].calls]}
+    for name in ("initial_state", "step"):
+        reached = [library.reached(*arguments) or (0.0, None, []) for arguments, _, _ in compare[name].calls]
+        given[name] = [x for _, x, _ in reached]
+        for (arguments, state, numbers), (t, x, y) in zip(compare[name].calls, reached, strict=True):
+            outputs |= {(t, id(state), id(arguments[-2])): y} if x == numbers else {}
+    calls = compare["output"].calls
+    given["output"] = [outputs.get((t, id(x), id(p))) for (t, x, p, _), _, _ in calls]
+    for name, numbers in given.items():
+        compare[name].check_numbers(numbers, _COMPILED, rng)
+
+
+def _compare_at_a_point(
+    block: Block, compare: dict[str, Comparison], rng: random.Random, at_start: bool
+) -> None:
+    """Draws parameters, inputs and a time; follows the state over a few steps, and disturbs it in between."""
+    for _ in range(_DRAWS):
+        changed = 0.0 if at_start else rng.choice((0.1, 0.5, 1.0))
+        p = drawn(block, "parameter", block.parameters, changed, rng)
+        c = compare["calculate"](p)
+        required = None if c is None else compare["requirements"](p, c)
+        if required is not None and all(holds for holds, _ in required):
+            break
+    else:
+        return
+    _check_whole(block, "calculate", block.calculated, c)
+    t = 0.0 if at_start else rng.uniform(-0.5, 1.0) * block.stop_time  # a run may begin before 0
+    x, h = None, p.internal_step * rng.choice((1.0, rng.uniform(0.1, 1.0)))
+    for _ in range(_STEPS):
+        u = drawn(block, "input", block.inputs, changed, rng)
+        is_reached = x is None
+        x = compare["initial_state"](t, u, p, c) if x is None else disturbed(x, rng)
+        if x is None:
+            return
+        y = compare["output"](t, x, p, c, is_reached=is_reached)
+        for name in _OF_CONTINUOUS if block.derivative else ():
+            compare[name](t, x, u, p, c, is_reached=is_reached)
+        x, t = compare["step"](t, h, x, u, p, c, is_reached=is_reached), t + h
+        if x is not None:
+            _check_whole(block, "step", block.state, x)
+        if is_reached:
+            reached = y, None if x is None else compare["output"](t, x, p, c)
+            for outputs in filter(None, reached):
+                _check_whole(block, "output", block.outputs, outputs)
+
+
+def _compare_at_zeros(block: Block, compare: dict[str, Comparison]) -> None:
+    """Steps once from the start values, with one input after the other at zero, where divisions end."""
+    inputs = block.of_causality("input")
+    p = unflatten(block.parameters, [v.start for v in block.of_causality("parameter")])
+    c = compare["calculate"](p)
+    for zero in inputs if c is not None else ():
+        if zero.refuse(0) is None:
+            u = unflatten(block.inputs, [v.cast(0) if v is zero else v.start for v in inputs])
+            if (x := compare["initial_state"](0.0, u, p, c)) is not None:
+                compare["step"](0.0, p.internal_step, x, u, p, c)
+
+
+def _check_whole(block: Block, name: str, declared: type, result: Any) -> None:
+    """Raises ExportError if a function gives a number that its Integer, Boolean or Enumeration cannot be."""
+    for path, start, x in zip(scalar_names(result), flatten(declared), flatten(result), strict=False):
+        if isinstance(start, int) and x not in _items(start, x):
+            raise ExportError(
+                f"block {block.name!r}: {location(getattr(block, name))}{name} gives {path} = {x!r}: "
+                f"expected {_expected(start)}, as {declared.__name__} declares it with {start!r}; "
+                f"write {float(start)!r} for any number"
+            )
+
+
+def _items(start: int, x: float) -> tuple[float, ...]:
+    """Returns the values that a variable with this start value can have, as far as x could be among them."""
+    if isinstance(start, bool):
+        return 0, 1
+    return tuple(type(start)) if isinstance(start, IntEnum) else (round(x),)
+
+
+def _expected(start: int) -> str:
+    if isinstance(start, IntEnum):
+        return "one of " + ", ".join(f"{m.value} ({m.name.lower()})" for m in type(start))
+    return "0 or 1" if isinstance(start, bool) else "a whole number"
+
+
+def _numbers_of(function: Any, calls: list[Sequence[Any]]) -> list[list[float]]:
+    """Returns the results of a traced function for all arguments, in one call."""
+    if not calls:
+        return []
+    columns = zip(*(map(flatten, arguments) for arguments in calls), strict=True)
+    matrices = [np.array(scalars, float).reshape(len(calls), -1).T for scalars in columns]
+    return function.map(len(calls))(*matrices).full().T.tolist()
+
+
+def _described(error: Exception) -> str:
+    """Returns the error as text, with the line of the user's that raised it."""
+    own = own_line(error)
+    return f"{error!r} at {own[0]}:{own[1]}: {own[2]}" if own else repr(error)
+
+
+def _are_near(x: float, y: float, allowed: float) -> bool:
+    return abs(x - y) <= allowed  # False for NaN
+
+
+# random points
+
+
+def drawn(block: Block, causality: str, template: type, changed: float, rng: random.Random) -> Any:
+    """Returns the parameters or inputs, of which a part is not at the start value; of choices, all are drawn.
+
+    Requirements refuse most draws that change many numbers, but few that change choices. A table keeps its
+    order, which requirements ask for: all its numbers are multiplied by one factor.
+    """
+    variables = block.of_causality(causality)
+    counts = Counter(_vector(v) for v in variables)
+    factors: dict[str, float] = {}
+
+    def value(v: BlockVariable) -> Any:
+        if counts[_vector(v)] > _LONGEST_VECTOR and v.type == "Real":
+            if _vector(v) not in factors:
+                factors[_vector(v)] = rng.uniform(0.5, 1.5) if rng.random() < changed else 1.0
+            number = v.start * factors[_vector(v)]
+            return number if v.refuse(number) is None else v.start
+        is_choice = changed > 0.0 and v.type in ("Boolean", "Enumeration")
+        return _draw(v, rng) if is_choice or rng.random() < changed else v.start
+
+    return unflatten(template, list(map(value, variables)))
+
+
+def _vector(v: BlockVariable) -> str:
+    """Returns the name of the vector that a variable is an element of; its own if of none."""
+    return v.name.partition("[")[0]
+
+
+def _draw(v: BlockVariable, rng: random.Random) -> Any:
+    """Returns a permitted value: near the start value, anywhere in the range, at its ends, or special."""
+    if v.enumeration:
+        return rng.choice(list(v.enumeration))
+    if v.type == "Boolean":
+        return rng.random() < 0.5
+    low, high = (v.minimum, v.maximum)
+    low, high = (v.start - 10 if low is None else low), (v.start + 10 if high is None else high)
+    if v.type == "Integer":
+        return rng.randint(int(low), int(high))
+    near = v.start * rng.uniform(0.5, 1.5) + (0.0 if v.start else rng.uniform(-1.0, 1.0))
+    anywhere = (
+        math.exp(rng.uniform(math.log(low), math.log(high))) if 0.0 < low < high else rng.uniform(low, high)
+    )
+    value = rng.choice((near, near, anywhere, rng.choice((low, high)), rng.choice(_SPECIAL)))
+    return float(min(max(value, low), high))
+
+
+def disturbed(state: Any, rng: random.Random) -> Any:
+    """Returns a state near another one, which the block need not be able to reach."""
+
+    def change(x: Any) -> Any:
+        if isinstance(x, IntEnum | bool):
+            return rng.choice(list(type(x)) if isinstance(x, IntEnum) else (False, True))
+        if isinstance(x, int):
+            return x + rng.choice((0, 0, -1, 1))
+        return rng.choice((x, x, x * rng.uniform(0.5, 1.5), x + rng.uniform(-1.0, 1.0), rng.choice(_SPECIAL)))
+
+    return unflatten(state, list(map(change, flatten(state))))
+
+
+def rounded(argument: Any, rng: random.Random) -> Any:
+    """Returns an argument whose floats are changed by a few units in the last place."""
+
+    def change(x: Any) -> Any:
+        return x * (1.0 + rng.choice((-2, -1, 0, 1, 2)) * _ULP) if isinstance(x, float) else x
+
+    return unflatten(argument, list(map(change, flatten(argument))))
+
+
+# samples: `sampled` takes one in a step at most
+
+
+def check_sampling(block: Block) -> None:
+    """Raises ExportError for a block that misses samples with all variables at their start values."""
+    p, u, t = block.parameters(), block.inputs(), 0.0
+    try:
+        c = block.calculate(p)
+        state = block.initial_state(t, u, p, c)
+        for i in range(_INTERNAL_STEPS if any(True for _ in _clocks(state)) else 0):
+            t, before = i * p.internal_step, state
+            state = block.advance(t, p.internal_step, before, u, p, c)
+            _check_step(block, t, p.internal_step, before, state)
+    except ExportError:
+        raise
+    except (ArithmeticError, ValueError):  # which the comparison with the traced functions judges
+        return
+
+
+def _check_step(block: Block, t: float, h: float, before: Any, after: Any) -> None:
+    """Raises ExportError for a late clock: it starts again between t and t + h, unlike a block's Clock(t)."""
+    for old, new in zip(_clocks(before), _clocks(after), strict=True):
+        if new.start != old.start and new.count == 0 and new.start > t and new.start != t + h:
+            missed = "samples"
+            expected = "a step_size, or a parameter internal_step, of at most the sampling period"
+            if old.start <= t == 0.0:  # whatever the period is, a sample at t + h is late for such a clock
+                missed = f"the sample that is due at {old.start!r} s"
+                expected = "Clock(t + period) in initial_state, for samples at t + h"
+            raise ExportError(
+                f"block {block.name!r}: {location(block.step)}step misses {missed} in internal steps of "
+                f"{h!r} s: expected {expected}"
+            )
+
+
+def _clocks(value: Any) -> Iterator[Clock]:
+    """Yields the clocks in a state, at any depth."""
+    if isinstance(value, Clock):
+        yield value
+    for _, part in members(value) or ():
+        yield from _clocks(part)

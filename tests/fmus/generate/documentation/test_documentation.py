@@ -1,0 +1,153 @@
+"""What a user reads inside an FMU: complete, well-formed, without the network, and licensed."""
+
+import re
+import zipfile
+from dataclasses import replace
+from importlib.metadata import distribution
+from pathlib import Path
+from typing import Any
+
+import pytest
+from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
+
+from fmus.block import Block
+from fmus.block.guide import NO_GUIDE, Guide, Source
+from fmus.generate import builder
+from fmus.generate.documentation.page import documentation
+from tests.shared_builds import Fmus
+
+NAMES = builder.block_names()
+LINKS_INSIDE = {"../model.png", "fmi-ls-ref.txt", "licenses/"}
+
+
+class Page:
+    """The page as a browser sees it: links, text of each table row, headings; fails on crossed elements."""
+
+    def __init__(self, text: str) -> None:
+        self.declaration, _, content = text.partition("\n")
+        root: Any = etree.fromstring(re.sub(r"<((?:meta|img)\b[^>]*)>", r"<\1/>", content))
+        self.elements = {element.tag for element in root.iter()}
+        links = ("href", "src", "action", "data")
+        self.links = [value for e in root.iter() for key, value in e.attrib.items() if key in links]
+        self.rows = [["".join(cell.itertext()) for cell in row.iter("td")] for row in root.iter("tr")]
+        self.headings = ["".join(heading.itertext()) for heading in root.iter("h2")]
+
+
+def text_of(block: Block) -> str:
+    return documentation(block)["documentation/index.html"].decode()
+
+
+def rows_of(name: str) -> dict[str, list[str]]:
+    """The rows of the tables of variables by the name of the variable."""
+    return {row[0]: row for row in Page(text_of(builder.load_block(name))).rows if len(row) == 7}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_variable_stands_in_a_table_with_unit_range_and_source(name: str) -> None:
+    block, rows = builder.load_block(name), rows_of(name)
+    listed = map(block.of_causality, ("input", "output", "parameter", "calculatedParameter"))
+    assert list(rows) == [v.name for variables in listed for v in variables]
+    for v in block.variables:
+        _, unit, start, permitted, variability, description, source = rows[v.name]
+        assert unit == (v.unit or v.type.lower())
+        assert (variability, description, source) == (v.variability, v.description, v.source)
+        assert bool(start) == bool(permitted) == v.settable
+        for limit in (v.minimum, v.maximum):
+            assert not v.settable or limit is None or str(limit) in permitted
+
+
+def test_the_start_value_of_each_type_can_be_read_back() -> None:
+    rows = rows_of("RovDepthPlant")
+    assert [rows[name][2] for name in ("net_weight", "sensor_seed", "free_surface")] == ["-1.2", "1", "true"]
+    assert rows_of("L1Controller")["regressor"][2:4] == ["2", "one of 1 (infinity_norm), 2 (state)"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_section_is_there(name: str) -> None:
+    page = Page(text_of(builder.load_block(name)))
+    assert page.declaration == "<!DOCTYPE html>"
+    sections = "Equations, Sign conventions, Tuning, Limits, Variables, Running it, Reference results"
+    assert ", ".join(page.headings) == f"{sections}, Sources and licences"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_page_needs_no_network(name: str) -> None:
+    block = builder.load_block(name)
+    page, text = Page(text_of(block)), text_of(block)
+    outside = [link for link in page.links if ":" in link or link.startswith("//")]
+    assert outside == [source.url for source in block.guide.sources if source.url]
+    assert {*page.links} - {*outside} == LINKS_INSIDE
+    assert not page.elements & {"script", "link", "iframe", "object"}
+    assert "@import" not in text
+    assert "url(" not in text
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_guide_names_nothing_that_the_block_does_not_have(name: str) -> None:
+    """A renamed parameter may not live on in the advice; words with an underscore are names."""
+    block = builder.load_block(name)
+    known = {v.name.partition("[")[0] for v in block.variables}
+    known |= {item.name.lower() for v in block.variables for item in v.enumeration or ()}
+    guide = block.guide
+    advice = " ".join((*guide.conventions, *guide.tuning, *guide.limits))
+    named = set(re.findall(r"\b[a-z]{2,}(?:_[a-z]+)+\b", advice))
+    assert named <= known
+    assert named
+
+
+def test_links_within_the_fmu_lead_somewhere(either: dict[str, Path]) -> None:
+    with zipfile.ZipFile(either["ExamplePlant"]) as archive:
+        members = archive.namelist()
+    for link in LINKS_INSIDE:
+        target = link.removeprefix("../") if link.startswith("../") else f"documentation/{link}"
+        assert any(member.startswith(target) for member in members), f"{link} leads nowhere"
+
+
+def test_what_a_guide_says_is_text_and_not_markup() -> None:
+    spiteful = '<script>"x" & y</script>'
+    guide = Guide(spiteful, (spiteful,), (spiteful,), (spiteful,), (Source(spiteful, 'https://a/"><b>'),))
+    block = replace(builder.load_block("ExamplePlant"), description=spiteful, guide=guide)
+    page = Page(text_of(block))
+    assert "script" not in page.elements
+    assert "b" not in page.elements
+    assert 'https://a/"><b>' in page.links
+
+
+def test_a_block_without_a_guide_is_documented_by_its_variables() -> None:
+    block = replace(builder.load_block("ExamplePlant"), guide=NO_GUIDE)
+    page = Page(text_of(block))
+    assert page.headings[0] == "Variables"
+    assert len([row for row in page.rows if len(row) == 7]) == len(block.variables)
+
+
+def test_the_licence_of_everything_inside_is_inside(built: Fmus, python_built: Fmus) -> None:
+    def licences(path: Path) -> dict[str, str]:
+        folder = "documentation/licenses/"
+        with zipfile.ZipFile(path) as archive:
+            members = [member for member in archive.namelist() if member.startswith(folder)]
+            return {
+                member.removeprefix(folder).removesuffix(".txt"): archive.read(member).decode()
+                for member in members
+            }
+
+    native, python = licences(built["ExamplePlant"]), licences(python_built["ExamplePlant"])
+    for licences_inside in (native, python):
+        listed = [line.partition(".txt: ")[0] for line in licences_inside.pop("license").splitlines()]
+        assert sorted(listed) == sorted(licences_inside)
+    assert set(native) == {"l1-depth", "fmi-headers", "zig", "mingw-w64"}
+    assert set(python) == {"l1-depth", "pythonfmu"}
+    assert native["l1-depth"] == (Path(__file__).parents[4] / "LICENSE").read_text("utf-8")
+    assert "2-Clause BSD License" in native["fmi-headers"]
+    assert "AS IS" in native["fmi-headers"]
+    assert native["zig"] == distribution("ziglang").read_text("licenses/ziglang/LICENSE")
+    assert "mingw-w64 project" in native["mingw-w64"]
+    assert "MIT License" in python["pythonfmu"]
+
+
+def test_the_page_names_the_interfaces_that_the_archive_has(built: Fmus, python_built: Fmus) -> None:
+    for fmus, text in ((built, "co-simulation and model exchange"), (python_built, "co-simulation")):
+        with zipfile.ZipFile(fmus["ExamplePlant"]) as archive:
+            description = archive.read("modelDescription.xml").decode()
+            page = archive.read("documentation/index.html").decode()
+        assert f"An FMU of FMI 2.0 for {text}, made by" in page
+        assert ("<ModelExchange" in description) == ("model exchange" in text)
