@@ -1,7 +1,7 @@
-"""Check that a traced block, and its library, compute what its Python functions do at random points.
+"""Check that a traced block, and its library, compute what its Python functions do, and miss no sample.
 
-A difference is rounding if the Python function itself changes as much when its arguments change by a few
-units in the last place. Any other difference refuses the block.
+The functions are called at random points. A difference is rounding if the Python function itself changes as
+much when its arguments change by a few units in the last place. Any other difference refuses the block.
 """
 
 import math
@@ -147,7 +147,7 @@ class Comparison:
         """Returns the distances that the numbers move when the arguments change by roundings."""
         moved = [0.0] * len(numbers)
         for _ in range(_PERTURBATIONS):
-            other = self._evaluate([rounded(argument, rng) for argument in arguments])[1] or numbers
+            other = self._evaluate([_rounded(argument, rng) for argument in arguments])[1] or numbers
             moved = [max(most, abs(x - y)) for most, x, y in zip(moved, other, numbers, strict=True)]
         return moved
 
@@ -221,7 +221,7 @@ def _compare_at_a_point(
     for _ in range(_STEPS):
         u = drawn(block, "input", block.inputs, changed, rng)
         is_reached = x is None
-        x = compare["initial_state"](t, u, p, c) if x is None else disturbed(x, rng)
+        x = compare["initial_state"](t, u, p, c) if x is None else _disturbed(x, rng)
         if x is None:
             return
         y = compare["output"](t, x, p, c, is_reached=is_reached)
@@ -339,7 +339,7 @@ def _draw(v: BlockVariable, rng: random.Random) -> Any:
     return float(min(max(value, low), high))
 
 
-def disturbed(state: Any, rng: random.Random) -> Any:
+def _disturbed(state: Any, rng: random.Random) -> Any:
     """Returns a state near another one, which the block need not be able to reach."""
 
     def change(x: Any) -> Any:
@@ -352,7 +352,7 @@ def disturbed(state: Any, rng: random.Random) -> Any:
     return unflatten(state, list(map(change, flatten(state))))
 
 
-def rounded(argument: Any, rng: random.Random) -> Any:
+def _rounded(argument: Any, rng: random.Random) -> Any:
     """Returns an argument whose floats are changed by a few units in the last place."""
 
     def change(x: Any) -> Any:
