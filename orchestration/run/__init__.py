@@ -1,4 +1,4 @@
-"""The master algorithm, compiled: connects FMUs for co-simulation, of FMI 2.0 or 3.0, and steps them together.
+"""The compiled master algorithm: connects FMUs for co-simulation, FMI 2.0 or 3.0, and steps them together.
 
 Communication points are t_i = start + i h, never accumulated; a last shorter step lands on the stop
 time. At each point: scheduled changes are made, outputs are exchanged and recorded.

@@ -1,1 +1,1 @@
-"""Scenario files: those that ship, how one is read into a system and an experiment, and the paper's tables."""
+"""Scenario files: those that ship, how one becomes a system and an experiment, and the paper's tables."""
