@@ -4,7 +4,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable
 
-from controller_fmu import adrc, mrac, pid, sliding_mode, super_twisting
+from controller_fmu.baselines import adrc, mrac, pid, sliding_mode, super_twisting
 from controller_fmu.l1 import depth_controller, heave_pitch_controller
 from fmus.block import Block, BlockVariable
 

@@ -1,1 +1,1 @@
-"""The extended L1 adaptive controller: its laws as pure functions, and the blocks made of them."""
+"""Controllers of depth, as pure functions and blocks: `l1` has the law of the paper, `baselines` others."""

@@ -17,6 +17,7 @@ from fmus.numerics import all as all_hold
 
 Vector = tuple[float, float]
 Table = tuple[float, ...]
+_GUESS = "guess: the paper gives none"
 # Pulse [us] and force [kgf] of a Blue Robotics T200 at 16 V, as `plant_fmu/thruster.py` has them
 _T200_AT_16_V = (
     (1900, 5.25), (1860, 4.65), (1820, 3.82), (1780, 3.11), (1740, 2.43), (1700, 1.82), (1660, 1.28),
@@ -31,35 +32,48 @@ class ActuatorParameters:
     """Parameters of the thrusters, which every depth controller has."""
 
     internal_step: float = variable(
-        0.02, "Longest internal step; one for each communication step is best", unit="s", min=1e-6, max=10.0,
+        0.02,
+        "Longest internal step; one for each communication step is best",
+        unit="s",
+        min=1e-6,
+        max=10.0,
         variability="fixed",
-    )  # fmt: skip
+    )
     thruster_gain: Vector = variable(
-        (0.25, 0.25), "Force coefficient K of each thruster", unit="N/V", min=1e-6, max=1e6,
-        source="guess: the paper gives none",
-    )  # fmt: skip
+        (0.25, 0.25), "Force coefficient K of each thruster", unit="N/V", min=1e-6, max=1e6, source=_GUESS
+    )
     voltage_limit: float = variable(
-        12.0, "Largest voltage of a thruster", unit="V", min=1e-6, max=1e6,
-        source="guess: the paper gives none",
-    )  # fmt: skip
+        12.0, "Largest voltage of a thruster", unit="V", min=1e-6, max=1e6, source=_GUESS
+    )
     thruster_tabulated: bool = variable(
-        False, "Takes the voltages from the table, in place of the gain", variability="fixed",
+        False,
+        "Takes the voltages from the table, in place of the gain",
+        variability="fixed",
         source="assumed: the paper has a line, (11)",
-    )  # fmt: skip
+    )
     thruster_scale: Vector = variable(
-        (1.0, 1.0), "Factor of the table's force: thrusters that a voltage drives", min=1e-3, max=1e3,
+        (1.0, 1.0),
+        "Factor of the table's force: thrusters that a voltage drives",
+        min=1e-3,
+        max=1e3,
         source="assumed: one thruster each",
-    )  # fmt: skip
+    )
     thruster_table_voltage: Table = variable(
         tuple((1500.0 - pulse) * 12.0 / 400.0 for pulse, _ in _T200_AT_16_V),
-        "Voltages of the table, ascending", unit="V", min=-1e6, max=1e6,
+        "Voltages of the table, ascending",
+        unit="V",
+        min=-1e6,
+        max=1e6,
         source="chosen: 12 V to -12 V for pulses of 1100 us to 1900 us, as the vehicles have it",
-    )  # fmt: skip
+    )
     thruster_table_force: Table = variable(
         tuple(0.0 - kgf * 9.80665 for _, kgf in _T200_AT_16_V),
-        "Force at each voltage of the table, ascending", unit="N", min=-1e6, max=1e6,
+        "Force at each voltage of the table, ascending",
+        unit="N",
+        min=-1e6,
+        max=1e6,
         source="published: Blue Robotics T200 at 16 V, September 2019, forward thrust up",
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -73,13 +87,21 @@ class ObserverParameters(ActuatorParameters):
         0.4, "alpha of the observer", min=0.0, max=1.0, source="guess: not published"
     )
     observer_beta: float = variable(
-        0.1, "beta of the observer", min=0.0, max=2.0,
+        0.1,
+        "beta of the observer",
+        min=0.0,
+        max=2.0,
         source="alpha^2 / (2 - alpha), Benedict and Bordner (1962); not published",
-    )  # fmt: skip
+    )
     observer_period: float = variable(
-        0.04, "Sampling period of the observer", unit="s", min=1e-4, max=10.0, variability="fixed",
+        0.04,
+        "Sampling period of the observer",
+        unit="s",
+        min=1e-4,
+        max=10.0,
+        variability="fixed",
         source="proxy: reading time of a Bar30 depth sensor",
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -87,9 +109,13 @@ class InertiaParameter:
     """Parameter of a design that assumes the inertia of the vehicle."""
 
     model_inertia: float = variable(
-        5.5, "Inertia with added mass M_z that the design assumes", unit="kg", min=0.1, max=1e6,
+        5.5,
+        "Inertia with added mass M_z that the design assumes",
+        unit="kg",
+        min=0.1,
+        max=1e6,
         source="estimate: 3 kg and the added mass of a box",
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -97,9 +123,8 @@ class DampingParameter:
     """Parameter of a design that assumes the linear damping of the vehicle."""
 
     model_damping: float = variable(
-        2.5, "Linear damping D_z that the design assumes", unit="N.s/m", min=0.0, max=1e6,
-        source="guess: the paper gives none",
-    )  # fmt: skip
+        2.5, "Linear damping D_z that the design assumes", unit="N.s/m", min=0.0, max=1e6, source=_GUESS
+    )
 
 
 @dataclass(frozen=True)
@@ -209,9 +234,12 @@ def _after(observer: ObserverState, inputs: DepthInputs, p: ObserverParameters) 
 def measurement(inputs: DepthInputs, rate: float) -> DepthMeasurement:
     """Returns the inputs of one time, with the depth rate [m/s] that the law uses."""
     return DepthMeasurement(
-        inputs.measured_depth, rate,
-        inputs.depth_reference, inputs.depth_reference_rate, inputs.depth_reference_acceleration,
-    )  # fmt: skip
+        inputs.measured_depth,
+        rate,
+        inputs.depth_reference,
+        inputs.depth_reference_rate,
+        inputs.depth_reference_acceleration,
+    )
 
 
 def body_to_earth(inputs: DepthInputs) -> float:

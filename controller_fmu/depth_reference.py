@@ -19,22 +19,33 @@ _SHIPPED = "published: Maalouf et al. (2013), section 5.2; straight ramps are as
 @dataclass(frozen=True)
 class Parameters:
     internal_step: float = variable(
-        10.0, "Longest internal step; without effect, the reference follows from the time alone",
-        unit="s", min=1e-7, max=1e6, variability="fixed",
-    )  # fmt: skip
+        10.0,
+        "Longest internal step; without effect, the reference follows from the time alone",
+        unit="s",
+        min=1e-7,
+        max=1e6,
+        variability="fixed",
+    )
     smooth: bool = variable(
         False,
         "Quintic ramps, with zero speed and acceleration at both ends of each, instead of straight ones",
     )
     point_time: tuple[float, ...] = variable(
         (0.0, 40.0, 140.0, 180.0, 250.0, 310.0, 320.0, 330.0, 340.0, 350.0, 360.0, 370.0),
-        "Time of a point, later than that of the one before", unit="s", min=-1e9, max=1e9,
+        "Time of a point, later than that of the one before",
+        unit="s",
+        min=-1e9,
+        max=1e9,
         source=_SHIPPED,
-    )  # fmt: skip
+    )
     point_depth: tuple[float, ...] = variable(
         (0.0, 0.8, 0.8, 0.4, 0.4, 0.6, 0.6, 0.6, 0.6, 0.6, 0.6, 0.6),
-        "Depth at a point, positive down", unit="m", min=-1e4, max=1e4, source=_SHIPPED,
-    )  # fmt: skip
+        "Depth at a point, positive down",
+        unit="m",
+        min=-1e4,
+        max=1e4,
+        source=_SHIPPED,
+    )
 
 
 @dataclass(frozen=True)

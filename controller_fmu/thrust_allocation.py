@@ -15,9 +15,13 @@ from fmus.block.guide import Experiment, Guide
 @dataclass(frozen=True)
 class Parameters(ActuatorParameters):
     internal_step: float = variable(
-        10.0, "Longest internal step; without effect, the voltages follow the inputs at once",
-        unit="s", min=1e-7, max=1e6, variability="fixed",
-    )  # fmt: skip
+        10.0,
+        "Longest internal step; without effect, the voltages follow the inputs at once",
+        unit="s",
+        min=1e-7,
+        max=1e6,
+        variability="fixed",
+    )
 
 
 @dataclass(frozen=True)

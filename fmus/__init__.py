@@ -1,4 +1,4 @@
-"""FMUs of FMI 2.0: their declaration as blocks, their build, their check, and what running one needs."""
+"""FMUs of FMI 2.0 and 3.0: their declaration as blocks, build, run-time interface and check."""
 
 import sys
 import time

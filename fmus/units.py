@@ -14,13 +14,32 @@ PREFIXES = dict(zip("nuµmcdhkMG", (1e-9, 1e-6, 1e-6, 1e-3, 0.01, 0.1, 1e2, 1e3,
 _PREFIXED = {*BASES, "g", "Hz", "N", "Pa", "J", "W", "C", "V", "Ohm", "bar", "l", "L"} - {"kg"}
 _DEGREE, _TURN = math.pi / 180.0, 2.0 * math.pi
 SYMBOLS = {
-    **dict.fromkeys((*BASES, "1"), (1.0, "")), "%": (0.01, ""), "g": (1e-3, "kg"), "t": (1e3, "kg"),
-    "min": (60.0, "s"), "h": (3600.0, "s"), "d": (86400.0, "s"), "Hz": (1.0, "1/s"), "l": (1e-3, "m3"),
-    "L": (1e-3, "m3"), "N": (1.0, "kg.m/s2"), "Pa": (1.0, "N/m2"), "bar": (1e5, "Pa"), "J": (1.0, "N.m"),
-    "W": (1.0, "J/s"), "C": (1.0, "A.s"), "V": (1.0, "W/A"), "Ohm": (1.0, "V/A"), "deg": (_DEGREE, "rad"),
-    "°": (_DEGREE, "rad"), "rev": (_TURN, "rad"), "rpm": (_TURN / 60.0, "rad/s"), "degC": (1.0, "K"),
-    "°C": (1.0, "K"), "degF": (5.0 / 9.0, "K"),
-}  # fmt: skip
+    **dict.fromkeys((*BASES, "1"), (1.0, "")),
+    "%": (0.01, ""),
+    "g": (1e-3, "kg"),
+    "t": (1e3, "kg"),
+    "min": (60.0, "s"),
+    "h": (3600.0, "s"),
+    "d": (86400.0, "s"),
+    "Hz": (1.0, "1/s"),
+    "l": (1e-3, "m3"),
+    "L": (1e-3, "m3"),
+    "N": (1.0, "kg.m/s2"),
+    "Pa": (1.0, "N/m2"),
+    "bar": (1e5, "Pa"),
+    "J": (1.0, "N.m"),
+    "W": (1.0, "J/s"),
+    "C": (1.0, "A.s"),
+    "V": (1.0, "W/A"),
+    "Ohm": (1.0, "V/A"),
+    "deg": (_DEGREE, "rad"),
+    "°": (_DEGREE, "rad"),
+    "rev": (_TURN, "rad"),
+    "rpm": (_TURN / 60.0, "rad/s"),
+    "degC": (1.0, "K"),
+    "°C": (1.0, "K"),
+    "degF": (5.0 / 9.0, "K"),
+}
 """Symbol -> the factor and the unit that it stands for, "" for a base unit and for none."""
 _OFFSETS = {"degC": 273.15, "°C": 273.15, "degF": 459.67 * 5.0 / 9.0}  # K
 _POWER = re.compile(r"(1(?!\d)|%|°C?|[^\W\d_]+)(-?\d+)?")

@@ -1,1 +1,1 @@
-"""The plants: the underwater vehicle with thrusters and depth sensor, and the paper's example."""
+"""Plants: underwater vehicles with thrusters and depth sensor, their waves, and the paper's example."""

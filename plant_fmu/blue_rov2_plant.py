@@ -115,8 +115,10 @@ BLOCK = heave_pitch_plant.BLOCK.with_starts(
                 "V. Nan Fernandez-Ayala: bluerov2_dynamics, MIT licence (the same numbers as a program).",
                 "https://github.com/ViktorNfa/bluerov2_dynamics",
             ),
-            Source("C.-J. Wu: 6-DoF Modelling and Control of a Remotely Operated Vehicle, thesis, Flinders"
-                   " University, 2018 (the tank tests)."),
+            Source(
+                "C.-J. Wu: 6-DoF Modelling and Control of a Remotely Operated Vehicle, thesis, Flinders"
+                " University, 2018 (the tank tests)."
+            ),
             Source(
                 "Blue Robotics: T200 public performance data, 10 V to 20 V, September 2019.",
                 "https://cad.bluerobotics.com/T200-Public-Performance-Data-10-20V-September-2019.xlsx",
@@ -134,4 +136,4 @@ BLOCK = heave_pitch_plant.BLOCK.with_starts(
             ),
         ),
     ),
-)  # fmt: skip
+)

@@ -29,30 +29,40 @@ class HullParameters:
         0.0, "Heave velocity at the start", unit="m/s", variability="fixed", source="assumed: at rest"
     )
     inertia: float = variable(
-        5.5, "Inertia with added mass M_z", unit="kg", min=0.1, max=1e6,
+        5.5,
+        "Inertia with added mass M_z",
+        unit="kg",
+        min=0.1,
+        max=1e6,
         source="estimate: 3 kg (published) and the added mass of a box, DNV-RP-H103",
-    )  # fmt: skip
+    )
     linear_damping: float = variable(
-        2.5, "Linear damping D_z", unit="N.s/m", min=0.0, max=1e6,
-        source="guess: the paper gives none",
-    )  # fmt: skip
+        2.5, "Linear damping D_z", unit="N.s/m", min=0.0, max=1e6, source="guess: the paper gives none"
+    )
     quadratic_damping: float = variable(
-        7.0, "Quadratic damping D_q", unit="N.s2/m2", min=0.0, max=1e6,
-        source="estimate: 0.5 rho C_d A",
-    )  # fmt: skip
+        7.0, "Quadratic damping D_q", unit="N.s2/m2", min=0.0, max=1e6, source="estimate: 0.5 rho C_d A"
+    )
     weight: float = variable(29.43, "Weight W", unit="N", min=1e-3, max=1e9, source="published: 3 kg")
     net_weight: float = variable(
-        -1.2, "W - B when submerged; negative floats", unit="N", min=-1e6, max=1e6,
+        -1.2,
+        "W - B when submerged; negative floats",
+        unit="N",
+        min=-1e6,
+        max=1e6,
         source="published: +0.2 N is 17 % of it, holding thrust 1.2 N",
-    )  # fmt: skip
+    )
     free_surface: bool = variable(True, "Whether buoyancy falls as the vehicle emerges", variability="fixed")
     water_density: float = variable(
         1000.0, "Density of the water", unit="kg/m3", min=1.0, max=1e5, source="fresh water, a pool"
     )
     waterplane_area: float = variable(
-        0.022192, "Horizontal section of the vehicle", unit="m2", min=1e-6, max=1e4,
+        0.022192,
+        "Horizontal section of the vehicle",
+        unit="m2",
+        min=1e-6,
+        max=1e4,
         source="published size: 0.152 m x 0.146 m",
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)

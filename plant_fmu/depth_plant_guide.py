@@ -68,14 +68,20 @@ sensor     s_k = q(z(t_k) + h + bias + drift (t_k - t_0) + noise n_k) at t_k = t
             "https://hal-lirmm.ccsd.cnrs.fr/lirmm-00841558",
         ),
         Source("T. I. Fossen: Marine Control Systems, Marine Cybernetics, 2002 (damping, current, surface)."),
-        Source("O. M. Faltinsen: Sea Loads on Ships and Offshore Structures, Cambridge University Press, 1990"
-               " (forces of waves on a small body)."),
+        Source(
+            "O. M. Faltinsen: Sea Loads on Ships and Offshore Structures, Cambridge University Press, 1990"
+            " (forces of waves on a small body)."
+        ),
         Source("DNV-RP-H103: Modelling and analysis of marine operations (added mass of a box)."),
-        Source("A. Kozlowska et al.: Time domain modeling of propeller forces due to ventilation in"
-               " static and dynamic conditions,"
-               " Journal of Marine Science and Engineering 8, 2020 (loss of thrust)."),
-        Source("P. L'Ecuyer: Efficient and portable combined random number generators, Communications of the"
-               " ACM 31(6), 1988 (the sensor's noise)."),
+        Source(
+            "A. Kozlowska et al.: Time domain modeling of propeller forces due to ventilation in"
+            " static and dynamic conditions,"
+            " Journal of Marine Science and Engineering 8, 2020 (loss of thrust)."
+        ),
+        Source(
+            "P. L'Ecuyer: Efficient and portable combined random number generators, Communications of the"
+            " ACM 31(6), 1988 (the sensor's noise)."
+        ),
     ),
     experiment=Experiment(
         stop_time=20.0,
@@ -88,4 +94,4 @@ sensor     s_k = q(z(t_k) + h + bias + drift (t_k - t_0) + noise n_k) at t_k = t
             ("pitch", ((5.0, 0.0), (10.0, 0.2))),
         ),
     ),
-)  # fmt: skip
+)

@@ -30,25 +30,43 @@ class SensorParameters:
         False, "Reports depth and pressure head of waves at every instant", variability="fixed"
     )
     sensor_period: float = variable(
-        0.04, "Sampling period", unit="s", min=1e-4, max=10.0, variability="fixed",
+        0.04,
+        "Sampling period",
+        unit="s",
+        min=1e-4,
+        max=10.0,
+        variability="fixed",
         source="proxy: a Bar30 reads in up to 40 ms; not the paper's sensor",
-    )  # fmt: skip
+    )
     sensor_noise: float = variable(
-        0.001, "Standard deviation of the white noise", unit="m", min=0.0, max=1e3,
+        0.001,
+        "Standard deviation of the white noise",
+        unit="m",
+        min=0.0,
+        max=1e3,
         source="guess: half the resolution",
-    )  # fmt: skip
+    )
     sensor_bias: float = variable(0.0, "Bias", unit="m", min=-1e3, max=1e3, source="assumed")
     sensor_drift: float = variable(
         0.0, "Drift, per second of simulation", unit="m/s", min=-1e3, max=1e3, source="assumed"
     )
     sensor_resolution: float = variable(
-        0.002, "Resolution; 0 does not quantise", unit="m", min=0.0, max=1e3,
+        0.002,
+        "Resolution; 0 does not quantise",
+        unit="m",
+        min=0.0,
+        max=1e3,
         source="proxy: a Bar30 resolves 2 mm; not the paper's sensor",
-    )  # fmt: skip
+    )
     sensor_delay: float = variable(
-        0.0, "Time from a sample to its report", unit="s", min=0.0, max=70.0, variability="fixed",
+        0.0,
+        "Time from a sample to its report",
+        unit="s",
+        min=0.0,
+        max=70.0,
+        variability="fixed",
         source="assumed",
-    )  # fmt: skip
+    )
     sensor_seed: int = variable(
         1, "Seed of the noise", min=1, max=2147483397, variability="fixed", source="chosen"
     )

@@ -57,4 +57,4 @@ pitch      sampled as the depth is, with white noise
     ),
     sources=depth_plant_guide.GUIDE.sources,
     experiment=EXPERIMENT,
-)  # fmt: skip
+)

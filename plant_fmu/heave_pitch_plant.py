@@ -14,6 +14,7 @@ from plant_fmu.depth_sensor import SensorState
 from plant_fmu.heave_pitch_guide import GUIDE
 from plant_fmu.thruster import Pair, Transfer, Triple
 
+_GUESS = "guess: the paper gives none"
 _OTHER_SEEDS = 2**30  # the noise of the pitch has other numbers than that of the depth
 
 
@@ -25,42 +26,62 @@ class Parameters(depth_plant.Parameters):
         0.0, "Pitch angle at the start", unit="rad", variability="fixed", source="assumed: level"
     )
     pitch_inertia: float = variable(
-        0.026, "Moment of inertia I with added mass", unit="kg.m2", min=1e-6, max=1e9,
+        0.026,
+        "Moment of inertia I with added mass",
+        unit="kg.m2",
+        min=1e-6,
+        max=1e9,
         source="guess: box of the published size and mass, and as much again of added mass",
-    )  # fmt: skip
+    )
     metacentric_height: float = variable(
-        0.005, "Height BG of the centre of buoyancy above that of gravity", unit="m", min=0.0, max=1e3,
-        source="guess: the paper gives none",
-    )  # fmt: skip
+        0.005,
+        "Height BG of the centre of buoyancy above that of gravity",
+        unit="m",
+        min=0.0,
+        max=1e3,
+        source=_GUESS,
+    )
     pitch_linear_damping: float = variable(
-        0.02, "Linear damping D_M of pitch", unit="N.m.s", min=0.0, max=1e9,
+        0.02,
+        "Linear damping D_M of pitch",
+        unit="N.m.s",
+        min=0.0,
+        max=1e9,
         source="guess: damping ratio of 0.16",
-    )  # fmt: skip
+    )
     pitch_quadratic_damping: float = variable(
-        0.005, "Quadratic damping D_Mq of pitch", unit="N.m.s2", min=0.0, max=1e9,
-        source="guess: the paper gives none",
-    )  # fmt: skip
+        0.005, "Quadratic damping D_Mq of pitch", unit="N.m.s2", min=0.0, max=1e9, source=_GUESS
+    )
     thruster_lever: Pair = variable(
-        (0.06, -0.06), "Lever of each thruster, positive forward of the centre of gravity", unit="m",
-        min=-1e3, max=1e3, source="guess: the paper gives none",
-    )  # fmt: skip
+        (0.06, -0.06),
+        "Lever of each thruster, positive forward of the centre of gravity",
+        unit="m",
+        min=-1e3,
+        max=1e3,
+        source=_GUESS,
+    )
     thruster_transfer: tuple[float, float, float, float] = variable(
         (0.0, 30.0, 300.0, 0.0),
         "Transfer function behind the lag: b_1, a_2, a_1, a_0; a_0 = 0 leaves it out",
-        unit=("1/s2", "1/s", "1/s2", "1/s3"), min=0.0, max=1e15, source="guess: left out, the lag alone",
-    )  # fmt: skip
+        unit=("1/s2", "1/s", "1/s2", "1/s3"),
+        min=0.0,
+        max=1e15,
+        source="guess: left out, the lag alone",
+    )
     sensor_forward: float = variable(
-        0.08, "Depth sensor forward of the centre of gravity", unit="m", min=-1e3, max=1e3,
-        source="guess: the paper gives none",
-    )  # fmt: skip
+        0.08, "Depth sensor forward of the centre of gravity", unit="m", min=-1e3, max=1e3, source=_GUESS
+    )
     sensor_below: float = variable(
-        0.0, "Depth sensor below the centre of gravity", unit="m", min=-1e3, max=1e3,
-        source="guess: the paper gives none",
-    )  # fmt: skip
+        0.0, "Depth sensor below the centre of gravity", unit="m", min=-1e3, max=1e3, source=_GUESS
+    )
     pitch_noise: float = variable(
-        0.002, "Standard deviation of the white noise of the measured pitch", unit="rad", min=0.0, max=10.0,
+        0.002,
+        "Standard deviation of the white noise of the measured pitch",
+        unit="rad",
+        min=0.0,
+        max=10.0,
         source="guess: 0.1 degrees; sampled as the depth is",
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -142,9 +163,14 @@ def integrate(t: float, h: float, state: State, inputs: Inputs, p: Parameters, c
     x = rk4_step(lambda elapsed, x: _motion(x, lagged(elapsed), inputs, p), 0.0, _moving(state), h)
     depth, rate, pitch, pitch_rate, transfer = _in_parts(x)
     return replace(
-        state, depth=depth, depth_rate=rate, pitch=pitch, pitch_rate=pitch_rate, transfer=transfer,
+        state,
+        depth=depth,
+        depth_rate=rate,
+        pitch=pitch,
+        pitch_rate=pitch_rate,
+        transfer=transfer,
         lagged_force=lagged(h),
-    )  # fmt: skip
+    )
 
 
 def _moving(state: Continuous) -> tuple:

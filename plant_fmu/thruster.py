@@ -60,6 +60,7 @@ Pair = tuple[float, float]
 Triple = tuple[float, float, float]
 Table = tuple[float, ...]
 
+_GUESS = "guess: the paper gives none"
 _SHORTEST_LAG = 1e-9  # s; what is shorter counts as no lag
 _LEAST_RATE = 1e-9  # N/s; what is less counts as no limit
 _LEAST_DEPTH = 1e-9  # m; what is less counts as no ventilation
@@ -70,65 +71,97 @@ class ThrusterParameters:
     """Parameters of two thrusters; functions have the index i of one of them."""
 
     thruster_ideal: bool = variable(
-        False, "Leaves nothing of the thrusters but gain and efficiency: no dead zone, saturation or lag",
+        False,
+        "Leaves nothing of the thrusters but gain and efficiency: no dead zone, saturation or lag",
         variability="fixed",
-    )  # fmt: skip
+    )
     thruster_gain: Pair = variable(
-        (0.25, 0.25), "Force coefficient K of each thruster", unit="N/V", min=1e-6, max=1e6,
-        source="guess: the paper gives none",
-    )  # fmt: skip
+        (0.25, 0.25), "Force coefficient K of each thruster", unit="N/V", min=1e-6, max=1e6, source=_GUESS
+    )
     thruster_dead_zone: Pair = variable(
-        (0.0, 0.0), "Voltage below which a thruster gives no force", unit="V", min=0.0, max=1e6,
-        source="guess: the paper gives none",
-    )  # fmt: skip
+        (0.0, 0.0), "Voltage below which a thruster gives no force", unit="V", min=0.0, max=1e6, source=_GUESS
+    )
     thruster_voltage_limit: Pair = variable(
-        (12.0, 12.0), "Largest voltage of each thruster", unit="V", min=1e-6, max=1e6,
-        source="guess: the paper gives none",
-    )  # fmt: skip
+        (12.0, 12.0), "Largest voltage of each thruster", unit="V", min=1e-6, max=1e6, source=_GUESS
+    )
     thruster_lag: Pair = variable(
-        (0.05, 0.05), "Time constant of each thruster", unit="s", min=0.0, max=1e3,
-        source="guess: the paper gives none",
-    )  # fmt: skip
+        (0.05, 0.05), "Time constant of each thruster", unit="s", min=0.0, max=1e3, source=_GUESS
+    )
     thruster_rate_limit: Pair = variable(
-        (0.0, 0.0), "Largest change of a thruster's force in a second; 0 does not limit", unit="N/s",
-        min=0.0, max=1e6, source="guess: none, the paper gives none",
-    )  # fmt: skip
+        (0.0, 0.0),
+        "Largest change of a thruster's force in a second; 0 does not limit",
+        unit="N/s",
+        min=0.0,
+        max=1e6,
+        source="guess: none, the paper gives none",
+    )
     thruster_reverse_ratio: Pair = variable(
-        (1.0, 1.0), "Gain of negative voltages over that of positive ones", min=0.0, max=10.0,
+        (1.0, 1.0),
+        "Gain of negative voltages over that of positive ones",
+        min=0.0,
+        max=10.0,
         source="assumed: symmetric, as (11); other propellers give less in reverse, about 0.8 (guess)",
-    )  # fmt: skip
+    )
     thruster_curvature: Pair = variable(
-        (0.0, 0.0), "Share of the force that is quadratic in the voltage: 0 a line, 1 a parabola",
-        min=0.0, max=1.0, source="published: a line, (11)",
-    )  # fmt: skip
+        (0.0, 0.0),
+        "Share of the force that is quadratic in the voltage: 0 a line, 1 a parabola",
+        min=0.0,
+        max=1.0,
+        source="published: a line, (11)",
+    )
     thruster_curve_voltage: Pair = variable(
-        (12.0, 12.0), "Voltage at which line and parabola give the same force", unit="V", min=1e-6, max=1e6,
+        (12.0, 12.0),
+        "Voltage at which line and parabola give the same force",
+        unit="V",
+        min=1e-6,
+        max=1e6,
         source="guess: the largest voltage; without effect on a line",
-    )  # fmt: skip
+    )
     thruster_tabulated: bool = variable(
-        False, "Takes the force from the table, in place of gain, dead zone, reverse ratio and curvature",
-        variability="fixed", source="assumed: the paper has a line, (11)",
-    )  # fmt: skip
+        False,
+        "Takes the force from the table, in place of gain, dead zone, reverse ratio and curvature",
+        variability="fixed",
+        source="assumed: the paper has a line, (11)",
+    )
     thruster_scale: Pair = variable(
-        (1.0, 1.0), "Factor of the table's force: thrusters that a voltage drives, and their wear", min=0.0,
-        max=1e3, source="assumed: one thruster each",
-    )  # fmt: skip
+        (1.0, 1.0),
+        "Factor of the table's force: thrusters that a voltage drives, and their wear",
+        min=0.0,
+        max=1e3,
+        source="assumed: one thruster each",
+    )
     thruster_table_voltage: Table = variable(
-        T200_VOLTAGE, "Voltages of the table, ascending", unit="V", min=-1e6, max=1e6,
+        T200_VOLTAGE,
+        "Voltages of the table, ascending",
+        unit="V",
+        min=-1e6,
+        max=1e6,
         source="chosen: 12 V to -12 V for pulses of 1100 us to 1900 us",
-    )  # fmt: skip
+    )
     thruster_table_force: Table = variable(
-        T200_FORCE, "Force at each voltage of the table, positive down", unit="N", min=-1e6, max=1e6,
+        T200_FORCE,
+        "Force at each voltage of the table, positive down",
+        unit="N",
+        min=-1e6,
+        max=1e6,
         source="published: Blue Robotics T200 at 16 V, September 2019, forward thrust up",
-    )  # fmt: skip
+    )
     thruster_depth: float = variable(
-        0.073, "Depth of the propellers below the vehicle's top", unit="m", min=-1e3, max=1e3,
+        0.073,
+        "Depth of the propellers below the vehicle's top",
+        unit="m",
+        min=-1e3,
+        max=1e3,
         source="guess: the middle of the published height; without effect but for ventilation",
-    )  # fmt: skip
+    )
     thruster_full_depth: float = variable(
-        0.0, "Depth of a propeller from which ventilation takes no thrust; 0 leaves ventilation out",
-        unit="m", min=0.0, max=1e3, source="guess: left out, the paper gives none",
-    )  # fmt: skip
+        0.0,
+        "Depth of a propeller from which ventilation takes no thrust; 0 leaves ventilation out",
+        unit="m",
+        min=0.0,
+        max=1e3,
+        source="guess: left out, the paper gives none",
+    )
 
 
 def steady_force(p: ThrusterParameters, i: int, voltage: float, efficiency: float) -> float:

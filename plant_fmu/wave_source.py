@@ -24,36 +24,68 @@ class WaveKind(IntEnum):
 @dataclass(frozen=True)
 class Parameters:
     internal_step: float = variable(
-        10.0, "Longest internal step; without effect, the waves follow from the time alone",
-        unit="s", min=1e-7, max=1e6, variability="fixed",
-    )  # fmt: skip
+        10.0,
+        "Longest internal step; without effect, the waves follow from the time alone",
+        unit="s",
+        min=1e-7,
+        max=1e6,
+        variability="fixed",
+    )
     kind: WaveKind = variable(
         WaveKind.REGULAR, "One wave, or a sea with the JONSWAP spectrum", variability="fixed", source="chosen"
     )
     wave_amplitude: float = variable(
-        0.13, "Amplitude of the regular wave, half its height", unit="m", min=0.0, max=100.0,
-        variability="fixed", source="chosen: about 1 N on RovDepthPlant at 1 m, with the period of 5 s",
-    )  # fmt: skip
+        0.13,
+        "Amplitude of the regular wave, half its height",
+        unit="m",
+        min=0.0,
+        max=100.0,
+        variability="fixed",
+        source="chosen: about 1 N on RovDepthPlant at 1 m, with the period of 5 s",
+    )
     start_phase: float = variable(
-        0.0, "Phase of the regular wave at 0 s; 0 is a crest", unit="rad", min=-1e3, max=1e3,
-        variability="fixed", source="chosen",
-    )  # fmt: skip
+        0.0,
+        "Phase of the regular wave at 0 s; 0 is a crest",
+        unit="rad",
+        min=-1e3,
+        max=1e3,
+        variability="fixed",
+        source="chosen",
+    )
     significant_height: float = variable(
-        0.37, "Significant height H_s of the sea, four standard deviations of the elevation", unit="m",
-        min=0.0, max=100.0, variability="fixed", source="chosen: the variance of the regular wave",
-    )  # fmt: skip
+        0.37,
+        "Significant height H_s of the sea, four standard deviations of the elevation",
+        unit="m",
+        min=0.0,
+        max=100.0,
+        variability="fixed",
+        source="chosen: the variance of the regular wave",
+    )
     period: float = variable(
-        5.0, "Period of the regular wave, or of the peak of the spectrum", unit="s", min=0.1, max=100.0,
-        variability="fixed", source="chosen",
-    )  # fmt: skip
+        5.0,
+        "Period of the regular wave, or of the peak of the spectrum",
+        unit="s",
+        min=0.1,
+        max=100.0,
+        variability="fixed",
+        source="chosen",
+    )
     gamma: float = variable(
-        3.3, "Height of the peak over that of Pierson and Moskowitz", min=1.0, max=20.0, variability="fixed",
+        3.3,
+        "Height of the peak over that of Pierson and Moskowitz",
+        min=1.0,
+        max=20.0,
+        variability="fixed",
         source="published: the mean of JONSWAP, Hasselmann et al. (1973)",
-    )  # fmt: skip
+    )
     seed: int = variable(
-        1, "Seed of the sea: of phases, and of frequencies in their bands", min=1, max=2147483397,
-        variability="fixed", source="chosen",
-    )  # fmt: skip
+        1,
+        "Seed of the sea: of phases, and of frequencies in their bands",
+        min=1,
+        max=2147483397,
+        variability="fixed",
+        source="chosen",
+    )
 
 
 @dataclass(frozen=True)
@@ -132,17 +164,25 @@ JONSWAP   S ~ x^-5 exp(-5/4 x^-4) gamma^exp(-(x - 1)^2 / (2 s^2)),    x = w / w_
         "The spectrum ends at four times the peak frequency, above which JONSWAP has 0.4 % of its variance.",
     ),
     sources=(
-        Source("O. M. Faltinsen: Sea Loads on Ships and Offshore Structures, Cambridge University Press, 1990"
-               " (linear waves)."),
-        Source("K. Hasselmann et al.: Measurements of wind-wave growth and swell decay during the Joint North"
-               " Sea Wave Project (JONSWAP), Deutsche Hydrographische Zeitschrift A8(12), 1973."),
-        Source("M. Miche: Mouvements ondulatoires de la mer en profondeur constante ou decroissante, Annales"
-               " des Ponts et Chaussees, 1944 (the steepest wave)."),
-        Source("P. L'Ecuyer: Efficient and portable combined random number generators, Communications of the"
-               " ACM 31(6), 1988 (the seed)."),
+        Source(
+            "O. M. Faltinsen: Sea Loads on Ships and Offshore Structures, Cambridge University Press, 1990"
+            " (linear waves)."
+        ),
+        Source(
+            "K. Hasselmann et al.: Measurements of wind-wave growth and swell decay during the Joint North"
+            " Sea Wave Project (JONSWAP), Deutsche Hydrographische Zeitschrift A8(12), 1973."
+        ),
+        Source(
+            "M. Miche: Mouvements ondulatoires de la mer en profondeur constante ou decroissante, Annales"
+            " des Ponts et Chaussees, 1944 (the steepest wave)."
+        ),
+        Source(
+            "P. L'Ecuyer: Efficient and portable combined random number generators, Communications of the"
+            " ACM 31(6), 1988 (the seed)."
+        ),
     ),
     experiment=Experiment(stop_time=20.0, stimuli=(("depth", ((0.0, 0.0), (20.0, 4.0))),)),
-)  # fmt: skip
+)
 
 
 BLOCK = Block.of_module(

@@ -1,4 +1,4 @@
-"""What the pages in docs/ show and claim: links lead somewhere, marked examples run, named tests exist."""
+"""What pages show and claim: links lead somewhere, marked examples run, named tests exist."""
 
 import os
 import re
@@ -17,7 +17,8 @@ from .page_text import long_cells, long_sentences
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
-TEXTS = [*PAGES, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+ROOMS = [ROOT / room / "README.md" for room in ("controller_fmu", "fmus", "plant_fmu")]
+TEXTS = [*PAGES, *ROOMS, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 MADE_WITH_THE_SITE = re.compile(
     r"docs/(downloads/|gallery/|live\.html|explanation/(figure_|comparison\.md)"
     r"|reference/(commands|blocks|compatibility|controllers|fmi2|keys|protocol|vehicles|api/orchestration)\.md)"
@@ -34,15 +35,11 @@ FOR_DEVELOPERS = {"docs", "test"}
 
 FOR_USERS = [page for page in PAGES if {"tutorials", "how-to"} & set(page.parts)]
 
-QUICK = {"fmpy.md"}  # the others run the command line a dozen times each
-
-
-def _name_in_project(page: Path) -> str:
-    return page.relative_to(ROOT).as_posix()
+QUICK = {"fmpy.md", "README.md"}  # the others run the command line a dozen times each
 
 
 def _name(page: Path) -> str:
-    return str(page.relative_to(ROOT / "docs"))
+    return page.relative_to(ROOT).as_posix()
 
 
 def _anchors(page: Path) -> set[str]:
@@ -51,7 +48,7 @@ def _anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-@pytest.mark.parametrize("page", TEXTS, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", TEXTS, ids=_name)
 def test_every_link_leads_to_a_file_and_a_heading(page: Path) -> None:
     for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
         if link.startswith("http"):
@@ -63,7 +60,7 @@ def test_every_link_leads_to_a_file_and_a_heading(page: Path) -> None:
             assert not anchor or anchor in _anchors(target), link
 
 
-@pytest.mark.parametrize("page", TEXTS, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", TEXTS, ids=_name)
 def test_every_file_named_exists(page: Path) -> None:
     top = "fmus|controller_fmu|plant_fmu|orchestration|tests|docs|\\.ci"
     named = re.findall(rf"`((?:{top})/[\w./-]*)`", page.read_text(encoding="utf-8"))
@@ -100,7 +97,7 @@ FRONT_DOOR = {
 }
 
 
-@pytest.mark.parametrize("page", [*TEXTS, *SCRIPTS], ids=_name_in_project)
+@pytest.mark.parametrize("page", [*TEXTS, *SCRIPTS], ids=_name)
 def test_what_users_import_stands_in_few_modules(page: Path) -> None:
     """The others may move. `from fmus import numerics` is the one import from `fmus` itself."""
     text = page.read_text(encoding="utf-8")
@@ -131,7 +128,7 @@ def test_the_index_lists_every_page() -> None:
     "page",
     [
         pytest.param(page, id=_name(page), marks=[] if page.name in QUICK else pytest.mark.slow)
-        for page in PAGES
+        for page in (*PAGES, *ROOMS)
         if examples(page)
     ],
 )
@@ -189,13 +186,13 @@ def test_the_workflow_shown_runs_what_the_page_runs() -> None:
     assert set(commands) <= ran
 
 
-@pytest.mark.parametrize("page", TEXTS, ids=_name_in_project)
+@pytest.mark.parametrize("page", TEXTS, ids=_name)
 def test_every_command_shown_exists(page: Path) -> None:
     shown = re.findall(r"(?:^ {4}|^|`)l1-depth (\w+)", page.read_text(encoding="utf-8"), re.MULTILINE)
     assert set(shown) <= {info.callback.__name__ for info in app.registered_commands if info.callback}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=_name)
+@pytest.mark.parametrize("page", [*PAGES, *ROOMS], ids=_name)
 def test_sentences_and_cells_are_short(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert not long_sentences(text)

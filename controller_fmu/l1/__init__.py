@@ -1,1 +1,1 @@
-"""L1 adaptive control, plain and extended: the law and its two blocks."""
+"""L1 adaptive control, plain and extended: the law and its three blocks."""

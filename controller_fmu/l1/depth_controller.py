@@ -13,7 +13,7 @@ from controller_fmu.depth_interface import (
     DepthOutputs,
     DepthState,
     Vector,
-)  # fmt: skip
+)
 from controller_fmu.depth_model import DepthMatrices, depth_matrices
 from controller_fmu.l1 import law as l1
 from controller_fmu.l1.feedforward import reference_feedforward
@@ -35,20 +35,31 @@ class Parameters(depth_interface.DesignParameters, LawParameters):
         20.23, "k_m of the depth rate", unit="N.s/m", min=0.0, max=1e6, source="identified, docs/fidelity.md"
     )
     adaptation_gain: float = variable(
-        100.0, "Adaptation gain Gamma", min=0.0, max=1e9,
+        100.0,
+        "Adaptation gain Gamma",
+        min=0.0,
+        max=1e9,
         source="guess: the paper calls it very high and gives 1e4 for the example; docs/fidelity.md",
-    )  # fmt: skip
+    )
     filter_bandwidth: float = variable(
-        0.3017, "Bandwidth w of the low-pass filter C(s)", unit="rad/s", min=1e-6, max=1e6,
+        0.3017,
+        "Bandwidth w of the low-pass filter C(s)",
+        unit="rad/s",
+        min=1e-6,
+        max=1e6,
         source="identified, docs/fidelity.md",
-    )  # fmt: skip
+    )
     lyapunov_weight: Vector = variable(
         (1.0, 1.0), "Diagonal of Q in the Lyapunov equation", min=1e-9, max=1e9, source="guess"
     )
     theta_bound: Vector = variable(
-        (5.0, 5.0), "Bound of |theta_hat|", unit="N", min=0.0, max=1e6,
+        (5.0, 5.0),
+        "Bound of |theta_hat|",
+        unit="N",
+        min=0.0,
+        max=1e6,
         source="guess that satisfies the L1-norm condition; per SI unit of the regressor",
-    )  # fmt: skip
+    )
     sigma_bound: float = variable(10.0, "Bound of |sigma_hat|", unit="N", min=0.0, max=1e6, source="guess")
     proportional_gain: float = variable(
         3.967, "K_P of the PI", unit="N/m", min=0.0, max=1e6, source="identified, docs/fidelity.md"
@@ -69,14 +80,22 @@ class Parameters(depth_interface.DesignParameters, LawParameters):
         0.01, "Least delta of the nonlinear P", unit="m", min=1e-9, max=1e6, source="guess"
     )
     adaptation_period: float = variable(
-        0.04, "Sampling period Ts of the piecewise-constant law", unit="s", min=1e-6, max=10.0,
-        variability="fixed", source="guess: that of the depth sensor",
-    )  # fmt: skip
+        0.04,
+        "Sampling period Ts of the piecewise-constant law",
+        unit="s",
+        min=1e-6,
+        max=10.0,
+        variability="fixed",
+        source="guess: that of the depth sensor",
+    )
     prediction_error_matrix: Matrix = variable(
-        ((-0.1, 0.0), (0.0, -0.1)), "A_s of the piecewise-constant law, Hurwitz",
-        unit=(("1/s", "1"), ("1/s2", "1/s")), min=-1e6, max=1e6,
+        ((-0.1, 0.0), (0.0, -0.1)),
+        "A_s of the piecewise-constant law, Hurwitz",
+        unit=(("1/s", "1"), ("1/s2", "1/s")),
+        min=-1e6,
+        max=1e6,
         source="guess: estimates are e^(A_s Ts) times the disturbance, 0.4 % less here",
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -90,9 +109,10 @@ class Matrices(DepthMatrices, SampledLawMatrices):
         ((1.0, 0.0), (0.0, 1.0)), "Phi = A_s^-1 (e^(A_s Ts) - I)", unit=(("s", "s2"), ("1", "s"))
     )
     estimation_gain: Matrix = variable(
-        ((0.0, 1.0), (1.0, 0.0)), "-[B_m, B_u]^-1 Phi^-1 e^(A_s Ts), prediction error to estimates",
+        ((0.0, 1.0), (1.0, 0.0)),
+        "-[B_m, B_u]^-1 Phi^-1 e^(A_s Ts), prediction error to estimates",
         unit=(("N/m", "N.s/m"), ("1/s", "1")),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -235,11 +255,13 @@ x            = (z, z'),   A_m = [[0, 1], [-k_m1 / M_z, -(D_z + k_m2) / M_z]],   
     sources=(
         shared_guide.PAPER,
         shared_guide.OBSERVER_SOURCE,
-        Source("T. Benedict and G. Bordner: Synthesis of an optimal set of radar track-while-scan smoothing"
-               " equations, IRE Transactions on Automatic Control, 1962 (beta of an alpha)."),
+        Source(
+            "T. Benedict and G. Bordner: Synthesis of an optimal set of radar track-while-scan smoothing"
+            " equations, IRE Transactions on Automatic Control, 1962 (beta of an alpha)."
+        ),
     ),
     experiment=shared_guide.EXPERIMENT,
-)  # fmt: skip
+)
 
 
 BLOCK = depth_interface.depth_controller(

@@ -22,6 +22,7 @@ from controller_fmu.l1.parameters import Augmentation, ReferenceFeedforward
 from fmus.block import variable
 from fmus.block.guide import Experiment, Guide
 
+_POLES = "both poles of A_m at w = 3 rad/s: "
 _GUESS = "guess: a small vehicle as that of RovHeavePitchPlant"
 
 
@@ -37,48 +38,77 @@ class Parameters(axis.Parameters):
     """Parameters of the depth, and those of the pitch that differ from them."""
 
     thruster_lever: Vector = variable(
-        (0.06, -0.06), "Lever x of each thruster, forward of the centre of gravity", unit="m",
-        min=(1e-3, -1e3), max=(1e3, -1e-3), source=_GUESS,
-    )  # fmt: skip
+        (0.06, -0.06),
+        "Lever x of each thruster, forward of the centre of gravity",
+        unit="m",
+        min=(1e-3, -1e3),
+        max=(1e3, -1e-3),
+        source=_GUESS,
+    )
     priority: Priority = variable(
         Priority.HEAVE, "Axis that keeps its demand at the limit of the thrusters", variability="fixed"
     )
     pitch_model_inertia: float = variable(
-        0.026, "Pitch inertia with added mass I that the design assumes", unit="kg.m2", min=1e-6, max=1e6,
+        0.026,
+        "Pitch inertia with added mass I that the design assumes",
+        unit="kg.m2",
+        min=1e-6,
+        max=1e6,
         source=_GUESS,
-    )  # fmt: skip
+    )
     pitch_model_damping: float = variable(
-        0.02, "Linear pitch damping D that the design assumes", unit="N.m.s/rad", min=0.0, max=1e6,
+        0.02,
+        "Linear pitch damping D that the design assumes",
+        unit="N.m.s/rad",
+        min=0.0,
+        max=1e6,
         source=_GUESS,
-    )  # fmt: skip
+    )
     pitch_model_stiffness: float = variable(
-        0.147, "Righting moment K of a radian that the design assumes", unit="N.m/rad", min=0.0, max=1e6,
+        0.147,
+        "Righting moment K of a radian that the design assumes",
+        unit="N.m/rad",
+        min=0.0,
+        max=1e6,
         source="guess: a weight of 29.43 N (published: 3 kg) 5 mm below the centre of buoyancy",
-    )  # fmt: skip
+    )
     pitch_feedback_gain: float = variable(
-        0.087, "k_m of the pitch", unit="N.m/rad", min=-1e6, max=1e6,
-        source="both poles of A_m at w = 3 rad/s: I w^2 - K",
-    )  # fmt: skip
+        0.087, "k_m of the pitch", unit="N.m/rad", min=-1e6, max=1e6, source=_POLES + "I w^2 - K"
+    )
     pitch_rate_feedback_gain: float = variable(
-        0.136, "k_m of the pitch rate", unit="N.m.s/rad", min=-1e6, max=1e6,
-        source="both poles of A_m at w = 3 rad/s: 2 I w - D",
-    )  # fmt: skip
+        0.136, "k_m of the pitch rate", unit="N.m.s/rad", min=-1e6, max=1e6, source=_POLES + "2 I w - D"
+    )
     pitch_adaptation_gain: float = variable(
-        0.1, "Adaptation gain Gamma of the pitch", min=0.0, max=1e9,
+        0.1,
+        "Adaptation gain Gamma of the pitch",
+        min=0.0,
+        max=1e9,
         source="guess: the loop of sigma_hat at sqrt(Gamma (P B)_2 B_2) = 3.7 rad/s, near A_m",
-    )  # fmt: skip
+    )
     pitch_filter_bandwidth: float = variable(
-        1.0, "Bandwidth w of the filter C(s) of the pitch", unit="rad/s", min=1e-6, max=1e6,
+        1.0,
+        "Bandwidth w of the filter C(s) of the pitch",
+        unit="rad/s",
+        min=1e-6,
+        max=1e6,
         source="guess: a third of the poles of A_m",
-    )  # fmt: skip
+    )
     pitch_theta_bound: Vector = variable(
-        (0.05, 0.05), "Bound of |theta_hat| of the pitch", unit="N.m", min=0.0, max=1e6,
+        (0.05, 0.05),
+        "Bound of |theta_hat| of the pitch",
+        unit="N.m",
+        min=0.0,
+        max=1e6,
         source="guess, per SI unit of the regressor",
-    )  # fmt: skip
+    )
     pitch_sigma_bound: float = variable(
-        0.3, "Bound of |sigma_hat| of the pitch", unit="N.m", min=0.0, max=1e6,
+        0.3,
+        "Bound of |sigma_hat| of the pitch",
+        unit="N.m",
+        min=0.0,
+        max=1e6,
         source="guess: below the largest moment of both thrusters, 0.36 N.m",
-    )  # fmt: skip
+    )
     pitch_augmentation: Augmentation = variable(
         Augmentation.NONE, "Extension u_p of the pitch: none or pi", variability="fixed"
     )
@@ -112,9 +142,10 @@ class Matrices(axis.Matrices):
     pitch_feedforward_gain: float = variable(1.0, "k_g of the pitch", unit="N.m/rad")
     pitch_unmatched_input: Vector = variable((1.0, 0.0), "B_u of the pitch")
     pitch_estimation_gain: Matrix = variable(
-        ((0.0, 1.0), (1.0, 0.0)), "Prediction error to estimates of the pitch",
+        ((0.0, 1.0), (1.0, 0.0)),
+        "Prediction error to estimates of the pitch",
         unit=(("N.m/rad", "N.m.s/rad"), ("1/s", "1")),
-    )  # fmt: skip
+    )
     thruster_share: Vector = variable((0.5, 0.5), "Share of the force that each thruster takes")
 
 

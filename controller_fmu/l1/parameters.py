@@ -128,9 +128,13 @@ class LawParameters(PlantParameters):
     """Parameters of every block with this law."""
 
     internal_step: float = variable(
-        10.0, "Longest internal step; one for each communication step is best", unit="s", min=1e-7, max=10.0,
+        10.0,
+        "Longest internal step; one for each communication step is best",
+        unit="s",
+        min=1e-7,
+        max=10.0,
         variability="fixed",
-    )  # fmt: skip
+    )
     regressor: Regressor = variable(
         Regressor.INFINITY_NORM, "Regressor that theta_hat multiplies", variability="fixed"
     )
@@ -150,13 +154,20 @@ class LawParameters(PlantParameters):
         0.1, "Width eps of the boundary layer of the projection", min=1e-6, max=10.0, source="guess"
     )
     input_gain: float = variable(
-        1.0, "Centre of the box of omega_hat, and its initial value", min=1e-3, max=1e3,
-        variability="fixed", source="published: omega = 1",
-    )  # fmt: skip
+        1.0,
+        "Centre of the box of omega_hat, and its initial value",
+        min=1e-3,
+        max=1e3,
+        variability="fixed",
+        source="published: omega = 1",
+    )
     input_gain_uncertainty: float = variable(
-        0.0, "Half-width of the box of omega_hat; 0 holds it", min=0.0, max=1e3,
+        0.0,
+        "Half-width of the box of omega_hat; 0 holds it",
+        min=0.0,
+        max=1e3,
         source="published: omega is known",
-    )  # fmt: skip
+    )
     filter_bandwidth: float = variable(
         1.0, "Bandwidth w of the low-pass filter C(s)", unit="rad/s", min=1e-6, max=1e6
     )
@@ -164,13 +175,16 @@ class LawParameters(PlantParameters):
         0.1, "Exponent alpha of the nonlinear P", min=1e-3, max=1.0, source="published, (9)"
     )
     input_gain_regressor: InputGainRegressor = variable(
-        InputGainRegressor.ADAPTIVE_CONTROL, "Control that omega_hat learns from", variability="fixed",
-        source="published: u_a, which precedes the extension",
-    )  # fmt: skip
-    inputs_at_step_end: bool = variable(
-        False, "Inputs are those of the end of a step (Gauss-Seidel), not of its beginning (Jacobi)",
+        InputGainRegressor.ADAPTIVE_CONTROL,
+        "Control that omega_hat learns from",
         variability="fixed",
-    )  # fmt: skip
+        source="published: u_a, which precedes the extension",
+    )
+    inputs_at_step_end: bool = variable(
+        False,
+        "Inputs are those of the end of a step (Gauss-Seidel), not of its beginning (Jacobi)",
+        variability="fixed",
+    )
     reference_feedforward: ReferenceFeedforward = variable(
         ReferenceFeedforward.NONE, "Where the feedforward f of the reference acts", variability="fixed"
     )
@@ -178,13 +192,21 @@ class LawParameters(PlantParameters):
         AdaptationLaw.PROJECTION, "How the estimates follow from the prediction error", variability="fixed"
     )
     adaptation_period: float = variable(
-        1e-3, "Sampling period Ts of the piecewise-constant law", unit="s", min=1e-6, max=10.0,
-        variability="fixed", source="guess",
-    )  # fmt: skip
+        1e-3,
+        "Sampling period Ts of the piecewise-constant law",
+        unit="s",
+        min=1e-6,
+        max=10.0,
+        variability="fixed",
+        source="guess",
+    )
     prediction_error_matrix: Matrix = variable(
-        ((-1.0, 0.0), (0.0, -1.0)), "A_s of the piecewise-constant law, Hurwitz", min=-1e6, max=1e6,
+        ((-1.0, 0.0), (0.0, -1.0)),
+        "A_s of the piecewise-constant law, Hurwitz",
+        min=-1e6,
+        max=1e6,
         source="guess: estimates are e^(A_s Ts) times the disturbance, 0.1 % less here",
-    )  # fmt: skip
+    )
 
 
 def law_requirements(parameters: LawParameters, a_m: Matrix) -> tuple[tuple[bool, str], ...]:

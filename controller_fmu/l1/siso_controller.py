@@ -45,13 +45,14 @@ class Parameters(LawParameters):
         Augmentation.NONLINEAR_P, "Extension u_p of the control law", variability="fixed"
     )
     threshold: Threshold = variable(
-        Threshold.PROPORTIONAL_TO_REFERENCE, "Kind of the threshold of the nonlinear P",
-        variability="fixed", source="published, (9)",
-    )  # fmt: skip
+        Threshold.PROPORTIONAL_TO_REFERENCE,
+        "Kind of the threshold of the nonlinear P",
+        variability="fixed",
+        source="published, (9)",
+    )
     filter_bandwidth: float = variable(
-        160.0, "Bandwidth w of the low-pass filter C(s)", unit="rad/s", min=1e-6, max=1e6,
-        source="published",
-    )  # fmt: skip
+        160.0, "Bandwidth w of the low-pass filter C(s)", unit="rad/s", min=1e-6, max=1e6, source="published"
+    )
     state_matrix: Matrix = variable(
         ((0.0, 1.0), (-1.0, -1.4)), "A_m, desired dynamics, Hurwitz", source=_BOOK
     )
@@ -63,9 +64,8 @@ class Parameters(LawParameters):
     )
     theta_bound: Vector = variable((10.0, 10.0), "Bound of |theta_hat|", min=0.0, max=1e6, source=_BOOK)
     sigma_bound: float = variable(
-        0.0, "Bound of |sigma_hat|; 0 holds it at zero", min=0.0, max=1e6,
-        source="published: sigma = 0",
-    )  # fmt: skip
+        0.0, "Bound of |sigma_hat|; 0 holds it at zero", min=0.0, max=1e6, source="published: sigma = 0"
+    )
     proportional_gain: float = variable(0.0, "K_P of the PI", min=0.0, max=1e6)
     integral_gain: float = variable(0.0, "K_I of the PI", min=0.0, max=1e6)
     large_error_gain: float = variable(
@@ -78,9 +78,12 @@ class Parameters(LawParameters):
         0.1, "delta, or its ratio to |r|", min=0.0, max=1e6, source="published, (9)"
     )
     threshold_floor: float = variable(
-        1.0, "Least delta of the nonlinear P", min=1e-9, max=1e6,
+        1.0,
+        "Least delta of the nonlinear P",
+        min=1e-9,
+        max=1e6,
         source="guess: 1 % of the amplitude of the reference",
-    )  # fmt: skip
+    )
     control_limit: float = variable(1e6, "Largest |u| that the actuator delivers", min=1e-9, max=1e12)
 
 

@@ -31,14 +31,10 @@ class NoValues:
 
 
 _STATE_AS_DECLARED: Any = None
+_CLASSES = ("Parameters", "Calculated", "Inputs", "State", "Outputs", "Continuous")
+_OF_TIME = ("initial_state", "step", "output", "derivative", "integrate", "crossings")
 # what `Block.of_module` takes from a module -> its name there
-_NAMES = {
-    "parameters": "Parameters", "calculated": "Calculated", "inputs": "Inputs", "state": "State",
-    "outputs": "Outputs", "initial_state": "initial_state", "step": "step", "output": "output",
-    "calculate": "calculate", "requirements": "requirements", "guide": "GUIDE",
-    "continuous": "Continuous", "derivative": "derivative", "integrate": "integrate",
-    "crossings": "crossings",
-}  # fmt: skip
+_NAMES = {name.lower(): name for name in (*_CLASSES, *_OF_TIME, "calculate", "requirements", "GUIDE")}
 _LIKE = 0.85  # of letters in common: a name that is misspelt
 
 

@@ -12,10 +12,8 @@ from fmus.errors import ExportError, nearest
 from fmus.extras import require
 from fmus.units import BASES, SYMBOLS, UnitDefinition, si_unit
 
-_PINT_NAMES = {
-    "kilogram": "kg", "meter": "m", "second": "s", "ampere": "A",
-    "kelvin": "K", "mole": "mol", "candela": "cd", "radian": "rad",
-}  # fmt: skip
+_PINT_BASES = ("kilogram", "meter", "second", "ampere", "kelvin", "mole", "candela", "radian")
+_PINT_NAMES = dict(zip(_PINT_BASES, BASES, strict=True))
 # where FMI and Modelica write a name otherwise than Pint, or mean another unit by it
 _DEFINITIONS = ("@alias turn = rev", "@alias ohm = Ohm", "torque_newton_meter = newton * meter = Nm")
 _GRAMMAR = re.compile(r"1|(1/)?[^\W\d_(%][\w.%/()-]*|(1/)?[%°][\w./()-]*|1/\([\w.%/()-]*")

@@ -1,1 +1,1 @@
-"""The C layer of native FMUs, and its compiler."""
+"""The C layer of native FMUs, its compiler, and the compiled libraries with their bill of materials."""

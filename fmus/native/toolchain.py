@@ -46,10 +46,9 @@ _SCRIPT = 'exec 3<&0 </dev/null; (read -r x <&3; kill -KILL 0) & "$@" 3<&-; stat
 _SHELL = ["/bin/sh", "-c", _SCRIPT, "zig"] if Path("/bin/sh").exists() else []
 # Variables by which the compiler finds its cache, temporary files and the system. It gets no others: CPATH,
 # for one, would put another math.h before its own.
-_KEPT = {
-    "HOME", "LOCALAPPDATA", "PATH", "SYSTEMROOT", "TEMP", "TMP", "TMPDIR", "USERPROFILE", "XDG_CACHE_HOME",
-    "ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR",
-}  # fmt: skip
+_CACHES = {"XDG_CACHE_HOME", "ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR"}
+_TEMPORARY = {"TEMP", "TMP", "TMPDIR"}
+_KEPT = {*_CACHES, *_TEMPORARY, "HOME", "LOCALAPPDATA", "PATH", "SYSTEMROOT", "USERPROFILE"}
 _ZIG = Path(ziglang.__file__).parent / ("zig.exe" if os.name == "nt" else "zig")
 
 

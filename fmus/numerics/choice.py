@@ -16,10 +16,8 @@ from typing import Any, TypeVar
 from fmus.block.scalars import flatten, members, unflatten
 from fmus.numerics.symbols import are_numbers, casadi, unsimplified
 
-__all__ = [
-    "all", "any", "choose", "clip", "logical_and", "logical_not", "logical_or", "logical_xor", "maximum",
-    "minimum", "select", "where",
-]  # fmt: skip
+__all__ = ["all", "any", "choose", "clip", "maximum", "minimum", "select", "where"]
+__all__ += ["logical_and", "logical_not", "logical_or", "logical_xor"]
 
 T = TypeVar("T")
 
@@ -42,17 +40,18 @@ def where(condition: bool | float, if_true: T | Callable[[], T], if_false: T | C
 
 def _check_shapes(if_true: Any, if_false: Any, path: str = "") -> None:
     """Raises TypeError for alternatives of different shapes, at any level."""
-    shapes = [
-        type(value).__name__ if hasattr(value, "__dataclass_fields__")
-        else f"a tuple of {len(value)}" if isinstance(value, tuple)
-        else "a number"
-        for value in (if_true, if_false)
-    ]  # fmt: skip
+    shapes = _shape(if_true), _shape(if_false)
     if shapes[0] != shapes[1]:
         where = f" at {path}" if path else ""
         raise TypeError(f"alternatives {shapes[0]} and {shapes[1]}{where}: expected two of one shape")
     for (name, first), (_, second) in zip(members(if_true, 0) or (), members(if_false, 0) or (), strict=True):
         _check_shapes(first, second, f"{path}{name}")
+
+
+def _shape(value: Any) -> str:
+    if hasattr(value, "__dataclass_fields__"):
+        return type(value).__name__
+    return f"a tuple of {len(value)}" if isinstance(value, tuple) else "a number"
 
 
 def _value(alternative: Any) -> Any:

@@ -6,12 +6,11 @@ from typing import Any
 
 from fmus.numerics.symbols import are_numbers, casadi
 
-__all__ = [
-    "absolute", "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cbrt", "ceil", "copysign",
-    "cos", "cosh", "degrees", "dist", "erf", "exp", "exp2", "expm1", "floor", "fmod", "hypot", "log",
-    "log1p", "log2", "log10", "power", "radians", "remainder", "round", "sign", "sin", "sinh", "sqrt",
-    "tan", "tanh", "trunc",
-]  # fmt: skip
+__all__ = ["absolute", "cbrt", "copysign", "dist", "erf", "hypot", "power", "sign", "sqrt"]
+__all__ += ["acos", "asin", "atan", "atan2", "cos", "degrees", "radians", "sin", "tan"]
+__all__ += ["acosh", "asinh", "atanh", "cosh", "sinh", "tanh"]
+__all__ += ["exp", "exp2", "expm1", "log", "log1p", "log2", "log10"]
+__all__ += ["ceil", "floor", "fmod", "remainder", "round", "trunc"]
 
 
 def _of_one(name: str, meaning: str) -> Callable[[float], float]:

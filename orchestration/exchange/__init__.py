@@ -1,1 +1,1 @@
-"""A system for other tools: SSP packages and WebAssembly programs."""
+"""Scenarios for other tools: SSP packages, written and read, and WebAssembly programs."""

@@ -1,1 +1,1 @@
-"""All ways to run many runs of one system: in this process, in vectors, in processes, on a cluster."""
+"""All ways to run many runs of one system on this machine: one by one, in vectors, in processes."""

@@ -1,1 +1,1 @@
-"""Recordings, their files, metrics and figures."""
+"""Recordings, their files, metrics, statistics and figures."""

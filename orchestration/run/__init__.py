@@ -1,4 +1,4 @@
-"""The master algorithm: connects FMI 2.0 co-simulation FMUs and steps them together.
+"""The compiled master algorithm: connects FMUs for co-simulation, FMI 2.0 or 3.0, and steps them together.
 
 Communication points are t_i = start + i h, never accumulated; a last shorter step lands on the stop
 time. At each point: scheduled changes are made, outputs are exchanged and recorded.
@@ -11,14 +11,14 @@ Inputs are held over a step, first order in h, or extrapolated with their last s
     one_run.py         one run, with every setting as an argument
     simulator.py       FMUs that stay loaded, and runs of them
     initialisation.py  initial values
-    wiring.py          a prepared run as arrays
+    wiring.py, bus.py, loop_data.py  a prepared run as arrays
     loop.c             the communication loop over these arrays; compiled_loop.py calls it, also on threads
     stepping.py        from the first point to the last, with events and progress
     step_by_step.py    a run led by the caller's own loop
     step_control.py, tolerance.py  shorter steps: after a discard, and to meet a tolerance
     error_estimate.py  how far exchanging at communication points leads astray, by a second run
     snapshot.py, checkpoint.py  the system at one point, in memory and as a file
-    run_recording.py   what a run returns, and what it raises
+    run_recording.py, run_statistics.py  what a run returns and raises, and its times
     interrupt.py       interrupts and real time
     subprocess_run.py  a run whose FMUs are in a process of their own
     process_guard.py   floating-point mode, an end by `exit`, forked children

@@ -61,10 +61,9 @@ def with_error_estimate(
     columns = [recording.names.index(name) for name in names]
     is_complete = not (failure or "terminated" in coarse.provenance)
     resolution = prepared.experiment.time_resolution()
-    bounds = _FACTORS[experiment.extrapolation] * _largest_differences(
-        recording.time, recording.values[:, columns], coarse.time, coarse.values[:, columns],
-        resolution, is_complete,
-    )  # fmt: skip
+    fine, rough = recording.values[:, columns], coarse.values[:, columns]
+    largest = _largest_differences(recording.time, fine, coarse.time, rough, resolution, is_complete)
+    bounds = _FACTORS[experiment.extrapolation] * largest
     entry = {
         "step_size_of_second_run_s": experiment.step_size,
         **({"parameters_of_second_run": longer} if longer else {}),

@@ -1,1 +1,1 @@
-"""Scenario files that ship with the package."""
+"""Scenario files: those that ship, how one becomes a system and an experiment, and the paper's tables."""

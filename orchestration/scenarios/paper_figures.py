@@ -129,10 +129,8 @@ def _finish_depth(panel: Axes, curves: Sequence[DrawnRun]) -> None:
     """Draws reference, settling band and settling times: circles of the runs, dotted lines of the paper."""
     run, reference = curves[0].run, {"label": "reference $z_r$", "color": "black", "linewidth": 0.6}
     draw_curve(panel, run.time, run[_REFERENCE], **reference)
-    panel.fill_between(
-        [0.0, _BAND_END], _TARGET - _BAND, _TARGET + _BAND, color=GREY, alpha=0.25, linewidth=0.0,
-        label=r"0.8 m $\pm$ 5 %",
-    )  # fmt: skip
+    band = {"label": r"0.8 m $\pm$ 5 %", "color": GREY, "alpha": 0.25, "linewidth": 0.0}
+    panel.fill_between([0.0, _BAND_END], _TARGET - _BAND, _TARGET + _BAND, **band)
     panel.plot([], [], ":", color=GREY, linewidth=0.8, label="paper")
     panel.plot([], [], "o", color=GREY, markersize=4.0, fillstyle="none", label="settled")
     for size, curve in zip((6.0, 3.0), curves, strict=True):  # of circles that may coincide

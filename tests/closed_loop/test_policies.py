@@ -18,7 +18,7 @@ from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 
 PID = """
-from controller_fmu import pid
+from controller_fmu.baselines import pid
 from controller_fmu.depth_interface import DepthInputs
 from fmus.block import NoValues
 

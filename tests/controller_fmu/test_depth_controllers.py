@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from controller_fmu import adrc, mrac, pid, sliding_mode, super_twisting
+from controller_fmu.baselines import adrc, mrac, pid, sliding_mode, super_twisting
 from controller_fmu.depth_interface import DepthInputs, DepthOutputs
 from controller_fmu.l1 import depth_controller
 from fmus.block import Block, NoValues

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller_fmu import adrc, mrac, pid, sliding_mode, super_twisting
+from controller_fmu.baselines import adrc, mrac, pid, sliding_mode, super_twisting
 from controller_fmu.l1 import depth_controller
 from controller_fmu.l1.parameters import Augmentation
 from controller_fmu.observer import VelocitySource

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller_fmu import adrc, depth_interface, pid, thrust_allocation
+from controller_fmu import depth_interface, thrust_allocation
 from controller_fmu.allocation import body_to_earth, force, saturate, table_voltage
+from controller_fmu.baselines import adrc, pid
 from controller_fmu.observer import ObserverState, correct, sample_when_due
 from fmus.block.instance import BlockError
 from fmus.numerics import Clock, interp

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from controller_fmu.adrc import BLOCK, Estimate, Parameters, control, observe
-
-from .assumed_vehicle import DAMPING, INERTIA, at, closed_loop
+from controller_fmu.baselines.adrc import BLOCK, Estimate, Parameters, control, observe
+from tests.controller_fmu.assumed_vehicle import DAMPING, INERTIA, at, closed_loop
 
 START = Parameters()
 

@@ -25,17 +25,29 @@ u = M (r'' - 2 lambda e' - lambda^2 e) + D v - K sat(s / phi)
 @dataclass(frozen=True)
 class Parameters(depth_interface.DesignParameters):
     error_bandwidth: float = variable(
-        1.0, "lambda, both poles of the error on s = 0", unit="rad/s", min=1e-6, max=1e3,
+        1.0,
+        "lambda, both poles of the error on s = 0",
+        unit="rad/s",
+        min=1e-6,
+        max=1e3,
         source="poles at 1 rad/s: slow beside observer (8 rad/s) and thrusters (20 rad/s)",
-    )  # fmt: skip
+    )
     switching_gain: float = variable(
-        4.0, "K, above the largest disturbance", unit="N", min=0.0, max=1e6,
+        4.0,
+        "K, above the largest disturbance",
+        unit="N",
+        min=0.0,
+        max=1e6,
         source="buoyancy 1.4 N, a step of 2 N, and 0.6 N for the damping; below the 6 N of the thrusters",
-    )  # fmt: skip
+    )
     boundary_layer: float = variable(
-        0.5, "phi, half the width of the boundary layer", unit="m/s", min=1e-9, max=1e6,
+        0.5,
+        "phi, half the width of the boundary layer",
+        unit="m/s",
+        min=1e-9,
+        max=1e6,
         source="K / (M phi) = 1.5 rad/s, the third pole, for M = 5.5 kg",
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)

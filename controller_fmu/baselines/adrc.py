@@ -28,13 +28,21 @@ u    = M (w_c^2 (r - z_1) + 2 w_c (r' - z_2) + r'' - z_3)
 @dataclass(frozen=True)
 class Parameters(depth_interface.InertiaParameter, depth_interface.ActuatorParameters):
     control_bandwidth: float = variable(
-        1.0, "w_c, both poles of the loop", unit="rad/s", min=1e-6, max=1e3,
+        1.0,
+        "w_c, both poles of the loop",
+        unit="rad/s",
+        min=1e-6,
+        max=1e3,
         source="1 rad/s: slow beside the observer and the thrusters (20 rad/s)",
-    )  # fmt: skip
+    )
     observer_bandwidth: float = variable(
-        4.0, "w_o, the three poles of the observer", unit="rad/s", min=1e-6, max=1e3,
+        4.0,
+        "w_o, the three poles of the observer",
+        unit="rad/s",
+        min=1e-6,
+        max=1e3,
         source="4 w_c; Gao (2003) takes 3 to 5 w_c",
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -133,13 +141,17 @@ GUIDE = shared_guide.depth_guide(
         shared_guide.REFERENCE_RATES,
     ),
     sources=(
-        Source("J. Han: From PID to active disturbance rejection control, IEEE Transactions on Industrial"
-               " Electronics 56, 2009."),
-        Source("Z. Gao: Scaling and bandwidth-parameterization based controller tuning, American Control"
-               " Conference, 2003."),
+        Source(
+            "J. Han: From PID to active disturbance rejection control, IEEE Transactions on Industrial"
+            " Electronics 56, 2009."
+        ),
+        Source(
+            "Z. Gao: Scaling and bandwidth-parameterization based controller tuning, American Control"
+            " Conference, 2003."
+        ),
     ),
     has_observer=False,
-)  # fmt: skip
+)
 
 
 BLOCK = depth_interface.depth_controller(

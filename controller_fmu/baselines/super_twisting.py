@@ -35,20 +35,31 @@ _LEAST_ROOT = 1e-3
 @dataclass(frozen=True)
 class Parameters(depth_interface.DesignParameters):
     error_bandwidth: float = variable(
-        1.0, "lambda, the pole of the error on s = 0", unit="rad/s", min=1e-6, max=1e3,
+        1.0,
+        "lambda, the pole of the error on s = 0",
+        unit="rad/s",
+        min=1e-6,
+        max=1e3,
         source="1 rad/s: slow beside observer (8 rad/s) and thrusters (20 rad/s)",
-    )  # fmt: skip
+    )
     root_gain: float = variable(
-        1.5, "k_1, in N per (m/s)^0.5", min=0.0, max=1e6,
+        1.5,
+        "k_1, in N per (m/s)^0.5",
+        min=0.0,
+        max=1e6,
         source="1.5 sqrt(L M), Levant (1998), for |d'| <= L = 0.2 N/s and M = 5.5 kg",
-    )  # fmt: skip
+    )
     twisting_gain: float = variable(
         0.22, "k_2", unit="N/s", min=0.0, max=1e6, source="1.1 L, Levant (1998), for |d'| <= L = 0.2 N/s"
     )
     smoothing: float = variable(
-        0.02, "eps, below which g is linear", unit="m/s", min=1e-9, max=1e6,
+        0.02,
+        "eps, below which g is linear",
+        unit="m/s",
+        min=1e-9,
+        max=1e6,
         source="the noise of the observed depth rate",
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -132,14 +143,20 @@ GUIDE = shared_guide.depth_guide(
         "nu holds while the thrusters saturate and it would demand still more.",
     ),
     sources=(
-        Source("A. Levant: Sliding order and sliding accuracy in sliding mode control, Int. J. Control 58,"
-               " 1993; Robust exact differentiation via sliding mode technique, Automatica 34, 1998."),
-        Source("J. Moreno and M. Osorio: Strict Lyapunov functions for the super-twisting algorithm, IEEE"
-               " Transactions on Automatic Control 57, 2012."),
-        Source("B. Brogliato, A. Polyakov and D. Efimov: The implicit discretization of the supertwisting"
-               " sliding-mode control algorithm, IEEE Transactions on Automatic Control 65, 2020."),
+        Source(
+            "A. Levant: Sliding order and sliding accuracy in sliding mode control, Int. J. Control 58,"
+            " 1993; Robust exact differentiation via sliding mode technique, Automatica 34, 1998."
+        ),
+        Source(
+            "J. Moreno and M. Osorio: Strict Lyapunov functions for the super-twisting algorithm, IEEE"
+            " Transactions on Automatic Control 57, 2012."
+        ),
+        Source(
+            "B. Brogliato, A. Polyakov and D. Efimov: The implicit discretization of the supertwisting"
+            " sliding-mode control algorithm, IEEE Transactions on Automatic Control 65, 2020."
+        ),
     ),
-)  # fmt: skip
+)
 
 
 BLOCK = depth_interface.depth_controller(

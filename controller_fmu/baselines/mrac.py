@@ -29,21 +29,29 @@ theta_hat' = Gamma Proj(theta_hat, (x - x_m)^T P B_m |x|_inf)
 sigma_hat' = Gamma Proj(sigma_hat, (x - x_m)^T P B_m),     A_m^T P + P A_m = -Q
 """
 
+_POLES = "both poles of A_m at w = 1 rad/s: "
+
 
 @dataclass(frozen=True)
 class Parameters(depth_interface.DesignParameters):
     depth_gain: float = variable(
-        5.5, "k_m of the depth", unit="N/m", min=1e-6, max=1e6,
-        source="both poles of A_m at w = 1 rad/s: M w^2 for M = 5.5 kg",
-    )  # fmt: skip
+        5.5, "k_m of the depth", unit="N/m", min=1e-6, max=1e6, source=_POLES + "M w^2 for M = 5.5 kg"
+    )
     rate_gain: float = variable(
-        8.5, "k_m of the depth rate", unit="N.s/m", min=0.0, max=1e6,
-        source="both poles of A_m at w = 1 rad/s: 2 M w - D for D = 2.5 N.s/m",
-    )  # fmt: skip
+        8.5,
+        "k_m of the depth rate",
+        unit="N.s/m",
+        min=0.0,
+        max=1e6,
+        source=_POLES + "2 M w - D for D = 2.5 N.s/m",
+    )
     estimate_gain: float = variable(
-        30.0, "Adaptation gain Gamma", min=0.0, max=1e9,
+        30.0,
+        "Adaptation gain Gamma",
+        min=0.0,
+        max=1e9,
         source="M^2: with A_m and Q it puts the poles of the loop of sigma_hat at -1 and -0.5 +- 0.5j rad/s",
-    )  # fmt: skip
+    )
     projection_tolerance: float = variable(
         0.1, "Width eps of the boundary layer of the projection", min=1e-6, max=10.0, source="guess"
     )
@@ -51,9 +59,13 @@ class Parameters(depth_interface.DesignParameters):
         (1.0, 1.0), "Diagonal of Q in the Lyapunov equation", min=1e-9, max=1e9, source="guess"
     )
     theta_bound: float = variable(
-        5.0, "Bound of |theta_hat|", unit="N", min=0.0, max=1e6,
+        5.0,
+        "Bound of |theta_hat|",
+        unit="N",
+        min=0.0,
+        max=1e6,
         source="that of L1DepthController; per SI unit of the regressor",
-    )  # fmt: skip
+    )
     sigma_bound: float = variable(
         10.0, "Bound of |sigma_hat|", unit="N", min=0.0, max=1e6, source="that of L1DepthController"
     )

@@ -9,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_lyapunov
 
-from controller_fmu.super_twisting import Parameters, control, direction, sliding_variable
-
-from .assumed_vehicle import INERTIA, at, moved
+from controller_fmu.baselines.super_twisting import Parameters, control, direction, sliding_variable
+from tests.controller_fmu.assumed_vehicle import INERTIA, at, moved
 
 SHARP = Parameters(smoothing=1e-9, root_gain=3.5, twisting_gain=1.1)
 

@@ -29,9 +29,12 @@ class Parameters(depth_interface.DampingParameter, depth_interface.ObserverParam
     ki: float = variable(5.5, "k_i", unit="N/(m.s)", min=0.0, max=1e6, source=_POLES + "M w^3")
     kd: float = variable(14.0, "k_d", unit="N.s/m", min=0.0, max=1e6, source=_POLES + "3 M w - D")
     beta: float = variable(
-        1.0, "beta, weight of the reference in the derivative", min=0.0, max=1.0,
+        1.0,
+        "beta, weight of the reference in the derivative",
+        min=0.0,
+        max=1.0,
         source="1: no error on a ramp of known rate",
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)

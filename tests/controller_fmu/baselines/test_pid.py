@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from controller_fmu.baselines.pid import BLOCK, Parameters, control
 from controller_fmu.observer import VelocitySource
-from controller_fmu.pid import BLOCK, Parameters, control
-
-from .assumed_vehicle import DAMPING, INERTIA, WIDE, at, characteristic, closed_loop
+from tests.controller_fmu.assumed_vehicle import DAMPING, INERTIA, WIDE, at, characteristic, closed_loop
 
 START = Parameters(velocity_source=VelocitySource.MEASURED, voltage_limit=WIDE)
 

@@ -8,11 +8,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from controller_fmu.baselines.mrac import (
+    BLOCK,
+    Adaptive,
+    Parameters,
+    adapt,
+    calculate,
+    control,
+    next_model,
+    regressor,
+)
 from controller_fmu.depth_interface import DepthMeasurement
-from controller_fmu.mrac import BLOCK, Adaptive, Parameters, adapt, calculate, control, next_model, regressor
 from controller_fmu.observer import VelocitySource
-
-from .assumed_vehicle import DAMPING, INERTIA, closed_loop
+from tests.controller_fmu.assumed_vehicle import DAMPING, INERTIA, closed_loop
 
 START = Parameters(velocity_source=VelocitySource.MEASURED)
 H = 1e-7  # s: a rate is the change in a step, divided by it

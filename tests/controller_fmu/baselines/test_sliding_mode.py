@@ -6,10 +6,9 @@ from math import copysign, sin
 import numpy as np
 import pytest
 
+from controller_fmu.baselines.sliding_mode import BLOCK, Parameters, control
 from controller_fmu.observer import VelocitySource
-from controller_fmu.sliding_mode import BLOCK, Parameters, control
-
-from .assumed_vehicle import INERTIA, WIDE, at, characteristic, closed_loop
+from tests.controller_fmu.assumed_vehicle import INERTIA, WIDE, at, characteristic, closed_loop
 
 START = Parameters(velocity_source=VelocitySource.MEASURED, voltage_limit=WIDE, boundary_layer=0.05)
 LARGEST = 1.5  # N, of the disturbance
