@@ -63,12 +63,27 @@ class ScalarC:
     inlined = "INLINED "
     branch = "if ({0}) {{", "if (!{0}) {{", "}} else {{"
     expressions: ClassVar = {
-        "RESULT": "{0}", "ASSIGN": "{0}", "ADD": "{0} + {1}", "SUB": "{0} - {1}", "MUL": "{0} * {1}",
-        "DIV": "{0} / {1}", "NEG": "-{0}", "SQ": "{0} * {0}", "TWICE": "2 * {0}", "INV": "1 / {0}",
-        "LT": "{0} < {1}", "LE": "{0} <= {1}", "EQ": "{0} == {1}", "NE": "{0} != {1}", "NOT": "!{0}",
-        "AND": "{0} && {1}", "OR": "{0} || {1}", "IF_ELSE_ZERO": "{0} ? {1} : 0",
-        "SIGN": "{0} < 0 ? -1 : {0} > 0 ? 1 : {0}", "CHOICE": "({0} ? {1} : {2}) + 0.0",
-    }  # fmt: skip
+        "RESULT": "{0}",
+        "ASSIGN": "{0}",
+        "ADD": "{0} + {1}",
+        "SUB": "{0} - {1}",
+        "MUL": "{0} * {1}",
+        "DIV": "{0} / {1}",
+        "NEG": "-{0}",
+        "SQ": "{0} * {0}",
+        "TWICE": "2 * {0}",
+        "INV": "1 / {0}",
+        "LT": "{0} < {1}",
+        "LE": "{0} <= {1}",
+        "EQ": "{0} == {1}",
+        "NE": "{0} != {1}",
+        "NOT": "!{0}",
+        "AND": "{0} && {1}",
+        "OR": "{0} || {1}",
+        "IF_ELSE_ZERO": "{0} ? {1} : 0",
+        "SIGN": "{0} < 0 ? -1 : {0} > 0 ? 1 : {0}",
+        "CHOICE": "({0} ? {1} : {2}) + 0.0",
+    }
 
     def function(self, f: CFunction) -> str:
         """Returns the C code; the times t and h are numbers, all other arguments columns."""
@@ -143,12 +158,17 @@ class VectorC(ScalarC):
     branch = "if (any(is_true({0}))) {{", "if (any(is_false({0}))) {{", "}} if (any(is_false({0}))) {{"
     expressions: ClassVar = {
         **ScalarC.expressions,
-        "LT": "number({0} < {1})", "LE": "number({0} <= {1})", "EQ": "number({0} == {1})",
-        "NE": "number({0} != {1})", "NOT": "number(is_false({0}))", "SIGN": "sign({0})",
-        "AND": "number(is_true({0}) & is_true({1}))", "OR": "number(is_true({0}) | is_true({1}))",
+        "LT": "number({0} < {1})",
+        "LE": "number({0} <= {1})",
+        "EQ": "number({0} == {1})",
+        "NE": "number({0} != {1})",
+        "NOT": "number(is_false({0}))",
+        "SIGN": "sign({0})",
+        "AND": "number(is_true({0}) & is_true({1}))",
+        "OR": "number(is_true({0}) | is_true({1}))",
         "CHOICE": "choice(is_true({0}), {1}, {2}) + all(0.0)",
         "IF_ELSE_ZERO": "choice(is_true({0}), {1}, all(0))",
-    }  # fmt: skip
+    }
 
     def __init__(self) -> None:
         self.memory = 0

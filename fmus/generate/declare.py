@@ -17,10 +17,12 @@ from fmus.fmi.variable_types import INTEGER_RANGE
 from fmus.generate.guard import location
 
 _VARIABILITIES = {
-    "parameters": ("fixed", "tunable"), "calculated": ("fixed", "tunable"),
-    "inputs": ("continuous", "discrete"), "outputs": ("continuous", "discrete"),
+    "parameters": ("fixed", "tunable"),
+    "calculated": ("fixed", "tunable"),
+    "inputs": ("continuous", "discrete"),
+    "outputs": ("continuous", "discrete"),
     "continuous": ("continuous",),
-}  # fmt: skip
+}
 _ARGUMENTS = {
     "calculate": ("parameters",),
     "requirements": ("parameters", "calculated"),
@@ -32,9 +34,13 @@ _ARGUMENTS = {
     "crossings": ("t", "state", "inputs", "parameters", "calculated"),
 }
 _RESULTS = {
-    "calculate": "calculated", "initial_state": "state", "step": "state", "output": "outputs",
-    "derivative": "continuous", "integrate": "state",
-}  # fmt: skip
+    "calculate": "calculated",
+    "initial_state": "state",
+    "step": "state",
+    "output": "outputs",
+    "derivative": "continuous",
+    "integrate": "state",
+}
 _TYPES = "a float, an int, a bool, an IntEnum member, or a tuple of these"
 
 _EXACT = {kind: cls.__name__ for cls in (float, int, bool) for kind in (cls, cls.__name__)}  # of annotations

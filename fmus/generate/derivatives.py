@@ -10,8 +10,19 @@ from fmus.generate.operations import follows_from, operations_of
 from fmus.generate.trace import Traced
 
 _STEEP = {
-    "SQRT", "POW", "CONSTPOW", "ASIN", "ACOS", "ACOSH", "ATANH", "ATAN2", "HYPOT", "LOG", "LOG1P", "INV",
-}  # fmt: skip
+    "SQRT",
+    "POW",
+    "CONSTPOW",
+    "ASIN",
+    "ACOS",
+    "ACOSH",
+    "ATANH",
+    "ATAN2",
+    "HYPOT",
+    "LOG",
+    "LOG1P",
+    "INV",
+}
 """Operations whose derivatives may be infinite or no numbers, as that of a quotient by its divisor."""
 
 

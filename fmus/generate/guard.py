@@ -58,10 +58,18 @@ _REFUSED |= {f"__r{name[2:]}": _REFUSED[name] for name in _BINARY}
 _UNKNOWN = "but the value is not known before the FMU runs"
 NO_MEMORY = "an FMU has no memory beside its state"
 _OPERATORS = {  # of NumPy, which an operator between a NumPy number and a symbol calls
-    "add": operator.add, "subtract": operator.sub, "multiply": operator.mul, "divide": operator.truediv,
-    "power": operator.pow, "less": operator.lt, "less_equal": operator.le, "greater": operator.gt,
-    "greater_equal": operator.ge, "equal": operator.eq, "not_equal": operator.ne,
-}  # fmt: skip
+    "add": operator.add,
+    "subtract": operator.sub,
+    "multiply": operator.mul,
+    "divide": operator.truediv,
+    "power": operator.pow,
+    "less": operator.lt,
+    "less_equal": operator.le,
+    "greater": operator.gt,
+    "greater_equal": operator.ge,
+    "equal": operator.eq,
+    "not_equal": operator.ne,
+}
 
 
 class _RefusedError(TypeError):

@@ -16,13 +16,38 @@ import casadi
 TIMES = ("t", "h")
 """Arguments that are numbers; all else are columns."""
 CALLS = {
-    "EXP": "exp", "LOG": "log", "POW": "pow", "CONSTPOW": "pow", "SQRT": "sqrt", "SIN": "sin", "COS": "cos",
-    "TAN": "tan", "ASIN": "asin", "ACOS": "acos", "ATAN": "atan", "FLOOR": "floor", "CEIL": "ceil",
-    "FMOD": "fmod", "FMOD_BY_WHOLE": "fmod_by_whole", "REMAINDER": "remainder", "FABS": "fabs",
-    "COPYSIGN": "copysign", "ERF": "erf", "FMIN": "smaller", "FMAX": "larger", "SINH": "sinh", "COSH": "cosh",
-    "TANH": "tanh", "ASINH": "asinh", "ACOSH": "acosh", "ATANH": "atanh", "ATAN2": "atan2", "HYPOT": "hypot",
-    "LOG1P": "log1p", "EXPM1": "expm1",
-}  # fmt: skip
+    "EXP": "exp",
+    "LOG": "log",
+    "POW": "pow",
+    "CONSTPOW": "pow",
+    "SQRT": "sqrt",
+    "SIN": "sin",
+    "COS": "cos",
+    "TAN": "tan",
+    "ASIN": "asin",
+    "ACOS": "acos",
+    "ATAN": "atan",
+    "FLOOR": "floor",
+    "CEIL": "ceil",
+    "FMOD": "fmod",
+    "FMOD_BY_WHOLE": "fmod_by_whole",
+    "REMAINDER": "remainder",
+    "FABS": "fabs",
+    "COPYSIGN": "copysign",
+    "ERF": "erf",
+    "FMIN": "smaller",
+    "FMAX": "larger",
+    "SINH": "sinh",
+    "COSH": "cosh",
+    "TANH": "tanh",
+    "ASINH": "asinh",
+    "ACOSH": "acosh",
+    "ATANH": "atanh",
+    "ATAN2": "atan2",
+    "HYPOT": "hypot",
+    "LOG1P": "log1p",
+    "EXPM1": "expm1",
+}
 """Operation -> function of math.h or elementary.h."""
 _QUICK_CALLS = {"SQRT", "FABS", "FLOOR", "CEIL", "COPYSIGN", "FMIN", "FMAX"}
 _NAMES = {getattr(casadi, name): name[3:] for name in dir(casadi) if name.startswith("OP_")}

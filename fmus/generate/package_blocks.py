@@ -24,16 +24,23 @@ def ramp_source(name: str, output: str, unit: str | None, points: int) -> Block:
     @dataclass(frozen=True)
     class Parameters:
         internal_step: float = variable(
-            10.0, "Longest internal step; without effect, the output follows from the time alone",
-            unit="s", min=1e-7, max=1e6, variability="fixed",
-        )  # fmt: skip
+            10.0,
+            "Longest internal step; without effect, the output follows from the time alone",
+            unit="s",
+            min=1e-7,
+            max=1e6,
+            variability="fixed",
+        )
         smooth: bool = variable(
             False, "Quintic ramps, with zero first and second derivatives at both ends, not straight ones"
         )
         point_time: tuple[float, ...] = variable(
-            tuple(float(i) for i in range(points)), "Time of a point, later than that of the one before",
-            unit="s", min=-1e9, max=1e9,
-        )  # fmt: skip
+            tuple(float(i) for i in range(points)),
+            "Time of a point, later than that of the one before",
+            unit="s",
+            min=-1e9,
+            max=1e9,
+        )
         point_value: tuple[float, ...] = variable((0.0,) * points, "Value at a point", unit=unit)
 
     value = variable(0.0, "Value of the ramps at this time", unit=unit)

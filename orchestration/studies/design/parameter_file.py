@@ -50,24 +50,30 @@ def l1_gains(design: L1Design, data: VehicleData, conditions: Conditions) -> lis
         _gain("depth_feedback_gain", k_1, "N/m", f"M w_m^2, w_m = {w_m:.3g} rad/s; {left}"),
         _gain("rate_feedback_gain", k_2, "N.s/m", f"2 M w_m - D, w_m = {w_m:.3g} rad/s"),
         _gain(
-            "filter_bandwidth", design.filter, "rad/s",
+            "filter_bandwidth",
+            design.filter,
+            "rad/s",
             f"smallest from w_m on with |G|_L1 L at most {rules.NORM:g}; here it is {design.norm:.3g}",
         ),
         _gain("lyapunov_weight[1]", q_1, "1", "w_m^2 / 9: the fast loop has damping 1.8 w_m"),
         _gain("lyapunov_weight[2]", q_2, "1", "scale of P, which Gamma takes out"),
         _gain(
-            "adaptation_gain", design.adaptation_gain, "1",
+            "adaptation_gain",
+            design.adaptation_gain,
+            "1",
             f"the fast loop makes {rules.TURN:g} of a turn in a sample of {data.period:g} s at "
             f"{conditions.depth:.3g} m",
         ),
         _gain("theta_bound[1]", design.lipschitz, "N", f"L over the ranges: {_ranges(data)}"),
         _gain(
-            "sigma_bound", bound, "N",
+            "sigma_bound",
+            bound,
+            "N",
             f"{rules.SIGMA:g} times the net weight, {_text(data.net_weight)} N, at the least inertia",
         ),
         _gain("proportional_gain", k_p, "N/m", f"M w_m^2 / 3: poles at 2 w_m / 3; {left}"),
         _gain("integral_gain", k_i, "N/(m.s)", "8 M w_m^3 / 27: three poles at 2 w_m / 3"),
-    ]  # fmt: skip
+    ]
 
 
 def pid_gains(design: PidDesign, data: VehicleData) -> list[Gain]:
@@ -87,7 +93,9 @@ def _model(data: VehicleData, inertia: float, damping: float) -> list[Gain]:
     thrust = f"of {data.name}, together {data.force_limit:.4g} N at {data.voltage_limit:.4g} V"
     return [
         _gain(
-            "model_inertia", inertia, "kg",
+            "model_inertia",
+            inertia,
+            "kg",
             f"puts omega = thrust M / inertia about 1: {_text(data.inertia)} kg, thrust {_text(data.gain)}",
         ),
         _gain("model_damping", damping, "N.s/m", f"middle of {_text(data.damping)}, at most what A_m damps"),
@@ -95,7 +103,7 @@ def _model(data: VehicleData, inertia: float, damping: float) -> list[Gain]:
             Gain(name, value, _UNITS[name.partition("[")[0]], f"designed: {thrust}")
             for name, value in _told(data).items()
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _told(data: VehicleData) -> dict[str, float]:
@@ -108,12 +116,14 @@ def _told(data: VehicleData) -> dict[str, float]:
 def _observer(alpha: float, data: VehicleData, crossover: str, noise: float) -> list[Gain]:
     return [
         _gain(
-            "observer_alpha", alpha, "1",
+            "observer_alpha",
+            alpha,
+            "1",
             f"takes {rules.OBSERVER_PHASE:g} deg at {crossover}; noise of the demand {noise:.2g} N",
         ),
         _gain("observer_beta", beta_of(alpha), "1", "alpha^2 / (2 - alpha), Benedict and Bordner (1962)"),
         _gain("observer_period", data.period, "s", f"the sensor of {data.name}"),
-    ]  # fmt: skip
+    ]
 
 
 def _gain(name: str, value: float, unit: str, reason: str) -> Gain:
