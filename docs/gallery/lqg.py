@@ -160,7 +160,7 @@ written = Path("lqg_controller.py").write_text(CONTROLLER, encoding="utf-8")
 # identified from the paper, then those tuned for this vehicle, of which LQG knows all numbers.
 
 # %%
-tuned = tomllib.loads((files("orchestration") / "score/gains/l1-pi.toml").read_text(encoding="utf-8"))
+tuned = tomllib.loads((files("orchestration") / "studies/score/gains/l1-pi.toml").read_text(encoding="utf-8"))
 controllers = {
     "extended L1": {"controller.augmentation": "pi"},
     "extended L1, tuned": {name: entry["value"] for name, entry in tuned["parameters"].items()},

@@ -96,11 +96,12 @@ def test_a_run_ends_with_the_cause_and_its_child(forker: Build, call: str, waits
     with the program that called `simulate`.
     """
     system, experiment = System({"f": forker(call, waits)}), Experiment(0.1, 0.1, inputs={"f.u": 2.0})
+    others = {*psutil.Process().children()}  # of tests before, such as a tracker of shared memory
     with pytest.raises(OrchestrationError, match=CAUSE):
         simulate(system, experiment, timeout=TO_END_S)
     with pytest.raises(OrchestrationError, match=f"f forked its process {CAUSE}"):
         simulate(system, experiment)
-    for child in psutil.Process().children()[-1:]:
+    for child in {*psutil.Process().children()} - others:
         child.wait(TO_END_S)  # nobody else does, and it would stay a zombie of the tests that follow
 
 
