@@ -42,6 +42,11 @@ class MetricInfo(Part):
     greatest_is_best: bool = False
     """Whether the largest value is marked as the best, not the smallest."""
 
+    @property
+    def heading(self) -> str:
+        """Title and unit."""
+        return f"{self.title} [{self.unit}]" if self.unit else self.title
+
 
 class CaseInfo(Part):
     """The description of a case."""

@@ -8,18 +8,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fmus.errors import nearest
-from fmus.operating_system import usable_processors
 from fmus.registry import block_names
 from orchestration.cli import shared
 from orchestration.cli.changes import CONTROLLER, NO_CHANGES, OF_LOOP, Changes, takes_changes
 from orchestration.errors import ScenarioError
 from orchestration.studies.score.command import (
+    PROCESSORS,
     BoundOption,
     CasesOption,
     EvaluationsOption,
     ProtocolOption,
     RatesOption,
     SeedsOption,
+    WorkersOption,
     chosen_protocol,
     scored_controllers,
 )
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from orchestration.studies.score.closed_loop import Controller
     from orchestration.studies.score.protocol import Protocol
     from orchestration.studies.score.tune import Tuning
-
 
 PANEL = "Controllers compared"
 
@@ -52,7 +52,7 @@ def tune(
     ] = [],  # noqa: B006  (Typer copies it)
     evaluations: EvaluationsOption = 100,
     seeds: SeedsOption = 5,
-    workers: Annotated[int, typer.Option(help="Number of processes.", min=1)] = usable_processors(),
+    workers: WorkersOption = PROCESSORS,
     out: shared.OutFolder = Path("results"),
     restart: Annotated[
         bool, typer.Option("--restart", help="Discard the evaluations of an earlier tuning of that name.")
