@@ -130,7 +130,7 @@ def compare(
     scored_controllers([], False, changes)
     shared.check_writable(out)
     with shared.progress("compare", scoring.run_count(len(protocol.controllers), protocol, full)) as bar:
-        result = scoring.compare(protocol, full, seed, workers, bar.advance)
+        result = scoring.compare(protocol, full=full, seed=seed, workers=workers, progress=bar.advance)
     shown = scoring.shown_tables(result.document)
     print_tables(shown, scoring.with_papers_differences(result.document))
     on_page = scoring.for_page(result)
@@ -170,8 +170,7 @@ def print_score(document: "Score") -> None:
     """Prints the tables of a score, why controllers are not ranked, and why runs failed."""
     from orchestration.studies.score.score_tables import chosen
 
-    nominal = next(iter(document.protocol.cases))
-    keys = ("overview", f"case-{nominal}", "metric-rmse", "draws", "plants")
+    keys = ("overview", f"case-{document.nominal}", "metric-rmse", "draws", "plants")
     print_tables(chosen(document, keys).values(), document)
     for row in document.scored:
         for reason in row.unranked:
@@ -204,8 +203,7 @@ def scored_controllers(names: Sequence[str], no_rates: bool, changes: Changes) -
         raise ScenarioError(f"--set {name}: expected {CONTROLLER}.{own}=value")
     named = [f"--set {name}" for name in changes.settings if "." in name]
     named += [f"--map {component}.{name}" for component, names in changes.mapping.items() for name in names]
-    known = {CONTROLLER} if len(names) else set()
-    known |= {PLANT} & changes.components.keys()
+    known = ({CONTROLLER} if names else set()) | ({PLANT} & changes.components.keys())
     for option in named:
         if option.partition(" ")[2].partition(".")[0] not in known:
             raise ScenarioError(f"{option}: expected controller.NAME, or --plant beside plant.NAME")

@@ -8,12 +8,13 @@ the paper; "tuned/l1" has those of gains/l1.toml.
 """
 
 import secrets
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import combinations
+from typing import Any
 
 from fmus.operating_system import usable_processors
 from orchestration.errors import ScenarioError
@@ -163,15 +164,10 @@ def controllers(protocol: Protocol) -> list[Controller]:
     ]
 
 
-def compare(
-    protocol: Protocol,
-    full: bool = False,
-    seed: int | None = None,
-    workers: int = usable_processors(),
-    progress: Callable[[int], object] = lambda done: None,
-) -> ScoreResult:
+def compare(protocol: Protocol, **options: Any) -> ScoreResult:
     """Returns the score of all, with `full` the differences of every pair of tuned controllers.
 
+    options: of `score_controllers`
     Raises ScenarioError for a vehicle of unknown inertia, for which no tuned gains are scaled.
     """
     if not protocol.scales_gains:
@@ -181,15 +177,7 @@ def compare(
             "which scales the tuned gains"
         )
     papers, *others = sorted(controllers(protocol), key=lambda controller: controller.name != PAPERS)
-    result = score_controllers(
-        [papers],
-        protocol,
-        beside=others,
-        full=full,
-        seed=seed,
-        workers=workers,
-        progress=progress,
-    )
+    result = score_controllers([papers], protocol, beside=others, **options)
     result.document.differences = differences(combinations(part(result.document, TUNED).rows, 2))
     return result
 

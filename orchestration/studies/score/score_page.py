@@ -55,7 +55,7 @@ def preselected(score: Score) -> list[str]:
     Of those that are ranked: the least RMSE, the least total variation and the longest delay margin in the
     nominal case.
     """
-    nominal = next(iter(score.protocol.cases))
+    nominal = score.nominal
     others = [row for row in score.rows if not (row.scored or row.unranked or row.cases[nominal].failed)]
     metrics = {row.name: row.cases[nominal].metrics for row in others}
     keys = [

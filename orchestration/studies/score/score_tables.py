@@ -19,6 +19,7 @@ from orchestration.studies.score.score_document import OF_A_ROW, CaseResult, Met
 BEST, FAILED = "*", "!"
 _COLUMN_WIDTH = 13  # with its padding and its edge
 _PADDING = 3
+_TEXTS = 3  # first columns of the differences
 _OVERVIEW = ("rmse", "total_variation")
 _FACTORS = (1.1, 2.0)  # of the least RMSE: as good but for little, and not out of the question
 _STEP = MetricInfo(
@@ -118,7 +119,7 @@ def of_case(score: Score, case: str) -> ScoreTable:
     """Returns every metric of one case; in the nominal case also those of the row."""
     metrics = score.protocol.metrics
     columns = [_of_case(score, name, case) for name in metrics if name not in OF_A_ROW]
-    of_the_row = _of_the_row(score) if case == _nominal(score) else []
+    of_the_row = _of_the_row(score) if case == score.nominal else []
     return ScoreTable(score.protocol.cases[case].title, score.rows, columns + of_the_row)
 
 
@@ -169,13 +170,9 @@ def over_draws(score: Score) -> ScoreTable | None:
     return ScoreTable(f"{metric.heading}, median of draws", score.rows, columns) if columns else None
 
 
-def _nominal(score: Score) -> str:
-    return next(iter(score.protocol.cases))
-
-
 def _of_the_row(score: Score) -> list[Column]:
     """Returns the metrics that a row has once, which count as those of its nominal run."""
-    failed = [_cell(row, "", _nominal(score)).failed for row in score.rows]
+    failed = [_cell(row, "", score.nominal).failed for row in score.rows]
     return [
         _column(
             score,
@@ -290,22 +287,21 @@ def differences_table(score: Score) -> Table | None:
     if not score.differences:
         return None
     table = Table(title="Plant by plant: one controller minus another one")
-    for heading in ("Scored", "Other", "Metric"):
-        table.add_column(heading)
-    for heading in ("Pairs", "Median difference", "Interval", "p, Holm", "Verdict"):
-        table.add_column(heading, justify="right")
     titles = {row.name: row.title for row in score.rows}
     for entry in score.differences:
         metric = score.protocol.metrics[entry.metric]
-        low, high = entry.interval
-        table.add_row(
-            titles[entry.scored],
-            titles[entry.other],
-            metric.title,
-            str(entry.pairs),
-            f"{entry.median_difference:.3g} {metric.unit}",
-            f"{low:.3g} to {high:.3g}",
-            f"{entry.p_holm:.2g}",
-            entry.verdict,
-        )
+        cells = {
+            "Scored": titles[entry.scored],
+            "Other": titles[entry.other],
+            "Metric": metric.title,
+            "Pairs": str(entry.pairs),
+            "Median difference": f"{entry.median_difference:.3g} {metric.unit}",
+            "Interval": "{:.3g} to {:.3g}".format(*entry.interval),
+            "p, Holm": f"{entry.p_holm:.2g}",
+            "Verdict": entry.verdict,
+        }
+        if not table.columns:
+            for i, heading in enumerate(cells):
+                table.add_column(heading, justify="left" if i < _TEXTS else "right")
+        table.add_row(*cells.values())
     return table

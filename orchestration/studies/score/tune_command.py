@@ -1,7 +1,6 @@
 """Command tune: the gains of a controller, by the same search for every one."""
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -99,7 +98,9 @@ def tune(
             started(controller, protocol, workers, total) as evaluate,
         ):
             how = range(1, seeds + 1), evaluations, journals[-1], evaluate
-            tuning = search(problem, *how, partial(_advance, bar), restart)
+            tuning = search(
+                problem, *how, lambda n, cost, bar=bar: bar.advance(n, f"best {cost:.4g} cm"), restart
+            )
         finer = tune_problem.at_enough_steps(tuning.best.gains, controller, protocol)
         if finer is controller:
             break
@@ -115,10 +116,6 @@ def tune(
     change = 100.0 * provenance["change_at_half_the_step"]
     print(f"Half the step of {milliseconds:g} ms changes the error by {change:.2g} %.")
     print(path)
-
-
-def _advance(bar: shared.ProgressBar, count: int, cost: float) -> None:
-    bar.advance(count, f"best {cost:.4g} cm")
 
 
 def _controller(
@@ -150,12 +147,12 @@ def _controller(
 
 def print_gains(tuning: "Tuning", name: str) -> None:
     """Prints the gains of a tuning, and whether evaluations or limits keep the cost from being lower."""
+    gains, best = tuning.problem.gains, tuning.best.gains
+    stopped = [gain.name for gain in gains if gain.is_at_a_limit(best[gain.name])]
     print(f"{name}: cost {tuning.best.cost:.4g} cm")
-    for gain in tuning.problem.gains:
-        value = tuning.best.gains[gain.name]
-        ending = ", at a limit" if gain.is_at_a_limit(value) else ""
-        print(f"{gain.name} = {value:g} {gain.unit}, of {gain.low:g} to {gain.high:g}{ending}")
-    stopped = [gain.name for gain in tuning.problem.gains if gain.is_at_a_limit(tuning.best.gains[gain.name])]
+    for gain in gains:
+        ending = ", at a limit" if gain.name in stopped else ""
+        print(f"{gain.name} = {best[gain.name]:g} {gain.unit}, of {gain.low:g} to {gain.high:g}{ending}")
     seeds, last = len(tuning.searches), len(tuning.refinements[-1].curve)
     if not tuning.is_long_enough:
         expected = f"expected {tuning.fewest} or more"

@@ -130,7 +130,7 @@ def test_compare_prints_tables_and_writes_the_scores(
 ) -> None:
     """The comparison that ships, without its runs."""
     document = Score.model_validate_json(COMPARISON.read_text(encoding="utf-8"))
-    monkeypatch.setattr(score, "compare", lambda *arguments: ScoreResult(document, {}))
+    monkeypatch.setattr(score, "compare", lambda protocol, **options: ScoreResult(document, {}))
     lines = command("compare").stdout.splitlines()
     assert not [line for line in lines if line.startswith("|")]
     titles = {f"Summary of the cases: {kind} overview" for kind in ("tuned", "start")}
