@@ -26,7 +26,6 @@ import typer
 from matplotlib.figure import Figure
 
 from fmus.files import write_text_atomically
-from fmus.operating_system import usable_processors
 from orchestration.cli import shared
 from orchestration.cli.changes import NO_CHANGES, OF_LOOP, Changes, takes_changes
 from orchestration.errors import OrchestrationError, ScenarioError
@@ -36,11 +35,13 @@ from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.studies.score import tune_problem
 from orchestration.studies.score.closed_loop import ClosedLoop, built_in, tuned
 from orchestration.studies.score.command import (
+    PROCESSORS,
     BoundOption,
     CasesOption,
     EvaluationsOption,
     ProtocolOption,
     SeedsOption,
+    WorkersOption,
     chosen_protocol,
     scored_controllers,
 )
@@ -243,7 +244,7 @@ def main(
     cases: CasesOption = "",
     seeds: SeedsOption = 5,
     evaluations: EvaluationsOption = 40,
-    workers: Annotated[int, typer.Option(help="Number of processes.", min=1)] = usable_processors(),
+    workers: WorkersOption = PROCESSORS,
     out: shared.OutFolder = Path("results"),
     changes: Changes = NO_CHANGES,
     protocol_file: ProtocolOption = None,

@@ -79,25 +79,26 @@ class LeastSquares:
         """
         from scipy.optimize import least_squares  # slow to import
 
-        limits = (
-            [coordinate(one, x) for one, x in zip(self.free, ends, strict=True)] for ends in self._limits
-        )
         self.ended = f"the {self.evaluations} evaluations are used up"
         with suppress(_OutOfEvaluations):
             jacobian: Any = self.jacobian  # a function, which SciPy does not declare
-            result = least_squares(lambda x: self.at([x])[0], start, jacobian, bounds=(*limits,), **options)
+            result = least_squares(lambda x: self.at([x])[0], start, jacobian, bounds=self._limits, **options)
             self.ended = "" if result.success else str(result.message)
         return self
 
     @property
     def _limits(self) -> tuple[list[float], list[float]]:
-        return [one.low for one in self.free], [one.high for one in self.free]
+        """Coordinates of the lower limits, and of the upper ones."""
+        lower = [coordinate(one, one.low) for one in self.free]
+        return lower, [coordinate(one, one.high) for one in self.free]
 
     def at(self, points: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Returns the residuals at points, shape (m,) each."""
         points = points[: self.evaluations - self.count]
-        result = []
-        for point, residuals in zip(points, self._evaluated(points), strict=True):
+        if not points:
+            raise _OutOfEvaluations
+        result, evaluated = [], self.evaluate([values_at(self.free, point) for point in points])
+        for point, residuals in zip(points, evaluated, strict=True):
             result.append(residuals)
             self.count, self._last = self.count + 1, residuals
             cost = 0.5 * float(residuals @ residuals)
@@ -106,11 +107,6 @@ class LeastSquares:
             self.progress(self.cost)
         return result
 
-    def _evaluated(self, points: Sequence[np.ndarray]) -> Iterable[np.ndarray]:
-        if not points:
-            raise _OutOfEvaluations
-        return self.evaluate([values_at(self.free, point) for point in points])
-
     def jacobian(self, x: np.ndarray, central: bool = False) -> np.ndarray:
         """Returns the derivatives of the residuals by the coordinates, shape (m, n).
 
@@ -118,7 +114,8 @@ class LeastSquares:
         """
         steps = self.difference * np.where(x < 0.0, -1.0, 1.0) * np.maximum(np.abs(x), 1.0)
         if not central:
-            steps = np.where([self._is_beyond(i, x[i] + h) for i, h in enumerate(steps)], -steps, steps)
+            low, high = self._limits
+            steps = np.where((x + steps < low) | (x + steps > high), -steps, steps)
         ahead, behind = x + np.diag(steps), x - np.diag(steps) if central else np.tile(x, (len(x), 1))
         at_x = [self._last] * len(x)
         residuals = self.at([*ahead, *behind] if central else [*ahead])
@@ -126,10 +123,6 @@ class LeastSquares:
             raise _OutOfEvaluations
         after, before = residuals[: len(x)], residuals[len(x) :] if central else at_x
         return (np.array(after) - before).T / np.diag(ahead - behind)
-
-    def _is_beyond(self, i: int, x: float) -> bool:
-        one = self.free[i]
-        return not coordinate(one, one.low) <= x <= coordinate(one, one.high)
 
 
 class _OutOfEvaluations(Exception):  # noqa: N818  (a signal to stop, not an error)

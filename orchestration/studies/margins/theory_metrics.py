@@ -58,7 +58,9 @@ def norm_metrics(design: Design) -> Iterator[Metric]:
         name = f"norm of G times L, nonlinear P frozen at {gain:.4g}"
         yield condition(name, frozen, f"{state}; a norm at a frozen gain is no guarantee", _EXTENDED)
     is_pi = bool(design.extension.proportional_gain or design.extension.integral_gain)
+    bandwidths = {"without": (NO_EXTENSION, _BOOK)}
     if is_pi and not design.frozen_gains:
+        bandwidths["with"] = design.extension, _EXTENDED
         yield condition("norm of G times L, with the extension", design.extension, state, _EXTENDED)
     extension = replace(design.extension, proportional_gain=0.0) if is_pi else Extension(law.c)
     least, largest = proportional_gain_range(*common, extension, omegas)
@@ -68,14 +70,10 @@ def norm_metrics(design: Design) -> Iterator[Metric]:
         yield Metric(CONDITION, "K_P from which it holds", least, design.gain_unit, state, _EXTENDED, note)
     yield Metric(CONDITION, "K_P up to which it holds", largest, design.gain_unit, state, _EXTENDED, note)
     a_m, b, order, _, lipschitz = common
-    with_extension = design.extension if is_pi and not design.frozen_gains else NO_EXTENSION
-    pairs = {"without": NO_EXTENSION, "with": with_extension}
-    for label, chosen in pairs.items():
-        if label == "without" or chosen is not NO_EXTENSION:
-            least = _or_none(smallest_bandwidth, a_m, b, order, lipschitz, extension=chosen, omegas=omegas)
-            source = _BOOK if label == "without" else _EXTENDED
-            name = f"bandwidth from which it holds, {label} the extension"
-            yield Metric(CONDITION, name, least, "rad/s", state, source)
+    for label, (chosen, source) in bandwidths.items():
+        least = _or_none(smallest_bandwidth, a_m, b, order, lipschitz, extension=chosen, omegas=omegas)
+        name = f"bandwidth from which it holds, {label} the extension"
+        yield Metric(CONDITION, name, least, "rad/s", state, source)
 
 
 def _or_none(function: Callable[..., float], *arguments: Any, **options: Any) -> float:

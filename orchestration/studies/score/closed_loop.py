@@ -106,12 +106,9 @@ def tuned(protocol: Protocol, name: str) -> Controller:
     """
     controller, path = built_in(protocol, name), GAINS / f"{name}.toml"
     written = read_toml(path).data if path.is_file() else {}
-    table, ratio = protocol.controllers[name].gains, protocol.inertia_ratio
-    powers = {gain: entry.inertia for gain, entry in table.items() if entry.inertia and ratio != 1.0}
-    found: dict[str, Any] = tuned_gains(name, controller.fmu)
-    gains = {
-        gain: value * ratio ** powers[gain] if gain in powers else value for gain, value in found.items()
-    }
+    gains: dict[str, Any] = tuned_gains(name, controller.fmu)
+    for gain in gains.keys() & protocol.controllers[name].gains.keys():
+        gains[gain] *= protocol.inertia_ratio ** protocol.controllers[name].gains[gain].inertia
     step = written.get("tuning", {}).get("step", 0.0)
     return replace(controller, parameters={**controller.parameters, **gains}, step=step)
 

@@ -1,8 +1,7 @@
 """Commands score and compare: controllers in every case of the protocol, beside the built-in ones or all."""
 
 import sys
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from orchestration.studies.score.protocol import Protocol
     from orchestration.studies.score.score import ScoreResult
     from orchestration.studies.score.score_document import Score
-    from orchestration.studies.score.score_view import ScoreTable
+    from orchestration.studies.score.score_tables import ScoreTable
 
 PANEL = "Controllers compared"
 FullOption = Annotated[
@@ -49,6 +48,8 @@ CasesOption = Annotated[
     str, typer.Option("--cases", metavar="NAME,...", help="Compute the cost over these protocol cases.")
 ]
 SeedsOption = Annotated[int, typer.Option(metavar="NUMBER", help="Number of seeds of the search.", min=1)]
+PROCESSORS = usable_processors()
+WorkersOption = Annotated[int, typer.Option(help="Number of processes.", min=1)]
 EvaluationsOption = Annotated[
     int,
     typer.Option(metavar="NUMBER", help="Evaluations for each free gain and each seed.", min=1),
@@ -78,7 +79,7 @@ def score(
         float | None,
         typer.Option(metavar="S", help="End a run that takes longer; by default that of the protocol."),
     ] = None,
-    workers: Annotated[int, typer.Option(help="Number of processes.", min=1)] = usable_processors(),
+    workers: WorkersOption = PROCESSORS,
 ) -> None:
     """Score a controller on the simulated vehicle: terminal tables, score.json and an interactive page.
 
@@ -113,7 +114,7 @@ def score(
 def compare(
     full: FullOption = False,
     seed: SeedOption = None,
-    workers: Annotated[int, typer.Option(help="Number of processes.", min=1)] = usable_processors(),
+    workers: WorkersOption = PROCESSORS,
     out: shared.OutFolder = Path("results"),
     changes: Changes = NO_CHANGES,
     protocol_file: ProtocolOption = None,
@@ -129,15 +130,11 @@ def compare(
     scored_controllers([], False, changes)
     shared.check_writable(out)
     with shared.progress("compare", scoring.run_count(len(protocol.controllers), protocol, full)) as bar:
-        result = scoring.compare(protocol, full, seed, workers, bar.advance)
-    document = result.document
-    shown = scoring.shown_tables(document).items()
-    print_tables(
-        [replace(table, title=f"{table.title}: {name}") for name, table in shown if table.rows],
-        scoring.with_papers_differences(document),
-    )
+        result = scoring.compare(protocol, full=full, seed=seed, workers=workers, progress=bar.advance)
+    shown = scoring.shown_tables(result.document)
+    print_tables(shown, scoring.with_papers_differences(result.document))
     on_page = scoring.for_page(result)
-    return write_score(result, on_page, out / "comparison.json", "Comparison of the controllers")
+    write_score(result, on_page, out / "comparison.json", "Comparison of the controllers")
 
 
 def write_score(result: "ScoreResult", on_page: "ScoreResult", file: Path, title: str) -> None:
@@ -155,7 +152,7 @@ def write_score(result: "ScoreResult", on_page: "ScoreResult", file: Path, title
         print(f"l1-depth: no page: {error}", file=sys.stderr)
 
 
-def print_tables(tables: "Sequence[ScoreTable]", document: "Score") -> None:
+def print_tables(tables: "Iterable[ScoreTable]", document: "Score") -> None:
     """Prints the protocol, tables of a score, and the differences between its controllers, if it has any."""
     from orchestration.studies.score.score_tables import BEST, FAILED, differences_table, in_parts
 
@@ -171,9 +168,10 @@ def print_tables(tables: "Sequence[ScoreTable]", document: "Score") -> None:
 
 def print_score(document: "Score") -> None:
     """Prints the tables of a score, why controllers are not ranked, and why runs failed."""
-    from orchestration.studies.score.score_tables import score_tables
+    from orchestration.studies.score.score_tables import chosen
 
-    print_tables(score_tables(document), document)
+    keys = ("overview", f"case-{document.nominal}", "metric-rmse", "draws", "plants")
+    print_tables(chosen(document, keys).values(), document)
     for row in document.scored:
         for reason in row.unranked:
             print(f"{row.title} is not ranked: {reason}")
@@ -205,8 +203,7 @@ def scored_controllers(names: Sequence[str], no_rates: bool, changes: Changes) -
         raise ScenarioError(f"--set {name}: expected {CONTROLLER}.{own}=value")
     named = [f"--set {name}" for name in changes.settings if "." in name]
     named += [f"--map {component}.{name}" for component, names in changes.mapping.items() for name in names]
-    known = {CONTROLLER} if len(names) else set()
-    known |= {PLANT} & changes.components.keys()
+    known = ({CONTROLLER} if names else set()) | ({PLANT} & changes.components.keys())
     for option in named:
         if option.partition(" ")[2].partition(".")[0] not in known:
             raise ScenarioError(f"{option}: expected controller.NAME, or --plant beside plant.NAME")

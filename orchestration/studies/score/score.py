@@ -8,19 +8,19 @@ the paper; "tuned/l1" has those of gains/l1.toml.
 """
 
 import secrets
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import combinations
+from typing import Any
 
 from fmus.operating_system import usable_processors
 from orchestration.errors import ScenarioError
 from orchestration.many.local_runs import LocalRuns
 from orchestration.results.statistics import holm, paired
 from orchestration.scenarios.fmu_files import fmu_file
-from orchestration.studies.score import score_view
 from orchestration.studies.score.closed_loop import ClosedLoop, Controller, built_in, tuned
 from orchestration.studies.score.draws import LARGEST_SEED
 from orchestration.studies.score.protocol import Protocol, read_protocol
@@ -28,7 +28,7 @@ from orchestration.studies.score.protocol_format import COMPARED
 from orchestration.studies.score.run_metrics import Trace
 from orchestration.studies.score.score_document import PairedDifference, Row, Score, protocol_info
 from orchestration.studies.score.score_rows import LimitedRuns, Progress, RowTraces, Scoring, repeated
-from orchestration.studies.score.score_view import ScoreTable
+from orchestration.studies.score.score_tables import ScoreTable, chosen
 from orchestration.studies.vehicle import built
 from orchestration.system.prepared_run import prepare
 
@@ -69,10 +69,10 @@ def score_controllers(
             fmu_file(controller.fmu)  # refuses one without a block before the FMUs of others are built
     if beside is None:
         beside = [tuned(protocol, name) for name in protocol.controllers if protocol.scales_gains]
-    chosen = _with_other_names(controllers, beside)
+    renamed = _with_other_names(controllers, beside)
     seed = secrets.randbelow(LARGEST_SEED) if seed is None else seed
     scoring = Scoring(protocol, full, seed, progress)
-    rows = _rows(scoring, chosen, beside, timeout or protocol.tables.time_limit, workers)
+    rows = _rows(scoring, renamed, beside, timeout or protocol.tables.time_limit, workers)
     document = Score(
         made_by=f"l1-depth {version('l1-depth')}",
         seed=seed,
@@ -158,21 +158,16 @@ PAPERS = f"{TUNED}/l1-pi"  # the paper's controller
 def controllers(protocol: Protocol) -> list[Controller]:
     """Returns every controller of the protocol, tuned and with the start values of its FMU."""
     return [
-        replace(chosen(protocol, name), name=f"{which}/{name}")
-        for which, chosen in ((TUNED, tuned), (START, built_in))
+        replace(with_gains(protocol, name), name=f"{which}/{name}")
+        for which, with_gains in ((TUNED, tuned), (START, built_in))
         for name in protocol.controllers
     ]
 
 
-def compare(
-    protocol: Protocol,
-    full: bool = False,
-    seed: int | None = None,
-    workers: int = usable_processors(),
-    progress: Callable[[int], object] = lambda done: None,
-) -> ScoreResult:
+def compare(protocol: Protocol, **options: Any) -> ScoreResult:
     """Returns the score of all, with `full` the differences of every pair of tuned controllers.
 
+    options: of `score_controllers`
     Raises ScenarioError for a vehicle of unknown inertia, for which no tuned gains are scaled.
     """
     if not protocol.scales_gains:
@@ -182,15 +177,7 @@ def compare(
             "which scales the tuned gains"
         )
     papers, *others = sorted(controllers(protocol), key=lambda controller: controller.name != PAPERS)
-    result = score_controllers(
-        [papers],
-        protocol,
-        beside=others,
-        full=full,
-        seed=seed,
-        workers=workers,
-        progress=progress,
-    )
+    result = score_controllers([papers], protocol, beside=others, **options)
     result.document.differences = differences(combinations(part(result.document, TUNED).rows, 2))
     return result
 
@@ -211,13 +198,14 @@ def part(document: Score, which: str) -> Score:
     return document.model_copy(update={"rows": rows})
 
 
-def shown_tables(document: Score) -> dict[str, ScoreTable]:
-    """Returns the tables of the rows of each kind, by their names."""
-    made = {f"{which} overview": score_view.overview(part(document, which)) for which in (TUNED, START)}
-    rows = part(document, TUNED)
-    made[f"{TUNED} rmse"] = score_view.of_metric(rows, "rmse")
-    full = {"draws": score_view.over_draws(rows), "plants": score_view.over_plants(rows)}
-    return made | {f"{TUNED} {name}": table for name, table in full.items() if table}
+def shown_tables(document: Score) -> list[ScoreTable]:
+    """Returns the tables of the rows of each kind, which their titles name."""
+    many = ("metric-rmse", "draws", "plants")
+    return [
+        replace(table, title=f"{table.title}: {which} {key.removeprefix('metric-')}")
+        for which, keys in ((TUNED, ["overview"]), (START, ["overview"]), (TUNED, many))
+        for key, table in chosen(part(document, which), keys).items()
+    ]
 
 
 def with_papers_differences(document: Score) -> Score:

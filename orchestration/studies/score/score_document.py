@@ -42,6 +42,11 @@ class MetricInfo(Part):
     greatest_is_best: bool = False
     """Whether the largest value is marked as the best, not the smallest."""
 
+    @property
+    def heading(self) -> str:
+        """Title and unit."""
+        return f"{self.title} [{self.unit}]" if self.unit else self.title
+
 
 class CaseInfo(Part):
     """The description of a case."""
@@ -194,6 +199,11 @@ class Score(Part):
     """Paired differences between controllers, of --full."""
 
     @property
+    def nominal(self) -> str:
+        """Name of the case of the paper: the first."""
+        return next(iter(self.protocol.cases))
+
+    @property
     def scored(self) -> list[Row]:
         return [row for row in self.rows if row.scored]
 
@@ -221,7 +231,7 @@ OF_A_ROW: Mapping[str, MetricInfo] = {
 def protocol_info(protocol: Protocol) -> ProtocolInfo:
     """Returns the description of the protocol."""
     metrics = {
-        name: MetricInfo(title=table.title, unit=table.unit, meaning=table.meaning)
+        name: MetricInfo.model_validate(table, from_attributes=True)
         for name, table in protocol.metrics.items()
     }
     titles_of_reason: dict[str, list[str]] = {}
@@ -232,8 +242,7 @@ def protocol_info(protocol: Protocol) -> ProtocolInfo:
         statement=protocol.statement,
         metrics={**metrics, **OF_A_ROW},
         cases={
-            name: CaseInfo(title=c.title, tuned_on=c.tuned_on, repeats_nominal=c.repeats_nominal)
-            for name, c in protocol.cases.items()
+            name: CaseInfo.model_validate(case, from_attributes=True) for name, case in protocol.cases.items()
         },
         left_out={"; ".join(titles): reason for reason, titles in titles_of_reason.items()},
         failure=dict(protocol.tables.failure),

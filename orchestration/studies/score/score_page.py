@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from orchestration.results.page import packed, page
-from orchestration.studies.score import score_view
 from orchestration.studies.score.score import ScoreResult
-from orchestration.studies.score.score_document import OF_A_ROW, Score
+from orchestration.studies.score.score_document import Score
+from orchestration.studies.score.score_tables import all_tables
 
 _TEMPLATE = Path(__file__).parent / "files" / "score.html"
 _SCRIPTS = ("points.js", "tables.js", "score.js")
@@ -21,23 +21,12 @@ _SCALE = 1e4  # whole numbers compress to a quarter of the room
 def score_page(result: ScoreResult, title: str) -> str:
     """Returns the page of a score or of a comparison."""
     score = result.document
-    metrics = [name for name in score.protocol.metrics if name not in OF_A_ROW]
-    tables = {
-        "Means over the cases": {"overview": score_view.overview(score)},
-        "A case": {f"case-{case}": score_view.of_case(score, case) for case in score.protocol.cases},
-        "A metric": {f"metric-{name}": score_view.of_metric(score, name) for name in metrics},
-    }
-    draws, plants = score_view.over_draws(score), score_view.over_plants(score)
-    if draws:
-        tables["Draws of the cases"] = {"draws": draws}
-    if plants:
-        tables["Plants"] = {"plants": plants}
     return page(
         _TEMPLATE,
         _SCRIPTS,
         title=title,
         score=score,
-        tables=tables,
+        tables=all_tables(score),
         titles={row.name: row.title for row in score.rows},
         data=_data(result),
     )
@@ -66,7 +55,7 @@ def preselected(score: Score) -> list[str]:
     Of those that are ranked: the least RMSE, the least total variation and the longest delay margin in the
     nominal case.
     """
-    nominal = next(iter(score.protocol.cases))
+    nominal = score.nominal
     others = [row for row in score.rows if not (row.scored or row.unranked or row.cases[nominal].failed)]
     metrics = {row.name: row.cases[nominal].metrics for row in others}
     keys = [

@@ -1,6 +1,5 @@
 """The row of one controller: every case, what is measured of it once, and every plant."""
 
-import hashlib
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import closing
@@ -12,6 +11,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from fmus.fmi.description import describe, of_causality
+from fmus.store import digest
 from orchestration.errors import OrchestrationError, ScenarioError, SimulationError, SweepError
 from orchestration.many.job import ENDED, TOO_LONG, ClosedError, Done, Failure, Job, Reduce, Run
 from orchestration.many.local_runs import LocalRuns
@@ -130,7 +130,20 @@ class Scoring:
         return row, traces
 
     def _over_runs(self, loop: ClosedLoop, cases: Sequence[Case], names: Sequence[str]) -> ManyRuns:
-        return many_runs([run for run, _ in self._judged(loop, cases, names)], names)
+        """Returns what many runs of a controller have in common, with the metrics named."""
+        runs = [run for run, _ in self._judged(loop, cases, names)]
+        values = {name: [run.metrics.get(name, math.nan) for run in runs] for name in names}
+        failed = {str(number): run.failed for number, run in enumerate(runs) if run.failed}
+        return ManyRuns(
+            count=len(runs),
+            failure_rate=len(failed) / len(runs),
+            failure_interval=proportion_interval(len(failed), len(runs)),
+            failed=failed,
+            metrics={
+                name: MetricOverRuns(**asdict(distribution(column)), values=column)
+                for name, column in values.items()
+            },
+        )
 
     def _judged(
         self, loop: ClosedLoop, cases: Sequence[Case], names: Collection[str] = (), traced: bool = False
@@ -253,7 +266,7 @@ def _fmu(loop: ClosedLoop) -> dict[str, Any]:
         "model": description.modelName,
         "guid": description.guid,
         "tool": description.generationTool or "",
-        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "sha256": digest(path.read_bytes()),
     }
 
 
@@ -261,19 +274,3 @@ def repeated(protocol: Protocol, seed: int) -> dict[str, list[Case]]:
     """Returns case -> its draws of a full score, of each case that does not repeat the nominal one."""
     drawn = repeated_cases(protocol, seed, protocol.tables.repetitions)
     return {draws[0].name: draws for draws in drawn if not draws[0].repeats_nominal}
-
-
-def many_runs(runs: Sequence[CaseResult], names: Sequence[str]) -> ManyRuns:
-    """Returns what many runs of a controller have in common, with the metrics named."""
-    values = {name: [run.metrics.get(name, math.nan) for run in runs] for name in names}
-    failed = {str(number): run.failed for number, run in enumerate(runs) if run.failed}
-    return ManyRuns(
-        count=len(runs),
-        failure_rate=len(failed) / len(runs),
-        failure_interval=proportion_interval(len(failed), len(runs)),
-        failed=failed,
-        metrics={
-            name: MetricOverRuns(**asdict(distribution(column)), values=column)
-            for name, column in values.items()
-        },
-    )

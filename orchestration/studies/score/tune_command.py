@@ -1,25 +1,25 @@
 """Command tune: the gains of a controller, by the same search for every one."""
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fmus.errors import nearest
-from fmus.operating_system import usable_processors
 from fmus.registry import block_names
 from orchestration.cli import shared
 from orchestration.cli.changes import CONTROLLER, NO_CHANGES, OF_LOOP, Changes, takes_changes
 from orchestration.errors import ScenarioError
 from orchestration.studies.score.command import (
+    PROCESSORS,
     BoundOption,
     CasesOption,
     EvaluationsOption,
     ProtocolOption,
     RatesOption,
     SeedsOption,
+    WorkersOption,
     chosen_protocol,
     scored_controllers,
 )
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from orchestration.studies.score.closed_loop import Controller
     from orchestration.studies.score.protocol import Protocol
     from orchestration.studies.score.tune import Tuning
-
 
 PANEL = "Controllers compared"
 
@@ -52,7 +51,7 @@ def tune(
     ] = [],  # noqa: B006  (Typer copies it)
     evaluations: EvaluationsOption = 100,
     seeds: SeedsOption = 5,
-    workers: Annotated[int, typer.Option(help="Number of processes.", min=1)] = usable_processors(),
+    workers: WorkersOption = PROCESSORS,
     out: shared.OutFolder = Path("results"),
     restart: Annotated[
         bool, typer.Option("--restart", help="Discard the evaluations of an earlier tuning of that name.")
@@ -99,7 +98,9 @@ def tune(
             started(controller, protocol, workers, total) as evaluate,
         ):
             how = range(1, seeds + 1), evaluations, journals[-1], evaluate
-            tuning = search(problem, *how, partial(_advance, bar), restart)
+            tuning = search(
+                problem, *how, lambda n, cost, bar=bar: bar.advance(n, f"best {cost:.4g} cm"), restart
+            )
         finer = tune_problem.at_enough_steps(tuning.best.gains, controller, protocol)
         if finer is controller:
             break
@@ -115,10 +116,6 @@ def tune(
     change = 100.0 * provenance["change_at_half_the_step"]
     print(f"Half the step of {milliseconds:g} ms changes the error by {change:.2g} %.")
     print(path)
-
-
-def _advance(bar: shared.ProgressBar, count: int, cost: float) -> None:
-    bar.advance(count, f"best {cost:.4g} cm")
 
 
 def _controller(
@@ -150,12 +147,12 @@ def _controller(
 
 def print_gains(tuning: "Tuning", name: str) -> None:
     """Prints the gains of a tuning, and whether evaluations or limits keep the cost from being lower."""
+    gains, best = tuning.problem.gains, tuning.best.gains
+    stopped = [gain.name for gain in gains if gain.is_at_a_limit(best[gain.name])]
     print(f"{name}: cost {tuning.best.cost:.4g} cm")
-    for gain in tuning.problem.gains:
-        value = tuning.best.gains[gain.name]
-        ending = ", at a limit" if gain.is_at_a_limit(value) else ""
-        print(f"{gain.name} = {value:g} {gain.unit}, of {gain.low:g} to {gain.high:g}{ending}")
-    stopped = [gain.name for gain in tuning.problem.gains if gain.is_at_a_limit(tuning.best.gains[gain.name])]
+    for gain in gains:
+        ending = ", at a limit" if gain.name in stopped else ""
+        print(f"{gain.name} = {best[gain.name]:g} {gain.unit}, of {gain.low:g} to {gain.high:g}{ending}")
     seeds, last = len(tuning.searches), len(tuning.refinements[-1].curve)
     if not tuning.is_long_enough:
         expected = f"expected {tuning.fewest} or more"

@@ -7,7 +7,6 @@ bound on the delay margin is one more run, in which the measured depth is late b
 it late: it is to be quiet in hold.
 """
 
-import hashlib
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -22,6 +21,7 @@ import tomli_w
 
 from fmus.files import write_text_atomically
 from fmus.fmi.description import describe
+from fmus.store import digest
 from orchestration.errors import OrchestrationError
 from orchestration.many.job import Failure
 from orchestration.many.lane_library import LANES
@@ -66,7 +66,7 @@ def problem_of(controller: Controller, protocol: Protocol, free: Iterable[FreePa
             raise OrchestrationError(f"{gain.name}: it is set, and free: expected one of them")
     tuned = {
         "controller": repr(controller),
-        "fmus": {name: _hash(path) for name, path in components.items()},
+        "fmus": {name: digest(path.read_bytes()) for name, path in components.items()},
         "protocol": _what_costs(protocol),
     }
     return Problem(gains, tuned)
@@ -145,10 +145,6 @@ def _what_costs(protocol: Protocol) -> dict[str, Any]:
         "vehicle": protocol.vehicle.key,
         **{key: data[key] for key in ("base", "trajectory", "practice_seeds", "plants")},
     }
-
-
-def _hash(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from orchestration.studies.score.closed_loop import ClosedLoop, Controller, buil
 from orchestration.studies.score.draws import drawn_cases
 from orchestration.studies.score.protocol import Protocol, read_protocol
 from orchestration.studies.score.score import score_controllers
-from orchestration.studies.score.score_view import of_metric
+from orchestration.studies.score.score_tables import of_metric
 from orchestration.system.signals import values_at
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.studies.score.controllers import rogue_doing

@@ -130,7 +130,7 @@ def test_compare_prints_tables_and_writes_the_scores(
 ) -> None:
     """The comparison that ships, without its runs."""
     document = Score.model_validate_json(COMPARISON.read_text(encoding="utf-8"))
-    monkeypatch.setattr(score, "compare", lambda *arguments: ScoreResult(document, {}))
+    monkeypatch.setattr(score, "compare", lambda protocol, **options: ScoreResult(document, {}))
     lines = command("compare").stdout.splitlines()
     assert not [line for line in lines if line.startswith("|")]
     titles = {f"Summary of the cases: {kind} overview" for kind in ("tuned", "start")}
@@ -147,7 +147,7 @@ def test_compare_prints_tables_and_writes_the_scores(
 def test_no_word_of_a_score_is_cut_on_a_terminal(width: int) -> None:
     document = Score.model_validate_json(COMPARISON.read_text(encoding="utf-8"))
     terminal = Console(width=width, file=io.StringIO())
-    for table in in_parts(score.shown_tables(document).values(), width):
+    for table in in_parts(score.shown_tables(document), width):
         with terminal.capture() as captured:
             terminal.print(table)
         assert "\N{HORIZONTAL ELLIPSIS}" not in captured.get()

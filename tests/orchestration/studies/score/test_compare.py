@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestration.studies.score import closed_loop, score, score_view
+from orchestration.studies.score import closed_loop, score, score_tables
 from orchestration.studies.score.protocol import Protocol, read_protocol
 from orchestration.studies.score.score import part
 from orchestration.studies.score.score_document import CaseResult, Row, Score, protocol_info
@@ -66,11 +66,11 @@ def test_tuned_gains_are_in_the_units_that_their_file_states(
 
 def test_the_step_is_a_column_without_a_best_where_rows_have_one(protocol: Protocol) -> None:
     document = made_up(protocol, a=1.25, b=2.5)
-    titles = [column.title for column in score_view.overview(document).columns]
+    titles = [column.title for column in score_tables.overview(document).columns]
     assert "Run step" not in titles
     for row, step in zip(document.rows, (0.02, 0.005), strict=True):
         row.step = step
-    table = score_view.overview(document)
+    table = score_tables.overview(document)
     assert table.columns[-1].title == "Run step"
     assert [(cells[-1].text, cells[-1].is_best) for cells in table.cells] == [("20", False), ("5", False)]
 
@@ -94,7 +94,7 @@ def made_up(protocol: Protocol, **errors: float) -> Score:
 
 def test_a_table_marks_the_best_and_what_failed(protocol: Protocol) -> None:
     document = made_up(protocol, a=1.25, b=2.5, c=7.0)
-    table = score_view.of_metric(part(document, "tuned"), "rmse")
+    table = score_tables.of_metric(part(document, "tuned"), "rmse")
     cells = [row[0] for row in table.cells]
     assert [(cell.text, cell.is_best) for cell in cells] == [("1.25", True), ("2.5", False), ("7", False)]
     assert [cell.failed for cell in cells] == [(), (), ("late",)]
@@ -120,7 +120,7 @@ def test_the_summary_has_points_of_the_profile_in_place_of_a_mean_over_cases(pro
         row.cases = {name: CaseResult(metrics={"rmse": values[number]}) for name, values in errors.items()}
     document.rows[2].cases["hold-waves"].failed = ["not settled"]
     document.rows[3].unranked = ["its run, repeated, gives other values"]
-    table = score_view.overview(document)
+    table = score_tables.overview(document)
     titles = [column.title for column in table.columns]
     near, wide = (titles.index(f"RMSE up to {factor} x best") for factor in ("1.1", "2"))
     thirds = [100.0 / 3.0 * count for count in range(4)]
@@ -134,8 +134,8 @@ def test_a_controller_that_fails_the_nominal_case_has_no_best_delay_margin(proto
     document = made_up(protocol, a=1.25, b=2.5, c=7.0)
     for row, margin in zip(document.rows, (0.1, 0.2, 0.6), strict=True):
         row.delay_margin = margin
-    nominal = score_view.of_case(document, "nominal")
-    for table in (score_view.overview(document), nominal):
+    nominal = score_tables.of_case(document, "nominal")
+    for table in (score_tables.overview(document), nominal):
         column = [column.title for column in table.columns].index("Delay margin")
         cells = [row[column] for row in table.cells]
         assert [cell.text for cell in cells] == ["0.1", "0.2", "0.6"]

@@ -17,7 +17,7 @@ from orchestration.studies.score.protocol import read_protocol
 from orchestration.studies.score.score import run_count, score_controllers
 from orchestration.studies.score.score_document import Row, Score
 from orchestration.studies.score.score_rows import delay_margin_of
-from orchestration.studies.score.score_view import of_metric, over_draws, over_plants
+from orchestration.studies.score.score_tables import of_metric, over_draws, over_plants
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.studies.score.controllers import rogue_doing
 from tests.orchestration.studies.score.made_up_score import made_up_score
