@@ -1,1 +1,1 @@
-"""Does an FMU keep the rules of FMI 2.0.5? Rules of its archive, description, libraries and behaviour."""
+"""The check of an FMU against FMI 2.0.5: rules of its archive, description, libraries and behaviour."""

@@ -1,1 +1,1 @@
-"""Scenarios for other tools: SSP packages, written and read, and WebAssembly programs."""
+"""Scenarios for other tools: SSP packages, written and read."""

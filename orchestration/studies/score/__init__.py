@@ -1,1 +1,1 @@
-"""Controllers compared on one vehicle: the protocol, the score, margins, tuning."""
+"""Controllers compared on one vehicle: the protocol, the score, its tables and page, tuning."""
