@@ -2,8 +2,7 @@
 
     python .ci/fronts.py --laws l1,pid --workers 2
 
-writes fronts.json and fronts.svg to results, for docs/explanation/comparison.md; the options are those of
-`l1-depth tune`.
+writes fronts.json and fronts.svg to results, for docs/explanation/comparison.md; --help shows the options.
 
 Each seed searches the least error under a bound on the total variation, then under half of that bound, and
 so on: the epsilon constraint (Haimes, Lasdon and Wismer, IEEE Trans. SMC 1(3), 1971). The first search begins
@@ -13,6 +12,7 @@ all evaluations of all seeds that keep the other bounds of the cost and do not f
 
 import json
 import math
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -28,7 +28,8 @@ from matplotlib.figure import Figure
 from fmus.files import write_text_atomically
 from orchestration.cli import shared
 from orchestration.cli.changes import NO_CHANGES, OF_LOOP, Changes, takes_changes
-from orchestration.errors import OrchestrationError, ScenarioError
+from orchestration.cli.commands import run_application
+from orchestration.errors import ScenarioError
 from orchestration.results.figures import GREY, LINES, MARKERS, WIDTH_IN, figure_style, write_figure
 from orchestration.results.formats import FigureFormat
 from orchestration.scenarios.free_parameter import FreeParameter
@@ -38,7 +39,6 @@ from orchestration.studies.score.command import (
     PROCESSORS,
     BoundOption,
     CasesOption,
-    EvaluationsOption,
     ProtocolOption,
     SeedsOption,
     WorkersOption,
@@ -226,8 +226,8 @@ def front_figure(
                 panel.plot(x, y, color=GREY, linestyle=LINES[index % len(LINES)], linewidth=0.5)
                 dots = panel.scatter(x, y, s=14.0, c=colour, marker=MARKERS[index % len(MARKERS)])
                 dots.set_clim(min(margins), max(margins))
-                spread = law["spread"] if len(fronts) == 1 else None
-                apart = "" if spread is None else f", seeds {100.0 * spread:.2g} % apart"
+                share = law["spread"] if len(fronts) == 1 else None
+                apart = "" if share is None else f", seeds {100.0 * share:.2g} % apart"
                 shown[f"{law['title']}{apart}"] = dots
         panels[0].set_ylabel("RMSE [cm]")
         if shown:
@@ -243,7 +243,12 @@ def main(
     bounds: BoundOption = [],  # noqa: B006  (Typer copies it)
     cases: CasesOption = "",
     seeds: SeedsOption = 5,
-    evaluations: EvaluationsOption = 40,
+    evaluations: Annotated[
+        int,
+        typer.Option(
+            metavar="NUMBER", help="Evaluations for each free gain, each seed and each bound.", min=1
+        ),
+    ] = 40,
     workers: WorkersOption = PROCESSORS,
     out: shared.OutFolder = Path("results"),
     changes: Changes = NO_CHANGES,
@@ -261,7 +266,7 @@ def main(
     total = LEVELS * seeds * evaluations * sum(len(protocol.controllers[name].gains) for name in names)
     with shared.progress("fronts", total, kept="evaluations") as bar:
         how = range(1, seeds + 1), evaluations, workers
-        laws = [
+        found = [
             front_of_law(protocol, name, *how, path, lambda done, _: bar.advance(done))
             for name, path in journals.items()
         ]
@@ -274,21 +279,25 @@ def main(
         "effort": {"evaluations_per_gain_bound_and_seed": evaluations, "bounds": LEVELS, "seeds": seeds},
         "units": {"error": "cm", "total_variation": "N", "delay_margin": "s", "step": "s"},
         "hypervolume": f"in decades of both, from {LARGEST_ERROR:g} cm and the bound on the variation",
-        "laws": laws,
+        "laws": found,
     }
     write_text_atomically(out / "fronts.json", f"{json.dumps(document, indent=1)}\n")
-    figures = front_figure({protocol.vehicle.name: laws}, out / "fronts")
+    figures = front_figure({protocol.vehicle.name: found}, out / "fronts")
     for path in journals.values():
         path.unlink()
-    for law in laws:
+    for law in found:
         differ = " (they differ)" if (law["spread"] or 0.0) > LARGEST_SPREAD else ""
         seeds_apart = "" if law["spread"] is None else f", seeds {100 * law['spread']:.2g} % apart{differ}"
         print(f"{law['title']}: hypervolume {median(law['hypervolumes']):.3g}{seeds_apart}")
     print(*(out / "fronts.json", *figures), sep="\n")
 
 
+def application() -> typer.Typer:
+    """Returns the command line of this script."""
+    app = typer.Typer(pretty_exceptions_enable=False)
+    app.command()(main)
+    return app
+
+
 if __name__ == "__main__":
-    try:
-        typer.run(main)
-    except OrchestrationError as error:
-        shared.fail(str(error))
+    sys.exit(run_application(application, sys.argv[1:], Path(__file__).name))

@@ -1,7 +1,7 @@
-"""Registry of what is installed and of the paths of FMUs; nothing is loaded or built here.
+"""Registry of what is installed and of the paths of FMUs; nothing is built here.
 
 Blocks, commands and places where runs are made are entry points, so that those of another package work the
-same way: in the group `l1_depth.blocks` `MyBlock = "my_package.my_module:BLOCK"`.
+same way, for example `MyBlock = "my_package.my_module:BLOCK"` in the group `l1_depth.blocks`.
 """
 
 import os
@@ -13,6 +13,7 @@ from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from fmus import store
 from fmus.errors import ExportError
@@ -30,7 +31,11 @@ class Flavour(StrEnum):
 
 
 def installed(group: str) -> dict[str, EntryPoint]:
-    """Returns the entry points of a group by name, sorted; without those whose module is not there."""
+    """Returns the entry points of a group by name, sorted.
+
+    Commands and places whose module is not there are left out, as those of a folder that was removed; a block
+    of such a module is an error when it is built. To look for a module imports the packages above it.
+    """
     return dict(_read_entry_points(entry_points, group, tuple(map(_version, sys.path))))
 
 
@@ -44,9 +49,23 @@ def _read_entry_points(
 
 
 def _is_there(module: str) -> bool:
-    with suppress(ModuleNotFoundError):  # of a folder above it
+    try:
         return find_spec(module) is not None
-    return False
+    except ModuleNotFoundError as error:
+        return not f"{module}.".startswith(f"{error.name}.")  # else a package above it lacks a library
+    except Exception:  # a package above it is broken: to load it says why
+        return True
+
+
+def load(point: EntryPoint, kind: str) -> Any:
+    """Returns what an entry point names; ExportError if it cannot be loaded. kind: "block", "command" """
+    try:
+        return point.load()
+    except (Exception, SystemExit) as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise ExportError(
+            f"{kind} {point.name!r}: its entry point {point.value} cannot be loaded: {reason}"
+        ) from error
 
 
 def _version(folder: str) -> tuple[str, int]:

@@ -50,7 +50,7 @@ if sys.platform == "win32":  # these send signals, or limit, fork and inspect pr
         "orchestration/run/test_subprocess_run.py",
         "orchestration/studies/score/test_tune_command.py",
         "orchestration/sweep/test_cli.py",
-        "orchestration/sweep/test_cluster.py",
+        "orchestration/places/test_cluster.py",
         "test_packaging.py",
     ]
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 import tomli_w
-import typer
 
+from orchestration.cli.commands import run_application
 from orchestration.errors import OrchestrationError, ScenarioError
 from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.studies.score.closed_loop import built_in, tuned, tuned_gains
@@ -25,10 +25,10 @@ from fronts import (  # pyright: ignore[reportMissingImports]
     LEVELS,
     Point,
     admitted,
+    application,
     bounded_cost,
     front_of_law,
     hypervolume,
-    main,
     nondominated,
     search_front,
     spread,
@@ -208,9 +208,19 @@ def test_what_has_no_front_is_refused(
 
 def run(*arguments: str) -> None:
     """Runs the command line of the script."""
-    app = typer.Typer()
-    app.command()(main)
-    app([*arguments], standalone_mode=False)
+    application()([*arguments], standalone_mode=False)
+
+
+def test_a_failure_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("bad.py").write_text("import nunpy\n")
+    with pytest.raises(SystemExit) as end:
+        run_application(application, ["--plant", "bad.py"], "fronts.py")
+    assert end.value.code == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "bad.py:1: ModuleNotFoundError: No module named 'nunpy'" in line
 
 
 @pytest.mark.slow

@@ -104,3 +104,45 @@ def test_a_command_of_another_package_is_run_and_one_that_is_gone_or_takes_a_nam
     assert command_function("run")[0].__name__ == "run"
     assert run_command(["others"]) == 0
     assert "nominal-l1" in capsys.readouterr().out
+
+
+def test_a_command_that_cannot_be_loaded_is_named_and_stops_no_other(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    for name, text in {"lacking": "import nunpy", "broken": "raise OSError('no dongle')"}.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    offered = [
+        EntryPoint("others", "orchestration.cli.run:scenarios", registry.COMMANDS),
+        EntryPoint("lacks", "lacking.commands:lacks", registry.COMMANDS),
+        EntryPoint("breaks", "broken.commands:breaks", registry.COMMANDS),
+        EntryPoint("empty", "orchestration.cli.run:no_such_function", registry.COMMANDS),
+    ]
+    monkeypatch.setattr(registry, "entry_points", lambda group: offered)
+    assert run_command(["--help"]) == 0
+    shown = capsys.readouterr()
+    assert re.search("^│ others ", shown.out, re.M)
+    warned = shown.err.splitlines()
+    assert [line.split("'")[1] for line in warned] == ["breaks", "empty", "lacks"]
+    assert "cannot be loaded: OSError: no dongle" in warned[0]
+    assert "cannot be loaded: ModuleNotFoundError: No module named 'nunpy'" in warned[2]
+    with pytest.raises(SystemExit) as end:
+        run_command(["breaks"])
+    assert end.value.code == 1
+    assert capsys.readouterr().err.startswith("l1-depth: command 'breaks': its entry point broken.commands")
+    assert run_command(["others"]) == 0
+
+
+def test_the_help_has_its_panels_in_one_order(capsys: pytest.CaptureFixture[str]) -> None:
+    """Whoever brings the commands."""
+    assert run_command(["--help"]) == 0
+    panels = re.findall(r"^╭─ (.*?) ─", capsys.readouterr().out, re.M)
+    assert panels[1:] == [
+        "FMUs",
+        "Scenarios",
+        "Controllers compared",
+        "Vehicles",
+        "The paper",
+        "Other tools",
+    ]

@@ -32,7 +32,7 @@ from fmus.generate.trace import Traced, trace
 from fmus.generate.verify import Comparison, check_sampling, check_shipped, check_trace
 from fmus.operating_system import usable_processors
 from fmus.platforms import host_platform, library_name
-from fmus.registry import BLOCKS, Flavour, block_fmus, block_names, fmu_folder, installed, unwritable
+from fmus.registry import BLOCKS, Flavour, block_fmus, block_names, fmu_folder, installed, load, unwritable
 
 _AT_ONCE = usable_processors()  # orders that are compiled
 _ICONS = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
@@ -44,14 +44,8 @@ def load_block(name: str) -> Block:
     if point is None:
         file = f"; the file is {name}.py" if Path(f"{name}.py").is_file() else ""
         raise ExportError(f"no block named {name!r}; {nearest(name, block_names())}{file}")
-    try:
-        with from_sources():
-            block = point.load()
-    except (Exception, SystemExit) as error:
-        reason = f"{type(error).__name__}: {error}"
-        raise ExportError(
-            f"block {name!r}: its entry point {point.value} cannot be loaded: {reason}"
-        ) from error
+    with from_sources():
+        block = load(point, "block")
     if not isinstance(block, Block):
         raise ExportError(f"block {name!r}: its entry point {point.value} is {block!r}: expected a Block")
     if block.name != name:

@@ -21,15 +21,18 @@ from orchestration.cli.interrupts import INTERRUPTED, is_interrupted
 from orchestration.cli.shared import fail
 from orchestration.errors import FmuWarning, OrchestrationError, ScenarioWarning
 
+_OTHERS = "Other tools"
 OUTPUT_CLOSED = 141  # exit status that shells report for SIGPIPE
 
 _PANELS = {
     "FMUs": ("fmu.new", "fmu.build", "fmu.verify", "fmu.inspect", "cache.cache"),
     "Scenarios": ("run.scenarios", "run.run", "sweep.sweep"),
+    "Controllers compared": (),
+    "Vehicles": (),
     "The paper": ("run.reproduce",),
-    "Other tools": ("exchange.package",),
+    _OTHERS: ("exchange.package",),
 }
-"""Panel of the help -> module of this package, and function in it: a command of that name."""
+"""Panel of the help, in its order -> module of this package, and function in it: a command of that name."""
 _CORE = {
     where.partition(".")[2]: (where.partition(".")[0], panel)
     for panel, functions in _PANELS.items()
@@ -47,24 +50,38 @@ def command_names() -> list[str]:
 
 
 def command_function(name: str) -> tuple[Callable[..., None], str]:
-    """Returns the function of a command, and its panel of the help."""
+    """Returns the function of a command, and its panel of the help; ExportError if it cannot be loaded."""
     if name in _CORE:
         module, panel = _CORE[name]
         return getattr(import_module(f"orchestration.cli.{module}"), name), panel
     point = registry.installed(registry.COMMANDS)[name]
-    return point.load(), getattr(import_module(point.module), "PANEL", "Other tools")
+    function = registry.load(point, "command")
+    return function, getattr(import_module(point.module), "PANEL", _OTHERS)
 
 
 def application(names: Iterable[str] = ()) -> typer.Typer:
-    """Returns the command line with these commands, by default all; only their modules are imported."""
+    """Returns the command line with these commands, by default all; only their modules are imported.
+
+    Of all commands, one of another package that cannot be loaded is named on standard error and left out.
+    """
     app = typer.Typer(
         callback=_l1_depth,
         pretty_exceptions_enable=False,
         rich_markup_mode="markdown",  # square brackets stay what they are
         context_settings={"help_option_names": ["-h", "--help"]},
     )
+    found = dict[str, tuple[Callable[..., None], str]]()
     for name in names or command_names():
-        function, panel = command_function(name)
+        try:
+            found[name] = command_function(name)
+        except ExportError as error:
+            if names:
+                raise
+            print(f"l1-depth: warning: {error}", file=sys.stderr)
+    panels = [*_PANELS]
+    for name, (function, panel) in sorted(
+        found.items(), key=lambda item: panels.index(item[1][1]) if item[1][1] in panels else len(panels)
+    ):
         app.command(name, rich_help_panel=panel)(function)
     return app
 
@@ -86,17 +103,25 @@ def _l1_depth(
 
 
 def run_command(arguments: Sequence[str]) -> int:
-    """Runs a command and returns its exit status; a failure is a line on standard error and SystemExit.
+    """Runs a command and returns its exit status, as `run_application` does."""
+    first = arguments[:1]
+    return run_application(
+        lambda: application(first if first and (first[0] in _CORE or first[0] in command_names()) else ()),
+        arguments,
+    )
+
+
+def run_application(made: Callable[[], typer.Typer], arguments: Sequence[str], name: str = "l1-depth") -> int:
+    """Runs a command line and returns its exit status; a failure is a line on standard error and SystemExit.
 
     A command whose output is no longer read, as with `| head`, ends without a message.
+    made: returns the application; name: of the program
     """
-    first = arguments[:1]
-    app = application(first if first and (first[0] in _CORE or first[0] in command_names()) else ())
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("always", ScenarioWarning)
             warnings.showwarning = partial(_show_warning, warnings.showwarning)
-            status = app(list(arguments) or ["--help"], prog_name="l1-depth", standalone_mode=False)
+            status = made()(list(arguments) or ["--help"], prog_name=name, standalone_mode=False)
         print(end="", flush=True)
     except typer.Abort:
         raise KeyboardInterrupt from None

@@ -1,4 +1,4 @@
-"""Commands on scenarios, run, report, scenarios, and on the paper: reproduce."""
+"""Commands on scenarios, run, scenarios, and on the paper: reproduce."""
 
 import math
 from collections.abc import Sequence

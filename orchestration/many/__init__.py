@@ -1,1 +1,1 @@
-"""All ways to run many runs of one system on this machine: one by one, in vectors, in processes."""
+"""Many runs of one system on this machine, one by one, in vectors or in processes; places by name."""

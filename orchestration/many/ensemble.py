@@ -48,8 +48,8 @@ class Ensemble(LoadedSystem):
     A context manager, which frees the FMUs that the initial values are taken from.
 
     instructions: "x86-64-v4", "x86-64-v3" or "portable", by default the best that this processor has
-    device: what runs the instances in place of this processor, as `device_of("gpu")`: elementary functions
-    are then those of the device
+    device: what runs the instances in place of this processor, as `device_of("gpu")` of
+    `orchestration.many.places`: elementary functions are then those of the device
 
     Raises EnsembleError for any other FMU, or without a compiler.
     """

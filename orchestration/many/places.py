@@ -35,6 +35,9 @@ def place_of(
     (entry point of the group `l1_depth.places`) by the text before a colon: "gpu" of this machine, or the
     address of a Dask scheduler, tcp://HOST:PORT
     workers, note: of `LocalRuns`; by default a worker for each processor. A cluster has its own workers
+
+    An installed place is a function of `where`, `workers` and `note`; it returns a context manager that
+    yields a `Place` (`orchestration.many.job`), or `LocalRuns` with a device.
     """
     if where in LOCAL:
         from orchestration.many.local_runs import LocalRuns  # commands take their names from this file
@@ -43,12 +46,16 @@ def place_of(
     places = registry.installed(registry.PLACES)
     name = where.partition(":")[0]
     if name not in places:
-        raise EnsembleError(f"no place {where!r} for runs; {nearest(name, [*LOCAL, *places])}")
+        address = "; the address of a scheduler is tcp://HOST:PORT" * (":" in where)
+        raise EnsembleError(f"no place {where!r} for runs; {nearest(name, [*LOCAL, *places])}{address}")
     return places[name].load()(where, workers, note)
 
 
 def device_of(where: str) -> "Device | None":
-    """Returns the device of a place, None for this processor; EnsembleError for another process."""
+    """Returns the device of a place, None for this processor.
+
+    Raises EnsembleError for another process, and what opens the place may raise.
+    """
     from orchestration.many.local_runs import LocalRuns
 
     place = place_of(where)

@@ -60,7 +60,7 @@ class CompiledDevice(ABC):
 
 
 class Gpu(CompiledDevice):
-    """The GPU of this machine. EnsembleError if there is none, OrchestrationError without CuPy."""
+    """The GPU of this machine. EnsembleError if there is none, MissingExtraError without CuPy."""
 
     name = "the GPU"
 

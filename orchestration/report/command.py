@@ -67,7 +67,7 @@ def report(
         list[Path],
         typer.Argument(
             metavar="RESULT",
-            help="What run, reproduce or sweep has written: .json, .csv, .parquet or a folder.",
+            help="What run, reproduce, sweep or fit has written: .json, .csv, .parquet or a folder.",
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="Write this page.")] = Path("report.html"),

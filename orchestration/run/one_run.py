@@ -1,6 +1,7 @@
 """One run of a system."""
 
 from contextlib import ExitStack
+from inspect import signature
 from typing import Any, Unpack
 
 from fmus.errors import nearest
@@ -14,6 +15,8 @@ from orchestration.system.prepared_run import PreparedRun, prepare
 from orchestration.system.system import System
 
 _TIMES = ("stop_time", "step_size", "start_time")
+_USUAL = {**vars(Experiment(1.0, 1.0)), **dict.fromkeys(_TIMES)}
+"""Setting -> what it is where it is not given."""
 
 
 def simulate(
@@ -42,19 +45,16 @@ def simulate(
     """
     if not isinstance(system, System):
         raise SystemDefinitionError(f"simulate: expected a System, got {system!r}")
-    known, others = (
-        ExperimentSettings.__annotations__,
-        ("timeout", "real_time", "checkpoints", "resume", "statistics"),
-    )
-    for name in settings.keys() - known.keys():
-        raise SystemDefinitionError(f"no setting {name!r}; {nearest(name, [*known, *others])}")
+    given: dict[str, Any] = {**settings}
+    known = {*ExperimentSettings.__annotations__, *signature(simulate).parameters} - {"system", "settings"}
+    for name in (name for name in given if name not in known):
+        raise SystemDefinitionError(f"no setting {name!r}; {nearest(name, known)}")
     if experiment is None:
-        given: dict[str, Any] = {**settings}
         times = suggested_times(system, *(given.pop(name, None) for name in _TIMES))
         experiment = Experiment(*times, **given)
-    elif settings:
+    elif both := [name for name, usual in _USUAL.items() if given.get(name, usual) != usual]:
         raise SystemDefinitionError(
-            f"simulate: expected an experiment or its settings, got both: {', '.join(settings)}"
+            f"simulate: expected an experiment or its settings, got both: {', '.join(both)}"
         )
     how = {"real_time": real_time, "checkpoints": checkpoints, "resume": resume, "statistics": statistics}
     return simulate_prepared(system, prepare(system, experiment), progress, timeout, **how)

@@ -163,32 +163,40 @@ def test_a_shipped_sweep_has_the_same_rows_wherever_they_run(
     is_same("monte-carlo", {name: np.array(column, float) for name, column in rows.items()})
 
 
-@pytest.fixture
-def small_protocol(tmp_path: Path) -> Path:
+def small_protocol(repetitions: int, path: Path) -> Path:
+    """Writes a protocol of three cases, one controller and nine plants."""
     data = dict(read_protocol().file.data)
     names = ("nominal", "hold-step", "noise")
     data["cases"] = {name: case for name, case in data["cases"].items() if name in names}
     data["cost"] = {**data["cost"], "cases": ["nominal"]}
     data["controllers"] = {"l1-pi": data["controllers"]["l1-pi"]}
     data["plants"] = {**data["plants"], "count": 9}
-    data["repetitions"] = 8  # a group of an ensemble
-    path = tmp_path / "small.toml"
+    data["repetitions"] = repetitions
     path.write_text(tomli_w.dumps(data), encoding="utf-8")
     return path
 
 
+@pytest.mark.parametrize(
+    ("name", "repetitions", "workers"),
+    [("score of 8", 8, 1), pytest.param("score", 24, 2, marks=pytest.mark.slow)],
+)
 @pytest.mark.usefixtures("scenario_fmus")
 def test_a_score_has_the_same_numbers(
-    small_protocol: Path, command: Command, is_same: Check, tmp_path: Path
+    name: str, repetitions: int, workers: int, command: Command, is_same: Check, tmp_path: Path
 ) -> None:
-    options = ("--full", "--seed", "1", "--protocol", small_protocol, "--workers", "1", "--out", tmp_path)
+    """Of one group of an ensemble, and of three that two processes share."""
+    protocol = small_protocol(repetitions, tmp_path / "small.toml")
+    options = ("--full", "--seed", "1", "--protocol", protocol, "--workers", workers, "--out", tmp_path)
     command("score", "PidDepthController", *options)
-    is_same("score", values_of(json.loads((tmp_path / "score.json").read_text(encoding="utf-8"))["rows"]))
+    is_same(name, values_of(json.loads((tmp_path / "score.json").read_text(encoding="utf-8"))["rows"]))
 
 
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.usefixtures("scenario_fmus")
-def test_a_tuning_has_the_same_gains_and_costs(command: Command, is_same: Check, tmp_path: Path) -> None:
-    command("tune", "pid", "--evaluations", "3", "--seeds", "1", "--workers", "1", "--out", tmp_path)
+def test_a_tuning_has_the_same_gains_and_costs(
+    workers: int, command: Command, is_same: Check, tmp_path: Path
+) -> None:
+    command("tune", "pid", "--evaluations", "3", "--seeds", "1", "--workers", workers, "--out", tmp_path)
     (path,) = tmp_path.rglob("*.toml")
     document = tomllib.loads(path.read_text(encoding="utf-8"))
     is_same("tune", values_of({"parameters": document["parameters"], "cost": document["tuning"]["cost"]}))

@@ -50,10 +50,6 @@ CasesOption = Annotated[
 SeedsOption = Annotated[int, typer.Option(metavar="NUMBER", help="Number of seeds of the search.", min=1)]
 PROCESSORS = usable_processors()
 WorkersOption = Annotated[int, typer.Option(help="Number of processes.", min=1)]
-EvaluationsOption = Annotated[
-    int,
-    typer.Option(metavar="NUMBER", help="Evaluations for each free gain and each seed.", min=1),
-]
 ProtocolOption = Annotated[
     Path | None,
     typer.Option("--protocol", metavar="FILE", help="Follow this protocol, not the one that ships."),

@@ -15,7 +15,6 @@ from orchestration.studies.score.command import (
     PROCESSORS,
     BoundOption,
     CasesOption,
-    EvaluationsOption,
     ProtocolOption,
     RatesOption,
     SeedsOption,
@@ -49,7 +48,9 @@ def tune(
             "by default the gains that the protocol has for the controller.",
         ),
     ] = [],  # noqa: B006  (Typer copies it)
-    evaluations: EvaluationsOption = 100,
+    evaluations: Annotated[
+        int, typer.Option(metavar="NUMBER", help="Evaluations for each free gain and each seed.", min=1)
+    ] = 100,
     seeds: SeedsOption = 5,
     workers: WorkersOption = PROCESSORS,
     out: shared.OutFolder = Path("results"),

@@ -98,7 +98,7 @@ def test_a_process_steps_runs_together(
     ("where", "problem"),
     [
         ("vektors", "no place 'vektors' for runs; nearest is 'vectors'"),
-        ("ftp://a:1", "no place 'ftp://a:1' for runs; "),
+        ("ftp://a:1", "no place 'ftp://a:1' for runs; .*; the address of a scheduler is tcp://HOST:PORT"),
     ],
 )
 def test_a_place_that_is_not_installed_is_refused(where: str, problem: str) -> None:

@@ -124,6 +124,8 @@ def test_nothing_is_left_when_it_closes(linear: Build, temporary: Path) -> None:
 def test_a_run_is_asked_for_by_an_experiment_or_by_its_settings(linear: Build) -> None:
     system = coupled(linear)
     assert_same_bits(simulate(system, stop_time=1.0, step_size=0.1), simulate(system, EXPERIMENT))
+    usual: Any = {"inputs": {}, "stop_time": None, "algorithm": "jacobi", "record": ()}  # as if not given
+    assert_same_bits(simulate(system, EXPERIMENT, **usual), simulate(system, EXPERIMENT))
     with pytest.raises(SystemDefinitionError, match="an experiment or its settings, got both: stop_time"):
         simulate(system, EXPERIMENT, stop_time=1.0)
 

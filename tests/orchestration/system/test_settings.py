@@ -52,6 +52,8 @@ def test_times_that_the_fmus_do_not_agree_on_must_be_given(linear: Build, tmp_pa
     [
         ({"stepsize": 0.1}, "no setting 'stepsize'; nearest is 'step_size'"),
         ({"time_out": 1.0}, "no setting 'time_out'; nearest is 'timeout'"),
+        ({"progres": 1, "experimnt": None}, "no setting 'progres'; nearest is 'progress'"),
+        ({"experimnt": None, "progres": 1}, "no setting 'experimnt'; nearest is 'experiment'"),
         ({"algorithm": "gaus-seidel"}, "unknown algorithm 'gaus-seidel'; nearest is 'gauss-seidel'"),
         ({"initialisation": "newtn"}, "unknown initialisation 'newtn'; nearest is 'newton'"),
         ({"record": "one.y[1]"}, r"record = 'one.y\[1\]': expected a list of names"),
