@@ -11,6 +11,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from fmpy import read_model_description
+
 from orchestration import Constant, Cosine, Ramps, evaluate
 from orchestration.fmpy_master import simulate
 
@@ -37,23 +39,48 @@ def tables(path: Path) -> dict[str, Any]:
     return merged
 
 
+def joined(scenario: dict[str, Any], names: set[str]) -> dict[str, Any]:
+    """Returns the tables with what joins the inputs that they do not drive, by the table [interface].
+
+    names: "component.variable" of all FMUs
+    """
+    connections, inputs = {**scenario.get("connections", {})}, {**scenario.get("inputs", {})}
+    for target, sources in scenario["interface"]["inputs"].items():
+        if target in names - connections.keys() - inputs.keys() - scenario["signals"].keys():
+            for source in sources:
+                if isinstance(source, dict):  # under a condition
+                    unless = source.get("unless", {}).items()
+                    if source.get("where") in names or any(
+                        scenario["parameters"].get(name, value) != value for name, value in unless
+                    ):
+                        raise NotImplementedError(f"{target}: `l1-depth run` has {source}")
+                elif not isinstance(source, str):
+                    inputs[target] = source
+                    break
+                elif source in names:
+                    connections[target] = source
+                    break
+    return scenario | {"connections": connections, "inputs": inputs}
+
+
 def signal(kind: str, **arguments: Any) -> Any:
     return SIGNALS[kind](**arguments)
 
 
 # %%
 scenario = tables(Path(str(files("orchestration") / "scenarios" / "nominal-extended.toml")))
-conditions = scenario.get("when_set", ())
-if any(scenario["parameters"].get(one["parameter"]) in one["values"] for one in conditions):
-    raise NotImplementedError("[[when_set]]: `l1-depth run` has it")
+fmus = {name: f"fmus-built/{model}.fmu" for name, model in scenario["components"].items()}
+descriptions = {name: read_model_description(fmu) for name, fmu in fmus.items()}
+names = {f"{name}.{one.name}" for name, found in descriptions.items() for one in found.modelVariables}
+scenario = joined(scenario, names)
 if left_out := scenario.keys() & {"faults", "events"}:
     raise NotImplementedError(f"{left_out}: `l1-depth run` has them")
 recording = simulate(
-    {name: f"fmus-built/{model}.fmu" for name, model in scenario["components"].items()},
+    fmus,
     [(source, target) for target, source in scenario["connections"].items()],
     start_values=scenario["parameters"] | scenario["inputs"],
     signals={name: signal(**declared) for name, declared in scenario["signals"].items()},
-    record=[name for name, is_recorded in scenario["record"].items() if is_recorded],
+    record=[name for name, is_recorded in scenario["record"].items() if is_recorded and name in names],
     **scenario["experiment"],
 )
 for name, value in evaluate(recording, scenario["metrics"]).items():

@@ -92,6 +92,13 @@ def _read(path: Path, version: FileVersion) -> ModelDescription:
     return description
 
 
+def description_of(root: ElementTree.Element) -> ModelDescription:
+    """Returns the content of a modelDescription.xml of FMI 2.0 with complete variables."""
+    description = model_description(root)
+    _complete_variables(description)
+    return description
+
+
 def _unreadable(path: Path, error: Exception) -> FmuLoadError:
     return FmuLoadError(f"{path}: the model description cannot be read: {' '.join(str(error).split())}")
 

@@ -122,7 +122,7 @@ class Changes:
         """Returns what is laid over a scenario, besides components and settings."""
         overrides: dict[str, Any] = {}
         if self.mapping:
-            overrides["mapping"] = {component: dict(names) for component, names in self.mapping.items()}
+            overrides["components"] = {name: {"names": dict(own)} for name, own in self.mapping.items()}
         if self.open_inputs:
             overrides["experiment"] = {"open_inputs": str(self.open_inputs)}
         return overrides

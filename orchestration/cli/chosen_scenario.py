@@ -1,7 +1,7 @@
 """The scenario that a command is given: loaded, and the FMUs of our blocks that it needs built."""
 
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +11,9 @@ from fmus.registry import Flavour
 from orchestration.cli.changes import NO_CHANGES, Changes
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.scenarios import scenario
-from orchestration.scenarios.fmu_files import build_missing, fmu_file
+from orchestration.scenarios.changes import given_layers
+from orchestration.scenarios.fmu_files import build_missing, files_of
+from orchestration.scenarios.read_layers import file_layers
 from orchestration.scenarios.scenario import Scenario
 
 
@@ -32,11 +34,12 @@ def load(
             f"--parameters {changes.parameter_set}: expected a file that ends in .toml, or an .ssp package "
             f"to take a parameter set from, got {name}"
         )
-    built = _with_built_files(changes, flavour)
-    path = scenario.find(name)
-    chosen = scenario.load(
-        path, built.overrides(), flavour, settings=changes.settings, build=lambda fmu: build_missing([fmu])
-    )
+    path, overrides = scenario.find(name), changes.overrides()
+    layers = file_layers(path)
+    made = files_of(given_layers(layers, overrides, changes.settings), flavour)
+    build_missing(made.values())
+    chosen = scenario.load(path, overrides, flavour, layers=layers, settings=changes.settings, made=made)
+    built = _of_files(changes, made)
     title = built.title(path.stem if built.components else chosen.title)
     resolved = {**chosen.resolved, "title": title}
     chosen = replace(
@@ -59,13 +62,10 @@ def load(
     return chosen
 
 
-def _with_built_files(changes: Changes, flavour: Flavour) -> Changes:
-    """Returns the changes with the FMU of each block that is a Python file."""
-    fmus = {
-        component: str(fmu_file(fmu, flavour)) if fmu.endswith(".py") else fmu
-        for component, fmu in changes.components.items()
-    }
-    return replace(changes, settings={**changes.settings, **fmus})
+def _of_files(changes: Changes, made: Mapping[str, Path]) -> Changes:
+    """Returns the changes with the FMU of each block that is a Python file; made: by Python file."""
+    files = {n: made[str(Path(fmu).absolute())] for n, fmu in changes.components.items() if fmu[-3:] == ".py"}
+    return replace(changes, settings={**changes.settings, **{n: str(file) for n, file in files.items()}})
 
 
 def build_missing_fmus(scenarios: Iterable[Scenario]) -> None:

@@ -13,10 +13,11 @@ from fmus.errors import nearest
 from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
+from orchestration.scenarios.components import Describe
 from orchestration.scenarios.declarations import with_file_paths
-from orchestration.scenarios.layers import Data, Layer, components_of, merge
-from orchestration.scenarios.read_layers import named_fmu
-from orchestration.scenarios.replaced import Describe
+from orchestration.scenarios.interface import Interface
+from orchestration.scenarios.layers import Data, Layer, components_of
+from orchestration.scenarios.read_layers import components_and_names, with_parameter_files
 from orchestration.system.experiment import Experiment
 from orchestration.system.quantities import StatedValue, read_value, stated
 from orchestration.system.signals import Constant
@@ -27,33 +28,42 @@ EXPERIMENT_SETTINGS = {"experiment.step_size": "s", "experiment.stop_time": "s",
 """Settings of an experiment that differ between runs of a sweep -> unit."""
 
 
-def command_entries(
+def given_layers(
+    layers: Sequence[Layer], overrides: Mapping[str, Any], settings: Mapping[str, FmiValue]
+) -> list[Layer]:
+    """Returns the layers of a file, and over them one of overrides and of FMUs that settings name.
+
+    Paths in it are relative to the present folder. `values_of_settings` refuses other settings.
+    """
+    given, parameter_files = with_parameter_files(overrides, Path())
+    entries = _command_entries(given, settings, components_of(layers))
+    return [*layers, Layer(entries, None, tuple(reversed(parameter_files)))]
+
+
+def _command_entries(
     overrides: Mapping[str, Any], settings: Mapping[str, FmiValue], known: Collection[str]
 ) -> Data:
-    """Returns the overrides and the settings of components; paths are relative to the present folder.
-
-    known: components that settings replace; `values_of_settings` refuses others
-    """
     if "base" in overrides:
         raise ScenarioError(f"base = {overrides['base']!r}: expected it in the scenario file that is loaded")
-    given = {n: str(fmu) for n, fmu in settings.items() if n in known}
-    above: Data = {
-        "components": {
-            name: named_fmu(fmu, Path(), lambda keys, fmu=fmu: f"{keys[0]} = {fmu}", (name,))
-            for name, fmu in (overrides.get("components", {}) | given).items()
-        },
-        "signals": with_file_paths(overrides.get("signals", {}), Path()),
-    }
-    return merge(dict(overrides), {table: entries for table, entries in above.items() if entries})
+    own = {name: {"fmu": str(fmu)} for name, fmu in settings.items() if name in known}
+    given = {n: x if isinstance(x, dict) else {"fmu": x} for n, x in overrides.get("components", {}).items()}
+    entries = {n: given.get(n, {}) | own.get(n, {}) for n in (*given, *own)}
+    above = components_and_names(
+        entries, Path(), lambda keys: f"{keys[-1]} = {entries[str(keys[-1])]['fmu']}"
+    )
+    above["signals"] = with_file_paths(overrides.get("signals", {}), Path())
+    below = {table: value for table, value in overrides.items() if table not in above}
+    return below | {table: value for table, value in above.items() if value}
 
 
 def values_of_settings(settings: Mapping[str, FmiValue], layers: Sequence[Layer], describe: Describe) -> Data:
     """Returns the tables of a scenario file that the values of variables stand in.
 
-    layers: the last is of `command_entries`
+    layers: the last is that of a command (`given_layers`)
     Raises ScenarioError for a setting that names no component, parameter or input.
     """
-    below, components, tables = components_of(layers[:-1]), components_of(layers), Data()
+    below, tables = components_of(layers[:-1]), Data()
+    components = Interface.of(layers).between | components_of(layers)
 
     def settable_of(component: str) -> dict[str, ScalarVariable]:
         variables = describe(components[component]).items()

@@ -30,6 +30,7 @@ class SourceTable(TransformationTable):
     """ "component.output" """
 
 
+_KINDS = {dict: "table", bool: "false"}
 LIST_OR_TABLE = Discriminator(lambda value: "table" if isinstance(value, dict) else "list")
 _Ends = Annotated[list[str], Field(min_length=2, max_length=2), Tag("ends")]
 _Transformed = Annotated[tuple[str, str, TransformationTable], Strict(False), Tag("transformed")]
@@ -41,7 +42,7 @@ Source = Annotated[
     Annotated[str, Tag("text")]
     | Annotated[Literal[False], Tag("false")]
     | Annotated[SourceTable, Tag("table")],
-    Discriminator(lambda value: {dict: "table", bool: "false"}.get(type(value), "text")),
+    Discriminator(lambda value: _KINDS.get(type(value), "text")),
 ]
 _OPTIONAL: Any = Field(default=None)  # Experiment has the default
 
@@ -114,36 +115,59 @@ class EventTable(Table):
     """ "component.variable" -> value."""
 
 
-class FurtherEntries(Table):
-    """Entries that a base has under a condition; they join those that it has without."""
+class ComponentTable(Table):
+    """An FMU in the place of that of a base, whose variables may have other names."""
 
-    connections: list[Connection] = []
-    parameters: dict[str, Value] = {}
-    inputs: dict[str, Value] = {}
-    signals: dict[str, Annotated[Table, SIGNAL]] = {}
-    record: list[str] = []
-    metrics: dict[str, Annotated[Table | Literal[False], METRIC]] = {}
+    fmu: str = ""
+    """As without a table; by default that of the base."""
+    names: dict[str, str] = {}
+    """Variable of the base or its interface -> variable of the FMU; "" for one that it has not."""
 
 
-class WhenReplacedTable(FurtherEntries):
-    """Entries of a base that apply if another FMU in the place of its component has some variables."""
-
-    component: str
-    """The component whose FMU another scenario replaces."""
-    has: list[str] = []
-    """Variables that the new FMU must have; component.variable of another component."""
-    lacks: list[str] = []
-    """Variables that the new FMU must not have; component.variable of another component."""
-    components: dict[str, str] = {}
+Named = Annotated[
+    Annotated[str, Tag("text")]
+    | Annotated[Literal[False], Tag("false")]
+    | Annotated[ComponentTable, Tag("table")],
+    Discriminator(lambda value: _KINDS.get(type(value), "text")),
+]
 
 
-class WhenSetTable(FurtherEntries):
-    """Entries of a base that apply if a parameter has one of some values."""
+class JoinTable(Table):
+    """What drives an input under a condition: an output, or the derivative of an input's signal."""
 
-    parameter: str
-    """ "component.variable" """
-    values: list[Value]
-    """Items of an enumeration by name and by number."""
+    source: str = ""
+    """ "component.output" """
+    derivative_of: str = ""
+    """ "component.input" """
+    order: int = 1
+    """Of the derivative, 1 or 2."""
+    where: str = ""
+    """A variable that has to be there."""
+    without: str = ""
+    """A variable that must not be there."""
+    unless: dict[str, Value] = {}
+    """Parameter -> value with which the source is not taken."""
+
+
+Join = Annotated[
+    Annotated[Value, Tag("value")] | Annotated[JoinTable, Tag("table")],
+    Discriminator(lambda value: "table" if isinstance(value, dict) else "value"),
+]
+
+
+class InterfaceTable(Table):
+    """What joins components by itself, "component.variable" each."""
+
+    required: list[list[str]] = []
+    """Lists of alternatives, of which an FMU in the place of another needs one."""
+    optional: list[str] = []
+    """Variables that such an FMU may lack: what names them is then left out without a warning."""
+    instead: dict[str, str] = {}
+    """Variable -> the one that stands for it in an FMU that lacks it."""
+    between: dict[str, str] = {}
+    """Component that is there if an input needs its output -> name of an installed block."""
+    inputs: dict[str, list[Join]] = {}
+    """Input that nothing else drives -> its sources, of which it takes the first that is there."""
 
 
 class ScenarioFile(Table):
@@ -155,7 +179,7 @@ class ScenarioFile(Table):
     """A shipped scenario, or a file relative to this one: what this file does not give is taken from it."""
     parameter_files: list[str] = []
     """Files of parameters with their provenance, relative to this one."""
-    components: dict[str, str | Literal[False]]
+    components: dict[str, Named]
     """Component -> name of an installed block, or path of an .fmu relative to this file; false removes it."""
     connections: Annotated[
         Annotated[list[Connection], Tag("list")] | Annotated[dict[str, Source], Tag("table")],
@@ -182,14 +206,8 @@ class ScenarioFile(Table):
     signals; or a table that changes the list: "component.variable" -> true or false."""
     metrics: dict[str, Annotated[Table | Literal[False], METRIC]] = {}
     """Name -> function and its arguments; false drops a metric of the base."""
-    mapping: dict[str, dict[str, str]] = {}
-    """Component -> variable that the base names -> variable of the FMU that stands for it."""
-    optional: dict[str, list[str]] = {}
-    """Component -> variables that another FMU in its place may lack: what names them is then left out."""
-    when_replaced: list[WhenReplacedTable] = []
-    """Further entries, for another FMU in the place of a component."""
-    when_set: list[WhenSetTable] = []
-    """Further entries, for some values of a parameter."""
+    interface: InterfaceTable = InterfaceTable()
+    """What joins components by itself, and what another FMU in a component's place may lack."""
     sweep: dict[str, Any] = {}
     """Many runs with other values."""
 

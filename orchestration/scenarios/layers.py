@@ -21,18 +21,20 @@ _DRIVING = ("connections", "inputs", "signals")
 
 @dataclass(frozen=True)
 class Layer:
-    """The entries of one file, with its parameter files; or of a command, without a file.
-
-    within: keys of the table of the file that has the entries; they join the lists of the layers below
-    """
+    """The entries of one file, with its parameter files; or of a command, without a file."""
 
     data: Data
-    files: tuple[TomlFile, ...] = ()
-    within: KeyPath = ()
+    file: TomlFile | None = None
+    parameter_files: tuple[TomlFile, ...] = ()
+
+    @property
+    def files(self) -> tuple[TomlFile, ...]:
+        """The file and its parameter files, whose values it goes over."""
+        return (self.file, *self.parameter_files) if self.file else self.parameter_files
 
     def at(self, keys: KeyPath) -> str:
         """Returns the file and the line of these keys."""
-        return self.files[0].at((*self.within, *keys)) if self.files else "command line"
+        return self.file.at(keys) if self.file else "command line"
 
 
 def components_of(layers: Sequence[Layer]) -> dict[str, str]:
@@ -43,24 +45,40 @@ def components_of(layers: Sequence[Layer]) -> dict[str, str]:
     return {name: fmu for name, fmu in components.items() if fmu}
 
 
-def merged(layers: Iterable[Layer], is_boolean: Callable[[str], bool]) -> Data:
-    """Returns all layers in one.
+def laid_over(data: Data, layer: Layer, is_boolean: Callable[[str], bool], known: Iterable[str] = ()) -> Data:
+    """Returns the data of the layers below with those of a layer over them.
 
     is_boolean: whether a variable is, so that `false` is its value
+    known: inputs that may have had a connection with other FMUs
     Raises ScenarioError for an entry that is removed where there is none.
     """
-    data: Data = {}
-    for layer in layers:
-        below = _without_other_drivers(data, layer.data)
-        above = {name: value for name, value in layer.data.items() if name not in _LISTS_AS_TABLES}
-        data = merge(below, above)
-        for name, value in layer.data.items():
-            if name == "connections":
-                data[name] = _connections(below.get(name, []), value, layer)
-            elif name == "record":
-                data[name] = _record(below.get(name, []), value, layer)
-        _remove(data, below, layer, is_boolean)
+    below = _without_other_drivers(data, layer.data)
+    above = {name: value for name, value in layer.data.items() if name not in _LISTS_AS_TABLES}
+    data = merge(below, above)
+    for name, value in layer.data.items():
+        if name == "connections":
+            data[name] = _connections(below.get(name, []), value, layer, known)
+        elif name == "record":
+            data[name] = _record(below.get(name, []), value, layer)
+    _remove(data, below, layer, is_boolean)
     return data
+
+
+def driven_inputs(data: Data) -> set[str]:
+    """Returns the inputs that the data of a layer drive."""
+    driven = {target for _, target in given_connections(data)}
+    return driven.union(*(data.get(table, {}) for table in ("inputs", "signals")))
+
+
+def names_in(value: Any) -> Iterator[str]:
+    """Yields the keys and the texts of a layer."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict):
+        yield from value
+        value = list(value.values())
+    for item in value if isinstance(value, list) else ():
+        yield from names_in(item)
 
 
 def merge(below: Data, above: Data) -> Data:
@@ -93,19 +111,17 @@ def _listed(source: Any, target: str) -> list[Any]:
     return [source["source"], target, {key: value for key, value in source.items() if key != "source"}]
 
 
-def _connections(below: list[Any], above: Any, layer: Layer) -> list[Any]:
+def _connections(below: list[Any], above: Any, layer: Layer, known: Iterable[str]) -> list[Any]:
     if not isinstance(above, dict):
-        targets = {target for _, target, *_ in above}
-        return [*(c for c in below if layer.within and c[1] not in targets), *above]
-    _check_removed("connections", above, [target for _, target, *_ in below], layer)
+        return above
+    _check_removed("connections", above, [*(target for _, target, *_ in below), *known], layer)
     inherited = [connection for connection in below if connection[1] not in above]
     return [*inherited, *(_listed(source, target) for target, source in above.items() if source is not False)]
 
 
 def _record(below: list[str], above: Any, layer: Layer) -> list[str]:
     if not isinstance(above, dict):
-        inherited = below if layer.within else []
-        return [*inherited, *(name for name in above if name not in inherited)]
+        return list(dict.fromkeys(above))
     if not below:
         raise ScenarioError(
             f"{layer.at(('record',))}: record: expected a list; a table changes that of a base, there is none"

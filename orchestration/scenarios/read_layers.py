@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from fmus.errors import ExportError, nearest
+from fmus.errors import nearest
 from fmus.registry import block_names
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.declarations import with_file_paths
@@ -54,14 +54,9 @@ def file_layers(path: Path, above: tuple[Path, ...] = ()) -> list[Layer]:
     file = read_toml(path)
     data = file.data
     check_part(FILE, data, file.at, absent=_OF_A_BASE, top=_ABOVE_TABLES)
-    conditional = [(entries, ("when_replaced", i)) for i, entries in enumerate(data.get("when_replaced", []))]
-    for entries, keys in [(data, ()), *conditional]:
-        for name, fmu in entries.get("components", {}).items():
-            entries["components"][name] = fmu and named_fmu(
-                fmu, path.parent, file.at, (*keys, "components", name)
-            )
-        if "signals" in entries:
-            entries["signals"] = with_file_paths(entries["signals"], path.parent)
+    data |= components_and_names(data.get("components", {}), path.parent, file.at)
+    if "signals" in data:
+        data["signals"] = with_file_paths(data["signals"], path.parent)
     base = data.pop("base", "")
     below: list[Layer] = []
     if base:
@@ -69,7 +64,7 @@ def file_layers(path: Path, above: tuple[Path, ...] = ()) -> list[Layer]:
         below = file_layers(base_path, (*above, path.resolve()))
         below[-1].data.pop("title", None)  # a scenario is not called as its base is
     own, parameter_files = with_parameter_files(data, path.parent)
-    return [*below, Layer(own, (file, *reversed(parameter_files)))]
+    return [*below, Layer(own, file, tuple(reversed(parameter_files)))]
 
 
 def with_parameter_files(data: Mapping[str, Any], folder: Path) -> tuple[Data, list[TomlFile]]:
@@ -99,21 +94,22 @@ def stated_values(file: TomlFile) -> dict[str, Any]:
     return values
 
 
+def components_and_names(given: Mapping[str, Any], folder: Path, at: At) -> Data:
+    """Returns the tables `components` and `names` of [components]; folder: that paths are relative to."""
+    tables = {name: entry if isinstance(entry, dict) else {"fmu": entry} for name, entry in given.items()}
+    fmus = {name: table["fmu"] for name, table in tables.items() if "fmu" in table}
+    names = {name: table["names"] for name, table in tables.items() if "names" in table}
+    components = {n: fmu and named_fmu(fmu, folder, at, ("components", n)) for n, fmu in fmus.items()}
+    return {"components": components} | ({"names": names} if names else {})
+
+
 def named_fmu(fmu: str, folder: Path, at: At, keys: KeyPath) -> str:
     """Returns the name of a known block, or the absolute path of an .fmu or a .py relative to a folder.
 
-    That of a policy class, my.py:Policy, is made first.
     at, keys: where it is named; begins the ScenarioError about a name that is none of these
     """
-    if fmu.endswith((".fmu", ".py")):
+    if fmu.endswith((".fmu", ".py")) or ".py:" in fmu:
         return str((folder / fmu).absolute())
-    if ".py:" in fmu:
-        from fmus.generate.policy import fmu_of_class
-
-        try:
-            return str(fmu_of_class(fmu, folder))
-        except ExportError as error:
-            raise ScenarioError(f"{at(keys)}: {error}") from error
     known = block_names()
     if fmu not in known:
         raise ScenarioError(

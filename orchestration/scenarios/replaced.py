@@ -1,38 +1,30 @@
-"""Components that a layer of a scenario replaces by another FMU: what they inherit, and what is left out.
+"""Another FMU in the place of a component of a scenario: what it inherits, and what is left out.
 
 Entries of the layers below that name a variable of the replaced component stay if the new FMU has a variable
 of that name which can take their part; the others are left out. Entries of the layer that replaces the
 component, and of those above it, are its own: they stay as they are, and a wrong one is an error.
-
-[optional]                                      variables that another FMU may lack without a warning,
-controller = ["measured_depth_rate", "u_m"]     unless they change during the run by this layer or one above
 """
 
 import json
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from fmus.errors import listed
 from fmus.fmi.description import start_value
-from fmus.fmi.model_description import ScalarVariable
-from orchestration.errors import ScenarioError, ScenarioWarning, SystemDefinitionError
+from orchestration.errors import ScenarioError, ScenarioWarning
 from orchestration.results.metrics import SIGNALS
-from orchestration.scenarios.layers import Data, Layer, source_of, with_events
-from orchestration.system.prepared_run import has_start_value
+from orchestration.scenarios.components import Component
+from orchestration.scenarios.interface import Interface, Joins
+from orchestration.scenarios.layers import Data, driven_inputs, with_events
 from orchestration.system.quantities import StatedValue
-from orchestration.system.system import Port
 from orchestration.system.values import fmi_value
 
-Describe = Callable[[str], Mapping[str, ScalarVariable]]
-"""Block, or path of an FMU -> its variables by name."""
-
 _MOST_NAMES = 6  # in a message
-# kind of entry -> the part that it gives to its variable: see `_has_part`
+# kind of entry -> the part that it gives to its variable: see `Component.has_part`
 _PARTS = {
     "parameters": "start",
     "inputs": "input",
@@ -45,191 +37,171 @@ _PARTS = {
     "metrics": "signal",
 }
 _WITH_VALUES = ("parameters", "inputs", "events")
-_CHANGING = ("signals", "events")
 
 
-@dataclass(frozen=True)
+@dataclass
 class Replacement:
-    """A component whose FMU a layer replaces.
+    """An FMU in the place of another.
 
-    fmu: "" if it is removed; layer: its index; ports: variable -> port of the new FMU
-    optional: variable that it may lack -> the uppermost layer that says so
-    alternatives: variable -> those that may stand in its place, by the entries for replaced components
+    own: what the interface's own layer names, so that another FMU may lack it
     identified: parameters that a file has, chosen for another FMU
-    left_out: (variable that an entry lacks, input that the entry drives or ""); taken: of those identified
-    unchanged: variable left out -> the uppermost layer by which it would change during the run
+    left_out: (variable that an entry lacks, input that the entry drives or "")
+    changing: variables of them that would change during the run
+    taken: parameter -> value, of those identified
     """
 
-    component: str
-    fmu: str
-    layer: int
-    ports: Mapping[str, Port]
-    optional: Mapping[str, int]
-    alternatives: Mapping[str, Sequence[str]]
+    component: Component
+    interface: Interface
+    own: Collection[str]
     identified: Collection[str]
     left_out: list[tuple[str, str]] = field(default_factory=list)
+    changing: set[str] = field(default_factory=set)
     taken: dict[str, Any] = field(default_factory=dict)
-    unchanged: dict[str, int] = field(default_factory=dict)
 
-    def fits(self, part: str, name: str, value: Any, driven: str, changes: int | None) -> bool:
-        """Whether the new FMU can have a part in an entry; notes it as left out or taken.
+    def fitting(self, data: Data) -> Data:
+        """Returns the entries that fit the new FMU."""
+        result: Data = {}
+        for kind, entries in data.items():
+            keeps = partial(self._keeps, kind)
+            if kind == "sweep":
+                result[kind] = self.fitting(entries)
+            elif kind == "events":
+                result[kind] = with_events(entries, keeps)
+            elif isinstance(entries, dict):
+                result[kind] = {name: value for name, value in entries.items() if keeps(name, value)}
+            elif kind == "connections":
+                result[kind] = [entry for entry in entries if keeps(entry[1], entry[0])]
+            elif kind == "record":
+                result[kind] = [name for name in entries if keeps(name, None)]
+            elif kind == "faults":
+                result[kind] = [fault for fault in entries if keeps(fault["input"], None)]
+            else:
+                result[kind] = entries
+        return result
 
-        changes: the layer of an entry by which it would change during the run
-        """
-        variable = name.partition(".")[2]
-        port = self.ports.get(variable)
-        if port is None or not _has_part(port, part, value):
+    def _keeps(self, kind: str, name: str, value: Any) -> bool:
+        if kind == "step_sizes":
+            return name != self.component.name or bool(self.component.fmu)
+        if kind not in _PARTS:
+            return True
+        names = [value[key] for key in SIGNALS if value and key in value] if kind == "metrics" else [name]
+        given = value if kind in _WITH_VALUES else None
+        driven = name if kind in ("connections", "signals") else ""
+        changes = kind in ("signals", "events")
+        if kind == "connections":
+            changes = value.partition(".")[0] not in self.interface.components
+        if not all(self._fits(_PARTS[kind], one, given, driven, changes) for one in names):
+            return False
+        # an output is lacking only if there is an input that it drives
+        return kind != "connections" or self._fits("output", value, None, driven, False)
+
+    def _fits(self, part: str, name: str, value: Any, driven: str, changes: bool) -> bool:
+        """Whether the new FMU can have a part in an entry; notes it as left out or taken."""
+        component, _, variable = name.partition(".")
+        if component != self.component.name:
+            return True
+        if not self.component.has_part(variable, part, value):
             self.left_out.append((variable, driven))
-            if changes is not None:
-                self.unchanged[variable] = changes
+            self.changing |= {variable} if changes else set()
             return False
         if part == "start" and name in self.identified:
-            self.taken[variable] = fmi_value(port, value) if isinstance(value, StatedValue) else value
+            port = self.component.port(variable)
+            is_text = port and isinstance(value, StatedValue)
+            self.taken[variable] = fmi_value(port, value) if port and is_text else value
         return True
 
-    def check(self, data: Data) -> None:
+    def check(self, data: Data, joins: Joins) -> None:
         """Checks that the new FMU is joined to the system, and warns of what may not be meant.
 
-        data: of all layers
+        data: of all layers; joins: of the interface
         Raises ScenarioError for an FMU whose variables have other names than what it inherits.
         """
-        if not self.fmu:
+        new, driven, prefix = self.component, driven_inputs(data), f"{self.component.name}."
+        if not new.fmu:
             return
-        state, prefix = f"{self.component} is {Path(self.fmu).name}", f"{self.component}."
-        driven = {*data["inputs"], *data["signals"], *(t for _, t, *_ in data.get("connections", []))}
         may_be_open = data["experiment"].get("open_inputs") == "start"
-        undriven = [n for n in self._names("input") if not (prefix + n in driven or may_be_open)]
+        undriven = [n for n in self._variables("input") if not (prefix + n in driven or may_be_open)]
+        lacking, unfed = joins.lacking(new), joins.lacking_outputs(new, driven)
         inputs = {name for name, target in self.left_out if target == prefix + name}
-        outputs = {name for name, target in self.left_out if target and target not in driven} - inputs
+        inputs |= {*joins.lacking_inputs(new)}
+        undriven_targets = {t for _, t in self.left_out if t not in driven and joins.is_input(t)}
+        outputs = {name for name, target in self.left_out if target in undriven_targets} - inputs
+        outputs |= {names[0] for names in unfed}
         unjoined = sorted(outputs | inputs if undriven else outputs)
-        optional = {n for n, layer in self.optional.items() if layer > self.unchanged.get(n, -1)}
-        missing = dict.fromkeys(n for n, t in self.left_out if n not in optional and t not in driven)
-        names = unjoined or list(missing)
-        lacks = f"{state}, which lacks {listed(names, _MOST_NAMES)}"
-        stand_ins = [*names[:1], *(n for name in names[:1] for n in self.alternatives.get(name, ()))]
-        mapped = " or ".join(f"--map {prefix}{name}=NAME" for name in stand_ins)
-        hint = f"name those that stand for others by {mapped} or in [mapping.{self.component}]"
-        if unjoined:
-            may_stay = "; --open-inputs start leaves its inputs at their start values" if undriven else ""
-            inputs_of = f"nothing drives its {', '.join(undriven)}, its" if undriven else "its"
-            outputs_of = f"outputs are {', '.join(self._names('output')) or '(none)'}"
-            raise ScenarioError(f"{lacks}; {inputs_of} {outputs_of}: {hint}{may_stay}")
-        if missing:
-            optional_hint = f"list those that it may lack in [optional], {self.component} = [...]"
+        needed = {name for names in lacking for name in names}
+        missing = [n for n, target in self.left_out if target not in driven and not self._may_lack(n, needed)]
+        missing += [names[0] for names in lacking if not self._may_lack(names[0], needed)]
+        state, names = f"{new.name} is {Path(new.fmu).name}", unjoined or list(dict.fromkeys(missing))
+        if names:
+            others = [own for group in (*lacking, *unfed) if group[0] == names[0] for own in group]
+            mapped = [f"--map {prefix}{own}=NAME" for own in dict.fromkeys([names[0], *others])]
+            lacks = f"{state}, which lacks {listed(names, _MOST_NAMES)}"
+            hint = f"name those that stand for others by {' or '.join(mapped)}"
+            hint += f" or in [components.{new.name}.names]"
+            if unjoined:
+                may_stay = "; --open-inputs start leaves its inputs at their start values" if undriven else ""
+                inputs_of = f"nothing drives its {', '.join(undriven)}, its" if undriven else "its"
+                outputs_of = f"outputs are {', '.join(self._variables('output')) or '(none)'}"
+                raise ScenarioError(f"{lacks}; {inputs_of} {outputs_of}: {hint}{may_stay}")
+            optional_hint = f'list those that it may lack in [interface], optional = ["{prefix}{names[0]}"]'
             _warn(f"{lacks}: left out; {hint}; {optional_hint}")
-        own = {n: start_value(self.ports[n].variable) for n in self.taken}
-        values = {n: data["parameters"].get(prefix + n) for n in own}
-        taken = [n for n, v in values.items() if v == self.taken[n] and fmi_value(self.ports[n], v) != own[n]]
+        self._check_taken(data["parameters"], state)
+
+    def _may_lack(self, variable: str, needed: Collection[str]) -> bool:
+        """Whether entries of a variable are left out without a word; needed: what the FMU should have."""
+        name = f"{self.component.name}.{variable}"
+        marked = self.interface.optional.get(name, -1)
+        if self.component.names.get(variable) == "" or marked > self.interface.layer:
+            return True
+        if variable in self.changing or variable in needed:
+            return False
+        return marked >= 0 or name in self.interface.names or name in self.own
+
+    def _check_taken(self, parameters: Mapping[str, Any], state: str) -> None:
+        """Warns of values that were chosen for another FMU, if this one lacks others."""
+        values: dict[str, Any] = {n: parameters.get(f"{self.component.name}.{n}") for n in self.taken}
+        ports = {n: port for n in values if (port := self.component.port(n))}
+        own = {n: start_value(port.variable) for n, port in ports.items()}
+        taken = [n for n, v in values.items() if v == self.taken[n] and fmi_value(ports[n], v) != own[n]]
         if taken and self.left_out:
             shown = listed([f"{n} = {values[n]!r}" for n in taken], _MOST_NAMES)
-            restored = f"--set {prefix}{taken[0]}={json.dumps(own[taken[0]])}"
+            restored = f"--set {self.component.name}.{taken[0]}={json.dumps(own[taken[0]])}"
             _warn(f"{state}, which takes {shown} of the scenario; its own by {restored}")
 
-    def _names(self, causality: str) -> list[str]:
-        return [name for name, port in self.ports.items() if port.variable.causality == causality]
+    def _variables(self, causality: str) -> list[str]:
+        return [name for name, v in self.component.variables.items() if v.causality == causality]
+
+
+def renamed(data: Data, component: str, names: Mapping[str, str]) -> Data:
+    """Returns the data with other names of variables of a component; "": no variable has that name.
+
+    Raises ScenarioError for a variable with two values.
+    """
+    written = {f"{component}.{name}": f"{component}.{own}" for name, own in names.items() if own}
+    result = {key: _with_names(value, written, key) for key, value in data.items()} if written else data
+    if written and isinstance(result.get("record"), list):
+        result["record"] = list(dict.fromkeys(result["record"]))
+    return result
+
+
+def _with_names(value: Any, names: Mapping[str, str], table: str) -> Any:
+    """Returns the value with other names of variables, as keys and as texts."""
+    if isinstance(value, list):
+        return [_with_names(item, names, table) for item in value]
+    if not isinstance(value, dict):
+        return names.get(value, value) if isinstance(value, str) else value
+    result: Data = {}
+    old_names: dict[str, str] = {}
+    for key, item in value.items():
+        name, own = names.get(key, key), _with_names(item, names, table)
+        if name in result and result[name] != own:
+            raise ScenarioError(
+                f"{table}: {old_names[name]} and {key} both stand for {name}: expected one value, got "
+                f"{result[name]!r} and {own!r}"
+            )
+        result[name], old_names[name] = own, key
+    return result
 
 
 def _warn(message: str) -> None:
-    warnings.warn(message, ScenarioWarning, stacklevel=4)
-
-
-def alternatives(layers: Sequence[Layer]) -> dict[str, dict[str, list[str]]]:
-    """Returns component -> variable -> those in its place, by the entries for replaced components."""
-    result: dict[str, dict[str, list[str]]] = {}
-    for entry in (entry for layer in layers for entry in layer.data.get("when_replaced", [])):
-        for lacking in entry.get("lacks", []):
-            known = result.setdefault(entry["component"], {}).setdefault(lacking, [])
-            known += [name for name in entry.get("has", []) if "." not in name and name not in known]
-    return result
-
-
-def replacements(
-    layers: Sequence[Layer],
-    describe: Describe,
-    alternatives: Mapping[str, Mapping[str, Sequence[str]]] = {},
-) -> dict[str, Replacement]:
-    """Returns the components whose FMU is not that of the layer which gave them first, by name."""
-    fmus: dict[str, Any] = {}
-    changed: dict[str, int] = {}
-    optional: dict[str, dict[str, int]] = {}
-    identified = {name for x in layers for file in x.files[1:] for name in file.data.get("parameters", {})}
-    for index, layer in enumerate(layers):
-        for component, fmu in layer.data.get("components", {}).items():
-            if fmus.get(component, fmu) != fmu:
-                changed[component] = index
-            fmus[component] = fmu or ""
-        for component, names in layer.data.get("optional", {}).items():
-            optional.setdefault(component, {}).update(dict.fromkeys(names, index))
-    result: dict[str, Replacement] = {}
-    for name, index in changed.items():
-        variables = describe(fmus[name]) if fmus[name] else {}
-        ports = {variable: Port(name, v) for variable, v in variables.items()}
-        others = alternatives.get(name, {})
-        result[name] = Replacement(name, fmus[name], index, ports, optional.get(name, {}), others, identified)
-    return result
-
-
-def without_misfits(layers: Sequence[Layer], replaced: Mapping[str, Replacement]) -> list[Layer]:
-    """Returns the layers without inherited entries that do not fit."""
-    above = [{n: r for n, r in replaced.items() if r.layer > index} for index in range(len(layers))]
-    constants = {name for layer in layers for name in layer.data.get("inputs", {})}
-    return [
-        replace(layer, data=_fitting(layer.data, above[index], index, constants)) if above[index] else layer
-        for index, layer in enumerate(layers)
-    ]
-
-
-def _fitting(data: Data, replaced: Mapping[str, Replacement], index: int, constants: Collection[str]) -> Data:
-    """Returns the entries of the layer of an index that fit the FMUs which replace components of it.
-
-    constants: inputs that a layer holds constant: one that another layer connects would change
-    """
-
-    def fits(part: str, name: str, value: Any = None, driven: str = "", changes: int | None = None) -> bool:
-        new = replaced.get(name.partition(".")[0])
-        return new is None or new.fits(part, name, value, driven, changes)
-
-    def is_kept(kind: str, name: str, value: Any) -> bool:
-        if kind == "step_sizes":
-            return name not in replaced or bool(replaced[name].fmu)
-        names = [value[key] for key in SIGNALS if value and key in value] if kind == "metrics" else [name]
-        driven = name if kind in ("connections", "signals") else ""
-        given = value if kind in _WITH_VALUES else None
-        is_moved = kind in _CHANGING or (kind == "connections" and name in constants)
-        changes = index if is_moved else None
-        if kind in _PARTS and not all(fits(_PARTS[kind], n, given, driven, changes) for n in names):
-            return False
-        # an output is lacking only if there is an input that it drives
-        return kind != "connections" or not value or fits("output", source_of(value), driven=driven)
-
-    result: Data = {}
-    for kind, entries in data.items():
-        if kind == "sweep":
-            result[kind] = _fitting(entries, replaced, index, constants)
-        elif kind == "events":
-            result[kind] = with_events(entries, partial(is_kept, kind))
-        elif isinstance(entries, dict):
-            result[kind] = {name: value for name, value in entries.items() if is_kept(kind, name, value)}
-        elif kind == "connections":
-            result[kind] = [entry for entry in entries if is_kept(kind, entry[1], entry[0])]
-        elif kind in ("record", "faults"):
-            result[kind] = [x for x in entries if is_kept(kind, x["input"] if kind == "faults" else x, None)]
-        else:
-            result[kind] = entries
-    return result
-
-
-def _has_part(port: Port, part: str, value: Any) -> bool:
-    """Whether a variable can have a part in a scenario, and takes the value if one is given."""
-    variable = port.variable
-    is_settable = variable.causality in ("parameter", "input")
-    parts = {
-        "start": has_start_value(variable),
-        "setting": is_settable,
-        "change": is_settable and variable.variability != "fixed",
-        "signal": True,
-    }
-    with suppress(SystemDefinitionError):
-        has_part = parts.get(part, variable.causality == part)
-        return has_part and (value is None or value is False or fmi_value(port, value) is not None)
-    return False
+    warnings.warn(message, ScenarioWarning, stacklevel=5)

@@ -3,7 +3,6 @@
 A file is laid over its base, and `overrides` over both (`layers`).
 """
 
-import math
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -14,24 +13,22 @@ from pathlib import Path
 from typing import Any
 
 from fmus.errors import FmuLoadError
-from fmus.fmi.description import describe, start_value
 from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import FmiValue
 from fmus.registry import Flavour
 from orchestration.errors import ScenarioError, ScenarioWarning, SystemDefinitionError
 from orchestration.results import metrics
-from orchestration.scenarios.adapters import adapted, with_chosen_entries
-from orchestration.scenarios.changes import command_entries, other_fmu, values_of_settings
+from orchestration.scenarios.changes import given_layers, other_fmu, values_of_settings
+from orchestration.scenarios.components import Describe
+from orchestration.scenarios.composition import compose, with_actuators
 from orchestration.scenarios.declarations import as_input_takes, fault, signal
 from orchestration.scenarios.file_format import ScenarioFile
 from orchestration.scenarios.file_tables import checked
-from orchestration.scenarios.fmu_files import fmu_file
+from orchestration.scenarios.fmu_files import files_of, made_file, variables_of
 from orchestration.scenarios.layers import (
     TABLES,
     Data,
     Layer,
-    components_of,
-    merged,
     with_faulted_constants,
 )
 from orchestration.scenarios.read_layers import (
@@ -40,11 +37,8 @@ from orchestration.scenarios.read_layers import (
     file_layers,
     find,
     shipped,
-    with_parameter_files,
 )
-from orchestration.scenarios.replaced import Describe, alternatives, replacements, without_misfits
 from orchestration.scenarios.toml_file import KeyPath, TomlFile
-from orchestration.scenarios.vehicle import PLANT, VehicleValues, description_file
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.prepared_run import PreparedRun, prepare
 from orchestration.system.signal_derivatives import with_derivatives
@@ -89,62 +83,42 @@ def load(
     *,
     layers: Sequence[Layer] = (),
     settings: Mapping[str, FmiValue] | None = None,
-    build: Callable[[Path], object] = lambda fmu: None,
+    made: Mapping[str, Path] | None = None,
 ) -> Scenario:
-    """Reads a scenario file; `overrides` is laid over it as a scenario over its base.
+    """Reads a scenario file; `overrides` is laid over it as a scenario over its base. Nothing is built.
 
     overrides: files that they name are relative to the present folder
     flavour: of our own blocks' FMUs
     layers: of the file, if they were read before, and of what else lies below `overrides`
     settings: "component.variable" -> value of a parameter or a constant input, and component -> the FMU or
     block in its place; checked and laid over all
-    build: called with the file of an FMU whose model description is needed to load the scenario
+    made: Python file or class -> its FMU
     Warns (ScenarioWarning) where an FMU that replaces that of the base may be another than was meant.
     """
-    given, parameter_files = with_parameter_files(overrides or {}, Path())
-    layers = [*(layers or file_layers(path))]
-    layers.append(Layer(command_entries(given, settings or {}, components_of(layers))))
-    files = [*reversed(parameter_files), *(file for layer in reversed(layers) for file in layer.files)]
+    made = made or {}
+    layers = given_layers(layers or file_layers(path), overrides or {}, settings or {})
+    files = [file for layer in reversed(layers) for file in layer.files]
 
     @cache
-    def variables(fmu: str) -> dict[str, ScalarVariable]:
-        file = fmu_file(fmu, flavour)
-        build(file)
-        return {variable.name: variable for variable in describe(file).modelVariables}
+    def describe(fmu: str) -> Mapping[str, ScalarVariable]:
+        return variables_of(fmu, made_file(fmu, flavour, made))
 
-    def port(name: str) -> Port | None:
-        component, _, variable = name.partition(".")
-        fmu = components_of(layers).get(component)
-        declared = variables(fmu).get(variable) if fmu else None
-        return declared and Port(component, declared)
-
-    def is_boolean(name: str) -> bool:
-        own = port(name)
-        return own is not None and own.variable.type == "Boolean"
-
-    standing_in = alternatives(layers)
-    mapping = {k: v for x in layers for k, v in x.data.get("mapping", {}).get(PLANT, {}).items()}
-    layers = adapted(layers, replacements(layers, variables), variables)
-    layers.append(Layer(values_of_settings(settings or {}, layers, variables)))
-    layers, from_actuators = _with_actuators(layers, mapping, variables)
-    layers = with_chosen_entries(layers)
-    replaced = replacements(layers, variables, standing_in)
-    fitting = merged(without_misfits(layers, replaced), is_boolean)
-    try:
-        fitting = _converted(fitting, port)
-    except SystemDefinitionError as error:
-        raise ScenarioError(located(str(error), files)) from error
-    data = with_faulted_constants({"title": path.stem, **{table: {} for table in TABLES}, **fitting})
-    data.pop("optional", None)
+    layers.append(Layer(values_of_settings(settings or {}, layers, describe)))
+    composed = compose(layers, describe)
+    data = {"title": path.stem, **{table: {} for table in TABLES}, **composed.data}
     if not data["components"]:
         raise ScenarioError(f"{path}: components is missing")
-    for replacement in replaced.values():
-        replacement.check(data)
+    try:
+        data, from_actuators = with_actuators(data, layers, composed)
+        data = with_faulted_constants(_converted(data, composed.port))
+    except SystemDefinitionError as error:
+        raise ScenarioError(located(str(error), files)) from error
+    composed.check(data)
     data["metrics"] = {name: metric for name, metric in data["metrics"].items() if metric is not False}
-    _check_parameters([*parameter_files, *(f for x in layers for f in x.files[1:])], data, variables)
+    _check_parameters([f for x in layers for f in x.parameter_files], data, describe)
     file = checked(FILE, data, lambda keys: str(path))
     try:
-        data["signals"] = {name: as_input_takes(name, x, port) for name, x in data["signals"].items()}
+        data["signals"] = {n: as_input_takes(n, x, composed.port) for n, x in data["signals"].items()}
         experiment = _experiment(file, data)
         _check_overlap(data["signals"], experiment.start_time, experiment.stop_time)
         metrics.check_run(data["metrics"], experiment.start_time, experiment.stop_time, experiment.record)
@@ -154,7 +128,7 @@ def load(
         name=path.stem,
         title=file.title,
         system=System(
-            components={name: fmu_file(fmu, flavour) for name, fmu in data["components"].items()},
+            components={name: made_file(fmu, flavour, made) for name, fmu in data["components"].items()},
             connections=data.get("connections", []),
         ),
         experiment=experiment,
@@ -199,44 +173,6 @@ def _check_parameters(files: Sequence[TomlFile], data: Data, describe: Describe)
                     raise ScenarioError(f"{file.at(('parameters', name))}: {other_fmu(name, fmu)}")
 
 
-def _with_actuators(
-    layers: Sequence[Layer], mapping: Mapping[str, str], describe: Describe
-) -> tuple[list[Layer], dict[str, float]]:
-    """Returns the layers with what the actuators of a vehicle that replaces another say to other components.
-
-    It lies over what the other vehicle was controlled with, and below the layer that replaces it. Returns the
-    entries, too.
-    mapping: name of the vehicle's interface -> variable
-    """
-    new = replacements(layers, describe).get(PLANT)
-    if not new or not new.fmu:
-        return [*layers], {}
-    above = {k: v for x in layers[new.layer :] for k, v in x.data.get("parameters", {}).items()}
-    given = {name.partition(".")[2]: value for name, value in above.items() if name.startswith(f"{PLANT}.")}
-    variables = {name: port.variable for name, port in new.ports.items()}
-    actuators = VehicleValues(description_file(new.fmu), variables, mapping, given).actuators
-    entries: dict[str, float] = {}
-    others = {name: fmu for name, fmu in components_of(layers).items() if name != PLANT}
-    for component, fmu in others.items():
-        own = {n: start_value(v) for n, v in describe(fmu).items() if v.causality == "parameter"}
-        own |= {name: above[f"{component}.{name}"] for name in own if f"{component}.{name}" in above}
-        # a controller that is set not to take a table takes a line
-        points = sum(name.startswith("thruster_table_voltage[") for name in own)
-        points *= above.get(f"{component}.thruster_tabulated") is not False
-        if actuators.table and 0 < points < len(actuators.table.voltages):
-            raise ScenarioError(
-                f"{component}: expected a table of at most {points} points, got "
-                f"{len(actuators.table.voltages)} of the thrusters of {Path(new.fmu).name}; "
-                f"--set {component}.thruster_tabulated=false takes a line in its place"
-            )
-        limit = own.get("voltage_limit")
-        if isinstance(limit, str):
-            limit = fmi_value(Port(component, describe(fmu)["voltage_limit"]), limit)
-        told = actuators.parameters(float(limit or math.nan), points)
-        entries |= {f"{component}.{name}": value for name, value in told.items() if name in own}
-    return [*layers[: new.layer], Layer({"parameters": entries}), *layers[new.layer :]], entries
-
-
 def load_scenario(
     scenario: str | Path,
     overrides: Mapping[str, Any] | None = None,
@@ -249,7 +185,9 @@ def load_scenario(
     settings: "component.variable" -> value of a parameter or a constant input; component -> FMU or block
     Raises ScenarioError. The FMUs of our blocks have to be built: `l1-depth build --cache`.
     """
-    return load(find(str(scenario)), overrides, settings=settings)
+    path = find(str(scenario))
+    made = files_of(given_layers(file_layers(path), overrides or {}, settings or {}))
+    return load(path, overrides, settings=settings, made=made)
 
 
 def _experiment(file: ScenarioFile, data: Mapping[str, Any]) -> Experiment:

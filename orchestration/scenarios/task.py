@@ -10,7 +10,7 @@ import numpy as np
 from fmus.errors import nearest
 from orchestration.errors import ScenarioError
 from orchestration.results.increments import Reward, reward_of
-from orchestration.scenarios.scenario import Scenario, find, load
+from orchestration.scenarios.scenario import Scenario, load_scenario
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.signals import Signal
 from orchestration.system.system import System
@@ -65,8 +65,8 @@ def task_of(
     settings: those of `Task`, in place of what follows from the scenario
     """
     if isinstance(scenario, str):
-        overrides = {"mapping": {"plant": dict(mapping)}} if mapping else {}
-        scenario = load(find(scenario), overrides, settings={"plant": str(plant)} if plant else {})
+        overrides = {"components": {"plant": {"names": dict(mapping)}}} if mapping else {}
+        scenario = load_scenario(scenario, overrides, settings={"plant": str(plant)} if plant else {})
     elif plant or mapping:
         raise ScenarioError(f"plant {plant}: expected the name of a scenario, got one that is loaded")
     if replaced not in scenario.system.components:

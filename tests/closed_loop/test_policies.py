@@ -15,6 +15,7 @@ from orchestration.many.run_many import run_many
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator, simulate
 from orchestration.scenarios import scenario
+from orchestration.scenarios.fmu_files import fmu_file
 from orchestration.scenarios.scenario import Scenario
 
 PID = """
@@ -92,7 +93,9 @@ def loaded(
     }
     settings = {"controller": controller, "plant.sensor_noise": 0.0}
     given = {f"controller.{name}": value for name, value in parameters.items()}
-    return scenario.load(scenario.find("nominal-extended"), overrides, flavour, settings=settings | given)
+    path, settings = scenario.find("nominal-extended"), settings | given
+    made = {str(Path(controller).absolute()): fmu_file(controller)}
+    return scenario.load(path, overrides, flavour, settings=settings, made=made)
 
 
 def run(chosen: Scenario, **options: Any) -> Recording:
@@ -141,7 +144,7 @@ def test_a_scenario_file_names_it_relative_to_itself(lead: str, tmp_path: Path) 
     (tmp_path / "mine.toml").write_text(
         'base = "nominal-extended"\n[components]\ncontroller = "lead.py:Lead"\n'
     )
-    components = scenario.load(tmp_path / "mine.toml").system.components
+    components = scenario.load_scenario(tmp_path / "mine.toml").system.components
     assert components["controller"] == loaded(lead).system.components["controller"]
     assert "allocation" in components
 

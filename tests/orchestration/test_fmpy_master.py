@@ -118,8 +118,12 @@ def test_a_scenario_file_runs_on_fmpy(
             with pytest.raises(NotImplementedError, match="replaces components"):
                 script["tables"](path)
             continue
-        connections = {(source, target) for target, source in script["tables"](path)["connections"].items()}
-        assert connections == {*load_scenario(name).system.connections}, name
+        loaded = load_scenario(name)
+        tables, names = script["tables"](path), {*loaded.prepared.system.ports}
+        connections = {
+            (source, target) for target, source in script["joined"](tables, names)["connections"].items()
+        }
+        assert connections == {*loaded.system.connections}, name
 
 
 def fmus_of_a_build(built: Mapping[str, Path], folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

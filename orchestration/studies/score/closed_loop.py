@@ -23,9 +23,8 @@ from orchestration.many.local_runs import LocalRuns
 from orchestration.many.run_many import Make, in_order
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
-from orchestration.scenarios.adapters import names_in
-from orchestration.scenarios.changes import values_of_settings, with_values
-from orchestration.scenarios.layers import Layer
+from orchestration.scenarios.changes import given_layers, values_of_settings, with_values
+from orchestration.scenarios.layers import Layer, components_of
 from orchestration.scenarios.read_layers import file_layers, shipped_bases, stated_values
 from orchestration.scenarios.scenario import Scenario
 from orchestration.scenarios.toml_file import read_toml
@@ -200,15 +199,13 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
             *_base(shipped_bases()[self.protocol.tables.base], vehicle.inputs, vehicle.has(MEASURED_RATE)),
             Layer(dict(case.layer)),
         ]
-        named = set(names_in([layer.data for layer in layers]))
-        mapping = {"controller": dict(controller.mapping)} if controller.mapping else {}
-        if of_plant := {name: own for name, own in vehicle.mapping.items() if PREFIX + name in named}:
-            mapping["plant"] = of_plant
-        overrides: dict[str, Any] = {"experiment": {"open_inputs": controller.open_inputs}}
+        names = {"controller": controller.mapping, "plant": vehicle.mapping}
+        overrides: dict[str, Any] = {
+            "experiment": {"open_inputs": controller.open_inputs},
+            "components": {name: {"names": dict(own)} for name, own in names.items() if own},
+        }
         if controller.step:
             overrides["experiment"]["step_size"] = controller.step
-        if mapping:
-            overrides["mapping"] = mapping
         settings = {f"{OWN}{name}": value for name, value in controller.parameters.items()}
         # the case changes the vehicle that the settings give
         changed = {
@@ -216,6 +213,8 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
             for table in ("parameters", "inputs", "signals")
         }
         driven = changed["inputs"] | changed["signals"]
+        fmus = {"controller": controller.fmu, "plant": vehicle.fmu}
+        named = components_of(given_layers(layers, overrides, fmus)).values()
         with _LOADING, warnings.catch_warnings():
             warnings.simplefilter("ignore", ScenarioWarning)  # of inherited parameters, left out below
             loaded = scenario.load(
@@ -223,12 +222,11 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
                 overrides,
                 layers=layers,
                 settings={
-                    "controller": controller.fmu,
-                    "plant": vehicle.fmu,
+                    **fmus,
                     **settings,
                     **{name: value for name, value in vehicle.settings.items() if name not in driven},
                 },
-                build=lambda fmu: built(str(fmu)),
+                made={fmu: built(fmu) for fmu in named},
             )
         for fmu in loaded.system.components.values():
             built(str(fmu))

@@ -166,9 +166,9 @@ def test_a_disturbance_that_a_vehicle_lacks_is_named(command: Command, tmp_path:
     """Its constant of the base is not: without a current there is none."""
     described(tmp_path / "boat.fmu", ("voltage[1]", "voltage[2]"), ("depth", "depth_rate", "measured_depth"))
     error = command("run", "hold-current", "--plant", "boat.fmu", expect=1).stderr.splitlines()
-    assert "plant is boat.fmu, which lacks current_velocity, initial_depth: left out" in error[0]
+    assert "plant is boat.fmu, which lacks initial_depth, current_velocity: left out" in error[0]
     error = command("run", "hold-regular-waves", "--plant", "boat.fmu", expect=1).stderr.splitlines()
-    lacks = "wave_velocity, wave_acceleration, wave_pressure_head, initial_depth"
+    lacks = "initial_depth, wave_pressure_head, wave_velocity, wave_acceleration"
     assert f"plant is boat.fmu, which lacks {lacks}: left out" in error[0]
 
 

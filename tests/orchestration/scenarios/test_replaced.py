@@ -6,14 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from fmus.fmi.description import describe
 from fmus.registry import fmu_path
 from orchestration.errors import OrchestrationError, ScenarioError, ScenarioWarning
 from orchestration.results.metric_units import metric_units
 from orchestration.scenarios import scenario
-from orchestration.scenarios.read_layers import shipped_bases
 from orchestration.scenarios.scenario import Scenario
-from orchestration.scenarios.toml_file import read_toml
 from orchestration.system.prepared_run import prepare
 from orchestration.system.quantities import StatedValue
 from tests.described_fmus import described
@@ -60,13 +57,15 @@ def test_a_line_names_what_the_scenario_does_not_mark_optional(tmp_path: Path) -
         scenario.load(path, settings=settings)
     assert warnings_of(caught) == [
         "controller is deaf.fmu, which lacks measured_depth: left out; name those that stand for others by "
-        "--map controller.measured_depth=NAME or in [mapping.controller]; list those that it may lack in "
-        "[optional], controller = [...]"
+        "--map controller.measured_depth=NAME or in [components.controller.names]; list those that it may "
+        'lack in [interface], optional = ["controller.measured_depth"]'
     ]
-    loaded = scenario.load(path, {"optional": {"controller": ["measured_depth"]}}, settings=settings)
-    assert "optional" not in loaded.resolved
+    optional = {"interface": {"optional": ["controller.measured_depth"]}}
+    loaded = scenario.load(path, optional, settings=settings)
+    assert "interface" not in loaded.resolved
     described(tmp_path / "deaf.fmu", ("depth_reference", "z"), VOLTAGES)
-    scenario.load(path, {"mapping": {"controller": {"measured_depth": "z"}}}, settings=settings)
+    names = {"components": {"controller": {"names": {"measured_depth": "z"}}}}
+    scenario.load(path, names, settings=settings)
 
 
 def test_a_signal_on_an_input_that_is_lacking_ends_its_line_by_the_hint_in_a_file_above(
@@ -79,7 +78,7 @@ def test_a_signal_on_an_input_that_is_lacking_ends_its_line_by_the_hint_in_a_fil
     with pytest.warns(ScenarioWarning, match="lacks current_velocity: left out"):
         scenario.load(scenario.find("hold-current"), settings={"plant": str(fmu)})
     scenario.load(
-        child(tmp_path, '[optional]\nplant = ["current_velocity"]\n', "hold-current"),
+        child(tmp_path, '[interface]\noptional = ["plant.current_velocity"]\n', "hold-current"),
         settings={"plant": str(fmu)},
     )
 
@@ -109,20 +108,6 @@ def test_a_copy_of_the_controller_takes_all_without_a_word(scenario_fmus: None, 
     ours = scenario.load(scenario.find("nominal-extended"))
     loaded = scenario.load(scenario.find("nominal-extended"), settings={"controller": str(copy)})
     assert loaded.experiment.parameters == ours.experiment.parameters
-
-
-@pytest.mark.parametrize("base", ["vehicle", "example"])
-def test_what_a_base_marks_optional_is_a_variable_of_its_component(scenario_fmus: None, base: str) -> None:
-    data = read_toml(shipped_bases()[base]).data
-    for component, names in data["optional"].items():
-        variables = describe(fmu_path(data["components"][component])).modelVariables
-        assert set(names) <= {variable.name for variable in variables}
-
-
-def test_an_unknown_component_is_not_marked(tmp_path: Path) -> None:
-    message = r"child.toml:3: optional.contrller: no component 'contrller'; nearest is 'controller'"
-    with pytest.raises(ScenarioError, match=message):
-        scenario.load(child(tmp_path, '[optional]\ncontrller = ["kp"]\n'))
 
 
 def test_a_variable_of_another_causality_or_range_does_not_fit(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ INERTIA = '[variables]\ninertia = "mass"\n'
 def plant_of(vehicle: object, **parameters: Any) -> Plant | None:
     """The linear plant of the design of plain L1 for a vehicle with these parameters and inputs."""
     settings = {"plant": str(vehicle)} | {f"plant.{name}": value for name, value in parameters.items()}
-    design = design_of(scenario.load(scenario.find("nominal-l1"), settings=settings), 0.8, 0.8)
+    design = design_of(scenario.load_scenario("nominal-l1", settings=settings), 0.8, 0.8)
     return design and design.plant
 
 

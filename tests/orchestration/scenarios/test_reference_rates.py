@@ -1,4 +1,4 @@
-"""Entries that a base adds for a value of a parameter, such as what our reference feedforward needs."""
+"""The derivatives of the reference drive a controller that uses them."""
 
 from pathlib import Path
 
@@ -26,7 +26,6 @@ def test_a_feedforward_drives_the_derivatives_in_every_scenario_of_the_vehicle(n
         loaded = scenario.load(scenario.find(name), settings={FEEDFORWARD: value})
         assert {RATE, ACCELERATION} <= loaded.experiment.signals.keys()
         assert not {RATE, ACCELERATION} & loaded.experiment.inputs.keys()
-        assert "when_set" not in loaded.resolved
     prepare(loaded.system, loaded.experiment)
 
 
@@ -69,57 +68,9 @@ def test_a_sweep_over_the_parameter_drives_them(tmp_path: Path) -> None:
     assert RATE in scenario.load(tmp_path / "mine.toml").experiment.signals
 
 
-@pytest.mark.parametrize("entry", ["metrics = { rmse = false }", 'inputs = { "plant.roll" = 0.1 }'])
-def test_a_sweep_over_the_parameter_refuses_entries_that_are_no_signals(tmp_path: Path, entry: str) -> None:
-    """They would be those of all samples; a signal drives an input that other values do not use."""
-    when_set = f'[[when_set]]\nparameter = "{FEEDFORWARD}"\nvalues = ["inside"]\n{entry}\n'
-    vary = f'[sweep]\n[sweep.vary]\n"{FEEDFORWARD}" = {{ values = ["none", "inside"] }}\n'
-    (tmp_path / "mine.toml").write_text(f'base = "nominal-l1"\n{when_set}{vary}')
-    kind = entry.split(maxsplit=1)[0]
-    expected = (
-        rf"mine.toml:\d+: when_set: the sweep varies {FEEDFORWARD}: expected signals alone, got {kind}, "
-    )
-    with pytest.raises(ScenarioError, match=expected):
-        scenario.load(tmp_path / "mine.toml")
-    (tmp_path / "mine.toml").write_text(f'base = "nominal-l1"\n{when_set}')
-    scenario.load(tmp_path / "mine.toml")
-
-
 def test_another_controller_without_the_inputs_gets_none_of_them(tmp_path: Path) -> None:
     fmu = described(tmp_path / "my.fmu", ("depth_reference", "measured_depth"), ("voltage[1]", "voltage[2]"))
     settings = {"controller": str(fmu)}
     loaded = scenario.load(scenario.find("nominal-feedforward"), settings=settings)
     prepare(loaded.system, loaded.experiment)
     assert not loaded.experiment.signals
-
-
-def test_entries_of_every_kind_join_those_of_the_base(tmp_path: Path) -> None:
-    text = """
-base = "nominal-l1"
-[[when_set]]
-parameter = "controller.augmentation"
-values = ["pi"]
-connections = [["controller.demanded_force", "plant.external_force"]]
-parameters = { "plant.sensor_seed" = 7 }
-inputs = { "plant.current_velocity" = 0.1 }
-signals = { "plant.roll" = { kind = "constant", value = 0.2 } }
-record = ["plant.thruster_force[1]"]
-metrics = { deepest = { function = "peak", signal = "plant.depth" } }
-"""
-    (tmp_path / "mine.toml").write_text(text)
-    without, chosen = (
-        scenario.load(tmp_path / "mine.toml", settings={"controller.augmentation": augmentation})
-        for augmentation in ("none", "pi")
-    )
-    shipped = scenario.load(scenario.find("nominal-l1"))
-    assert (without.experiment, without.metrics) == (shipped.experiment, shipped.metrics)
-    assert without.system.connections == shipped.system.connections
-    added = ("controller.demanded_force", "plant.external_force")
-    assert chosen.system.connections == (*shipped.system.connections, added)
-    assert chosen.experiment.parameters["plant.sensor_seed"] == 7
-    assert chosen.experiment.inputs["plant.current_velocity"] == 0.1
-    assert chosen.experiment.signals["plant.roll"](0.0) == 0.2
-    assert not {"plant.roll", "plant.external_force"} & chosen.experiment.inputs.keys()
-    assert chosen.experiment.record == (*shipped.experiment.record, "plant.thruster_force[1]")
-    assert chosen.metrics.keys() == {*shipped.metrics, "deepest"}
-    prepare(chosen.system, chosen.experiment)

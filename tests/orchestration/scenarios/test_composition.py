@@ -1,11 +1,11 @@
-"""How another controller is joined to the vehicle: the depth control interface, and other names."""
+"""How components are joined by an interface, and another controller by the depth control interface."""
 
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from orchestration.errors import ScenarioError, SystemDefinitionError
+from orchestration.errors import ScenarioError
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import prepare
@@ -16,9 +16,13 @@ VOLTAGES = ("voltage[1]", "voltage[2]")
 MAPPED = {"depth_reference": "r", "measured_depth": "z", "voltage[1]": "v1", "voltage[2]": "v2"}
 
 
-def with_fmu(folder: Path, inputs: Any, outputs: Any, **overrides: Any) -> Scenario:
+def with_fmu(
+    folder: Path, inputs: Any, outputs: Any, names: dict[str, str] | None = None, **overrides: Any
+) -> Scenario:
     fmu = described(folder / "my.fmu", inputs, outputs, ("kp",))
     path = scenario.find("nominal-extended")
+    if names:
+        overrides["components"] = {"controller": {"names": names}}
     return scenario.load(path, overrides, settings={"controller": str(fmu)})
 
 
@@ -34,7 +38,7 @@ def test_a_force_is_joined_through_the_allocation(tmp_path: Path) -> None:
     assert "controller.control_force" in loaded.experiment.record
     assert loaded.metrics["total_variation"]["signal"] == "controller.control_force"
     prepare(loaded.system, loaded.experiment)
-    assert not {"mapping", "when_replaced"} & loaded.resolved.keys()
+    assert not {"names", "interface"} & loaded.resolved.keys()
 
 
 @pytest.mark.parametrize("outputs", [VOLTAGES, (*VOLTAGES, "control_force")])
@@ -77,8 +81,7 @@ def test_the_reference_rate_is_that_of_the_reference_of_the_scenario(tmp_path: P
 
 
 def test_mapped_names_stand_for_those_of_the_scenario(tmp_path: Path) -> None:
-    mapping = {"controller": MAPPED}
-    loaded = with_fmu(tmp_path, ("r", "z"), ("v1", "v2"), mapping=mapping)
+    loaded = with_fmu(tmp_path, ("r", "z"), ("v1", "v2"), MAPPED)
     assert list(loaded.experiment.signals) == ["controller.r"]
     assert ("controller.v1", "plant.voltage[1]") in loaded.system.connections
     assert loaded.metrics["rmse"]["reference"] == "controller.r"
@@ -86,30 +89,29 @@ def test_mapped_names_stand_for_those_of_the_scenario(tmp_path: Path) -> None:
 
 
 def test_a_mapped_force_is_joined_through_the_allocation(tmp_path: Path) -> None:
-    mapping = {"controller": {"control_force": "u"}}
-    loaded = with_fmu(tmp_path, (REFERENCE, DEPTH), ("u",), mapping=mapping)
+    loaded = with_fmu(tmp_path, (REFERENCE, DEPTH), ("u",), {"control_force": "u"})
     assert ("controller.u", "allocation.control_force") in loaded.system.connections
     assert loaded.metrics["total_variation"]["signal"] == "controller.u"
     prepare(loaded.system, loaded.experiment)
 
 
-def test_one_mapping_serves_scenarios_that_name_less(scenario_fmus: None, tmp_path: Path) -> None:
+def test_one_set_of_names_serves_scenarios_that_name_less(scenario_fmus: None, tmp_path: Path) -> None:
     """Nothing names the initial depth in a dive from the surface; in a hold at 1 m something does."""
     outputs = ("depth", "depth_rate", "measured_depth")
     fmu = described(tmp_path / "boat.fmu", ("voltage[1]", "voltage[2]", "external_force"), outputs, ("z0",))
-    mapping = {"mapping": {"plant": {"initial_depth": "z0"}}}
+    names = {"components": {"plant": {"names": {"initial_depth": "z0"}}}}
     dive, held = (
-        scenario.load(scenario.find(name), mapping, settings={"plant": str(fmu)})
+        scenario.load(scenario.find(name), names, settings={"plant": str(fmu)})
         for name in ("nominal-extended", "hold-force-step")
     )
     assert "plant.z0" not in dive.experiment.parameters
     assert held.experiment.parameters["plant.z0"] == 1.0
 
 
-def test_a_mapping_in_a_file_is_of_its_base_and_of_its_own_fmu(tmp_path: Path) -> None:
+def test_names_in_a_file_are_of_its_base_and_of_its_own_fmu(tmp_path: Path) -> None:
     described(tmp_path / "my.fmu", ("r", "z"), ("v1", "v2"), ("kp",))
     (tmp_path / "mine.toml").write_text(
-        'base = "nominal-l1"\n[components]\ncontroller = "my.fmu"\n[mapping.controller]\n'
+        'base = "nominal-l1"\n[components.controller]\nfmu = "my.fmu"\n[components.controller.names]\n'
         + "".join(f'"{name}" = "{own}"\n' for name, own in MAPPED.items())
         + '[parameters]\n"controller.kp" = 1.0\n'
     )
@@ -117,18 +119,6 @@ def test_a_mapping_in_a_file_is_of_its_base_and_of_its_own_fmu(tmp_path: Path) -
     assert list(loaded.experiment.signals) == ["controller.r"]
     ours = scenario.load(tmp_path / "mine.toml", settings={"controller": "L1DepthController"})
     assert ours.system == scenario.load(scenario.find("nominal-l1")).system
-
-
-def test_two_connections_to_one_input_in_an_entry_are_refused(tmp_path: Path) -> None:
-    described(tmp_path / "my.fmu", (REFERENCE, DEPTH), ("v1", "v2"))
-    (tmp_path / "base.toml").write_text(
-        'base = "nominal-l1"\n\n[[when_replaced]]\ncomponent = "controller"\nhas = ["v1"]\nconnections = [\n'
-        '    ["controller.v1", "plant.voltage[1]", { factor = 2.0 }],\n'
-        '    ["controller.v2", "plant.voltage[1]"],\n    ["controller.v2", "plant.voltage[2]"],\n]\n'
-    )
-    loaded = scenario.load(tmp_path / "base.toml", settings={"controller": str(tmp_path / "my.fmu")})
-    with pytest.raises(SystemDefinitionError, match=r"plant.voltage\[1\] is driven 2 times"):
-        prepare(loaded.system, loaded.experiment)
 
 
 def test_a_reference_that_a_connection_drives_needs_its_rate_from_there(tmp_path: Path) -> None:
@@ -149,25 +139,25 @@ def test_a_reference_that_a_connection_drives_needs_its_rate_from_there(tmp_path
 LACKING = (
     r"my.fmu, which lacks depth_reference, measured_depth, measured_depth_rate, voltage\[1\], voltage\[2\]; "
     r"nothing drives its r, z, its outputs are v1, v2: name .* by --map controller.depth_reference=NAME or "
-    r"in \[mapping.controller\]; --open-inputs start leaves its inputs at their start values$"
+    r"in \[components.controller.names\]; --open-inputs start leaves its inputs at their start values$"
 )
 
 
 @pytest.mark.parametrize(
-    ("mapping", "message"),
+    ("names", "message"),
     [
         ({}, LACKING),
-        ({**MAPPED, "voltage[2]": "v3"}, r"mapping.controller: controller has no variable 'v3'; known: "),
+        ({**MAPPED, "voltage[2]": "v3"}, r"names of controller: controller has no variable 'v3'; known: "),
         ({**MAPPED, "depth_refrence": "r"}, r"names controller.depth_refrence; nearest is 'controller.dep"),
         ({"depth_reference": "r", "measured_depth": "z"}, r"lacks voltage\[1\], voltage\[2\]; .*NAME or in"),
         ({n: o for n, o in MAPPED.items() if o != "z"}, r"lacks measured_depth, .* drives its z, its outp"),
     ],
 )
 def test_an_fmu_that_is_not_joined_is_refused_with_its_names(
-    tmp_path: Path, mapping: dict[str, str], message: str
+    tmp_path: Path, names: dict[str, str], message: str
 ) -> None:
     with pytest.raises(ScenarioError, match=message):
-        with_fmu(tmp_path, ("r", "z"), ("v1", "v2"), mapping={"controller": mapping} if mapping else {})
+        with_fmu(tmp_path, ("r", "z"), ("v1", "v2"), names)
 
 
 def test_open_inputs_take_start_values_if_asked(tmp_path: Path) -> None:
@@ -180,30 +170,91 @@ def test_open_inputs_take_start_values_if_asked(tmp_path: Path) -> None:
         with_fmu(tmp_path, inputs, VOLTAGES)
 
 
-FORCE = '[[when_replaced]]\ncomponent = "controller"\nhas = ["control_force"]\n'
+INTERFACE = """
+[interface]
+required = [["a.z"]]
+optional = ["b.gain"]
+between = { gain = "ThrustAllocation" }
+
+[interface.inputs]
+"b.x" = ["a.y", { source = "gain.voltage[1]", without = "a.y" }, 3.0]
+"b.y" = [{ source = "a.z", where = "b.gain" }, 2.0]
+"gain.control_force" = ["a.z"]
+"""
+BASE = """
+[components]
+a = "one.fmu"
+b = "two.fmu"
+[experiment]
+stop_time = 1.0
+step_size = 0.1
+"""
 
 
-@pytest.mark.parametrize("own", ["", '[record]\n"plant.depth_rate" = false\n'])
-def test_entries_for_other_fmus_join_what_their_file_inherits(tmp_path: Path, own: str) -> None:
-    fmu = described(tmp_path / "my.fmu", (REFERENCE, DEPTH, "roll"), ("control_force",))
-    more = 'record = ["allocation.voltage[1]"]\nconnections = [["plant.depth", "controller.roll"]]\n'
-    (tmp_path / "middle.toml").write_text(f'base = "nominal-extended"\n{own}{FORCE}{more}')
-    loaded = scenario.load(tmp_path / "middle.toml", settings={"controller": str(fmu)})
-    plain = with_fmu(tmp_path, (REFERENCE, DEPTH, "roll"), ("control_force",))
-    inherited = [name for name in plain.experiment.record if not own or name != "plant.depth_rate"]
-    assert list(loaded.experiment.record) == [*inherited, "allocation.voltage[1]"]
-    assert loaded.system.connections == (*plain.system.connections, ("plant.depth", "controller.roll"))
-    assert "controller.roll" not in loaded.experiment.inputs
+def own_interface(
+    folder: Path, outputs: tuple[str, ...], text: str = "", gain: tuple[str, ...] = ()
+) -> Scenario:
+    """A base of two components with an interface of its own, and a file over it."""
+    described(folder / "one.fmu", (), outputs)
+    described(folder / "two.fmu", ("x", "y"), ("w",), gain)
+    (folder / "base.toml").write_text(BASE + INTERFACE)
+    (folder / "mine.toml").write_text(f'base = "base.toml"\n{text}')
+    return scenario.load(folder / "mine.toml")
+
+
+def test_an_input_takes_the_first_source_that_is_there_and_whose_conditions_hold(tmp_path: Path) -> None:
+    both = own_interface(tmp_path, ("y", "z"))
+    assert both.system.connections == (("a.y", "b.x"),)
+    assert both.experiment.inputs == {"b.y": 2.0}
+    gained = own_interface(tmp_path, ("y", "z"), gain=("gain",))
+    assert gained.system.connections == (("a.y", "b.x"), ("a.z", "b.y"))
+    between = own_interface(tmp_path, ("z",))
+    assert between.system.connections == (("a.z", "gain.control_force"), ("gain.voltage[1]", "b.x"))
+    assert [*between.system.components] == ["a", "b", "gain"]
+    neither = own_interface(tmp_path, ())
+    assert neither.experiment.inputs == {"b.x": 3.0, "b.y": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("text", "connections", "inputs"),
+    [
+        ('[inputs]\n"b.x" = 1.0\n', (), {"b.y": 2.0, "b.x": 1.0}),
+        ('[connections]\n"b.y" = "a.y"\n', (("a.y", "b.x"), ("a.y", "b.y")), {}),
+        ('[connections]\n"b.x" = false\n', (), {"b.y": 2.0}),
+        ('[interface.inputs]\n"b.x" = [4.0]\n', (), {"b.x": 4.0, "b.y": 2.0}),
+    ],
+)
+def test_a_file_over_the_base_drives_an_input_otherwise(
+    tmp_path: Path, text: str, connections: tuple[object, ...], inputs: dict[str, float]
+) -> None:
+    loaded = own_interface(tmp_path, ("y", "z"), text)
+    assert loaded.system.connections == connections
+    assert loaded.experiment.inputs == inputs
+
+
+def test_an_input_that_loses_its_source_to_another_fmu_takes_that_of_the_interface(tmp_path: Path) -> None:
+    fmu = described(tmp_path / "new.fmu", (), ("z",))
+    text = '[connections]\n"b.x" = "a.y"\n[signals]\n"b.y" = { kind = "constant", value = 5.0 }\n'
+    own_interface(tmp_path, ("y", "z"), text)
+    loaded = scenario.load(tmp_path / "mine.toml", settings={"a": str(fmu)})
+    assert loaded.system.connections == (("a.z", "gain.control_force"), ("gain.voltage[1]", "b.x"))
+    assert [*loaded.experiment.signals] == ["b.y"]
+
+
+def test_a_name_for_a_variable_that_an_fmu_has_not_ends_the_warning(tmp_path: Path) -> None:
+    fmu = described(tmp_path / "deaf.fmu", (REFERENCE,), (*VOLTAGES, "z"))
+    names = {"components": {"controller": {"names": {DEPTH: ""}}}}
+    loaded = scenario.load(scenario.find("nominal-extended"), names, settings={"controller": str(fmu)})
+    prepare(loaded.system, loaded.experiment)
 
 
 def test_two_names_for_one_variable_are_recorded_once(tmp_path: Path) -> None:
-    mapping = {"controller": {"u_m": "u", "u_a": "u"}}
-    loaded = with_fmu(tmp_path, (REFERENCE, DEPTH), (*VOLTAGES, "u"), mapping=mapping)
+    loaded = with_fmu(tmp_path, (REFERENCE, DEPTH), (*VOLTAGES, "u"), {"u_m": "u", "u_a": "u"})
     assert [name for name in loaded.experiment.record if name == "controller.u"] == ["controller.u"]
 
 
 def test_two_values_for_one_variable_are_refused(tmp_path: Path) -> None:
-    mapping = {"controller": {"one": "kp", "two": "kp"}}
+    names = {"controller": {"names": {"one": "kp", "two": "kp"}}}
     base = '[parameters]\n"controller.one" = 0.5\n"controller.two" = 2.0\n'
     (tmp_path / "middle.toml").write_text('base = "nominal-extended"\n' + base)
     fmu = described(tmp_path / "my.fmu", (REFERENCE, DEPTH), VOLTAGES, ("kp",))
@@ -212,4 +263,4 @@ def test_two_values_for_one_variable_are_refused(tmp_path: Path) -> None:
         r"controller.kp: expected one value, got 0.5 and 2.0$"
     )
     with pytest.raises(ScenarioError, match=message):
-        scenario.load(tmp_path / "middle.toml", {"mapping": mapping}, settings={"controller": str(fmu)})
+        scenario.load(tmp_path / "middle.toml", {"components": names}, settings={"controller": str(fmu)})
