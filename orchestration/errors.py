@@ -1,12 +1,39 @@
 """Errors and warnings around FMUs, in words that say what to do next."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 # those of one FMU stand with the FMU
 from fmus.errors import FmuError, FmuLoadError, FmuWarning, OrchestrationError  # noqa: F401
 
+Key = str | tuple[str | int, ...]
+"""A variable, "component.variable", or the keys of an entry of a scenario: ("experiment", "step_size")."""
 
-class ScenarioError(OrchestrationError):
+
+class InputError(OrchestrationError):
+    """An error in what is given; about: what it says something of, so that a file can be searched for it.
+
+    None: the message begins with its place.
+    """
+
+    def __init__(self, message: str, *about: Key) -> None:
+        super().__init__(message)
+        self.about: tuple[Key, ...] | None = about
+
+
+@contextmanager
+def about(*keys: Key) -> Iterator[None]:
+    """Errors in what is given, raised inside, say something of these too."""
+    try:
+        yield
+    except InputError as error:
+        if error.about is not None:
+            error.about = (*error.about, *keys)
+        raise
+
+
+class ScenarioError(InputError):
     """A scenario file that says something wrong or not enough."""
 
 
@@ -14,7 +41,7 @@ class SweepError(OrchestrationError):
     """A sweep that cannot begin, or cannot go on; what is done is kept."""
 
 
-class SystemDefinitionError(OrchestrationError):
+class SystemDefinitionError(InputError):
     """Components and connections that do not fit; found before anything is loaded."""
 
 

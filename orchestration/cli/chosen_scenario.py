@@ -9,12 +9,13 @@ from pathlib import Path
 from fmus.fmi.description import start_value
 from fmus.registry import Flavour
 from orchestration.cli.changes import NO_CHANGES, Changes
-from orchestration.errors import ScenarioError, SystemDefinitionError
+from orchestration.errors import ScenarioError
 from orchestration.scenarios import scenario
 from orchestration.scenarios.changes import given_layers
 from orchestration.scenarios.fmu_files import build_missing, files_of
 from orchestration.scenarios.read_layers import file_layers
 from orchestration.scenarios.scenario import Scenario
+from orchestration.scenarios.toml_file import placed
 
 
 def load(
@@ -46,10 +47,8 @@ def load(
         chosen, name=built.name(chosen.name), title=title, resolved=resolved, arguments=arguments
     )
     build_missing_fmus([chosen])
-    try:
+    with placed(chosen.files):
         prepared = chosen.prepared
-    except (ScenarioError, SystemDefinitionError) as error:
-        raise ScenarioError(scenario.located(str(error), chosen.files)) from error
     open_inputs = [f"{port.name} = {start_value(port.variable)}" for port in prepared.system.open_inputs]
     is_of_user = changes.components or scenario.shipped().get(path.stem) != path
     if chosen.from_actuators and is_of_user and names_actuators:

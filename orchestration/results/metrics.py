@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fmus.errors import nearest
-from orchestration.errors import OrchestrationError, ScenarioError, ScenarioWarning
+from orchestration.errors import OrchestrationError, ScenarioError, ScenarioWarning, about
 from orchestration.results.delay import shift_lag
 from orchestration.results.power import energy_residuals
 from orchestration.results.recording import Recording, along_time, run_by_run
@@ -285,13 +285,14 @@ def check_run(
     """
     for name, call in declared.items():
         window = call.get("window", [start, stop])
-        if not window[0] <= window[1]:
-            raise ScenarioError(f"metric {name}: window {window!r}: expected [start, end] in s")
-        if window[0] >= stop or window[1] <= start:
-            raise ScenarioError(
-                f"metric {name}: window {window}: expected to overlap {start:g}..{stop:g} s; "
-                f"{name} = false drops it"
-            )
+        with about(("metrics", name)):
+            if not window[0] <= window[1]:
+                raise ScenarioError(f"metric {name}: window {window!r}: expected [start, end] in s")
+            if window[0] >= stop or window[1] <= start:
+                raise ScenarioError(
+                    f"metric {name}: window {window}: expected to overlap {start:g}..{stop:g} s; "
+                    f"{name} = false drops it"
+                )
     check_recorded(declared, record)
     windows = {name: call["window"] for name, call in declared.items() if "window" in call}
     rounding = 1e-9 * max(1.0, abs(start), abs(stop))
@@ -316,5 +317,6 @@ def check_recorded(declared: Mapping[str, Mapping[str, Any]], record: Collection
             if signal not in record:
                 raise ScenarioError(
                     f"metric {name}: {signal!r} is not recorded; {nearest(signal, record)}; "
-                    "record = [...] names all variables to record, above the first [table]"
+                    "record = [...] names all variables to record, above the first [table]",
+                    ("metrics", name),
                 )

@@ -63,7 +63,7 @@ def values_of_settings(settings: Mapping[str, FmiValue], layers: Sequence[Layer]
     Raises ScenarioError for a setting that names no component, parameter or input.
     """
     below, tables = components_of(layers[:-1]), Data()
-    components = Interface.of(layers).between | components_of(layers)
+    components = {**Interface.of(layers).between, **components_of(layers)}
 
     def settable_of(component: str) -> dict[str, ScalarVariable]:
         variables = describe(components[component]).items()

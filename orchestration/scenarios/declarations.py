@@ -101,7 +101,8 @@ def as_input_takes(
         if own:
             _check_values(own, table.get("values", ()), places)
     except (ScenarioError, SystemDefinitionError) as error:
-        raise ScenarioError(f'signals."{name}": {error}') from error
+        keys = ("signals", name)
+        raise ScenarioError(f'signals."{name}": {error}', (*keys, "file"), keys) from error
     return table
 
 

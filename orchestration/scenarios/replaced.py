@@ -197,7 +197,8 @@ def _with_names(value: Any, names: Mapping[str, str], table: str) -> Any:
         if name in result and result[name] != own:
             raise ScenarioError(
                 f"{table}: {old_names[name]} and {key} both stand for {name}: expected one value, got "
-                f"{result[name]!r} and {own!r}"
+                f"{result[name]!r} and {own!r}",
+                (table, key),
             )
         result[name], old_names[name] = own, key
     return result

@@ -3,7 +3,6 @@
 A file is laid over its base, and `overrides` over both (`layers`).
 """
 
-import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -16,7 +15,7 @@ from fmus.errors import FmuLoadError
 from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import FmiValue
 from fmus.registry import Flavour
-from orchestration.errors import ScenarioError, ScenarioWarning, SystemDefinitionError
+from orchestration.errors import ScenarioError, ScenarioWarning, about
 from orchestration.results import metrics
 from orchestration.scenarios.changes import given_layers, other_fmu, values_of_settings
 from orchestration.scenarios.components import Describe
@@ -38,14 +37,16 @@ from orchestration.scenarios.read_layers import (
     find,
     shipped,
 )
-from orchestration.scenarios.toml_file import KeyPath, TomlFile
+from orchestration.scenarios.toml_file import TomlFile, placed
 from orchestration.system.experiment import Event, Experiment
+from orchestration.system.faults import Fault
 from orchestration.system.prepared_run import PreparedRun, prepare
 from orchestration.system.signal_derivatives import with_derivatives
+from orchestration.system.signals import Signal
 from orchestration.system.system import Port, System
 from orchestration.system.values import fmi_value
 
-__all__ = ["SHIPPED", "Scenario", "find", "load", "load_scenario", "located", "shipped"]
+__all__ = ["SHIPPED", "Scenario", "find", "load", "load_scenario", "shipped"]
 
 
 @dataclass(frozen=True)
@@ -104,26 +105,22 @@ def load(
         return variables_of(fmu, made_file(fmu, flavour, made))
 
     layers.append(Layer(values_of_settings(settings or {}, layers, describe)))
-    composed = compose(layers, describe)
-    data = {"title": path.stem, **{table: {} for table in TABLES}, **composed.data}
-    if not data["components"]:
-        raise ScenarioError(f"{path}: components is missing")
-    try:
+    with placed(files):
+        composed = compose(layers, describe)
+        data = {"title": path.stem, **{table: {} for table in TABLES}, **composed.data}
+        if not data["components"]:
+            raise ScenarioError("components is missing")
         data, from_actuators = with_actuators(data, layers, composed)
         data = with_faulted_constants(_converted(data, composed.port))
-    except SystemDefinitionError as error:
-        raise ScenarioError(located(str(error), files)) from error
     composed.check(data)
     data["metrics"] = {name: metric for name, metric in data["metrics"].items() if metric is not False}
     _check_parameters([f for x in layers for f in x.parameter_files], data, describe)
     file = checked(FILE, data, lambda keys: str(path))
-    try:
+    with placed(files):
         data["signals"] = {n: as_input_takes(n, x, composed.port) for n, x in data["signals"].items()}
         experiment = _experiment(file, data)
         _check_overlap(data["signals"], experiment.start_time, experiment.stop_time)
         metrics.check_run(data["metrics"], experiment.start_time, experiment.stop_time, experiment.record)
-    except (ScenarioError, SystemDefinitionError) as error:
-        raise ScenarioError(located(str(error), files)) from error
     return Scenario(
         name=path.stem,
         title=file.title,
@@ -191,48 +188,21 @@ def load_scenario(
 
 
 def _experiment(file: ScenarioFile, data: Mapping[str, Any]) -> Experiment:
+    signals: dict[str, Signal] = {}
+    for name, declared in data["signals"].items():
+        with about(("signals", name, "file"), ("signals", name)):
+            signals[name] = signal(declared, f'signals."{name}"')
+    made: list[Fault] = []
+    for i, declared in enumerate(data.get("faults", [])):
+        with about(("faults", i)):
+            made.append(fault(declared, f"faults[{i}]"))
     return Experiment(
         **file.experiment.given(),
         parameters=data["parameters"],
         inputs=data["inputs"],
-        signals=with_derivatives(
-            {name: signal(declared, f'signals."{name}"') for name, declared in data["signals"].items()},
-            data["inputs"],
-            data.get("connections", []),
-        ),
+        signals=with_derivatives(signals, data["inputs"], data.get("connections", [])),
         events=tuple(Event(event.time, event.set) for event in file.events),
         record=tuple(file.record),
         step_sizes=file.step_sizes,
-        faults=tuple(fault(declared, f"faults[{i}]") for i, declared in enumerate(data.get("faults", []))),
+        faults=tuple(made),
     )
-
-
-def located(message: str, files: Sequence[TomlFile]) -> str:
-    """Returns a message about a scenario after its file, and the line of what it names.
-
-    files: of the scenario, the uppermost first; a line of another file stands at the end
-    """
-    if any(message.startswith(f"{file.path}:") for file in files):
-        return message
-    names = re.findall(r"[A-Za-z_]\w*\.[\w.\[\]]*[\w\]]", message)
-    tables: list[KeyPath] = [("metrics", name) for name in re.findall(r"metric (\w+):", message)]
-    tables += [("step_sizes", name) for name in re.findall(r"step size of (\w+)", message)]
-    for name in re.findall(r'signals\."(.+?)"', message):
-        tables += [("signals", name, "file"), ("signals", name)]
-    tables += [("faults", int(index)) for index in re.findall(r"faults\[(\d+)\]", message)]
-    for file in files:
-        keys = [key for key in tables if key in file.lines]
-        keys += [key for key in file.lines if _is_spoken_of(key, message)]
-        lines = [file.lines[key] for key in keys] or [
-            n for name in names if (n := file.line_that_names(name))
-        ]
-        if lines and file is files[0]:
-            return f"{file.path}:{lines[0]}: {message}"
-        if lines:
-            return f"{files[0].path}: {message} ({file.path}:{lines[0]})"
-    return f"{files[0].path}: {message}"
-
-
-def _is_spoken_of(keys: KeyPath, message: str) -> bool:
-    """Whether a message speaks of a setting of the experiment: step_size as "step size"."""
-    return keys[0] == "experiment" and len(keys) == 2 and str(keys[1]).replace("_", " ") in message

@@ -4,13 +4,15 @@ import re
 import sys
 import tomllib
 from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from fmus.errors import nearest
-from orchestration.errors import ScenarioError
+from orchestration.errors import InputError, Key, ScenarioError
 
 KeyPath = tuple[str | int, ...]
 _KEY = r"""(?:[\w-]+|"(?:[^"\\]|\\.)*"|'[^']*')"""
@@ -54,8 +56,11 @@ class TomlFile:
                 return f"{self.path}:{self.lines[keys[:length]]}"
         return str(self.path)
 
-    def line_that_names(self, name: str) -> int | None:
-        """Returns the first line, not of a comment, with this name."""
+    def line_of(self, key: Key) -> int | None:
+        """Returns the line of the keys of an entry, or the first, not of a comment, that names a variable."""
+        if isinstance(key, tuple):
+            return self.lines.get(key)
+        name = key
         named = re.compile(rf"(?<![\w.]){re.escape(name)}(?![\w\[])")
         for number, line in enumerate(self.text.splitlines(), start=1):
             if named.search(line) and not line.lstrip().startswith("#"):
@@ -71,6 +76,26 @@ def _names(keys: str) -> tuple[str, ...]:
         ((name, table),) = table.items()
         names.append(name)
     return tuple(names)
+
+
+@contextmanager
+def placed(files: Sequence[TomlFile]) -> Iterator[None]:
+    """Errors in what is given, raised inside, begin with the file, and the line of what they are about.
+
+    files: of a scenario, the uppermost first; a line of another file stands at the end
+    """
+    try:
+        yield
+    except InputError as error:
+        if error.about is None:
+            raise
+        places = ((file, line) for file in files for key in error.about if (line := file.line_of(key)))
+        file, line = next(places, (files[0], 0))
+        if file is not files[0]:
+            message = f"{files[0].path}: {error} ({file.path}:{line})"
+        else:
+            message = f"{file.path}{f':{line}' * bool(line)}: {error}"
+        raise ScenarioError(message) from error
 
 
 def read_toml(path: Path) -> TomlFile:

@@ -159,7 +159,9 @@ def _member(kind: type[StrEnum], value: Any, name: str) -> StrEnum:
         return kind(value)
     except ValueError:
         known = [str(member) for member in kind]
-        raise SystemDefinitionError(f"unknown {name} {value!r}; {nearest(str(value), known)}") from None
+        raise SystemDefinitionError(
+            f"unknown {name} {value!r}; {nearest(str(value), known)}", ("experiment", name)
+        ) from None
 
 
 def _tuple_of(kind: type, values: Any, name: str) -> tuple[Any, ...]:
@@ -168,39 +170,67 @@ def _tuple_of(kind: type, values: Any, name: str) -> tuple[Any, ...]:
     return tuple(values)
 
 
-def _expect(condition: bool, message: str) -> None:
+def _expect(condition: bool, message: str, *about: str) -> None:
+    """Raises SystemDefinitionError if a condition does not hold; about: keys of an entry of a scenario."""
     if not condition:
-        raise SystemDefinitionError(message)
+        raise SystemDefinitionError(message, *([about] if about else []))
+
+
+_OF = ("experiment",)
 
 
 def _check_times(experiment: Experiment) -> None:
     start, stop, step = experiment.start_time, experiment.stop_time, experiment.step_size
     for name, value in (("stop_time", stop), ("step_size", step), ("start_time", start)):
         is_number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-        _expect(is_number, f"{name} = {value!r}: expected a number of seconds")
-    _expect(0.0 < step < math.inf, f"communication step size {step!r} s: expected more than 0")
-    _expect(math.isfinite(start), f"start time {start!r} s: expected a finite number")
-    _expect(start < stop < math.inf, f"stop time {stop!r} s: expected more than the start time {start!r} s")
+        _expect(is_number, f"{name} = {value!r}: expected a number of seconds", *_OF, name)
+    _expect(
+        0.0 < step < math.inf, f"communication step size {step!r} s: expected more than 0", *_OF, "step_size"
+    )
+    _expect(math.isfinite(start), f"start time {start!r} s: expected a finite number", *_OF, "start_time")
+    _expect(
+        start < stop < math.inf,
+        f"stop time {stop!r} s: expected more than the start time {start!r} s",
+        *_OF,
+        "stop_time",
+    )
     is_within = step <= (stop - start) * (1.0 + GRID_TOLERANCE)
-    _expect(is_within, f"communication step size {step!r} s: expected at most the run, {stop - start:g} s")
+    _expect(
+        is_within,
+        f"communication step size {step!r} s: expected at most the run, {stop - start:g} s",
+        *_OF,
+        "step_size",
+    )
     count = (stop - start) / step
-    _expect(count <= _MOST_STEPS, f"{count:.3g} communication steps: expected at most {_MOST_STEPS:.0e}")
+    _expect(
+        count <= _MOST_STEPS,
+        f"{count:.3g} communication steps: expected at most {_MOST_STEPS:.0e}",
+        *_OF,
+        "step_size",
+    )
     for event in experiment.events:
         expected = f"expected a time within the run, {start:g}..{stop:g} s"
-        _expect(start <= event.time <= stop, f"event at {event.time!r} s: {expected}")
+        _expect(start <= event.time <= stop, f"event at {event.time!r} s: {expected}", "events")
 
 
 def _check_options(experiment: Experiment) -> None:
     order, tolerance = experiment.extrapolation, experiment.tolerance
-    _expect(order in (0, 1), f"extrapolation = {order!r}: expected order 0 or 1")
+    _expect(order in (0, 1), f"extrapolation = {order!r}: expected order 0 or 1", *_OF, "extrapolation")
     for name, value in (("tolerance", tolerance), ("fmu_tolerance", experiment.fmu_tolerance)):
         fits = value is None or 0.0 < value < 1.0
-        _expect(fits, f"{name} = {value!r}: expected more than 0, less than 1")
+        _expect(fits, f"{name} = {value!r}: expected more than 0, less than 1", *_OF, name)
     if tolerance is not None:
-        _expect(not experiment.step_sizes, "tolerance and step_sizes: expected one of them")
+        _expect(
+            not experiment.step_sizes, "tolerance and step_sizes: expected one of them", *_OF, "tolerance"
+        )
     for name, size in experiment.step_sizes.items():
         expected = f"expected a multiple of the communication step size, {experiment.step_size!r} s"
-        _expect(is_multiple(size, experiment.step_size), f"step size of {name}, {size!r} s: {expected}")
+        _expect(
+            is_multiple(size, experiment.step_size),
+            f"step size of {name}, {size!r} s: {expected}",
+            "step_sizes",
+            name,
+        )
 
 
 def suggested_times(

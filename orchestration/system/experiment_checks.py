@@ -22,11 +22,13 @@ def check_signals(system: CheckedSystem, experiment: Experiment) -> None:
     for name, signal in experiment.signals.items():
         if not callable(signal):
             raise SystemDefinitionError(
-                f"signal {name} = {signal!r}: expected a function of time; a constant is given as an input"
+                f"signal {name} = {signal!r}: expected a function of time; a constant is given as an input",
+                ("signals", name),
             )
         if system.ports[name].variable.type == "String":
             raise SystemDefinitionError(
-                f"signal {name}: expected an input that is a number, got a String; give it a constant value"
+                f"signal {name}: expected an input that is a number, got a String; give it a constant value",
+                ("signals", name),
             )
 
 
@@ -56,7 +58,7 @@ def check_faults(system: CheckedSystem, experiment: Experiment, driven: set[str]
             if isinstance(effect, Stuck):
                 fmi_value(port, effect.value)
             continue
-        raise SystemDefinitionError(f"fault on {fault.input}: {problem}")
+        raise SystemDefinitionError(f"fault on {fault.input}: {problem}", fault.input)
 
 
 def check_capabilities(system: CheckedSystem, experiment: Experiment) -> None:
@@ -64,7 +66,8 @@ def check_capabilities(system: CheckedSystem, experiment: Experiment) -> None:
     for name in experiment.step_sizes:
         if name not in system.components:
             raise SystemDefinitionError(
-                f"step size of {name!r}: no such component; {nearest(name, system.components)}"
+                f"step size of {name!r}: no such component; {nearest(name, system.components)}",
+                ("step_sizes", name),
             )
     last_is_shorter = not is_multiple(experiment.stop_time - experiment.start_time, experiment.step_size)
     instances = Counter(system.components.values())
@@ -74,17 +77,20 @@ def check_capabilities(system: CheckedSystem, experiment: Experiment) -> None:
         if experiment.tolerance and not (interface.canGetAndSetFMUstate and can_vary_step):
             raise SystemDefinitionError(
                 f"tolerance: {name} cannot repeat a step in two halves: expected an FMU with "
-                "canGetAndSetFMUstate and canHandleVariableCommunicationStepSize"
+                "canGetAndSetFMUstate and canHandleVariableCommunicationStepSize",
+                ("experiment", "tolerance"),
             )
         if (last_is_shorter or experiment.step_count % experiment.period(name)) and not can_vary_step:
             raise SystemDefinitionError(
-                f"{name} cannot vary its step size: expected a stop time that is a multiple of the step size"
+                f"{name} cannot vary its step size: expected a stop time that is a multiple of the step size",
+                ("experiment", "stop_time"),
             )
         path = system.components[name]
         if instances[path] > 1 and interface.canBeInstantiatedOnlyOncePerProcess:
             copies = [other for other in system.components if system.components[other] == path]
             raise SystemDefinitionError(
-                f"{', '.join(copies)}: expected one instance, the FMU can be instantiated only once"
+                f"{', '.join(copies)}: expected one instance, the FMU can be instantiated only once",
+                ("components", name),
             )
 
 
@@ -114,7 +120,7 @@ def check_changeable(system: CheckedSystem, name: str, purpose: str, driven: Col
         problem = "is driven already, by a connection or signal"
     else:
         return
-    raise SystemDefinitionError(f"{purpose}: {name} {problem}")
+    raise SystemDefinitionError(f"{purpose}: {name} {problem}", name)
 
 
 def check_memory(system: CheckedSystem, experiment: Experiment) -> None:

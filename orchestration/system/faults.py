@@ -218,7 +218,9 @@ class Fault:
     def __post_init__(self) -> None:
         if not self.start < self.end:
             raise SystemDefinitionError(
-                f"fault on {self.input}: end = {self.end!r} s: expected more than its start, {self.start!r} s"
+                f"fault on {self.input}: end = {self.end!r} s: expected more than its start, "
+                f"{self.start!r} s",
+                self.input,
             )
 
     def pattern(self, times: np.ndarray) -> Pattern:

@@ -89,11 +89,13 @@ class PreparedRun:
         try:
             values[:] = values_at(signal, self.points)
         except Exception as error:  # whatever a user's own function raises
-            raise SystemDefinitionError(f"signal {name}: {error!r}") from error
+            raise SystemDefinitionError(f"signal {name}: {error!r}", ("signals", name)) from error
         expected, is_possible = possible_values(self.system.ports[name], values)
         for i in np.flatnonzero(~is_possible)[:1]:
             value, t = values[i], self.points[i]
-            raise SystemDefinitionError(f"signal {name} is {value:.9g} at t = {t:.9g} s: expected {expected}")
+            raise SystemDefinitionError(
+                f"signal {name} is {value:.9g} at t = {t:.9g} s: expected {expected}", ("signals", name)
+            )
         return values
 
     @property
@@ -229,7 +231,8 @@ def _settings(system: CheckedSystem, experiment: Experiment) -> tuple[Setting, .
             if port.variable.variability == "constant":
                 kind = "a constant"
             raise SystemDefinitionError(
-                f'{name}: expected a parameter, or a variable with initial = "exact" or "approx", got {kind}'
+                f'{name}: expected a parameter, or a variable with initial = "exact" or "approx", got {kind}',
+                name,
             )
         settings.append((port, fmi_value(port, value)))
     for name, value in experiment.inputs.items():

@@ -50,7 +50,9 @@ def with_derivatives(
             if of is None:
                 sources = {target: source for source, target, *_ in connections}
                 raise ScenarioError(
-                    f'signals."{name}": of = {signal.of!r}: {_instead(name, signal.of, sources)}'
+                    f'signals."{name}": of = {signal.of!r}: {_instead(name, signal.of, sources)}',
+                    ("signals", name),
+                    signal.of,
                 )
             result[name] = derivative(of, signal.order, name)
     return result
@@ -76,7 +78,8 @@ def derivative(signal: Signal, order: int = 1, name: str = "derivative") -> Sign
     if not isinstance(signal, Constant | Cosine | Ramps | Sines | Table):
         known = "ramps, cosine, sines, constant or table"
         raise ScenarioError(
-            f'signals."{name}": expected the derivative of {known}, got {type(signal).__name__}'
+            f'signals."{name}": expected the derivative of {known}, got {type(signal).__name__}',
+            ("signals", name),
         )
     return signal.derivative(order)
 

@@ -14,7 +14,7 @@ import numpy as np
 from fmus.errors import nearest
 from fmus.fmi.description import describe, of_causality
 from fmus.fmi.model_description import ModelDescription, ScalarVariable
-from orchestration.errors import SystemDefinitionError
+from orchestration.errors import Key, SystemDefinitionError
 from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.quantities import are_equal
 
@@ -30,19 +30,26 @@ class LinearTransformation:
         return self.factor * value + self.offset
 
     @classmethod
-    def of(cls, given: Any, connection: str) -> "LinearTransformation":
+    def of(cls, given: Any, source: str, target: str) -> "LinearTransformation":
         """Returns the transformation of a table with `factor` and `offset`; an error names the connection."""
+        connection, about = f"connection {source} -> {target}", _about_connection(source, target)
         known = [field.name for field in fields(cls)]
         if isinstance(given, cls):
             given = {name: getattr(given, name) for name in known}
         if not isinstance(given, dict):
-            raise SystemDefinitionError(f"{connection}: expected {{factor, offset}} third, got {given!r}")
+            raise SystemDefinitionError(
+                f"{connection}: expected {{factor, offset}} third, got {given!r}", *about
+            )
         for name, value in given.items():
             if name not in known:
-                raise SystemDefinitionError(f"{connection}: unknown key {name!r}; {nearest(name, known)}")
+                raise SystemDefinitionError(
+                    f"{connection}: unknown key {name!r}; {nearest(name, known)}", *about
+                )
             is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
             if not (is_number and math.isfinite(value)):
-                raise SystemDefinitionError(f"{connection}: {name} = {value!r}: expected a finite number")
+                raise SystemDefinitionError(
+                    f"{connection}: {name} = {value!r}: expected a finite number", *about
+                )
         return cls(**{name: float(value) for name, value in given.items()})
 
 
@@ -104,6 +111,11 @@ def _fmu(path: str | Path) -> Path:
     return fmu_of_class(str(path))
 
 
+def _about_connection(source: str, target: str) -> tuple[Key, ...]:
+    """Returns where a file has a connection: in a table under its input, in a list by both ends."""
+    return ("connections", target), source, target
+
+
 def _ends(connection: Any) -> tuple[str, str] | tuple[str, str, LinearTransformation]:
     is_connection = isinstance(connection, (tuple, list)) and len(connection) in (2, 3)
     if not is_connection or not all(isinstance(name, str) for name in connection[:2]):
@@ -111,7 +123,7 @@ def _ends(connection: Any) -> tuple[str, str] | tuple[str, str, LinearTransforma
     source, target, *given = connection
     if not given:
         return source, target
-    return source, target, LinearTransformation.of(given[0], f"connection {source} -> {target}")
+    return source, target, LinearTransformation.of(given[0], source, target)
 
 
 class ConnectionGroup(NamedTuple):
@@ -142,17 +154,19 @@ class CheckedSystem:
         component = name.partition(".")[0]
         if component not in self.components:
             raise SystemDefinitionError(
-                f"{purpose}: no component {component!r} for {name!r}; {nearest(component, self.components)}"
+                f"{purpose}: no component {component!r} for {name!r}; {nearest(component, self.components)}",
+                name,
             )
         if name not in self.ports:
             left_out = self.descriptions[component].left_out.get(name.partition(".")[2])
             if left_out:
                 raise SystemDefinitionError(
                     f"{purpose}: {name} has type {left_out}: expected a number, a Boolean or a String, "
-                    "and no Clock"
+                    "and no Clock",
+                    name,
                 )
             candidates = [known for known in self.ports if known.startswith(component + ".")]
-            raise SystemDefinitionError(f"{purpose}: no variable {name!r}; {nearest(name, candidates)}")
+            raise SystemDefinitionError(f"{purpose}: no variable {name!r}; {nearest(name, candidates)}", name)
         return self.ports[name]
 
     def components_without(self, capability: str) -> list[str]:
@@ -266,16 +280,19 @@ def check(
     for name in driven:
         port = checked.port(name, "driven input")
         if port.variable.causality != "input":
-            raise SystemDefinitionError(f"{name} is driven: expected an input, got {port.variable.causality}")
+            raise SystemDefinitionError(
+                f"{name} is driven: expected an input, got {port.variable.causality}", name
+            )
         drivers[name] += 1
     for name, count in drivers.items():
         if count > 1:
-            raise SystemDefinitionError(f"{name} is driven {count} times: expected once")
+            raise SystemDefinitionError(f"{name} is driven {count} times: expected once", name)
     undriven = [p for n, p in ports.items() if p.variable.causality == "input" and n not in drivers]
     if undriven and open_inputs is OpenInputs.ERROR:
         raise SystemDefinitionError(
             f"{', '.join(port.name for port in undriven)}: driven by nothing; connect each input, drive it "
-            'by a signal, give it a constant value, or set open_inputs = "start" for the FMU\'s start value'
+            'by a signal, give it a constant value, or set open_inputs = "start" for the FMU\'s start value',
+            *((table, port.name) for port in undriven for table in ("inputs", "connections", "signals")),
         )
     return replace(checked, connections=connections, open_inputs=tuple(undriven))
 
@@ -302,4 +319,4 @@ def _connection(checked: CheckedSystem, source: str, target: str) -> tuple[Port,
         problem = f"expected equal units, got {output.unit} and {input_.unit}{note}"
     else:
         return start, end
-    raise SystemDefinitionError(f"{purpose}: {problem}")
+    raise SystemDefinitionError(f"{purpose}: {problem}", *_about_connection(source, target))

@@ -32,7 +32,7 @@ def fmi_value(port: Port, value: Value) -> FmiValue:
         try:
             plain = read_value(plain, variable)
         except SystemDefinitionError as error:
-            raise SystemDefinitionError(f"{name} = {str(plain)!r}: {error}") from None
+            raise SystemDefinitionError(f"{name} = {str(plain)!r}: {error}", port.name) from None
     if variable.type == "String":
         return str(plain)
     if isinstance(plain, str):
@@ -77,7 +77,7 @@ def _number(port: Port, value: FmiValue, name: str) -> float | int | bool:
         expected = "0, or 1.4e-45..3.4e38 in size, as it has single precision (Float32)"
     else:
         return value
-    raise SystemDefinitionError(f"{name} = {reprlib.repr(value)}: expected {expected}")
+    raise SystemDefinitionError(f"{name} = {reprlib.repr(value)}: expected {expected}", port.name)
 
 
 def items(port: Port) -> dict[str, int]:

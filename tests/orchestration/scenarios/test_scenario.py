@@ -1,12 +1,12 @@
 """Scenario files: what they may say, and what they are told when they say something else."""
 
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from orchestration.cli.chosen_scenario import load
 from orchestration.errors import OrchestrationError, ScenarioError, ScenarioWarning
 from orchestration.scenarios import scenario
 from orchestration.scenarios.read_layers import stated_values
@@ -287,20 +287,33 @@ def test_a_mistake_is_told_with_its_line(tmp_path: Path, text: str, line: int) -
 
 
 @pytest.mark.parametrize(
-    ("message", "expected"),
+    ("text", "place"),
     [
-        ("plant.inertia = nan: expected a finite number", "mine.toml:4: plant.inertia"),
-        ("connection plant.depht -> controller.x: no variable 'plant.depht'", "mine.toml:2: connection"),
-        ("controller.filter_bandwidth = 9: expected less", r"mine.toml: .* \(.*identified.toml:\d+\)"),
-        ("a system without an end", "mine.toml: a system"),
+        ('[parameters]\n"plant.inertia" = -1.0', r"mine.toml:3: plant.inertia = -1.0: expected 0.1"),
+        ('[connections]\n"plant.roll" = "plant.dept"', r"mine.toml:3: connection plant.dept -> "),
+        ("[step_sizes]\nplent = 0.04", r"mine.toml:3: step size of 'plent': no such component"),
+        ("[experiment]\ntolerance = 2.0", r"mine.toml:3: tolerance = 2.0: expected more than 0"),
+        ('[[events]]\ntime = 1\nset = { "plant.initial_depth" = 1.0 }', r"mine.toml:4: event at 1.0 s: "),
+        ('[metrics.m]\nfunction = "mean"\nsignal = "plant.roll"', r"mine.toml:2: metric m: 'plant.roll' is"),
+        ('[inputs]\n"plant.roll" = false', r"mine.toml:3: plant.roll: driven by nothing"),
+        ("[experiment]\nstep_size = 500.0", r"mine.toml:3: communication step size 500.0 s: expected"),
     ],
 )
 def test_a_mistake_that_the_fmus_show_is_told_with_the_line_of_its_name(
-    tmp_path: Path, message: str, expected: str
+    scenario_fmus: None, tmp_path: Path, text: str, place: str
 ) -> None:
-    text = 'connections = [["plant.depht", "controller.x"]]\n[parameters]\n"plant.inertia" = nan\n'
-    loaded = scenario.load(write(tmp_path, CHILD + text))
-    assert re.search(expected, scenario.located(message, loaded.files))
+    path = write(tmp_path, CHILD + text)
+    with pytest.raises(ScenarioError, match=place):
+        load(str(path))
+
+
+def test_a_mistake_in_a_parameter_file_is_told_after_the_scenario(
+    scenario_fmus: None, tmp_path: Path
+) -> None:
+    (tmp_path / "gains.toml").write_text('[parameters]\n"controller.proportional_gain".value = -9.0\n')
+    path = write(tmp_path, 'parameter_files = ["gains.toml"]\n' + CHILD)
+    with pytest.raises(ScenarioError, match=r"mine.toml: .*proportional_gain = -9.0: .* \(.*gains.toml:2\)"):
+        load(str(path))
 
 
 @pytest.mark.parametrize(
