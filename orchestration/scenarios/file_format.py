@@ -133,7 +133,7 @@ Named = Annotated[
 
 
 class JoinTable(Table):
-    """What drives an input under a condition: an output, or the derivative of an input's signal."""
+    """An output, or the derivative of an input's signal, that drives an input under a condition."""
 
     source: str = ""
     """ "component.output" """
@@ -156,7 +156,7 @@ Join = Annotated[
 
 
 class InterfaceTable(Table):
-    """What joins components by itself, "component.variable" each."""
+    """Ports by which components are joined, "component.variable" each."""
 
     required: list[list[str]] = []
     """Lists of alternatives, of which an FMU in the place of another needs one."""
@@ -207,7 +207,7 @@ class ScenarioFile(Table):
     metrics: dict[str, Annotated[Table | Literal[False], METRIC]] = {}
     """Name -> function and its arguments; false drops a metric of the base."""
     interface: InterfaceTable = InterfaceTable()
-    """What joins components by itself, and what another FMU in a component's place may lack."""
+    """Ports by which components are joined, and which another FMU in a component's place may lack."""
     sweep: dict[str, Any] = {}
     """Many runs with other values."""
 

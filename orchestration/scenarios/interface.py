@@ -1,4 +1,4 @@
-"""What joins components by itself: the table [interface] of a base, as data.
+"""The table [interface] of a base: data by which components are joined.
 
 [interface]
 required = [["plant.depth"], ["plant.voltage[1]", "plant.control_force"]]  # of each list, one has to be there
@@ -11,7 +11,7 @@ between = { allocation = "ThrustAllocation" }                           # is the
 "controller.roll" = [0.0]
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -172,12 +172,6 @@ class Joins:
         component, own = self._own(name)
         return component is not None and component.has_part(own, part)
 
-    def is_input(self, name: str) -> bool:
-        """Whether a name of the data of all layers is an input."""
-        component, _, variable = name.partition(".")
-        known = self._components.get(component)
-        return known is not None and known.has_part(variable, "input")
-
     def _own(self, name: str) -> tuple[Component | None, str]:
         """Returns the component of a name of the interface, and the variable of its FMU."""
         component, _, variable = name.partition(".")
@@ -195,41 +189,34 @@ class Joins:
         """Returns the required variables of a component of which none is there: lists of alternatives."""
         own = f"{component.name}."
         groups = [names for names in self._interface.required if all(name.startswith(own) for name in names)]
-        return [[n.removeprefix(own) for n in names] for names in groups if not any(map(self.has, names))]
+        groups = [names for names in groups if not any(map(self.has, names))]
+        groups = [names for names in groups if not any({*names} < {*other} for other in groups)]
+        return [[name.removeprefix(own) for name in names] for names in groups]
 
     def lacking_inputs(self, component: Component) -> list[str]:
-        """Returns the inputs that a component lacks, and for which there is an output of another one."""
-        needed = [names for names in self._interface.required if not any(map(self.has, names))]
-        grouped = {name: names for names in self._interface.required for name in names}
-        lacking: dict[str, None] = {}
-        for target, sources in self._interface.inputs.items():
-            owner, _, variable = target.partition(".")
-            is_fed = any(output_of(source) and self._holds(source) for source in sources)
-            if owner == component.name and is_fed and not self.has(target):
-                group = grouped.get(target)
-                if group is None or group in needed:
-                    lacking[group[0].partition(".")[2] if group else variable] = None
-        return [*lacking]
+        """Returns further inputs that a component lacks, and for which another one has an output."""
+        required = {name for names in self._interface.required for name in names}
+        own, inputs = f"{component.name}.", self._interface.inputs.items()
+        lacking = [x for x in inputs if x[0].startswith(own) and not (x[0] in required or self.has(x[0]))]
+        fed = [x for x, sources in lacking if any(output_of(one) and self._holds(one) for one in sources)]
+        return [name.removeprefix(own) for name in fed]
 
-    def lacking_outputs(self, component: Component, driven: Collection[str]) -> list[list[str]]:
-        """Returns the alternatives of a component for each input that is there and that nothing drives.
+    def joins(self, names: Sequence[str], component: Component, undriven: Collection[str]) -> bool:
+        """Whether one of a component's variables would be an input, or drive one of the undriven inputs."""
+        named = {f"{component.name}.{name}" for name in names}
+        for target, sources in self._interface.inputs.items():
+            other, own = self._own(target)
+            is_open = other is not None and f"{other.name}.{own}" in undriven
+            if target in named or (is_open and named & {*map(output_of, sources)}):
+                return True
+        return False
+
+    def undriven(self, driven: Collection[str], component: Component) -> list[str]:
+        """Returns the inputs of other components that the interface joins, and that nothing drives.
 
         driven: inputs, by the names of the FMUs
         """
-        result: list[list[str]] = []
-        for target in self._interface.inputs:
-            known, own = self._own(target)
-            if known and self.has(target, "input") and f"{known.name}.{own}" not in driven:
-                outputs = dict.fromkeys(self._outputs(target, component.name))
-                result += [[*outputs]] if outputs and known.name not in self.between else []
-        return result
-
-    def _outputs(self, target: str, component: str) -> Iterator[str]:
-        """Yields the outputs of a component that would drive an input, also by a component between them."""
-        for output in filter(None, map(output_of, self._interface.inputs[target])):
-            owner, _, variable = output.partition(".")
-            if owner == component:
-                yield variable
-            for inner in self._interface.inputs if owner in self.between else ():
-                if inner.startswith(f"{owner}."):
-                    yield from self._outputs(inner, component)
+        joined = [self._own(target) for target in self._interface.inputs]
+        inputs = [f"{known.name}.{own}" for known, own in joined if known and known.has_part(own, "input")]
+        others = (f"{component.name}.", *(f"{name}." for name in self.between))
+        return [name for name in inputs if not name.startswith(others) and name not in driven]

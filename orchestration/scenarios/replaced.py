@@ -120,29 +120,28 @@ class Replacement:
         if not new.fmu:
             return
         may_be_open = data["experiment"].get("open_inputs") == "start"
-        undriven = [n for n in self._variables("input") if not (prefix + n in driven or may_be_open)]
-        lacking, unfed = joins.lacking(new), joins.lacking_outputs(new, driven)
-        inputs = {name for name, target in self.left_out if target == prefix + name}
-        inputs |= {*joins.lacking_inputs(new)}
-        undriven_targets = {t for _, t in self.left_out if t not in driven and joins.is_input(t)}
-        outputs = {name for name, target in self.left_out if target in undriven_targets} - inputs
-        outputs |= {names[0] for names in unfed}
-        unjoined = sorted(outputs | inputs if undriven else outputs)
+        own = [prefix + name for name in self._variables("input") if prefix + name not in driven]
+        undriven = [*([] if may_be_open else own), *joins.undriven(driven, new)]
+        lacking = joins.lacking(new)
         needed = {name for names in lacking for name in names}
+        unjoined = {name for name, target in self.left_out if target in (prefix + name, *undriven)}
+        unjoined |= {names[0] for names in lacking if joins.joins(names, new, undriven)}
+        unjoined |= {*joins.lacking_inputs(new)} if own else set()
         missing = [n for n, target in self.left_out if target not in driven and not self._may_lack(n, needed)]
         missing += [names[0] for names in lacking if not self._may_lack(names[0], needed)]
-        state, names = f"{new.name} is {Path(new.fmu).name}", unjoined or list(dict.fromkeys(missing))
+        names = sorted(unjoined) if unjoined and undriven else list(dict.fromkeys(missing))
+        state = f"{new.name} is {Path(new.fmu).name}"
         if names:
-            others = [own for group in (*lacking, *unfed) if group[0] == names[0] for own in group]
-            mapped = [f"--map {prefix}{own}=NAME" for own in dict.fromkeys([names[0], *others])]
+            others = [name for group in lacking if group[0] == names[0] for name in group]
+            mapped = [f"--map {prefix}{name}=NAME" for name in dict.fromkeys([names[0], *others])]
             lacks = f"{state}, which lacks {listed(names, _MOST_NAMES)}"
             hint = f"name those that stand for others by {' or '.join(mapped)}"
             hint += f" or in [components.{new.name}.names]"
-            if unjoined:
-                may_stay = "; --open-inputs start leaves its inputs at their start values" if undriven else ""
-                inputs_of = f"nothing drives its {', '.join(undriven)}, its" if undriven else "its"
-                outputs_of = f"outputs are {', '.join(self._variables('output')) or '(none)'}"
-                raise ScenarioError(f"{lacks}; {inputs_of} {outputs_of}: {hint}{may_stay}")
+            if unjoined and undriven:
+                may_stay = "; --open-inputs start leaves its inputs at their start values" if own else ""
+                outputs = ", ".join(self._variables("output")) or "(none)"
+                got = f"nothing drives {', '.join(undriven)}; its outputs are {outputs}"
+                raise ScenarioError(f"{lacks}; {got}: {hint}{may_stay}")
             optional_hint = f'list those that it may lack in [interface], optional = ["{prefix}{names[0]}"]'
             _warn(f"{lacks}: left out; {hint}; {optional_hint}")
         self._check_taken(data["parameters"], state)
@@ -158,7 +157,7 @@ class Replacement:
         return marked >= 0 or name in self.interface.names or name in self.own
 
     def _check_taken(self, parameters: Mapping[str, Any], state: str) -> None:
-        """Warns of values that were chosen for another FMU, if this one lacks others."""
+        """Warns (ScenarioWarning) of values that were chosen for another FMU, if this one lacks others."""
         values: dict[str, Any] = {n: parameters.get(f"{self.component.name}.{n}") for n in self.taken}
         ports = {n: port for n in values if (port := self.component.port(n))}
         own = {n: start_value(port.variable) for n, port in ports.items()}

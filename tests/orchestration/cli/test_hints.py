@@ -201,7 +201,9 @@ def test_an_fmu_whose_outputs_alone_are_not_joined_is_not_said_to_have_open_inpu
     short_scenario()
     described(tmp_path / "law.fmu", ("depth_reference", "measured_depth"), ("left", "right"))
     message = error("run", "short.toml", "--controller", "law.fmu")
-    assert "which lacks voltage[1], voltage[2]; its outputs are left, right: name those" in message
+    undriven, outputs = "plant.voltage[1], plant.voltage[2]", "left, right: name those"
+    assert f"which lacks voltage[1]; nothing drives {undriven}; its outputs are {outputs}" in message
+    assert "--open-inputs" not in message
     described(tmp_path / "deaf.fmu", ("depth_reference", "measured_depth"), ())
     assert "; its outputs are (none): name" in error("run", "short.toml", "--controller", "deaf.fmu")
 

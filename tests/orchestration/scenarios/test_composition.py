@@ -137,9 +137,10 @@ def test_a_reference_that_a_connection_drives_needs_its_rate_from_there(tmp_path
 
 
 LACKING = (
-    r"my.fmu, which lacks depth_reference, measured_depth, measured_depth_rate, voltage\[1\], voltage\[2\]; "
-    r"nothing drives its r, z, its outputs are v1, v2: name .* by --map controller.depth_reference=NAME or "
-    r"in \[components.controller.names\]; --open-inputs start leaves its inputs at their start values$"
+    r"my.fmu, which lacks depth_reference, measured_depth, measured_depth_rate, voltage\[1\]; nothing drives "
+    r"controller.r, controller.z, plant.voltage\[1\], plant.voltage\[2\]; its outputs are v1, v2: name .* by "
+    r"--map controller.depth_reference=NAME or in \[components.controller.names\]; --open-inputs start "
+    r"leaves its inputs at their start values$"
 )
 
 
@@ -149,8 +150,14 @@ LACKING = (
         ({}, LACKING),
         ({**MAPPED, "voltage[2]": "v3"}, r"names of controller: controller has no variable 'v3'; known: "),
         ({**MAPPED, "depth_refrence": "r"}, r"names controller.depth_refrence; nearest is 'controller.dep"),
-        ({"depth_reference": "r", "measured_depth": "z"}, r"lacks voltage\[1\], voltage\[2\]; .*NAME or in"),
-        ({n: o for n, o in MAPPED.items() if o != "z"}, r"lacks measured_depth, .* drives its z, its outp"),
+        (
+            {"depth_reference": "r", "measured_depth": "z"},
+            r"lacks voltage\[1\]; .*NAME or --map .*NAME or ",
+        ),
+        (
+            {n: o for n, o in MAPPED.items() if o != "z"},
+            r"lacks measured_depth, .* drives controller.z; ",
+        ),
     ],
 )
 def test_an_fmu_that_is_not_joined_is_refused_with_its_names(
@@ -166,7 +173,7 @@ def test_open_inputs_take_start_values_if_asked(tmp_path: Path) -> None:
     prepared = prepare(loaded.system, loaded.experiment)
     assert [port.name for port in prepared.system.open_inputs] == ["controller.enable"]
     assert {port.name: value for port, value in prepared.settings}["controller.enable"] is False
-    with pytest.raises(ScenarioError, match=r"nothing drives its enable, .* --open-inputs start leaves"):
+    with pytest.raises(ScenarioError, match=r"nothing drives controller.enable; .* --open-inputs start l"):
         with_fmu(tmp_path, inputs, VOLTAGES)
 
 
