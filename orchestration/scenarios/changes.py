@@ -15,7 +15,7 @@ from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.components import Describe
 from orchestration.scenarios.declarations import with_file_paths
-from orchestration.scenarios.interface import Interface
+from orchestration.scenarios.interface import components_between
 from orchestration.scenarios.layers import Data, Layer, components_of
 from orchestration.scenarios.read_layers import components_and_names, with_parameter_files
 from orchestration.system.experiment import Experiment
@@ -63,7 +63,7 @@ def values_of_settings(settings: Mapping[str, FmiValue], layers: Sequence[Layer]
     Raises ScenarioError for a setting that names no component, parameter or input.
     """
     below, tables = components_of(layers[:-1]), Data()
-    components = {**Interface.of(layers).between, **components_of(layers)}
+    components = {**components_between(layers), **components_of(layers)}
 
     def settable_of(component: str) -> dict[str, ScalarVariable]:
         variables = describe(components[component]).items()

@@ -1,17 +1,16 @@
 """The layers of a scenario laid over each other, with its last FMUs and what joins them."""
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
-from typing import Any
 
 from fmus.fmi.description import start_value
 from orchestration.errors import ScenarioError
-from orchestration.scenarios.components import Component, Describe, components
-from orchestration.scenarios.interface import Interface, Joins
-from orchestration.scenarios.layers import Data, Layer, driven_inputs, laid_over, names_in
+from orchestration.scenarios.components import Describe
+from orchestration.scenarios.interface import Interface
+from orchestration.scenarios.layers import Data, Layer, laid_over, names_in
 from orchestration.scenarios.replaced import Replacement, renamed
 from orchestration.scenarios.vehicle import PLANT, VehicleValues, description_file
 from orchestration.system.system import Port
@@ -28,70 +27,44 @@ class Composition:
     """
 
     data: Data
-    components: Mapping[str, Component]
-    joins: Joins
+    interface: Interface
     replacements: Sequence[Replacement]
 
     def port(self, name: str) -> Port | None:
         """Returns the port of "component.variable", None if there is none."""
         component, _, variable = name.partition(".")
-        own = self.components.get(component)
+        own = self.interface.present.get(component)
         return own and own.port(variable)
-
-    def check(self, data: Data) -> None:
-        """Checks that the FMUs in the place of others are joined to the system, as `Replacement.check`."""
-        for replacement in self.replacements:
-            replacement.check(data, self.joins)
 
 
 def compose(layers: Sequence[Layer], describe: Describe) -> Composition:
     """Returns the scenario of layers, the lowest first; ScenarioError for entries that do not fit."""
-    interface, present = Interface.of(layers), components(layers, describe)
-    joins = Joins(interface, present, describe, _parameter_values(layers))
+    interface = Interface(layers, describe)
+    composition = Composition({}, interface, [])
     files = [file for layer in layers for file in layer.parameter_files]
     identified = {name for file in files for name in file.data.get("parameters", {})}
 
     def is_boolean(name: str) -> bool:
-        component, _, variable = name.partition(".")
-        port = component in present and present[component].port(variable)
-        return isinstance(port, Port) and port.variable.type == "Boolean"
+        port = composition.port(name)
+        return port is not None and port.variable.type == "Boolean"
 
     data: Data = {}
-    own_names: Collection[str] = ()
+    own: Collection[str] = ()
     replacements: list[Replacement] = []
     for index, layer in enumerate(layers):
-        for component in present.values():
+        for component in interface.present.values():
             if names := component.given_names.get(index, {}):
                 component.check_names(layer, names, interface.names.union(names_in(data)))
             if component.former and component.layer == index:
-                replacements.append(Replacement(component, interface, own_names, identified))
-                data = renamed(data, component.name, joins.names(component))
-                driven, data = driven_inputs(data), replacements[-1].fitting(data)
-                if index > interface.layer:
-                    data = joins.into(data, index, driven - driven_inputs(data))
+                replacements.append(Replacement(component, interface, own, identified))
+                data = renamed(data, component.name, interface.own_names(component))
+                data = replacements[-1].fitting(data)
             else:
                 data = renamed(data, component.name, names)
         plain = {key: value for key, value in layer.data.items() if key not in _HANDLED}
         data = laid_over(data, replace(layer, data=plain), is_boolean, interface.inputs)
-        if index == interface.layer:
-            own_names = frozenset(names_in(data))
-            data = joins.into(data, index)
-    absent = {name for name in interface.names if not joins.has(name)}
-    if "record" in data:
-        data["record"] = [name for name in data["record"] if name not in absent]
-    return Composition(data, {**present, **joins.between}, joins, replacements)
-
-
-def _parameter_values(layers: Sequence[Layer]) -> dict[str, list[Any]]:
-    """Returns "component.variable" -> the values that a parameter may have in the runs of a scenario."""
-    values: dict[str, list[Any]] = {}
-    for layer in layers:
-        values |= {name: [value] for name, value in layer.data.get("parameters", {}).items()}
-    for layer in layers:
-        for name, varied in layer.data.get("sweep", {}).get("vary", {}).items():
-            chosen = varied.get("values", []) if isinstance(varied, dict) else []
-            values[name] = [*values.get(name, []), *chosen]
-    return values
+        own = frozenset(names_in(data)) if index == interface.layer else own
+    return replace(composition, data=interface.joined(data), replacements=replacements)
 
 
 def with_actuators(
@@ -104,13 +77,13 @@ def with_actuators(
     replaced = {x.component.name: x for x in composition.replacements if x.component.fmu}
     if PLANT not in replaced:
         return data, {}
-    vehicle = composition.components[PLANT]
+    vehicle = composition.interface.present[PLANT]
     above = reduce(lambda a, x: a | x.data.get("parameters", {}), layers[vehicle.layer :], Data())
     given = {name.partition(".")[2]: value for name, value in above.items() if name.startswith(f"{PLANT}.")}
     file = description_file(vehicle.fmu)
     actuators = VehicleValues(file, vehicle.variables, vehicle.names, given).actuators
     entries: dict[str, float] = {}
-    for component in composition.components.values():
+    for component in composition.interface.present.values():
         if component.name == PLANT or component.name not in data["components"]:
             continue
         ports = {

@@ -4,7 +4,7 @@ Tables are merged key by key, lists are replaced. In a table, `false` removes an
 that a layer drives in one way, by a connection, a signal or a constant, is not driven as in the layers below.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,11 +45,13 @@ def components_of(layers: Sequence[Layer]) -> dict[str, str]:
     return {name: fmu for name, fmu in components.items() if fmu}
 
 
-def laid_over(data: Data, layer: Layer, is_boolean: Callable[[str], bool], known: Iterable[str] = ()) -> Data:
+def laid_over(
+    data: Data, layer: Layer, is_boolean: Callable[[str], bool], joined: Collection[str] = ()
+) -> Data:
     """Returns the data of the layers below with those of a layer over them.
 
     is_boolean: whether a variable is, so that `false` is its value
-    known: inputs that may have had a connection with other FMUs
+    joined: inputs that something drives if the layers do not; `removed` lists those that a layer removes
     Raises ScenarioError for an entry that is removed where there is none.
     """
     below = _without_other_drivers(data, layer.data)
@@ -57,10 +59,10 @@ def laid_over(data: Data, layer: Layer, is_boolean: Callable[[str], bool], known
     data = merge(below, above)
     for name, value in layer.data.items():
         if name == "connections":
-            data[name] = _connections(below.get(name, []), value, layer, known)
+            data[name] = _connections(below.get(name, []), value, layer, joined)
         elif name == "record":
             data[name] = _record(below.get(name, []), value, layer)
-    _remove(data, below, layer, is_boolean)
+    _remove(data, below, layer, is_boolean, joined)
     return data
 
 
@@ -111,10 +113,10 @@ def _listed(source: Any, target: str) -> list[Any]:
     return [source["source"], target, {key: value for key, value in source.items() if key != "source"}]
 
 
-def _connections(below: list[Any], above: Any, layer: Layer, known: Iterable[str]) -> list[Any]:
+def _connections(below: list[Any], above: Any, layer: Layer, joined: Iterable[str]) -> list[Any]:
     if not isinstance(above, dict):
         return above
-    _check_removed("connections", above, [*(target for _, target, *_ in below), *known], layer)
+    _check_removed("connections", above, [*(target for _, target, *_ in below), *joined], layer)
     inherited = [connection for connection in below if connection[1] not in above]
     return [*inherited, *(_listed(source, target) for target, source in above.items() if source is not False)]
 
@@ -131,15 +133,24 @@ def _record(below: list[str], above: Any, layer: Layer) -> list[str]:
     return [*(name for name in below if above.get(name, True)), *added]
 
 
-def _remove(data: Data, below: Data, layer: Layer, is_boolean: Callable[[str], bool]) -> None:
+def _remove(
+    data: Data, below: Data, layer: Layer, is_boolean: Callable[[str], bool], joined: Collection[str]
+) -> None:
     """Removes the components, signals, parameters and inputs that a layer gives as `false`."""
-    for table in ("components", "signals"):
-        _check_removed(table, layer.data.get(table, {}), below.get(table, {}), layer)
+    _check_removed("components", layer.data.get("components", {}), below.get("components", {}), layer)
+    _check_removed("signals", layer.data.get("signals", {}), [*below.get("signals", {}), *joined], layer)
     for table in ("components", "signals", "parameters", "inputs"):
         names = {name for name, value in layer.data.get(table, {}).items() if value is False}
-        removed = {name for name in names & below.get(table, {}).keys() if not is_boolean(name)}
+        removed = {name for name in names & {*below.get(table, {}), *joined} if not is_boolean(name)}
         if removed:
             data[table] = {name: value for name, value in data[table].items() if name not in removed}
+    undriven = [name for name in joined if any(_given(layer, table, name) is False for table in _DRIVING)]
+    data["removed"] = [*data.get("removed", []), *(name for name in undriven if not is_boolean(name))]
+
+
+def _given(layer: Layer, table: str, name: str) -> Any:
+    entries = layer.data.get(table)
+    return entries.get(name) if isinstance(entries, dict) else None
 
 
 def _check_removed(table: str, given: Mapping[str, Any], below: Iterable[str], layer: Layer) -> None:

@@ -18,7 +18,7 @@ from fmus.fmi.description import start_value
 from orchestration.errors import ScenarioError, ScenarioWarning
 from orchestration.results.metrics import SIGNALS
 from orchestration.scenarios.components import Component
-from orchestration.scenarios.interface import Interface, Joins
+from orchestration.scenarios.interface import Interface
 from orchestration.scenarios.layers import Data, driven_inputs, with_events
 from orchestration.system.quantities import StatedValue
 from orchestration.system.values import fmi_value
@@ -110,10 +110,10 @@ class Replacement:
             self.taken[variable] = fmi_value(port, value) if port and is_text else value
         return True
 
-    def check(self, data: Data, joins: Joins) -> None:
+    def check(self, data: Data) -> None:
         """Checks that the new FMU is joined to the system, and warns of what may not be meant.
 
-        data: of all layers; joins: of the interface
+        data: of all layers
         Raises ScenarioError for an FMU whose variables have other names than what it inherits.
         """
         new, driven, prefix = self.component, driven_inputs(data), f"{self.component.name}."
@@ -121,12 +121,12 @@ class Replacement:
             return
         may_be_open = data["experiment"].get("open_inputs") == "start"
         own = [prefix + name for name in self._variables("input") if prefix + name not in driven]
-        undriven = [*([] if may_be_open else own), *joins.undriven(driven, new)]
-        lacking = joins.lacking(new)
+        undriven = [*([] if may_be_open else own), *self.interface.undriven(driven, new)]
+        lacking = self.interface.lacking(new)
         needed = {name for names in lacking for name in names}
         unjoined = {name for name, target in self.left_out if target in (prefix + name, *undriven)}
-        unjoined |= {names[0] for names in lacking if joins.joins(names, new, undriven)}
-        unjoined |= {*joins.lacking_inputs(new)} if own else set()
+        unjoined |= {names[0] for names in lacking if self.interface.joins(names, new, undriven)}
+        unjoined |= {*self.interface.lacking_inputs(new)} if own else set()
         missing = [n for n, target in self.left_out if target not in driven and not self._may_lack(n, needed)]
         missing += [names[0] for names in lacking if not self._may_lack(names[0], needed)]
         names = sorted(unjoined) if unjoined and undriven else list(dict.fromkeys(missing))

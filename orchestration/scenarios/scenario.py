@@ -112,7 +112,8 @@ def load(
             raise ScenarioError("components is missing")
         data, from_actuators = with_actuators(data, layers, composed)
         data = with_faulted_constants(_converted(data, composed.port))
-    composed.check(data)
+    for replacement in composed.replacements:
+        replacement.check(data)
     data["metrics"] = {name: metric for name, metric in data["metrics"].items() if metric is not False}
     _check_parameters([f for x in layers for f in x.parameter_files], data, describe)
     file = checked(FILE, data, lambda keys: str(path))

@@ -196,7 +196,7 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
     def _loaded(self, case: Case) -> Scenario:
         controller, vehicle = self.controller, self.protocol.vehicle
         layers = [
-            *_base(shipped_bases()[self.protocol.tables.base], vehicle.inputs, vehicle.has(MEASURED_RATE)),
+            *_base(shipped_bases()[self.protocol.tables.base], vehicle.inputs),
             Layer(dict(case.layer)),
         ]
         names = {"controller": controller.mapping, "plant": vehicle.mapping}
@@ -300,15 +300,16 @@ def _judged_period(base: str) -> float:
 
 
 @cache
-def _base(path: Path, inputs: tuple[str, ...], measures_rate: bool) -> tuple[Layer, ...]:
+def _base(path: Path, inputs: tuple[str, ...]) -> tuple[Layer, ...]:
     """Returns the layers of a base, and one with what is recorded for metrics in place of its metrics.
 
+    No controller is told the depth rate of a vehicle that does not measure it.
     inputs: of the actuators
-    measures_rate: whether the vehicle does, else no controller is told its depth rate
     """
     layers = file_layers(path)
     metrics = {name: False for layer in layers for name in layer.data.get("metrics", {})}
-    rate: dict[str, Any] = {"inputs": {RATE: 0.0}}
-    if measures_rate:
-        rate = {"connections": {RATE: MEASURED_RATE}}
-    return (*layers, Layer({"record": [REFERENCE, DEPTH, *inputs], "metrics": metrics, **rate}))
+    interface = {"inputs": {RATE: [MEASURED_RATE, 0.0]}}
+    return (
+        *layers,
+        Layer({"record": [REFERENCE, DEPTH, *inputs], "metrics": metrics, "interface": interface}),
+    )

@@ -226,7 +226,7 @@ def test_an_input_takes_the_first_source_that_is_there_and_whose_conditions_hold
     ("text", "connections", "inputs"),
     [
         ('[inputs]\n"b.x" = 1.0\n', (), {"b.y": 2.0, "b.x": 1.0}),
-        ('[connections]\n"b.y" = "a.y"\n', (("a.y", "b.x"), ("a.y", "b.y")), {}),
+        ('[connections]\n"b.y" = "a.y"\n', (("a.y", "b.y"), ("a.y", "b.x")), {}),
         ('[connections]\n"b.x" = false\n', (), {"b.y": 2.0}),
         ('[interface.inputs]\n"b.x" = [4.0]\n', (), {"b.x": 4.0, "b.y": 2.0}),
     ],
