@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
+import pytest
+
 from fmus.block import Block, variable
 from fmus.generate import builder
 from fmus.numerics import floor, where
@@ -127,6 +129,15 @@ ITEMS = Block(
 
 SMALL = {block.name: block for block in (EVERYTHING, ITEMS, BALL, GROWTH, TANK)}
 """Blocks of this file and of `exchanged` by name."""
+
+
+IN_FMI3: list[Any] = [
+    pytest.param(
+        name, marks=() if name in ("ExamplePlant", "RovDepthPlant", "WaveSource") else pytest.mark.slow
+    )
+    for name in builder.block_names()
+]
+"""Blocks whose FMUs of FMI 3.0 are tested: the layer is that of FMI 2.0, for which there are more kinds."""
 
 
 def block_named(name: str) -> Block:
