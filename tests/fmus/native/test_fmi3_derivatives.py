@@ -11,15 +11,16 @@ import pytest
 
 from fmus.block import Block
 from fmus.block.variables import BlockVariable
+from fmus.generate import builder
 from fmus.generate.describe import array_name, arrays, other_variables
 from fmus.generate.trace import trace
 
-from .blocks import EVERYTHING, IN_FMI3, block_named
+from .blocks import EVERYTHING, block_named, in_fmi3
 from .exchanged import BALL
 from .fmi3_instance import Fmi3Instance
 
 traced = cache(trace)
-NAMES = [*IN_FMI3, EVERYTHING.name, BALL.name]
+NAMES = [*in_fmi3(builder.block_names()), EVERYTHING.name, BALL.name]
 Open = Callable[..., Fmi3Instance]
 
 

@@ -9,7 +9,9 @@ from xml.etree import ElementTree
 import pytest
 from fmpy.fmi1 import FMICallException
 
-from .blocks import EVERYTHING, IN_FMI3, block_named
+from fmus.generate import builder
+
+from .blocks import EVERYTHING, block_named, in_fmi3
 from .exchanged import BALL, TANK
 from .fmi3_instance import Fmi3Instance, scalars
 
@@ -58,7 +60,7 @@ def intermediate(fmu: Fmi3Instance, causality: str) -> list[str]:
     return [v.attrib["name"] for v in marked]
 
 
-@pytest.mark.parametrize("name", [*IN_FMI3, EVERYTHING.name, BALL.name])
+@pytest.mark.parametrize("name", [*in_fmi3(builder.block_names()), EVERYTHING.name, BALL.name])
 def test_updates_that_set_nothing_change_no_bit(open_fmi3: Open, name: str) -> None:
     """Of steps that are no multiple of the internal step; the last outputs in a step are those of its end."""
     block = block_named(name)
