@@ -132,13 +132,17 @@ def misbehaving(task: Task, rogue: Build, misdeed: Misdeed, time: float) -> Task
 
 
 def test_the_reward_of_several_points_is_their_sum(task: Task) -> None:
-    """The increments of a metric give it, whatever the steps, in each of the environments."""
+    """Alone, and in a vector of one."""
     rewarded = replace(task, reward=increments.effort(POSITION), steps=5)
-    with closing(FmuVectorEnv(rewarded, 2)) as envs:
+    with closing(FmuVectorEnv(rewarded, 1)) as envs:
         envs.reset(seed=1)
-        total = sum(envs.step(np.zeros((2, 1)))[1] for _ in range(2))
+        total = sum(envs.step(np.zeros((1, 1)))[1] for _ in range(2))
         efforts = [metrics.FUNCTIONS["effort"](recording, POSITION) for recording in envs.recordings()]
     assert total == pytest.approx(efforts)
+    with closing(FmuEnv(rewarded)) as env:
+        env.reset(seed=1)
+        alone = sum(env.step(np.zeros(1))[1] for _ in range(2))
+    assert alone == pytest.approx(efforts[0])
 
 
 def test_an_action_beyond_its_bounds_counts_as_the_nearest_within(env: FmuEnv, envs: FmuVectorEnv) -> None:
