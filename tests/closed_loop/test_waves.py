@@ -85,12 +85,6 @@ def test_a_vehicle_that_holds_still_reads_bernoullis_linear_pressure(scenario_fm
     np.testing.assert_allclose(run["plant.measured_depth"] - DEPTH, head, rtol=0.0, atol=0.1 * W * STEP)
 
 
-def test_in_deep_water_nothing_moves(scenario_fmus: None) -> None:
-    """At k z = 4 a wave of 0.1 m moves it by 0.1 m exp(-4) at most, to either side."""
-    run = in_waves(0.1, INPUTS, initial_depth=4.0 / K, initial_heave_velocity=0.0)
-    assert 0.0 < np.ptp(run["plant.depth"]) < 3.0 * 0.1 * math.exp(-4.0)
-
-
 PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "disturbances.md"
 PROTOCOL = read_protocol()
 POSITION = [name for name in PROTOCOL.controllers if not PROTOCOL.controllers[name].reference_rates]

@@ -7,7 +7,7 @@ from typing import Any
 import fmpy
 import pytest
 from fmpy.fmi1 import FMICallException
-from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
+from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 
 from fmus.registry import Flavour
 
@@ -21,6 +21,8 @@ class Loaded:
         self.references = {v.name: v.valueReference for v in description.modelVariables}
         self.log: list[str] = []
         self._callbacks = fmi2CallbackFunctions()
+        self._callbacks.allocateMemory = defaultCallbacks.allocateMemory
+        self._callbacks.freeMemory = defaultCallbacks.freeMemory
         self._callbacks.logger = fmi2CallbackLoggerTYPE(
             lambda environment, instance, status, category, text: self.log.append(text.decode())
         )
@@ -33,10 +35,15 @@ class Loaded:
         self.slave.instantiate(callbacks=self._callbacks, loggingOn=logging)
         self._alive = True
 
-    def begin(self) -> "Loaded":
+    def initialize(self) -> "Loaded":
+        """Leads to initialization mode."""
         self.slave.setupExperiment(startTime=0.0)
         self.slave.enterInitializationMode()
-        self.slave.exitInitializationMode()
+        return self
+
+    def begin(self) -> "Loaded":
+        """Leads to step mode."""
+        self.initialize().slave.exitInitializationMode()
         return self
 
     def __getitem__(self, name: str) -> float:

@@ -146,18 +146,15 @@ def test_a_real_is_set_within_the_range_of_single_precision_or_infinite(path: Pa
 def test_a_warning_and_a_discard_of_one_call_are_those_of_all(mirror: Build, macro: str, part: int) -> None:
     """part: how many of two scalars are set; a part of an array is read first."""
     function = "fmi3SetFloat64" if macro == "AFTER_SET" else "fmi3GetFloat64"
-    pairs = {"row": ("Float64", "[1] 1.5 [2] 2.5")}
-    for status in ("Warning", "Discard"):
-        path = mirror(pairs, {f"{macro}(status)": f"((void)(status), fmi2{status})"})
-        description = describe(path)
-        row = of_causality(description, "input")[:part]
-        with FmuInstance("m", path, description) as instance:
-            if status == "Warning":
-                with pytest.warns(FmuWarning, match=f"{function}: it logged nothing"):
-                    instance.set_all((v, 3.5) for v in row)
-            else:
-                with pytest.raises(FmuError, match=f"{function} returned discard"):
-                    instance.set_all((v, 3.5) for v in row)
+    pairs = dict.fromkeys(("warned", "discarded"), ("Float64", "[1] 1.5 [2] 2.5"))
+    path = mirror(pairs, {f"{macro}(status)": "((void)(status), vr[0] == 1000 ? fmi2Warning : fmi2Discard)"})
+    description = describe(path)
+    inputs = of_causality(description, "input")
+    with FmuInstance("m", path, description) as instance:
+        with pytest.warns(FmuWarning, match=f"{function}: it logged nothing"):
+            instance.set_all((v, 3.5) for v in inputs[:part])
+        with pytest.raises(FmuError, match=f"{function} returned discard"):
+            instance.set_all((v, 3.5) for v in inputs[2 : 2 + part])
 
 
 def test_a_warning_of_the_first_of_two_calls_is_that_of_both(mirror: Build) -> None:

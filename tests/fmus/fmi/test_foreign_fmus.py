@@ -5,11 +5,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import fmpy
 import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
-from fmpy.fmi2 import FMU2Slave
 from scipy.integrate import solve_ivp
 
 from fmus.compliance.examine import examine
@@ -64,34 +62,10 @@ def test_misdeeds_have_the_same_numbers_in_c() -> None:
     assert [name.removesuffix("_ERROR") for name in names] == [misdeed.name for misdeed in Misdeed]
 
 
-class Stepped:
-    """An FMU through FMPy, variables by name."""
-
-    def __init__(self, path: Path, folder: Path) -> None:
-        description = fmpy.read_model_description(str(path))
-        self.references = {v.name: v.valueReference for v in description.modelVariables}
-        fmpy.extract(str(path), str(folder))
-        identifier = description.coSimulation.modelIdentifier  # type: ignore[union-attr]
-        self.slave: Any = FMU2Slave(
-            guid=description.guid, unzipDirectory=str(folder), modelIdentifier=identifier, instanceName="x"
-        )
-        self.slave.instantiate()
-        self.slave.setupExperiment(startTime=0.0)
-        self.slave.enterInitializationMode()
-
-    def __getitem__(self, name: str) -> float:
-        return self.slave.getReal([self.references[name]])[0]
-
-    def __setitem__(self, name: str, value: float) -> None:
-        self.slave.setReal([self.references[name]], [value])
-
-
 @pytest.mark.parametrize(("a", "h"), [(-0.7, 0.8), (-0.7, 0.1), (0.0, 0.8)])
-def test_a_linear_fmu_is_exact_for_inputs_on_a_slope(
-    linear: Build, tmp_path: Path, a: float, h: float
-) -> None:
+def test_a_linear_fmu_is_exact_for_inputs_on_a_slope(linear: Build, load: Any, a: float, h: float) -> None:
     """Against SciPy with a tolerance of 1e-12; feedthrough takes the input at the end of the step."""
-    stepped = Stepped(linear(**TWO_BY_TWO | {"a": a}, **EVERYTHING), tmp_path)
+    stepped = load(linear(**TWO_BY_TWO | {"a": a}, **EVERYTHING)).initialize()
     u, rate = np.array([0.4, -1.0]), np.array([3.0, 0.5])
     stepped["u[1]"], stepped["u[2]"] = u
     b, c, d = (np.array(TWO_BY_TWO[name]) for name in "bcd")
@@ -113,8 +87,6 @@ def test_a_linear_fmu_is_exact_for_inputs_on_a_slope(
     assert stepped.slave.getRealOutputDerivatives(outputs, [1, 1]) == pytest.approx(slope, abs=1e-11)
     stepped.slave.doStep(h, h)  # the slope held for one step alone
     assert stepped["y[1]"] == pytest.approx(c[0] * after(x, 0.0 * rate) + d[0] @ u, abs=1e-11)
-    stepped.slave.terminate()
-    stepped.slave.freeInstance()
 
 
 @pytest.mark.parametrize(
@@ -127,17 +99,15 @@ def test_a_linear_fmu_is_exact_for_inputs_on_a_slope(
         lambda stepped: (stepped.slave.doStep(0.0, 0.1), stepped.slave.doStep(0.1, 0.2)),
     ],
 )
-def test_what_is_not_claimed_is_an_error(linear: Build, tmp_path: Path, call: Callable) -> None:
-    stepped = Stepped(linear(varies_step_size=False), tmp_path)
-    stepped.slave.exitInitializationMode()
+def test_what_is_not_claimed_is_an_error(linear: Build, load: Any, call: Callable) -> None:
+    stepped = load(linear(varies_step_size=False)).begin()
     with pytest.raises(FMICallException) as caught:
         call(stepped)
     assert caught.value.status == 3
-    stepped.slave.freeInstance()
 
 
-def test_a_discarded_step_leaves_the_part_that_succeeded(rogue: Build, tmp_path: Path) -> None:
-    stepped = Stepped(rogue(saves_state=True), tmp_path)
+def test_a_discarded_step_leaves_the_part_that_succeeded(rogue: Build, load: Any) -> None:
+    stepped = load(rogue(saves_state=True)).initialize()
     stepped.slave.setInteger([stepped.references["misdeed"]], [Misdeed.DISCARD])
     stepped["longest_step"], stepped["u"] = 0.25, 2.0
     stepped.slave.exitInitializationMode()
@@ -151,4 +121,3 @@ def test_a_discarded_step_leaves_the_part_that_succeeded(rogue: Build, tmp_path:
     stepped.slave.doStep(0.0, 0.25)
     assert stepped["y"] == 0.5
     stepped.slave.freeFMUState(before)
-    stepped.slave.freeInstance()

@@ -117,17 +117,6 @@ def test_closing_terminates_frees_unloads_and_removes(
     assert not list(temporary.iterdir())
 
 
-def test_after_fatal_nothing_is_called_any_more(foreign: Mapping[str, Path]) -> None:
-    component = load(foreign["Raises"])
-    component.initialise(0.0, None)
-    component.exit_initialization_mode()
-    component.library = spy = Spy(component.library)
-    with pytest.raises(FmuError, match=r"returned fatal: .*the hull is breached"):
-        component.call("fmi2DoStep", 0.5, 0.1, 1)
-    component.close()
-    assert spy.calls == []
-
-
 def doing(rogue: Build, misdeed: Misdeed, **capabilities: Any) -> tuple[FmuInstance, Spy]:
     """An instance that does so in its first step."""
     component = load(rogue(**capabilities))

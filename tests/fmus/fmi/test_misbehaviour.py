@@ -240,6 +240,7 @@ ENDS_APART = [
 ]
 
 
+@FMI_2_ALONE
 @pytest.mark.parametrize(("misdeed", "message"), ENDS_APART, ids=[misdeed.name for misdeed, _ in ENDS_APART])
 def test_a_process_of_its_own_ends_with_the_fmu_and_keeps_the_record(
     system: System, temporary: Path, misdeed: Misdeed, message: str

@@ -30,11 +30,6 @@ def fmu(request: pytest.FixtureRequest, either: dict[str, Path]) -> Path:
     return either[request.param]
 
 
-@pytest.mark.parametrize("name", one_of_a_kind(NAMES))
-def test_fmpy_finds_no_problem(built: Fmus, name: str) -> None:
-    assert validate_fmu(str(built[name])) == []
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_fmpy_finds_no_problem_in_the_python_flavour(python_built: Fmus, name: str) -> None:
@@ -103,16 +98,12 @@ def test_builds_are_reproducible_byte_for_byte(
         assert builder.build_block(name, tmp_path, flavour).read_bytes() == path.read_bytes()
 
 
-def test_a_build_leaves_nothing_beside_the_fmu(tmp_path: Path) -> None:
-    builder.build_block("ExamplePlant", tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["ExamplePlant.fmu"]
-
-
 def test_a_stale_fmu_is_rebuilt_and_a_fresh_one_kept(tmp_path: Path) -> None:
     path = tmp_path / "ExamplePlant.fmu"
     path.write_bytes(b"stale")
     builder.build_if_stale("ExamplePlant", tmp_path)
     assert zipfile.is_zipfile(path)
+    assert [*tmp_path.iterdir()] == [path]
     before = path.stat().st_mtime_ns
     builder.build_if_stale("ExamplePlant", tmp_path)
     assert path.stat().st_mtime_ns == before

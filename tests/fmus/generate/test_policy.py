@@ -2,7 +2,6 @@
 
 import zipfile
 from collections.abc import Callable
-from contextlib import closing
 from importlib import import_module
 from pathlib import Path
 
@@ -16,7 +15,6 @@ from fmus.fmi.description import describe
 from fmus.fmi.model_description import CoSimulation
 from fmus.generate.policy import check_repeats, fmu_of_class
 from orchestration import Experiment, Recording, SimulationError, Simulator, System, simulate
-from orchestration.gym import FmuEnv, Task
 
 POLICY = """
 import numpy as np
@@ -91,17 +89,6 @@ def test_it_is_made_once_and_two_builds_are_the_same_bytes(
     assert fmu_of_class(f"{policy}:Policy").read_bytes() == content
     with zipfile.ZipFile(path) as archive:
         assert not [name for name in archive.namelist() if str(tmp_path).encode() in archive.read(name)]
-
-
-def test_two_policies_with_modules_of_one_name_do_not_meet(policy: Path, tmp_path: Path) -> None:
-    other = tmp_path / "other"
-    other.mkdir()
-    (other / "my.py").write_text(POLICY)
-    (other / "helper.py").write_text("offset = 7.0\n")
-    np.save(other / "weights.npy", np.zeros(1))
-    system = System({"a": f"{policy}:Policy", "b": f"{other / 'my.py'}:Policy"})
-    recording = simulate(system, Experiment(1.0, 0.1, open_inputs="start"))
-    assert (recording["a.control_force"][-1], recording["b.control_force"][-1]) == (3.0, 7.0)
 
 
 def test_its_state_is_saved_if_it_can_be_copied(policy: Path) -> None:
@@ -336,21 +323,3 @@ def test_each_run_and_each_component_begins_without_what_another_left(late: str)
     assert first["a.control_force"][-1] == 3.5 + 4 * 91
     assert first["b.control_force"][-1] == 6.5 + 4 * 91
     assert np.array_equal(first.values, second.values)
-
-
-def test_each_episode_begins_without_what_another_left(late: str) -> None:
-    task = Task(
-        System({"own": late}),
-        Experiment(9.0, 0.1),
-        actions=("own.measured_depth",),
-        observations=("own.control_force",),
-        reward=lambda before, after, h: after["own.control_force"],
-        bounds={"own.measured_depth": (-1.0, 1.0)},
-    )
-    rewards = []
-    with closing(FmuEnv(task)) as env:
-        for _ in range(2):
-            env.reset(seed=1)
-            rewards.append([env.step(np.zeros(1))[1] for _ in range(90)])
-    assert rewards[0] == rewards[1]
-    assert rewards[0][-1] == 4.5 + 4 * 91

@@ -1,8 +1,11 @@
 """A small block with everything that the C layer distinguishes, which compiles in a moment."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
+
+import pytest
 
 from fmus.block import Block, variable
 from fmus.generate import builder
@@ -127,6 +130,15 @@ ITEMS = Block(
 
 SMALL = {block.name: block for block in (EVERYTHING, ITEMS, BALL, GROWTH, TANK)}
 """Blocks of this file and of `exchanged` by name."""
+
+
+def in_fmi3(names: Iterable[str]) -> list[Any]:
+    """Returns names as parameters of a test of FMI 3.0, of which all but three blocks are marked slow.
+
+    The layer is that of FMI 2.0, for which there are tests of more kinds.
+    """
+    quick = ("ExamplePlant", "RovDepthPlant", "WaveSource")
+    return [name if name in quick else pytest.param(name, marks=pytest.mark.slow) for name in names]
 
 
 def block_named(name: str) -> Block:

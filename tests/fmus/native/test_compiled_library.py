@@ -1,7 +1,6 @@
 """A compiled C source is shipped or cached, and only bytes that are as they were written are ever loaded."""
 
 import ctypes
-import os
 import sys
 import tempfile
 from pathlib import Path
@@ -78,8 +77,7 @@ def test_a_changed_source_is_compiled_again(source: Path, cache: Path) -> None:
 
 
 @pytest.mark.parametrize("shipped", [True, False])
-@pytest.mark.parametrize("size", [0, 100, -1])
-def test_a_damaged_library_is_never_loaded(source: Path, cache: Path, shipped: bool, size: int) -> None:
+def test_a_damaged_library_is_never_loaded(source: Path, cache: Path, shipped: bool) -> None:
     """A truncated one would be a SIGBUS at its first call. The next process has a good one again."""
     if shipped:
         path = ship(source)
@@ -87,7 +85,7 @@ def test_a_damaged_library_is_never_loaded(source: Path, cache: Path, shipped: b
         load(source)
         (path,) = cache.iterdir()
     content = path.read_bytes()
-    path.write_bytes(content[:size])
+    path.write_bytes(content[:-1])
     assert number(load(source)) == 42
     assert (cache / path.name).read_bytes() == content
 
@@ -112,29 +110,14 @@ def test_a_user_is_believed(source: Path, cache: Path, planted: Path) -> None:
     assert number(load(source)) == 666
 
 
-@pytest.mark.parametrize("others", [0o077, 0o070, 0o002])
 @pytest.mark.parametrize("what", ["folder", "file"])
-def test_what_others_can_write_is_not_loaded(
-    source: Path, cache: Path, planted: Path, what: str, others: int
-) -> None:
+def test_what_others_can_write_is_not_loaded(source: Path, cache: Path, planted: Path, what: str) -> None:
     """A folder is not used either, and keeps its files."""
     place = cache if what == "folder" else planted
-    place.chmod(place.stat().st_mode | others)
+    place.chmod(place.stat().st_mode | 0o002)
     assert compiled_library.is_compiled(source) is False
     assert number(load(source)) == 42
     assert [*cache.iterdir()] == [planted]
-
-
-def test_a_library_that_a_umask_of_002_lets_others_write_is_cached_all_the_same(
-    source: Path, cache: Path, request: pytest.FixtureRequest
-) -> None:
-    before = os.umask(0o002)
-    try:
-        load(source)
-    finally:
-        os.umask(before)
-    request.getfixturevalue("no_compiler")
-    assert number(load(source)) == 42
 
 
 def test_where_nothing_can_be_cached_each_process_compiles(source: Path, cache: Path) -> None:

@@ -26,13 +26,13 @@ from fmus.generate import builder
 from fmus.generate.describe import arrays, variable_names
 from fmus.native import toolchain
 from fmus.registry import Flavour
-from tests.shared_builds import Fmus, one_of_a_kind
+from tests.shared_builds import Fmus
 
-from .blocks import EVERYTHING, Mode, block_named
+from .blocks import EVERYTHING, Mode, block_named, in_fmi3
 from .exchanged import BALL, TANK, Exchanged
 from .fmi3_instance import Fmi3Instance, scalars
 
-NAMES = one_of_a_kind(builder.block_names())
+NAMES = in_fmi3(builder.block_names())
 Open = Callable[..., Fmi3Instance]
 
 
@@ -46,7 +46,7 @@ def test_trajectories_are_those_of_fmi_2_bit_for_bit(
     groups = [(group, members) for group, _, members in arrays(block.of_causality("input"))]
     h = block.step_size
     recorded = []
-    for i in range(200):
+    for i in range(50):
         values = {v.name: math.cos(5.0 * i * h * (k + 1)) for k, v in enumerate(moved)}
         for member, value in values.items():
             old[member] = value
@@ -89,7 +89,7 @@ def test_fmpy_finds_no_problem_and_simulates_both_interfaces(fmi3_built: Fmus, n
         assert all(np.isfinite(result[variable]).all() for variable in result.dtype.names)
 
 
-@pytest.mark.parametrize("name", ["L1DepthController", EVERYTHING.name, BALL.name])
+@pytest.mark.parametrize("name", ["ExamplePlant", EVERYTHING.name, BALL.name])
 def test_the_descriptions_fit_the_schemas_and_the_library(fmi3_built: Fmus, name: str) -> None:
     """FMI 3.0.2, 2.5: files are where it says."""
     with zipfile.ZipFile(fmi3_built[name]) as archive:
@@ -312,11 +312,6 @@ def test_model_exchange_has_the_states_derivatives_and_events_of_fmi_2(
     assert "not allowed in the state 'event mode'" in new.refused("setTime", 1.0)
 
 
-def test_an_empty_list_of_derivatives_of_outputs_is_accepted(open_fmi3: Open) -> None:
-    plant = open_fmi3("ExamplePlant").begin()
-    assert plant.fmu.getOutputDerivatives([], []) == []
-
-
 def test_continuous_states_are_set_one_by_one_in_continuous_time_mode(open_fmi3: Open) -> None:
     """FMI 3.0.2, 3.2.1; what follows from them is of the new values."""
     ball = open_fmi3(BALL.name, "ModelExchange").begin()
@@ -331,23 +326,6 @@ def test_continuous_states_are_set_one_by_one_in_continuous_time_mode(open_fmi3:
     assert (ball["height"], ball["der(state.height)"]) == ([0.25], [3.0])
     ball.fmu.enterEventMode()
     assert "can not be set" in ball.refused("setFloat64", [height], [0.5])
-
-
-def test_discrete_reals_change_at_events_alone(open_fmi3: Open) -> None:
-    tank = open_fmi3(TANK.name, "ModelExchange").begin()
-    tank["opening"] = [0.5]
-    tank.fmu.updateDiscreteStates()
-    assert (tank["level"], tank["shown"]) == ([1.0], [1.5])
-    tank.fmu.enterContinuousTimeMode()
-    tank["state.level"], tank["inflow"] = [0.25], [2.0]
-    assert (tank["level"], tank["shown"], tank["der(state.level)"]) == ([0.25], [1.5], [1.875])
-    tank.fmu.enterEventMode()
-    assert tank["shown"] == [0.75]
-    tank["opening"] = [1.0]
-    tank.fmu.enterContinuousTimeMode()
-    assert tank["shown"] == [1.25]
-    text = tank.refused("setFloat64", [tank.reference("opening")], [0.0])
-    assert text == "fmi3SetFloat64: opening can not be set in continuous-time mode"
 
 
 _ECOS = """

@@ -14,14 +14,13 @@ from fmus.block.variables import BlockVariable
 from fmus.generate import builder
 from fmus.generate.describe import array_name, arrays, other_variables
 from fmus.generate.trace import trace
-from tests.shared_builds import one_of_a_kind
 
-from .blocks import EVERYTHING, block_named
+from .blocks import EVERYTHING, block_named, in_fmi3
 from .exchanged import BALL
 from .fmi3_instance import Fmi3Instance
 
 traced = cache(trace)
-NAMES = [*one_of_a_kind(builder.block_names()), EVERYTHING.name, BALL.name]
+NAMES = [*in_fmi3(builder.block_names()), EVERYTHING.name, BALL.name]
 Open = Callable[..., Fmi3Instance]
 
 
@@ -170,23 +169,6 @@ def _within(v: BlockVariable, value: float) -> float:
         for limit, s in ((v.minimum, -1), (v.maximum, 1))
     )
     return min(max(value, low), high)
-
-
-def test_a_known_that_is_named_twice_counts_twice(open_fmi3: Open) -> None:
-    """d(product) = limit d(gain) + gain d(limit), with gain 2 and limit 4."""
-    fmu = open_fmi3(EVERYTHING.name)
-    fmu.fmu.enterInitializationMode()
-    gain, limit, product = (fmu.reference(name) for name in ("gain", "limit", "product"))
-    assert fmu.fmu.getDirectionalDerivative([product], [gain, limit, gain], [1.0, 10.0, 2.0]) == [32.0]
-    assert fmu.fmu.getAdjointDerivative([product], [gain, limit, gain], [1.0], 3) == [4.0, 2.0, 4.0]
-
-
-def test_contradictory_parameters_are_an_error_of_derivatives_of_the_initialization(open_fmi3: Open) -> None:
-    fmu = open_fmi3(EVERYTHING.name)
-    fmu.fmu.enterInitializationMode()
-    fmu["gain"] = [4.0]
-    text = fmu.refused("getAdjointDerivative", [fmu.reference("product")], [fmu.reference("gain")], [1.0])
-    assert text.endswith("expected gain below limit")
 
 
 @pytest.mark.parametrize("name", NAMES)

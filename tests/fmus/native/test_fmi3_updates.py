@@ -10,9 +10,8 @@ import pytest
 from fmpy.fmi1 import FMICallException
 
 from fmus.generate import builder
-from tests.shared_builds import Fmus, one_of_a_kind
 
-from .blocks import EVERYTHING, block_named
+from .blocks import EVERYTHING, block_named, in_fmi3
 from .exchanged import BALL, TANK
 from .fmi3_instance import Fmi3Instance, scalars
 
@@ -61,7 +60,7 @@ def intermediate(fmu: Fmi3Instance, causality: str) -> list[str]:
     return [v.attrib["name"] for v in marked]
 
 
-@pytest.mark.parametrize("name", [*one_of_a_kind(builder.block_names()), EVERYTHING.name, BALL.name])
+@pytest.mark.parametrize("name", [*in_fmi3(builder.block_names()), EVERYTHING.name, BALL.name])
 def test_updates_that_set_nothing_change_no_bit(open_fmi3: Open, name: str) -> None:
     """Of steps that are no multiple of the internal step; the last outputs in a step are those of its end."""
     block = block_named(name)
@@ -109,30 +108,6 @@ def test_outputs_inside_a_step_are_those_of_short_steps(open_fmi3: Open) -> None
     middles = [update.t for update in plant.updates if update.mode == SET]
     assert middles == [0.0625, 0.1875, 0.3125, 0.4375]
     assert [update.mode for update in plant.updates] == 4 * [SET, GET]
-
-
-def test_a_ramp_by_updates_is_that_of_input_derivatives_of_fmi_2_bit_for_bit(
-    built: Fmus, load: Any, open_fmi3: Open
-) -> None:
-    """Binary fractions, so that both compute the same inputs."""
-    h, rate = 0.25, 1.5
-    old = load(built["ExamplePlant"])
-    old["internal_step"] = 2.0**-6
-    old.begin()
-    new = Updated(open_fmi3, "ExamplePlant", internal_step=[2.0**-6])
-
-    def ramp(update: Update) -> None:
-        if update.mode == SET:
-            new.fmu["control"] = [rate * update.t]
-
-    new.act = ramp
-    for i in range(8):
-        old["control"] = rate * i * h
-        old.slave.setRealInputDerivatives([old.references["control"]], [1], [rate])
-        old.slave.doStep(i * h, h)
-        new.step(i * h, h)
-        assert new.fmu["state"] == [old["state[1]"], old["state[2]"]]
-    assert old["state[1]"] > 0.5
 
 
 def test_a_ramp_by_updates_converges_to_the_closed_form_with_the_second_order(open_fmi3: Open) -> None:

@@ -37,13 +37,6 @@ def test_derivatives_by_inputs_are_those_of_the_mode(session: Session) -> None:
         session("terminate")
 
 
-def test_in_step_mode_outputs_depend_on_parameters_but_not_on_inputs(plant: Session) -> None:
-    assert plant.stepping().set(control=1.0) == plant.step(0.0, 0.5) == OK
-    (state,) = plant.get("state[1]")
-    assert along(plant, ("output",), {"control": 5.0, "output_vector[1]": 2.0}) == [2.0 * state]  # y = C x
-    assert state != 0.0
-
-
 @pytest.mark.parametrize("name", one_of_a_kind(builder.block_names()))
 def test_derivatives_of_the_initialization_are_slopes(built: Fmus, load: Any, name: str) -> None:
     """Against central differences, whose error is some 1e-6 of the slope at a relative step of 1e-5."""

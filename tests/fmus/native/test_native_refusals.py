@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from .conftest import Open
-from .session import DISCARD, ENDED, ERROR, GUID, OK, WARNING, Null, Session
+from .session import DISCARD, ENDED, ERROR, GUID, OK, Null, Session
 
 NOTHING = Null(0)
 SETUP = ("setup", 0.0, False, 0.0)
@@ -113,10 +113,6 @@ def test_nothing_may_be_asked_of_outputs_strings_and_states_in_steps(plant: Sess
     assert plant("free_state", None).status == OK
 
 
-def test_the_model_never_ends_the_simulation(plant: Session) -> None:
-    assert plant.stepping()("get_status", "B", ENDED, "+").numbers == [0.0]
-
-
 def test_an_endless_step_is_an_error(plant: Session) -> None:
     """FMI 2.0.5, 4.2.2: it cannot be carried out, not even in part."""
     assert plant.stepping().step(0.0, 1.0) == OK
@@ -126,21 +122,12 @@ def test_an_endless_step_is_an_error(plant: Session) -> None:
 # values
 
 
-def test_a_value_out_of_range_is_discarded_and_the_old_one_stays(open_session: Open) -> None:
-    vehicle = open_session("RovDepthPlant").stepping()
-    references = vehicle.of("linear_damping", "inertia")
-    text = vehicle.refused("set", "R", references, [9.0, -1.0], status=DISCARD)
-    assert text == "fmi2SetReal: inertia = -1: expected 0.1..1000000.0 kg"
-    assert vehicle.get("linear_damping", "inertia") == [2.5, 5.5]
-    assert vehicle.set(inertia=math.nan) == DISCARD
-    assert vehicle.step(0.0, 0.02) == OK
-
-
 @pytest.mark.parametrize("stage", ["instantiated", "initialization", "stepping"])
 @pytest.mark.parametrize(
     ("name", "kind", "value", "message"),
     [
         ("gain", "R", -101.0, "fmi2SetReal: gain = -101: expected -100.0..100.0"),
+        ("internal_step", "R", 11.0, "fmi2SetReal: internal_step = 11: expected 0.001..10.0 s"),
         ("mode", "I", 2, "fmi2SetInteger: mode = 2: expected one of 0 (rest), 3 (run)"),
         ("valve", "R", -2.0, "fmi2SetReal: valve = -2: expected 0.0..1.0"),
     ],
@@ -157,14 +144,6 @@ def test_a_start_value_out_of_range_is_an_error_whose_message_needs_no_logging(
     assert answer.status == (ERROR if is_start else DISCARD)
     assert [m.text for m in answer.messages] == [message] * is_start
     assert session.get(name) == before
-
-
-@pytest.mark.parametrize("stage", LIFE)
-def test_what_is_calculated_is_set_in_no_state(session: Session, stage: str) -> None:
-    for name in ("product", "y"):
-        text = led(session, stage).refused("set", "R", session.of(name), [1.0])
-        assert text.endswith(f"{name} can not be set, it is calculated")
-        session("free")
 
 
 CONTRADICTIONS = [
@@ -261,40 +240,3 @@ def test_step_finished_is_called_after_each_completed_step_and_no_other(plant: S
 
 
 # messages
-
-
-@pytest.mark.parametrize(
-    ("category", "status"), [("logStatusError", OK), ("logNothing", WARNING), ("", WARNING)]
-)
-def test_an_unknown_category_of_messages_is_a_warning(plant: Session, category: str, status: int) -> None:
-    answer = plant.stepping()("set_debug_logging", True, [category])
-    assert answer.status == status
-    assert [m.category for m in answer.messages] == ["logStatusWarning"] * (status == WARNING)
-
-
-@pytest.mark.parametrize(
-    ("on", "categories", "discard_is_told", "error_is_told"),
-    [
-        (True, ["logStatusError"], False, True),
-        (True, ["logStatusDiscard", "logStatusWarning"], True, False),
-        (False, ["logStatusDiscard"], False, True),
-        (False, ["logAll"], False, False),
-        (False, [], False, True),
-    ],
-)
-def test_only_enabled_categories_are_logged(
-    plant: Session, on: bool, categories: list[str], discard_is_told: bool, error_is_told: bool
-) -> None:
-    """Those that are switched off are those that are named; without names the usual ones are left."""
-    assert plant.stepping()("set_debug_logging", on, categories) == (OK, [], [])
-    discard = plant("set", "R", plant.of("control"), [math.inf])
-    assert (discard.status, len(discard.messages)) == (DISCARD, discard_is_told)
-    error = plant("cancel")
-    assert (error.status, len(error.messages)) == (ERROR, error_is_told)
-
-
-def test_without_logging_errors_are_told_and_discards_are_not(plant: Session) -> None:
-    assert plant("instantiate", "it", 1, GUID, "all", False).status == OK
-    assert all(plant(*call) == (OK, [], []) for call in LIFE["stepping"])
-    assert plant("set", "R", plant.of("control"), [math.inf]) == (DISCARD, [], [])
-    assert len(plant("cancel").messages) == 1

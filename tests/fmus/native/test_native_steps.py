@@ -196,33 +196,11 @@ def test_a_derivative_of_higher_order_is_left_out_of_an_input(session: Session) 
     assert reached(session) == pytest.approx(euler(1.0, 0.0, 0.1, force=10.0 * 0.05 * 0.5), rel=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("name", "orders", "reason"),
-    [
-        ("force", [0], "order 0: expected at least 1"),
-        ("force", [-1], "order -1: expected at least 1"),
-        ("gain", [1], "gain: expected an input"),
-        ("y", [1], "y: expected an input"),
-    ],
-)
-def test_only_inputs_have_derivatives_to_be_set_of_positive_order(
-    session: Session, name: str, orders: list[int], reason: str
-) -> None:
-    session.stepping()
-    assert reason in session.refused("set_input_derivatives", session.of(name), orders, [1.0])
-
-
 def test_a_discrete_real_has_no_derivative(open_session: Open) -> None:
     tank = open_session(TANK.name).stepping()
     assert set_rates(tank, inflow=1.0) == OK
     text = tank.refused("set_input_derivatives", tank.of("opening"), [1], [1.0])
     assert text == "fmi2SetRealInputDerivatives: opening: expected a continuous input"
-
-
-def test_setting_no_derivatives_changes_nothing(session: Session) -> None:
-    before = session.stepping().saved()
-    assert set_rates(session) == OK
-    assert session.saved() == before
 
 
 def test_a_refused_step_leaves_rates_and_the_next_one_uses_them(session: Session) -> None:

@@ -27,8 +27,9 @@ ALLOWED = """
 """
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
-@pytest.mark.parametrize("block", ["RovDepthPlant", "L1DepthController"])
+@pytest.mark.parametrize(
+    ("block", "fmi"), [("RovDepthPlant", 2), ("RovDepthPlant", 3), ("L1DepthController", 2)]
+)
 def test_a_library_has_no_memory_of_its_own_and_calls_what_has_none(
     built: Mapping[str, Path], fmi3_built: Mapping[str, Path], block: str, fmi: int
 ) -> None:

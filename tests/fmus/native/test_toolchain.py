@@ -63,28 +63,30 @@ def test_what_the_compiler_says_is_passed_on(tmp_path: Path, source: str, messag
         zig(["cc", "broken.c"], tmp_path)
 
 
-def test_a_compiler_that_does_not_end_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_compiler_that_does_not_end_is_announced_and_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     os.mkfifo(tmp_path / "endless.c")
+    monkeypatch.setattr(toolchain, "_SILENT_S", 0.001)
     monkeypatch.setattr(toolchain, "_PATIENCE_S", 0.001)
     with pytest.raises(ExportError, match=r"did not end within 0.001 s.* in a cache of its own"):
         zig(["cc", "endless.c"], tmp_path)
+    assert "another build has the lock of its cache" in capsys.readouterr().err
 
 
-# of clang, and of zig
-@pytest.mark.parametrize(
-    "variable",
-    ["CPATH", "C_INCLUDE_PATH", "CCC_OVERRIDE_OPTIONS", "ZIG_LIB_DIR", "CFLAGS", "BASH_ENV", "ENV"],
-)
-def test_a_variable_of_the_environment_changes_no_library(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variable: str
+def test_no_variable_of_the_environment_changes_a_library(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """None of clang, nor of zig."""
     (tmp_path / "math.h").write_text("static inline double sin(double x) { return 0.5 * x; }\n")
     # no library of this text is in the compiler's cache, which tells no environments apart
     exported = f'__attribute__((visibility("default"))) /* {tmp_path} */'
     source = f"#include <math.h>\n{exported} double result(double x) {{ return sin(x); }}\n"
-    monkeypatch.setenv(variable, f"+-I{tmp_path}" if variable.startswith("CCC") else str(tmp_path))
-    library = compile_library("sine", {"sine.c": source}, ["sine.c"], host_platform())
-    monkeypatch.delenv(variable)
+    with monkeypatch.context() as environment:
+        environment.setenv("CCC_OVERRIDE_OPTIONS", f"+-I{tmp_path}")
+        for variable in ("CPATH", "C_INCLUDE_PATH", "ZIG_LIB_DIR", "CFLAGS", "BASH_ENV", "ENV"):
+            environment.setenv(variable, str(tmp_path))
+        library = compile_library("sine", {"sine.c": source}, ["sine.c"], host_platform())
     (tmp_path / "library").write_bytes(library)
     result = ctypes.CDLL(str(tmp_path / "library")).result
     result.argtypes, result.restype = [ctypes.c_double], ctypes.c_double
@@ -105,32 +107,16 @@ def test_an_interrupt_while_the_compiler_ends_stays_an_interrupt(
         zig(["version"], tmp_path)
 
 
-def test_a_long_wait_for_the_compiler_is_announced(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
+def test_a_build_that_is_ended_leaves_no_process_and_an_interrupted_one_no_file(
+    tmp_path: Path, end: signal.Signals
 ) -> None:
-    os.mkfifo(tmp_path / "endless.c")
-    monkeypatch.setattr(toolchain, "_SILENT_S", 0.001)
-    monkeypatch.setattr(toolchain, "_PATIENCE_S", 0.001)
-    with pytest.raises(ExportError):
-        zig(["cc", "endless.c"], tmp_path)
-    assert "another build has the lock of its cache" in capsys.readouterr().err
-
-
-def test_an_interrupted_build_leaves_no_process_and_no_file(tmp_path: Path) -> None:
+    """A process would keep the lock of the compiler's cache."""
     process, endless = compiling_for_ever(tmp_path)
     with endless.open("wb", buffering=0) as stream:  # opens when the compiler reads
-        process.send_signal(signal.SIGINT)
+        process.send_signal(end)
         assert process.wait(timeout=60) != 0
-        assert not list((tmp_path / "temporary").iterdir())
-        wait_for_the_end_of_readers(stream)
-
-
-def test_a_killed_build_leaves_no_process(tmp_path: Path) -> None:
-    """It would keep the lock of the compiler's cache."""
-    process, endless = compiling_for_ever(tmp_path)
-    with endless.open("wb", buffering=0) as stream:
-        process.kill()
-        process.wait(timeout=60)
+        assert end == signal.SIGKILL or not list((tmp_path / "temporary").iterdir())
         wait_for_the_end_of_readers(stream)
 
 

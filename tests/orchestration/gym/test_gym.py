@@ -131,17 +131,17 @@ def misbehaving(task: Task, rogue: Build, misdeed: Misdeed, time: float) -> Task
     )
 
 
-@pytest.mark.parametrize(("steps", "count"), [(1, 2), (5, 1)])
-def test_rewards_add_up_to_the_metric_of_the_run(task: Task, steps: int, count: int) -> None:
-    rewarded = replace(task, reward=increments.effort(POSITION), steps=steps)
-    with closing(FmuVectorEnv(rewarded, count)) as envs:
+def test_the_reward_of_several_points_is_their_sum(task: Task) -> None:
+    """Alone, and in a vector of one."""
+    rewarded = replace(task, reward=increments.effort(POSITION), steps=5)
+    with closing(FmuVectorEnv(rewarded, 1)) as envs:
         envs.reset(seed=1)
-        total = sum(envs.step(np.zeros((count, 1)))[1] for _ in range(10 // steps))
+        total = sum(envs.step(np.zeros((1, 1)))[1] for _ in range(2))
         efforts = [metrics.FUNCTIONS["effort"](recording, POSITION) for recording in envs.recordings()]
     assert total == pytest.approx(efforts)
     with closing(FmuEnv(rewarded)) as env:
         env.reset(seed=1)
-        alone = sum(env.step(np.zeros(1))[1] for _ in range(10 // steps))
+        alone = sum(env.step(np.zeros(1))[1] for _ in range(2))
     assert alone == pytest.approx(efforts[0])
 
 
@@ -198,13 +198,6 @@ def test_an_episode_is_a_run_and_its_rewards_add_up_to_its_metrics(task: Task) -
     effort, variation = (metrics.FUNCTIONS[f](recording, POSITION) for f in ("effort", "total_variation"))
     squares = (10.0 * (observations[1:, 0] - observations[1:, 1])) ** 2  # of the points after the first
     assert total == pytest.approx(-squares.mean() - 0.5 * effort - 0.1 * variation)
-
-
-def test_the_same_seed_makes_the_same_episodes(env: FmuEnv) -> None:
-    first, second, again, after = (episode(env, **o)[0] for o in ({"seed": 4}, {}, {"seed": 4}, {}))
-    assert np.array_equal(first, again)
-    assert np.array_equal(second, after)
-    assert not np.array_equal(first, second)
 
 
 def test_the_last_step_of_an_episode_is_shorter(task: Task) -> None:

@@ -174,17 +174,6 @@ def test_signals_of_one_run_have_different_colours(opened: Open, tmp_path: Path)
     assert len({look[0] for look in looks(opened(tmp_path)).values()}) == 2
 
 
-def test_depth_points_down(two: OpenedPage) -> None:
-    two.tick("plant.force")
-    (top, bottom), (error_top, error_bottom), (force_top, force_bottom) = two.run(
-        "return [...document.querySelectorAll('#panels figure:not([hidden]) .plot')]"
-        ".map(({chart}) => [chart.posToVal(0, 'y'), chart.posToVal(chart.over.clientHeight, 'y')])"
-    )
-    assert top < bottom
-    assert error_top > error_bottom
-    assert force_top > force_bottom
-
-
 def test_zooming_one_panel_zooms_all(two: OpenedPage) -> None:
     two.tick("plant.force").tick("plant.ratio")
     before = two.ranges()
@@ -216,18 +205,6 @@ def test_the_difference_to_a_run(two: OpenedPage) -> None:
     difference = recording(phase=0.5)["plant.depth"] - recording()["plant.depth"]
     assert two.line("plant.depth, fast")["y"] == difference.tolist()
     assert set(two.line("plant.reference, fast")["y"]) == {0.0}
-
-
-def test_the_difference_across_time_grids_is_interpolated_and_ends_where_one_ends(
-    opened: Open, tmp_path: Path
-) -> None:
-    time_of_base = np.array([0.0, 1.0, 3.0])
-    time_of_run = np.array([0.0, 0.5, 2.0, 3.0, 4.0])
-    for name, at in (("base", time_of_base), ("run", time_of_run)):
-        values = at if name == "base" else 3.0 * at
-        Recording(("plant.depth",), ("m",), at, values[:, None]).write(tmp_path / f"{name}.csv")
-    page = opened(tmp_path / "run.csv", tmp_path / "base.csv").choose("#view", "difference to base")
-    assert page.line("plant.depth, run") == {"x": time_of_run.tolist(), "y": [0.0, 1.0, 4.0, 6.0, None]}
 
 
 def test_at_a_jump_the_difference_is_to_the_value_after_it(opened: Open, tmp_path: Path) -> None:

@@ -94,15 +94,6 @@ def test_total_variation_can_be_sampled() -> None:
     assert metrics.total_variation(run, "z", every=0.25) == pytest.approx(400.0)
 
 
-def test_both_lags_find_a_known_delay() -> None:
-    w = 0.5
-    late = 3.0 * np.cos(w * (TIME - 1.234))
-    run = recording(z=late, r=3.0 * np.cos(w * TIME), offset=late + 0.1)
-    # linear interpolation between points 0.01 s apart, and the tolerance of the search
-    assert metrics.shift_lag(run, "z", "r", largest=5.0) == pytest.approx(1.234, abs=1e-3)
-    assert metrics.phase_lag(run, "offset", w) == pytest.approx(1.234, abs=1e-9)
-
-
 def test_unknown_names_offer_the_nearest() -> None:
     run = recording(z=TIME)
     with pytest.raises(ScenarioError, match=r"metric a: unknown function 'rms'; nearest is 'rmse'"):

@@ -15,6 +15,7 @@ from orchestration.scenarios import scenario
 from orchestration.sweep.distributions import (
     Distribution,
     choice,
+    integers,
     lognormal,
     loguniform,
     normal,
@@ -28,9 +29,6 @@ from tests.described_fmus import described, redescribed
 Make = Callable[..., Plan]
 MANY = 2000
 
-# A drawn number is wrong if the test of Kolmogorov and Smirnov gives it less than this; the seed is fixed
-IMPROBABLE = 1e-3
-
 
 def of_u(declared: str, samples: int = MANY) -> str:
     return f'[sweep]\nsamples = {samples}\nseed = 3\n[sweep.vary."r.u"]\n{declared}\n'
@@ -38,24 +36,6 @@ def of_u(declared: str, samples: int = MANY) -> str:
 
 def drawn(made: Plan, name: str = "r.u") -> list:
     return [made.values(number)[name] for number in range(made.count)]
-
-
-@pytest.mark.parametrize(
-    ("declared", "law"),
-    [
-        (
-            'distribution = "normal"\nmean = 0.0\nstd = 1.0\nlow = -0.5\nhigh = 2.0',
-            stats.truncnorm(-0.5, 2.0),
-        ),
-        (
-            'relative = true\ndistribution = "normal"\nmean = 1.0\nstd = 0.1',  # of the scenario's own 2.0
-            stats.norm(2.0, 0.2),
-        ),
-    ],
-)
-def test_draws_follow_their_distribution(planned: Make, declared: str, law: Any) -> None:
-    values = drawn(planned(of_u(declared)))
-    assert stats.kstest(values, law.cdf).pvalue > IMPROBABLE
 
 
 @pytest.mark.parametrize(
@@ -114,12 +94,9 @@ def test_a_choice_without_weight_is_never_taken_and_each_begins_where_the_one_be
     ) == ["first", "first", "second", "second"]  # fmt: skip
 
 
-def test_integers_and_choices_come_as_often_as_they_should(planned: Make) -> None:
-    numbers = drawn(planned(of_u('distribution = "integers"\nlow = 3\nhigh = 6')))
-    assert stats.chisquare([numbers.count(value) for value in (3, 4, 5, 6)]).pvalue > IMPROBABLE
-    chosen = drawn(planned(of_u('distribution = "choice"\nvalues = [1.0, 5.0, 9.0]\nweights = [1, 0, 3]')))
-    assert set(chosen) == {1.0, 9.0}
-    assert stats.binomtest(chosen.count(9.0), MANY, 0.75).pvalue > IMPROBABLE
+def test_each_integer_has_an_equal_part_of_the_draws_both_ends_included() -> None:
+    draws = [0.0, math.nextafter(0.25, 0.0), 0.25, 0.5, 0.75, math.nextafter(1.0, 0.0)]
+    assert integers(3, 6).quantile(draws) == [3, 3, 4, 5, 6, 6]
 
 
 @pytest.mark.usefixtures("scenario_fmus")
@@ -162,7 +139,7 @@ def test_a_variable_that_is_added_at_the_end_leaves_the_draws_of_the_others(plan
 def test_variables_of_one_sample_are_independent(planned: Make) -> None:
     made = planned(_drawn(samples=MANY))
     correlation: Any = stats.pearsonr(drawn(made), drawn(made, "r.misdeed_time"))
-    assert correlation.pvalue > IMPROBABLE
+    assert correlation.pvalue > 1e-3  # of a fixed seed
 
 
 def test_grids_combine_as_full_factorial_the_first_one_slowest(planned: Make) -> None:
@@ -273,23 +250,6 @@ def test_an_entry_of_the_base_can_be_replaced_or_dropped(
     path.write_text(above)
     made = plan(scenario.load(path))
     assert (made.count, set(drawn(made)), made.seed) == (3, {5.0}, 7)
-
-
-@pytest.mark.usefixtures("scenario_fmus")
-def test_the_shipped_monte_carlo_draws_what_it_says() -> None:
-    made = plan(scenario.load(scenario.find("monte-carlo")))
-    assert made.count == 1000
-    samples = [made.values(number) for number in range(made.count)]
-    for name, low, high in [
-        ("plant.sensor_noise", 0.0005, 0.002),
-        ("plant.inertia", 5.0, 7.0),
-        ("plant.linear_damping", 1.0, 10.0),
-        ("plant.quadratic_damping", 0.0, 20.0),
-        ("plant.buoyancy_change", -0.3, 0.3),
-    ]:
-        values: list[Any] = [sample[name] for sample in samples]
-        assert low <= min(values) < max(values) <= high
-        assert len(set(values)) == 1000
 
 
 def _drawn(samples: int = 12, seed: int = 7) -> str:

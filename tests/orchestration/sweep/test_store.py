@@ -280,14 +280,6 @@ def test_two_sweeps_in_one_folder_are_refused_until_the_first_ends(planned: Make
     assert not (tmp_path / "mine.sweep.lock").exists()
 
 
-def test_the_lock_of_a_process_that_was_killed_is_free(planned: Make, tmp_path: Path) -> None:
-    code = "import os, sys; from pathlib import Path; from fmus.store import locked\n"
-    code += "with locked(Path(sys.argv[1])): os._exit(9)"
-    subprocess.run([sys.executable, "-c", code, tmp_path / "mine.sweep.lock"], check=False)
-    with store(planned(GRID), tmp_path) as opened:
-        assert opened.begin() == set()
-
-
 def test_rows_that_were_run_twice_are_one_and_a_table_has_all_samples(planned: Make, tmp_path: Path) -> None:
     made = planned(GRID)
     opened = begun(made, tmp_path, [0, 1, 1, 2, 0])

@@ -24,17 +24,8 @@ def rows(vehicle: str) -> dict[str, list[str]]:
     return {controller: numbers for controller, *numbers in listed}
 
 
-@pytest.mark.parametrize(
-    ("vehicle", "title"),
-    [
-        ("RovDepthPlant", "L1 with PI"),
-        *(
-            pytest.param(*row, marks=pytest.mark.slow)
-            for row in itertools.product(["RovDepthPlant", "BlueRov2Plant"], TITLES)
-            if row != ("RovDepthPlant", "L1 with PI")
-        ),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("vehicle", "title"), itertools.product(["RovDepthPlant", "BlueRov2Plant"], TITLES))
 def test_the_table_has_the_errors_of_the_check(
     vehicle: str, title: str, designed: Callable[[str], Any], conditions: Conditions
 ) -> None:
