@@ -45,7 +45,10 @@ def kept_interrupts() -> Iterator[list[float]]:
         yield []
         return
     before = signal.getsignal(signal.SIGINT)
-    times = before if isinstance(before, _InterruptTimes) else _InterruptTimes()
+    if isinstance(before, _InterruptTimes):
+        yield before
+        return
+    times = _InterruptTimes()
     signal.signal(signal.SIGINT, times)
     try:
         yield times

@@ -10,7 +10,7 @@ from fmus.fmi.binding import DISCARD, OK, WARNING
 from fmus.fmi.description import start_value
 from orchestration.errors import FmuError, OrchestrationError
 from orchestration.results.recording import Recording
-from orchestration.run.loop_data import Call, LoopFunctions, Report, Wiring
+from orchestration.run.loop_data import Call, Report, Wiring
 from orchestration.run.wiring import WiredRun
 from orchestration.system.prepared_run import PreparedRun
 
@@ -73,13 +73,13 @@ def is_discarded_step(wiring: Wiring) -> bool:
     return wiring.report[Report.FAILURE] == Call.DO_STEP and wiring.report[Report.STATUS] == DISCARD
 
 
-def step_unless_discarded(run: WiredRun, loop: LoopFunctions, point: int, start: float, end: float) -> bool:
+def step_unless_discarded(run: WiredRun, point: int, start: float, end: float) -> bool:
     """Steps from `start` to `end` [s]; False if a component discards the step.
 
     point: the communication point at or before `start`
     Raises `failure_error` for any other failure.
     """
-    if loop.step(point, start, end):
+    if run.loop.step(point, start, end):
         return True
     if not is_discarded_step(run.wiring):
         raise failure_error(run, start)

@@ -5,13 +5,14 @@ steps that fit, reaches the same state as in one step. One whose solver starts a
 tolerance of its own, does not.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from fmus.fmi.description import of_causality
-from orchestration.run.compiled_loop import compiled_loop
-from orchestration.run.loop_data import InputMode, LoopFunctions
+from orchestration.run.loop_data import InputMode
 from orchestration.run.run_recording import step_unless_discarded
-from orchestration.run.snapshot import Snapshot
+from orchestration.run.saved_states import Snapshot
 from orchestration.run.wiring import WiredRun
 from orchestration.system.system import CheckedSystem, Port
 
@@ -98,7 +99,7 @@ def outputs_with_feedthrough(system: CheckedSystem, driven: set[Port]) -> set[st
 
 
 def step_together_and_split(
-    run: WiredRun, loop: LoopFunctions, before: Snapshot, point: int, start: float, end: float
+    run: WiredRun, before: Snapshot, point: int, start: float, end: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Returns the bus at `end` [s] after one step, and after two with inputs that go on as in the one.
 
@@ -108,16 +109,17 @@ def step_together_and_split(
     """
     wiring = run.wiring
     before.restore()
-    if not step_unless_discarded(run, loop, point, start, end):
+    if not step_unless_discarded(run, point, start, end):
         return None
     together, slopes = wiring.bus.copy(), wiring.slopes.copy()
     before.restore()
     _carry_on(run, together, slopes, start)
-    halves = compiled_loop(wiring._replace(gauss_seidel=0))  # which would exchange within a half
+    # Gauss-Seidel would exchange within a half
+    halves = replace(run, wiring=wiring._replace(gauss_seidel=0))
     middle = start + 0.5 * (end - start)
     if not (
-        step_unless_discarded(run, halves, point, start, middle)
-        and step_unless_discarded(run, halves, point, middle, end)
+        step_unless_discarded(halves, point, start, middle)
+        and step_unless_discarded(halves, point, middle, end)
     ):
         return None
     return together, wiring.bus.copy()

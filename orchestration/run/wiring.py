@@ -1,25 +1,29 @@
 """A prepared run and its FMU instances as the arrays of the communication loop."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from fmus.fmi.description import is_independent
 from fmus.fmi.instance import FmuInstance
 from orchestration.run.bus import SIGNAL, BusLayout, Strings, VariableGroup, component_of, lay_out_bus
+from orchestration.run.compiled_loop import compiled_loop
 from orchestration.run.loop_data import (
     CHANGING_OF_CONNECTIONS,
     Call,
     Calls,
     Connections,
     Faults,
+    LoopFunctions,
     Report,
     Storage,
     Wiring,
 )
 from orchestration.system.experiment import Algorithm
+from orchestration.system.faults import Pattern
 from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.system import LinearTransformation
 
@@ -37,6 +41,7 @@ class WiredRun:
     functions: kind of call -> the FMI function of each of its rows
     references: value references and orders, whose addresses are in the wiring
     strings: the values of Strings
+    loop_of: makes the loop of a wiring
     """
 
     prepared: PreparedRun
@@ -46,6 +51,12 @@ class WiredRun:
     functions: Mapping[int, Sequence[str]]
     references: Sequence[np.ndarray]
     strings: Strings
+    loop_of: Callable[[Wiring], LoopFunctions]
+
+    @cached_property
+    def loop(self) -> LoopFunctions:
+        """The communication loop over the arrays."""
+        return self.loop_of(self.wiring)
 
     def without_rows(self) -> "WiredRun":
         """Returns this for `again`, without what was recorded in memory."""
@@ -54,7 +65,7 @@ class WiredRun:
     def again(self, prepared: PreparedRun, storage: Storage) -> "WiredRun":
         """Returns the wiring of a run that differs in settings alone and follows this ended one."""
         if self.strings.table != Strings().table:
-            return build_wiring(prepared, self.instances, storage)
+            return build_wiring(prepared, self.instances, storage, self.loop_of)
         wiring = self.wiring._replace(
             points=prepared.points,
             signal_values=prepared.signal_values,
@@ -67,7 +78,12 @@ class WiredRun:
         return replace(self, prepared=prepared, wiring=wiring)
 
 
-def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], storage: Storage) -> WiredRun:
+def build_wiring(
+    prepared: PreparedRun,
+    instances: Mapping[str, FmuInstance],
+    storage: Storage,
+    loop_of: Callable[[Wiring], LoopFunctions] = compiled_loop,
+) -> WiredRun:
     """Returns the arrays of a run at its start time."""
     bus, experiment = lay_out_bus(prepared), prepared.experiment
     count, periods = len(instances), np.array([prepared.periods[name] for name in instances], np.int64)
@@ -129,7 +145,29 @@ def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], st
     _set_start(wiring, prepared)
     for name, value in prepared.external.items():
         values[bus.index[f"{SIGNAL}{name}"]] = value
-    return WiredRun(prepared, instances, wiring, bus, functions, references, strings)
+    return WiredRun(prepared, instances, wiring, bus, functions, references, strings, loop_of)
+
+
+def move_point(run: WiredRun, index: int, time: float) -> Callable[[], None]:
+    """Moves a communication point to an earlier time [s], with signals and faults; it is the last one then.
+
+    Returns a function that moves it back.
+    """
+    wiring, faults = run.wiring, run.wiring.faults
+    of_points = [wiring.points, wiring.signal_values.T, faults.addition.T]
+    of_points += [array.swapaxes(0, 1) for array in (faults.source, faults.weight)]
+    before = [array[index].copy() for array in of_points]
+    wiring.points[index] = time
+    shortened = replace(run.prepared, points=wiring.points[: index + 1])
+    wiring.signal_values[:, index] = shortened.signal_values[:, -1]
+    for row, pattern in enumerate(shortened.fault_patterns.values()):
+        faults.put(row, index, Pattern(*(x[-1] for x in pattern)))
+
+    def move_back() -> None:
+        for array, values in zip(of_points, before, strict=True):
+            array[index] = values
+
+    return move_back
 
 
 def _set_start(wiring: Wiring, prepared: PreparedRun) -> None:
