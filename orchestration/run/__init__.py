@@ -17,10 +17,10 @@ Inputs are held over a step, first order in h, or extrapolated with their last s
     step_control.py, tolerance.py  shorter steps: after a discard, and to meet a tolerance
     error_estimate.py  how far exchanging at communication points leads astray, by a second run
     saved_states.py, checkpoint.py  the system at one point, in memory and as a file
-    run_recording.py, run_statistics.py  what a run returns and raises, and its times
-    interrupt.py       interrupts and real time
+    run_recording.py   what a run returns and raises
+    run_clock.py       the times of its phases, and real time
     subprocess_run.py  a run whose FMUs are in a process of their own
-    process_guard.py   floating-point mode, an end by `exit`, forked children
+    process_guard.py   interrupts, floating-point mode, an end by `exit`, forked children
 """
 
 from orchestration.run.one_run import simulate

@@ -20,9 +20,9 @@ from orchestration.results.recording import Recording
 from orchestration.run.access import Access, Reader, Writer, set_in_fmu
 from orchestration.run.compiled_loop import StepThreads
 from orchestration.run.initialisation import initialise
-from orchestration.run.interrupt import Pacing, deferred_interrupt
 from orchestration.run.loop_data import Report
-from orchestration.run.process_guard import ProcessGuard
+from orchestration.run.process_guard import ProcessGuard, deferred_interrupt
+from orchestration.run.run_clock import Pacing, RunStatistics
 from orchestration.run.run_recording import (
     emit_warnings,
     failure_error,
@@ -30,7 +30,6 @@ from orchestration.run.run_recording import (
     make_recording,
     reason_of,
 )
-from orchestration.run.run_statistics import RunStatistics
 from orchestration.run.saved_states import SavedState, SavedStates
 from orchestration.run.step_control import StepControl, termination_within_step
 from orchestration.run.wiring import WiredRun, move_point
@@ -78,8 +77,8 @@ class Run:
         self,
         wired: WiredRun,
         guard: ProcessGuard,
+        statistics: RunStatistics,
         threads: int | None = 1,
-        statistics: RunStatistics | None = None,
         pacing: Pacing | None = None,
         estimate: Callable[["Run", Recording], Recording] | None = None,
     ) -> None:
@@ -88,8 +87,7 @@ class Run:
         threads: see `StepThreads`; pacing: in real time; estimate: adds the error estimate to a recording
         """
         self.wired, self.prepared, self.wiring = wired, wired.prepared, wired.wiring
-        self.statistics = statistics or RunStatistics((), is_asked_for=False)
-        self.failure, self.batch = "", 1
+        self.statistics, self.failure, self.batch = statistics, "", 1
         self.step_control = None if wired.prepared.retry_obstacle else StepControl(wired)
         self._loop, self._guard, self._pacing, self._estimate = wired.loop, guard, pacing, estimate
         self._threads = StepThreads(wired.wiring, wired.loop, threads)

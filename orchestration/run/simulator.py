@@ -5,7 +5,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, chdir, contextmanager
 from functools import partial
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -16,18 +16,15 @@ from orchestration.results.recording import Recording
 from orchestration.run.checkpoint import Checkpoint, Checkpoints, check_can_save, restore
 from orchestration.run.compiled_loop import compiled_loop
 from orchestration.run.error_estimate import StepwiseEstimate, with_error_estimate
-from orchestration.run.interrupt import Pacing, deferred_interrupt
 from orchestration.run.loop_data import Report, Storage
-from orchestration.run.process_guard import ProcessGuard, new_report
+from orchestration.run.process_guard import ProcessGuard, deferred_interrupt, new_report
 from orchestration.run.run import Progress, Run
+from orchestration.run.run_clock import Pacing, RunStatistics
 from orchestration.run.run_recording import reason_of
-from orchestration.run.run_statistics import RunStatistics
 from orchestration.run.wiring import WiredRun, build_wiring
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import PreparedRun, PreparedRuns, check_for
 from orchestration.system.system import CheckedSystem, System
-
-_UNMEASURED = RunStatistics((), is_asked_for=False)
 
 
 class LoadedSystem:
@@ -153,17 +150,16 @@ class Simulator(LoadedSystem):
             if checkpoints or resume:
                 check_can_save(run.system if isinstance(run, PreparedRun) else self._check(run))
             measured = RunStatistics(self._descriptions, statistics)
-            wired, guard = self._prepare_run(run, (), storage, measured)
             threads = self._threads if storage is None else 1  # who watches a call asks for one
-            begun = self._last_run = Run(wired, guard, threads, measured, pacing)
+            begun = self._begin(run, (), storage, measured, threads=threads, pacing=pacing)
             begun.batch = self._first_batch
             _run_to_end(begun, progress, checkpoints, resume)
             recording = begun.recorded(is_final=storage is None)
             self._first_batch = max(1, begun.batch // 2)  # the next run may be slower
             self._must_reload = False
-        if not wired.prepared.experiment.error_estimate:
+        if not begun.prepared.experiment.error_estimate:
             return recording
-        return with_error_estimate(recording, wired.prepared, lambda coarser: self.run(coarser, progress))
+        return with_error_estimate(recording, begun.prepared, lambda coarser: self.run(coarser, progress))
 
     def start(self, experiment: Experiment, external: Sequence[str] = ()) -> Run:
         """Initialises the system for an experiment, at its start time; the caller leads the run.
@@ -179,8 +175,7 @@ class Simulator(LoadedSystem):
             if experiment.error_estimate:
                 self._check_can_load_twice()
                 estimate = StepwiseEstimate(partial(type(self), self.system))
-            wired, guard = self._prepare_run(experiment, tuple(external))
-            run = self._last_run = Run(wired, guard, estimate=estimate)
+            run = self._begin(experiment, tuple(external), estimate=estimate)
             try:
                 with deferred_interrupt():
                     run.initialise()
@@ -211,17 +206,22 @@ class Simulator(LoadedSystem):
             self._last_run.close()
             self._last_run = None
 
-    def _prepare_run(
+    def _begin(
         self,
         run: Experiment | PreparedRun,
         external: tuple[str, ...],
         storage: Storage | None = None,
-        statistics: RunStatistics = _UNMEASURED,
-    ) -> tuple[WiredRun, ProcessGuard]:
-        """Checks an experiment, loads or resets the FMUs and wires them."""
+        statistics: RunStatistics | None = None,
+        **settings: Any,
+    ) -> Run:
+        """Checks an experiment, loads or resets the FMUs and wires them; returns the run, not initialised.
+
+        settings: of `Run`
+        """
+        statistics = statistics or RunStatistics((), is_asked_for=False)
         if isinstance(run, PreparedRun):
             self._prepared_runs = PreparedRuns()  # the next run is not compared with this one
-            prepared = run.with_values(run.experiment)
+            prepared = run.copy()
         else:
             prepared = self._prepared_runs.prepare(self._check(run, external), run, external)
         earlier = self._wired if self._prepared_runs.only_values_differ else None
@@ -245,7 +245,8 @@ class Simulator(LoadedSystem):
         else:
             wired = build_wiring(prepared, self._instances, storage, self._loop)
         self._wired = wired.without_rows()
-        return wired, guard
+        self._last_run = Run(wired, guard, statistics, **settings)
+        return self._last_run
 
     def _load(self, name: str, loading: ExitStack) -> FmuInstance:
         assert self._guard

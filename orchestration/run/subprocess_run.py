@@ -26,8 +26,8 @@ from fmus.operating_system import allocate
 from orchestration.errors import FmuWarning, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.results.recording import Recording
 from orchestration.run.error_estimate import with_error_estimate
-from orchestration.run.interrupt import kept_interrupts
 from orchestration.run.loop_data import Report, Storage
+from orchestration.run.process_guard import kept_interrupts
 from orchestration.run.run import Progress
 from orchestration.run.run_recording import make_recording, reason_of
 from orchestration.run.simulator import Simulator

@@ -1,12 +1,17 @@
-"""Wall time of the phases of a run, and of the steps of each FMU in it."""
+"""The wall clock of a run: the time of its phases and of the steps of each FMU, and a run in real time."""
 
+import math
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from orchestration.errors import SystemDefinitionError
+
+_LONGEST_SLEEP_S = 0.1  # between two checks for an interrupt
 _UNMEASURED = nullcontext()
 
 
@@ -60,3 +65,47 @@ class RunStatistics:
             **rest,
         }
         return {"statistics": statistics}
+
+
+@dataclass
+class Pacing:
+    """Simulated time passes at `factor` times the wall clock, from the first `wait` on.
+
+    Raises SystemDefinitionError for a factor that is not more than 0.
+
+    missed: number of points reached too late
+    worst: largest lateness [s of the wall clock]; worst_at: simulated time of that point [s]
+    """
+
+    factor: float = 1.0
+    missed: int = 0
+    worst: float = 0.0
+    worst_at: float = 0.0
+    _zero: float | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.factor) and self.factor > 0.0):
+            raise SystemDefinitionError(f"real time factor {self.factor!r}: expected more than 0")
+
+    def wait(self, t: float, check_interrupt: Callable[[], None]) -> None:
+        """Waits until it is time for the communication point t [s]."""
+        now = time.perf_counter()
+        if self._zero is None:
+            self._zero = now - t / self.factor
+        late = now - (self._zero + t / self.factor)
+        if late < 0.0:
+            while (left := self._zero + t / self.factor - time.perf_counter()) > 0.0:
+                time.sleep(min(left, _LONGEST_SLEEP_S))
+                check_interrupt()
+        elif late > 0.0:
+            self.missed += 1
+            self.worst, self.worst_at = max((self.worst, self.worst_at), (late, t), key=lambda late: late[0])
+
+    def report(self) -> dict[str, float | int]:
+        """Returns the factor and the missed deadlines, for the provenance of a recording."""
+        return {
+            "factor": self.factor,
+            "missed_deadlines": self.missed,
+            "worst_lateness_s": self.worst,
+            "worst_at_s": self.worst_at,
+        }
