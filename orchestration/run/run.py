@@ -185,9 +185,6 @@ class Run:
         if to < math.inf:
             earliest = to - self.prepared.experiment.time_resolution()
             end = min(end, int(np.searchsorted(self.wiring.points, earliest)))
-        self._advance_to(end, progress)
-
-    def _advance_to(self, end: int, progress: Progress | None = None) -> None:
         try:
             with self.statistics.phase("stepping"), deferred_interrupt() as self._check_interrupt:
                 while self.point < end and not self._is_terminated():
@@ -229,8 +226,8 @@ class Run:
         self.batch = 1 if is_divided else max(1, longer)
 
     def _finish(self) -> None:
-        """Makes the changes of the last communication point, which no FMU that ended accepts; records it."""
-        if not self._is_terminated():
+        """Makes the changes of the last communication point and records it."""
+        if not self._is_terminated():  # an FMU that has ended accepts no change
             self._change_and_wait()
         if not self.record_now():
             raise failure_error(self.wired)

@@ -14,6 +14,12 @@ from orchestration.run.loop_data import Call, Report, Wiring
 from orchestration.run.wiring import WiredRun
 from orchestration.system.prepared_run import PreparedRun
 
+_FUNCTIONS: dict[int, str] = {
+    Call.DO_STEP: "fmi2DoStep",
+    Call.GET_STATE: "fmi2GetFMUstate",
+    Call.SET_STATE: "fmi2SetFMUstate",
+}
+
 
 def make_recording(
     prepared: PreparedRun,
@@ -102,12 +108,17 @@ def failure_error(run: WiredRun, time: float | None = None) -> OrchestrationErro
         )
     instance = list(run.instances.values())[report[Report.COMPONENT]]
     instance.time = time
-    function = run.functions[int(report[Report.FAILURE])][index]
+    function = _function(run, int(report[Report.FAILURE]), index)
     try:
         instance.check_status(function, int(report[Report.STATUS]))
     except FmuError as error:
         return error
     return FmuError(instance.name, time, function, "an error, and its log was cleared", [])
+
+
+def _function(run: WiredRun, kind: int, index: int = 0) -> str:
+    """Returns the FMI function of a kind of call; index: of its group."""
+    return _FUNCTIONS.get(kind) or run.bus.calls[kind][index].function
 
 
 def emit_warnings(run: WiredRun, failed: bool) -> None:
@@ -122,7 +133,7 @@ def emit_warnings(run: WiredRun, failed: bool) -> None:
         kind = int(wiring.warning[c])
         if kind != Call.NO_FAILURE or instance.log:
             instance.time = float(wiring.warning_time[c] if kind else wiring.step_start[c])
-            function = run.functions[kind][0] if kind else "fmi2DoStep"
+            function = _function(run, kind or Call.DO_STEP)
             instance.check_status(function, WARNING if kind else OK)
             wiring.warning[c] = Call.NO_FAILURE
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from fmus.fmi.description import of_causality
-from orchestration.run.loop_data import InputMode
+from orchestration.run.loop_data import Call, InputMode
 from orchestration.run.run_recording import step_unless_discarded
 from orchestration.run.saved_states import Snapshot
 from orchestration.run.wiring import WiredRun
@@ -31,15 +31,16 @@ class Tolerance:
 
     def __init__(self, run: WiredRun) -> None:
         experiment, ports = run.prepared.experiment, run.prepared.system.ports
-        read = [name for group in run.bus.outputs if group.type == "Real" for name in group.names]
-        self.names = [name for name in read if ports[name].variable.causality == "output"]
+        groups = [group for group in run.bus.calls[Call.GET_OUTPUTS] if group.type == "Real"]
+        outputs = [p for group in groups for p in group.ports if p.variable.causality == "output"]
+        self.names = [port.name for port in outputs]
         driven = {ports[target] for _, target in run.bus.connections}
         self.order = 1 + experiment.extrapolation
         self.bus_index = np.array([run.bus.index[name] for name in self.names], np.int64)
         self.solver_error = np.zeros(len(self.names))
         self.relative: float = experiment.tolerance or 0.0
         self.duration = experiment.stop_time - experiment.start_time
-        self._nominal = np.array([abs(float(ports[name].variable.nominal or 1.0)) for name in self.names])
+        self._nominal = np.array([abs(float(port.variable.nominal or 1.0)) for port in outputs])
         # The error of an output that may depend directly on an input in step mode does not add up from step
         # to step: it is compared with the whole tolerance.
         feedthrough = outputs_with_feedthrough(run.prepared.system, driven)

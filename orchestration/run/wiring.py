@@ -38,7 +38,6 @@ _SLOPE_VALIDITY, _SLOPE_VALIDITY_WITH_TOLERANCE = 2.0, 10.0
 class WiredRun:
     """A prepared run, its FMU instances and their wiring, and the names of the wiring's elements.
 
-    functions: kind of call -> the FMI function of each of its rows
     references: value references and orders, whose addresses are in the wiring
     strings: the values of Strings
     loop_of: makes the loop of a wiring
@@ -48,7 +47,6 @@ class WiredRun:
     instances: Mapping[str, FmuInstance]
     wiring: Wiring
     bus: BusLayout
-    functions: Mapping[int, Sequence[str]]
     references: Sequence[np.ndarray]
     strings: Strings
     loop_of: Callable[[Wiring], LoopFunctions]
@@ -92,17 +90,11 @@ def build_wiring(
     memory, parts = _memory(bus, count)
     values, slopes, integers = parts["bus"], parts["slopes"], parts["integers"]
     ones = np.ones(len(bus.index), np.int32)
-    groups = {
-        Call.SET_INPUTS: [(group, f"fmi2Set{group.type}") for group in bus.inputs],
-        Call.SET_DERIVATIVES: [(group, "fmi2SetRealInputDerivatives") for group in bus.derivatives],
-        Call.GET_OUTPUTS: [(group, f"fmi2Get{group.type}") for group in bus.outputs],
-    }
-    functions = {int(kind): [function for _, function in rows] for kind, rows in groups.items()}
     references: list[np.ndarray] = [ones]
     strings = Strings()
 
     def calls(kind: Call, reals: np.ndarray) -> Calls:
-        return _calls(instances, groups[kind], references, reals, integers, strings)
+        return _calls(instances, bus.calls[kind], references, reals, integers, strings)
 
     wiring = Wiring(
         gauss_seidel=int(experiment.algorithm is Algorithm.GAUSS_SEIDEL),
@@ -140,12 +132,10 @@ def build_wiring(
         team=np.array([0, 0, _NOTHING_TO_TAKE, 0, 0, 0], np.int64),
         step_times=storage.step_times,
     )
-    functions |= {Call.DO_STEP: ["fmi2DoStep"]}
-    functions |= {Call.GET_STATE: ["fmi2GetFMUstate"], Call.SET_STATE: ["fmi2SetFMUstate"]}
     _set_start(wiring, prepared)
     for name, value in prepared.external.items():
         values[bus.index[f"{SIGNAL}{name}"]] = value
-    return WiredRun(prepared, instances, wiring, bus, functions, references, strings, loop_of)
+    return WiredRun(prepared, instances, wiring, bus, references, strings, loop_of)
 
 
 def move_point(run: WiredRun, index: int, time: float) -> Callable[[], None]:
@@ -209,7 +199,7 @@ def _report_calls(instances: Mapping[str, FmuInstance], report: np.ndarray) -> n
 
 def _calls(
     instances: Mapping[str, FmuInstance],
-    groups: Sequence[tuple[VariableGroup, str]],
+    groups: Sequence[VariableGroup],
     references: list[np.ndarray],
     reals: np.ndarray,
     integers: np.ndarray,
@@ -217,19 +207,20 @@ def _calls(
 ) -> Calls:
     """Returns one row for each group and adds its value references to `references`."""
     rows = []
-    for group, function in groups:
-        references.append(np.array([v.valueReference for v in group.variables], np.uint32))
+    for group in groups:
+        references.append(np.array([port.variable.valueReference for port in group.ports], np.uint32))
         array, index = (
             (reals, group.bus_index) if group.integer_index < 0 else (integers, group.integer_index)
         )
         addresses = references[-1].ctypes.data, array.ctypes.data + index * array.itemsize
-        sizes = len(group.variables), group.bus_index, group.integer_index
+        sizes = len(group.ports), group.bus_index, group.integer_index
         instance = instances[group.component]
         is_string = group.type == "String"
-        address = strings.function(instance, function) if is_string else instance.function(function)
+        name = group.function
+        address = strings.function(instance, name) if is_string else instance.function(name)
         rows.append((address, *addresses, *sizes))
     return Calls(
-        _first_of_each([group.component for group, _ in groups], instances), *_columns(rows, 6, np.int64)
+        _first_of_each([group.component for group in groups], instances), *_columns(rows, 6, np.int64)
     )
 
 
