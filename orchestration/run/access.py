@@ -44,12 +44,18 @@ class Access:
     def _driven(self) -> set[str]:
         return {target for _, target in self._run.bus.connections}
 
+    @cached_property
+    def _driven_by_others(self) -> set[str]:
+        return self._driven - self._run.prepared.external.keys()
+
     def read(self, name: str) -> Any:
         """Returns the present value of "component.variable", in the type of Python that it has."""
         port = self._system.port(name, "read")
         if name not in self._index or port.variable.type == "String":
             return self._run.instances[port.component].get(port.variable)
-        return _PLAIN.get(port.variable.type, int)(self.reader(name)())
+        if name in self._driven:
+            self._exchange()
+        return _PLAIN.get(port.variable.type, int)(self._bus[self._index[name]])
 
     def reader(self, *names: str) -> Reader:
         """Returns a function that returns the present number of one variable, or a tuple of several."""
@@ -81,12 +87,11 @@ class Access:
 
     def writer(self, *names: str) -> Writer:
         """Returns a function that sets one variable or several in order."""
+        if len(names) == 1:
+            return self._noting_writer(*names)
         if not names:
             raise SystemDefinitionError("writer: expected the name of a variable, or several")
-        make = self._noting_writer if self._run.prepared.experiment.error_estimate else self._writer
-        writers = [make(name) for name in names]
-        if len(writers) == 1:
-            return writers[0]
+        writers = [self._noting_writer(name) for name in names]
 
         def write(*values: Value) -> None:
             if len(values) != len(writers):
@@ -98,6 +103,8 @@ class Access:
 
     def _noting_writer(self, name: str) -> Callable[[Value], None]:
         write, report = self._writer(name), self._run.wiring.report
+        if not self._run.prepared.experiment.error_estimate:
+            return write
 
         def write_and_note(value: Value) -> None:
             write(value)
@@ -106,10 +113,9 @@ class Access:
         return write_and_note
 
     def _writer(self, name: str) -> Callable[[Value], None]:
-        external = self._run.prepared.external
-        check_changeable(self._system, name, "set", self._driven - external.keys())
+        check_changeable(self._system, name, "set", self._driven_by_others)
         port = self._system.ports[name]
-        if name not in external:
+        if name not in self._run.prepared.external:
             return lambda value: set_in_fmu(self._run, port, fmi_value(port, value))
         bus, index = self._bus, self._index[f"{SIGNAL}{name}"]
         low, high = (max(-_LARGEST, min(limit, _LARGEST)) for limit in value_range(port))

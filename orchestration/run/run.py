@@ -17,7 +17,7 @@ import numpy as np
 
 from orchestration.errors import FmuWarning, OrchestrationError, SimulationError
 from orchestration.results.recording import Recording
-from orchestration.run.access import Access, Reader, Writer, set_in_fmu
+from orchestration.run.access import Access, Reader, Writer, set_in_fmu, stale
 from orchestration.run.compiled_loop import StepThreads
 from orchestration.run.initialisation import initialise
 from orchestration.run.loop_data import Report
@@ -30,7 +30,7 @@ from orchestration.run.run_recording import (
     make_recording,
     reason_of,
 )
-from orchestration.run.saved_states import SavedState, SavedStates
+from orchestration.run.saved_states import Record, SavedState, Snapshot
 from orchestration.run.step_control import StepControl, termination_within_step
 from orchestration.run.wiring import WiredRun, move_point
 from orchestration.system.values import Value
@@ -39,7 +39,7 @@ _BATCH_S = 0.05
 _GROWTH = 8  # largest growth of a batch from one to the next: the first ones measure how long a step takes
 _MOST_STEPS = 1_000_000  # in a batch
 _LOOK_EVERY_S = 1e-3  # at what FMUs did to this process, and at their warnings
-_POSITION, _TERMINATED = int(Report.POSITION), int(Report.TERMINATED)
+_POSITION, _RECORDED, _TERMINATED = int(Report.POSITION), int(Report.RECORDED), int(Report.TERMINATED)
 
 
 def _let_interrupts_come() -> None:
@@ -91,7 +91,11 @@ class Run:
         self.step_control = None if wired.prepared.retry_obstacle else StepControl(wired)
         self._loop, self._guard, self._pacing, self._estimate = wired.loop, guard, pacing, estimate
         self._threads = StepThreads(wired.wiring, wired.loop, threads)
-        self.access, self._states = Access(wired, self.record_now), SavedStates(wired)
+        self.access = Access(wired, self.record_now)
+        self._written = self.access.written
+        self._record = Record(wired.wiring.rows, wired.wiring.faults.history.T)
+        self._snapshots: list[Snapshot] = []  # of saved states, all of them
+        self._unused: list[Snapshot] = []
         self._report = wired.wiring.report.data  # quicker than the array
         self._points: Any = wired.wiring.points.data
         self._last = len(wired.wiring.points) - 1
@@ -132,7 +136,7 @@ class Run:
     @property
     def can_save(self) -> bool:
         """Whether every FMU can save its state."""
-        return not self._states.unable
+        return not self.prepared.system.components_without("canGetAndSetFMUstate")
 
     def initialise(self) -> None:
         """Gives new FMUs their initial values, and reads the outputs at the first communication point."""
@@ -195,7 +199,7 @@ class Run:
                     self._run_batch(end)
                 self._check_interrupt()
                 if self.is_done:
-                    if self._report[Report.RECORDED] <= self.point:
+                    if self._report[_RECORDED] <= self.point:
                         self._finish()
                     if progress:
                         progress(self.point, self.point)
@@ -235,7 +239,7 @@ class Run:
 
     def record_now(self) -> bool:
         """Records the present communication point too, for a run that ends here; False if it failed."""
-        if self.is_terminated and self._report[Report.RECORDED] > self.point:
+        if self.is_terminated and self._report[_RECORDED] > self.point:
             return True  # what components that cannot go back have computed since is of a later time
         return bool(self._loop.exchange_and_record(self.point))
 
@@ -354,7 +358,7 @@ class Run:
         more |= {"terminated": self._termination} if self._termination else {}
         more |= {"real_time": self._pacing.report()} if self._pacing else {}
         more |= self.statistics.report(self.time, not self._threads.have_shared)
-        rows, count, strings = self.wiring.rows, self._report[Report.RECORDED], self.wired.strings.table
+        rows, count, strings = self.wiring.rows, self._report[_RECORDED], self.wired.strings.table
         return make_recording(self.prepared, rows, count, strings, more, is_final)
 
     def save(self) -> SavedState:
@@ -362,10 +366,20 @@ class Run:
 
         Raises OrchestrationError if an FMU cannot save its state.
         """
-        if self.failure or self.is_terminated:
+        if self.failure or self._report[_TERMINATED]:
             raise OrchestrationError(self.failure or self._end())
+        if not self._unused:
+            if not self.can_save:
+                names = ", ".join(self.prepared.system.components_without("canGetAndSetFMUstate"))
+                raise OrchestrationError(f"{names} cannot save its state: expected canGetAndSetFMUstate")
+            self._snapshots.append(Snapshot(self.wired))
+            self._unused.append(self._snapshots[-1])
+        snapshot, point = self._unused.pop(), self._report[_POSITION]
+        if not self._loop.save(snapshot.memory):
+            raise failure_error(self.wired)
         step_control = self.step_control.state if self.step_control else {}
-        return self._states.save(step_control, tuple(self.access.written))
+        segment, written = self._record.keep(point), tuple(self._written)
+        return SavedState(snapshot, point, step_control, segment, written, self._unused)
 
     def restore(self, state: SavedState) -> None:
         """Goes back to a state that this run saved, also after a failure, or on to one on another way.
@@ -373,14 +387,20 @@ class Run:
         Raises OrchestrationError for a state of another run, and after an FMU returned fatal.
         """
         self._check_not_ended()
-        after_failure = bool(self.failure or self.is_terminated)
-        if after_failure and any(instance.returned_fatal for instance in self.wired.instances.values()):
-            raise OrchestrationError(self.failure)
-        self._states.restore(state, after_failure)
-        if after_failure:
+        if state.unused is not self._unused:
+            raise OrchestrationError(stale("saved state"))
+        if self.failure or self._report[_TERMINATED]:
+            if any(instance.returned_fatal for instance in self.wired.instances.values()):
+                raise OrchestrationError(self.failure)
+            state.snapshot.restore()
             self._move_back()
             self.failure, self._termination, self._move_back = "", {}, lambda: None
-        self.access.written[:] = state.written
+        elif not self._loop.restore(state.snapshot.memory):
+            raise failure_error(self.wired)
+        if state.segment is not self._record.present:
+            self._record.return_to(state.segment)
+        self._report[_POSITION] = self._report[_RECORDED] = state.position
+        self._written[:] = state.written
         if self.step_control:
             self.step_control.state = state.step_control
 
@@ -390,7 +410,8 @@ class Run:
         self._has_ended = True
         self.access.close()
         self._threads.close()
-        self._states.free()
+        for snapshot in self._snapshots:
+            snapshot.free()
         if self.step_control:
             self.step_control.free()
         try:

@@ -8,18 +8,15 @@ import ctypes
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from orchestration.errors import FmuError, OrchestrationError
-from orchestration.run.access import Written, stale
+from orchestration.errors import FmuError
+from orchestration.run.access import Written
 from orchestration.run.loop_data import Report, SavedMemory
 from orchestration.run.run_recording import failure_error
 from orchestration.run.wiring import WiredRun
-
-_POSITION, _RECORDED = int(Report.POSITION), int(Report.RECORDED)
 
 
 class Snapshot:
@@ -127,48 +124,3 @@ class SavedState:
 
     def __del__(self) -> None:
         self.unused.append(self.snapshot)
-
-
-class SavedStates:
-    """The saved states of one run; call `free` at its end."""
-
-    def __init__(self, run: WiredRun) -> None:
-        self._run, self._report = run, run.wiring.report.data
-        self._record = Record(run.wiring.rows, run.wiring.faults.history.T)
-        self._snapshots: list[Snapshot] = []  # all of them
-        self._unused: list[Snapshot] = []
-
-    @cached_property
-    def unable(self) -> list[str]:
-        """The components that cannot save their state."""
-        return self._run.prepared.system.components_without("canGetAndSetFMUstate")
-
-    def save(self, step_control: Mapping[str, Any], written: tuple[Written, ...]) -> SavedState:
-        """Returns the system at the present communication point; OrchestrationError if an FMU is unable."""
-        if self.unable:
-            names = ", ".join(self.unable)
-            raise OrchestrationError(f"{names} cannot save its state: expected canGetAndSetFMUstate")
-        if not self._unused:
-            self._snapshots.append(Snapshot(self._run))
-            self._unused.append(self._snapshots[-1])
-        snapshot = self._unused.pop()
-        snapshot.take()
-        point = self._report[_POSITION]
-        return SavedState(snapshot, point, step_control, self._record.keep(point), written, self._unused)
-
-    def restore(self, state: SavedState, after_failure: bool) -> None:
-        """Goes to a saved state; OrchestrationError for one of another run."""
-        if state.unused is not self._unused:
-            raise OrchestrationError(stale("saved state"))
-        if after_failure:
-            state.snapshot.restore()
-        elif not self._run.loop.restore(state.snapshot.memory):
-            raise failure_error(self._run)
-        if state.segment is not self._record.present:
-            self._record.return_to(state.segment)
-        self._report[_POSITION] = self._report[_RECORDED] = state.position
-
-    def free(self) -> None:
-        """Frees the states."""
-        for snapshot in self._snapshots:
-            snapshot.free()
