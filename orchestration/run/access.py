@@ -31,14 +31,13 @@ class Access:
     """Reads and sets values of one run, until it is closed.
 
     exchange: gives inputs at the present communication point the values that they have there
-    written: what has been set, if the error of the run is to be estimated
+    written: gets what is set, if the error of the run is to be estimated
     """
 
-    def __init__(self, run: WiredRun, exchange: Callable[[], object]) -> None:
-        self._run, self._exchange = run, exchange
+    def __init__(self, run: WiredRun, exchange: Callable[[], object], written: list[Written]) -> None:
+        self._run, self._exchange, self._written = run, exchange, written
         self._system, self._index = run.prepared.system, run.bus.index
         self._bus: Any = run.wiring.bus.data  # of float64, which typing does not know
-        self.written: list[Written] = []
 
     @cached_property
     def _driven(self) -> set[str]:
@@ -108,7 +107,7 @@ class Access:
 
         def write_and_note(value: Value) -> None:
             write(value)
-            self.written.append((int(report[Report.POSITION]), name, value))
+            self._written.append((int(report[Report.POSITION]), name, value))
 
         return write_and_note
 

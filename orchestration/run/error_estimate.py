@@ -102,10 +102,10 @@ class StepwiseEstimate:
         if self._known:
             written, before, estimated = self._known
             is_same = np.array_equal(before.values, recording.values, equal_nan=True)
-            if is_same and written == run.access.written:
+            if is_same and written == run.written:
                 return estimated
         estimated = with_error_estimate(recording, run.prepared, partial(self._repeat, run))
-        self._known = [*run.access.written], recording, estimated
+        self._known = [*run.written], recording, estimated
         return estimated
 
     def _repeat(self, run: Run, experiment: Experiment) -> Recording:
@@ -115,7 +115,7 @@ class StepwiseEstimate:
         """
         if run.point < 2:
             raise OrchestrationError(f"expected at least two steps, got {run.point}")
-        remaining = deque(run.access.written)
+        remaining = deque(run.written)
         with self._second() as simulator:
             other: Run = simulator.start(experiment, list(run.prepared.external))
             while not other.is_done and 2 * (other.point + 1) <= run.point:

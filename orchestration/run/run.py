@@ -11,13 +11,14 @@ import time
 import warnings
 from bisect import bisect_right
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Any, Protocol
 
 import numpy as np
 
 from orchestration.errors import FmuWarning, OrchestrationError, SimulationError
 from orchestration.results.recording import Recording
-from orchestration.run.access import Access, Reader, Writer, set_in_fmu, stale
+from orchestration.run.access import Access, Reader, Writer, Written, set_in_fmu, stale
 from orchestration.run.compiled_loop import StepThreads
 from orchestration.run.initialisation import initialise
 from orchestration.run.loop_data import Report
@@ -67,7 +68,7 @@ class Run:
 
     failure: why the run cannot go on; empty if it can
     batch: steps of the next batch
-    step_control: None where steps cannot be repeated
+    written: what the caller set, if the error is to be estimated
     """
 
     # time [s] when a step of any run looks again, as the runs share the process
@@ -88,25 +89,40 @@ class Run:
         """
         self.wired, self.prepared, self.wiring = wired, wired.prepared, wired.wiring
         self.statistics, self.failure, self.batch = statistics, "", 1
-        self.step_control = None if wired.prepared.retry_obstacle else StepControl(wired)
+        self._resources = ExitStack()  # freed when the run ends
+        self._batch_start = None if wired.prepared.retry_obstacle else self._snapshot()
         self._loop, self._guard, self._pacing, self._estimate = wired.loop, guard, pacing, estimate
         self._threads = StepThreads(wired.wiring, wired.loop, threads)
-        self.access = Access(wired, self.record_now)
-        self._written = self.access.written
+        self._resources.callback(self._threads.close)
+        self._step_control: StepControl | None = None
+        self.written: list[Written] = []
+        self._access = Access(wired, self.record_now, self.written)
+        self._resources.callback(self._access.close)
         self._record = Record(wired.wiring.rows, wired.wiring.faults.history.T)
-        self._snapshots: list[Snapshot] = []  # of saved states, all of them
-        self._unused: list[Snapshot] = []
+        self._unused: list[Snapshot] = []  # of saved states
         self._report = wired.wiring.report.data  # quicker than the array
         self._points: Any = wired.wiring.points.data
         self._last = len(wired.wiring.points) - 1
         self._changes = sorted(wired.prepared.changes)
-        has_tolerance = self.step_control and self.step_control.tolerance
-        # points where more is due than a step
-        self._special = range(self._last + 1) if has_tolerance else {0, self._last, *self._changes}
+        every_point = range(self._last + 1) if wired.prepared.experiment.tolerance else ()
+        self._special = every_point or {0, self._last, *self._changes}  # where more is due than a step
         self._has_ended = False
         self._termination: dict[str, Any] = {}
         self._check_interrupt: Callable[[], None] = _let_interrupts_come
         self._move_back: Callable[[], None] = lambda: None  # of a point that moved
+
+    @property
+    def step_control(self) -> StepControl | None:
+        """The control of steps between communication points; None where steps cannot be repeated."""
+        if self._batch_start and not self._step_control:
+            self._step_control = StepControl(self.wired, self._batch_start)
+            self._resources.callback(self._step_control.free)
+        return self._step_control
+
+    def _snapshot(self) -> Snapshot:
+        snapshot = Snapshot(self.wired)
+        self._resources.callback(snapshot.free)
+        return snapshot
 
     @property
     def time(self) -> float:
@@ -164,8 +180,8 @@ class Run:
                 self._change_and_wait()
                 self._run_batch(point + 1)
             else:  # the same, but quicker
-                if self.step_control:
-                    self.step_control.batch_start.take()
+                if self._batch_start:
+                    self._batch_start.take()
                 if self._loop.run(point, point + 1) == point:
                     self._look_around(failed=True)
                     self._repeat_discarded_step(point)
@@ -214,12 +230,12 @@ class Run:
         following = bisect_right(self._changes, first)
         next_change = self._changes[following : following + 1]
         end = min(end, first + (1 if self._pacing else self.batch), *next_change)
-        if self.step_control and self.step_control.tolerance:
+        if self.prepared.experiment.tolerance and self.step_control:
             self._go_to(self.step_control.divide_step(self._check_interrupt))
             self.batch = 1
             return
-        if self.step_control:
-            self.step_control.batch_start.take()
+        if self._batch_start:
+            self._batch_start.take()
         is_divided = self._threads.run(first, end) < end
         is_terminated = self._is_terminated()
         self._look_around(failed=is_divided)
@@ -317,7 +333,7 @@ class Run:
     def read(self, name: str) -> Any:
         """Returns the present value of "component.variable", in the type of Python that it has."""
         self._check_not_ended()
-        return self.access.read(name)
+        return self._access.read(name)
 
     def set(self, name: str, value: Value) -> None:
         """Sets "component.variable", from the present communication point on.
@@ -327,18 +343,18 @@ class Run:
         and for a value of another type or outside the declared range.
         """
         self._check_not_ended()
-        self.access.writer(name)(value)
+        self._access.writer(name)(value)
 
     def reader(self, *names: str) -> Reader:
         """Returns a quick `read`: a function that returns the present number of one variable, or a tuple.
 
         It serves this run alone. Booleans are 0.0 and 1.0, as in a recording.
         """
-        return self.access.reader(*names)
+        return self._access.reader(*names)
 
     def writer(self, *names: str) -> Writer:
         """Returns a function that sets one variable or several in order: a quick `set` for this run alone."""
-        return self.access.writer(*names)
+        return self._access.writer(*names)
 
     def recording(self) -> Recording:
         """Returns the values recorded until now, those of the present communication point included.
@@ -354,7 +370,7 @@ class Run:
 
     def recorded(self, is_final: bool = False) -> Recording:
         """Returns the values recorded; is_final: the run has ended, the rows are the recording's."""
-        more = self.step_control.provenance if self.step_control else {}
+        more = self._step_control.provenance if self._step_control else {}
         more |= {"terminated": self._termination} if self._termination else {}
         more |= {"real_time": self._pacing.report()} if self._pacing else {}
         more |= self.statistics.report(self.time, not self._threads.have_shared)
@@ -372,13 +388,13 @@ class Run:
             if not self.can_save:
                 names = ", ".join(self.prepared.system.components_without("canGetAndSetFMUstate"))
                 raise OrchestrationError(f"{names} cannot save its state: expected canGetAndSetFMUstate")
-            self._snapshots.append(Snapshot(self.wired))
-            self._unused.append(self._snapshots[-1])
+            self._unused.append(self._snapshot())
         snapshot, point = self._unused.pop(), self._report[_POSITION]
         if not self._loop.save(snapshot.memory):
             raise failure_error(self.wired)
-        step_control = self.step_control.state if self.step_control else {}
-        segment, written = self._record.keep(point), tuple(self._written)
+        control = self.step_control
+        step_control = control.state if control else {}
+        segment, written = self._record.keep(point), tuple(self.written)
         return SavedState(snapshot, point, step_control, segment, written, self._unused)
 
     def restore(self, state: SavedState) -> None:
@@ -400,20 +416,15 @@ class Run:
         if state.segment is not self._record.present:
             self._record.return_to(state.segment)
         self._report[_POSITION] = self._report[_RECORDED] = state.position
-        self._written[:] = state.written
-        if self.step_control:
-            self.step_control.state = state.step_control
+        self.written[:] = state.written
+        if self._step_control:
+            self._step_control.state = state.step_control
 
     def close(self) -> None:
         """Ends the run: frees the states saved in the FMUs, and makes readers and writers refuse."""
         self.failure = "the run has ended: expected start(experiment) for another"
         self._has_ended = True
-        self.access.close()
-        self._threads.close()
-        for snapshot in self._snapshots:
-            snapshot.free()
-        if self.step_control:
-            self.step_control.free()
+        self._resources.close()
         try:
             self._restore_process()
         except OrchestrationError as error:

@@ -41,8 +41,8 @@ class StepControl:
     solver_error: where and how often the error of an FMU's own solver was permitted; empty if it never was
     """
 
-    def __init__(self, run: WiredRun) -> None:
-        self._run, self._wiring, self._loop = run, run.wiring, run.loop
+    def __init__(self, run: WiredRun, batch_start: Snapshot) -> None:
+        self._run, self._wiring, self._loop, self._batch_start = run, run.wiring, run.loop, batch_start
         experiment = run.prepared.experiment
         ports, indices = run.prepared.system.ports, run.wiring.signal_index.tolist()
         self._signals = [  # others keep the value of the communication point
@@ -53,7 +53,7 @@ class StepControl:
         tables = (signal for _, signal in self._signals if isinstance(signal, Table))
         # two halves do not show the error of a step across a jump: each step ends there
         self._jumps = np.unique([time for table in tables for time in table.jumps])
-        self.batch_start, self._before = Snapshot(run), Snapshot(run)
+        self._before = Snapshot(run)
         self._shortest = 0.0
         self._terminated = 0
         self.tolerance = Tolerance(run) if experiment.tolerance else None
@@ -96,7 +96,7 @@ class StepControl:
 
         Returns what `divide_step` does.
         """
-        self.batch_start.restore()
+        self._batch_start.restore()
         point = int(self._wiring.report[Report.POSITION])
         if self._loop.run(start, point) != point:
             raise failure_error(self._run)
@@ -110,12 +110,12 @@ class StepControl:
         point = int(self._wiring.report[Report.POSITION])
         if not self._loop.exchange_and_record(point):
             raise failure_error(self._run)
-        self.batch_start.take()
+        self._batch_start.take()
         state = self.state
         try:
             return self._advance_from(point, check_interrupt)
         except KeyboardInterrupt:  # between two communication points nothing can be saved
-            self.batch_start.restore()
+            self._batch_start.restore()
             self.state = state
             raise
 
@@ -282,7 +282,6 @@ class StepControl:
 
     def free(self) -> None:
         """Frees the saved states."""
-        self.batch_start.free()
         self._before.free()
 
 

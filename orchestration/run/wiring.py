@@ -92,10 +92,7 @@ def build_wiring(
     ones = np.ones(len(bus.index), np.int32)
     references: list[np.ndarray] = [ones]
     strings = Strings()
-
-    def calls(kind: Call, reals: np.ndarray) -> Calls:
-        return _calls(instances, bus.calls[kind], references, reals, integers, strings)
-
+    others = integers, references, strings, instances
     wiring = Wiring(
         gauss_seidel=int(experiment.algorithm is Algorithm.GAUSS_SEIDEL),
         full_steps=int(not experiment.tolerance),
@@ -118,9 +115,9 @@ def build_wiring(
         error_logged=_report_calls(instances, storage.report),
         warning=parts["warning"],
         warning_time=np.zeros(count),
-        input_calls=calls(Call.SET_INPUTS, values),
-        derivative_calls=calls(Call.SET_DERIVATIVES, slopes),
-        output_calls=calls(Call.GET_OUTPUTS, values),
+        input_calls=_calls(bus.calls[Call.SET_INPUTS], values, *others),
+        derivative_calls=_calls(bus.calls[Call.SET_DERIVATIVES], slopes, *others),
+        output_calls=_calls(bus.calls[Call.GET_OUTPUTS], values, *others),
         connections=_connections(prepared, bus, parts),
         faults=_faults(prepared),
         signal_values=prepared.signal_values,
@@ -198,12 +195,12 @@ def _report_calls(instances: Mapping[str, FmuInstance], report: np.ndarray) -> n
 
 
 def _calls(
-    instances: Mapping[str, FmuInstance],
     groups: Sequence[VariableGroup],
-    references: list[np.ndarray],
     reals: np.ndarray,
     integers: np.ndarray,
+    references: list[np.ndarray],
     strings: Strings,
+    instances: Mapping[str, FmuInstance],
 ) -> Calls:
     """Returns one row for each group and adds its value references to `references`."""
     rows = []
