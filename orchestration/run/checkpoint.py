@@ -95,15 +95,14 @@ def capture(run: Run) -> Checkpoint:
         raise OrchestrationError(
             "at the end of the run components are between communication points of their own"
         )
-    states = {}
-    for name, instance in run.wired.instances.items():
-        state = instance.get_fmu_state()
-        states[name] = instance.serialize_fmu_state(state)
-        instance.free_fmu_state(state)
+    state, instances = run.save(), run.wired.instances.items()
+    states = {
+        name: fmu.serialize_fmu_state(state.snapshot.memory[c]) for c, (name, fmu) in enumerate(instances)
+    }
     return Checkpoint(
         position=position,
-        time=float(wiring.points[position]),
-        step_control=run.step_control.state if run.step_control else {},
+        time=run.time,
+        step_control=state.step_control,
         past=_past(run, position),
         strings=run.wired.strings.table,
         states=states,
@@ -200,3 +199,11 @@ class Checkpoints:
             if run.is_done:
                 return
             self.save(run)
+
+    def save_interrupted(self, run: Run) -> str:
+        """Saves an interrupted run; returns the end of its error message."""
+        try:
+            self.save(run)
+        except (OrchestrationError, OSError) as error:
+            return f"; not saved: {error}"
+        return f"; saved in {self.path}"

@@ -35,16 +35,16 @@ def make_recording(
     strings: of Strings, by their numbers; without them Strings are empty
     more: further entries of the provenance; is_final: all rows become those of the recording, without a copy
     """
-    ports = prepared.system.ports
+    variables = [prepared.system.ports[name].variable for name in prepared.recorded]
     values, time = rows[..., :count, :], prepared.points[:count]
     if not (is_final and count == rows.shape[-2]):
         values, time = values.copy(), time.copy()
-    is_string = np.array([ports[name].variable.type == "String" for name in prepared.recorded], bool)
+    is_string = np.array([variable.type == "String" for variable in variables], bool)
     if not strings and is_string.any():
         values[..., is_string] = 0.0
     return Recording(
         names=prepared.recorded,
-        units=tuple(ports[name].variable.unit or "" for name in prepared.recorded),
+        units=tuple(variable.unit or "" for variable in variables),
         time=time,
         values=values,
         provenance=_provenance(prepared) | dict(more),

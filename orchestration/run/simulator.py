@@ -5,7 +5,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, chdir, contextmanager
 from functools import partial
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -33,8 +33,6 @@ class LoadedSystem:
     Raises FmuLoadError for a file that is no FMU.
     """
 
-    _kind: ClassVar[str]  # in messages
-
     def __init__(self, system: System) -> None:
         self.system = system
         self._descriptions = {name: describe(path) for name, path in system.components.items()}
@@ -59,7 +57,7 @@ class LoadedSystem:
     def _begin_run(self) -> Iterator[None]:
         """Refuses another run meanwhile."""
         if not self._running.acquire(blocking=False):
-            kind = self._kind
+            kind = type(self).__name__.lower()
             raise OrchestrationError(f"this {kind} is running: expected another one for a run meanwhile")
         try:
             yield
@@ -109,7 +107,6 @@ class Simulator(LoadedSystem):
     Raises FmuLoadError for a file that is no FMU.
     """
 
-    _kind = "simulator"
     _loop = staticmethod(compiled_loop)
 
     def __init__(self, system: System, threads: int | None = None) -> None:
@@ -284,18 +281,9 @@ def _run_to_end(
                 run.advance(progress=progress)
     except KeyboardInterrupt as error:
         run.record_now()
-        saved = _save_interrupted(checkpoints, run) if checkpoints else ""
+        saved = checkpoints.save_interrupted(run) if checkpoints else ""
         raise SimulationError(reason_of(error) + saved, run.recorded()) from error
     except SimulationError:
         raise
     except Exception as error:  # of a checkpoint
         raise run.failed(error) from error
-
-
-def _save_interrupted(checkpoints: Checkpoints, run: Run) -> str:
-    """Saves an interrupted run; returns the end of its error message."""
-    try:
-        checkpoints.save(run)
-    except (OrchestrationError, OSError) as error:
-        return f"; not saved: {error}"
-    return f"; saved in {checkpoints.path}"
