@@ -78,7 +78,7 @@ class FmuEnv(_Agent, gymnasium.Env[Array, Array]):
     """One environment of a task. `reset(seed=...)` makes the episodes that follow the same again.
 
     Raises SystemDefinitionError for a name that is unknown, or an action without bounds; in an episode what
-    `SteppedRun.step` raises.
+    `Run.step` raises.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # as its base declares it

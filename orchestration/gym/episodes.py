@@ -14,8 +14,8 @@ from orchestration.many.places import AUTO, PROCESSOR
 from orchestration.many.stepped_ensemble import SteppedEnsemble
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator
-from orchestration.run.snapshot import SavedState
-from orchestration.run.step_by_step import SteppedRun
+from orchestration.run.run import Run
+from orchestration.run.saved_states import SavedState
 from orchestration.scenarios.changes import with_values
 from orchestration.scenarios.task import Task
 from orchestration.system.experiment import Experiment
@@ -70,7 +70,7 @@ class EpisodePlan:
 class Episode:
     """The episode of one environment in a simulator, or of many in an ensemble, after `reset`."""
 
-    run: SteppedRun | SteppedEnsemble
+    run: Run | SteppedEnsemble
 
     def __init__(self, plan: EpisodePlan, engine: Simulator | Ensemble) -> None:
         self._plan, self.engine = plan, engine
@@ -81,7 +81,7 @@ class Episode:
         plan, engine = self._plan, self.engine
         experiments = [plan.drawn(random) for random in randoms]
         with suppress(OrchestrationError):  # after an FMU returned fatal
-            if self._first and isinstance(self.run, SteppedRun):
+            if self._first and isinstance(self.run, Run):
                 self.run.restore(self._first)
                 return
         if isinstance(engine, Simulator):
@@ -91,7 +91,7 @@ class Episode:
         self._signals = plan.signals(run.points)
         self._read, self.act = run.reader(*plan.variables), run.writer(*plan.task.actions)
         self.step = run.step
-        if isinstance(run, SteppedRun) and run.can_save and not (plan.task.seeds or plan.task.vary):
+        if isinstance(run, Run) and run.can_save and not (plan.task.seeds or plan.task.vary):
             self._first = run.save()
 
     def look(self) -> Look:

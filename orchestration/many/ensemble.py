@@ -54,8 +54,6 @@ class Ensemble(LoadedSystem):
     Raises EnsembleError for any other FMU, or without a compiler.
     """
 
-    _kind = "ensemble"
-
     def __init__(self, system: System, instructions: str | None = None, device: Device | None = None) -> None:
         available = instruction_sets()
         self.instructions = instructions or available[0]

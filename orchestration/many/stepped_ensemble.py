@@ -48,7 +48,7 @@ class SteppedEnsemble:
 
     point: index of the communication point; failures: instance -> why it ended early
 
-    The form is that of `SteppedRun`, with an array for the instances in place of a number. The recording is
+    The form is that of `Run`, with an array for the instances in place of a number. The recording is
     that of as many stepped runs, to the last bit; but a step that an FMU refuses is an error,
     where a Simulator tries shorter ones.
     """

@@ -5,15 +5,14 @@ functions that have the arguments of fmi2GetInteger and fmi2SetInteger.
 """
 
 import ctypes
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from fmus.fmi.binding import OK, WARNING
 from fmus.fmi.instance import FmuInstance
-from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import TRANSFER_TYPE
-from orchestration.run.loop_data import InputMode
+from orchestration.run.loop_data import Call, InputMode
 from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.system import Port
 
@@ -22,20 +21,17 @@ SIGNAL = "."  # prefix of a signal or an external value on the bus, with which n
 
 @dataclass(frozen=True)
 class VariableGroup:
-    """Variables of one component and one type, read or set in one call.
+    """Variables of one component and one type, read or set in one call of an FMI function.
 
     bus_index: of the first variable; integer_index: of the first in `Wiring.integers`, -1 for Real
     """
 
     component: str
     type: str
-    variables: tuple[ScalarVariable, ...]
+    function: str
+    ports: Sequence[Port]
     bus_index: int
     integer_index: int
-
-    @property
-    def names(self) -> list[str]:
-        return [f"{self.component}.{variable.name}" for variable in self.variables]
 
 
 @dataclass(frozen=True)
@@ -43,17 +39,15 @@ class BusLayout:
     """connections: (source, target) of connections and signals, in the order of the target's component
 
     input_modes: of the connections
-    outputs, inputs: the variables that are read, which need not be outputs, and those that are set
-    integer_count: how many of them are not Real
-    derivatives: the inputs whose derivatives are set
+    calls: kind of call -> its groups, one for each call: variables that are read, which need not be outputs,
+    inputs that are set, and those of them whose derivatives are set
+    integer_count: how many variables are not Real
     index: name -> index on the bus
     """
 
-    connections: tuple[tuple[str, str], ...]
-    input_modes: tuple[InputMode, ...]
-    outputs: tuple[VariableGroup, ...]
-    inputs: tuple[VariableGroup, ...]
-    derivatives: tuple[VariableGroup, ...]
+    connections: Sequence[tuple[str, str]]
+    input_modes: Sequence[InputMode]
+    calls: Mapping[int, Sequence[VariableGroup]]
     integer_count: int
     index: Mapping[str, int]
 
@@ -64,31 +58,28 @@ def lay_out_bus(prepared: PreparedRun) -> BusLayout:
     signals = [*prepared.experiment.signals, *prepared.external]
     pairs += [(f"{SIGNAL}{name}", name) for name in signals]
     order = {name: c for c, name in enumerate(prepared.system.components)}
-    connections = tuple(sorted(pairs, key=lambda pair: order[component_of(pair[1])]))
+    connections = sorted(pairs, key=lambda pair: order[component_of(pair[1])])
     modes = {target: _input_mode(prepared, source, target) for source, target in connections}
     smooth = {target for target, mode in modes.items() if mode is InputMode.FMU_DERIVATIVE}
     read = {*prepared.recorded, *(source for source, _ in connections)} - modes.keys()
-    outputs = _variables_by_type(prepared, read, smooth)
-    groups: list[VariableGroup] = []
-    size = integer_count = 0
-    for component, fmi_type, members in (*outputs, *_variables_by_type(prepared, {*modes}, smooth)):
-        is_real = fmi_type == "Real"
-        groups.append(VariableGroup(component, fmi_type, members, size, -1 if is_real else integer_count))
-        size += len(members)
-        integer_count += 0 if is_real else len(members)
-    names = [name for group in groups for name in group.names]
+    kinds = Call.GET_OUTPUTS, Call.SET_INPUTS, Call.SET_DERIVATIVES
+    calls: dict[int, list[VariableGroup]] = {kind: [] for kind in kinds}
+    names: list[str] = []
+    integer_count = 0
+    for kind, verb, chosen in ((Call.GET_OUTPUTS, "Get", read), (Call.SET_INPUTS, "Set", {*modes})):
+        for (component, fmi_type), ports in _ports_by_type(prepared, chosen, smooth).items():
+            integer_index = -1 if fmi_type == "Real" else integer_count
+            integer_count += 0 if fmi_type == "Real" else len(ports)
+            function = f"fmi2{verb}{fmi_type}"
+            group = VariableGroup(component, fmi_type, function, ports, len(names), integer_index)
+            calls[kind].append(group)
+            names += [port.name for port in ports]
+            if derived := [port for port in ports if port.name in smooth]:
+                derivatives = replace(group, function="fmi2SetRealInputDerivatives", ports=derived)
+                calls[Call.SET_DERIVATIVES].append(derivatives)
     names += [f"{SIGNAL}{name}" for name in signals]
-    inputs = tuple(groups[len(outputs) :])
-    counts = ((group, sum(name in smooth for name in group.names)) for group in inputs)
-    return BusLayout(
-        connections=connections,
-        input_modes=tuple(modes.values()),
-        outputs=tuple(groups[: len(outputs)]),
-        inputs=inputs,
-        derivatives=tuple(replace(group, variables=group.variables[:n]) for group, n in counts if n),
-        integer_count=integer_count,
-        index={name: i for i, name in enumerate(names)},
-    )
+    index = {name: i for i, name in enumerate(names)}
+    return BusLayout(connections, [*modes.values()], calls, integer_count, index)
 
 
 def component_of(name: str) -> str:
@@ -106,10 +97,10 @@ def _input_mode(prepared: PreparedRun, source: str, target: str) -> InputMode:
     return InputMode.FMU_DERIVATIVE if interface.canInterpolateInputs else InputMode.MIDPOINT
 
 
-def _variables_by_type(
+def _ports_by_type(
     prepared: PreparedRun, names: set[str], first: set[str]
-) -> list[tuple[str, str, tuple[ScalarVariable, ...]]]:
-    """Returns (component, type of getter and setter, variables) of the variables of these names.
+) -> dict[tuple[str, str], list[Port]]:
+    """Returns (component, type of getter and setter) -> the variables of these names.
 
     first: those that come before the others of their group
     """
@@ -117,9 +108,9 @@ def _variables_by_type(
     for name, port in prepared.system.ports.items():
         if name in names:
             groups.setdefault((port.component, TRANSFER_TYPE[port.variable.type]), []).append(port)
-    for members in groups.values():
-        members.sort(key=lambda port: port.name not in first)
-    return [(*key, tuple(port.variable for port in members)) for key, members in groups.items()]
+    for ports in groups.values():
+        ports.sort(key=lambda port: port.name not in first)
+    return groups
 
 
 _POINTER = ctypes.c_void_p

@@ -9,7 +9,7 @@ import hashlib
 import json
 import math
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ import numpy as np
 from fmus.files import open_atomically
 from orchestration.errors import OrchestrationError, SystemDefinitionError
 from orchestration.run.loop_data import CHANGING, CHANGING_OF_CONNECTIONS, Report
-from orchestration.run.stepping import MOST_STEPS, RunInProgress
+from orchestration.run.run import Progress, Run
 from orchestration.system.system import CheckedSystem
 
 _VERSION = 6
@@ -87,23 +87,22 @@ def check_can_save(system: CheckedSystem) -> None:
         )
 
 
-def capture(run: RunInProgress) -> Checkpoint:
+def capture(run: Run) -> Checkpoint:
     """Captures the system at the present point; OrchestrationError where no run can continue."""
-    wiring, position = run.wiring, run.position
+    wiring, position = run.wiring, run.point
     is_last = position == len(wiring.points) - 1
     if is_last and np.any(position % wiring.periods):
         raise OrchestrationError(
             "at the end of the run components are between communication points of their own"
         )
-    states = {}
-    for name, instance in run.instances.items():
-        state = instance.get_fmu_state()
-        states[name] = instance.serialize_fmu_state(state)
-        instance.free_fmu_state(state)
+    state, instances = run.save(), run.wired.instances.items()
+    states = {
+        name: fmu.serialize_fmu_state(state.snapshot.memory[c]) for c, (name, fmu) in enumerate(instances)
+    }
     return Checkpoint(
         position=position,
-        time=float(wiring.points[position]),
-        step_control=run.step_control.state if run.step_control else {},
+        time=run.time,
+        step_control=state.step_control,
         past=_past(run, position),
         strings=run.wired.strings.table,
         states=states,
@@ -111,7 +110,7 @@ def capture(run: RunInProgress) -> Checkpoint:
     )
 
 
-def restore(checkpoint: Checkpoint, run: RunInProgress) -> None:
+def restore(checkpoint: Checkpoint, run: Run) -> None:
     """Sets an initialised run to the checkpoint; OrchestrationError if it belongs to another run."""
     position, past = checkpoint.position, _past(run, checkpoint.position)
     different = [part for part in past if past[part] != checkpoint.past.get(part)]
@@ -131,16 +130,16 @@ def restore(checkpoint: Checkpoint, run: RunInProgress) -> None:
         array[:] = saved
     run.wired.strings.table = checkpoint.strings
     run.wiring.report[Report.RECORDED] = position
-    for name, instance in run.instances.items():
+    for name, instance in run.wired.instances.items():
         state = instance.deserialize_fmu_state(checkpoint.states[name])
         instance.set_fmu_state(state)
         instance.free_fmu_state(state)
-    run.position = position
+    run.wiring.report[Report.POSITION] = position
     if run.step_control:
         run.step_control.state = checkpoint.step_control
 
 
-def _saved_arrays(run: RunInProgress, position: int) -> dict[str, np.ndarray]:
+def _saved_arrays(run: Run, position: int) -> dict[str, np.ndarray]:
     wiring = run.wiring
     return {
         **{name: getattr(wiring, name) for name in CHANGING},
@@ -150,7 +149,7 @@ def _saved_arrays(run: RunInProgress, position: int) -> dict[str, np.ndarray]:
     }
 
 
-def _past(run: RunInProgress, position: int) -> dict[str, str]:
+def _past(run: Run, position: int) -> dict[str, str]:
     """Returns the digests of everything that determines a run up to a communication point."""
     prepared, wiring, until = run.prepared, run.wiring, position + 1
     faults = wiring.faults
@@ -189,20 +188,22 @@ class Checkpoints:
         if not self.every > 0.0:
             raise OrchestrationError(f"a checkpoint every {self.every!r} s: expected more than 0")
 
-    def save(self, run: RunInProgress) -> None:
+    def save(self, run: Run) -> None:
         """Writes a checkpoint of the present communication point."""
         capture(run).write(self.path)
 
-    def checkpoint_callback(self, run: RunInProgress) -> Callable[[int], int]:
-        """Returns a callback of `run_to_end` that saves when due, and returns the steps to the next."""
-        points = run.wiring.points
-        due = float(points[run.position]) + self.every
+    def save_until_done(self, run: Run, progress: Progress | None = None) -> None:
+        """Advances a run to its end, and saves when due."""
+        while True:
+            run.advance(run.time + self.every, progress)
+            if run.is_done:
+                return
+            self.save(run)
 
-        def save_if_due(position: int) -> int:
-            nonlocal due
-            if points[position] >= due:
-                self.save(run)
-                due = float(points[position]) + self.every
-            return min(max(1, int(np.searchsorted(points, due)) - position), MOST_STEPS)
-
-        return save_if_due
+    def save_interrupted(self, run: Run) -> str:
+        """Saves an interrupted run; returns the end of its error message."""
+        try:
+            self.save(run)
+        except (OrchestrationError, OSError) as error:
+            return f"; not saved: {error}"
+        return f"; saved in {self.path}"

@@ -63,13 +63,10 @@ def _members(wiring: Wiring) -> list[int]:
         wiring.record_index,
         wiring.memory,
     )
-    return [*map(len, counted), *_flat(wiring)]
-
-
-def _flat(value: Any) -> list[int]:
-    if isinstance(value, tuple):
-        return [leaf for member in value for leaf in _flat(member)]
-    return [value.ctypes.data if isinstance(value, np.ndarray) else value]
+    flat: list[Any] = []
+    for member in wiring:
+        flat += member if isinstance(member, tuple) else (member,)
+    return [*map(len, counted), *(x.ctypes.data if isinstance(x, np.ndarray) else x for x in flat)]
 
 
 def library() -> ctypes.CDLL:

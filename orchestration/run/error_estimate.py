@@ -20,8 +20,11 @@ Source: P. J. Roache, Perspective: a method for uniform reporting of grid refine
 
 import math
 import warnings
+from collections import deque
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,6 +32,8 @@ import numpy as np
 from orchestration.errors import FmuWarning, OrchestrationError, SimulationError
 from orchestration.results.files import ERROR_ESTIMATE
 from orchestration.results.recording import Recording
+from orchestration.run.access import Written
+from orchestration.run.run import Run
 from orchestration.system.experiment import Experiment, double_step
 from orchestration.system.prepared_run import PreparedRun, values_of
 from orchestration.system.time_grid import GRID_TOLERANCE
@@ -80,6 +85,45 @@ def with_error_estimate(
         values=np.column_stack([recording.values, bounds]),
         provenance={**recording.provenance, "error_estimate": entry},
     )
+
+
+class StepwiseEstimate:
+    """The error estimate of a run that the caller leads: another run takes what was set at common points.
+
+    second: returns another simulator of the system
+    """
+
+    def __init__(self, second: Callable[[], AbstractContextManager[Any]]) -> None:
+        self._second = second
+        self._known: tuple[list[Written], Recording, Recording] | None = None
+
+    def __call__(self, run: Run, recording: Recording) -> Recording:
+        """Returns the recording of a run until now with its estimate, which is made where anything is new."""
+        if self._known:
+            written, before, estimated = self._known
+            is_same = np.array_equal(before.values, recording.values, equal_nan=True)
+            if is_same and written == run.written:
+                return estimated
+        estimated = with_error_estimate(recording, run.prepared, partial(self._repeat, run))
+        self._known = [*run.written], recording, estimated
+        return estimated
+
+    def _repeat(self, run: Run, experiment: Experiment) -> Recording:
+        """Leads a run at twice the step to the present point of this one, with what was set here.
+
+        Raises OrchestrationError where this one is not two steps from its start.
+        """
+        if run.point < 2:
+            raise OrchestrationError(f"expected at least two steps, got {run.point}")
+        remaining = deque(run.written)
+        with self._second() as simulator:
+            other: Run = simulator.start(experiment, list(run.prepared.external))
+            while not other.is_done and 2 * (other.point + 1) <= run.point:
+                while remaining and remaining[0][0] <= 2 * other.point:
+                    _, name, value = remaining.popleft()
+                    other.set(name, value)
+                other.step()
+            return other.recording()
 
 
 def longer_internal_steps(prepared: PreparedRun) -> dict[str, float]:

@@ -8,8 +8,8 @@ from fmus.errors import nearest
 from orchestration.errors import SystemDefinitionError
 from orchestration.results.recording import Recording
 from orchestration.run.checkpoint import Checkpoint, Checkpoints
+from orchestration.run.run import Progress
 from orchestration.run.simulator import Simulator
-from orchestration.run.stepping import Progress
 from orchestration.system.experiment import Experiment, ExperimentSettings, suggested_times
 from orchestration.system.prepared_run import PreparedRun, prepare
 from orchestration.system.system import System

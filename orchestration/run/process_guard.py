@@ -1,4 +1,6 @@
-"""The process of a run: its floating-point mode, an end by `exit`, and children that an FMU forks.
+"""The process of a run: interrupts, floating-point mode, an end by `exit`, children that an FMU forks.
+
+An interrupt waits for the end of a step: inside an FMU it would look like the FMU's own failure.
 
 After each call of an FMU the floating-point mode (rounding, denormals) is that of before. An FMU that calls
 `exit` is named, and the status is 70; for `_exit` and crashes see `fmus/fmi/parent_process.py`. A child that
@@ -12,9 +14,12 @@ after calls outside the communication loop alone.
 
 import atexit
 import ctypes
+import signal
 import threading
+import time
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from functools import cache, partial
 
 import numpy as np
@@ -93,3 +98,45 @@ def _runs() -> np.ndarray:
     runs = np.ctypeslib.as_array(guard.guard_runs(), (_MOST_RUNS, 2))
     atexit.register(runs.fill, 0)  # from then on the process ends by itself
     return runs
+
+
+@contextmanager
+def deferred_interrupt() -> Iterator[Callable[[], None]]:
+    """Keeps an interrupt until the yielded function is called: it must not strike inside an FMU."""
+    with kept_interrupts() as received:
+
+        def check_interrupt() -> None:
+            if received:
+                raise KeyboardInterrupt
+
+        yield check_interrupt
+    check_interrupt()  # one that came after the last look
+
+
+class _InterruptTimes(list[float]):
+    """A handler of SIGINT that only records the times [s of time.monotonic] of interrupts."""
+
+    def __call__(self, number: int, frame: object) -> None:
+        self.append(time.monotonic())
+
+
+@contextmanager
+def kept_interrupts() -> Iterator[list[float]]:
+    """Interrupts only leave their time [s of time.monotonic] in the list given.
+
+    Inside another such context the list is that of the outer one, with the interrupts that came before.
+    Outside the main thread, which receives no interrupts, nothing is changed.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield []
+        return
+    before = signal.getsignal(signal.SIGINT)
+    if isinstance(before, _InterruptTimes):
+        yield before
+        return
+    times = _InterruptTimes()
+    signal.signal(signal.SIGINT, times)
+    try:
+        yield times
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -10,9 +10,15 @@ from fmus.fmi.binding import DISCARD, OK, WARNING
 from fmus.fmi.description import start_value
 from orchestration.errors import FmuError, OrchestrationError
 from orchestration.results.recording import Recording
-from orchestration.run.loop_data import Call, LoopFunctions, Report, Wiring
+from orchestration.run.loop_data import Call, Report, Wiring
 from orchestration.run.wiring import WiredRun
 from orchestration.system.prepared_run import PreparedRun
+
+_FUNCTIONS: dict[int, str] = {
+    Call.DO_STEP: "fmi2DoStep",
+    Call.GET_STATE: "fmi2GetFMUstate",
+    Call.SET_STATE: "fmi2SetFMUstate",
+}
 
 
 def make_recording(
@@ -29,16 +35,16 @@ def make_recording(
     strings: of Strings, by their numbers; without them Strings are empty
     more: further entries of the provenance; is_final: all rows become those of the recording, without a copy
     """
-    ports = prepared.system.ports
+    variables = [prepared.system.ports[name].variable for name in prepared.recorded]
     values, time = rows[..., :count, :], prepared.points[:count]
     if not (is_final and count == rows.shape[-2]):
         values, time = values.copy(), time.copy()
-    is_string = np.array([ports[name].variable.type == "String" for name in prepared.recorded], bool)
+    is_string = np.array([variable.type == "String" for variable in variables], bool)
     if not strings and is_string.any():
         values[..., is_string] = 0.0
     return Recording(
         names=prepared.recorded,
-        units=tuple(ports[name].variable.unit or "" for name in prepared.recorded),
+        units=tuple(variable.unit or "" for variable in variables),
         time=time,
         values=values,
         provenance=_provenance(prepared) | dict(more),
@@ -73,13 +79,13 @@ def is_discarded_step(wiring: Wiring) -> bool:
     return wiring.report[Report.FAILURE] == Call.DO_STEP and wiring.report[Report.STATUS] == DISCARD
 
 
-def step_unless_discarded(run: WiredRun, loop: LoopFunctions, point: int, start: float, end: float) -> bool:
+def step_unless_discarded(run: WiredRun, point: int, start: float, end: float) -> bool:
     """Steps from `start` to `end` [s]; False if a component discards the step.
 
     point: the communication point at or before `start`
     Raises `failure_error` for any other failure.
     """
-    if loop.step(point, start, end):
+    if run.loop.step(point, start, end):
         return True
     if not is_discarded_step(run.wiring):
         raise failure_error(run, start)
@@ -102,12 +108,17 @@ def failure_error(run: WiredRun, time: float | None = None) -> OrchestrationErro
         )
     instance = list(run.instances.values())[report[Report.COMPONENT]]
     instance.time = time
-    function = run.functions[int(report[Report.FAILURE])][index]
+    function = _function(run, int(report[Report.FAILURE]), index)
     try:
         instance.check_status(function, int(report[Report.STATUS]))
     except FmuError as error:
         return error
     return FmuError(instance.name, time, function, "an error, and its log was cleared", [])
+
+
+def _function(run: WiredRun, kind: int, index: int = 0) -> str:
+    """Returns the FMI function of a kind of call; index: of its group."""
+    return _FUNCTIONS.get(kind) or run.bus.calls[kind][index].function
 
 
 def emit_warnings(run: WiredRun, failed: bool) -> None:
@@ -122,7 +133,7 @@ def emit_warnings(run: WiredRun, failed: bool) -> None:
         kind = int(wiring.warning[c])
         if kind != Call.NO_FAILURE or instance.log:
             instance.time = float(wiring.warning_time[c] if kind else wiring.step_start[c])
-            function = run.functions[kind][0] if kind else "fmi2DoStep"
+            function = _function(run, kind or Call.DO_STEP)
             instance.check_status(function, WARNING if kind else OK)
             wiring.warning[c] = Call.NO_FAILURE
 

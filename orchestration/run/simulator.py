@@ -3,10 +3,9 @@
 import os
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, chdir, contextmanager, nullcontext
-from dataclasses import replace
+from contextlib import ExitStack, chdir, contextmanager
 from functools import partial
-from typing import ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -16,15 +15,12 @@ from orchestration.errors import FmuLoadError, OrchestrationError, SimulationErr
 from orchestration.results.recording import Recording
 from orchestration.run.checkpoint import Checkpoint, Checkpoints, check_can_save, restore
 from orchestration.run.compiled_loop import compiled_loop
-from orchestration.run.error_estimate import with_error_estimate
-from orchestration.run.initialisation import initialise
-from orchestration.run.interrupt import Pacing, deferred_interrupt
+from orchestration.run.error_estimate import StepwiseEstimate, with_error_estimate
 from orchestration.run.loop_data import Report, Storage
-from orchestration.run.process_guard import ProcessGuard, new_report
+from orchestration.run.process_guard import ProcessGuard, deferred_interrupt, new_report
+from orchestration.run.run import Progress, Run
+from orchestration.run.run_clock import Pacing, RunStatistics
 from orchestration.run.run_recording import reason_of
-from orchestration.run.run_statistics import RunStatistics
-from orchestration.run.step_by_step import SteppedRun
-from orchestration.run.stepping import Progress, RunInProgress
 from orchestration.run.wiring import WiredRun, build_wiring
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import PreparedRun, PreparedRuns, check_for
@@ -36,8 +32,6 @@ class LoadedSystem:
 
     Raises FmuLoadError for a file that is no FMU.
     """
-
-    _kind: ClassVar[str]  # in messages
 
     def __init__(self, system: System) -> None:
         self.system = system
@@ -63,7 +57,7 @@ class LoadedSystem:
     def _begin_run(self) -> Iterator[None]:
         """Refuses another run meanwhile."""
         if not self._running.acquire(blocking=False):
-            kind = self._kind
+            kind = type(self).__name__.lower()
             raise OrchestrationError(f"this {kind} is running: expected another one for a run meanwhile")
         try:
             yield
@@ -113,7 +107,6 @@ class Simulator(LoadedSystem):
     Raises FmuLoadError for a file that is no FMU.
     """
 
-    _kind = "simulator"
     _loop = staticmethod(compiled_loop)
 
     def __init__(self, system: System, threads: int | None = None) -> None:
@@ -122,7 +115,7 @@ class Simulator(LoadedSystem):
         super().__init__(system)
         self._threads = threads
         self._guard: ProcessGuard | None = None
-        self._last_run: RunInProgress | None = None  # until another one begins
+        self._last_run: Run | None = None  # until another one begins
         self._first_batch = 1
         self._wired: WiredRun | None = None  # of the run before
 
@@ -153,21 +146,19 @@ class Simulator(LoadedSystem):
             pacing = None if real_time is None else Pacing(real_time)
             if checkpoints or resume:
                 check_can_save(run.system if isinstance(run, PreparedRun) else self._check(run))
-            measured = RunStatistics(self._descriptions) if statistics else None
-            wired, guard = self._prepare_run(run, (), storage, measured)
+            measured = RunStatistics(self._descriptions, statistics)
             threads = self._threads if storage is None else 1  # who watches a call asks for one
-            in_progress = self._last_run = RunInProgress(wired, self._loop(wired.wiring), guard, threads)
-            in_progress.batch, in_progress.statistics = self._first_batch, measured
-            recording = _run_to_end(in_progress, progress, pacing, checkpoints, resume, storage is None)
-            self._first_batch = max(1, in_progress.batch // 2)  # the next run may be slower
+            begun = self._begin(run, (), storage, measured, threads=threads, pacing=pacing)
+            begun.batch = self._first_batch
+            _run_to_end(begun, progress, checkpoints, resume)
+            recording = begun.recorded(is_final=storage is None)
+            self._first_batch = max(1, begun.batch // 2)  # the next run may be slower
             self._must_reload = False
-        return (
-            with_error_estimate(recording, wired.prepared, lambda coarser: self.run(coarser, progress))
-            if wired.prepared.experiment.error_estimate
-            else recording
-        )
+        if not begun.prepared.experiment.error_estimate:
+            return recording
+        return with_error_estimate(recording, begun.prepared, lambda coarser: self.run(coarser, progress))
 
-    def start(self, experiment: Experiment, external: Sequence[str] = ()) -> SteppedRun:
+    def start(self, experiment: Experiment, external: Sequence[str] = ()) -> Run:
         """Initialises the system for an experiment, at its start time; the caller leads the run.
 
         external: inputs that the caller sets between the steps, beginning with their value in
@@ -177,19 +168,17 @@ class Simulator(LoadedSystem):
         this one, of an FMU that can be instantiated only once.
         """
         with self._begin_run():
+            estimate = None
             if experiment.error_estimate:
                 self._check_can_load_twice()
-            wired, guard = self._prepare_run(experiment, tuple(external))
-            second = partial(type(self), self.system)
-            run = SteppedRun(wired, self._loop(wired.wiring), guard, second)
+                estimate = StepwiseEstimate(partial(type(self), self.system))
+            run = self._begin(experiment, tuple(external), estimate=estimate)
             try:
                 with deferred_interrupt():
-                    _initialise(run)
-            except (KeyboardInterrupt, Exception) as error:
-                run.free()
+                    run.initialise()
+            except KeyboardInterrupt as error:
                 raise SimulationError(reason_of(error), run.recorded()) from error
             self._must_reload = False
-            self._last_run = run
             return run
 
     def _check_can_load_twice(self) -> None:
@@ -211,34 +200,38 @@ class Simulator(LoadedSystem):
     def _end_last_run(self) -> None:
         if self._last_run:
             self._must_reload = self._must_reload or bool(self._last_run.failure)
-            self._last_run.free()
+            self._last_run.close()
             self._last_run = None
 
-    def _prepare_run(
+    def _begin(
         self,
         run: Experiment | PreparedRun,
         external: tuple[str, ...],
         storage: Storage | None = None,
         statistics: RunStatistics | None = None,
-    ) -> tuple[WiredRun, ProcessGuard]:
-        """Checks an experiment, loads or resets the FMUs and wires them."""
+        **settings: Any,
+    ) -> Run:
+        """Checks an experiment, loads or resets the FMUs and wires them; returns the run, not initialised.
+
+        settings: of `Run`
+        """
+        statistics = statistics or RunStatistics((), is_asked_for=False)
         if isinstance(run, PreparedRun):
             self._prepared_runs = PreparedRuns()  # the next run is not compared with this one
-            prepared = run.with_values(run.experiment)
+            prepared = run.copy()
         else:
             prepared = self._prepared_runs.prepare(self._check(run, external), run, external)
         earlier = self._wired if self._prepared_runs.only_values_differ else None
         self._wired = None  # of another run, also if this one is never wired
-        storage = storage or Storage(np.empty(prepared.shape), new_report())
-        if statistics:
-            storage = replace(storage, step_times=statistics.steps)
+        rows, report = (storage.rows, storage.report) if storage else (np.empty(prepared.shape), new_report())
+        storage = Storage(rows, report, statistics.steps)
         if self._guard:
             self._guard.close()
         guard = self._guard = ProcessGuard(self.system.components, storage.report)
         self._report = storage.report
         for instance in self._instances.values():  # who resets is busy in this run
             instance.busy, instance.after_call = storage.report[Report.BUSY :], guard.end_call
-        with _phase(statistics, "loading"):
+        with statistics.phase("loading"):
             self._load_or_reset()
         self._must_reload = True  # should anything fail before the run is done
         storage.report[Report.BUSY] = 0
@@ -247,9 +240,10 @@ class Simulator(LoadedSystem):
         if earlier and earlier.instances is self._instances:
             wired = earlier.again(prepared, storage)
         else:
-            wired = build_wiring(prepared, self._instances, storage)
+            wired = build_wiring(prepared, self._instances, storage, self._loop)
         self._wired = wired.without_rows()
-        return wired, guard
+        self._last_run = Run(wired, guard, statistics, **settings)
+        return self._last_run
 
     def _load(self, name: str, loading: ExitStack) -> FmuInstance:
         assert self._guard
@@ -272,49 +266,24 @@ class Simulator(LoadedSystem):
 
 
 def _run_to_end(
-    run: RunInProgress,
-    progress: Progress | None,
-    pacing: Pacing | None,
-    checkpoints: Checkpoints | None,
-    resume: Checkpoint | None,
-    owns_rows: bool,
-) -> Recording:
+    run: Run, progress: Progress | None, checkpoints: Checkpoints | None, resume: Checkpoint | None
+) -> None:
     """Initialises or restores a run, and runs it to its end. SimulationError holds what was recorded."""
     try:
-        with deferred_interrupt() as check_interrupt:
-            with _phase(run.statistics, "initialisation"):
-                _initialise(run)
-                if resume:
-                    restore(resume, run)
-            if run.statistics:
-                run.statistics.start_time = float(run.wiring.points[run.position])
-            callback = checkpoints.checkpoint_callback(run) if checkpoints else None
-            with _phase(run.statistics, "stepping"):
-                run.run_to_end(check_interrupt, progress, pacing, callback)
-        return run.recorded(pacing, is_final=owns_rows)
+        with deferred_interrupt():
+            run.initialise()
+            if resume:
+                restore(resume, run)
+            run.statistics.start_time = run.time
+            if checkpoints:
+                checkpoints.save_until_done(run, progress)
+            else:
+                run.advance(progress=progress)
     except KeyboardInterrupt as error:
         run.record_now()
-        saved = _save_interrupted(checkpoints, run) if checkpoints else ""
-        raise SimulationError(reason_of(error) + saved, run.recorded(pacing)) from error
-    except Exception as error:  # also of a signal: the recorded values must not be lost
-        raise SimulationError(reason_of(error), run.recorded(pacing)) from error
-
-
-def _phase(statistics: RunStatistics | None, name: str) -> AbstractContextManager[None]:
-    """Returns a context that measures a phase if statistics were asked for."""
-    return statistics.phase(name) if statistics else nullcontext()
-
-
-def _initialise(run: RunInProgress) -> None:
-    initialise(run.prepared, run.instances)
-    run.read_outputs()
-    run.restore_process()
-
-
-def _save_interrupted(checkpoints: Checkpoints, run: RunInProgress) -> str:
-    """Saves an interrupted run; returns the end of its error message."""
-    try:
-        checkpoints.save(run)
-    except (OrchestrationError, OSError) as error:
-        return f"; not saved: {error}"
-    return f"; saved in {checkpoints.path}"
+        saved = checkpoints.save_interrupted(run) if checkpoints else ""
+        raise SimulationError(reason_of(error) + saved, run.recorded()) from error
+    except SimulationError:
+        raise
+    except Exception as error:  # of a checkpoint
+        raise run.failed(error) from error

@@ -17,9 +17,9 @@ import numpy as np
 
 from fmus.fmi.instance import FmuInstance
 from orchestration.errors import FmuWarning, OrchestrationError
-from orchestration.run.loop_data import LoopFunctions, Report
+from orchestration.run.loop_data import Report
 from orchestration.run.run_recording import failure_error, step_unless_discarded
-from orchestration.run.snapshot import Snapshot
+from orchestration.run.saved_states import Snapshot
 from orchestration.run.tolerance import Tolerance, step_together_and_split
 from orchestration.run.wiring import WiredRun
 from orchestration.system.signals import Table
@@ -34,14 +34,15 @@ _LEAST_ORDER = 0.5  # in which the error ratio falls with the step; of the excha
 class StepControl:
     """Divides communication steps into shorter ones; every FMU must be able to restore its state.
 
+    batch_start: the system where the present batch of steps began
     step_size: the next to try [s]
     statistics: numbers of steps between communication points, discarded ones (by an FMU) and inexact ones (of
     too large an estimated error)
     solver_error: where and how often the error of an FMU's own solver was permitted; empty if it never was
     """
 
-    def __init__(self, run: WiredRun, loop: LoopFunctions) -> None:
-        self._run, self._wiring, self._loop = run, run.wiring, loop
+    def __init__(self, run: WiredRun, batch_start: Snapshot) -> None:
+        self._run, self._wiring, self._loop, self._batch_start = run, run.wiring, run.loop, batch_start
         experiment = run.prepared.experiment
         ports, indices = run.prepared.system.ports, run.wiring.signal_index.tolist()
         self._signals = [  # others keep the value of the communication point
@@ -52,7 +53,7 @@ class StepControl:
         tables = (signal for _, signal in self._signals if isinstance(signal, Table))
         # two halves do not show the error of a step across a jump: each step ends there
         self._jumps = np.unique([time for table in tables for time in table.jumps])
-        self._before = Snapshot(run, loop)
+        self._before = Snapshot(run)
         self._shortest = 0.0
         self._terminated = 0
         self.tolerance = Tolerance(run) if experiment.tolerance else None
@@ -90,12 +91,37 @@ class StepControl:
         self._summed_error, self._largest_error = state["summed_error"], state["largest_error"]
         self.solver_error, self.statistics = dict(state["solver_error"]), dict(state["statistics"])
 
-    def advance_to(self, point: int, check_interrupt: Callable[[], None]) -> float:
-        """Advances from the communication point before `point`, where the exchange is done, to `point`.
+    def repeat_discarded_step(self, start: int, check_interrupt: Callable[[], None]) -> float:
+        """Goes back to a point where the batch started, steps to the present one, and takes the step divided.
 
-        Returns the time reached [s]: earlier than that of `point` if a component terminated the simulation.
+        Returns what `divide_step` does.
         """
-        time, stop = float(self._wiring.points[point - 1]), float(self._wiring.points[point])
+        self._batch_start.restore()
+        point = int(self._wiring.report[Report.POSITION])
+        if self._loop.run(start, point) != point:
+            raise failure_error(self._run)
+        return self.divide_step(check_interrupt)
+
+    def divide_step(self, check_interrupt: Callable[[], None]) -> float:
+        """Steps from the present communication point to the next; returns the time reached [s].
+
+        It is earlier than that of the point if a component terminated the simulation.
+        """
+        point = int(self._wiring.report[Report.POSITION])
+        if not self._loop.exchange_and_record(point):
+            raise failure_error(self._run)
+        self._batch_start.take()
+        state = self.state
+        try:
+            return self._advance_from(point, check_interrupt)
+        except KeyboardInterrupt:  # between two communication points nothing can be saved
+            self._batch_start.restore()
+            self.state = state
+            raise
+
+    def _advance_from(self, point: int, check_interrupt: Callable[[], None]) -> float:
+        """Steps from a communication point, where the exchange is done, to the next, as `divide_step`."""
+        time, stop = self._wiring.points[point : point + 2].tolist()
         self._shortest = _SHORTEST * (stop - time)
         if self.tolerance:
             self.tolerance.forget_solver_error()
@@ -114,7 +140,7 @@ class StepControl:
                 jump = float(self._jumps[following]) if following < len(self._jumps) else end
                 end = jump if jump < end - self._shortest else end
             self._before.take()
-            if self.try_controlled_step(point - 1, time, end):
+            if self.try_controlled_step(point, time, end):
                 if not self.tolerance:
                     self.step_size = _GROWTH_AFTER_DISCARD * (end - time)
                 time = end
@@ -176,7 +202,7 @@ class StepControl:
 
     def _learn_solver_error(self, point: int, start: float, end: float) -> None:
         assert self.tolerance
-        outcome = step_together_and_split(self._run, self._loop, self._before, point, start, end)
+        outcome = step_together_and_split(self._run, self._before, point, start, end)
         if outcome:
             self.tolerance.learn_solver_error(*(bus[self.tolerance.bus_index] for bus in outcome))
 
@@ -226,7 +252,7 @@ class StepControl:
                 wiring.bus[index] = signal(start)
             if not self._loop.exchange(point, start, False):
                 raise failure_error(self._run, start)
-        if step_unless_discarded(self._run, self._loop, point, start, end):
+        if step_unless_discarded(self._run, point, start, end):
             return True
         self.statistics["discarded_steps"] += 1
         component = int(wiring.report[Report.COMPONENT])
@@ -257,3 +283,21 @@ class StepControl:
     def free(self) -> None:
         """Frees the saved states."""
         self._before.free()
+
+
+def termination_within_step(run: WiredRun) -> float:
+    """Returns the time [s] at which the component that discarded its step terminates the simulation.
+
+    It is within the step that was discarded, or the start of it. Raises OrchestrationError for a component
+    that does not terminate the simulation.
+    """
+    report = run.wiring.report
+    component, point = int(report[Report.COMPONENT]), int(report[Report.POSITION])
+    instance = list(run.instances.values())[component]
+    if not instance.terminates():
+        obstacle = run.prepared.retry_obstacle
+        raise OrchestrationError(f"{failure_error(run)}; no shorter step was tried, as {obstacle}")
+    report[Report.TERMINATED] = component + 1
+    before, after = run.wiring.points[point : point + 2].tolist()
+    reached = instance.last_successful_time()
+    return before if reached is None or not before <= reached <= after else reached

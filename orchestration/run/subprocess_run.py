@@ -26,11 +26,11 @@ from fmus.operating_system import allocate
 from orchestration.errors import FmuWarning, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.results.recording import Recording
 from orchestration.run.error_estimate import with_error_estimate
-from orchestration.run.interrupt import kept_interrupts
 from orchestration.run.loop_data import Report, Storage
+from orchestration.run.process_guard import kept_interrupts
+from orchestration.run.run import Progress
 from orchestration.run.run_recording import make_recording, reason_of
 from orchestration.run.simulator import Simulator
-from orchestration.run.stepping import Progress
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import PreparedRun, prepare
 from orchestration.system.system import System

@@ -5,13 +5,14 @@ steps that fit, reaches the same state as in one step. One whose solver starts a
 tolerance of its own, does not.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from fmus.fmi.description import of_causality
-from orchestration.run.compiled_loop import compiled_loop
-from orchestration.run.loop_data import InputMode, LoopFunctions
+from orchestration.run.loop_data import Call, InputMode
 from orchestration.run.run_recording import step_unless_discarded
-from orchestration.run.snapshot import Snapshot
+from orchestration.run.saved_states import Snapshot
 from orchestration.run.wiring import WiredRun
 from orchestration.system.system import CheckedSystem, Port
 
@@ -30,15 +31,16 @@ class Tolerance:
 
     def __init__(self, run: WiredRun) -> None:
         experiment, ports = run.prepared.experiment, run.prepared.system.ports
-        read = [name for group in run.bus.outputs if group.type == "Real" for name in group.names]
-        self.names = [name for name in read if ports[name].variable.causality == "output"]
+        groups = [group for group in run.bus.calls[Call.GET_OUTPUTS] if group.type == "Real"]
+        outputs = [p for group in groups for p in group.ports if p.variable.causality == "output"]
+        self.names = [port.name for port in outputs]
         driven = {ports[target] for _, target in run.bus.connections}
         self.order = 1 + experiment.extrapolation
         self.bus_index = np.array([run.bus.index[name] for name in self.names], np.int64)
         self.solver_error = np.zeros(len(self.names))
         self.relative: float = experiment.tolerance or 0.0
         self.duration = experiment.stop_time - experiment.start_time
-        self._nominal = np.array([abs(float(ports[name].variable.nominal or 1.0)) for name in self.names])
+        self._nominal = np.array([abs(float(port.variable.nominal or 1.0)) for port in outputs])
         # The error of an output that may depend directly on an input in step mode does not add up from step
         # to step: it is compared with the whole tolerance.
         feedthrough = outputs_with_feedthrough(run.prepared.system, driven)
@@ -98,7 +100,7 @@ def outputs_with_feedthrough(system: CheckedSystem, driven: set[Port]) -> set[st
 
 
 def step_together_and_split(
-    run: WiredRun, loop: LoopFunctions, before: Snapshot, point: int, start: float, end: float
+    run: WiredRun, before: Snapshot, point: int, start: float, end: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Returns the bus at `end` [s] after one step, and after two with inputs that go on as in the one.
 
@@ -108,16 +110,17 @@ def step_together_and_split(
     """
     wiring = run.wiring
     before.restore()
-    if not step_unless_discarded(run, loop, point, start, end):
+    if not step_unless_discarded(run, point, start, end):
         return None
     together, slopes = wiring.bus.copy(), wiring.slopes.copy()
     before.restore()
     _carry_on(run, together, slopes, start)
-    halves = compiled_loop(wiring._replace(gauss_seidel=0))  # which would exchange within a half
+    # Gauss-Seidel would exchange within a half
+    halves = replace(run, wiring=wiring._replace(gauss_seidel=0))
     middle = start + 0.5 * (end - start)
     if not (
-        step_unless_discarded(run, halves, point, start, middle)
-        and step_unless_discarded(run, halves, point, middle, end)
+        step_unless_discarded(halves, point, start, middle)
+        and step_unless_discarded(halves, point, middle, end)
     ):
         return None
     return together, wiring.bus.copy()

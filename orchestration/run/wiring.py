@@ -1,25 +1,29 @@
 """A prepared run and its FMU instances as the arrays of the communication loop."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from fmus.fmi.description import is_independent
 from fmus.fmi.instance import FmuInstance
 from orchestration.run.bus import SIGNAL, BusLayout, Strings, VariableGroup, component_of, lay_out_bus
+from orchestration.run.compiled_loop import compiled_loop
 from orchestration.run.loop_data import (
     CHANGING_OF_CONNECTIONS,
     Call,
     Calls,
     Connections,
     Faults,
+    LoopFunctions,
     Report,
     Storage,
     Wiring,
 )
 from orchestration.system.experiment import Algorithm
+from orchestration.system.faults import Pattern
 from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.system import LinearTransformation
 
@@ -34,18 +38,23 @@ _SLOPE_VALIDITY, _SLOPE_VALIDITY_WITH_TOLERANCE = 2.0, 10.0
 class WiredRun:
     """A prepared run, its FMU instances and their wiring, and the names of the wiring's elements.
 
-    functions: kind of call -> the FMI function of each of its rows
     references: value references and orders, whose addresses are in the wiring
     strings: the values of Strings
+    loop_of: makes the loop of a wiring
     """
 
     prepared: PreparedRun
     instances: Mapping[str, FmuInstance]
     wiring: Wiring
     bus: BusLayout
-    functions: Mapping[int, Sequence[str]]
     references: Sequence[np.ndarray]
     strings: Strings
+    loop_of: Callable[[Wiring], LoopFunctions]
+
+    @cached_property
+    def loop(self) -> LoopFunctions:
+        """The communication loop over the arrays."""
+        return self.loop_of(self.wiring)
 
     def without_rows(self) -> "WiredRun":
         """Returns this for `again`, without what was recorded in memory."""
@@ -54,7 +63,7 @@ class WiredRun:
     def again(self, prepared: PreparedRun, storage: Storage) -> "WiredRun":
         """Returns the wiring of a run that differs in settings alone and follows this ended one."""
         if self.strings.table != Strings().table:
-            return build_wiring(prepared, self.instances, storage)
+            return build_wiring(prepared, self.instances, storage, self.loop_of)
         wiring = self.wiring._replace(
             points=prepared.points,
             signal_values=prepared.signal_values,
@@ -67,7 +76,12 @@ class WiredRun:
         return replace(self, prepared=prepared, wiring=wiring)
 
 
-def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], storage: Storage) -> WiredRun:
+def build_wiring(
+    prepared: PreparedRun,
+    instances: Mapping[str, FmuInstance],
+    storage: Storage,
+    loop_of: Callable[[Wiring], LoopFunctions] = compiled_loop,
+) -> WiredRun:
     """Returns the arrays of a run at its start time."""
     bus, experiment = lay_out_bus(prepared), prepared.experiment
     count, periods = len(instances), np.array([prepared.periods[name] for name in instances], np.int64)
@@ -76,18 +90,9 @@ def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], st
     memory, parts = _memory(bus, count)
     values, slopes, integers = parts["bus"], parts["slopes"], parts["integers"]
     ones = np.ones(len(bus.index), np.int32)
-    groups = {
-        Call.SET_INPUTS: [(group, f"fmi2Set{group.type}") for group in bus.inputs],
-        Call.SET_DERIVATIVES: [(group, "fmi2SetRealInputDerivatives") for group in bus.derivatives],
-        Call.GET_OUTPUTS: [(group, f"fmi2Get{group.type}") for group in bus.outputs],
-    }
-    functions = {int(kind): [function for _, function in rows] for kind, rows in groups.items()}
     references: list[np.ndarray] = [ones]
     strings = Strings()
-
-    def calls(kind: Call, reals: np.ndarray) -> Calls:
-        return _calls(instances, groups[kind], references, reals, integers, strings)
-
+    others = integers, references, strings, instances
     wiring = Wiring(
         gauss_seidel=int(experiment.algorithm is Algorithm.GAUSS_SEIDEL),
         full_steps=int(not experiment.tolerance),
@@ -110,9 +115,9 @@ def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], st
         error_logged=_report_calls(instances, storage.report),
         warning=parts["warning"],
         warning_time=np.zeros(count),
-        input_calls=calls(Call.SET_INPUTS, values),
-        derivative_calls=calls(Call.SET_DERIVATIVES, slopes),
-        output_calls=calls(Call.GET_OUTPUTS, values),
+        input_calls=_calls(bus.calls[Call.SET_INPUTS], values, *others),
+        derivative_calls=_calls(bus.calls[Call.SET_DERIVATIVES], slopes, *others),
+        output_calls=_calls(bus.calls[Call.GET_OUTPUTS], values, *others),
         connections=_connections(prepared, bus, parts),
         faults=_faults(prepared),
         signal_values=prepared.signal_values,
@@ -124,12 +129,32 @@ def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], st
         team=np.array([0, 0, _NOTHING_TO_TAKE, 0, 0, 0], np.int64),
         step_times=storage.step_times,
     )
-    functions |= {Call.DO_STEP: ["fmi2DoStep"]}
-    functions |= {Call.GET_STATE: ["fmi2GetFMUstate"], Call.SET_STATE: ["fmi2SetFMUstate"]}
     _set_start(wiring, prepared)
     for name, value in prepared.external.items():
         values[bus.index[f"{SIGNAL}{name}"]] = value
-    return WiredRun(prepared, instances, wiring, bus, functions, references, strings)
+    return WiredRun(prepared, instances, wiring, bus, references, strings, loop_of)
+
+
+def move_point(run: WiredRun, index: int, time: float) -> Callable[[], None]:
+    """Moves a communication point to an earlier time [s], with signals and faults; it is the last one then.
+
+    Returns a function that moves it back.
+    """
+    wiring, faults = run.wiring, run.wiring.faults
+    of_points = [wiring.points, wiring.signal_values.T, faults.addition.T]
+    of_points += [array.swapaxes(0, 1) for array in (faults.source, faults.weight)]
+    before = [array[index].copy() for array in of_points]
+    wiring.points[index] = time
+    shortened = replace(run.prepared, points=wiring.points[: index + 1])
+    wiring.signal_values[:, index] = shortened.signal_values[:, -1]
+    for row, pattern in enumerate(shortened.fault_patterns.values()):
+        faults.put(row, index, Pattern(*(x[-1] for x in pattern)))
+
+    def move_back() -> None:
+        for array, values in zip(of_points, before, strict=True):
+            array[index] = values
+
+    return move_back
 
 
 def _set_start(wiring: Wiring, prepared: PreparedRun) -> None:
@@ -170,28 +195,29 @@ def _report_calls(instances: Mapping[str, FmuInstance], report: np.ndarray) -> n
 
 
 def _calls(
-    instances: Mapping[str, FmuInstance],
-    groups: Sequence[tuple[VariableGroup, str]],
-    references: list[np.ndarray],
+    groups: Sequence[VariableGroup],
     reals: np.ndarray,
     integers: np.ndarray,
+    references: list[np.ndarray],
     strings: Strings,
+    instances: Mapping[str, FmuInstance],
 ) -> Calls:
     """Returns one row for each group and adds its value references to `references`."""
     rows = []
-    for group, function in groups:
-        references.append(np.array([v.valueReference for v in group.variables], np.uint32))
+    for group in groups:
+        references.append(np.array([port.variable.valueReference for port in group.ports], np.uint32))
         array, index = (
             (reals, group.bus_index) if group.integer_index < 0 else (integers, group.integer_index)
         )
         addresses = references[-1].ctypes.data, array.ctypes.data + index * array.itemsize
-        sizes = len(group.variables), group.bus_index, group.integer_index
+        sizes = len(group.ports), group.bus_index, group.integer_index
         instance = instances[group.component]
         is_string = group.type == "String"
-        address = strings.function(instance, function) if is_string else instance.function(function)
+        name = group.function
+        address = strings.function(instance, name) if is_string else instance.function(name)
         rows.append((address, *addresses, *sizes))
     return Calls(
-        _first_of_each([group.component for group, _ in groups], instances), *_columns(rows, 6, np.int64)
+        _first_of_each([group.component for group in groups], instances), *_columns(rows, 6, np.int64)
     )
 
 

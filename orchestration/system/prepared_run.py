@@ -109,15 +109,15 @@ class PreparedRun:
         """Returns values of a signal as its input takes them."""
         return values.astype(float if self.system.ports[name].variable.type == "Real" else int).tolist()
 
-    def with_values(self, experiment: Experiment) -> "PreparedRun":
-        """Returns this run with the parameters and constant inputs of an experiment that is equal otherwise.
-
-        Times and signals are copies.
-        """
-        settings = _settings(self.system, experiment)
-        again = replace(self, experiment=experiment, settings=settings, points=self.points.copy())
+    def copy(self, **changes: Any) -> "PreparedRun":
+        """Returns this run with other members; times and signals are its own, and a run may change them."""
+        again = replace(self, points=self.points.copy(), **changes)
         vars(again)["signal_values"] = self.signal_values.copy()
         return again
+
+    def with_values(self, experiment: Experiment) -> "PreparedRun":
+        """Returns a copy with the parameters and constant inputs of an experiment that is equal otherwise."""
+        return self.copy(experiment=experiment, settings=_settings(self.system, experiment))
 
     @cached_property
     def fault_patterns(self) -> dict[str, Pattern]:

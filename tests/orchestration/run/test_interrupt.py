@@ -12,7 +12,7 @@ import pytest
 from orchestration.errors import SimulationError
 from orchestration.run import simulate
 from orchestration.run.checkpoint import Checkpoints, read_checkpoint
-from orchestration.run.interrupt import deferred_interrupt
+from orchestration.run.process_guard import deferred_interrupt
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 from tests.orchestration.linear_systems import RESUMABLE, coupled

@@ -2,8 +2,8 @@
 
 import pytest
 
-from orchestration.run import interrupt
-from orchestration.run.interrupt import Pacing
+from orchestration.run import run_clock
+from orchestration.run.run_clock import Pacing
 
 
 class Clock:
@@ -22,7 +22,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
-    monkeypatch.setattr(interrupt, "time", clock)
+    monkeypatch.setattr(run_clock, "time", clock)
     return clock
 
 

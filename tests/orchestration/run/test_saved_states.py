@@ -10,7 +10,7 @@ import pytest
 from orchestration.errors import OrchestrationError, SimulationError
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator
-from orchestration.run.step_by_step import SteppedRun
+from orchestration.run.run import Run
 from orchestration.scenarios.declarations import fault
 from orchestration.system.experiment import Event, Experiment
 from tests.foreign_fmus import Misdeed
@@ -33,19 +33,19 @@ def simulator(linear: Build) -> Iterator[Simulator]:
 
 
 @pytest.fixture
-def run(simulator: Simulator) -> SteppedRun:
+def run(simulator: Simulator) -> Run:
     """Whose force is external."""
     return simulator.start(FORCED, external=(FORCE,))
 
 
-def led_by(run: SteppedRun, *forces: float) -> None:
+def led_by(run: Run, *forces: float) -> None:
     """Steps, each with another force."""
     for force in forces:
         run.set(FORCE, force)
         run.step()
 
 
-def to_the_end(run: SteppedRun) -> None:
+def to_the_end(run: Run) -> None:
     while run.time < 1.0:
         run.step()
 
@@ -85,7 +85,7 @@ def test_a_run_that_goes_back_at_every_third_step_is_the_run(
         assert_same_bits(run.recording(), expected)
 
 
-def test_each_of_many_states_leads_back_to_its_own_record(linear: Build, run: SteppedRun) -> None:
+def test_each_of_many_states_leads_back_to_its_own_record(linear: Build, run: Run) -> None:
     """A tree of states, as a planner makes it: 1, 1.2 and 1.3 begin alike; 1.2 goes another way than 1.3."""
     led_by(run, 1.0, 1.0)
     fork = run.save()
@@ -109,17 +109,17 @@ def test_each_of_many_states_leads_back_to_its_own_record(linear: Build, run: St
         assert_same_bits(way, recorded(linear, 1.0, 1.0, *more))
 
 
-def test_a_state_holds_what_was_set(run: SteppedRun) -> None:
+def test_a_state_holds_what_was_set(run: Run) -> None:
     run.set(FORCE, 2.0)
     run.set("one.a", -3.0)
     state = run.save()
     run.set(FORCE, 5.0)
     run.set("one.a", -4.0)
     run.restore(state)
-    assert (run.get(FORCE), run.get("one.a")) == (2.0, -3.0)
+    assert (run.read(FORCE), run.read("one.a")) == (2.0, -3.0)
 
 
-def test_a_state_serves_its_run_alone(simulator: Simulator, run: SteppedRun) -> None:
+def test_a_state_serves_its_run_alone(simulator: Simulator, run: Run) -> None:
     state = run.save()
     other = simulator.start(FORCED, external=(FORCE,))
     with pytest.raises(OrchestrationError, match="the saved state belongs to a run that has ended"):
@@ -177,10 +177,10 @@ def test_no_run_goes_back_after_a_fatal_error(linear: Build, rogue: Build) -> No
         simulator.run(replace(doing(Misdeed.NONE), stop_time=0.2))
 
 
-def test_a_state_that_is_dropped_makes_room_for_the_next(run: SteppedRun) -> None:
+def test_a_state_that_is_dropped_makes_room_for_the_next(run: Run) -> None:
     first = run.save()
-    memory = first.memory
+    snapshot = first.snapshot
     del first
     again, more = run.save(), run.save()
-    assert again.memory is memory
-    assert more.memory is not memory
+    assert again.snapshot is snapshot
+    assert more.snapshot is not snapshot

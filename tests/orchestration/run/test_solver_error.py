@@ -8,10 +8,10 @@ import pytest
 
 from orchestration.errors import FmuError, FmuWarning, SimulationError
 from orchestration.results.recording import Recording
-from orchestration.run import Simulator, simulate, stepping
+from orchestration.run import Simulator, simulate
 from orchestration.run.checkpoint import Checkpoints, read_checkpoint
-from orchestration.run.snapshot import Snapshot
-from orchestration.run.step_by_step import SteppedRun
+from orchestration.run.run import Run
+from orchestration.run.saved_states import Snapshot
 from orchestration.run.step_control import StepControl
 from orchestration.run.tolerance import step_together_and_split
 from orchestration.system.experiment import Algorithm, Event, Experiment
@@ -113,7 +113,7 @@ def simulate_warned(*arguments: Any, **settings: Any) -> Recording:
 ROUGH = Experiment(0.5, 0.1, tolerance=1e-3)
 
 
-def step_twice_from_each_point(run: SteppedRun) -> None:
+def step_twice_from_each_point(run: Run) -> None:
     """Each step to 0.5 s is taken, taken back and taken again."""
     while run.time < 0.45:
         state = run.save()
@@ -177,20 +177,16 @@ def test_the_error_of_an_output_with_feedthrough_is_no_mean_over_time(linear: Bu
 def test_a_step_that_fails_to_find_the_solvers_error_ends_the_run(
     linear: Build,
     rogue: Build,
-    monkeypatch: pytest.MonkeyPatch,
     misdeed: Misdeed,
     message: str,
     misdeed_time: float,
 ) -> None:
     """After a fatal error no state is set; a discarded step only leaves the error unknown."""
-    given: list[Any] = []
-    monkeypatch.setattr(stepping, "StepControl", lambda *arguments: given.extend(arguments))
     with Simulator(pair(linear, rogue)) as simulator:
-        simulator.start(doing(misdeed, misdeed_time))
-        run, loop = given
-        before = Snapshot(run, loop)
+        wired = simulator.start(doing(misdeed, misdeed_time)).wired
+        before = Snapshot(wired)
         before.take()
-        arguments = run, loop, before, 0, 0.0, 0.1
+        arguments = wired, before, 0, 0.0, 0.1
         if message:
             with pytest.raises(FmuError, match=rf"rogue at t = {misdeed_time:g} s: {message}"):
                 step_together_and_split(*arguments)

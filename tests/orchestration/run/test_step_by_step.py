@@ -11,7 +11,7 @@ import pytest
 from orchestration.errors import FmuWarning, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator
-from orchestration.run.step_by_step import SteppedRun
+from orchestration.run.run import Run
 from orchestration.scenarios.declarations import fault
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.system import System
@@ -19,7 +19,7 @@ from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import alone, coupled
 from tests.orchestration.python_loop import simulator_of
 from tests.orchestration.rogue_systems import doing, pair
-from tests.orchestration.runs import assert_same_bits
+from tests.orchestration.runs import assert_same_bits, interrupt_at
 from tests.shared_builds import Build
 
 STATES = {"saves_state": True}
@@ -42,7 +42,7 @@ def one(linear: Build) -> Iterator[Simulator]:
 
 
 @pytest.fixture
-def forced(one: Simulator) -> SteppedRun:
+def forced(one: Simulator) -> Run:
     """A run whose input is external."""
     return one.start(FORCED, EXTERNAL)
 
@@ -69,6 +69,28 @@ def test_steps_make_the_recording_of_a_run(
         steps = stepped(simulator, experiment)
     assert_same_bits(steps, expected)
     assert (steps.units, steps.provenance) == (expected.units, expected.provenance)
+
+
+def test_a_run_advances_to_the_first_point_that_is_not_before_a_time(one: Simulator) -> None:
+    expected = one.run(FORCED)
+    run = one.start(FORCED)
+    reached = []
+    for time in (0.3, 0.3, 0.35, 0.1, 2.0):  # 0.3 lies a rounding before the third point
+        run.advance(time)
+        reached.append(run.point)
+    assert reached == [3, 3, 4, 4, 10]
+    run.advance()
+    assert_same_bits(run.recording(), expected)
+
+
+def test_a_run_that_was_interrupted_goes_on(one: Simulator) -> None:
+    expected = one.run(FORCED)
+    run = one.start(FORCED)
+    with pytest.raises(KeyboardInterrupt):
+        run.advance(progress=interrupt_at(1))
+    assert 0 < run.point < 10
+    run.advance()
+    assert_same_bits(run.recording(), expected)
 
 
 @pytest.mark.parametrize("saves_state", [True, False])
@@ -125,13 +147,13 @@ def test_a_fault_acts_on_an_external_input(one: Simulator) -> None:
     assert recording["one.u[1]"].tolist() == [0.0, 0.0, 7.0, 7.0, 7.0]
 
 
-def test_a_value_is_got_where_it_is_recorded(forced: SteppedRun) -> None:
+def test_a_value_is_read_where_it_is_recorded(forced: Run) -> None:
     read, write = forced.reader("one.y[1]", "one.u[1]"), forced.writer("one.u[1]")
     assert read() == (1.0, 2.0)
     write(5.0)
-    assert (forced.get("one.u[1]"), read()) == (5.0, (1.0, 5.0))
+    assert (forced.read("one.u[1]"), read()) == (5.0, (1.0, 5.0))
     forced.step()
-    output = forced.get("one.y[1]")
+    output = forced.read("one.y[1]")
     assert forced.reader("one.y[1]")() == output
     recording = forced.recording()
     assert recording.time.tolist() == [0.0, 0.1]
@@ -143,10 +165,10 @@ def test_a_variable_that_is_not_recorded_is_read_from_its_fmu(linear: Build) -> 
     with Simulator(coupled(linear, passes_discrete=True)) as simulator:
         inputs = {"one.integer_in": 3, "one.boolean_in": True, "two.integer_in": 4, "two.boolean_in": False}
         run = simulator.start(Experiment(1.0, 0.1, inputs=inputs, record=("one.y[1]", "one.integer_out")))
-        assert run.get("two.a") == -2.0
-        assert run.reader("one.y[1]", "two.a")() == (run.get("one.y[1]"), -2.0)
+        assert run.read("two.a") == -2.0
+        assert run.reader("one.y[1]", "two.a")() == (run.read("one.y[1]"), -2.0)
         assert run.reader("two.integer_out")() == 4
-        assert repr(run.get("one.integer_out")) == "3"
+        assert repr(run.read("one.integer_out")) == "3"
 
 
 def test_tunable_parameters_and_constant_inputs_are_set_between_steps(one: Simulator) -> None:
@@ -169,15 +191,13 @@ def test_tunable_parameters_and_constant_inputs_are_set_between_steps(one: Simul
         (lambda s: s.set("one.y[1]", 1.0), "set: one.y[1] does not fit: expected a parameter or an input"),
         (lambda s: s.set("one.initial_state", 1.0), "set: one.initial_state is fixed"),
         (lambda s: s.set("one.v", 1.0), "set: no variable 'one.v'; nearest is"),
-        (lambda s: s.get("uno.y[1]"), "get: no component 'uno' for 'uno.y[1]'; known: 'one'"),
+        (lambda s: s.read("uno.y[1]"), "read: no component 'uno' for 'uno.y[1]'; known: 'one'"),
         (lambda s: s.reader("one.z"), "reader: no variable 'one.z'; nearest is"),
         (lambda s: s.reader(), "reader: expected the name of a variable, or several"),
         (lambda s: s.writer(), "writer: expected the name of a variable, or several"),
     ],
 )
-def test_what_cannot_be_got_or_set_is_refused(
-    forced: SteppedRun, call: Callable[[SteppedRun], Any], message: str
-) -> None:
+def test_what_cannot_be_read_or_set_is_refused(forced: Run, call: Callable[[Run], Any], message: str) -> None:
     with pytest.raises(SystemDefinitionError) as refusal:
         call(forced)
     assert message in str(refusal.value)
@@ -203,9 +223,7 @@ def test_a_step_needs_a_time_before_the_stop_time(one: Simulator) -> None:
     assert_same_bits(run.recording(), recording)
 
 
-def test_a_run_with_its_readers_and_writers_ends_when_another_begins(
-    one: Simulator, forced: SteppedRun
-) -> None:
+def test_a_run_with_its_readers_and_writers_ends_when_another_begins(one: Simulator, forced: Run) -> None:
     calls = {
         "the reader belongs to a run that has ended": forced.reader("one.y[1]"),
         "the writer belongs to a run that has ended": partial(forced.writer("one.u[1]"), 1.0),
@@ -220,7 +238,7 @@ def test_a_run_with_its_readers_and_writers_ends_when_another_begins(
         forced.save,
         forced.recording,
         partial(forced.restore, state),
-        partial(forced.get, "one.y[1]"),
+        partial(forced.read, "one.y[1]"),
         partial(forced.set, "one.u[1]", 1.0),
     ):
         with pytest.raises(OrchestrationError, match="the run has ended: expected start"):

@@ -145,7 +145,7 @@ def test_a_string_that_is_recorded_can_be_read_at_every_point(
     with simulator_of(diaries(foreign), compiled) as simulator:
         run = simulator.start(MONDAY)
         run.step()
-        assert (run.get("one.page"), run.get("one.length")) == ("Mon,day|", 16)
+        assert (run.read("one.page"), run.read("one.length")) == ("Mon,day|", 16)
 
 
 @pytest.mark.parametrize("ending", ["csv", "parquet"])

@@ -1,4 +1,4 @@
-"""The whole system at one communication point in memory, to go back to, with the record that leads there.
+"""The whole system at one communication point, in memory: to go back to, with the record that leads there.
 
 A run that goes back writes new rows over the old ones of its record. Should it later go to a state that was
 saved on the way it left, the rows that lead there are needed again: they are copied when it leaves that way.
@@ -13,55 +13,49 @@ from typing import Any
 import numpy as np
 
 from orchestration.errors import FmuError
-from orchestration.run.loop_data import LoopFunctions, Report, SavedMemory
+from orchestration.run.access import Written
+from orchestration.run.loop_data import Report, SavedMemory
 from orchestration.run.run_recording import failure_error
 from orchestration.run.wiring import WiredRun
 
 
 class Snapshot:
-    """The states of all FMUs and the arrays of the loop at one time; call `free` at the end."""
+    """The states of all FMUs and the arrays of the loop at one time; call `free` at the end.
 
-    def __init__(self, run: WiredRun, loop: LoopFunctions) -> None:
-        self._run, self._loop = run, loop
-        self._memory = new_memory(run)
+    memory: as `LoopFunctions.save` fills it
+    """
+
+    __slots__ = ("_run", "memory")
+
+    def __init__(self, run: WiredRun) -> None:
+        self._run = run
+        self.memory: SavedMemory = (ctypes.c_int64 * (len(run.instances) + len(run.wiring.memory)))()
 
     def take(self) -> None:
         """Replaces the snapshot by the present states and arrays."""
-        if not self._loop.save(self._memory):
+        if not self._run.loop.save(self.memory):
             raise failure_error(self._run)
 
     def restore(self) -> None:
-        """Sets all states and arrays back to those of the snapshot."""
-        restore_after_failure(self._run, self._loop, self._memory)
+        """Sets all states and arrays back, also after a failure.
+
+        What the instances logged is dropped, and they are as before their failure.
+        """
+        for instance in self._run.instances.values():
+            instance.log.clear()
+        if not self._run.loop.restore(self.memory):
+            raise failure_error(self._run)
+        self._run.wiring.report[Report.TERMINATED] = 0
+        for instance in self._run.instances.values():
+            instance.forget_failure()
 
     def free(self) -> None:
         """Frees the states."""
-        free_states(self._run, self._memory)
-
-
-def new_memory(run: WiredRun) -> SavedMemory:
-    """Returns memory for `LoopFunctions.save`, without saved states."""
-    return (ctypes.c_int64 * (len(run.instances) + len(run.wiring.memory)))()
-
-
-def restore_after_failure(run: WiredRun, loop: LoopFunctions, saved: SavedMemory) -> None:
-    """Sets everything back; what the instances logged is dropped, and they are as before their failure."""
-    for instance in run.instances.values():
-        instance.log.clear()
-    if not loop.restore(saved):
-        raise failure_error(run)
-    run.wiring.report[Report.TERMINATED] = 0
-    for instance in run.instances.values():
-        instance.forget_failure()
-
-
-def free_states(run: WiredRun, saved: SavedMemory) -> None:
-    """Frees the saved states."""
-    for c, instance in enumerate(run.instances.values()):
-        if saved[c]:
-            with suppress(FmuError):  # the instance is freed next, and its states with it
-                instance.free_fmu_state(saved[c])
-        saved[c] = 0
+        for c, instance in enumerate(self._run.instances.values()):
+            if self.memory[c]:
+                with suppress(FmuError):  # the instance is freed next, and its states with it
+                    instance.free_fmu_state(self.memory[c])
+            self.memory[c] = 0
 
 
 class Segment:
@@ -115,18 +109,18 @@ class Record:
 
 @dataclass(eq=False, slots=True)
 class SavedState:
-    """The whole system at one communication point of a run: opaque, for `SteppedRun.restore` in that run.
+    """The whole system at one communication point of a run: opaque, for `Run.restore` in that run.
 
     written: what the caller has set until then, where that is noted
     unused: where the run finds memory for its next saved states; this one's returns there when it is deleted
     """
 
-    memory: SavedMemory
+    snapshot: Snapshot
     position: int
     step_control: Mapping[str, Any]
     segment: Segment
-    written: tuple[Any, ...]
-    unused: list[SavedMemory]
+    written: tuple[Written, ...]
+    unused: list[Snapshot]
 
     def __del__(self) -> None:
-        self.unused.append(self.memory)
+        self.unused.append(self.snapshot)
