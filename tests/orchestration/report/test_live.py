@@ -219,7 +219,9 @@ def of_user(tmp_path: Path) -> Scenario:
         (tmp_path / f"{name}.py").write_text(BLOCK.replace("{name}", name), encoding="utf-8")
     file = tmp_path / "loop.toml"
     file.write_text(LOOP, encoding="utf-8")
-    return scenario.load(file, build=lambda fmu: build_missing([fmu]))
+    loaded = scenario.load_scenario(file)
+    build_missing(loaded.system.components.values())
+    return loaded
 
 
 def test_blocks_of_a_user_run_with_all_their_types(open_live: Open, of_user: Scenario) -> None:
