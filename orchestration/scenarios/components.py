@@ -77,20 +77,22 @@ class Component:
             return has_part and (value is None or value is False or fmi_value(port, value) is not None)
         return False
 
-    def check_names(self, layer: Layer, names: Mapping[str, str], below: Collection[str]) -> None:
-        """Refuses names of a layer for what nothing names, and for variables that the FMU has not.
+    def check_names(self, names: Mapping[str, str], below: Collection[str]) -> None:
+        """Refuses names for what nothing names, and for variables that the FMU has not.
 
         below: what the layers below and the interface name
         """
         for name, own in names.items():
-            where = f"{layer.at(('components', self.name, 'names', name))}: names of {self.name}"
+            keys = ("components", self.name, "names", name)
             if f"{self.name}.{name}" not in below and name not in self.former_names:
                 known = sorted(one for one in below if one.startswith(f"{self.name}."))
                 hint = nearest(f"{self.name}.{name}", known)
-                raise ScenarioError(f"{where}: nothing names {self.name}.{name}; {hint}")
+                message = f"names of {self.name}: nothing names {self.name}.{name}; {hint}"
+                raise ScenarioError(message, keys, keys[:-1])
             if own and own not in self.variables:
                 hint = nearest(own, self.variables)
-                raise ScenarioError(f"{where}: {self.name} has no variable {own!r}; {hint}")
+                message = f"names of {self.name}: {self.name} has no variable {own!r}; {hint}"
+                raise ScenarioError(message, keys, keys[:-1])
 
 
 def components(layers: Sequence[Layer], describe: Describe) -> dict[str, Component]:
@@ -101,6 +103,10 @@ def components(layers: Sequence[Layer], describe: Describe) -> dict[str, Compone
             given = fmus.setdefault(name, [])
             if not given or given[-1][1] != (fmu or ""):
                 given.append((index, fmu or ""))
+    named = {name for layer in layers for name in layer.data.get("names", {})}
+    for name in named - fmus.keys():
+        message = f"names of {name}: no component {name!r}; {nearest(name, fmus)}"
+        raise ScenarioError(message, ("components", name))
     result: dict[str, Component] = {}
     for name, given in fmus.items():
         layer, fmu = given[-1]

@@ -54,7 +54,7 @@ def compose(layers: Sequence[Layer], describe: Describe) -> Composition:
     for index, layer in enumerate(layers):
         for component in interface.present.values():
             if names := component.given_names.get(index, {}):
-                component.check_names(layer, names, interface.names.union(names_in(data)))
+                component.check_names(names, interface.names.union(names_in(data)))
             if component.former and component.layer == index:
                 replacements.append(Replacement(component, interface, own, identified))
                 data = renamed(data, component.name, interface.own_names(component))

@@ -132,15 +132,9 @@ Named = Annotated[
 ]
 
 
-class JoinTable(Table):
-    """An output, or the derivative of an input's signal, that drives an input under a condition."""
+class ConditionsTable(Table):
+    """Conditions under which a source drives an input."""
 
-    source: str = ""
-    """ "component.output" """
-    derivative_of: str = ""
-    """ "component.input" """
-    order: int = 1
-    """Of the derivative, 1 or 2."""
     where: str = ""
     """A variable that has to be there."""
     without: str = ""
@@ -149,9 +143,33 @@ class JoinTable(Table):
     """Parameter -> value with which the source is not taken."""
 
 
+class JoinTable(ConditionsTable):
+    """An output that drives an input."""
+
+    source: str
+    """ "component.output" """
+
+
+class DerivativeTable(ConditionsTable):
+    """The derivative of an input's signal that drives another input."""
+
+    derivative_of: str
+    """ "component.input" """
+    order: int = 1
+    """Of the derivative, 1 or 2."""
+
+
+def _kind_of_join(value: object) -> str:
+    if not isinstance(value, dict):
+        return "value"
+    return "derivative" if "derivative_of" in value else "table"
+
+
 Join = Annotated[
-    Annotated[Value, Tag("value")] | Annotated[JoinTable, Tag("table")],
-    Discriminator(lambda value: "table" if isinstance(value, dict) else "value"),
+    Annotated[Value, Tag("value")]
+    | Annotated[JoinTable, Tag("table")]
+    | Annotated[DerivativeTable, Tag("derivative")],
+    Discriminator(_kind_of_join),
 ]
 
 

@@ -16,8 +16,9 @@ from contextlib import suppress
 from functools import cached_property
 from typing import Any
 
+from fmus.errors import nearest
 from fmus.fmi.description import start_value
-from orchestration.errors import SystemDefinitionError
+from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.scenarios.components import Component, Describe, components
 from orchestration.scenarios.layers import Data, Layer, driven_inputs, names_in
 from orchestration.system.values import fmi_value
@@ -51,6 +52,10 @@ class Interface:
         between = {name: fmu for name, fmu in components_between(layers).items() if name not in given}
         self._between = {name: Component(name, fmu, 0, (), describe) for name, fmu in between.items()}
         self.present = {**given, **self._between}
+        for name in sorted(self.names):
+            if (component := name.partition(".")[0]) not in self.present:
+                hint = nearest(component, self.present)
+                raise ScenarioError(f"interface: no component {component!r} for {name!r}; {hint}", name)
 
     @cached_property
     def names(self) -> frozenset[str]:
@@ -108,10 +113,10 @@ class Interface:
             for target in self._inputs_of(component):
                 self._join(target, data)
 
-    def _holds(self, source: Any, data: Data) -> bool:
-        """Whether a source is there, and its conditions hold."""
+    def _holds(self, source: Any, data: Data, behind: tuple[str, ...] = ()) -> bool:
+        """Whether a source is there, and its conditions hold; behind: components that it would feed."""
         output = output_of(source)
-        if output and not self._gives(output, data):
+        if output and not self._gives(output, data, behind):
             return False
         if not isinstance(source, dict):
             return True
@@ -121,12 +126,14 @@ class Interface:
             return False
         return not any(self._keeps(name, value, data) for name, value in source.get("unless", {}).items())
 
-    def _gives(self, output: str, data: Data) -> bool:
+    def _gives(self, output: str, data: Data, behind: tuple[str, ...]) -> bool:
         """Whether an output is there; of a component between others, whether its own inputs have sources."""
-        if not self._is_between(output):
-            return self.has(output, "output")
-        inputs = [self.inputs[name] for name in self._inputs_of(output.partition(".")[0])]
-        return all(any(self._holds(source, data) for source in sources) for sources in inputs)
+        component = output.partition(".")[0]
+        if not self._is_between(output) or component in behind:
+            return self.has(output, "output") and component not in behind
+        inputs = [self.inputs[name] for name in self._inputs_of(component)]
+        behind = (*behind, component)
+        return all(any(self._holds(source, data, behind) for source in sources) for sources in inputs)
 
     def _keeps(self, name: str, value: Any, data: Data) -> bool:
         """Whether a parameter is there and has a value in all runs of the scenario."""

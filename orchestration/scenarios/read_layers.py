@@ -99,7 +99,9 @@ def components_and_names(given: Mapping[str, Any], folder: Path, at: At) -> Data
     tables = {name: entry if isinstance(entry, dict) else {"fmu": entry} for name, entry in given.items()}
     fmus = {name: table["fmu"] for name, table in tables.items() if "fmu" in table}
     names = {name: table["names"] for name, table in tables.items() if "names" in table}
-    components = {n: fmu and named_fmu(fmu, folder, at, ("components", n)) for n, fmu in fmus.items()}
+    components = {
+        n: fmu is not False and named_fmu(fmu, folder, at, ("components", n)) for n, fmu in fmus.items()
+    }
     return {"components": components} | ({"names": names} if names else {})
 
 

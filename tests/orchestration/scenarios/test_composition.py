@@ -271,3 +271,40 @@ def test_two_values_for_one_variable_are_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(ScenarioError, match=message):
         scenario.load(tmp_path / "middle.toml", {"components": names}, settings={"controller": str(fmu)})
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('[components.a]\nnames = { v = "y" }', r"mine.toml:3: names of a: nothing names a.v; nearest is 'a"),
+        ('[components.a]\nnames = { y = "v" }', r"mine.toml:3: names of a: a has no variable 'v'; "),
+        (
+            '[components.c]\nnames = { y = "z" }',
+            r"mine.toml:2: names of c: no component 'c'; known: 'a', 'b'",
+        ),
+        ('[components.a]\nfmu = ""', r"mine.toml:2: no block '', and a path must end in .fmu"),
+        ("[interface.inputs]\n'b.x' = [{}]", r"mine.toml:3: interface.inputs.\"b.x\"\[0\].source is missing"),
+        (
+            "[interface.inputs]\n'b.x' = ['d.y', 0.0]",
+            r"mine.toml:3: interface: no component 'd' for 'd.y'; k",
+        ),
+        ("[interface.inputs]\n'b.x' = [{ derivative_of = 'b.v' }]", r"signals.\"b.x\": of = 'b.v': expected"),
+    ],
+)
+def test_an_interface_or_a_name_that_fits_nothing_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        own_interface(tmp_path, ("y", "z"), text)
+
+
+def test_components_between_others_that_feed_each_other_are_not_there(tmp_path: Path) -> None:
+    text = """
+[interface]
+between = { gain = "ThrustAllocation", more = "ThrustAllocation" }
+[interface.inputs]
+"b.x" = ["gain.voltage[1]", 3.0]
+"gain.control_force" = ["more.voltage[1]"]
+"more.control_force" = ["gain.voltage[1]"]
+"""
+    loaded = own_interface(tmp_path, ("z",), text)
+    assert [*loaded.system.components] == ["a", "b"]
+    assert loaded.experiment.inputs == {"b.x": 3.0, "b.y": 2.0}
