@@ -187,6 +187,7 @@ between = { gain = "ThrustAllocation" }
 "b.x" = ["a.y", { source = "gain.voltage[1]", without = "a.y" }, 3.0]
 "b.y" = [{ source = "a.z", where = "b.gain" }, 2.0]
 "gain.control_force" = ["a.z"]
+"gain.roll" = [0.0]
 """
 BASE = """
 [components]
@@ -218,6 +219,7 @@ def test_an_input_takes_the_first_source_that_is_there_and_whose_conditions_hold
     between = own_interface(tmp_path, ("z",))
     assert between.system.connections == (("a.z", "gain.control_force"), ("gain.voltage[1]", "b.x"))
     assert [*between.system.components] == ["a", "b", "gain"]
+    assert between.experiment.inputs == {"gain.roll": 0.0, "b.y": 2.0}
     neither = own_interface(tmp_path, ())
     assert neither.experiment.inputs == {"b.x": 3.0, "b.y": 2.0}
 
