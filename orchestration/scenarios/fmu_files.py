@@ -56,7 +56,8 @@ def files_of(layers: Sequence[Layer], flavour: Flavour = Flavour.NATIVE) -> dict
         try:
             files[fmu] = fmu_file(_from_here(fmu), flavour)
         except ExportError as error:
-            raise ScenarioError(f"{layer.at(('components', component))}: {error}") from error
+            where = layer.at(("components", component)) if layer.file else f"{component} = {_from_here(fmu)}"
+            raise ScenarioError(f"{where}: {error}") from error
     return files
 
 
