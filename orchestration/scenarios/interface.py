@@ -86,9 +86,8 @@ class Interface:
         for target in self.inputs:
             if self._own(target) not in driven and not self._is_between(target):
                 self._join(target, result)
-        absent = {name for name in self.names if not self.has(name)}
         if "record" in data:
-            result["record"] = [name for name in data["record"] if name not in absent]
+            result["record"] = [x for x in data["record"] if x not in self.names or self.has(x)]
         return result
 
     def _join(self, target: str, data: Data) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from orchestration.errors import ScenarioError
-from orchestration.scenarios import scenario
+from orchestration.scenarios import fmu_files, scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import prepare
 from tests.described_fmus import described
@@ -296,6 +296,21 @@ def test_two_values_for_one_variable_are_refused(tmp_path: Path) -> None:
 def test_an_interface_or_a_name_that_fits_nothing_is_refused(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
         own_interface(tmp_path, ("y", "z"), text)
+
+
+def test_a_component_between_others_is_described_only_if_an_input_needs_it(
+    monkeypatch: pytest.MonkeyPatch, vehicle_fmus: None
+) -> None:
+    """It may not be built: what its block declares takes CasADi to know."""
+    described_fmus: list[str] = []
+
+    def variables_of(fmu: str, file: Path) -> Any:
+        described_fmus.append(fmu)
+        return fmu_files.variables_of(fmu, file)
+
+    monkeypatch.setattr(scenario, "variables_of", variables_of)
+    scenario.load(scenario.find("nominal-extended"))
+    assert {*described_fmus} == {"L1DepthController", "RovDepthPlant"}
 
 
 def test_components_between_others_that_feed_each_other_are_not_there(tmp_path: Path) -> None:
