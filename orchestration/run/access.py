@@ -131,8 +131,9 @@ class Access:
         return write
 
     def close(self) -> None:
-        """Makes readers and writers refuse."""
+        """Makes readers and writers refuse, and lets go of the run, whose rows the next one may use."""
         self._bus.release()
+        self._exchange = bool
 
 
 def set_in_fmu(run: WiredRun, port: Port, value: FmiValue) -> None:

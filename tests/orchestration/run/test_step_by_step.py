@@ -1,5 +1,7 @@
 """Runs led step by step: the same as `run`, but for what is set between the steps."""
 
+import gc
+import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -255,3 +257,16 @@ def test_a_step_that_fails_keeps_the_recording_and_ends_the_run(linear: Build, r
         with pytest.raises(OrchestrationError, match="fmi2DoStep returned error"):
             run.step()
         assert len(stepped(simulator, doing(Misdeed.NONE)).time) == 11
+
+
+def test_a_run_lets_go_of_its_rows_when_another_begins(one: Simulator) -> None:
+    """Without a collection of cycles: the next run takes its memory, which is quicker than new memory."""
+    gc.disable()
+    try:
+        one.run(FORCED)
+        first = weakref.ref(one._last_run)
+        assert first()
+        one.run(FORCED)
+        assert first() is None
+    finally:
+        gc.enable()
