@@ -46,7 +46,7 @@ def load(
     chosen = replace(
         chosen, name=built.name(chosen.name), title=title, resolved=resolved, arguments=arguments
     )
-    build_missing_fmus([chosen])
+    build_missing({*chosen.system.components.values()} - {*made.values()})
     with placed(chosen.files):
         prepared = chosen.prepared
     open_inputs = [f"{port.name} = {start_value(port.variable)}" for port in prepared.system.open_inputs]

@@ -30,22 +30,15 @@ class Composition:
     interface: Interface
     replacements: Sequence[Replacement]
 
-    def port(self, name: str) -> Port | None:
-        """Returns the port of "component.variable", None if there is none."""
-        component, _, variable = name.partition(".")
-        own = self.interface.present.get(component)
-        return own and own.port(variable)
-
 
 def compose(layers: Sequence[Layer], describe: Describe) -> Composition:
     """Returns the scenario of layers, the lowest first; ScenarioError for entries that do not fit."""
     interface = Interface(layers, describe)
-    composition = Composition({}, interface, [])
     files = [file for layer in layers for file in layer.parameter_files]
     identified = {name for file in files for name in file.data.get("parameters", {})}
 
     def is_boolean(name: str) -> bool:
-        port = composition.port(name)
+        port = interface.port(name)
         return port is not None and port.variable.type == "Boolean"
 
     data: Data = {}
@@ -63,8 +56,10 @@ def compose(layers: Sequence[Layer], describe: Describe) -> Composition:
                 data = renamed(data, component.name, names)
         plain = {key: value for key, value in layer.data.items() if key not in _HANDLED}
         data = laid_over(data, replace(layer, data=plain), is_boolean, interface.inputs)
-        own = frozenset(names_in(data)) if index == interface.layer else own
-    return replace(composition, data=interface.joined(data), replacements=replacements)
+        if index == interface.layer:
+            own = frozenset(names_in(data))
+            data |= {"record": interface.recorded(data["record"])} if "record" in data else {}
+    return Composition(interface.joined(data), interface, replacements)
 
 
 def with_actuators(
@@ -92,9 +87,7 @@ def with_actuators(
         own = {n: above.get(port.name, start_value(port.variable)) for n, port in ports.items()}
         # a controller that is set not to take a table takes a line
         points = sum(name.startswith("thruster_table_voltage[") for name in own)
-        points *= (
-            own.get("thruster_tabulated") is not False or f"{component.name}.thruster_tabulated" not in above
-        )
+        points *= above.get(f"{component.name}.thruster_tabulated") is not False
         if actuators.table and 0 < points < len(actuators.table.voltages):
             raise ScenarioError(
                 f"{component.name}: expected a table of at most {points} points, got "

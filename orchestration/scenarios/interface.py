@@ -21,6 +21,7 @@ from fmus.fmi.description import start_value
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.scenarios.components import Component, Describe, components
 from orchestration.scenarios.layers import Data, Layer, driven_inputs, names_in
+from orchestration.system.system import Port
 from orchestration.system.values import fmi_value
 
 
@@ -86,9 +87,11 @@ class Interface:
         for target in self.inputs:
             if self._own(target) not in driven and not self._is_between(target):
                 self._join(target, result)
-        if "record" in data:
-            result["record"] = [x for x in data["record"] if x not in self.names or self.has(x)]
         return result
+
+    def recorded(self, names: Sequence[str]) -> list[str]:
+        """Returns the names of a record of the interface's own layer, without ports that are not there."""
+        return [x for x in names if x not in self.names or x in self._instead or self.has(x)]
 
     def _join(self, target: str, data: Data) -> None:
         """Adds the first source that is there of an input that is."""
@@ -136,8 +139,7 @@ class Interface:
 
     def _keeps(self, name: str, value: Any, data: Data) -> bool:
         """Whether a parameter is there and has a value in all runs of the scenario."""
-        component, _, own = self._own(name).partition(".")
-        port = component in self.present and self.present[component].port(own)
+        port = self.port(self._own(name))
         if not port:
             return False
         varied = data.get("sweep", {}).get("vary", {}).get(port.name)
@@ -146,6 +148,12 @@ class Interface:
         with suppress(SystemDefinitionError):  # of a wrong value, which is refused later
             return all(fmi_value(port, one) == fmi_value(port, value) for one in values)
         return False
+
+    def port(self, name: str) -> Port | None:
+        """Returns the port of "component.variable", by the name of its FMU, None if there is none."""
+        component, _, variable = name.partition(".")
+        own = self.present.get(component)
+        return own and own.port(variable)
 
     def has(self, name: str, part: str = "signal") -> bool:
         """Whether a component has a variable that can have a part, as of `Component.has_part`."""

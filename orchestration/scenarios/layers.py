@@ -123,7 +123,7 @@ def _connections(below: list[Any], above: Any, layer: Layer, joined: Iterable[st
 
 def _record(below: list[str], above: Any, layer: Layer) -> list[str]:
     if not isinstance(above, dict):
-        return list(dict.fromkeys(above))
+        return above
     if not below:
         raise ScenarioError(
             f"{layer.at(('record',))}: record: expected a list; a table changes that of a base, there is none"
@@ -144,13 +144,10 @@ def _remove(
         removed = {name for name in names & {*below.get(table, {}), *joined} if not is_boolean(name)}
         if removed:
             data[table] = {name: value for name, value in data[table].items() if name not in removed}
-    undriven = [name for name in joined if any(_given(layer, table, name) is False for table in _DRIVING)]
-    data["removed"] = [*data.get("removed", []), *(name for name in undriven if not is_boolean(name))]
-
-
-def _given(layer: Layer, table: str, name: str) -> Any:
-    entries = layer.data.get(table)
-    return entries.get(name) if isinstance(entries, dict) else None
+    tables = [entries for table in _DRIVING if isinstance(entries := layer.data.get(table), dict)]
+    names = {name for entries in tables for name, value in entries.items() if value is False}
+    undriven = [name for name in joined if name in names and not is_boolean(name)]
+    data["removed"] = [*data.get("removed", []), *undriven]
 
 
 def _check_removed(table: str, given: Mapping[str, Any], below: Iterable[str], layer: Layer) -> None:

@@ -111,14 +111,16 @@ def load(
         if not data["components"]:
             raise ScenarioError("components is missing")
         data, from_actuators = with_actuators(data, layers, composed)
-        data = with_faulted_constants(_converted(data, composed.port))
+        data = with_faulted_constants(_converted(data, composed.interface.port))
     for replacement in composed.replacements:
         replacement.check(data)
     data["metrics"] = {name: metric for name, metric in data["metrics"].items() if metric is not False}
     _check_parameters([f for x in layers for f in x.parameter_files], data, describe)
     file = checked(FILE, data, lambda keys: str(path))
     with placed(files):
-        data["signals"] = {n: as_input_takes(n, x, composed.port) for n, x in data["signals"].items()}
+        data["signals"] = {
+            n: as_input_takes(n, x, composed.interface.port) for n, x in data["signals"].items()
+        }
         experiment = _experiment(file, data)
         _check_overlap(data["signals"], experiment.start_time, experiment.stop_time)
         metrics.check_run(data["metrics"], experiment.start_time, experiment.stop_time, experiment.record)
@@ -184,8 +186,9 @@ def load_scenario(
     Raises ScenarioError. The FMUs of our blocks have to be built: `l1-depth build --cache`.
     """
     path = find(str(scenario))
-    made = files_of(given_layers(file_layers(path), overrides or {}, settings or {}))
-    return load(path, overrides, settings=settings, made=made)
+    layers = file_layers(path)
+    made = files_of(given_layers(layers, overrides or {}, settings or {}))
+    return load(path, overrides, layers=layers, settings=settings, made=made)
 
 
 def _experiment(file: ScenarioFile, data: Mapping[str, Any]) -> Experiment:

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from orchestration.errors import ScenarioError
+from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.scenarios import fmu_files, scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import prepare
@@ -311,6 +311,13 @@ def test_a_component_between_others_is_described_only_if_an_input_needs_it(
     monkeypatch.setattr(scenario, "variables_of", variables_of)
     scenario.load(scenario.find("nominal-extended"))
     assert {*described_fmus} == {"L1DepthController", "RovDepthPlant"}
+
+
+def test_what_a_file_over_the_base_records_has_to_be_there(scenario_fmus: None) -> None:
+    """Of the ports of an interface, the base alone records those that some vehicles have."""
+    loaded = scenario.load(scenario.find("nominal-l1"), {"record": {"plant.pitch_rate": True}})
+    with pytest.raises(SystemDefinitionError, match=r"record: no variable 'plant.pitch_rate'"):
+        prepare(loaded.system, loaded.experiment)
 
 
 def test_components_between_others_that_feed_each_other_are_not_there(tmp_path: Path) -> None:
