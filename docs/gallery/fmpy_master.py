@@ -10,35 +10,33 @@ from shutil import rmtree
 import matplotlib.pyplot as plt
 import numpy as np
 from fmpy import extract, read_model_description
-from fmpy.fmi2 import FMU2Slave
+from fmpy.simulation import instantiate_fmu
 
 times = 0.02 * np.arange(15501)  # s
 reference = np.interp(times, [0, 40, 140, 180, 250, 310], [0, 0.8, 0.8, 0.4, 0.4, 0.6])  # m
 
 
-def load(name: str) -> tuple[FMU2Slave, dict[str, int]]:
-    """Returns an instance of an FMU, and the value references of its variables."""
-    archive = f"fmus-built/{name}.fmu"
-    description, folder = read_model_description(archive), extract(archive)
-    fmu = FMU2Slave(instanceName=name, guid=description.guid, modelIdentifier=name, unzipDirectory=folder)
-    fmu.instantiate()
+def load(name: str, *groups: list[str]) -> tuple:
+    """Returns an FMU in initialization mode, and the value references of each group of variables."""
+    description = read_model_description(f"fmus-built/{name}.fmu")
+    fmu = instantiate_fmu(extract(f"fmus-built/{name}.fmu"), description, "CoSimulation")
     fmu.setupExperiment(startTime=0.0, stopTime=times[-1])
     fmu.enterInitializationMode()
-    return fmu, {variable.name: variable.valueReference for variable in description.modelVariables}
+    references = {variable.name: variable.valueReference for variable in description.modelVariables}
+    return fmu, *([references[variable] for variable in group] for group in groups)
 
 
-plant, vehicle = load("RovDepthPlant")
-controller, law = load("L1DepthController")
-sensors = [vehicle[name] for name in ("measured_depth", "depth_rate")]
-inputs = [law[name] for name in ("measured_depth", "measured_depth_rate", "depth_reference")]
-demands, voltages = ([of["voltage[1]"], of["voltage[2]"]] for of in (law, vehicle))
+voltages, sensors = ["voltage[1]", "voltage[2]"], ["measured_depth", "depth_rate"]
+plant, to_plant, from_plant, true_depth = load("RovDepthPlant", voltages, sensors, ["depth"])
+inputs = ["measured_depth", "measured_depth_rate", "depth_reference"]
+controller, to_controller, from_controller = load("L1DepthController", inputs, voltages)
 
 
 def exchange(point: int) -> None:
-    """Sets the inputs of both FMUs to what the other one gave, and to the reference."""
-    measured, demanded = plant.getReal(sensors), controller.getReal(demands)
-    controller.setReal(inputs, [*measured, reference[point]])
-    plant.setReal(voltages, demanded)
+    """Sets the inputs of both FMUs from the outputs of the other one, and from the reference."""
+    measured, demanded = plant.getReal(from_plant), controller.getReal(from_controller)
+    controller.setReal(to_controller, [*measured, reference[point]])
+    plant.setReal(to_plant, demanded)
 
 
 # %%
@@ -49,7 +47,7 @@ for fmu in (plant, controller):
 depth = np.empty(times.shape)
 for point, time in enumerate(times):
     exchange(point)
-    (depth[point],) = plant.getReal([vehicle["depth"]])
+    (depth[point],) = plant.getReal(true_depth)
     if point + 1 < len(times):
         for fmu in (plant, controller):
             fmu.doStep(time, times[point + 1] - time)
