@@ -1,9 +1,12 @@
 """An FMU forks its process, and the child returns from the call: no result is that of another request."""
 
 import contextlib
+import os
+import signal
 import tempfile
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -125,6 +128,81 @@ def test_a_fork_is_the_fault_of_its_own_run_alone(forker: Build, linear: Build) 
         while not run.is_done:
             run.step()
         assert len(run.recording().time) == 11
+
+
+@pytest.mark.parametrize("first", ["exits", "returns"])
+def test_each_of_two_children_of_one_step_is_judged(forker: Build, first: str) -> None:
+    """The one that ends does not hide the one that returns, whichever the FMUs fork first."""
+    children = {"one": first, "two": "exits" if first == "returns" else "returns"}
+    system = System({name: forker(STEP, "child", child=child) for name, child in children.items()})
+    with pytest.raises(OrchestrationError, match=f" forked its process {CAUSE}"):
+        simulate(system, Experiment(0.1, 0.1, inputs={"one.u": 1.0, "two.u": 1.0}))
+
+
+def test_signals_do_not_hide_a_child_that_returns(forker: Build) -> None:
+    """They interrupt the wait of the parent for the child, which takes 0.1 s."""
+    before = signal.signal(signal.SIGALRM, lambda number, frame: None)
+    signal.setitimer(signal.ITIMER_REAL, 0.01, 0.01)
+    try:
+        with pytest.raises(OrchestrationError, match=CAUSE):
+            simulate(System({"f": forker(STEP, "child")}), Experiment(0.1, 0.1, inputs={"f.u": 1.0}))
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.parametrize("child", ["returns", "exits"])
+def test_a_fork_leaves_no_file_open(forker: Build, child: str) -> None:
+    system = System({"f": forker(STEP, "child", child=child)})
+    experiment = Experiment(0.2, 0.1, inputs={"f.u": 1.0})
+    numbers = []
+    for _ in range(3):  # what a first run opens stays open
+        with contextlib.suppress(OrchestrationError):
+            simulate(system, experiment)
+        numbers.append(psutil.Process().num_fds())
+    assert numbers[1] == numbers[2]
+
+
+def forked(child_of: Callable[[], bool]) -> int:
+    """Returns the exit status of a forked process: 7 where a function is true in it, 1 where it is not."""
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            status = 7 if child_of() else 1
+        finally:
+            os._exit(status)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def test_a_process_that_the_program_forks_between_steps_goes_on(linear: Build) -> None:
+    with Simulator(System({"one": linear()})) as simulator:
+        run = simulator.start(Experiment(0.3, 0.1, inputs={"one.u[1]": 1.0}))
+        run.step()
+        before = psutil.Process().num_fds()
+
+        def goes_on() -> bool:
+            run.step()
+            return run.time == pytest.approx(0.2)
+
+        assert forked(goes_on) == 7
+        assert psutil.Process().num_fds() == before
+        assert goes_on()
+
+
+def test_forks_of_a_thread_that_calls_no_fmu_are_left_alone(linear: Build) -> None:
+    """While an FMU is busy in another thread."""
+    statuses, numbers = [], []
+    with Simulator(System({"one": linear()})) as simulator:
+        for count in (0, 50):
+            forks = threading.Thread(target=lambda n=count: statuses.extend(forked(bool) for _ in range(n)))
+            forks.start()
+            while forks.is_alive():
+                simulator.run(Experiment(10.0, 0.01, inputs={"one.u[1]": 1.0}))
+            forks.join()
+            numbers.append(psutil.Process().num_fds())  # what a first thread opens stays open
+    assert statuses == 50 * [1]
+    assert numbers[0] == numbers[1]
 
 
 def number_of(signals: Recording, number: int) -> int:
