@@ -1,4 +1,4 @@
-"""Sentences and cells of tables of a page in Markdown that are too long."""
+"""Long sentences and long table cells of Markdown pages."""
 
 import re
 

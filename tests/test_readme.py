@@ -1,4 +1,4 @@
-"""What the README shows runs as it stands."""
+"""Tests that the programs and commands of README run unchanged."""
 
 import re
 import subprocess
@@ -16,12 +16,12 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def block(language: str) -> str:
-    """The last fenced block of a language."""
+    """Returns the last fenced block of a language."""
     return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)[-1]
 
 
 def test_the_first_program_is_the_script_without_its_figure() -> None:
-    """Which tests/orchestration/test_fmpy_master.py runs."""
+    """tests/orchestration/test_fmpy_master.py runs the script."""
     script = (ROOT / "docs" / "gallery" / "fmpy_master.py").read_text(encoding="utf-8")
     program = README.partition("```python\n")[2].partition("```")[0]
     assert (
