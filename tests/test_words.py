@@ -1,7 +1,9 @@
 """Docstrings begin with a verb or a noun, and no text has a phrase at which a native reader stops."""
 
 import ast
+import io
 import re
+import tokenize
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -29,6 +31,7 @@ DIALECT = re.compile(
     r"|\bno (\w+ ){1,4}but\b|\blets (\w+ ){1,4}be\b",
     re.IGNORECASE,
 )
+KEPT: dict[str, dict[str, str]] = {}  # file of the product -> words with a phrase -> why they stay
 
 
 def documented(tree: ast.AST) -> Iterator[tuple[str, str, bool]]:
@@ -66,10 +69,35 @@ def test_a_function_without_a_verb_breaks_the_rule(text: str) -> None:
     assert not keeps_the_rule("Of a column.", begins_with_verb=False)
 
 
-def phrases(texts: Iterable[str]) -> list[str]:
-    """Returns each phrase of the dialect with the words around it."""
+def phrases(texts: Iterable[str], kept: Iterable[str] = ()) -> list[str]:
+    """Returns each phrase of the dialect with the words around it, and each of `kept` that no text has.
+
+    kept: words with a phrase of the dialect that stay
+    """
+    texts = list(texts)
     found = [(text, match) for text in texts for match in DIALECT.finditer(text)]
-    return [text[max(0, match.start() - 40) : match.end() + 40] for text, match in found]
+    around = [text[max(0, match.start() - 40) : match.end() + 40] for text, match in found]
+    refused = [one for one in around if not any(words in one for words in kept)]
+    return refused + [words for words in kept if not any(words in text for text in texts)]
+
+
+def written(path: Path) -> Iterator[str]:
+    """Yields the paragraphs of the docstrings, messages and comments of a Python file."""
+    source = (ROOT / path).read_text(encoding="utf-8")
+    nodes = ast.walk(ast.parse(source))
+    texts = [x.value for x in nodes if isinstance(x, ast.Constant) and isinstance(x.value, str)]
+    # comments of successive lines are one text: a sentence may go on in the next line
+    texts += re.findall(r"(?:^ *#.*\n)+", source, re.M)
+    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
+    texts += [x.string for x in tokens if x.type == tokenize.COMMENT and x.line.strip() != x.string]
+    for text in texts:
+        for paragraph in re.split(r"\n\s*\n", re.sub(r"^ *# ?", "", text, flags=re.M)):
+            yield " ".join(paragraph.split())
+
+
+@pytest.mark.parametrize("path", FILES, ids=str)
+def test_a_file_of_the_product_has_no_phrase_of_the_dialect(path: Path) -> None:
+    assert not phrases(written(path), KEPT.get(path.as_posix(), {}))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=str)
@@ -97,3 +125,16 @@ def test_a_phrase_of_the_dialect_is_found(text: str) -> None:
 
 def test_plain_sentences_and_headings_have_no_phrase_of_the_dialect() -> None:
     assert not phrases(["## What is inside", "The table shows what is inside.", "No error, but a warning."])
+
+
+def test_words_that_stay_are_no_finding_and_have_to_be_there() -> None:
+    assert not phrases(["It begins as of FMI 2.0.2."], ["as of FMI 2.0.2"])
+    assert phrases(["It begins in FMI 2.0.2."], ["as of FMI 2.0.2"]) == ["as of FMI 2.0.2"]
+
+
+def test_a_sentence_that_goes_on_in_the_next_comment_is_read_as_one(tmp_path: Path) -> None:
+    file = tmp_path / "module.py"
+    file.write_text(
+        '"""A module."""\n\n# the time is that\n# of the run\nx = 1  # it tells\ny = f"{x} is none"\n'
+    )
+    assert [DIALECT.findall(one) != [] for one in written(file)] == [False, True, True, True]
