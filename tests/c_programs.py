@@ -18,7 +18,7 @@ _TARGETS = {
 def compile_c(source: Path, platform: str, folder: Path) -> Path:
     """Compiles a C program of this repository for a platform, without a warning, with the flags of the FMUs.
 
-    zig then takes from its cache what it has built for them already: on Windows that is most of a minute.
+    The same flags let zig reuse its cache; on Windows this saves most of a minute.
     """
     target, libraries = _TARGETS[platform]
     includes = [f"-I{folder}" for folder in _HEADERS]

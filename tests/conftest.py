@@ -1,4 +1,4 @@
-"""What tests share: isolation from the user's files, FMUs built once a session, tools, and C programs."""
+"""Shared fixtures: isolation from the user's files, FMUs built once a session, tools, and C programs."""
 
 import gc
 import os
@@ -56,7 +56,7 @@ if sys.platform == "win32":  # these send signals, or limit, fork and inspect pr
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """One more than there are processors: many a test waits for another process."""
+    """Returns the number of processors plus one: many tests wait for another process."""
     return (os.cpu_count() or 1) + 1
 
 
@@ -65,7 +65,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
     The processes that tests start get the default signals.
 
-    Two caches stay where they are: Zig's of compiled C libraries, found by the hash of what they are made of,
+    Two caches stay where they are: Zig's of compiled C libraries, found by the hash of their sources,
     and matplotlib's list of fonts. Compiled Python is kept, also where the environment says otherwise:
     hundreds of processes would compile every file anew.
     """
@@ -88,7 +88,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def _ignore_no_signal(is_worker: bool) -> None:
-    """Takes a handler for signals that `nohup`, or a job in the background, has ignored.
+    """Sets a handler for signals that `nohup`, or a job in the background, ignores.
 
     An ignored signal stays ignored in the processes that tests start, a handler does not.
     """
@@ -100,7 +100,7 @@ def _ignore_no_signal(is_worker: bool) -> None:
 
 
 def _collect_another_part_first(config: pytest.Config) -> None:
-    """Let each of pytest-xdist's processes begin with other files: it finds those of the others compiled."""
+    """Starts each pytest-xdist process with different files, so it finds the other files compiled."""
     if config.args == config.getini("testpaths"):
         files = sorted(map(str, Path(__file__).parent.rglob("test_*.py")))
         worker: dict[str, Any] = config.workerinput  # type: ignore[attr-defined]
@@ -110,7 +110,7 @@ def _collect_another_part_first(config: pytest.Config) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Iterator[object]:
-    """Search no garbage in what is collected, half a million objects that stay."""
+    """Excludes the half a million collected objects from garbage collection."""
     gc.disable()
     try:
         return (yield)
@@ -121,9 +121,9 @@ def pytest_collection() -> Iterator[object]:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what needs more than pip installs by the fixture that finds it; others by what they build.
+    """Marks tests that need more than pip installs by their fixture, others by the FMUs that they build.
 
-    In one order, which pytest-xdist expects of its processes.
+    The order is fixed, because pytest-xdist expects the same order in all processes.
     """
     items.sort(key=lambda item: item.path.parts)
     for item in items:
@@ -143,7 +143,7 @@ def pytest_unconfigure(config: pytest.Config) -> None:
 
 
 def _lazily_built(flavour: Flavour) -> LazyFmus:
-    """With stamps: a command that runs them then traces no block."""
+    """Returns FMUs with stamps, so a command that runs them traces no block."""
 
     def build(name: str, folder: Path) -> Path:
         (files,) = builder.build_orders([BuildRequest(name, folder, flavour)])
@@ -184,13 +184,13 @@ def built_everywhere(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, P
 
 @pytest.fixture(scope="session")
 def scenario_fmus(built: Mapping[str, Path]) -> None:
-    """Scenarios find the FMUs that they name, as after `l1-depth build --cache`."""
+    """Builds the FMUs of scenarios, as `l1-depth build --cache` does."""
     assert all(built[name].is_file() for name in built if name not in LIKE_ANOTHER)
 
 
 @pytest.fixture(scope="session")
 def tool() -> Callable[[str], str]:
-    """Path of a program that the distribution gives."""
+    """Path of a program from the operating system's packages."""
 
     def find(name: str) -> str:
         path = shutil.which(name) or shutil.which(name, path="/usr/lib/wine")
@@ -206,7 +206,7 @@ def c_program(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path, str],
 
 
 class Driver:
-    """An instance whose variables go by name."""
+    """An instance whose variables are addressed by name."""
 
     def __init__(self, block: Block, **values: float) -> None:
         self.instance = BlockInstance(block, "test")
@@ -263,7 +263,7 @@ mirror = _built_once_for_each_option("mirror")
 
 @pytest.fixture(params=[True, False], ids=["compiled", "plain"])
 def compiled(request: pytest.FixtureRequest) -> bool:
-    """Whether the compiled communication loop runs, or that in Python."""
+    """Whether the compiled communication loop runs, or the Python loop."""
     return request.param
 
 

@@ -1,4 +1,4 @@
-"""FMUs by their members: with a model description alone, which a scenario can name, or with a changed one."""
+"""FMUs with only a model description, which a scenario can name, or with a changed one."""
 
 import zipfile
 from collections.abc import Callable, Iterable
@@ -16,7 +16,7 @@ def described(
     parameters: Iterable[str] = (),
     units: dict[str, str] | None = None,
 ) -> Path:
-    """Write an FMU with Real variables of these names; `NAME:TYPE` has another type of FMI 2.0."""
+    """Writes an FMU with Real variables of these names; `NAME:TYPE` gives another type of FMI 2.0."""
     variables = []
     for causality, names in (("input", inputs), ("output", outputs), ("parameter", parameters)):
         for name, _, kind in (name.partition(":") for name in names):

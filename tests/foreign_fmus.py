@@ -1,7 +1,7 @@
-"""FMUs of C that know nothing of the blocks: linear, functions, a motor, and one that misbehaves on demand.
+"""FMUs in C, independent of the blocks: linear, functions, a motor, and one that misbehaves on demand.
 
-Their sources stand in `foreign_c`; here are their model descriptions and archives. A model is compiled once;
-what differs between its FMUs is written into the compiled library.
+Their sources are in `foreign_c`; this module has their model descriptions and archives. A model is compiled
+once; differences between its FMUs are written into the compiled library.
 """
 
 import hashlib
@@ -35,7 +35,7 @@ _STATUSES = ("Warning", "Discard", "Error", "Fatal")
 
 
 class Misdeed(IntEnum):
-    """What a rogue does from its `misdeed_time`; rogue.c tells the same in C."""
+    """The misdeed of a rogue from its `misdeed_time` on; rogue.c has the same enumeration."""
 
     NONE = 1
     WARNING = 2
@@ -76,7 +76,7 @@ class Misdeed(IntEnum):
 
 @dataclass(frozen=True)
 class Capabilities:
-    """What an FMU claims; its library refuses everything else."""
+    """The capabilities that an FMU declares; its library refuses all others."""
 
     interpolates_inputs: bool = False
     output_derivative_order: int = 0
@@ -94,7 +94,7 @@ class Capabilities:
         }
 
     def numbers(self) -> list[float]:
-        """In the order of `Config` in slave.h."""
+        """The numbers in the order of `Config` in slave.h."""
         return [
             float(self.interpolates_inputs),
             float(self.output_derivative_order),
@@ -106,7 +106,7 @@ class Capabilities:
 
 @dataclass(frozen=True)
 class Variable:
-    """A scalar variable; `follows` names what an output depends on in initialisation and in step mode."""
+    """A scalar variable; `follows` names the dependencies of an output in initialisation and in step mode."""
 
     name: str
     causality: str
@@ -138,9 +138,9 @@ def linear(
     """x' = a x + b u, y = c x + d u: parameters `a` (tunable) and `initial_state`, inputs u[j], outputs y[i].
 
     passes_discrete: the outputs integer_out and boolean_out are the inputs integer_in and boolean_in.
-    refuses_boolean_from: time [s] from which on boolean_in is discarded in a step.
+    refuses_boolean_from: time [s] after which boolean_in is discarded in a step.
     nominal: of inputs and outputs.
-    declares_dependencies: whether the model description tells which outputs follow which inputs.
+    declares_dependencies: whether the model description declares which outputs depend on which inputs.
     solver_error: largest error of the state that each step of at least `solver_step` [s] leaves.
     """
     inputs = [Variable(f"u[{j + 1}]", "input", "continuous", nominal=nominal) for j in range(len(b))]
@@ -177,7 +177,7 @@ def linear(
 
 
 def function(path: Path, expression: str, start: float = 0.0, nominal: float | None = None) -> Path:
-    """y = expression of u, in C, at once; where that has no finite value, reading y is discarded."""
+    """y = expression of u, in C, with feedthrough; if the value is not finite, reading y is discarded."""
     variables = [
         Variable("u", "input", "continuous", start=start, nominal=nominal),
         Variable("y", "output", "continuous", follows=("u",), initially_follows=("u",), nominal=nominal),
@@ -269,8 +269,9 @@ def _write(
     texts: Sequence[Variable] = (),
     changes: Sequence[tuple[str, str]] = (),
 ) -> Path:
-    """macros: what the library is compiled for; numbers: of the model, behind the others of `Config`.
+    """Writes the archive.
 
+    macros: of the library; numbers: of the model, after the other numbers of `Config`
     fmi: the version of the standard; texts: Strings, of FMI 3.0; changes: of the model description
     """
     if fmi == 3:
@@ -295,7 +296,7 @@ def _write(
 
 
 def _compiled(folder: Path, model: str, config: str, fmi: int) -> bytes:
-    """The library of a model, compiled once for all who use the folder."""
+    """Returns the library of a model, compiled once for all users of the folder."""
     files = [f"{model}.c", "slave.h", *(["fmi3.h"] if fmi == 3 else [])]
     sources = {name: (_SOURCES / name).read_text("utf-8") for name in files}
     sources["config.h"] = config
@@ -334,7 +335,7 @@ class _Array:
 
 
 def _arrays(variables: Sequence[Variable]) -> list[_Array]:
-    """Value references fall, and have gaps; those of Strings are others."""
+    """Returns arrays whose value references decrease with gaps; Strings have separate ones."""
     groups = [
         (name, list(members))
         for name, members in groupby(enumerate(variables), lambda v: re.sub(r"\[.*\]", "", v[1].name))
@@ -352,7 +353,7 @@ def _arrays(variables: Sequence[Variable]) -> list[_Array]:
 def _fmi3_description(
     model: str, token: str, arrays: Sequence[_Array], capabilities: Capabilities, declares_dependencies: bool
 ) -> bytes:
-    """The description of FMI 3.0; what FMI 3.0 does not claim is left out."""
+    """Returns the description of FMI 3.0, without capabilities that FMI 3.0 does not have."""
     attributes = {"fmiVersion": "3.0", "modelName": model, "instantiationToken": token}
     root = ElementTree.Element("fmiModelDescription", attributes)
     root.set("variableNamingConvention", "structured")

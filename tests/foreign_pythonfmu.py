@@ -1,4 +1,4 @@
-"""FMUs that PythonFMU's own builder makes of classes that know nothing of the blocks."""
+"""FMUs that PythonFMU's own builder makes from classes that are independent of the blocks."""
 
 import textwrap
 from pathlib import Path
@@ -97,7 +97,7 @@ SAVES_STATE = {"canGetAndSetFMUstate": True, "canSerializeFMUstate": True}
 
 
 def build(name: str, folder: Path, **capabilities: Any) -> Path:
-    """`folder/NAME.fmu` of one of the classes above; capabilities: such as `SAVES_STATE`."""
+    """Builds `folder/NAME.fmu` from one of the classes above; capabilities: such as `SAVES_STATE`."""
     script = folder / f"{name.lower()}_slave.py"
     script.write_text(textwrap.dedent(_HEAD) + textwrap.dedent(_SOURCES[name]))
     return FmuBuilder.build_FMU(script, folder, **capabilities)

@@ -1,4 +1,4 @@
-"""Other people's importers, each in a process of its own."""
+"""Importers of other projects, each in a separate process."""
 
 from contextlib import closing
 from typing import Any
@@ -7,7 +7,7 @@ from fmus.fmi.process import ProcessEndedError, Worker, WorkerProcess
 
 
 def answer_of(worker: Worker, job: object, timeout: float) -> Any:
-    """The message that a worker sends for a job, or a text that tells why there is none.
+    """Returns the message that a worker sends for a job, or the reason for its absence.
 
     timeout: s
     """

@@ -23,7 +23,7 @@ class IgnoreSigint(WorkerPlugin):
 
 @contextmanager
 def local_cluster(workers: int) -> Iterator[tuple[Client, ClusterRuns]]:
-    """So many processes of one thread each, reachable from this machine alone."""
+    """Starts processes of one thread each, reachable only from this machine."""
     with (
         TemporaryDirectory(prefix="l1-depth-sweep-", ignore_cleanup_errors=True) as folder,
         config.set({"temporary-directory": folder}),  # of all of Dask, not of its workers alone

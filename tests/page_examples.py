@@ -1,11 +1,11 @@
 """Runs the examples of a Markdown page in their order, in the present folder: python page_examples.py PAGE
 
     ```python, ```sh      run; all Python of a page shares one namespace
-    ```text               what the block before it prints; "..." stands for anything
+    ```text               output of the block before it; "..." stands for anything
     first line "# NAME"   the block is written to that file instead (Python, TOML, YAML)
 
-In docs/tutorials every block is an example; on other pages those below <!-- run -->, and a text after one.
-Files beside the page to which it links, but for pages, are saved first.
+In docs/tutorials every block is an example; on other pages a block below <!-- run -->, and a text after it.
+Linked files beside the page, except pages, are saved first.
 """
 
 import contextlib
@@ -34,13 +34,13 @@ class Example:
 
     @property
     def file(self) -> str:
-        """To which it is written; empty if it runs."""
+        """Name of the file to write; empty if the block runs."""
         match = _FILE.match(self.code) if self.language != "sh" else None
         return match[1] if match else ""
 
 
 def examples(page: Path) -> list[Example]:
-    """In the order of the page."""
+    """Returns the examples in the order of the page."""
     text, is_tutorial = page.read_text(encoding="utf-8"), page.parent.name == "tutorials"
     found, is_example = list[Example](), False
     for match in _BLOCK.finditer(text):

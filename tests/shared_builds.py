@@ -44,7 +44,7 @@ def session_folder(factory: pytest.TempPathFactory, name: str) -> Path:
 
 
 def built_once(path: Path, build: Callable[[Path], Any]) -> Path:
-    """`path`, written by `build(path)` in the first process that asks; the others wait for it."""
+    """Returns `path`, written by `build(path)` in the first process that asks; the others wait."""
     path.parent.mkdir(parents=True, exist_ok=True)
     done = path.with_name(f"{path.name}.done")
     with FileLock(path.with_name(f"{path.name}.lock")):
@@ -55,7 +55,7 @@ def built_once(path: Path, build: Callable[[Path], Any]) -> Path:
 
 
 def with_libraries(name: str, members: dict[str, bytes]) -> dict[str, bytes]:
-    """The members of a native FMU, and its library for this platform, compiled from their sources."""
+    """Returns the members of a native FMU with a library for this platform, compiled from their sources."""
     from fmus.generate import native
 
     with native.compiled_libraries(name, members, ()) as libraries:
@@ -63,7 +63,7 @@ def with_libraries(name: str, members: dict[str, bytes]) -> dict[str, bytes]:
 
 
 def c_sources_of(block: Block, guid: str, **options: Any) -> dict[str, str]:
-    """The C sources of a block, which is traced for them."""
+    """Traces a block and returns its C sources."""
     from fmus.generate.derivatives import Sensitivities
     from fmus.generate.native import c_sources
     from fmus.generate.trace import trace
@@ -91,7 +91,7 @@ class LazyFmus(Mapping[str, Path]):
 
 
 def once_for_each_option(build: Build, folder: Path) -> Build:
-    """`build(path, *arguments, **options)` once for each set of arguments, in a file named by their hash."""
+    """Calls `build(path, *arguments, **options)` once for a set of arguments; their hash names the file."""
 
     def built(*arguments: Any, **options: Any) -> Path:
         key = hashlib.sha256(repr((arguments, sorted(options.items()))).encode()).hexdigest()[:16]

@@ -1,4 +1,4 @@
-"""The rules of docs/architecture.md, read from the imports themselves."""
+"""Tests of the rules of docs/architecture.md against the imports."""
 
 import ast
 import re
@@ -34,7 +34,7 @@ def text(path: Path) -> str:
 
 
 def statements(parent: ast.AST) -> Iterator[ast.stmt]:
-    """Those of a module at every level, without their expressions: a tenth of what `ast.walk` visits."""
+    """Yields the statements of a module at every level, without expressions: a tenth of `ast.walk`."""
     for name in ("body", "orelse", "handlers", "finalbody", "cases"):
         for child in getattr(parent, name, ()):
             if isinstance(child, ast.stmt):
@@ -44,7 +44,7 @@ def statements(parent: ast.AST) -> Iterator[ast.stmt]:
 
 @cache
 def imports(path: Path) -> frozenset[str]:
-    """The modules that a file imports, anywhere; for a name in a module, the module."""
+    """Returns the modules that a file imports, anywhere; for a name in a module, the module."""
     names = set(re.findall(r'\brequire\("([\w.]+)"', text(path)))  # fmus/extras.py
     for node in statements(ast.parse(text(path))):
         if isinstance(node, ast.Import):
@@ -61,14 +61,14 @@ def is_in(module: str, package: str) -> bool:
 
 
 def importers(package: str) -> set[str]:
-    """The modules that import a package or a part of it."""
+    """Returns the modules that import a package or a part of it."""
     return {
         name for name, path in MODULES.items() if any(is_in(imported, package) for imported in imports(path))
     }
 
 
 def arrows() -> set[tuple[str, str]]:
-    """Each module with each module of the project that it imports."""
+    """Yields each module with each module of the project that it imports."""
     return {(name, imported) for name, path in MODULES.items() for imported in imports(path) & MODULES.keys()}
 
 
@@ -118,7 +118,7 @@ FOR_RUNNING = ("fmus.fmi", "fmus.fmi.variable_types", "fmus.native", "fmus.gener
 
 
 def room(module: str) -> str:
-    """What a module is a part of: "orchestration.run", "fmus.block" for "fmus.block.guide", "plant_fmu"."""
+    """Returns the room of a module: "orchestration.run", "fmus.block" for "fmus.block.guide", "plant_fmu"."""
     while module not in LEVELS and "." in module:
         module = module.rpartition(".")[0]
     return module
@@ -212,7 +212,7 @@ def test_one_file_runs_the_compiler() -> None:
 
 
 def test_one_file_knows_the_users_cache_and_holds_locks() -> None:
-    """All else stores by kind and key, so that every entry is written, trusted and cleared in one way."""
+    """All other files store by kind and key, so every entry is written, trusted and cleared in one way."""
     assert {name for name, path in MODULES.items() if '"Caches"' in text(path)} == {"fmus.store"}
     assert {name for name, path in MODULES.items() if "operating_system.lock(" in text(path)} == {
         "fmus.store"
@@ -238,7 +238,7 @@ def test_one_file_calls_what_some_operating_systems_lack() -> None:
 
 
 def test_one_file_walks_imports() -> None:
-    """From a module to those that it names, which needs absolute names."""
+    """The walk from a module to the modules that it names needs absolute names."""
     assert {name for name, path in MODULES.items() if "resolve_name(" in text(path)} == {
         "fmus.generate.imports"
     }
@@ -287,19 +287,19 @@ EXTRAS = {
 
 
 def requirements(lines: list[str]) -> set[str]:
-    """The names of what pip would install, without this project itself."""
+    """Returns the distributions that pip would install, without this project."""
     return {re.split(r"[^\w-]", line)[0] for line in lines} - {"l1-depth"}
 
 
 def project() -> dict[str, set[str]]:
-    """Required distributions by extra; "" are those of the core."""
+    """Required distributions by extra; "" is the core."""
     table = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = {extra: requirements(lines) for extra, lines in table["optional-dependencies"].items()}
     return {"": requirements(table["dependencies"]), **extras}
 
 
 def third_party(path: Path) -> set[str]:
-    """The distributions that a file imports."""
+    """Returns the distributions that a file imports."""
     names = {name.partition(".")[0] for name in imports(path)}
     names -= {*sys.stdlib_module_names, *PACKAGES, "tests"}
     return {DISTRIBUTIONS.get(name, name) for name in names}
@@ -318,7 +318,7 @@ def test_one_function_counts_the_processors() -> None:
 
 
 def test_one_file_makes_runs_in_processes_and_one_chooses_vectors() -> None:
-    """Beside a single run with a timeout, and runs that are led step by step."""
+    """Single runs with a timeout and stepped runs are exceptions."""
     starting = {
         name for name, path in MODULES.items() if "WorkerProcess(" in path.read_text(encoding="utf-8")
     }

@@ -1,4 +1,4 @@
-"""The pages on blocks show the code as it is."""
+"""Tests of the pages on blocks against the code."""
 
 import ast
 import re
@@ -24,7 +24,7 @@ ROOT = Path(__file__).parent.parent
 
 
 def page_of_the_site(name: str) -> str:
-    """A page that is made with the site, by a program that may import those beside it."""
+    """Returns a page that the site's build makes, by a program that may import its neighbours."""
     return program_of_the_site(name)["page"]()
 
 
@@ -42,7 +42,7 @@ def test_the_reference_of_blocks_has_every_field_function_and_base_unit() -> Non
 
 
 def parameters_of_the_site(page: str) -> Iterator[tuple[str, str, str]]:
-    """Yields name, start value and source of each parameter; elements that are alike share a row."""
+    """Yields name, start value and source of each parameter; equal elements share a row."""
     rows = re.findall(r"^\| (`.*?`) \| (\S+) \|.*(?<!\\)\| (.*) \|$", page_of_the_site(page), re.M)
     for shown, start, source in rows:
         first, *others = re.findall(r"`(.*?)`", shown)
@@ -54,7 +54,7 @@ def parameters_of_the_site(page: str) -> Iterator[tuple[str, str, str]]:
 def without_a_row(page: str, blocks: Sequence[str]) -> list[str]:
     """Returns parameters of blocks whose start value and source a page lacks; numbers have ten digits there.
 
-    But for the points of a table behind its first one.
+    Only the first point of a table is compared.
     """
     rows = [*parameters_of_the_site(page)]
     return [
@@ -72,7 +72,7 @@ def test_the_reference_of_controllers_has_every_parameter_with_its_start_value()
 
 
 def test_the_reference_of_vehicles_has_the_source_of_every_number() -> None:
-    """Also of a vehicle with numbers of its own."""
+    """This includes a vehicle with different numbers."""
     names = ("RovDepthPlant", "RovHeavePitchPlant", "BlueRov2Plant", "WaveSource", "ExamplePlant")
     assert without_a_row("vehicles", names) == []
 

@@ -97,7 +97,7 @@ def test_delay_margins_are_over_the_noise_of_every_draw(document: Score, numbers
 
 
 def test_wider_ranges_lower_no_cost_of_a_law_that_ended_at_a_limit(numbers: Any) -> None:
-    """By more than a search may where its cost is flat; each limit is ten times as far, or the FMU's."""
+    """A flat cost is excepted; each limit is ten times as far, or the FMU's."""
     protocol = read_protocol()
     assert [row.name for row in numbers.limited()] == [f"{score.TUNED}/{law}" for law in numbers.widened]
     for law, entry in numbers.widened.items():
@@ -127,7 +127,7 @@ def test_fronts_are_of_every_law_on_three_vehicles_within_the_bounds_of_the_sear
 
 
 def test_pairs_are_in_one_order_where_no_seed_says_otherwise(fronts: Any) -> None:
-    """Counted seed by seed."""
+    """The order is counted seed by seed."""
 
     def ahead(first: str, second: str) -> list[bool]:
         laws = [{law["name"]: law["hypervolumes"] for law in d["laws"]} for d in fronts.documents]
@@ -162,7 +162,7 @@ def test_the_indices_are_of_the_vehicles_of_the_fronts(fronts: Any) -> None:
 
 
 def test_the_cases_that_repeat_the_nominal_one_are_those_that_do(document: Score) -> None:
-    """Over the tuned controllers and those with default gains; the search needs its cases all the same."""
+    """The correlation is over tuned and default gains; the search needs its cases anyway."""
     kinds = [score.part(document, which).rows for which in (score.TUNED, score.START)]
     repeating = set[str]()
     for case, info in document.protocol.cases.items():
@@ -191,7 +191,7 @@ def many_runs(document: Score) -> Iterator[tuple[ManyRuns, int]]:
 
 
 def test_the_statistics_are_those_of_the_runs(document: Score) -> None:
-    """As far as the file has the values of each run: of the tuned controllers, and of nominal cases."""
+    """The file has the values of each run for tuned controllers and nominal cases."""
     interval = cache(proportion_interval)  # of few numbers of failures
     for runs, count in many_runs(document):
         assert runs.count == count
@@ -225,7 +225,7 @@ def test_the_differences_are_of_every_pair_on_the_same_plants(document: Score) -
 def test_the_profile_is_that_of_the_draws_of_cases_that_are_not_tuned_on(
     document: Score, numbers: Any
 ) -> None:
-    """Counted one by one: within twice the least error of all that did not fail."""
+    """Cases are counted one by one: within twice the smallest error of the runs that did not fail."""
     rows = score.part(document, score.TUNED).rows
     cases = [name for name in rows[0].draws if not document.protocol.cases[name].tuned_on]
     within, total = dict.fromkeys((row.name for row in rows), 0), 0
@@ -263,7 +263,7 @@ def test_the_figure_shows_every_tuned_controller(document: Score) -> None:
 
 
 def test_the_committed_run_is_what_the_page_reads_of_a_comparison() -> None:
-    """Written by `python .ci/comparison_page.py results/comparison.json`."""
+    """`python .ci/comparison_page.py results/comparison.json` writes it."""
     text = (EXPLANATION / "comparison.json").read_text(encoding="utf-8")
     assert comparison_page.written(comparison_page.reduced(json.loads(text))) == text
     assert len(text) < 300_000  # a document of the repository, not a store of results

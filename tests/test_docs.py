@@ -1,4 +1,4 @@
-"""What pages show and claim: links lead somewhere, marked examples run, named tests exist."""
+"""Tests of the pages: links lead somewhere, marked examples run, named tests exist."""
 
 import os
 import re
@@ -43,7 +43,7 @@ def _name(page: Path) -> str:
 
 
 def _anchors(page: Path) -> set[str]:
-    """As GitHub makes them of headings."""
+    """Returns the anchors that GitHub makes from headings."""
     headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.M)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
@@ -75,7 +75,7 @@ def test_the_picture_of_the_packages_shows_every_room() -> None:
 
 
 def test_the_architecture_lists_every_file_of_a_run_in_ten_minutes() -> None:
-    """Of reading: 2,000 words."""
+    """Ten minutes are 2,000 words."""
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     assert len(text.split()) <= 2000
     table = text[
@@ -133,7 +133,7 @@ def test_the_index_lists_every_page() -> None:
     ],
 )
 def test_the_examples_run_and_print_what_the_page_shows(page: Path, tmp_path: Path) -> None:
-    """In an empty folder, with the programs of this environment."""
+    """They run in an empty folder, with the programs of this environment."""
     environment = os.environ | {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
     done = subprocess.run(
         [sys.executable, str(ROOT / "tests" / "page_examples.py"), str(page)],
@@ -153,7 +153,7 @@ def test_the_table_of_extras_lists_every_extra_of_users() -> None:
 
 
 def test_what_builds_the_site_is_fixed_to_versions() -> None:
-    """A newer version may warn of more, at which the strict build fails."""
+    """A newer version may give more warnings, and the strict build then fails."""
     assert EXTRAS["docs"]
     assert not [requirement for requirement in EXTRAS["docs"] if "==" not in requirement]
 
@@ -175,7 +175,7 @@ def test_a_tutorial_shows_output_and_stands_in_their_index(page: Path) -> None:
 
 
 def test_the_workflow_shown_runs_what_the_page_runs() -> None:
-    """Except for what installs, each command of the workflow is one that this page's examples ran."""
+    """Each command of the workflow, except installations, is a command of this page's examples."""
     shown = examples(ROOT / "docs" / "tutorials" / "continuous-integration.md")
     (workflow,) = [example.code for example in shown if example.language == "yaml"]
     ran = {
@@ -204,7 +204,7 @@ def words(pages: Sequence[Path]) -> int:
 
 
 def test_pages_have_at_most_45_000_words_and_tutorials_and_how_tos_20_000() -> None:
-    """Without the pages that are made with the site."""
+    """Pages made by the site's build do not count."""
     assert 0 < words(FOR_USERS) <= 20_000
     assert words(FOR_USERS) < words(PAGES) <= 45_000
 

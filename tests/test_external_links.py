@@ -1,4 +1,4 @@
-"""The program that fetches links to other sites, with a server on this machine in their place."""
+"""Tests of the program that fetches links to other sites, with a local server in their place."""
 
 import runpy
 from collections.abc import Iterator
@@ -13,14 +13,14 @@ PROGRAM = runpy.run_path(str(Path(__file__).parent.parent / ".ci" / "external_li
 
 
 class _Answer(BaseHTTPRequestHandler):
-    """/N is answered with status N."""
+    """A handler that answers /N with status N."""
 
     def do_GET(self) -> None:
         self.send_response(int(self.path.removeprefix("/")))
         self.end_headers()
 
     def log_message(self, format: str, *arguments: Any) -> None:
-        """Nothing: standard error is for the tests."""
+        """Logs nothing: standard error is for the tests."""
 
 
 @pytest.fixture

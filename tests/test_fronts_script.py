@@ -1,4 +1,4 @@
-"""`.ci/fronts.py`: known fronts and their areas, what a front admits, a search that continues."""
+"""Tests of `.ci/fronts.py`: known fronts and their areas, members of a front, a search that continues."""
 
 import json
 import math
@@ -91,7 +91,7 @@ def test_a_front_admits_what_keeps_every_bound_and_does_not_fail() -> None:
 
 
 def known(gains: Mapping[str, float]) -> dict[str, Any]:
-    """A law whose error times variation is 100 at best, where the second gain is 1."""
+    """A law whose error times variation is at least 100, reached if the second gain is 1."""
     away = 1.0 + math.log(gains["b"]) ** 2
     evaluated = row(away * 100.0 / gains["a"], away * gains["a"])
     del evaluated["gains"]
@@ -136,7 +136,7 @@ def test_all_seeds_begin_near_the_gains_that_are_given(tmp_path: Path) -> None:
 
 
 def test_tuned_gains_are_carried_to_another_vehicle_by_its_inertia(protocol: Protocol) -> None:
-    """Forces are in proportion to it; an adaptation whose model has 1 / M, to its square."""
+    """Forces are proportional to the inertia; an adaptation gain, whose model has 1 / M, to its square."""
     ratio = 32.18 / 5.5
     other = read_protocol(vehicle=Vehicle.of("BlueRov2Plant"))
     for name, factors in {

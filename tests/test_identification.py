@@ -1,4 +1,4 @@
-"""The scripts of docs/explanation/identification/ give the numbers of the page beside them."""
+"""Tests of docs/explanation/identification/: the scripts give the numbers of the page."""
 
 import json
 import math
@@ -67,7 +67,7 @@ def points(exact: Any) -> dict[str, np.ndarray]:
 
 
 def test_the_page_has_a_place_for_each_table_of_the_study() -> None:
-    """The site puts them there."""
+    """The site's build inserts the tables."""
     assert sorted(re.findall(r"^<!-- study: (.*) -->$", PAGE, re.M)) == sorted(tables.tables(DOCUMENT))
 
 
@@ -91,7 +91,7 @@ def test_the_page_has_the_largest_errors_of_figures_that_were_left_out() -> None
 
 
 def test_every_range_of_all_points_rests_on_enough_draws() -> None:
-    """The page names the readings whose effort ended before they had as many as were asked for."""
+    """The page names the readings whose budget ended before they had the required number."""
     assert posterior.Effort().enough == 250.0
     for name, variant in DOCUMENT["variants"].items():
         draws = variant["effective_draws"]
@@ -100,7 +100,7 @@ def test_every_range_of_all_points_rests_on_enough_draws() -> None:
 
 
 def test_the_document_holds_what_the_scripts_compute() -> None:
-    """So that a figure, a range or a reading that is added does not leave the page behind."""
+    """A new figure, range or reading must not be missing on the page."""
     assert list(DOCUMENT["variants"]) == [variant.name for variant in posterior.VARIANTS]
     assert [effect["effect"] for effect in DOCUMENT["effects"]] == list(fits.EFFECTS)
     free = {"shipped ranges": fits.SHIPPED_RANGES, "wide ranges": fits.WIDE}
@@ -275,7 +275,7 @@ def test_the_script_writes_a_parameter_file(monkeypatch: pytest.MonkeyPatch, tmp
 
 @pytest.mark.slow
 def test_the_script_finds_gains_as_good_as_those_that_ship(runs: Any) -> None:
-    """With this C library they are the same to every digit; another may lead to a neighbour."""
+    """With this C library all digits are equal; another library may lead to a neighbour."""
     shipped = IDENTIFIED["identification"]
     found = identify.identify(runs, shipped["seed"])["identification"]
     assert found["cost"] == pytest.approx(shipped["cost"], rel=0.05)
@@ -303,7 +303,7 @@ def test_points_of_one_draw_differ_in_the_extension_alone(points: dict[str, np.n
 
 
 def test_the_density_is_the_slope_of_the_gain_over_the_rmse(exact: Any) -> None:
-    """Both by differences, of 2 % of the gain there and of 4 % of the RMSE here: 10 % apart at most."""
+    """Both use differences, 2 % of the gain and 4 % of the RMSE: they differ by at most 10 %."""
     middle = {free.name: np.array([free.value(0.5)]) for free in vehicle.FREE if free.name != vehicle.K_Z}
     middle |= {posterior.SHARES[L1]: np.array([0.5]), "density": np.ones(1)}
     solved = posterior.agreeing(exact, posterior.Variant("any", settling=np.inf), middle, L1)
@@ -314,7 +314,7 @@ def test_the_density_is_the_slope_of_the_gain_over_the_rmse(exact: Any) -> None:
 
 
 def test_the_density_of_a_proposal_is_that_of_its_draws() -> None:
-    """With it the mean of 1 / q is the square, and of x / q the middle; 20000 draws leave 2 %."""
+    """The mean of 1 / q is then the square, and of x / q the middle; 20000 draws leave 2 %."""
     corner = np.random.default_rng(1).random((50, 2)) * [0.3, 0.5]
     proposal = posterior.Proposal(corner, 1.0 - corner[:, 0])
     positions = proposal.draw(20_000, np.random.default_rng(2))
@@ -326,7 +326,7 @@ def test_the_density_of_a_proposal_is_that_of_its_draws() -> None:
 
 
 def test_the_effective_draws_of_joined_sets_add_up() -> None:
-    """Two draws of two points, one of which counts nine times as much; then three of another scale."""
+    """There are two draws of two points, one with nine times the weight; then three with another scale."""
     one = {"density": np.array([9.0, 9.0, 1.0, 1.0]), "draw": np.array([0, 0, 1, 1])}
     other = {"density": np.full(3, 1e-3), "draw": np.array([0, 1, 2])}
     assert posterior.effective_draws(one) == pytest.approx(20.0**2 / (18.0**2 + 2.0**2))
@@ -360,7 +360,7 @@ def test_a_point_counts_by_its_density() -> None:
 
 @pytest.mark.slow
 def test_few_draws_predict_what_the_document_predicts(exact: Any) -> None:
-    """The reading with settling times within 2 s, from some 40 draws in place of 326."""
+    """The reading has settling times within 2 s, from about 40 draws in place of 326."""
     variant = posterior.VARIANTS[1]
     effort = posterior.Effort(pilot=1000, draws=1000, enough=20.0)
     told = summary.summary(posterior.posterior(exact, variant, effort))

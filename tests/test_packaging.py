@@ -1,4 +1,4 @@
-"""What is installed does what the clone does: the wheel, the archive of sources, an editable install."""
+"""Tests of installations: the wheel, the archive of sources and an editable install work like the clone."""
 
 import base64
 import hashlib
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.packaging
 
 
 def run(command: Sequence[str | Path], cwd: Path, **variables: str) -> str:
-    """The output of a command that knows nothing of the clone; CalledProcessError if it fails."""
+    """Returns the output of a command that does not see the clone; raises CalledProcessError if it fails."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     try:
         done = subprocess.run(
@@ -61,7 +61,7 @@ def built(folder: Path, *options: str, umask: int = 0o022) -> Path:
 
 @pytest.fixture(scope="session")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Built from the archive of sources, which is beside it."""
+    """The wheel built from the archive of sources beside it."""
     folder = built_once(
         session_folder(tmp_path_factory, "packaging") / "wheel", lambda path: path.mkdir() or built(path)
     )
@@ -70,7 +70,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def folder() -> Iterator[Path]:
-    """An empty folder of a user's."""
+    """An empty folder of a user."""
     path = Path(tempfile.mkdtemp(prefix="l1-depth-user-"))
     yield path
     for inside in path.rglob("*"):
@@ -84,7 +84,7 @@ Venv = Callable[..., Path]
 
 @pytest.fixture
 def venv(folder: Path) -> Venv:
-    """Makes a virtual environment: what it installs, and whether the libraries of the tests are there too."""
+    """Makes a virtual environment with given installations, and optionally the libraries of the tests."""
 
     def make(*packages: str | Path, with_libraries: bool) -> Path:
         path = folder / "venv"
@@ -102,7 +102,7 @@ def venv(folder: Path) -> Venv:
 
 
 def read_only(venv: Path) -> list[str]:
-    """Close an environment to writing; a command so prefixed cannot write there even as root."""
+    """Makes an environment read-only. A command with the returned prefix cannot write there even as root."""
     for path in (venv, *venv.rglob("*")):
         if not path.is_symlink():
             path.chmod(path.stat().st_mode & ~0o222)
@@ -146,7 +146,7 @@ def test_the_wheel_holds_every_file_and_the_libraries_of_five_platforms(wheel: P
 
 
 def test_the_wheel_has_a_bill_of_materials_of_its_libraries(wheel: Path) -> None:
-    """PEP 770, with the digest of each library, and in RECORD as every file."""
+    """The bill follows PEP 770, has the digest of each library, and is in RECORD like every file."""
     from cyclonedx.schema import SchemaVersion
     from cyclonedx.validation.json import JsonStrictValidator
 
@@ -220,7 +220,7 @@ print(*{line.split("/", 1)[1] for line in maps.splitlines() if "l1-depth-" in li
 def test_running_foreign_fmus_needs_few_libraries_and_no_compiler(
     wheel: Path, folder: Path, venv: Venv, linear: Build
 ) -> None:
-    """At full speed: with the compiled loop of the wheel, since nothing else could have compiled one."""
+    """They run at full speed with the compiled loop of the wheel: nothing else could have compiled one."""
     bin_folder = venv(wheel, *FOR_RUNNING, with_libraries=False)
     home = folder / "home"
     home.mkdir()

@@ -1,4 +1,4 @@
-"""The runner of the pages' examples fails where a page is wrong."""
+"""Tests of the runner of the pages' examples: it fails if a page is wrong."""
 
 import textwrap
 from collections.abc import Callable
@@ -13,7 +13,7 @@ Page = Callable[[str], Path]
 
 @pytest.fixture
 def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Page:
-    """A tutorial of that text; ''' stands for the fence. Its folder is the present one."""
+    """Writes a tutorial with a text; ''' stands for the fence. Its folder becomes the current folder."""
     folder = tmp_path / "tutorials"
     folder.mkdir()
     monkeypatch.chdir(folder)

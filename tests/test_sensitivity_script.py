@@ -1,4 +1,4 @@
-"""`.ci/sensitivity.py` computes the indices that it says, of the runs of a score."""
+"""Tests of the indices that `.ci/sensitivity.py` computes from the runs of a score."""
 
 import math
 import sys
@@ -39,7 +39,7 @@ def test_indices_of_ranks_that_two_numbers_decide(
 
     With a and b independent and fair coins, the ranks (pid, adrc, mrac) are, by a b: 1 3 2 where it is 00,
     3 1 2 where it is 10, 2 3 1 where it is 01, and 3 2 1 where it is 11. The variances are 11/16, 11/16
-    and 1/4. Of them a leaves, with b known, 10/16, 10/16 and 0, and b leaves 1/8, 1/8 and 1/4.
+    and 1/4. With b known, a leaves 10/16, 10/16 and 0 of them; with a known, b leaves 1/8, 1/8 and 1/4.
     """
     numbers = sensitivity.guessed(protocol)
     (inertias, law), (lags, _) = numbers["inertia"], numbers["thruster_lag"]

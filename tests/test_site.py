@@ -1,4 +1,4 @@
-"""The site of docs/ and the archive for users without Python, each made by its one command."""
+"""Tests of the site of docs/ and of the archive for users without Python, each made by one command."""
 
 import hashlib
 import html

@@ -1,4 +1,4 @@
-"""The script of docs/explanation/survey/ checks the listed FMUs of clones and compares findings."""
+"""Tests of docs/explanation/survey/: the script checks listed FMUs of clones and compares findings."""
 
 import json
 import re
@@ -52,7 +52,7 @@ FAULTS = dict(re.findall(r"/\* (\d+): ([a-z-]+)", (FOLDER / "reproductions.c").r
     "number", ["0", *(pytest.param(number, marks=pytest.mark.slow) for number in sorted(FAULTS, key=int))]
 )
 def test_a_reproduction_breaks_the_rule_that_it_names_and_no_other(number: str, tmp_path: Path) -> None:
-    """With 0 it breaks none. The survey met each of these rules broken."""
+    """With 0 it breaks no rule. The survey found each of these rules broken."""
     assert [*map(int, sorted(FAULTS, key=int))] == [*range(1, 11)]
     code = (FOLDER / "reproductions.c").read_text(encoding="utf-8")
     texts = {"reproductions.c": f"#define REPRODUCTION {number}\n{code}"}

@@ -1,4 +1,4 @@
-"""The core knows no satellite: each can be removed with its folder, and the rest works."""
+"""Tests that the core names no satellite: each can be removed with its folder, and the rest works."""
 
 import re
 import shutil
@@ -21,7 +21,7 @@ POINTS = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"][
 
 
 def naming(satellite: str) -> re.Pattern[str]:
-    """The name of a module, also as `from PACKAGE import NAME`."""
+    """Returns a pattern for the name of a module, also as `from PACKAGE import NAME`."""
     package, _, name = satellite.rpartition(".")
     return re.compile(rf"\b{re.escape(satellite)}\b|from {re.escape(package)} import [^\n]*\b{name}\b")
 
@@ -38,7 +38,7 @@ def test_no_file_outside_a_satellite_names_it(satellite: str) -> None:
 
 
 def copied_without(satellites: tuple[str, ...], folder: Path) -> Path:
-    """A copy of the project without satellites, their tests, and the tests of other rooms that use them."""
+    """Returns a copy of the project without satellites, their tests, and other tests that use them."""
     leave_out = shutil.ignore_patterns("__pycache__", ".*_cache")
     for name in (*PACKAGES, "tests"):
         shutil.copytree(ROOT / name, folder / name, ignore=leave_out)
@@ -59,7 +59,7 @@ def copied_without(satellites: tuple[str, ...], folder: Path) -> Path:
 
 
 def python(folder: Path, *arguments: str) -> str:
-    """What Python prints where the copy stands before the project."""
+    """Returns the output of Python with the copy before the project on its path."""
     done = subprocess.run(
         [sys.executable, *arguments], cwd=folder, capture_output=True, text=True, check=False
     )
@@ -83,7 +83,7 @@ def test_without_a_satellite_all_else_is_imported_and_its_commands_are_gone(
 
 @pytest.mark.slow
 def test_without_any_satellite_the_tests_of_the_core_pass(tmp_path: Path) -> None:
-    """Those of the master, from which the satellites were moved; `fmus` imports none but the check."""
+    """The tests of the master run, from which the satellites were moved; `fmus` imports only the check."""
     copy = copied_without(SATELLITES, tmp_path)
     python(copy, "-m", "pytest", "-q", "-n", "2", "tests/orchestration")
 
@@ -135,7 +135,7 @@ def test_a_command_that_cannot_be_loaded_is_named_and_stops_no_other(
 
 
 def test_the_help_has_its_panels_in_one_order(capsys: pytest.CaptureFixture[str]) -> None:
-    """Whoever brings the commands."""
+    """The order does not depend on the origin of the commands."""
     assert run_command(["--help"]) == 0
     panels = re.findall(r"^╭─ (.*?) ─", capsys.readouterr().out, re.M)
     assert panels[1:] == [

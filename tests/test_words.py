@@ -1,13 +1,17 @@
-"""Docstrings say what a thing is: a function's begins with a verb, all others with a noun."""
+"""Docstrings begin with a verb or a noun, and no text has a phrase at which a native reader stops."""
 
 import ast
+import io
 import re
-from collections.abc import Iterator
+import tokenize
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
 
 from orchestration.cli.commands import command_function, command_names
+
+from .page_text import blocks
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("fmus", "controller_fmu", "plant_fmu", "orchestration")
@@ -17,6 +21,17 @@ FILES = [path.relative_to(ROOT) for package in PACKAGES for path in sorted((ROOT
 COMMANDS = [command_function(name)[0] for name in command_names()]
 HELP = {(f"{one.__module__.replace('.', '/')}.py", one.__name__) for one in COMMANDS}  # imperatives
 HELP |= {("orchestration/cli/commands.py", "_l1_depth")}
+PAGES = [path.relative_to(ROOT) for path in sorted((ROOT / "docs").rglob("*.md"))]
+# Negation by "none", names without a noun ("those of", a clause that begins with "what"), inversions and
+# personification. A heading such as "What is inside" is no clause: its "#" stands before the word.
+DIALECT = re.compile(
+    r"\b(is|are) none\b|\b(that|those) of\b|\bas of\b|\bbesides\b|\b(is|are) told\b|\btells\b"
+    r"|\botherwise than\b|\bis otherwise\b|\bof its own\b|\bby itself\b|\bat which\b"
+    r"|(^|[.;:,|(] ?)what (is|it|follows|has|lies|was|were|an?|the)\b"
+    r"|\bno (\w+ ){1,4}but\b|\blets (\w+ ){1,4}be\b",
+    re.IGNORECASE,
+)
+KEPT: dict[str, dict[str, str]] = {}  # file of the product -> words with a phrase -> why they stay
 
 
 def documented(tree: ast.AST) -> Iterator[tuple[str, str, bool]]:
@@ -52,3 +67,74 @@ def test_a_function_without_a_verb_breaks_the_rule(text: str) -> None:
     assert keeps_the_rule("Returns the unit.", begins_with_verb=True)
     assert keeps_the_rule("The unit.", begins_with_verb=False)
     assert not keeps_the_rule("Of a column.", begins_with_verb=False)
+
+
+def phrases(texts: Iterable[str], kept: Iterable[str] = ()) -> list[str]:
+    """Returns each phrase of the dialect with the words around it, and each of `kept` that no text has.
+
+    kept: words with a phrase of the dialect that stay
+    """
+    texts = list(texts)
+    found = [(text, match) for text in texts for match in DIALECT.finditer(text)]
+    around = [text[max(0, match.start() - 40) : match.end() + 40] for text, match in found]
+    refused = [one for one in around if not any(words in one for words in kept)]
+    return refused + [words for words in kept if not any(words in text for text in texts)]
+
+
+def written(path: Path) -> Iterator[str]:
+    """Yields the paragraphs of the docstrings, messages and comments of a Python file."""
+    source = (ROOT / path).read_text(encoding="utf-8")
+    nodes = ast.walk(ast.parse(source))
+    texts = [x.value for x in nodes if isinstance(x, ast.Constant) and isinstance(x.value, str)]
+    # comments of successive lines are one text: a sentence may go on in the next line
+    texts += re.findall(r"(?:^ *#.*\n)+", source, re.M)
+    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
+    texts += [x.string for x in tokens if x.type == tokenize.COMMENT and x.line.strip() != x.string]
+    for text in texts:
+        for paragraph in re.split(r"\n\s*\n", re.sub(r"^ *# ?", "", text, flags=re.M)):
+            yield " ".join(paragraph.split())
+
+
+@pytest.mark.parametrize("path", FILES, ids=str)
+def test_a_file_of_the_product_has_no_phrase_of_the_dialect(path: Path) -> None:
+    assert not phrases(written(path), KEPT.get(path.as_posix(), {}))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_a_page_has_no_phrase_of_the_dialect(page: Path) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    assert not phrases(re.sub(r"`[^`]*`", "code", block) for block in blocks(text))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "A number that is none.",
+        "Those of a run are kept.",
+        "The error names it; what is left runs.",
+        "| what it is |",
+        "What follows from parameters is calculated.",
+        "The page tells why.",
+        "No value but the last is kept.",
+        "It lets the caller be quick.",
+    ],
+)
+def test_a_phrase_of_the_dialect_is_found(text: str) -> None:
+    assert phrases([text])
+
+
+def test_plain_sentences_and_headings_have_no_phrase_of_the_dialect() -> None:
+    assert not phrases(["## What is inside", "The table shows what is inside.", "No error, but a warning."])
+
+
+def test_words_that_stay_are_no_finding_and_have_to_be_there() -> None:
+    assert not phrases(["It begins as of FMI 2.0.2."], ["as of FMI 2.0.2"])
+    assert phrases(["It begins in FMI 2.0.2."], ["as of FMI 2.0.2"]) == ["as of FMI 2.0.2"]
+
+
+def test_a_sentence_that_goes_on_in_the_next_comment_is_read_as_one(tmp_path: Path) -> None:
+    file = tmp_path / "module.py"
+    file.write_text(
+        '"""A module."""\n\n# the time is that\n# of the run\nx = 1  # it tells\ny = f"{x} is none"\n'
+    )
+    assert [DIALECT.findall(one) != [] for one in written(file)] == [False, True, True, True]

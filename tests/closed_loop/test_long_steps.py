@@ -39,7 +39,7 @@ def warnings_of(chosen: Scenario) -> list[str]:
 def test_the_page_says_what_a_longer_step_costs(scenario_fmus: None) -> None:
     """At 0.04 s with the internal step that it asks for, and at 0.1 s, which the observer does not take."""
     text = PAGE.read_text(encoding="utf-8")
-    assert re.search(r"up to 0.04 s, its `observer_period`, set `internal_step` to it", text)
+    assert re.search(r"up to 0.04 s \(its `observer_period`\), set `internal_step` to the same value", text)
     usual = rmse(stepped(0.02))
     assert rmse(stepped(0.04, internal_step=0.04)) == pytest.approx(usual, rel=0.01)
     assert "at 0.1 s the error stays within 1 %" in text
