@@ -1,4 +1,4 @@
-"""Prints the site's page reference/blocks.md, what a block may contain, from the code."""
+"""Page reference/blocks.md, what a block may contain, from the code."""
 
 import inspect
 from collections.abc import Iterable
@@ -18,7 +18,7 @@ _HEAD = """\
 What a block may contain. Its classes and functions are checked when it is built; a mistake is one sentence
 with file, line, class and variable. [Your own controller](../tutorials/your-own-controller.md) shows a block
 at work. [Build a block](../how-to/blocks.md) has recipes for each part. [Python: blocks](api/blocks.md) has
-every name with its types. `python .ci/blocks_page.py` prints this page from the code.
+every name with its types.
 """
 _FURTHER = [
     "deg", "deg/s", "rev/min", "mm", "km/h", "knot", "h", "l/min", "kN", "Nm", "bar", "kPa", "kWh", "A.h",
@@ -151,7 +151,3 @@ def _units() -> str:
 
 def _powers(meaning: UnitDefinition) -> str:
     return " ".join(f"{base}^{power}" for base, power in meaning.exponents.items()) or "1"
-
-
-if __name__ == "__main__":
-    print(page(), end="")

@@ -1,4 +1,4 @@
-"""Prints the site's page reference/compatibility.md, which importer runs which FMUs, by a table of tests."""
+"""Page reference/compatibility.md, which importer runs which FMUs, by a table of tests."""
 
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,7 +15,7 @@ _HEAD = """\
 
 Every native FMU has co-simulation (CS) and model exchange (ME), of FMI 2.0 or, with `l1-depth build --fmi 3`,
 of FMI 3.0. FMUs of [the python flavour](../how-to/importing/README.md#the-python-flavour) have co-simulation
-of FMI 2.0. `python .ci/compatibility_page.py` prints this page."""
+of FMI 2.0."""
 _WORDS = """\
 - *run*: by the test below, in this project's CI. *scalars*: no arrays.
 - *by hand*: once, as stated below; no test repeats it.
@@ -88,7 +88,3 @@ def _how(tool: Mapping[str, Any], run: Mapping[str, Any]) -> str:
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in (heads, ["---"] * len(heads), *rows))
-
-
-if __name__ == "__main__":
-    print(page(), end="")

@@ -1,4 +1,4 @@
-"""Prints the site's page reference/controllers.md, the depth controllers with their gains, from the code."""
+"""Page reference/controllers.md, the depth controllers with their gains, from the code."""
 
 import re
 from collections import Counter
@@ -17,7 +17,6 @@ The blocks that take the place of `L1DepthController` on the
 They have the same allocation, limit of the voltages and anti-windup, and all but ADRC the same observer.
 So a comparison of them is one of laws. `L1DepthController` has the law of [theory](../explanation/theory.md).
 `L1HeavePitchController` has it for the depth and again for the pitch.
-`python .ci/controllers_page.py` prints this page from the code.
 
 | symbol | meaning |
 |---|---|
@@ -128,7 +127,3 @@ def _parameters(variables: Iterable[BlockVariable]) -> str:
 
 def _list(sentences: Iterable[str]) -> str:
     return "\n".join(f"- {sentence}" for sentence in sentences)
-
-
-if __name__ == "__main__":
-    print(page(), end="")

@@ -1,4 +1,4 @@
-"""Prints the site's page reference/fmi2.md, which rule checks which sentence of FMI 2.0.5, from the code."""
+"""Page reference/fmi2.md, which rule checks which sentence of FMI 2.0.5, from the code."""
 
 import re
 from collections import Counter
@@ -21,7 +21,6 @@ _HEAD = """\
 Sentences of FMI 2.0.5 that bind an FMU, by clause and in our words, with the rules of `l1-depth check`
 that check them ([what the check does](compliance.md)), or the reason why none does.
 The text of the standard is public: repository `modelica/fmi-standard`, tag `v2.0.5`.
-`python .ci/fmi2_page.py` prints this page from the code.
 `python -m tests.mutants` makes FMUs that each break one sentence, where there is such a mutant, and prints
 which rules find it."""
 
@@ -99,7 +98,3 @@ def _anchor(heading: str) -> str:
 def _table(heads: Sequence[str], rows: Iterable[Iterable[str]]) -> str:
     lines = [list(heads), ["---"] * len(heads), *rows]
     return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines)
-
-
-if __name__ == "__main__":
-    print(page(), end="")

@@ -1,10 +1,10 @@
-"""Prints the site's page reference/protocol.md: metrics and cases of a score, keys of score.json."""
+"""Page reference/protocol.md: metrics and cases of a score, keys of score.json."""
 
 import json
 import tomllib
 from typing import Any
 
-from keys_page import SCHEMA, table
+from orchestration.cli.explain import SCHEMA, markdown_table
 
 FOLDER = SCHEMA.parents[1] / "studies" / "score"
 
@@ -13,7 +13,7 @@ _HEAD = """\
 
 Metrics and cases of `orchestration/studies/score/protocol.toml`, version {version}, and the keys of
 `score.json`.
-[Score](score.md) explains them. `python .ci/protocol_page.py` prints this page.
+[Score](score.md) explains them.
 """
 
 
@@ -29,8 +29,8 @@ def page() -> str:
     ]
     parts = [
         _HEAD.format(**protocol),
-        f"## Metrics\n\n{table(('metric', 'title', 'unit', 'meaning'), metrics)}",
-        f"## Cases\n\n{table(('case', 'title', 'marks'), cases)}",
+        f"## Metrics\n\n{markdown_table(('metric', 'title', 'unit', 'meaning'), metrics)}",
+        f"## Cases\n\n{markdown_table(('case', 'title', 'marks'), cases)}",
         f"## score.json\n\n{_keys(schema)}",
     ]
     return "\n\n".join(part.strip() for part in parts) + "\n"
@@ -44,8 +44,4 @@ def _keys(schema: dict[str, Any]) -> str:
             (title, f"`{name}`", " ".join(node.get("description", "").split()))
             for name, node in definition.get("properties", {}).items()
         ]
-    return table(("table", "key", "meaning"), rows)
-
-
-if __name__ == "__main__":
-    print(page(), end="")
+    return markdown_table(("table", "key", "meaning"), rows)

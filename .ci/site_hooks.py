@@ -1,7 +1,6 @@
 """What the site holds beside the pages of docs/: files that the project's programs make during its build."""
 
 import functools
-import json
 import os
 import re
 import sys
@@ -18,47 +17,16 @@ from nbconvert import MarkdownExporter
 
 sys.path.insert(0, str(Path(__file__).parent.parent))  # mkdocs loads this file alone
 sys.path.insert(0, str(Path(__file__).parent))
-import blocks_page
-import comparison_page
-import compatibility_page
-import controllers_page
 import downloads
-import fmi2_page
-import keys_page
-import protocol_page
-import vehicles_page
 
 from fmus.files import write_archive
-from tests.speed import tables as speed
 
 ROOT = Path(__file__).parent.parent
 GALLERY = sorted((ROOT / "docs" / "gallery").glob("*.py"))
-EXPLANATION = ROOT / "docs" / "explanation"
 
-_GALLERY = """Notebooks, each with what it prints and draws. Download one and open it in Jupyter.
-They need the FMUs of the scenarios:
-
-```sh
-l1-depth build --cache
-```
-"""
 _KERNEL = {"name": "python3", "display_name": "Python 3", "language": "python"}
 
 Contents = dict[str, str | bytes]
-RESULTS = {
-    "speed": "performance.json",
-    "study": "explanation/identification.json",
-    "survey": "explanation/survey/results.json",
-}
-CODE_PAGES = (
-    blocks_page,
-    compatibility_page,
-    controllers_page,
-    fmi2_page,
-    keys_page,
-    protocol_page,
-    vehicles_page,
-)
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -69,26 +37,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Put the tables of results that are files in their places: <!-- KIND: NAME -->."""
-    places = rf"<!-- ({'|'.join(RESULTS)}): (.*) -->"
-    return re.sub(places, lambda place: _tables(place[1])[place[2]], markdown)
-
-
-@functools.cache
-def _tables(kind: str) -> dict[str, str]:
-    """Tables by name, from a file of results."""
-    document = json.loads((ROOT / "docs" / RESULTS[kind]).read_text(encoding="utf-8"))
-    if kind == "study":
-        sys.path.insert(0, str(EXPLANATION / "identification"))
-        import tables
-
-        return tables.tables(document)
-    if kind == "speed":
-        return {name: speed.markdown(rows) for name, rows in document.items()}
-    return {
-        name: "".join(f"| {' | '.join(row)} |\n" for row in (head, ["---"] * len(head), *rows))
-        for name, (head, *rows) in document.items()
-    }
+    """Lead the links of the gallery's list to its pages, which show what the scripts print and draw."""
+    return re.sub(r"\]\((\w+)\.py\)", r"](\1.md)", markdown) if page.url.startswith("gallery/") else markdown
 
 
 @functools.cache  # once, when `mkdocs serve` builds again and again
@@ -100,15 +50,8 @@ def _generated() -> Contents:
             **_schemas(),
             **_gallery(working),
             **_results(working),
-            **{f"explanation/{path.name}": path.read_bytes() for path in comparison_page.figures(working)},
-            "explanation/comparison.md": comparison_page.page(),
-            **_commands(working),
             **_live(working),
             **_names(),
-            **{
-                f"reference/{module.__name__.removesuffix('_page')}.md": module.page()
-                for module in CODE_PAGES
-            },
         }
 
 
@@ -138,20 +81,17 @@ def _gallery(working: Path) -> Contents:
     downloads.run("l1-depth", "build", "--cache", folder=working)
     downloads.run("l1-depth", "build", "L1DepthController", "RovDepthPlant", folder=working)
     contents: Contents = {}
-    index = ["# Gallery\n", _GALLERY]
     for script in GALLERY:
         name, notebook = script.stem, executed(script, working)
         contents[f"gallery/{name}.ipynb"] = nbformat.writes(notebook)
         page, resources = MarkdownExporter().from_notebook_node(notebook, {"unique_key": name})
-        heading, text = notebook.cells[0].source.split("\n\n")[:2]
+        heading = notebook.cells[0].source.partition("\n\n")[0]
         title = heading.removeprefix("# ")
         link = f"[The notebook]({name}.ipynb) is `docs/gallery/{name}.py`."
         page = page.replace(f"{heading}\n", f"{heading}\n\n{link}\n", 1)
         contents[f"gallery/{name}.md"] = page.replace("![png]", f"![{title}]")
         contents |= {f"gallery/{picture}": data for picture, data in resources["outputs"].items()}
-        picture = next(iter(resources["outputs"]))
-        index.append(f"## [{title}]({name}.md)\n\n{text}\n\n[![{title}]({picture})]({name}.md)\n")
-    return contents | {"gallery/README.md": "\n".join(index)}
+    return contents
 
 
 def executed(script: Path, folder: Path) -> nbformat.NotebookNode:
@@ -180,24 +120,6 @@ def _live(working: Path) -> Contents:
     """live.html, which the home page embeds."""
     downloads.run("l1-depth", "live", "nominal-extended", folder=working)
     return {"live.html": (working / "live.html").read_bytes()}
-
-
-def _commands(working: Path) -> Contents:
-    """The page of all commands and options, from the program itself."""
-    app = "orchestration.cli.app"
-    lines = downloads.run("python", "-m", "typer", app, "utils", "docs", "--name", "l1-depth", folder=working)
-    return {"reference/commands.md": commands_page("\n".join(lines))}
-
-
-def commands_page(printed: str) -> str:
-    """Returns what Typer prints, with whole sentences in its list and without types of Python."""
-    page = printed.replace("# `l1-depth`", "# Command line", 1)
-    for name, sentence in re.findall(r"^## `l1-depth (\w+)`\n\n(.*)$", page, re.M):
-        page = re.sub(rf"^\* `{name}`: .*$", f"* [`{name}`](#l1-depth-{name}): {sentence}", page, flags=re.M)
-    page = re.sub(r"^(\* `[^-`<]+) <(?:str|path|list\[\w+\])>`", r"\1`", page, flags=re.M)
-    page = re.sub(r" <(?:int|float)(?: range)?>`", " NUMBER`", page).replace(" <str>`", " TEXT`")
-    # the default is that of the machine that makes the page
-    return re.sub(r"(`--workers NUMBER`: .*\[default: )\d+", r"\1one for each core", page)
 
 
 def _names() -> Contents:

@@ -1,4 +1,4 @@
-"""Prints the site's page reference/vehicles.md, the vehicles with equations and parameters, from the code."""
+"""Page reference/vehicles.md, the vehicles with equations and parameters, from the code."""
 
 from controllers_page import lines, section
 
@@ -8,7 +8,7 @@ _HEAD = """\
 # Vehicles
 
 The blocks of the [vehicle interface](vehicle-interface.md), of waves and of the paper's example, with the
-source of each number. `python .ci/vehicles_page.py` prints this page from the code.
+source of each number.
 [Disturbances](../explanation/disturbances.md) has results with them."""
 
 
@@ -25,7 +25,3 @@ def page() -> str:
         section(example_plant.BLOCK, set(), set()),
     )
     return "\n\n".join((_HEAD, *sections)) + "\n"
-
-
-if __name__ == "__main__":
-    print(page(), end="")

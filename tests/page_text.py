@@ -1,6 +1,21 @@
-"""Long sentences and long table cells of Markdown pages."""
+"""Text of Markdown pages: their own words, long sentences and long table cells."""
 
 import re
+from pathlib import Path
+
+WRITTEN = "<!-- Written by .ci/pages.py"  # begins the pages that follow from the code
+_TABLES = re.compile(r"^(<!-- \w+: .* -->\n)\n(?:\|.*\n)+", re.M)  # of results, by the same program
+
+
+def own_pages(folder: Path) -> list[Path]:
+    """Returns the pages below a folder that people write."""
+    pages = sorted(folder.rglob("*.md"))
+    return [page for page in pages if not page.read_text(encoding="utf-8").startswith(WRITTEN)]
+
+
+def own_text(page: Path) -> str:
+    """Returns the text of a page without the tables of results that are written into it."""
+    return _TABLES.sub(r"\1", page.read_text(encoding="utf-8"))
 
 
 def blocks(text: str) -> list[str]:

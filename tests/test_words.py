@@ -11,7 +11,7 @@ import pytest
 
 from orchestration.cli.commands import command_function, command_names
 
-from .page_text import blocks
+from .page_text import blocks, own_pages, own_text
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("fmus", "controller_fmu", "plant_fmu", "orchestration")
@@ -21,7 +21,7 @@ FILES = [path.relative_to(ROOT) for package in PACKAGES for path in sorted((ROOT
 COMMANDS = [command_function(name)[0] for name in command_names()]
 HELP = {(f"{one.__module__.replace('.', '/')}.py", one.__name__) for one in COMMANDS}  # imperatives
 HELP |= {("orchestration/cli/commands.py", "_l1_depth")}
-PAGES = [path.relative_to(ROOT) for path in sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [path.relative_to(ROOT) for path in own_pages(ROOT / "docs")]
 # Negation by "none", names without a noun ("those of", a clause that begins with "what"), inversions and
 # personification. A heading such as "What is inside" is no clause: its "#" stands before the word.
 DIALECT = re.compile(
@@ -102,7 +102,7 @@ def test_a_file_of_the_product_has_no_phrase_of_the_dialect(path: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=str)
 def test_a_page_has_no_phrase_of_the_dialect(page: Path) -> None:
-    text = (ROOT / page).read_text(encoding="utf-8")
+    text = own_text(ROOT / page)
     assert not phrases(re.sub(r"`[^`]*`", "code", block) for block in blocks(text))
 
 

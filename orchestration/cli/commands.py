@@ -26,7 +26,7 @@ OUTPUT_CLOSED = 141  # exit status that shells report for SIGPIPE
 
 _PANELS = {
     "FMUs": ("fmu.new", "fmu.build", "fmu.verify", "fmu.inspect", "cache.cache"),
-    "Scenarios": ("run.scenarios", "run.run", "sweep.sweep"),
+    "Scenarios": ("run.scenarios", "run.run", "sweep.sweep", "explain.explain"),
     "Controllers compared": (),
     "Vehicles": (),
     "The paper": ("run.reproduce",),
