@@ -14,7 +14,7 @@ def main() -> None:
     141 if the reader of the output ended.
     With L1_DEPTH_DEBUG set, an error that is not foreseen comes with its traceback.
     """
-    # each is None where it was closed, as by >&-
+    # each has the value None if it was closed, as by >&-
     sys.stdout, sys.stderr = (x or open(os.devnull, "w") for x in (sys.stdout, sys.stderr))  # noqa: SIM115, PTH123
     try:
         from fmus.fmi.parent_process import run_watched

@@ -1,4 +1,4 @@
-"""Command cache: what is kept for this user between commands."""
+"""Command cache: files that are kept for this user between commands."""
 
 import os
 from typing import Annotated, Literal
@@ -31,7 +31,7 @@ def cache(
         ),
     ] = None,
 ) -> None:
-    """Show or clear what is kept between commands: where it is, and how large.
+    """Show or clear the files that are kept between commands: where they are, and how large.
 
     Cleared entries are made again when they are needed. So the cache can be cleared at any time, also while
     other commands run. Records of builds are cleared only if their kind is named: an FMU without its record

@@ -23,7 +23,7 @@ def _fmu_option(component: str) -> Any:
     return typer.Option(
         metavar="FMU",
         help=f"Put this {component}, an .fmu, a block, its .py file or a class FILE.py:Class, "
-        "in the place of that of the scenario or the protocol.",
+        "in place of the one in the scenario or the protocol.",
     )
 
 
@@ -119,7 +119,7 @@ class Changes:
                 raise ScenarioError(f"{name}: expected {' or '.join(f'{one}.{own}' for one in components)}")
 
     def overrides(self) -> dict[str, Any]:
-        """Returns what is laid over a scenario, besides components and settings."""
+        """Returns the entries that are laid over a scenario, without components and settings."""
         overrides: dict[str, Any] = {}
         if self.mapping:
             overrides["components"] = {name: {"names": dict(own)} for name, own in self.mapping.items()}
@@ -144,7 +144,7 @@ class Changes:
         return ", ".join([scenario, *fmus, *files, *values])
 
     def name(self, scenario: str) -> str:
-        """Returns the name of the results: the scenario's, and that of each FMU that replaces one of it."""
+        """Returns the name of the results: of the scenario, and of each FMU that replaces one of its FMUs."""
         return "-".join([scenario, *map(fmu_name, self.components.values())])
 
 
@@ -152,14 +152,14 @@ NO_CHANGES = Changes()
 
 
 def fmu_name(fmu: str) -> str:
-    """Returns the name that results have of an FMU: that of its file, or of the class of my.py:Policy."""
+    """Returns the name of an FMU in results: its file's, or the class of my.py:Policy."""
     return fmu.rpartition(":")[2] if ".py:" in fmu else Path(fmu).stem
 
 
 OF_LOOP = {
     "plant": "",
     "settings": "Set controller.variable=value; with --plant plant.variable=value.",
-    "mapped": "Take this variable of the controller for NAME; with --plant that of the plant for plant.NAME.",
+    "mapped": "Take this variable of the controller for NAME; with --plant, one of the plant for plant.NAME.",
 }
 """The options of commands that take a controller and a vehicle, for `takes_changes`."""
 

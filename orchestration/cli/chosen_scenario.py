@@ -74,7 +74,7 @@ def build_missing_fmus(scenarios: Iterable[Scenario]) -> None:
 
 @contextmanager
 def opened(name: str, flavour: Flavour, changes: Changes = NO_CHANGES) -> Iterator[Scenario]:
-    """Loads a scenario as `load`, or that of an SSP package, whose FMUs exist only inside the context."""
+    """Loads a scenario as `load`, or from an SSP package, whose FMUs exist only inside the context."""
     if name.endswith(".ssp"):
         if replace(changes, parameter_set="") != NO_CHANGES:
             raise ScenarioError(f"--set and --controller of a package: expected a scenario, got {name}")

@@ -41,7 +41,7 @@ _CORE = {
 
 
 def command_names() -> list[str]:
-    """Returns the names of all commands: those of this package, then the installed ones.
+    """Returns the names of all commands: first of this package, then the installed ones.
 
     The latter are entry points of the group `l1_depth.commands`; their modules may state the `PANEL` of the
     help. None takes the name of a command of this package.
@@ -128,7 +128,7 @@ def run_application(made: Callable[[], typer.Typer], arguments: Sequence[str], n
     except (BrokenPipeError, SystemExit) as error:
         if BrokenPipeError not in (type(error), type(error.__context__)):  # Typer makes SystemExit of it
             raise
-        # what is left to be written would be an error at the end of Python
+        # the rest of the output would be an error at the end of Python
         sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115
         return OUTPUT_CLOSED
     except (OrchestrationError, ExportError, MissingExtraError, OSError) as error:

@@ -175,9 +175,9 @@ def _check_names(orders: Sequence[BuildRequest], current: Current) -> None:
 
 
 def _names(order: BuildRequest) -> list[str]:
-    """Returns the names of the blocks of an order: an installed one has that of its entry point.
+    """Returns the names of the blocks of an order: an installed one is named as its entry point.
 
-    There are none of a file that cannot be imported: to build it raises why.
+    A file that cannot be imported has no names: its build raises the reason.
     """
     if not order.file:
         return [order.source]

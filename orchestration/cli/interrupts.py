@@ -21,7 +21,7 @@ from fmus.fmi.parent_process import end_is_meant, share_temporary_folder
 
 INTERRUPTED = 130  # exit status that shells expect after Ctrl-C
 SAME_S = 1.0  # a signal that soon after the first is the same one, passed on by a shell for instance
-GRACE_S = 3.0  # for what the second signal interrupts to end by itself
+GRACE_S = 3.0  # for the work that the second signal interrupts, to end without being killed
 
 
 @contextlib.contextmanager
@@ -64,7 +64,7 @@ def _writable_cache(folder: str) -> Iterator[None]:
     folder: of the temporary files of the command
     """
     temporary = Path(folder, "cache")
-    # the compiler does not ask for the home of the user's account; Path.expanduser raises where there is none
+    # the compiler does not ask for the home of the user's account; Path.expanduser raises without one
     home = os.environ.setdefault("HOME", os.path.expanduser("~"))  # noqa: PTH111
     own = Path(os.environ.get("XDG_CACHE_HOME") or Path(home, ".cache"))
     existing = next(path for path in (own, *own.parents) if os.access(path, os.F_OK))
@@ -77,7 +77,7 @@ def _writable_cache(folder: str) -> Iterator[None]:
     yield
     if temporary.exists():
         expected = "expected HOME or XDG_CACHE_HOME to be a folder that can be written"
-        print(f"l1-depth: {own} cannot be written: what is built is not kept; {expected}", file=sys.stderr)
+        print(f"l1-depth: {own} cannot be written: built files are not kept; {expected}", file=sys.stderr)
 
 
 class _Interrupt:

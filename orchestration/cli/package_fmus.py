@@ -1,4 +1,4 @@
-"""FMUs that are built for a package: those of signals, and those that start with the values of a scenario."""
+"""FMUs that are built for a package: sources of signals, and FMUs that start with a scenario's values."""
 
 import zipfile
 from collections.abc import Mapping, Sequence

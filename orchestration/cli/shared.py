@@ -91,25 +91,25 @@ def fail(message: str, status: int = 1) -> NoReturn:
 
 
 def print_table(table: "Table", piped_width: int = PIPED_WIDTH) -> None:
-    """Prints a table as wide as the terminal, or as `piped_width` where there is none."""
+    """Prints a table as wide as the terminal, or as `piped_width` without a terminal."""
     console(piped_width).print(table)
 
 
 def console(piped_width: int = PIPED_WIDTH) -> "Console":
-    """Returns the terminal, or as wide a page where there is none."""
+    """Returns the terminal, or a page of that width without a terminal."""
     from rich.console import Console
 
     return Console(width=None if sys.stdout.isatty() else piped_width)
 
 
 LINE_EVERY_S = 30.0
-_FEW = 20  # parts, each of which gets a line of its own
+_FEW = 20  # parts, each of which gets a line
 
 
 class ProgressBar:
     """A bar of how much of a command is done, shown on a terminal after `delay` seconds.
 
-    Where there is none, as in a log, standard error gets a line from time to time (`LINE_EVERY_S`), and one
+    Without a terminal, as in a log, standard error gets a line from time to time (`LINE_EVERY_S`), and one
     for each part with a note where there are few.
     """
 
@@ -168,7 +168,7 @@ def progress(description: str, total: int, delay: float = 0.0, kept: str = "") -
 
     total: of the parts, 0 if nobody knows it
     delay: seconds after which it is shown; what draws it takes as long to import as a short run takes
-    kept: what an interruption keeps, where the same command continues
+    kept: noun for the parts that an interruption keeps, where the same command continues
     """
     with ExitStack() as stack:
         bar = ProgressBar(description, total, delay, stack)

@@ -5,7 +5,7 @@
     envs = FmuVectorEnv(task, num_envs=16)   many in one process
 
 An episode is one run: truncated at the stop time, terminated if an FMU terminates the simulation. Importing
-this module registers `l1-depth/Scenario-v0`, whose arguments are those of `task_of`.
+this module registers `l1-depth/Scenario-v0`, with the arguments of `task_of`.
 """
 
 from typing import Any

@@ -123,7 +123,7 @@ class FmuVectorEnv(_Agent, VectorEnv[Array, Array, Array]):
     where: "auto", in vectors, with the same values, where they can and their FMUs are compiled for that;
     "vectors" compiles them, and raises EnsembleError where they cannot; "processor", one by one; "gpu", on
     the GPU of this machine: observations and rewards are then arrays of CuPy, and actions those or any others
-    with DLPack on that GPU, as of PyTorch and JAX
+    with DLPack on that GPU, such as arrays of PyTorch and JAX
     """
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012

@@ -39,17 +39,17 @@ def shape(experiment: Experiment) -> tuple[object, ...]:
 class Ensemble(LoadedSystem):
     """Many instances of a system of native FMUs that this user built, in groups that step at once.
 
-    Every instance has the bits of its own run by a `Simulator`: the exporter writes the same operations for
-    both, compiled without fused ones. Elementary functions are those of the C library. Steps are as long, and
-    what an event sets acts from the next step. The sign of a NaN alone is left open. Both libraries must use
-    one C library. docs/how-to/ensembles.md has what is refused.
+    Every instance has the bits of a single run by a `Simulator`: the exporter writes the same operations for
+    both, compiled without fused ones. Elementary functions come from the C library. Steps are as long, and
+    values that an event sets act from the next step. The sign of a NaN alone is left open.
+    Both libraries must use one C library. docs/how-to/ensembles.md has what is refused.
 
     The equations are compiled from the sources in the FMUs, once for each FMU, and kept in the user's cache.
     A context manager, which frees the FMUs that the initial values are taken from.
 
     instructions: "x86-64-v4", "x86-64-v3" or "portable", by default the best that this processor has
     device: what runs the instances in place of this processor, as `device_of("gpu")` of
-    `orchestration.many.places`: elementary functions are then those of the device
+    `orchestration.many.places`: elementary functions then come from the device
 
     Raises EnsembleError for any other FMU, or without a compiler.
     """
@@ -96,9 +96,9 @@ class Ensemble(LoadedSystem):
             return run.recording()
 
     def start(self, experiments: Sequence[Experiment], external: Sequence[str]) -> SteppedEnsemble:
-        """Starts an instance for each experiment, as of `run`; the caller steps them.
+        """Starts one instance per experiment of `run`; the caller steps them.
 
-        external: inputs that the caller sets between the steps, as of `Simulator.start`
+        external: inputs that the caller sets between the steps, as in `Simulator.start`
         Raises what `run` raises; OrchestrationError if an instance cannot begin.
         """
         with self._begin_run():

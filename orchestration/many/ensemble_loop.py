@@ -61,7 +61,7 @@ class EnsembleLoop:
     def words(prepared: PreparedRun, libraries: Mapping[str, Any], count: int, varied: int) -> int:
         """Returns how many words of eight bytes so many instances take, with the recording made of them.
 
-        varied: signals that each has of its own
+        varied: signals that differ between the instances
         """
         groups, (points, columns) = -(-count // LANES), prepared.shape
         memory = sum(library.words for library in libraries.values())
@@ -173,7 +173,7 @@ class EnsembleLoop:
     def signals(self, count: int) -> Array:
         """Returns the first values that were recorded, shape (columns, instances, count).
 
-        A signal of a run is contiguous, so that a sum along time rounds as that of the run alone.
+        A signal of a run is contiguous, so that a sum along time rounds as in the run alone.
         """
         of_signals = self.rows[:, :, :count].transpose(1, 0, 3, 2).copy()
         return of_signals.reshape(len(of_signals), self.failure.size, count)[:, : self._count]

@@ -82,7 +82,7 @@ class Job:
     """The data that all runs of one system share, wherever they are made.
 
     fmus: file name -> content, where the system's components are such file names
-    base: an experiment like those of the runs, which are sent as their differences from it
+    base: an experiment like the runs' own, which are sent as their differences from it
     timeout: longest time [s] of a run, None for ever
     not_in_vectors: why the runs cannot step together in vectors, empty if nothing is known against it
     """

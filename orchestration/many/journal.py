@@ -16,7 +16,7 @@ class Journal:
 
     The first line is what is run, as plain data; then each row is a line of JSON. A line that was cut off is
     as if its run had not been made. The rows may not fit into memory: they are read one by one.
-    what: the work in a message, as "sweep"; error: what is raised, with what to do
+    what: the work in a message, as "sweep"; error: its exception is raised, with a remedy
     identity: key and value of `about` -> what is compared of them
     """
 

@@ -1,6 +1,6 @@
 """A native FMU whose instances step in groups: its equations for vectors, and the memory of the groups.
 
-The equations are a file of the FMU, which its exporter writes beside those of its own library.
+The equations are a file of the FMU, which its exporter writes beside the files of its library.
 """
 
 import ctypes
@@ -54,7 +54,7 @@ class LaneLibrary:
     def memory(self, groups: int, values: np.ndarray) -> np.ndarray:
         """Returns memory of so many groups, shape (groups, words).
 
-        values: of the variables by value reference, those of every instance
+        values: of the variables by value reference, for every instance
         """
         memory = aligned(groups, self.words)
         memory[:] = 0.0

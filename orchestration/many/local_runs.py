@@ -16,7 +16,7 @@ from orchestration.many.job import Batches, ClosedError, Finished, Job, Run
 from orchestration.many.lane_library import LANES
 from orchestration.many.runners import Isolated, Runner, Simulated, Vectorised, vector_limits
 
-_Batch = tuple[list[Finished], Sequence[Run], float]  # what is done, what is left, and seconds
+_Batch = tuple[list[Finished], Sequence[Run], float]  # finished runs, runs that are left, and seconds
 
 
 class LocalRuns(AbstractContextManager["LocalRuns"]):

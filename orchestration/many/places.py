@@ -1,4 +1,4 @@
-"""Places where many runs are made, by name: those of this machine, and installed ones."""
+"""Places where many runs are made, by name: on this machine, and installed ones."""
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager

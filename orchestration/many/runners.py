@@ -108,9 +108,9 @@ def vector_limits(
 
 
 class Vectorised(AbstractContextManager["Vectorised"]):
-    """Makes runs at once as instances of an ensemble; their results are those of `Simulated`.
+    """Makes runs at once as instances of an ensemble, with the results of `Simulated`.
 
-    Those of one shape in a row step together: they differ in values of the same parameters, inputs and
+    Successive runs of one shape step together: they differ in values of the same parameters, inputs and
     signals. A run that fails is made alone, by a simulator that may try shorter steps; so is one that has no
     result of its `reduce`, for its reason.
     is_asked_for: whether experiments that an ensemble cannot run raise EnsembleError; otherwise they are
@@ -155,7 +155,7 @@ class Vectorised(AbstractContextManager["Vectorised"]):
 
 
 def _reduced(recording: Recording, runs: Sequence[Run]) -> list[Any]:
-    """Returns the result of each run of a recording, None where there is none."""
+    """Returns the result of each run of a recording, None where it has no result."""
     results, first = list[Any](), 0
     for reduce, group in groupby(runs, key=lambda run: run.reduce):
         count = len([*group])

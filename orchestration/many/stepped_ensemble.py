@@ -31,13 +31,13 @@ class EnsembleRecording(Recording):
         return [instance for instance in range(len(self.counts)) if instance not in self.failures]
 
     def recordings(self) -> Recording:
-        """Returns those of `complete`."""
+        """Returns the recordings of the `complete` instances."""
         of_signals = self.values.transpose(2, 0, 1)  # as they lie in memory
         values = of_signals[:, self.complete].transpose(1, 2, 0) if self.failures else self.values
         return Recording(self.names, self.units, self.time, values, self.provenance, self.strings)
 
     def run(self, index: int) -> Recording:
-        """Returns that of one instance, until its end."""
+        """Returns the recording of one instance, until its end."""
         count = self.counts[index]
         time, values = self.time[:count], on_host(self.values[index, :count])
         return Recording(self.names, self.units, time, values, self.provenance, self.strings)
@@ -48,8 +48,8 @@ class SteppedEnsemble:
 
     point: index of the communication point; failures: instance -> why it ended early
 
-    The form is that of `Run`, with an array for the instances in place of a number. The recording is
-    that of as many stepped runs, to the last bit; but a step that an FMU refuses is an error,
+    It has the form of `Run`, with an array for the instances in place of a number. The recording equals
+    the recordings of as many stepped runs, to the last bit; but a step that an FMU refuses is an error,
     where a Simulator tries shorter ones.
     """
 
@@ -137,7 +137,7 @@ class SteppedEnsemble:
         return write
 
     def recording(self) -> EnsembleRecording:
-        """Returns the values recorded until now, those of the present communication point included."""
+        """Returns the values recorded until now, including the present communication point."""
         self._loop.exchange(self.point)
         return self._recording()
 

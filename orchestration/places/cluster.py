@@ -137,7 +137,7 @@ class ClusterRuns:
 class _Dispatch:
     """The runs that the cluster makes.
 
-    The runs of a batch whose workers ended are made again, each in a task of its own; then alone; one whose
+    The runs of a batch whose workers ended are made again, each in a separate task; then alone; one whose
     workers end again is a failure.
     """
 
@@ -163,7 +163,7 @@ class _Dispatch:
             self.client.cancel(list(self.running))
 
     def _fill(self) -> bool:
-        """Gives every thread work; False if there is none and nothing runs."""
+        """Gives every thread work; False if no work is left and nothing runs."""
         threads = self._threads()
         while len(self.running) < _AHEAD * threads and (batch := self._next(threads)):
             self._submit(batch)
@@ -186,7 +186,7 @@ class _Dispatch:
             self.last_time_with_workers = time.monotonic()
         elif time.monotonic() - self.last_time_with_workers > WITHOUT_WORKERS_S:
             raise SweepError(
-                f"the cluster has had no workers for {WITHOUT_WORKERS_S:g} s; what is done is kept"
+                f"the cluster has had no workers for {WITHOUT_WORKERS_S:g} s; finished samples are kept"
             )
         return max(sum(threads_by_worker.values()), 1)
 
@@ -198,7 +198,7 @@ class _Dispatch:
         elif future.status == "lost":  # its worker ended when it was done, before its results were fetched
             self.again.append(batch)
         elif future.status != "error":
-            raise SweepError("the Dask scheduler was lost; what is done is kept")
+            raise SweepError("the Dask scheduler was lost; finished samples are kept")
         elif not isinstance(future.exception(), KilledWorker):
             raise SweepError(f"a worker cannot run samples: {future.exception()}")
         elif batch is self.alone:

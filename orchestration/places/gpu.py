@@ -1,7 +1,7 @@
 """Ensembles on a GPU: each thread runs a whole system, with the C layer and the equations of its FMUs.
 
-The sources in the FMUs are compiled as C++, those of each component in a namespace of its own. What a device
-is stands in `CompiledDevice`, so that the same program runs on a processor in tests.
+The sources in the FMUs are compiled as C++, with one namespace for each component. `CompiledDevice`
+holds the parts that depend on the device, so that the same program runs on a processor in tests.
 """
 
 import os
@@ -60,7 +60,7 @@ class CompiledDevice(ABC):
 
 
 class Gpu(CompiledDevice):
-    """The GPU of this machine. EnsembleError if there is none, MissingExtraError without CuPy."""
+    """The GPU of this machine. EnsembleError without a GPU, MissingExtraError without CuPy."""
 
     name = "the GPU"
 
@@ -129,7 +129,7 @@ class DeviceComponent(NamedTuple):
 
 
 class DeviceProgram:
-    """The program of a system, compiled for a device; its functions are those of `loop_library`."""
+    """The program of a system, compiled for a device, with the functions of `loop_library`."""
 
     def __init__(self, device: CompiledDevice, components: Mapping[str, Path]) -> None:
         self.device = device
@@ -228,7 +228,7 @@ CompiledDevice.loop = DeviceLoop
 
 
 def program(fmus: Sequence[Path]) -> str:
-    """Returns the program of a system of these FMUs, in C++ without other headers than those of C."""
+    """Returns the program of a system of these FMUs, in C++ without other headers than C's."""
     spaces = [f"namespace c{i} {{\n{_component(path)}" for i, path in enumerate(fmus)]
     components = " ".join(f"X({i})" for i in range(len(fmus)))
     return "\n".join(
@@ -247,7 +247,7 @@ def _component(fmu: Path) -> str:
 
 
 def _included(files: Mapping[str, str], name: str, known: set[str]) -> Iterator[str]:
-    """Yields the lines of a file, those of others in place of their includes; each file once."""
+    """Yields the lines of a file, with included files in place of their includes; each file once."""
     known.add(name)
     for line in files[name].splitlines():
         match = re.match(r'#include [<"](.+)[>"]', line)

@@ -146,7 +146,7 @@ def choice(values: list[Any], weights: list[float] | None = None) -> Distributio
 
 
 UNBOUNDED = ("normal", "lognormal")
-FROM_THE_FMU = "seed"  # its range is that of the variable
+FROM_THE_FMU = "seed"  # the range of the variable is its range
 FUNCTIONS: dict[str, Callable[..., Distribution]] = {
     function.__name__: function
     for function in (normal, lognormal, uniform, loguniform, triangular, integers, seed, choice)

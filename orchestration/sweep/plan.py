@@ -30,7 +30,7 @@ from orchestration.sweep.varied import (
 from orchestration.system.prepared_run import prepare
 from orchestration.system.system import CheckedSystem
 
-_COLUMNS = ("sample", "warned", "error")  # of the table, besides those of metrics and of what is varied
+_COLUMNS = ("sample", "warned", "error")  # of the table, beside columns of metrics and varied values
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Plan:
         return np.random.default_rng(sequence).random(count).tolist()
 
     def of_sample(self, sample: int) -> Scenario:
-        """Returns one sample as a scenario of its own, with nothing left to draw."""
+        """Returns one sample as a scenario, with nothing left to draw."""
         values, experiment = self.values(sample), self.scenario.experiment
         resolved = {key: value for key, value in self.scenario.resolved.items() if key != "sweep"}
         for table, entries in tables_of_values(values, experiment).items():

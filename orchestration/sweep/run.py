@@ -103,7 +103,7 @@ def sweep(
     recorded: signals to record of each sample; empty for all, None for no recordings
     restart: discard what an earlier sweep of that name has left, as soon as the first samples are done: what
         cannot be run at all, in this place, discards nothing
-    progress: called with how many more samples are done, at first with those of an earlier start
+    progress: called with how many more samples are done, at first with the samples of an earlier start
     Raises SweepError if the folder holds another sweep, if another process runs the same one, or if
     samples cannot be run at all. A sample that fails is a row, and raises nothing.
     """
@@ -154,7 +154,7 @@ def samples_of(
 
 
 def recorded_signals(text: str, plan: Plan) -> tuple[str, ...] | None:
-    """Returns `recorded` of `sweep_rows` for signals separated by commas; "" is none, "all" is all."""
+    """Returns `recorded` of `sweep_rows` for signals separated by commas; "" is no signal, "all" all."""
     if text in ("", "all"):
         return None if not text else ()
     names = tuple(dict.fromkeys(name.strip() for name in text.split(",")))
@@ -203,7 +203,7 @@ def _as_parquet(run: Recording, names: tuple[str, ...]) -> bytes:
 class Store:
     """The files of one sweep, for one process at a time: the context holds their lock until it ends.
 
-    columns: as of `table.schema`; SweepError if the files are those of another sweep
+    columns: of `table.schema`; SweepError if the files belong to another sweep
     """
 
     def __init__(self, folder: Path, columns: table.pa.Schema) -> None:

@@ -1,12 +1,12 @@
 """The result of a sweep as one tidy table: a row a sample.
 
-columns: `sample` (its number), what was varied (named "component.variable"), the metrics, `warned` (null, or
+columns: `sample` (its number), varied values (named "component.variable"), the metrics, `warned` (null, or
          the components whose FMUs returned warnings), `error` (null, or why the sample failed: its metrics
          are then null). A metric that is not a number did not happen
-column metadata: `role` is sample, varied, metric, warned or error; `unit` is "" where there is none
+column metadata: `role` is sample, varied, metric, warned or error; `unit` is "" for a column without one
 table metadata: `l1_depth.kind` is sweep; `l1_depth.provenance` is JSON with the resolved scenario, the
-         arguments of the command, the FMUs with their GUIDs, the seed, the number of samples, what was varied
-         and what was recorded
+         arguments of the command, the FMUs with their GUIDs, the seed, the number of samples, the varied
+         values and the recorded signals
 """
 
 import hashlib
@@ -132,7 +132,7 @@ def names(columns: pa.Schema, role: str) -> list[str]:
 
 
 def unit(columns: pa.Schema, name: str) -> str:
-    """Returns the unit of a column, "" where there is none."""
+    """Returns the unit of a column, or "" if it has none."""
     return columns.field(name).metadata[b"unit"].decode()
 
 
@@ -152,7 +152,7 @@ def statistics(values: np.ndarray) -> dict[str, float]:
 
 
 def groups(varied: Mapping[str, Sequence[Any]], samples: Iterable[int]) -> dict[tuple[str, ...], np.ndarray]:
-    """Returns the values of what is varied and no number -> those of the samples that have them.
+    """Returns the combinations of varied values that are not numbers -> the samples that have each.
 
     varied: name -> a value a sample. All samples are under () if only numbers are varied.
     """

@@ -1,4 +1,4 @@
-"""The table `[sweep]` of a scenario file: what a sweep may vary, and by which distributions or grids."""
+"""The table `[sweep]` of a scenario file: the values that a sweep varies, their distributions or grids."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -28,7 +28,7 @@ _PURPOSE = "sweep"
 class SweepTarget:
     """A target of a sweep: a name that it may vary.
 
-    table: of a scenario file, which gives it; type: that of FMI 2.0, an enumeration's items are texts
+    table: of a scenario file, which gives it; type: in FMI 2.0; an enumeration's items are texts
     permitted: its range; base_value: without a sweep; port: None for a setting of the experiment
     """
 
@@ -127,7 +127,7 @@ class ValuesTable(Table):
     relative: bool = False
     """The values are factors of the variable's own value."""
     unit: str = ""
-    """Unit of the values; by default that of the variable."""
+    """Unit of the values; by default the unit of the variable."""
 
 
 class LinspaceTable(Table):
@@ -138,7 +138,7 @@ class LinspaceTable(Table):
     relative: bool = False
     """The values are factors of the variable's own value."""
     unit: str = ""
-    """Unit of the values; by default that of the variable."""
+    """Unit of the values; by default the unit of the variable."""
 
 
 VARIED = OneOf(
@@ -168,7 +168,7 @@ class SweepTable(Table):
     timeout: Annotated[float, Field(gt=0.0)] = _OPTIONAL
     """Seconds that a sample may take; without end by default."""
     vary: Annotated[dict[str, Annotated[Table | Literal[False], VARIED]], Field(min_length=1)]
-    """ "component.variable", "experiment.step_size" -> distribution or grid; false drops that of the base."""
+    """ "component.variable", "experiment.step_size" -> distribution or grid; false drops that entry."""
 
 
 _SWEEP = TypeAdapter(SweepTable)

@@ -94,7 +94,7 @@ def test_what_is_built_and_run_needs_no_home_that_can_be_written(
     # a busy machine announces the wait for the compiler, and progress, besides
     said = [line for line in done.stderr.splitlines() if line.startswith(f"l1-depth: {tmp_path}/home/")]
     assert len(said) == 1, done.stderr
-    assert ".cache cannot be written: what is built is not kept" in said[0]
+    assert ".cache cannot be written: built files are not kept" in said[0]
 
 
 @pytest.mark.usefixtures("_no_caches")

@@ -286,7 +286,7 @@ def test_a_cluster_whose_workers_are_gone_is_told(
     made = planned('[sweep]\ntimeout = 60\n[sweep.vary."r.misdeed"]\nvalues = ["hang"]\n')
     with local_cluster(1) as started:
         threading.Timer(1.0, started[0].cluster.scale, (0,)).start()  # type: ignore[union-attr]
-        with pytest.raises(SweepError, match="no workers for 1 s; what is done is kept"):
+        with pytest.raises(SweepError, match="no workers for 1 s; finished samples are kept"):
             swept(made, started, tmp_path)
 
 
