@@ -1,7 +1,7 @@
 """The model description of an FMI 3.0 FMU for co-simulation in the objects of FMI 2.0 (FMI 3.0.2, 2.4).
 
-Arrays become scalars, row by row: `m[1,2]` is an element of `m`. Their value references are their numbers in
-`ModelDescription.elements`. Variables of types that FMI 2.0 has no kind of are left out.
+Arrays become scalars, row by row: `m[1,2]` is an element of `m`. The value reference of a scalar is its index
+in `ModelDescription.elements`. Variables of types without an equivalent in FMI 2.0 are left out.
 """
 
 import math
@@ -53,7 +53,7 @@ _MOST_SCALARS = 1_000_000
 
 
 def fmi3_description(root: Xml) -> ModelDescription:
-    """Returns the content of a modelDescription.xml; ValueError says what of it cannot be read."""
+    """Returns the content of a modelDescription.xml; ValueError names the part that cannot be read."""
     interface = root.find("CoSimulation")
     is_model_exchange = interface is None
     interface = root.find("ModelExchange") if is_model_exchange else interface
@@ -99,7 +99,7 @@ def fmi3_description(root: Xml) -> ModelDescription:
 
 
 def _left_out(xml: Xml) -> str:
-    """Returns the type of a variable that has no kind in FMI 2.0, "" for any other."""
+    """Returns the type of a variable without an equivalent in FMI 2.0, "" for any other."""
     # 2.2.8: a clocked variable has a value only while its Clock is active, in event mode
     return f"{xml.tag} of a Clock" if xml.get("clocks") else xml.tag if xml.tag in _LEFT_OUT else ""
 
@@ -114,7 +114,7 @@ def _index(xml: Xml) -> int:
 
 
 def _co_simulation(element: Xml, is_model_exchange: bool) -> CoSimulation:
-    """Returns the interface, one for model exchange as a solver makes it: it takes any step."""
+    """Returns the interface for co-simulation; with a solver, an FMU for model exchange takes any step."""
     capabilities = {
         f.name: element.get(_CAPABILITIES.get(f.name, f.name)) in ("true", "1")
         for f in fields(CoSimulation)[1:]
@@ -145,7 +145,7 @@ def _kind(name: str) -> str:
 
 
 def _shape(xml: Xml, sizes: Mapping[str | None, str | None]) -> list[int]:
-    """Returns the dimensions; those that follow from structural parameters follow from their start values."""
+    """Returns the dimensions, with structural parameters at their start values."""
     texts = (d.get("start") or sizes.get(d.get("valueReference")) for d in xml.findall("Dimension"))
     shape = [int(text or 0) for text in texts]
     if not all(size > 0 for size in shape):
@@ -204,7 +204,7 @@ def _element_name(name: str, index: tuple[int, ...]) -> str:
 
 
 def _limit(xml: Xml, declared: SimpleType | None, side: int) -> str | None:
-    """Returns what is stated as the least (0) or the largest value (1), as far as the type can hold it."""
+    """Returns the stated least (0) or largest value (1), or the limit of the type if it is narrower."""
     name, choose = ("min", max) if side == 0 else ("max", min)
     stated = xml.get(name, declared and getattr(declared, name))
     of_type = _RANGES.get(xml.tag)

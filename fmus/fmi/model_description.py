@@ -1,7 +1,7 @@
 """The model description of an FMI 2.0 FMU as objects, with the names of the standard (FMI 2.0.5, 2.2).
 
-What running an FMU needs is read; `l1-depth check` judges the rest. FMPy reads the same, and takes longer to
-import than a run takes.
+It holds the parts that running an FMU needs; `l1-depth check` judges the rest. FMPy reads the same, and takes
+longer to import than a run takes.
 """
 # ruff: noqa: N815  (names of the standard)
 
@@ -13,8 +13,9 @@ from xml.etree.ElementTree import Element as Xml
 from fmus.fmi.variable_types import INTEGER_RANGE, TRANSFER_TYPE, TYPES
 from fmus.units import BASES, UnitDefinition
 
-_REFERENCES = 2**32  # numbers that fmi2ValueReference has
-# variability -> causality -> what `initial` is where it is not stated (2.2.7)
+# the number of values of fmi2ValueReference
+_REFERENCES = 2**32
+# variability -> causality -> default of `initial` (2.2.7)
 _OF_PARAMETERS = {"parameter": "exact", "calculatedParameter": "calculated", "local": "calculated"}
 _OF_SIGNALS = {"input": "exact", "output": "calculated", "local": "calculated", "independent": None}
 INITIAL = {
@@ -48,9 +49,9 @@ class SimpleType:
 
 @dataclass(eq=False)
 class ScalarVariable:
-    """A variable; numbers as they are written, None where they are not.
+    """A variable; numbers as text, None if they are not stated.
 
-    units: unit definitions of its FMU, as they are for this variable
+    units: unit definitions of its FMU, for this variable
     is_relative: whether it is a difference, for which the offset of a unit is ignored (`relativeQuantity`)
     is_float32: whether FMI 3.0 transfers it in single precision
     """
@@ -75,7 +76,7 @@ class ScalarVariable:
 
 @dataclass(eq=False)
 class Unknown:
-    """Unknown of the model structure; dependencies: None where they are not stated, and may be all."""
+    """Unknown of the model structure; dependencies: None if they are not stated, so that it may have all."""
 
     variable: ScalarVariable
     dependencies: list[ScalarVariable] | None
@@ -113,8 +114,9 @@ class DefaultExperiment:
 class Element(NamedTuple):
     """A scalar variable of FMI 3.0, or a scalar of an array.
 
-    type: index in `fmi3_description.TYPES`; reference: value reference of the array
-    first, size: number of the array's first scalar, and how many it has
+    type: index in `fmi3_description.TYPES`
+    reference: value reference of the array
+    first, size: index of the array's first scalar, and the number of its scalars
     """
 
     type: int
@@ -127,7 +129,7 @@ class Element(NamedTuple):
 class ModelDescription:
     """The description of an FMU.
 
-    coSimulation: of an FMU for model exchange alone what a solver makes of its capabilities
+    coSimulation: capabilities; of an FMU for model exchange alone, those with a solver
     is_model_exchange: whether it is for model exchange alone
     elements: of FMI 3.0, the scalar of each value reference
     left_out: of FMI 3.0, name -> type of the variables that are not among `modelVariables`
@@ -154,7 +156,7 @@ class ModelDescription:
 
 
 def model_description(root: Xml) -> ModelDescription:
-    """Returns the content of a modelDescription.xml; ValueError says what of it cannot be read."""
+    """Returns the content of a modelDescription.xml; ValueError names the part that cannot be read."""
     types = {
         definition.name: definition for definition in map(_simple_type, root.findall("TypeDefinitions/*"))
     }
@@ -201,7 +203,7 @@ def _co_simulation(element: Xml) -> CoSimulation:
 
 
 def _model_exchange(root: Xml) -> CoSimulation:
-    """Returns the interface for model exchange as if it were for co-simulation: a solver takes any step."""
+    """Returns the interface for model exchange with a solver, as one for co-simulation with any step."""
     interface = root.find("ModelExchange")
     if interface is None:
         raise ValueError("neither CoSimulation nor ModelExchange: expected one of them at least")
