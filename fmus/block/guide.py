@@ -24,7 +24,7 @@ class Experiment:
     Parameters
     ----------
     stop_time, step_size : float, optional
-        In s; by default those of the block.
+        In s; by default the numbers of the block.
     stimuli : tuple of (input, ((time [s], value), ...))
         Inputs that move: straight lines between the points, held before the first and after the last. The
         points lie on communication points. Every other input keeps its start value.

@@ -96,8 +96,7 @@ def _check_plurals(name: str) -> None:
 def _registry() -> Any:
     exact: Any = Decimal
     registry = require("pint", "units", "a unit").UnitRegistry(
-        non_int_type=exact,
-        preprocessors=[lambda name: _EXPONENT.sub(r"**(\1)", name).replace(".", "*")],
+        non_int_type=exact, preprocessors=[lambda name: _EXPONENT.sub(r"**(\1)", name).replace(".", "*")]
     )
     for definition in _DEFINITIONS:
         registry.define(definition)

@@ -6,7 +6,7 @@ in `ModelDescription.elements`. Variables of types without an equivalent in FMI 
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import fields, replace
+from dataclasses import fields
 from itertools import product
 from xml.etree.ElementTree import Element as Xml
 
@@ -18,16 +18,18 @@ from fmus.fmi.model_description import (
     ScalarVariable,
     SimpleType,
     Unknown,
-    default_experiment,
+    attributes_of,
+    declared_type,
+    interface_of,
     is_relative,
     items,
     required,
-    unit,
     value_reference,
+    with_solver,
 )
 from fmus.fmi.variable_types import INTEGER_RANGE
 
-_LOW, _HIGH = INTEGER_RANGE
+_, _HIGH = INTEGER_RANGE
 # types by the functions that transfer them, in the order of fmi3_calls.c: the least and the largest value
 _RANGES = {
     "Float64": None,
@@ -54,11 +56,7 @@ _MOST_SCALARS = 1_000_000
 
 def fmi3_description(root: Xml) -> ModelDescription:
     """Returns the content of a modelDescription.xml; ValueError names the part that cannot be read."""
-    interface = root.find("CoSimulation")
-    is_model_exchange = interface is None
-    interface = root.find("ModelExchange") if is_model_exchange else interface
-    if interface is None:
-        raise ValueError("neither CoSimulation nor ModelExchange: expected one of them at least")
+    interface, is_model_exchange = interface_of(root)
     types = {declared.name: declared for declared in map(_simple_type, root.findall("TypeDefinitions/*"))}
     elements: list[Element] = []
     variables: list[ScalarVariable] = []
@@ -79,14 +77,9 @@ def fmi3_description(root: Xml) -> ModelDescription:
             variables += _scalars(xml, shape, first, types)
             by_reference[reference] = variables[first:]
     return ModelDescription(
-        fmiVersion=required(root, "fmiVersion"),
-        modelName=root.get("modelName", ""),
+        **attributes_of(root),
         guid=root.get("instantiationToken", ""),
-        description=root.get("description"),
-        generationTool=root.get("generationTool"),
         coSimulation=_co_simulation(interface, is_model_exchange),
-        defaultExperiment=default_experiment(root),
-        unitDefinitions=[unit(element) for element in root.findall("UnitDefinitions/Unit")],
         modelVariables=variables,
         outputs=[*_unknowns(root, "Output", by_reference)],
         initialUnknowns=[*_unknowns(root, "InitialUnknown", by_reference)],
@@ -124,7 +117,7 @@ def _co_simulation(element: Xml, is_model_exchange: bool) -> CoSimulation:
         ("canInterpolateInputs", "canRunAsynchronuously", "providesDirectionalDerivative"), False
     )
     found = CoSimulation(required(element, "modelIdentifier"), **capabilities | absent)
-    return replace(found, canHandleVariableCommunicationStepSize=True) if is_model_exchange else found
+    return with_solver(found) if is_model_exchange else found
 
 
 def _simple_type(element: Xml) -> SimpleType:
@@ -157,10 +150,7 @@ def _scalars(
     xml: Xml, shape: list[int], first: int, types: Mapping[str, SimpleType]
 ) -> Iterator[ScalarVariable]:
     name, count = required(xml, "name"), math.prod(shape)
-    declared = xml.get("declaredType")
-    if declared is not None and declared not in types:
-        raise ValueError(f"variable {name}: declaredType {declared!r} is not defined")
-    of_type = types[declared] if declared is not None else None
+    of_type = declared_type(xml, name, types)
     causality = xml.get("causality", "local")
     is_parameter = causality in ("parameter", "calculatedParameter", "structuralParameter")
     default = "fixed" if is_parameter else "continuous" if xml.tag.startswith("Float") else "discrete"

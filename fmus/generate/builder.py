@@ -315,7 +315,7 @@ def _built_if_stale(order: BuildRequest) -> Path:
 
 
 def build_missing(paths: Iterable[Path]) -> None:
-    """Builds the missing and stale FMUs among the paths at which scenarios find FMUs of blocks."""
+    """Builds missing and stale FMUs of blocks; paths: of FMUs that a scenario needs."""
     for name, flavour in block_fmus(paths):
         try:
             build_if_stale(name, flavour=flavour)

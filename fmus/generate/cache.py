@@ -1,6 +1,6 @@
 """Stamps of built FMUs, by which an unchanged FMU is recognised without tracing its block again.
 
-A stamp names FMUs by their content and lists the files that decide it: those of the block and of its imports.
+A stamp names FMUs by their content and lists the files that decide it: files of the block and of its imports.
 The files of this package, the libraries that build, and the options are in the key of the stamp in the store.
 A block that may depend on anything else, such as a file that it reads when it is imported, gets no stamp: it
 is traced each time.

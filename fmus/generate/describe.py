@@ -330,16 +330,7 @@ def arrays(variables: Iterable[BlockVariable]) -> Iterator[tuple[str, list[int],
 
 def _common(v: BlockVariable) -> tuple[Any, ...]:
     """Returns what the scalars of an array have in common."""
-    return (
-        v.type,
-        v.variability,
-        v.unit,
-        v.display_unit,
-        v.minimum,
-        v.maximum,
-        v.nominal,
-        v.enumeration,
-    )
+    return (v.type, v.variability, v.unit, v.display_unit, v.minimum, v.maximum, v.nominal, v.enumeration)
 
 
 def extents(traced: Traced) -> list[int]:

@@ -197,7 +197,7 @@ def _package(module: str) -> str:
 
 def _reason(error: Exception) -> str:
     """Returns the user's file, line and expression that led to an error, and the code to write instead."""
-    # NumPy raises an error of its own, with the refusal as its cause.
+    # NumPy raises another error, with the refusal as its cause.
     cause = error.__cause__ if isinstance(error.__cause__, _RefusedError) else error
     own = own_line(error)
     if not own:

@@ -103,7 +103,7 @@ def operations_of(function: casadi.Function) -> list[Operation]:
             operation = Operation("CONST", text=_constant(function.instruction_constant(i)))
         else:
             used = tuple(held[number] for number in function.instruction_input(i))
-            # of 0 and -0, CasADi's functions give the first, those of elementary.h the second
+            # of 0 and -0, CasADi's functions give the first, the functions of elementary.h the second
             if code in (casadi.OP_FMIN, casadi.OP_FMAX):
                 used = used[::-1]
             choice = _choice(operations, used) if code == casadi.OP_ADD else None

@@ -49,10 +49,7 @@ def python_modules(block: Block) -> dict[str, str]:
     """
     module, attribute = defined_as(block)
     package = package_of(block.name)
-    imports = (
-        f"from {package}.{module} import {attribute}",
-        f"from {package}.{_SLAVE} import BlockSlave",
-    )
+    imports = (f"from {package}.{module} import {attribute}", f"from {package}.{_SLAVE} import BlockSlave")
     entry = entry_point(block.name, "BlockSlave", imports, f"block = {attribute}")
     texts = in_package(source_closure(module), package) | entry
     if module.partition(".")[0] not in _OURS:

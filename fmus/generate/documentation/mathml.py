@@ -1,6 +1,6 @@
 """Equations of a guide, lines of ASCII, as an HTML table of text and MathML.
 
-Columns of a line are two spaces or more apart; the first " = " begins a column of its own. In a column,
+Columns of a line are two spaces or more apart; the first " = " begins another column. In a column,
 `theta_hat_i`, `x'`, `A^T`, `|x|_inf`, `a / b` and Greek names become mathematics, words stay text.
 """
 
@@ -88,7 +88,7 @@ def _is_symbol(tokens: list[_Token], i: int) -> bool:
     after = tokens[i + 1] if i + 1 < len(tokens) else _Token("", "", tight=False)
     after_word = i > 0 and tokens[i - 1].kind == "word"
     if base in _LETTERS or base == "a":
-        # "augmentation pi", "over a line": after a word it is one more
+        # "augmentation pi", "over a line": after a word, it is a word, too
         return bool(subscripts) or not after_word
     is_called = after.tight and after.text in ("(", "^")
     is_indexed = bool(subscripts) and not after_word and all(len(index) == 1 for index in subscripts)
@@ -104,7 +104,8 @@ class _Reader:
     def items(self, closing: str = "") -> list[tuple[bool, str]]:
         """Returns (whether it is text, HTML) of the tokens before a closing sign, or of all."""
         items: list[tuple[bool, str]] = []
-        factors = 0  # at the end of the items: a division takes all of them
+        # factors at the end of the items: a division takes all of them
+        factors = 0
         while self._tokens and self._tokens[-1].text != (closing or None):
             token = self._tokens[-1]
             if token.kind == "word" and not closing:

@@ -1,7 +1,7 @@
 """Block -> the folder `documentation` of its FMU: a page that works offline, derived from the declaration."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from html import escape
 from importlib import resources
 from importlib.metadata import distributions, version
@@ -12,19 +12,23 @@ from fmus.block.guide import Source
 from fmus.block.variables import BlockVariable
 from fmus.errors import ExportError
 from fmus.generate.documentation.mathml import equations_table
-from fmus.generate.documentation.wiring import Connection, arrays, connections, diagram
+from fmus.generate.documentation.wiring import Connection, connections, declared_variables, diagram
 from fmus.native.toolchain import COMPILER, FMI_HEADERS
 
-# name -> (installed project, file of its metadata, what the licence is for)
+# name -> (installed project, file of its metadata, parts of the FMU under this licence)
 _LICENSES = {
     "l1-depth": (
         "l1-depth",
         "LICENSE",
-        "what makes an FMU of the model and its documentation, and models that come with l1-depth",
+        "the layer around the model, the documentation, and models that come with l1-depth",
     ),
     "fmi-headers": ("fmpy", "", "headers that the libraries are compiled with, of the Modelica Association"),
-    "zig": (COMPILER[0], "ziglang/LICENSE", "what its compiler adds to the libraries"),
-    "mingw-w64": (COMPILER[0], "ziglang/lib/libc/mingw/COPYING", "what it adds to the library for Windows"),
+    "zig": (COMPILER[0], "ziglang/LICENSE", "code that its compiler adds to the libraries"),
+    "mingw-w64": (
+        COMPILER[0],
+        "ziglang/lib/libc/mingw/COPYING",
+        "code that it adds to the library for Windows",
+    ),
     "pythonfmu": ("pythonfmu", "LICENSE", "the libraries, and the package of that name in resources"),
 }
 _SIGNALS = {
@@ -56,7 +60,7 @@ def documentation(
     """
     templates, experiment = resources.files("fmus.generate.documentation"), block.guide.experiment
     files = {"index.html": "page.html", "fmi-ls-ref.txt": "fmi-ls-ref.txt"}
-    incoming, outgoing = connections(block)
+    connected = connections(block)
     values = {
         "fmi": fmi,
         "interfaces": "co-simulation and model exchange" if compiled else "co-simulation",
@@ -66,8 +70,8 @@ def documentation(
         "release": escape(version("l1-depth")),
         "stop_time": block.stop_time,
         "step_size": block.step_size,
-        "diagram": diagram(block, incoming, outgoing),
-        "wiring": _wiring(block, incoming, outgoing),
+        "diagram": diagram(block, connected),
+        "wiring": _wiring(block, connected),
         "parameters": _parameters(block, reals_only),
         "signals": "\n".join(_signals(block, reals_only)),
         "guide": _guide(block),
@@ -90,7 +94,7 @@ def _guide(block: Block) -> str:
     """Returns the sections that the guide fills, without the advice on parameters."""
     guide = block.guide
     sections = {
-        "Equations": equations_table(guide.equations) if guide.equations else "",
+        "Equations": equations_table(guide.equations) if guide.equations.strip() else "",
         "Sign conventions": _list(map(escape, guide.conventions)),
         "Limits": _list(map(escape, guide.limits)),
     }
@@ -109,25 +113,26 @@ def _source(source: Source) -> str:
 
 
 def _exchange(block: Block) -> str:
-    states = len(block.states) // 2  # each has a derivative among them
+    # half of them are derivatives
+    states = len(block.states) // 2
     integrated = f"The importer integrates the continuous states, {states} of them."
     return _EXCHANGE.format(integrated if states else "The importer calls the FMU at its time events.")
 
 
-def _wiring(block: Block, incoming: list[Connection], outgoing: list[Connection]) -> str:
+def _wiring(block: Block, connected: Sequence[Connection]) -> str:
     """Returns the section on connections; nothing for a block that fits no other one."""
-    rows = [(one.input, "comes from", one.output, ", ".join(one.others)) for one in incoming]
-    rows += [(one.output, "goes to", one.input, ", ".join(one.others)) for one in outgoing]
-    if not rows:
+    if not connected:
         return ""
+    ways = {True: "comes from", False: "goes to"}
+    rows = [(one.own, ways[one.is_input], one.other, ", ".join(one.fmus)) for one in connected]
     table = _table(f"Variables of {block.name} and of FMUs that fit it", _CONNECTED, rows)
     return f"<h2>Connect these two</h2>\n{table}\n<p>Inputs that nothing drives keep their start values.</p>"
 
 
 def _parameters(block: Block, reals_only: bool) -> str:
-    """Returns the parameters in two tables: those of the advice in its order, then the others."""
+    """Returns two tables: the parameters that the advice names, in its order, then the others."""
     words: list[str] = re.findall(r"\w+", " ".join(block.guide.tuning))
-    parameters = arrays(block.of_causality("parameter"))
+    parameters = declared_variables(block.of_causality("parameter"))
     places = {name: name.partition("[")[0] for name in parameters}
     places = {name: words.index(plain) for name, plain in places.items() if plain in words}
     first = sorted(places, key=places.__getitem__)
@@ -143,13 +148,13 @@ def _parameters(block: Block, reals_only: bool) -> str:
 
 def _signals(block: Block, reals_only: bool) -> Iterable[str]:
     for causality, caption in _SIGNALS.items():
-        if variables := arrays(block.of_causality(causality)):
+        if variables := declared_variables(block.of_causality(causality)):
             rows = (_cells(name, scalars, reals_only) for name, scalars in variables.items())
             yield _table(caption, _HEADINGS, rows)
 
 
 def _cells(name: str, scalars: list[BlockVariable], reals_only: bool) -> tuple[str, ...]:
-    """Returns one row, as text: for each of `_HEADINGS` one value, or that of each element of an array."""
+    """Returns one row as text; a cell lists the values of the elements of an array if they differ."""
     columns = [list(column) for column in zip(*(_texts(v, reals_only) for v in scalars), strict=True)]
     return name, *(", ".join(texts if len({*texts}) > 1 else texts[:1]) for texts in columns)
 
@@ -188,7 +193,7 @@ def _table(caption: str, headings: tuple[str, ...], rows: Iterable[tuple[str, ..
 
 
 def licenses(*names: str, fmi: int = 2) -> dict[str, bytes]:
-    """Returns path inside the FMU -> licence, and the file of FMI that says what each is for.
+    """Returns path inside the FMU -> licence, and the file of FMI that lists the licences.
 
     fmi: the version of the standard, of whose headers the licence is
     """
@@ -198,7 +203,8 @@ def licenses(*names: str, fmi: int = 2) -> dict[str, bytes]:
 
 
 def _license(project: str, file: str, fmi: int) -> str:
-    if file:  # a clone's own .egg-info, found first where it is the working directory, has no licence
+    if file:
+        # In a clone as the working directory, its .egg-info is found first, which has no licence.
         texts = (distribution.read_text(f"licenses/{file}") for distribution in distributions(name=project))
         text = next(filter(None, texts), "")
         if not text:

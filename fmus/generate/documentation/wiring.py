@@ -1,11 +1,12 @@
 """Connections of a block with the blocks of l1-depth, and a block diagram of it, from the declarations alone.
 
-An output is connected with the input of its name and unit, as the terminals of the FMU say. An input
-`measured_NAME` takes an output NAME, too, and a block that has such inputs is given measurements first.
+An output is connected with the input of the same name and unit, as by the terminals of the FMUs. An input
+`measured_NAME` takes an output NAME, too. A block with such inputs gets measurements first.
 """
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from html import escape
 from itertools import groupby
@@ -13,50 +14,60 @@ from itertools import groupby
 from fmus.block import Block
 from fmus.block.block_file import from_sources
 from fmus.block.variables import BlockVariable
+from fmus.errors import ExportError
 from fmus.registry import BLOCKS, installed, load
 
 _MEASURED = "measured_"
-_ROW, _HEADER, _EDGE, _PORT = 20, 34, 12, 6  # pixels of the diagram
-_LETTER = 7.3  # width of a letter of a monospaced font of 12 px
+# pixels of the diagram; the last one is the width of a letter of a monospaced font of 12 px
+_ROW, _HEADER, _EDGE, _PORT, _LETTER = 20, 34, 12, 6, 7.3
 
 
 @dataclass(frozen=True)
 class Connection:
-    """Output of one block and input of another, with the names of blocks that have the other end of it."""
+    """Connection of a variable of a block with a variable that some FMUs have; is_input: of the block."""
 
-    output: str
-    input: str
-    others: tuple[str, ...]
+    own: str
+    is_input: bool
+    other: str
+    fmus: tuple[str, ...]
 
 
-def arrays(variables: Iterable[BlockVariable]) -> dict[str, list[BlockVariable]]:
+def declared_variables(variables: Iterable[BlockVariable]) -> dict[str, list[BlockVariable]]:
     """Returns the scalars of each declared variable by its name, which is `name[1..2]` for a vector."""
     declared = [list(scalars) for _, scalars in groupby(variables, key=lambda v: v.name.partition("[")[0])]
     return {re.sub(r"\d+(?=[],])", r"1..\g<0>", scalars[-1].name): scalars for scalars in declared}
 
 
-def connections(block: Block) -> tuple[list[Connection], list[Connection]]:
-    """Returns the connections of a block's inputs, then of its outputs, in the order of the declaration."""
-    # Blocks of other packages are left out: an FMU must not depend on what else is installed.
-    points = [point for point in installed(BLOCKS).values() if point.dist and point.dist.name == "l1-depth"]
-    with from_sources():
-        others = [load(point, "block") for point in points if point.name != block.name]
+def connections(block: Block) -> list[Connection]:
+    """Returns the connections of a block with blocks of l1-depth, in the order of the declaration."""
+    others: list[Block] = []
+    for point in installed(BLOCKS).values():
+        # Blocks of other packages are left out: an FMU must not depend on what else is installed. A block of
+        # l1-depth that cannot be loaded is reported by its own build.
+        if point.dist and point.dist.name == "l1-depth" and point.name != block.name:
+            with from_sources(), suppress(ExportError):
+                others.append(load(point, "block"))
     # Blocks that give the same signal replace each other: they are not connected.
     given = {v.name for v in block.of_causality("output")}
     others = [other for other in others if given.isdisjoint(v.name for v in other.of_causality("output"))]
-    incoming = [(*pair, other.name) for other in others for pair in _pairs(other, block)]
-    outgoing = [(*pair, other.name) for other in others for pair in _pairs(block, other)]
-    return (
-        _grouped(incoming, list(arrays(block.of_causality("input"))), 1),
-        _grouped(outgoing, list(arrays(block.of_causality("output"))), 0),
-    )
+    ends = [(target, True, source, other.name) for other in others for source, target in _pairs(other, block)]
+    ends += [
+        (source, False, target, other.name) for other in others for source, target in _pairs(block, other)
+    ]
+    order = list(declared_variables(block.variables))
+    fmus: dict[tuple[str, bool, str], list[str]] = {}
+    for own, is_input, other, name in sorted(ends, key=lambda end: order.index(end[0])):
+        fmus.setdefault((own, is_input, other), []).append(name)
+    return [Connection(*variables, tuple(names)) for variables, names in fmus.items()]
 
 
 def _pairs(source: Block, target: Block) -> Iterator[tuple[str, str]]:
     """Yields (output of the source, input of the target) that belong together."""
-    outputs = {name.partition("[")[0]: name for name in arrays(source.of_causality("output"))}
-    units = {name: [v.unit for v in scalars] for name, scalars in arrays(source.variables).items()}
-    inputs = arrays(target.of_causality("input"))
+    outputs = {name.partition("[")[0]: name for name in declared_variables(source.of_causality("output"))}
+    units = {
+        name: [v.unit for v in scalars] for name, scalars in declared_variables(source.variables).items()
+    }
+    inputs = declared_variables(target.of_causality("input"))
     measures = any(name.startswith(_MEASURED) for name in inputs)
     for name, scalars in inputs.items():
         plain = name.partition("[")[0].removeprefix(_MEASURED)
@@ -66,19 +77,11 @@ def _pairs(source: Block, target: Block) -> Iterator[tuple[str, str]]:
             yield output, name
 
 
-def _grouped(pairs: list[tuple[str, str, str]], order: list[str], own: int) -> list[Connection]:
-    """Returns the pairs in the order of the block's own ports, with all blocks that have the other port."""
-    others: dict[tuple[str, str], list[str]] = {}
-    for output, target, other in sorted(pairs, key=lambda pair: order.index(pair[own])):
-        others.setdefault((output, target), []).append(other)
-    return [Connection(*ports, tuple(names)) for ports, names in others.items()]
-
-
-def diagram(block: Block, incoming: Iterable[Connection], outgoing: Iterable[Connection]) -> str:
+def diagram(block: Block, connected: Iterable[Connection]) -> str:
     """Returns the block as SVG: inputs at the left, outputs at the right, in groups of the same other FMU."""
-    ports = [arrays(block.of_causality(causality)) for causality in ("input", "output")]
-    left = _rows(ports[0], {one.input: one.others for one in incoming}, "start value holds")
-    right = _rows(ports[1], {one.output: one.others for one in outgoing}, "to observe")
+    fmus = {one.own: one.fmus for one in connected}
+    left = _rows(block.of_causality("input"), fmus, "start value holds")
+    right = _rows(block.of_causality("output"), fmus, "to observe")
     longest = [max((len(text) for text, _ in rows), default=0) for rows in (left, right)]
     width = round(max(_LETTER * sum(longest), 1.3 * _LETTER * len(block.name)) + 6 * _EDGE)
     height = _HEADER + _ROW * max(len(left), len(right)) + _EDGE
@@ -106,16 +109,17 @@ def _side(rows: list[tuple[str, bool]], edge: int, x: int, anchor: str) -> Itera
             yield f'<polygon points="{points}"></polygon>'
 
 
-def _rows(ports: Iterable[str], others: dict[str, tuple[str, ...]], rest: str) -> list[tuple[str, bool]]:
+def _rows(
+    variables: Iterable[BlockVariable], fmus: Mapping[str, tuple[str, ...]], rest: str
+) -> list[tuple[str, bool]]:
     """Returns (text, whether it is a port) of one side: the name of a group, then its ports.
 
     rest: name of the group of ports without a connection, the last one
     """
     groups: dict[str, list[str]] = {}
-    for port in sorted(ports, key=lambda port: port not in others):
-        names = others.get(port, (rest,))
+    for port in sorted(declared_variables(variables), key=lambda port: port not in fmus):
+        names = fmus.get(port, (rest,))
         groups.setdefault(names[0] if len(names) == 1 else f"one of {len(names)} FMUs", []).append(port)
-    rows: list[tuple[str, bool]] = []
-    for name, members in groups.items():
-        rows += [(name, False), *((port, True) for port in members)]
-    return rows
+    return [
+        row for name, ports in groups.items() for row in ((name, False), *((port, True) for port in ports))
+    ]

@@ -14,7 +14,7 @@ from fmus.block import Block
 from fmus.block.guide import NO_GUIDE, Guide, Source
 from fmus.generate import builder
 from fmus.generate.documentation.page import documentation
-from fmus.generate.documentation.wiring import arrays
+from fmus.generate.documentation.wiring import declared_variables
 from tests.shared_builds import Fmus
 
 NAMES = builder.block_names()
@@ -46,7 +46,7 @@ def rows_of(name: str) -> dict[str, list[str]]:
 @pytest.mark.parametrize("name", NAMES)
 def test_every_variable_stands_in_a_table_with_unit_range_and_source(name: str) -> None:
     block, rows = builder.load_block(name), rows_of(name)
-    listed = arrays(block.variables)
+    listed = declared_variables(block.variables)
     assert set(rows) == set(listed)
     assert sum(map(len, listed.values())) == len(block.variables)
     for named, scalars in listed.items():

@@ -11,9 +11,9 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
 import fmus
 from fmus.block import Block
-from fmus.generate.builder import load_block
+from fmus.generate.builder import block_names, load_block
 from fmus.generate.documentation.page import documentation
-from fmus.generate.documentation.wiring import arrays, connections, diagram
+from fmus.generate.documentation.wiring import connections, declared_variables, diagram
 from tests.fmus.generate.small_blocks import one_block_of_all
 
 BASES = Path(fmus.__file__).parents[1] / "orchestration" / "scenarios" / "base"
@@ -27,12 +27,15 @@ PAIRS = [
 
 def declared(source: Block, target: Block) -> set[tuple[str, str]]:
     """The scalar (output, input) that the pages connect."""
-    outputs, inputs = arrays(source.of_causality("output")), arrays(target.of_causality("input"))
+    outputs, inputs = (
+        declared_variables(source.of_causality("output")),
+        declared_variables(target.of_causality("input")),
+    )
     return {
         (output.name, target_input.name)
-        for one in connections(target)[0]
-        if source.name in one.others
-        for output, target_input in zip(outputs[one.output], inputs[one.input], strict=True)
+        for one in connections(target)
+        if one.is_input and source.name in one.fmus
+        for output, target_input in zip(outputs[one.other], inputs[one.own], strict=True)
     }
 
 
@@ -66,31 +69,42 @@ def test_the_page_connects_what_scenarios_connect(base: str, controller: str, pl
 
 
 def test_blocks_with_the_same_output_are_not_connected() -> None:
-    incoming, outgoing = connections(load_block("RovDepthPlant"))
-    assert not {"RovHeavePitchPlant", "BlueRov2Plant"} & {
-        n for one in (*incoming, *outgoing) for n in one.others
+    connected = connections(load_block("RovDepthPlant"))
+    assert not {"RovHeavePitchPlant", "BlueRov2Plant"} & {name for one in connected for name in one.fmus}
+    assert "pitch" not in {one.own for one in connected}
+
+
+def test_both_ends_of_a_connection_have_it_on_their_page() -> None:
+    blocks = {name: load_block(name) for name in block_names()}
+    ends = {
+        (name, one.own, fmu, one.other, one.is_input)
+        for name, block in blocks.items()
+        for one in connections(block)
+        for fmu in one.fmus
     }
-    assert "pitch" not in {one.input for one in incoming}
+    assert ends == {(fmu, other, name, own, not is_input) for name, own, fmu, other, is_input in ends}
 
 
 def test_a_block_that_fits_no_other_has_no_table() -> None:
     page = documentation(one_block_of_all())["documentation/index.html"].decode()
-    assert connections(one_block_of_all()) == ([], [])
+    assert connections(one_block_of_all()) == []
     assert "Connect these two" not in page
 
 
 def test_the_diagram_has_a_port_for_each_declared_variable_at_its_side() -> None:
     block = load_block("L1DepthController")
-    root: Any = etree.fromstring(diagram(block, *connections(block)))
+    root: Any = etree.fromstring(diagram(block, connections(block)))
     ports = {text.text: text.get("text-anchor") for text in root.iter("text") if text.get("class") == "port"}
     sides = {"input": "start", "output": "end"}
-    assert ports == {n: side for kind, side in sides.items() for n in arrays(block.of_causality(kind))}
+    assert ports == {
+        n: side for kind, side in sides.items() for n in declared_variables(block.of_causality(kind))
+    }
     assert len(list(root.iter("polygon"))) == len(ports)
 
 
 def test_the_diagram_groups_ports_by_the_fmus_that_they_fit() -> None:
     block = load_block("L1DepthController")
-    texts = [text.text for text in etree.fromstring(diagram(block, *connections(block))).iter("text")]
+    texts = [text.text for text in etree.fromstring(diagram(block, connections(block))).iter("text")]
     start = texts.index("DepthReference")
     assert texts[start + 1 : start + 5] == [
         "depth_reference",
@@ -102,7 +116,7 @@ def test_the_diagram_groups_ports_by_the_fmus_that_they_fit() -> None:
 
 def test_no_text_of_the_diagram_leaves_it_or_covers_another() -> None:
     block = load_block("L1HeavePitchController")
-    root: Any = etree.fromstring(diagram(block, *connections(block)))
+    root: Any = etree.fromstring(diagram(block, connections(block)))
     width, letter = float(root.get("width")), 7.3  # of a monospaced font of 12 px
     rows: dict[str, float] = {}
     for text in root.iter("text"):
