@@ -22,34 +22,19 @@ from fmus.native import compiled_library
 
 _SOURCE = "fmi3_calls.c"
 _OF_INTERFACE = {
-    CO_SIMULATION: ("DoStep",),
-    MODEL_EXCHANGE: (
-        "EnterEventMode",
-        "EnterContinuousTimeMode",
-        "SetTime",
-        "CompletedIntegratorStep",
-        "GetContinuousStates",
-        "SetContinuousStates",
-        "GetContinuousStateDerivatives",
-        "GetEventIndicators",
-        "GetNominalsOfContinuousStates",
-        "UpdateDiscreteStates",
-    ),
+    CO_SIMULATION: "DoStep",
+    MODEL_EXCHANGE: "EnterEventMode EnterContinuousTimeMode SetTime CompletedIntegratorStep "
+    "GetContinuousStates SetContinuousStates GetContinuousStateDerivatives GetEventIndicators "
+    "GetNominalsOfContinuousStates UpdateDiscreteStates",
 }
+_COMMON = (
+    "FreeInstance EnterInitializationMode ExitInitializationMode Terminate Reset GetFMUState SetFMUState"
+    " FreeFMUState SerializedFMUStateSize SerializeFMUState DeserializeFMUState"
+)
 # in the order of `Functions` of the source
 _FUNCTIONS = (
-    "FreeInstance",
-    "EnterInitializationMode",
-    "ExitInitializationMode",
-    "Terminate",
-    "Reset",
-    "GetFMUState",
-    "SetFMUState",
-    "FreeFMUState",
-    "SerializedFMUStateSize",
-    "SerializeFMUState",
-    "DeserializeFMUState",
-    *(name for names in _OF_INTERFACE.values() for name in names),
+    *_COMMON.split(),
+    *(name for names in _OF_INTERFACE.values() for name in names.split()),
     *(f"{verb}{name}" for name in TYPES for verb in ("Get", "Set")),
 )
 _INSTANTIATE = {CO_SIMULATION: "fmi3InstantiateCoSimulation", MODEL_EXCHANGE: "fmi3InstantiateModelExchange"}
@@ -81,7 +66,7 @@ class Fmi3Library(Library):
             raise FmuLoadError(f"FMI 3.0 needs a library of {_SOURCE}, which a wheel has: {calls}") from calls
         self._calls, self._functions = calls, ctypes.CDLL(str(path.resolve()))
         self.instantiates = _INSTANTIATE[interface]
-        others = _OF_INTERFACE[MODEL_EXCHANGE if interface == CO_SIMULATION else CO_SIMULATION]
+        others = _OF_INTERFACE[MODEL_EXCHANGE if interface == CO_SIMULATION else CO_SIMULATION].split()
         names = [self.instantiates, *(f"fmi3{name}" for name in _FUNCTIONS if name not in others)]
         if missing := [name for name in names if not hasattr(self._functions, name)]:
             self.unload()

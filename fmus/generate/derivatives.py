@@ -9,20 +9,8 @@ from fmus.block.variables import BlockVariable
 from fmus.generate.operations import follows_from, operations_of
 from fmus.generate.trace import Traced
 
-_STEEP = {
-    "SQRT",
-    "POW",
-    "CONSTPOW",
-    "ASIN",
-    "ACOS",
-    "ACOSH",
-    "ATANH",
-    "ATAN2",
-    "HYPOT",
-    "LOG",
-    "LOG1P",
-    "INV",
-}
+_STEEP = {"SQRT", "POW", "CONSTPOW", "ASIN", "ACOS", "ACOSH", "ATANH", "ATAN2", "HYPOT"}
+_STEEP |= {"LOG", "LOG1P", "INV"}
 """Operations whose derivatives may be infinite or NaN; a quotient by its divisor is another one."""
 
 

@@ -15,38 +15,15 @@ import casadi
 
 TIMES = ("t", "h")
 """Arguments that are numbers; all others are columns."""
-CALLS = {
-    "EXP": "exp",
-    "LOG": "log",
-    "POW": "pow",
+# functions of math.h and elementary.h with CasADi's names in lower case
+_SAME_NAMES = (
+    "EXP LOG POW SQRT SIN COS TAN ASIN ACOS ATAN FLOOR CEIL FMOD FMOD_BY_WHOLE REMAINDER FABS COPYSIGN "
+    "ERF SINH COSH TANH ASINH ACOSH ATANH ATAN2 HYPOT LOG1P EXPM1"
+)
+CALLS = {name: name.lower() for name in _SAME_NAMES.split()} | {
     "CONSTPOW": "pow",
-    "SQRT": "sqrt",
-    "SIN": "sin",
-    "COS": "cos",
-    "TAN": "tan",
-    "ASIN": "asin",
-    "ACOS": "acos",
-    "ATAN": "atan",
-    "FLOOR": "floor",
-    "CEIL": "ceil",
-    "FMOD": "fmod",
-    "FMOD_BY_WHOLE": "fmod_by_whole",
-    "REMAINDER": "remainder",
-    "FABS": "fabs",
-    "COPYSIGN": "copysign",
-    "ERF": "erf",
     "FMIN": "smaller",
     "FMAX": "larger",
-    "SINH": "sinh",
-    "COSH": "cosh",
-    "TANH": "tanh",
-    "ASINH": "asinh",
-    "ACOSH": "acosh",
-    "ATANH": "atanh",
-    "ATAN2": "atan2",
-    "HYPOT": "hypot",
-    "LOG1P": "log1p",
-    "EXPM1": "expm1",
 }
 """Operation -> function of math.h or elementary.h."""
 _QUICK_CALLS = {"SQRT", "FABS", "FLOOR", "CEIL", "COPYSIGN", "FMIN", "FMAX"}
