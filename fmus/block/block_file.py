@@ -31,8 +31,7 @@ _OWN = {"fmus", "controller_fmu", "plant_fmu", "orchestration"}
 class SourceLoader(SourceFileLoader):
     """A loader of a module from its source, whose digest it keeps, and a finder of modules for it."""
 
-    # Python's own loader takes a compiled file for a source that has changed, if size and second are the
-    # same.
+    # Python's own loader takes the compiled file of a changed source, if size and second are the same.
 
     @staticmethod
     def find_spec(name: str, path: Sequence[str] | None = None, target: object = None) -> ModuleSpec | None:

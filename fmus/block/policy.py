@@ -202,8 +202,7 @@ class PolicyInstance(BlockInstance):
     def __init__(self, block: PolicyBlock, fingerprint: str = "") -> None:
         super().__init__(block, fingerprint)
         self._policy: Any = None
-        # for snapshots: a copy of the object, time and inputs of the samples since, and for how long they
-        # count
+        # for snapshots: a copy of the object, time and inputs of the samples since, seconds until the next copy
         self._noted: tuple[Any, list[tuple[float, list[Any]]], float] | None = None
         with block.modules.present():
             self._file = Path(str(sys.modules[block.cls.__module__].__file__))

@@ -30,8 +30,7 @@ class BlockSlave(Fmi2Slave):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        # The binary has put the resources first on the path to find this module; nothing else needs them
-        # there.
+        # The binary has put the resources first on the path, to find this module alone.
         with suppress(ValueError):
             sys.path.remove(str(self.resources))
         self._instance = self.instance_class(self.block, self.fingerprint)

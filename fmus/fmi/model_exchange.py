@@ -22,8 +22,8 @@ from fmus.fmi.binding import DISCARD, ERROR, MODEL_EXCHANGE, OK, WARNING, status
 from fmus.fmi.instance import FmuInstance
 from fmus.fmi.model_description import ModelDescription
 
-# Relative tolerance of the solver if the run states none. The solver starts again in each communication step,
-# so that errors add up.
+# Relative tolerance of the solver if the run states none. The solver starts again in each communication
+# step, so that errors add up.
 _TOLERANCE = 1e-9
 # In one step: more events have no end, as with a ball that comes to rest.
 _MOST_EVENTS = 10_000

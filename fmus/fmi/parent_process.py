@@ -32,9 +32,8 @@ _page: mmap.mmap | None = None
 def run_watched(program: Callable[[], int]) -> int:
     """Returns the exit status of a program; it runs in a child process if the platform allows it.
 
-    If the child ends before the program does, the status is not 0, and a line on standard error has the
-    reason. The child receives interrupts as it would without this process, and one when this process is
-    killed.
+    If the child ends before the program does, the status is not 0, and standard error has the reason. The
+    child receives interrupts as it would without this process, and one when this process is killed.
     """
     if not operating_system.CAN_WATCH:
         return program()
@@ -61,8 +60,7 @@ def run_watched(program: Callable[[], int]) -> int:
 def _end_without_clearing_up(status: int) -> None:
     """Ends this process after the functions that are registered for the end.
 
-    Does nothing while other threads work, and if output cannot be written: the interpreter then ends as
-    usual.
+    Does nothing while other threads work, and if output cannot be written: Python then ends as usual.
     """
     # To free each imported object, as the interpreter does, takes a fifth of the time of a short command.
     others = set(threading.enumerate()) - {threading.current_thread()}

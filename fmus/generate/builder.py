@@ -117,8 +117,7 @@ def build_block(
     flavour : Flavour
         Compiled (native), or run by Python.
     platforms : sequence of str
-        Platforms of the libraries in a native FMU, by default this one. A python FMU has PythonFMU's
-        libraries.
+        Platforms of the libraries in a native FMU, by default this one; none for a python FMU.
     with_terminals : bool
         Whether to add terminalsAndIcons.xml, which some importers of FMI 2.0 cannot read.
     reals_only : bool
@@ -203,8 +202,7 @@ def _written(compiling: _Compiling) -> dict[Path, bytes]:
     content, order, block = compiling.content, compiling.content.order, compiling.content.traced.block
     built = compiling.libraries()
     if path := library_member(built, block.name, order.fmi):
-        # Some systems forbid to load libraries from the folder of temporary files: then the check is left
-        # out.
+        # Without the check where no library can be loaded from the folder of temporary files: OSError.
         shipped = content.traced, content.guid, built[path], order.fmi
         with suppress(OSError), closing(ShippedLibrary(*shipped)) as library:
             check_shipped(compiling.compared, library)

@@ -61,8 +61,8 @@ def _files(source: Path) -> list[Path]:
 
 def _load(content: bytes, shipped: Path) -> ctypes.CDLL:
     """Loads a library from a new temporary file, or from one in the store if temporary files cannot run."""
-    # No other process has the name of the new file. Windows neither removes nor replaces a loaded file: there
-    # it is the file that was read.
+    # No other process has the name of the new file. Windows neither removes nor replaces a loaded file:
+    # there it is the file that was read.
     kept = store.folder(_KIND) / shipped.name
     if os.name == "nt":
         for path in (shipped, kept):
