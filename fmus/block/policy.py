@@ -202,7 +202,7 @@ class PolicyInstance(BlockInstance):
     def __init__(self, block: PolicyBlock, fingerprint: str = "") -> None:
         super().__init__(block, fingerprint)
         self._policy: Any = None
-        # for snapshots: a copy of the object, time and inputs of the samples since, seconds until the next copy
+        # for snapshots: a copy of the object, time and inputs of the samples since, time to the next copy [s]
         self._noted: tuple[Any, list[tuple[float, list[Any]]], float] | None = None
         with block.modules.present():
             self._file = Path(str(sys.modules[block.cls.__module__].__file__))

@@ -71,7 +71,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
     static const char *const function = "fmi3InstantiateCoSimulation";
     const Log log = {(Callback)logMessage, instanceEnvironment, "", loggingOn ? LOG_ALL : 0};
     (void)resourcePath, (void)visible;
-    if (eventModeUsed) return cannot_instantiate(&log, "%s: eventModeUsed: expected false, there is none", function);
+    if (eventModeUsed) return cannot_instantiate(&log, "%s: eventModeUsed: expected false, there is no event mode", function);
     if (nRequiredIntermediateVariables && !requiredIntermediateVariables)
         return cannot_instantiate(&log, "%s: requiredIntermediateVariables is NULL", function);
     for (size_t i = 0; i < nRequiredIntermediateVariables; i++)
