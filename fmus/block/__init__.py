@@ -1,8 +1,8 @@
 """Blocks: one declaration of each variable, from which everything else is derived.
 
 A block is a set of dataclasses (parameters, calculated parameters, inputs, state, outputs) and
-pure functions between them. Nothing here knows FMI's XML or C: the model description, the
-checks, the documentation table and the FMU are all derived from a `Block`.
+pure functions between them. The model description, the checks, the documentation and the FMU are all
+derived from a `Block`; so nothing here depends on FMI's XML or C.
 """
 
 import math
@@ -22,7 +22,8 @@ from fmus.errors import nearest
 
 __all__ = ["Block", "NoValues", "variable"]
 
-_SHORTEST, _LONGEST = 1e-7, 1e6  # internal step of a block that declares none, in s
+# internal step of a block that declares none, in s
+_SHORTEST, _LONGEST = 1e-7, 1e6
 
 
 @dataclass(frozen=True)
@@ -33,22 +34,23 @@ class NoValues:
 _STATE_AS_DECLARED: Any = None
 _CLASSES = ("Parameters", "Calculated", "Inputs", "State", "Outputs", "Continuous")
 _OF_TIME = ("initial_state", "step", "output", "derivative", "integrate", "crossings")
-# what `Block.of_module` takes from a module -> its name there
+# field of a block -> its name in the module that `Block.of_module` reads
 _NAMES = {name.lower(): name for name in (*_CLASSES, *_OF_TIME, "calculate", "requirements", "GUIDE")}
-_LIKE = 0.85  # of letters in common: a name that is misspelt
+# share of letters in common: a misspelt name, which would leave a part of the block out
+_LIKE = 0.85
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
     """A model as data: frozen dataclasses and the pure functions between them.
 
-    `Block.of_module` takes these from a module, by their names. The functions are
+    `Block.of_module` takes these from a module, by their names. Times t and h are in s. The functions are
 
     initial_state(t, inputs, parameters, calculated) -> State; by default the state as it is declared
     step(t, h, state, inputs, parameters, calculated) -> State, over h seconds, inputs held
     output(t, state, parameters, calculated) -> Outputs
-    calculate(parameters) -> Calculated, what follows from parameters alone
-    requirements(parameters, calculated) -> ((condition, what is expected), ...)
+    calculate(parameters) -> Calculated, the values that follow from parameters alone
+    requirements(parameters, calculated) -> ((condition, expectation in words), ...)
 
     A block with continuous states declares them with `variable` in a class `Continuous`, the base class of
     `State`, and
@@ -59,16 +61,40 @@ class Block:
     crossings(t, state, inputs, parameters, calculated) -> (number, ...), event indicators: each changes its
         sign where the derivative has a corner or a jump
 
-    `step` is then called after `integrate`, for what is sampled at t + h and for what the state copies from
-    inputs; for model exchange with h = 0. What changes at samples or events alone goes through `sampled` or
-    `at_events` of `fmus.numerics`. Between events, `derivative` and `crossings` get a state in which what
-    `step` copies from the inputs is up to date; what they change is as it was at the last event.
+    `step` is then called after `integrate`, for samples at t + h and for copies of inputs in the state; in
+    model exchange with h = 0. States that change at samples or events alone go through `sampled` or
+    `at_events` of `fmus.numerics`. Between events, `derivative` and `crossings` get a state with up-to-date
+    copies of the inputs; the rest of it is as it was at the last event.
 
-    `Parameters` has an `internal_step` [s], the longest step that `step` may be asked for; a block that
-    declares none is given one that starts at `step_size`.
-    stop_time, step_size: of the experiment that the FMU suggests, in s.
-    guide: text of the documentation beside the variables: equations, advice, limits, sources.
-    version, author, license: of the model, as its author gives them.
+    `Parameters` has an `internal_step` [s], the longest step that `step` is called with. A block that
+    declares none gets one that starts at `step_size`.
+
+    Parameters
+    ----------
+    name, description : str
+        Name of the FMU, and one line about it.
+    parameters, inputs, state, outputs, continuous, calculated : type
+        The classes.
+    stop_time, step_size : float
+        Default experiment of the FMU, in s.
+    guide : Guide
+        Equations, advice, limits and sources of the documentation.
+    version, author, license : str, optional
+        Of the model.
+
+    Raises
+    ------
+    TypeError
+        For classes and numbers that cannot be a block. The message has the expected ones.
+
+    Examples
+    --------
+    >>> @dataclass(frozen=True)
+    ... class Outputs:
+    ...     y: float = variable(0.0, "Twice the time", unit="s")
+    >>> block = Block("Clock", "A clock", outputs=Outputs, output=lambda t, state, p, c: Outputs(2.0 * t))
+    >>> [v.name for v in block.variables]
+    ['internal_step', 'y']
     """
 
     name: str
@@ -120,14 +146,25 @@ class Block:
 
     @classmethod
     def of_module(cls, module: str, name: str, description: str, **given: Any) -> "Block":
-        """Returns the block of a module, at whose end it stands: `BLOCK = Block.of_module(__name__, ...)`.
+        """Returns the block of a module, for a line at its end: `BLOCK = Block.of_module(__name__, ...)`.
 
-        Its parts are what the module defines as Parameters, Calculated, Inputs, Continuous, State, Outputs,
-        initial_state, step, output, calculate, requirements, derivative, integrate, crossings and GUIDE, as
-        many of these as there are.
+        The parts are the module's Parameters, Calculated, Inputs, Continuous, State, Outputs, initial_state,
+        step, output, calculate, requirements, derivative, integrate, crossings and GUIDE. Only Outputs and
+        output are required.
 
-        given: the other fields of a block, stop_time=60.0, and parts that are imported or named otherwise
-        Raises TypeError where a part is missing or imported, and for a name that is nearly that of a part.
+        Parameters
+        ----------
+        module : str
+            `__name__` of the module.
+        name, description : str
+            Name of the FMU, and one line about it.
+        **given
+            Other fields, such as stop_time=60.0, and parts that are imported or have another name.
+
+        Raises
+        ------
+        TypeError
+            If a part is missing or imported, and for a name that is nearly the name of a part.
         """
         for mistake in _mistaken_names(module, given):
             raise TypeError(f"block {name!r}: {mistake}")
@@ -140,10 +177,21 @@ class Block:
     ) -> "Block":
         """Returns a block with the functions of this one and other start values of its parameters.
 
-        module: `__name__` of the module that defines it
-        starts: parameter -> start value and its source
-        given: other fields of the new block, guide=...
-        Raises TypeError for a parameter that this block lacks.
+        Parameters
+        ----------
+        module : str
+            `__name__` of the module that defines the new block.
+        name, description : str
+            Name of its FMU, and one line about it.
+        starts : mapping
+            Parameter -> (start value, source of the number).
+        **given
+            Other fields of the new block, such as guide=...
+
+        Raises
+        ------
+        TypeError
+            For a parameter that this block lacks.
         """
         declared = {parameter.name: parameter for parameter in fields(self.parameters)}
         if unknown := [own for own in starts if own not in declared]:
@@ -154,7 +202,7 @@ class Block:
         return replace(self, name=name, description=description, parameters=parameters, **given)
 
     def _mistakes(self) -> Iterator[str]:
-        """Yields the mistakes in the fields that are no classes and functions."""
+        """Yields the mistakes in the texts and numbers, and in the parts of continuous states."""
         for name in ("name", "description", "version", "author", "license"):
             text = getattr(self, name)
             if not isinstance(text, str) and (text is not None or name in ("name", "description")):
@@ -170,7 +218,7 @@ class Block:
         if self.integrate and not self.derivative:
             yield "expected a function derivative beside integrate"
         if self.continuous is not NoValues and self.state not in (NoValues, self.continuous):
-            # the continuous states stand before all others
+            # The last base class comes first among the fields: continuous states stand before all others.
             bases = getattr(self.state, "__bases__", ())
             if bases[-1:] != (self.continuous,):
                 yield "expected class State(Continuous): the continuous states are a part of the state"
@@ -207,7 +255,7 @@ class Block:
         return advance
 
     def held(self, t: float, state: Any, *others: Any) -> Any:
-        """Returns the state between events: what `step` copies from inputs is up to date, all else as it was.
+        """Returns the state between events: with up-to-date copies of inputs, the rest as it was.
 
         others: inputs, parameters and calculated parameters
         """
@@ -217,7 +265,7 @@ class Block:
         return unflatten(state, [*flatten(state)[:count], *flatten(stepped)[count:]])
 
     def _rk4(self, t: float, h: float, state: Any, *others: Any) -> Any:
-        """Integrates the continuous states over h seconds; what else the state has is held."""
+        """Integrates the continuous states over h seconds; the rest of the state is held."""
         derivative, count = self.derivative, len(flatten(self.continuous))
         if derivative is None:
             return state
@@ -234,7 +282,7 @@ class Block:
 
 
 def _mistaken_names(module: str, given: Collection[str]) -> Iterator[str]:
-    """Yields the mistakes in the names of a module, from which a block takes the parts that are not given."""
+    """Yields the mistakes in the names of a module that has the parts of a block, except the given ones."""
     members = vars(sys.modules[module])
     sought = {own: part for part, own in _NAMES.items() if part not in given}
     missing = [own for own in sought if own not in members]
@@ -244,19 +292,20 @@ def _mistaken_names(module: str, given: Collection[str]) -> Iterator[str]:
         if member.__module__ == module:
             yield from (f"{own} in {module}: expected {n}" for n in get_close_matches(own, missing, 1, _LIKE))
         elif own in sought:
-            # a linter would remove an import that nothing seems to use
+            # A linter would remove an import that nothing seems to use: it has to be named.
             yield f"{own} is imported into {module}: expected {sought[own]}={own}"
     yield from (f"expected {own} in {module}, above it" for own in ("Outputs", "output") if own in missing)
 
 
 def is_frozen(cls: Any) -> bool:
     """Whether it is a class with @dataclass(frozen=True)."""
-    is_own = isinstance(cls, type) and "__dataclass_params__" in vars(cls)  # and not only of a base class
+    # a class inherits the parameters of a base class that is a dataclass
+    is_own = isinstance(cls, type) and "__dataclass_params__" in vars(cls)
     return is_own and cls.__dataclass_params__.frozen
 
 
 def _with_internal_step(parameters: type, start: float) -> type:
-    """Returns the class with one more parameter, which its functions need not know."""
+    """Returns the class with the parameter `internal_step`, which the block's functions need not use."""
     internal_step = variable(
         start, "Longest internal step", unit="s", min=_SHORTEST, max=_LONGEST, variability="fixed"
     )

@@ -29,14 +29,13 @@ _OWN = {"fmus", "controller_fmu", "plant_fmu", "orchestration"}
 
 
 class SourceLoader(SourceFileLoader):
-    """A loader of a module from its source, whose digest it keeps, and a finder of modules for it.
+    """A loader of a module from its source, whose digest it keeps, and a finder of modules for it."""
 
-    Python's own takes a compiled file, though the source has changed since, if size and second are the same.
-    """
+    # Python's own loader takes the compiled file of a changed source, if size and second are the same.
 
     @staticmethod
     def find_spec(name: str, path: Sequence[str] | None = None, target: object = None) -> ModuleSpec | None:
-        """Finds a module as Python does, and gives it this loader, unless it is installed: then it stays."""
+        """Finds a module as Python does; gives it this loader unless it is installed."""
         spec = PathFinder.find_spec(name, path)
         if spec and type(spec.loader) is SourceFileLoader and "site-packages" not in spec.loader.path:
             spec.loader = SourceLoader(name, spec.loader.path)
@@ -50,7 +49,7 @@ class SourceLoader(SourceFileLoader):
 
 @contextmanager
 def from_sources() -> Iterator[None]:
-    """Modules that are imported in this context are what their sources are now."""
+    """Makes imports in this context read the present sources."""
     sys.meta_path.insert(sys.meta_path.index(PathFinder), SourceLoader)
     try:
         yield
@@ -145,10 +144,12 @@ def _defined(module: ModuleType, path: Path) -> tuple[Block, ...]:
         own = [cls for cls in vars(module).values() if getattr(cls, "__module__", "") == module.__name__]
         policies = [cls.__name__ for cls in own if hasattr(cls, "reset") and hasattr(cls, "step")]
         hint = "".join(f", or {path}:{name} for its class {name}" for name in dict.fromkeys(policies))
-        slaves = [cls.__name__ for cls in own if hasattr(cls, "register_variable")]  # PythonFMU's classes
+        # classes of PythonFMU have this method
+        slaves = [cls.__name__ for cls in own if hasattr(cls, "register_variable")]
         hint += "".join(f"; pythonfmu build -f {path} makes {name}.fmu of {name}" for name in slaves)
         raise ExportError(f"{path}: no block at the top level of the file; expected BLOCK = Block(...){hint}")
-    names = [block.name.casefold() for block in blocks]  # some file systems do not tell Pid.fmu from PID.fmu
+    # On some file systems, Pid.fmu and PID.fmu are the same file.
+    names = [block.name.casefold() for block in blocks]
     if twice := next((block.name for block in blocks if names.count(block.name.casefold()) > 1), None):
         raise ExportError(
             f"{path}: two blocks named {twice!r}: expected names that differ, in upper case too"

@@ -1,7 +1,7 @@
-"""Guide to a block: what its documentation says besides the variables, and an experiment that shows it.
+"""Guide to a block: the part of its documentation that does not follow from the variables.
 
-Standard library only: a block's guide is a module beside the block, and an FMU of the python flavour
-carries both. Text is plain; whoever shows it escapes it.
+Standard library only: an FMU of the python flavour carries the guide beside the block. Text is plain; the
+page escapes it.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class Source:
-    """Source of a statement or a number; `url` may be empty."""
+    """Source of a statement or a number: a text, and a link or ""."""
 
     text: str
     url: str = ""
@@ -21,10 +21,13 @@ class Source:
 class Experiment:
     """Experiment from 0 s with all parameters at their start values.
 
-    stop_time, step_size: in s; None stands for what the block says.
-    stimuli: (input, ((time [s], value), ...)) of inputs that move: straight lines between the points,
-        held before the first and after the last; the points lie on communication points.
-        Every other input keeps its start value.
+    Parameters
+    ----------
+    stop_time, step_size : float, optional
+        In s; by default the numbers of the block.
+    stimuli : tuple of (input, ((time [s], value), ...))
+        Inputs that move: straight lines between the points, held before the first and after the last. The
+        points lie on communication points. Every other input keeps its start value.
     """
 
     stop_time: float | None = None
@@ -34,10 +37,26 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Guide:
-    """Guide: what is particular to a block.
+    """Guide of one block: text, sources and an experiment.
 
-    equations: lines as they should be read, in ASCII.
-    conventions, tuning, limits: one sentence or a few for each item.
+    Parameters
+    ----------
+    equations : str
+        Lines in ASCII, which the page shows as mathematics: `theta_hat_i`, `x'`, `A^T`, `|x|_inf`,
+        `a / (b c)` and Greek names. Columns are two spaces or more apart.
+    conventions, tuning, limits : tuple of str
+        One sentence or a few for each item. The page lists the parameters in the order in which `tuning`
+        names them.
+    sources : tuple of Source
+        Literature and data.
+    experiment : Experiment
+        Experiment of the reference results.
+
+    Examples
+    --------
+    >>> guide = Guide(equations="y' = (K u - y) / T", tuning=("Measure gain, then time_constant.",))
+    >>> guide.equations
+    "y' = (K u - y) / T"
     """
 
     equations: str = ""

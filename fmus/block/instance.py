@@ -1,7 +1,7 @@
 """A block that runs: values, modes, checks and snapshots, without any FMI library.
 
-What the FMU of the python flavour executes, and what tests step directly. Every method either
-does what it says or raises `BlockError` and leaves the instance as it was.
+FMUs of the python flavour execute it, and tests step it directly. A method that fails raises `BlockError` and
+leaves the instance as it was.
 """
 
 import json
@@ -14,7 +14,8 @@ from fmus.block import Block
 from fmus.block.scalars import flatten, unflatten
 from fmus.block.variables import BlockVariable, Value
 
-_FORMAT = 1  # of the serialised snapshot
+# version of the serialised snapshot
+_FORMAT = 1
 _MOST_INTERNAL_STEPS = 1e9
 
 
@@ -25,13 +26,14 @@ def step_tolerance(t: float, h: float) -> float:
 
 def _typed_as(state: Any, scalars: list[float]) -> Any:
     """Returns the scalars in the shape of a state; whole numbers, Booleans and items where it has these."""
-    unflatten(state, scalars)  # ValueError for another number of them
+    # raises ValueError for another number of scalars
+    unflatten(state, scalars)
     pairs = zip(flatten(state), scalars, strict=True)
     return unflatten(state, [type(x)(y) if isinstance(x, int) and y == int(y) else y for x, y in pairs])
 
 
 class BlockError(ValueError):
-    """A call that this instance refuses; the message says what was wrong and what was expected."""
+    """A call that this instance refuses; the message names the value and the expected one."""
 
 
 class BlockInstance:
@@ -68,7 +70,7 @@ class BlockInstance:
         return self.block.variables[reference]
 
     def set(self, reference: int, value: Value) -> None:
-        """Sets a parameter or an input; refuses what is out of range, not finite or fixed by now."""
+        """Sets a parameter or an input; refuses values out of range, not finite, or fixed by now."""
         variable = self.variable(reference)
         reason = self._refusal(variable, value)
         if reason:
@@ -182,7 +184,7 @@ class BlockInstance:
         return json.dumps(origin | content | {"state": flatten(self._state)})
 
     def restore(self, snapshot: str) -> None:
-        """Restores a snapshot; refuses that of another FMU, or a damaged one."""
+        """Restores a snapshot; refuses a damaged one and a snapshot of another FMU."""
         try:
             saved = json.loads(snapshot)
             format_and_origin = saved["format"], saved["fmu"]
@@ -215,7 +217,7 @@ class BlockInstance:
         restored._stepping, restored._outputs_are_stale = stepping, not stepping
         self.__dict__.update(restored.__dict__)
 
-    # what is derived, each when it is needed and stale
+    # derived values, each calculated when it is needed and stale
 
     def _prepare(self) -> None:
         if self._parameters_are_stale:
@@ -260,7 +262,7 @@ class BlockInstance:
             raise BlockError(f"parameters and inputs of {self.block.name}: {error}") from error
 
     def _refresh(self) -> None:
-        """Calculates the outputs before stepping begins; later they are those of the last step."""
+        """Calculates the outputs before stepping begins; later the last step gives them."""
         if self._outputs_are_stale:
             self._prepare()
             self._become(self.time, self._initial_state())

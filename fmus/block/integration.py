@@ -1,11 +1,11 @@
-"""Integration over a step, and what is held meanwhile."""
+"""Integration over a step, during which samples and events are held."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
 
-# times of samples, where functions of a block are evaluated between events
+# times of samples while functions of a block are evaluated between events, else None
 DUE: ContextVar[list[float] | None] = ContextVar("DUE", default=None)
 
 

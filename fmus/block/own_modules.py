@@ -1,4 +1,4 @@
-"""The modules of one instance of a policy, which it shares with no other instance."""
+"""The modules of one instance of a policy, shared with no other instance."""
 
 import sys
 from collections.abc import Iterator, Sequence
@@ -10,8 +10,10 @@ from pathlib import Path
 from threading import RLock
 from types import ModuleType
 
-_NOT_OWN = ("__init__", "fmus", "pythonfmu")  # packages of the FMU that read none of its files
-# one for all FMUs of the process, each of which has its own copy of this file: components may step on threads
+# packages of the FMU that read none of its files
+_NOT_OWN = ("__init__", "fmus", "pythonfmu")
+# Components may step on several threads. Each FMU has a copy of this file, so that the lock that all of them
+# share cannot be a variable of this module.
 _LOCK = sys.__dict__.setdefault("l1_depth_own_modules", RLock())
 
 
@@ -26,7 +28,7 @@ class OwnModules(Loader):
         files = folder.rglob("*.py") if package else ()
         parts = [file.relative_to(folder).with_suffix("").parts for file in files]
         own = [part for part in parts if part[0] not in _NOT_OWN]
-        # with the folders between, which need no file of their own
+        # with the folders between, which need no __init__.py
         folders = (".".join(part[: n + 1]) for part in own for n in range(len(part)))
         names = [*dict.fromkeys(name.removesuffix(".__init__") for name in folders)]
         self._package, top = package, ModuleType(package)

@@ -9,9 +9,9 @@ class Policy:
     def reset(self): ...                               at the start of each run, on a new object
     def step(self, time, inputs): ...                  at start + k period; returns all outputs by name
 
-`step` gets the inputs of the communication point at its time, or the one before it. What it returns is put
-out from the end of that communication step on. Before the first one, the outputs are those of a step at the
-start, of an object that is then dropped. Each run imports the module anew.
+`step` gets the inputs of the communication point at its time, or the one before it. Its results are the
+outputs from the end of that communication step on. The outputs at the start come from a step of another
+object, which is then dropped. Each run imports the module again.
 """
 
 import copy
@@ -48,13 +48,16 @@ OUTPUTS = {"control_force": "N", "voltage[1]": "V", "voltage[2]": "V"}
 
 _DEFAULTS = {"inputs": ("depth_reference", "measured_depth"), "outputs": ("control_force",)}
 _NAME = re.compile(r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?", re.ASCII)
-_SHORTEST = 1e-6  # period [s]
+# period [s]
+_SHORTEST = 1e-6
 
 
 class PolicyBlock(Block):
-    """The variables of a policy as those of a block, without functions that could be traced.
+    """A block with the variables of a policy, without functions that could be traced.
 
-    cls: the class; modules: that its methods find; parameter_fields: the declared fields of its parameters
+    cls: the class
+    modules: the modules that its methods find
+    parameter_fields: the declared fields of its parameters
     """
 
     cls: type
@@ -62,12 +65,12 @@ class PolicyBlock(Block):
     parameter_fields: tuple[Field, ...]
 
     def __post_init__(self) -> None:
-        """Leaves out the checks of a declaration, which this is none of."""
+        """Leaves out the checks of a declaration: a policy has no functions to check."""
 
     def new(self, values: list[Any]) -> Any:
         """Returns a new object of the class with these values of the parameters.
 
-        `__init__` finds them: as arguments if it is that of a dataclass, else as attributes.
+        `__init__` of a dataclass gets them as arguments; any other finds them as attributes.
         """
         declared = self.parameter_fields
         template = tuple(field.default for field in declared)
@@ -76,15 +79,16 @@ class PolicyBlock(Block):
         make: Any = self.cls.__new__
         policy = make(self.cls)
         for name in given.keys() - own:
-            object.__setattr__(policy, name, given[name])  # a frozen dataclass has its own refusal
+            # a frozen dataclass refuses `setattr`
+            object.__setattr__(policy, name, given[name])
         policy.__init__(**{name: value for name, value in given.items() if name in own})
         return policy
 
 
 def policy_block(cls: Any, modules: OwnModules | None = None) -> PolicyBlock:
-    """Returns the variables of a policy class; ExportError for a class that is none.
+    """Returns the variables of a policy class; ExportError for a class that is no policy.
 
-    modules: the modules that its methods find, if they are not those of this process
+    modules: the modules that its methods find; by default the modules of this process
     """
     name = getattr(cls, "__name__", repr(cls))
     if not isinstance(cls, type):
@@ -118,7 +122,7 @@ def policy_block(cls: Any, modules: OwnModules | None = None) -> PolicyBlock:
 
 
 def _parameters(cls: type) -> Iterator[Field]:
-    """Yields the parameters of a class, declared by `variable` or numbers, those of its bases first."""
+    """Yields the parameters of a class, declared by `variable` or numbers, base classes first."""
     bases = [vars(base) for base in reversed(cls.__mro__)]
     members = {name: _plain(value) for base in bases for name, value in base.items()}
     types = {name: declared for base in bases for name, declared in base.get("__annotations__", {}).items()}
@@ -177,14 +181,14 @@ def _named(cls: type, role: str, known: Mapping[str, str]) -> dict[str, str | No
             )
         if name not in known and not isinstance(given, Mapping):
             raise ExportError(
-                f"{where}: {name!r} is none of the depth control interface; {nearest(name, known)}; "
+                f"{where}: {name!r} is not in the depth control interface; {nearest(name, known)}; "
                 "a dictionary {name: unit} may have others"
             )
     return {name: given[name] if isinstance(given, Mapping) else known[name] for name in given}
 
 
 class _Values(dict[str, float]):
-    """The inputs of a step by name; a name that is none offers the nearest."""
+    """The inputs of a step by name; KeyError offers the nearest name."""
 
     def __missing__(self, name: str) -> float:
         raise KeyError(f"no input {name!r}; {nearest(str(name), self)}; `inputs` of the class names them")
@@ -198,7 +202,7 @@ class PolicyInstance(BlockInstance):
     def __init__(self, block: PolicyBlock, fingerprint: str = "") -> None:
         super().__init__(block, fingerprint)
         self._policy: Any = None
-        # for snapshots: a copy of the object, time and inputs of the samples since, and how long to note them
+        # for snapshots: a copy of the object, time and inputs of the samples since, time to the next copy [s]
         self._noted: tuple[Any, list[tuple[float, list[Any]]], float] | None = None
         with block.modules.present():
             self._file = Path(str(sys.modules[block.cls.__module__].__file__))
@@ -224,7 +228,8 @@ class PolicyInstance(BlockInstance):
         self._check_step(t, h)
         end, period = t + h - step_tolerance(t, h), self._values[self._period]
         while (time := self._begin + self._samples * period) < end:
-            noted, self._noted = self._noted, None  # a step that fails may have changed the object
+            # a step that fails may have changed the object: then the copy counts no more
+            noted, self._noted = self._noted, None
             inputs, start = self._values[self._parameters_end : self._inputs_end], perf_counter()
             self._sample(self._policy, time)
             self._samples += 1
@@ -240,13 +245,13 @@ class PolicyInstance(BlockInstance):
         return policy
 
     def _sample(self, policy: Any, time: float) -> None:
-        """Takes over the outputs of a step."""
+        """Sets the outputs to the results of a step."""
         inputs = _Values(zip(self._names, self._values[self._parameters_end :], strict=False))
         result = self._call("step", policy.step, time, inputs)
         self._values[self._inputs_end :] = self._numbers(result, time)
 
     def _call(self, method: str, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Returns what a method returns; BlockError names the line of the user's file that raises."""
+        """Calls a method and returns its result; BlockError names the line of the user's file that raises."""
         try:
             with self.block.modules.present():
                 return function(*arguments)
@@ -259,7 +264,7 @@ class PolicyInstance(BlockInstance):
         return f"{self._file.name}: {self.block.name}.{method}"
 
     def _numbers(self, result: Any, time: float) -> list[float]:
-        """Returns the values of the outputs from what `step` returns."""
+        """Returns the values of the outputs from the result of `step`."""
         names, where = [v.name for v in self._outputs], f"{self._place('step')} at t = {time:.9g} s: returned"
         if not isinstance(result, Mapping):
             example = ", ".join(f"{name!r}: number" for name in names)
@@ -277,11 +282,9 @@ class PolicyInstance(BlockInstance):
         return [float(result[name]) for name in names]
 
     def snapshot(self) -> Any:
-        """Returns a copy of the object and the samples since, with the rest of the instance.
-
-        Another copy is made once the samples have taken as long as the last one: an object that grows is not
-        copied at each communication point.
-        """
+        """Returns a copy of the object and the samples since, with the rest of the instance."""
+        # The next copy is made once the samples have taken as long as the last copy: an object that grows is
+        # not copied at each communication point.
         if self._noted is None:
             start = perf_counter()
             self._noted = self._copied(self._policy), [], perf_counter() - start
@@ -304,9 +307,9 @@ class PolicyInstance(BlockInstance):
 
 
 def line_below(error: BaseException, folder: Path) -> str:
-    """Returns FILE:LINE of the deepest line of an error below a folder, "" if there is none.
+    """Returns FILE:LINE of the deepest line of an error below a folder, or "".
 
-    FILE is relative to the folder. Lines of what an FMU carries of `fmus` do not count.
+    FILE is relative to the folder. Lines of the copy of `fmus` in an FMU do not count.
     """
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         path = Path(frame.filename)

@@ -12,7 +12,7 @@ from fmus.block.slave import BlockSlave
 class PolicySlave(BlockSlave):
     """A policy class behind PythonFMU's interface; a subclass has its name, and names its module.
 
-    A reset makes a new slave, whose modules are imported anew.
+    A reset makes a new slave, which imports the modules again.
 
     module: of the package that the resources hold
     """

@@ -7,7 +7,7 @@ from typing import Any
 
 
 def members(value: Any, first: int = 1) -> list[tuple[str, Any]] | None:
-    """Returns path and value of what a tuple or dataclass holds, ".name" or "[1]"; None of a scalar.
+    """Returns (".name" or "[1]", value) of each member of a tuple or dataclass; None of a scalar.
 
     first: index of the first element of a tuple
     """
@@ -33,7 +33,8 @@ def _collect(value: Any, scalars: list[Any]) -> None:
         scalars.append(value)
         return
     for member in members:
-        if member.__class__ is float:  # as most are: no call for each
+        # most are floats: a call for each would take longer
+        if member.__class__ is float:
             scalars.append(member)
         else:
             _collect(member, scalars)

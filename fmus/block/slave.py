@@ -1,9 +1,9 @@
 """Slave that PythonFMU's binary calls in an FMU of the python flavour.
 
-The binary turns any exception into fmi2Fatal and drops the instance, so none leaves this class.
-A call that is refused is logged as an error and leaves the state as it was; as the binary has no
-way to return fmi2Error for it, every step is discarded until the value is put right, and one step
-for a call that nothing can put right (setting an output, an unknown value reference).
+The binary turns any exception into fmi2Fatal and drops the instance, so no exception leaves this class. A
+refused call is logged as an error and leaves the state as it was. The binary cannot return fmi2Error for it.
+So every step is discarded until the value is corrected, and one step for a call that cannot be corrected
+(setting an output, an unknown value reference).
 """
 
 import math
@@ -30,7 +30,7 @@ class BlockSlave(Fmi2Slave):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        # the binary put the resources first on the path to find this module; nobody else needs them
+        # The binary has put the resources first on the path, to find this module alone.
         with suppress(ValueError):
             sys.path.remove(str(self.resources))
         self._instance = self.instance_class(self.block, self.fingerprint)

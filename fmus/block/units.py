@@ -1,6 +1,6 @@
-"""Units that a block may state: those of `fmus.units`, and all others that FMI can express and Pint knows.
+"""Units that a block may state: all of `fmus.units`, and the units of Pint that FMI can express.
 
-Pint is an extra. It is loaded for a name that `fmus.units` does not know.
+Pint is an extra. It is loaded for a name that `fmus.units` does not define.
 """
 
 import re
@@ -14,7 +14,7 @@ from fmus.units import BASES, SYMBOLS, UnitDefinition, si_unit
 
 _PINT_BASES = ("kilogram", "meter", "second", "ampere", "kelvin", "mole", "candela", "radian")
 _PINT_NAMES = dict(zip(_PINT_BASES, BASES, strict=True))
-# where FMI and Modelica write a name otherwise than Pint, or mean another unit by it
+# names for which FMI and Modelica have another spelling, or another unit, than Pint
 _DEFINITIONS = ("@alias turn = rev", "@alias ohm = Ohm", "torque_newton_meter = newton * meter = Nm")
 _GRAMMAR = re.compile(r"1|(1/)?[^\W\d_(%][\w.%/()-]*|(1/)?[%°][\w./()-]*|1/\([\w.%/()-]*")
 _EXPONENT = re.compile(r"(?<=[^\W\d_])(-?\d+)")
@@ -68,7 +68,8 @@ def _by_pint(name: str) -> UnitDefinition:
         raise ExportError(f"unknown unit {name!r}{part}; {known}") from None
     except ExportError:
         raise
-    except (KeyError, TypeError) as error:  # bits and the like; decibels and other logarithms
+    # bits and the like; decibels and other logarithms
+    except (KeyError, TypeError) as error:
         raise ExportError(f"unit {name!r}: expected one of powers of {', '.join(BASES)}") from error
     except Exception as error:
         raise ExportError(f"unit {name!r}: expected a name as 'N.s/m', 'kg/(m.s)' or '1/s2'") from error
@@ -79,10 +80,8 @@ def _by_pint(name: str) -> UnitDefinition:
 
 
 def _check_plurals(name: str) -> None:
-    """Refuses the plural of a symbol, of at most four letters: Nms and Pas can be meant as products with s.
-
-    Pint's rads is a dose of radiation.
-    """
+    """Refuses the plural of a symbol of at most four letters."""
+    # Nms and Pas can be meant as products with s; Pint's rads is a dose of radiation.
     if re.search(r"(?<![^\W\d])rads(?![^\W\d])", name):
         raise ExportError(f"unit {name!r}: no unit 'rads'; nearest is 'rad/s'")
     for symbol in re.findall(r"(?<![^\W\d])([^\W\d]{2,4})s(?![^\W\d])", name):
@@ -97,8 +96,7 @@ def _check_plurals(name: str) -> None:
 def _registry() -> Any:
     exact: Any = Decimal
     registry = require("pint", "units", "a unit").UnitRegistry(
-        non_int_type=exact,
-        preprocessors=[lambda name: _EXPONENT.sub(r"**(\1)", name).replace(".", "*")],
+        non_int_type=exact, preprocessors=[lambda name: _EXPONENT.sub(r"**(\1)", name).replace(".", "*")]
     )
     for definition in _DEFINITIONS:
         registry.define(definition)

@@ -29,18 +29,45 @@ def variable(
 ) -> Start:
     """Declares one variable of a block.
 
-    start: float, int, bool or IntEnum member; a tuple declares a vector `name[1], name[2]`, a
-        tuple of tuples a matrix `name[1,1]`, row by row.
-    unit: one that `fmus.block.units` knows, such as "m", "N.s/m", "deg", "rev/min" or "degC"; "1" for
-        a number.
-    display_unit: in which tools may show the value, such as "deg" beside the unit "rad".
-    unit, display_unit, min, max, nominal: one value, or a tuple of the shape of `start`.
-    variability: "fixed" or "tunable" for a parameter; "discrete" for a Real input or output that changes at
-        events alone; otherwise class and type decide.
-    source: where a number comes from: published, estimate or guess.
+    Parameters
+    ----------
+    start : float, int, bool, IntEnum member, or tuple of these
+        Start value and type. A tuple declares a vector `name[1], name[2]`, a tuple of tuples a matrix
+        `name[1,1]`, row by row.
+    description : str
+        Meaning of the variable, one line.
+    unit : str or tuple of str
+        Unit of `fmus.block.units`, such as "m", "N.s/m", "deg", "rev/min" or "degC"; "1" for a number.
+    display_unit : str or tuple of str, optional
+        Unit in which tools may show the value, such as "deg" for the unit "rad".
+    min, max, nominal : number or tuple of the shape of `start`, optional
+        Range and magnitude, in `unit`.
+    variability : {"fixed", "tunable", "discrete"}, optional
+        "fixed" or "tunable" for a parameter; "discrete" for a Real input or output that changes at events
+        alone. By default class and type decide.
+    source : str
+        Origin of a number: published, estimate or guess.
+
+    Returns
+    -------
+    field
+        Default of a dataclass field, which is declared with the type of `start`.
+
+    Raises
+    ------
+    TypeError
+        If `start` is a list.
+
+    Examples
+    --------
+    >>> @dataclass(frozen=True)
+    ... class Parameters:
+    ...     mass: float = variable(5.5, "Mass", unit="kg", min=0.1)
+    >>> Parameters().mass
+    5.5
     """
     start = plain(start)
-    # a dataclass refuses a list with a message about its own functions
+    # A dataclass refuses a list, too, with a message about its own functions.
     if isinstance(start, list):
         raise TypeError(f"start {start!r}: expected a tuple")
     ranges = {"minimum": plain(min), "maximum": plain(max), "nominal": plain(nominal)}

@@ -1,1 +1,1 @@
-"""One FMU at run time: its description and its loaded instance, here or in a process of its own."""
+"""One FMU at run time: its description and its loaded instance, in this process or in a separate one."""

@@ -18,14 +18,16 @@ from fmus.platforms import (
     platform_folder,
 )
 
-OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)  # fmi2Status
-DO_STEP_STATUS, PENDING_STATUS, LAST_SUCCESSFUL_TIME, TERMINATED = range(4)  # fmi2StatusKind
+# fmi2Status, then fmi2StatusKind
+OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
+DO_STEP_STATUS, PENDING_STATUS, LAST_SUCCESSFUL_TIME, TERMINATED = range(4)
 _STATUS_NAMES = ("ok", "warning", "discard", "error", "fatal", "pending")
 
-# type of the functions that transfer numbers -> ctypes element, as fmi2TypesPlatform.h has it
+# type of the functions that transfer numbers -> ctypes element (fmi2TypesPlatform.h)
 ELEMENTS = {"Real": ctypes.c_double, "Integer": ctypes.c_int, "Boolean": ctypes.c_int}
-_FALSE, _TRUE = 0, 1  # fmi2Boolean
-MODEL_EXCHANGE, CO_SIMULATION = 0, 1  # fmi2Type
+# fmi2Boolean, then fmi2Type
+_FALSE, _TRUE = 0, 1
+MODEL_EXCHANGE, CO_SIMULATION = 0, 1
 
 
 def element_type(transfer_type: str) -> Any:
@@ -33,7 +35,7 @@ def element_type(transfer_type: str) -> Any:
 
 
 def status_name(status: int) -> str:
-    """Returns the name of an fmi2Status; a number that is none is named as it is."""
+    """Returns the name of an fmi2Status, or "status N" for an unknown number."""
     return _STATUS_NAMES[status] if 0 <= status < len(_STATUS_NAMES) else f"status {status}"
 
 
@@ -49,11 +51,12 @@ def platform_name(fmi: int = 2) -> str:
 
 
 def library_member(members: Collection[str], model_identifier: str, fmi: int = 2) -> str | None:
-    """Returns the path inside an FMU of the library that this machine loads; None if there is none.
+    """Returns the path inside an FMU of the library that this machine loads, or None.
 
-    members: the paths in the FMU. The folder of the FMI platform comes first, then the folder that FMPy uses,
-    which tells no processor. fmi: the version of the standard.
+    members: the paths in the FMU
+    fmi: the version of the standard
     """
+    # The folder of the FMI platform comes first, then the folder that FMPy uses, whose name has no processor.
     candidates = [f"binaries/{SYSTEM_PLATFORM}/{model_identifier}{SHARED_LIBRARY_SUFFIX}"]
     with contextlib.suppress(ExportError):
         candidates.insert(0, library_name(model_identifier, host_platform(), fmi))
@@ -61,7 +64,7 @@ def library_member(members: Collection[str], model_identifier: str, fmi: int = 2
 
 
 def reference_array(references: Sequence[int]) -> Any:
-    """Returns the value references as the functions of FMI take them."""
+    """Returns value references as an array of fmi2ValueReference."""
     return (ctypes.c_uint * len(references))(*references)
 
 
@@ -80,7 +83,8 @@ _COMMON_SIGNATURES = {
     "piddid": "SetupExperiment",
     "pipppii": "Instantiate",
 }
-_SIGNATURES = {  # fmi2Type -> functions of that interface alone
+# fmi2Type -> functions of that interface alone
+_SIGNATURES = {
     CO_SIMULATION: {
         "p": "CancelStep",
         "pip": "GetStatus GetRealStatus GetIntegerStatus GetBooleanStatus GetStringStatus",
@@ -106,7 +110,7 @@ _TYPES = {"p": ctypes.c_void_p, "s": ctypes.c_size_t, "d": ctypes.c_double, "i":
 
 
 def signatures(interface: int = CO_SIMULATION) -> dict[str, str]:
-    """Returns function -> types of its arguments, of those that an interface, an fmi2Type, has."""
+    """Returns function -> types of its arguments, for the functions of an interface (fmi2Type)."""
     signatures = (*_COMMON_SIGNATURES.items(), *_SIGNATURES[interface].items())
     return {f"fmi2{name}": types for types, names in signatures for name in names.split()}
 
@@ -127,16 +131,16 @@ def declare(functions: ctypes.CDLL, signatures: Mapping[str, str]) -> list[str]:
 class Library:
     """A loaded library; its FMI functions are attributes.
 
-    It is loaded by its whole path, from which the system also resolves what it needs; the working directory,
-    which all threads share, stays as it is. Raises OSError if the system refuses, AttributeError if a
-    function is missing.
-
-    interface: fmi2Type, whose functions it must have; optional: those of them that may be missing
+    interface: fmi2Type, whose functions it must have
+    optional: functions of the interface that may be missing
+    Raises OSError if the system refuses, AttributeError if a function is missing.
     """
 
     instantiates = "fmi2Instantiate"
 
     def __init__(self, path: Path, interface: int = CO_SIMULATION, optional: Collection[str] = ()) -> None:
+        # By its absolute path, the system also finds the libraries that it needs: the working directory,
+        # which all threads share, stays as it is.
         self._functions = ctypes.CDLL(str(path.resolve()))
         absent = declare(self._functions, signatures(interface))
         if missing := [name for name in absent if name.removeprefix("fmi2") not in optional]:
@@ -146,7 +150,8 @@ class Library:
             )
 
     def __getattr__(self, name: str) -> Any:
-        function = self.__dict__[name] = getattr(self._functions, name)  # found at once the next time
+        # an attribute of the object is found faster the next time
+        function = self.__dict__[name] = getattr(self._functions, name)
         return function
 
     def instantiate(

@@ -11,7 +11,8 @@ from typing import Any
 
 from fmus.platforms import FMPY, SHARED_LIBRARY_SUFFIX, SYSTEM_PLATFORM
 
-_ERROR, _FATAL = 3, 4  # fmi2Status
+# fmi2Status
+_ERROR, _FATAL = 3, 4
 
 Logger = ctypes.CFUNCTYPE(
     None, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p
@@ -47,7 +48,7 @@ class Log(list[tuple[int, str]]):
     def add(
         self, status: int, message: str, instance: str | None = None, category: str | None = None
     ) -> None:
-        """Adds a message. instance, category: as the FMU gave them, for a log that keeps these too."""
+        """Adds a message. instance, category: as the FMU gave them, for a subclass that stores these, too."""
         entry = status, " ".join(message.split())
         if not self or self[-1] != entry:
             self.append(entry)
@@ -62,8 +63,9 @@ class Log(list[tuple[int, str]]):
 class CountingAllocator:
     """Allocator of memory for FMUs that counts it.
 
-    held: address -> block, of those in use; given: how many were given
-    foreign_frees: how often another address was freed
+    held: address -> block in use
+    given: number of blocks that were allocated
+    foreign_frees: number of frees of another address
     """
 
     def __init__(self) -> None:
@@ -112,11 +114,9 @@ _python_logger = Logger(log_message)
 
 @functools.cache
 def _logger() -> Any:
-    """Returns a logger that formats messages, whose arguments do not reach Python, for `log_message`.
-
-    It is FMPy's, in a library copied and loaded for this module alone: FMPy's own copy serves the logger that
-    was registered last in the process. Where the copy cannot be loaded, messages arrive without arguments.
-    """
+    """Returns a logger that formats messages for `log_message`; variable arguments do not reach Python."""
+    # The library is FMPy's, copied and loaded for this module alone: FMPy's own copy serves the logger that
+    # was registered last in the process. Where the copy cannot be loaded, messages arrive without arguments.
     callbacks = CallbackFunctions(logger=_python_logger)
     name = f"logging{SHARED_LIBRARY_SUFFIX}"
     original = FMPY / "logging" / SYSTEM_PLATFORM / name
@@ -133,9 +133,10 @@ def _logger() -> Any:
 class Callbacks:
     """The callbacks of one instance, and the log that they fill until `close`.
 
-    allocator: calloc and free of C by default; asynchronous: whether a step may return pending; log: a new
-    one by default; environment: of the callbacks, by which messages find their log; 0 for those that find no
-    other
+    allocator: calloc and free of C by default
+    asynchronous: whether a step may return pending
+    log: a new one by default
+    environment: of the callbacks, by which messages find their log; the log of 0 gets all other messages
     """
 
     def __init__(

@@ -16,17 +16,19 @@ from fmus.registry import block_fmus, block_names, is_in_cache
 from fmus.store import is_own_build, keep_fmus, reason_for_distrust
 from fmus.units import of_differences
 
-_MOST_DESCRIPTIONS = 256  # that stay in memory
+# descriptions that stay in memory
+_MOST_DESCRIPTIONS = 256
 
 
 class FileVersion(NamedTuple):
-    """A file as it is now: another version of it differs in one of these."""
+    """Version of a file: another version differs in one of these."""
 
     path: Path
     inode: int
     size: int
-    modified: int  # ns; a copy may keep it
-    changed: int  # ns; a copy may not
+    # ns; a copy may keep the first of these times, but not the second
+    modified: int
+    changed: int
 
     @staticmethod
     def of(path: Path) -> "FileVersion":
@@ -37,9 +39,22 @@ class FileVersion(NamedTuple):
 
 
 def describe(path: Path) -> ModelDescription:
-    """Returns the model description of an FMU; FmuLoadError says what is wrong.
+    """Returns the model description of an FMU; it is shared by all callers, who must not change it.
 
-    It is read once while the file does not change: all who ask share it, and must not change it.
+    Parameters
+    ----------
+    path : Path
+        The FMU, of FMI 2.0 or 3.0. The file is read once while it does not change.
+
+    Returns
+    -------
+    ModelDescription
+        The description with complete variables; of FMI 3.0, in the terms of FMI 2.0.
+
+    Raises
+    ------
+    FmuLoadError
+        If the file is missing or no FMU of these versions. The message names the file and the reason.
     """
     if not path.is_file():
         if path.exists():
@@ -49,7 +64,8 @@ def describe(path: Path) -> ModelDescription:
         for block, flavour in block_fmus([path]):
             command = f"l1-depth build --cache --flavour {flavour} {block}"
             raise FmuLoadError(f"the FMU of block {block} is not built: {command} writes {path}")
-        name = path.stem  # of a block, or of the file that a build of it would write
+        # the name of the FMU may be the name of a block that is not built
+        name = path.stem
         build = f"; l1-depth build {name} writes fmus-built/{name}.fmu" if name in block_names() else ""
         raise FmuLoadError(f"no FMU at {path}; in that folder, {nearest(path.name, beside)}{build}")
     return _read(path, FileVersion.of(path))
@@ -63,14 +79,16 @@ def _read(path: Path, version: FileVersion) -> ModelDescription:
     try:
         with zipfile.ZipFile(path) as archive:
             root = ElementTree.fromstring(archive.read("modelDescription.xml"))
-            is_built = "sources/buildDescription.xml" in archive.namelist()  # as FMI 3.0 lists sources
+            # where FMI 3.0 lists the sources
+            is_built = "sources/buildDescription.xml" in archive.namelist()
     except (zipfile.BadZipFile, EOFError, KeyError) as error:
         raise FmuLoadError(
             f"{path} is not an FMU: expected a zip with a modelDescription.xml: {error}"
         ) from error
     except (LookupError, ValueError) as error:
         raise _unreadable(path, ValueError(f"{error}: expected XML in UTF-8 (FMI 2.0.5, 2.2)")) from error
-    except Exception as error:  # whatever unpacking and parsing a damaged file raise
+    # unpacking and parsing a damaged file raise errors of many kinds
+    except Exception as error:
         raise _unreadable(path, error) from error
     fmi_version = root.get("fmiVersion", "")
     if fmi_version != "2.0" and not fmi_version.startswith("3."):
@@ -80,13 +98,14 @@ def _read(path: Path, version: FileVersion) -> ModelDescription:
     except ValueError as error:
         raise _unreadable(path, error) from error
     identifier = description.coSimulation.modelIdentifier
-    if not identifier or set(identifier) & set("/\\:") or ".." in identifier:  # leads out of the archive
+    # such an identifier could lead out of the folder of the unpacked FMU
+    if not identifier or set(identifier) & set("/\\:") or ".." in identifier:
         raise FmuLoadError(f"{path}: modelIdentifier {identifier!r}: expected a C identifier")
     names = Counter([*(variable.name for variable in description.modelVariables), *description.left_out])
     if repeated := [name for name, count in names.items() if count > 1]:
         raise FmuLoadError(f"{path}: {names[repeated[0]]} variables are called {repeated[0]!r}: expected one")
     _complete_variables(description)
-    # those of this exporter list sources: other FMUs, which may be large, need not be read
+    # Native FMUs of this exporter list sources: other FMUs, which may be large, need not be read.
     has_sources = is_built or root.find("CoSimulation/SourceFiles") is not None
     description.is_own_build = has_sources and is_own_build(path.read_bytes())
     return description
@@ -104,12 +123,10 @@ def _unreadable(path: Path, error: Exception) -> FmuLoadError:
 
 
 def is_independent(description: ModelDescription) -> bool:
-    """Whether an FMU is a native one that a build of this user wrote.
-
-    The instances of these have no memory in common, also within one library, and change nothing in the
-    process, as `tests/fmus/native/test_no_globals.py` proves. Any other FMU may do anything, whatever tool it
-    names: so may the Python of a block.
-    """
+    """Whether an FMU is a native one that a build of this user wrote."""
+    # Instances of these share no memory, also within one library, and change nothing in the process, as
+    # `tests/fmus/native/test_no_globals.py` proves. Any other FMU may do anything, whatever tool it names,
+    # and so may the Python code of a block.
     return description.is_own_build
 
 
@@ -119,7 +136,7 @@ def of_causality(description: ModelDescription, causality: str) -> list[ScalarVa
 
 
 def start_value(variable: ScalarVariable) -> FmiValue:
-    """Returns the start value in the Python type of the variable; 0, False or "" where none is given."""
+    """Returns the start value in the Python type of the variable; 0, False or "" without one."""
     text = str(variable.start or "")
     if variable.type == "String":
         return text
@@ -129,7 +146,7 @@ def start_value(variable: ScalarVariable) -> FmiValue:
 
 
 def _complete_variables(description: ModelDescription) -> None:
-    """Gives each variable the unit definitions, and what only its SimpleType states (FMI 2.0.5, 2.2.3)."""
+    """Gives each variable the unit definitions and the attributes of its SimpleType (FMI 2.0.5, 2.2.3)."""
     units = {
         unit.name: unit.baseUnit
         for unit in description.unitDefinitions

@@ -22,34 +22,19 @@ from fmus.native import compiled_library
 
 _SOURCE = "fmi3_calls.c"
 _OF_INTERFACE = {
-    CO_SIMULATION: ("DoStep",),
-    MODEL_EXCHANGE: (
-        "EnterEventMode",
-        "EnterContinuousTimeMode",
-        "SetTime",
-        "CompletedIntegratorStep",
-        "GetContinuousStates",
-        "SetContinuousStates",
-        "GetContinuousStateDerivatives",
-        "GetEventIndicators",
-        "GetNominalsOfContinuousStates",
-        "UpdateDiscreteStates",
-    ),
+    CO_SIMULATION: "DoStep",
+    MODEL_EXCHANGE: "EnterEventMode EnterContinuousTimeMode SetTime CompletedIntegratorStep "
+    "GetContinuousStates SetContinuousStates GetContinuousStateDerivatives GetEventIndicators "
+    "GetNominalsOfContinuousStates UpdateDiscreteStates",
 }
+_COMMON = (
+    "FreeInstance EnterInitializationMode ExitInitializationMode Terminate Reset GetFMUState SetFMUState"
+    " FreeFMUState SerializedFMUStateSize SerializeFMUState DeserializeFMUState"
+)
 # in the order of `Functions` of the source
 _FUNCTIONS = (
-    "FreeInstance",
-    "EnterInitializationMode",
-    "ExitInitializationMode",
-    "Terminate",
-    "Reset",
-    "GetFMUState",
-    "SetFMUState",
-    "FreeFMUState",
-    "SerializedFMUStateSize",
-    "SerializeFMUState",
-    "DeserializeFMUState",
-    *(name for names in _OF_INTERFACE.values() for name in names),
+    *_COMMON.split(),
+    *(name for names in _OF_INTERFACE.values() for name in names.split()),
     *(f"{verb}{name}" for name in TYPES for verb in ("Get", "Set")),
 )
 _INSTANTIATE = {CO_SIMULATION: "fmi3InstantiateCoSimulation", MODEL_EXCHANGE: "fmi3InstantiateModelExchange"}
@@ -69,18 +54,19 @@ _loading = threading.Lock()
 class Fmi3Library(Library):
     """A loaded library of FMI 3.0; functions of FMI 2.0 for its instances are attributes.
 
-    interface: fmi2Type, whose functions it must have; elements: of the model description, for variables
-    Raises FmuLoadError if the functions of FMI 2.0 cannot be compiled, else what `Library` raises.
+    interface: fmi2Type, whose functions it must have
+    elements: of the model description, for variables
+    Raises FmuLoadError if the functions of FMI 2.0 cannot be compiled, and the errors of `Library`.
     """
 
     def __init__(self, path: Path, interface: int = CO_SIMULATION, elements: Sequence[Element] = ()) -> None:
         with _loading:
             calls = _calls()
         if isinstance(calls, Exception):
-            raise FmuLoadError(f"FMI 3.0 takes a library of {_SOURCE}, which a wheel has: {calls}") from calls
+            raise FmuLoadError(f"FMI 3.0 needs a library of {_SOURCE}, which a wheel has: {calls}") from calls
         self._calls, self._functions = calls, ctypes.CDLL(str(path.resolve()))
         self.instantiates = _INSTANTIATE[interface]
-        others = _OF_INTERFACE[MODEL_EXCHANGE if interface == CO_SIMULATION else CO_SIMULATION]
+        others = _OF_INTERFACE[MODEL_EXCHANGE if interface == CO_SIMULATION else CO_SIMULATION].split()
         names = [self.instantiates, *(f"fmi3{name}" for name in _FUNCTIONS if name not in others)]
         if missing := [name for name in names if not hasattr(self._functions, name)]:
             self.unload()
@@ -101,9 +87,10 @@ class Fmi3Library(Library):
         self, interface: int, name: str, guid: str, resources: Path, callbacks: Callbacks, logging_on: bool
     ) -> int | None:
         environment = callbacks.structure.componentEnvironment
-        folder = f"{resources}{os.sep}".encode() if resources.is_dir() else None  # 2.3.1
-        arguments = name.encode(), guid.encode(), folder, False, logging_on  # not visible
-        # no event mode, no early return, no intermediate updates
+        # 2.3.1: the path ends with a separator; NULL without a folder `resources`
+        folder = f"{resources}{os.sep}".encode() if resources.is_dir() else None
+        # not visible; no event mode, no early return, no intermediate updates
+        arguments = name.encode(), guid.encode(), folder, False, logging_on
         before, after = ([kind() for kind in kinds] for kinds in _FOR_ONE_INTERFACE[interface])
         instance = self._instantiate(*arguments, *before, environment, _log, *after)
         arrays = self._addresses.ctypes.data, self._elements.ctypes.data, len(self._elements)
@@ -123,7 +110,8 @@ def _name_of(function: str) -> str:
 
 @cache
 def _calls() -> ctypes.CDLL | Exception:
-    """Returns the library of the source, or the error, looked for once: finding no compiler takes time."""
+    """Returns the library of the source, or the error."""
+    # An error is remembered, too: to find no compiler takes time.
     try:
         calls = compiled_library.load(Path(__file__).with_name(_SOURCE))
     except (ExportError, OSError) as error:

@@ -1,7 +1,7 @@
-/* An instance of an FMI 3.0 FMU behind the functions of FMI 2.0 that the master calls, from its loop and from Python. Clauses are those of FMI 3.0.2.
+/* An instance of an FMI 3.0 FMU behind the functions of FMI 2.0 that the master calls, from its loop and from Python. Clauses refer to FMI 3.0.2.
 
-   FMI 3.0 transfers whole arrays. The master knows their elements as scalars, row by row (2.2.7.1), each with a number
-   of its own in place of a value reference. Scalars of neighbouring whole arrays of one type are one call; a part of an
+   FMI 3.0 transfers whole arrays. For the master, their elements are scalars, row by row (2.2.7.1), each with an index
+   in place of a value reference. Scalars of neighbouring whole arrays of one type are one call; a part of an
    array is set by reading the array first. */
 
 #include <float.h>
@@ -50,7 +50,7 @@ typedef fmi3Status Transfer(fmi3Instance instance, const fmi3ValueReference *ref
     X(GetNominalsOfContinuousStates) X(UpdateDiscreteStates)
 #define MEMBER(Name) fmi3##Name##TYPE *Name;
 typedef struct {
-    FUNCTIONS(MEMBER) /* NULL for those of the other interface */
+    FUNCTIONS(MEMBER) /* NULL for functions of the other interface */
     Transfer *transfer[String + 1][2]; /* get, set */
 } Functions;
 
@@ -108,7 +108,7 @@ static void put(int64_t type, void *values, size_t i, double x) {
     }
 }
 
-/* One scalar, between the master's values and those of a call. */
+/* Copies one scalar between the values of the master and the values of a call. */
 static int move(Instance *a, int kind, int is_set, const Element *e, size_t slot, void *values, size_t i) {
     const double low = is_set ? TYPES[e->type].low : INT32_MIN, high = is_set ? TYPES[e->type].high : INT32_MAX;
     double *reals = values, x;

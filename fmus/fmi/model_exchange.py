@@ -1,8 +1,8 @@
 """An instance of an FMU for model exchange alone, with the calls of one for co-simulation.
 
-A step handles an event, for what was set since the last one, and integrates by CVode, which FMPy brings, from
-event to event up to the next communication point. There the instance is in event mode, in which every
-variable can be read, and inputs, tunable parameters and saved states can be set.
+A step handles an event, for the values that were set since the last step. Then it integrates by FMPy's CVode
+from event to event up to the next communication point. There the instance is in event mode: every variable
+can be read, and inputs, tunable parameters and saved states can be set.
 """
 
 import ctypes
@@ -22,12 +22,17 @@ from fmus.fmi.binding import DISCARD, ERROR, MODEL_EXCHANGE, OK, WARNING, status
 from fmus.fmi.instance import FmuInstance
 from fmus.fmi.model_description import ModelDescription
 
-# relative, of the solver, where the run states none; it starts anew in each step, so that errors add up
+# Relative tolerance of the solver if the run states none. The solver starts again in each communication
+# step, so that errors add up.
 _TOLERANCE = 1e-9
-_MOST_EVENTS = 10_000  # in one step: more have no end, as those of a ball that comes to rest
-_MOST_ITERATIONS = 100  # of one event
-_ONE_STEP = 2  # CV_ONE_STEP of cvode.h: CVode returns after each step of its own
-_set_stop_time = sundials_cvode.CVodeSetStopTime  # FMPy declares no types for it
+# In one step: more events have no end, as with a ball that comes to rest.
+_MOST_EVENTS = 10_000
+# of one event
+_MOST_ITERATIONS = 100
+# CV_ONE_STEP of cvode.h: CVode returns after each of its internal steps
+_ONE_STEP = 2
+# FMPy declares no types for this function
+_set_stop_time = sundials_cvode.CVodeSetStopTime
 _set_stop_time.argtypes, _set_stop_time.restype = [ctypes.c_void_p, ctypes.c_double], ctypes.c_int
 # of fmi2DoStep, and of fmi2GetRealStatus and fmi2GetBooleanStatus
 _Step = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int)
@@ -35,7 +40,7 @@ _Status = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int, ctypes.c
 
 
 class _StepEndsError(Exception):
-    """A step that ends before its end, with the status that it returns."""
+    """The early end of a step, with its status."""
 
     def __init__(self, status: int, message: str) -> None:
         super().__init__(message)
@@ -45,7 +50,7 @@ class _StepEndsError(Exception):
 class ModelExchangeInstance(FmuInstance):
     """An instance of an FMI 2.0 FMU for model exchange; its fmi2DoStep integrates and handles events.
 
-    Arguments and errors are those of `FmuInstance`.
+    It has the arguments and errors of `FmuInstance`.
     """
 
     interface = MODEL_EXCHANGE
@@ -54,7 +59,7 @@ class ModelExchangeInstance(FmuInstance):
         super().__init__(name, path, description)
         self._tolerance, self._worst = _TOLERANCE, OK
         self._next_event, self._reached, self._terminates = math.inf, 0.0, False
-        # the library has no other user: those of FMUs that only model exchange can run are not shared
+        # The library has no other user: FMUs for model exchange alone do not share theirs.
         vars(self.library).update(
             fmi2DoStep=_Step(self._do_step),
             fmi2GetRealStatus=_Status(self._real_status),
@@ -78,11 +83,12 @@ class ModelExchangeInstance(FmuInstance):
         self.check_status("fmi2NewDiscreteStates", self._worst)
 
     def check_status(self, function: str, status: int) -> None:
-        """Checks a status as `FmuInstance` does; the FMU has no fmi2DoStep, and the log names what failed."""
+        """Checks a status as `FmuInstance` does; the FMU has no fmi2DoStep: the log names its function."""
         super().check_status("integration" if function == "fmi2DoStep" else function, status)
 
     def _do_step(self, _: int, start: float, size: float, no_going_back: int) -> int:
-        """Implements fmi2DoStep; nothing may be raised through the loop, which is C."""
+        """Implements fmi2DoStep."""
+        # The caller is C: no exception may leave this function.
         self._worst = OK
         try:
             self._advance(start, start + size, no_going_back)
@@ -130,7 +136,8 @@ class ModelExchangeInstance(FmuInstance):
         self._solver.reset(self._reached)
         is_event = False
         while self._reached < end and not is_event:
-            if end - self._reached < 8 * math.ulp(end):  # which CVode refuses as too close
+            # CVode refuses such an end as too close
+            if end - self._reached < 8 * math.ulp(end):
                 self._checked("fmi2SetTime", end)
                 self._reached = end
             else:
@@ -177,11 +184,13 @@ class _Solver(CVodeSolver):
             get_z=vector("fmi2GetEventIndicators"),
             get_nominals=vector("fmi2GetNominalsOfContinuousStates"),
             set_time=lambda time: call("fmi2SetTime", time),
-            input=SimpleNamespace(apply=lambda time: None),  # inputs are held in a step
+            # inputs are held in a step
+            input=SimpleNamespace(apply=lambda time: None),
             startTime=start,
             relativeTolerance=tolerance,
         )
-        sundials_core.SUNContext_ClearErrHandlers(self.sunctx)  # which print; the message stands in the error
+        # The default handlers print; here the error has the message.
+        sundials_core.SUNContext_ClearErrHandlers(self.sunctx)
         SUNContext_PushErrHandler(self.sunctx, self.ehfun_, None)
 
     def f(self, *arguments: Any) -> int:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -191,7 +200,7 @@ class _Solver(CVodeSolver):
         return self._answer(super().g, arguments)
 
     def _answer(self, function: Callable[..., int], arguments: tuple[Any, ...]) -> int:
-        """Returns what CVode takes: 0, above 0 to try a smaller step after a discard, below 0 to fail."""
+        """Returns 0, a number above 0 to try a smaller step after a discard, or one below 0 to fail."""
         try:
             return function(*arguments)
         except _StepEndsError as error:

@@ -1,9 +1,9 @@
-"""A program in a process that another one waits for, which reports an end that the program did not decide.
+"""A program in a child process, whose parent reports an end that the program did not decide.
 
-An FMU can end the process that it runs in, with status 0 (`_exit(0)`) or by a crash, and nothing in that
-process can report it then. So the command line runs in a child process. Both share memory: which FMU is
-busy, and the names. On macOS and Windows there is no child: Python cannot wait there for signals and a
-process at once.
+An FMU can end the process that it runs in, with status 0 (`_exit(0)`) or by a crash, and this process cannot
+report it. So the command line runs in a child process. Both processes share memory, with the names of the
+FMUs and the busy one. On macOS and Windows there is no child: Python cannot wait there for signals and a
+process at the same time.
 """
 
 import _thread
@@ -21,18 +21,19 @@ from fmus import operating_system
 
 UNEXPECTED_END = 70
 _INTERRUPTS = {signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGINT)}
-# the first byte: 1 where the program has ended, 2 where its results are written
+# the first byte: 1 if the program has ended, 2 if its results are written
 _REPORT, _FOLDER, _NAMES, _NAME_SIZE, _PAGE = 64, 4096, 8192, 128, 1 << 17
-_BUSY = 5  # the number in a report that is that of the busy FMU: `orchestration/run/loop_data.py`
+# place of the number of the busy FMU in a report: `orchestration/run/loop_data.py`
+_BUSY = 5
 
 _page: mmap.mmap | None = None
 
 
 def run_watched(program: Callable[[], int]) -> int:
-    """Returns the exit status of a program, which runs in a child process where the platform allows that.
+    """Returns the exit status of a program; it runs in a child process if the platform allows it.
 
-    Where the child ends before the program does, the status is not 0, and a line on standard error tells why.
-    The child receives interrupts as it would without this process, and one when this process is killed.
+    If the child ends before the program does, the status is not 0, and standard error has the reason. The
+    child receives interrupts as it would without this process, and one when this process is killed.
     """
     if not operating_system.CAN_WATCH:
         return program()
@@ -57,18 +58,21 @@ def run_watched(program: Callable[[], int]) -> int:
 
 
 def _end_without_clearing_up(status: int) -> None:
-    """Ends this process, but does not free each imported object, which takes a fifth of a short command.
+    """Ends this process after the functions that are registered for the end.
 
-    Functions that were registered for the end are called before. Does nothing while other threads are at
-    work, and where output cannot be written: the interpreter then ends as it always does.
+    Does nothing while other threads work, and if output cannot be written: Python then ends as usual.
     """
+    # To free each imported object, as the interpreter does, takes a fifth of the time of a short command.
     others = set(threading.enumerate()) - {threading.current_thread()}
     if all(thread.daemon for thread in others):
-        atexit._run_exitfuncs()  # private, but the only way to call them before `os._exit`
+        # private, but the only way to call them before `os._exit`
+        atexit._run_exitfuncs()
         with suppress(OSError, ValueError):
-            for stream in filter(None, (sys.stdout, sys.stderr)):  # None where they were closed: >&-
+            # a stream that was closed (>&-) is None
+            for stream in filter(None, (sys.stdout, sys.stderr)):
                 stream.flush()
-            if "ctypes" in sys.modules:  # which loads FMUs: what their C code has printed is not lost
+            # ctypes loads FMUs: the output of their C code may stand in a buffer of C
+            if "ctypes" in sys.modules:
                 sys.modules["ctypes"].CDLL(None).fflush(None)
             os._exit(status)
 
@@ -80,20 +84,20 @@ def end_is_meant() -> None:
 
 
 def results_are_written() -> None:
-    """Notes that an end which is not meant loses nothing any more."""
+    """Notes that the results are safe, even if the process ends too early."""
     if _page:
         _page[0] = 2
 
 
 def share_temporary_folder(folder: str) -> None:
-    """Lets the process that waits for this one remove a folder where this one cannot."""
+    """Names a folder that the parent process removes if this one cannot."""
     if _page:
         content = folder.encode()
         _page[_FOLDER : _FOLDER + len(content)] = content
 
 
 def share_names(names: Iterable[str]) -> None:
-    """Lets the process that waits for this one know the FMUs, in the order in which a report counts them."""
+    """Gives the names of the FMUs to the parent process, in the order of their numbers in a report."""
     if _page:
         texts = [name.encode()[:_NAME_SIZE].ljust(_NAME_SIZE, b"\0") for name in names]
         content = b"".join(texts)[: _PAGE - _NAMES]
@@ -101,19 +105,20 @@ def share_names(names: Iterable[str]) -> None:
 
 
 def report_memory(size: int) -> memoryview | None:
-    """Returns memory for the report of a run, shared with the process that waits for this one, if any."""
+    """Returns memory for the report of a run that is shared with the parent process, or None without one."""
     return memoryview(_page)[_REPORT : _REPORT + size] if _page else None
 
 
 def _interrupt_without_parent(lifeline: int) -> None:
-    """Waits until the other process is killed, which closes its end, and interrupts this one."""
-    with suppress(OSError):  # an FMU has closed it
+    """Waits until the parent process ends, which closes its end of the pipe, and interrupts this one."""
+    # an FMU may have closed the pipe
+    with suppress(OSError):
         os.read(lifeline, 1)
         os.kill(os.getpid(), signal.SIGTERM)
 
 
 def _exit_status(status: int, page: mmap.mmap) -> int:
-    """Returns the exit status for the child's; prints a line on standard error if its end was not meant."""
+    """Returns the exit status for the child's; prints a line on standard error for an unexpected end."""
     if page[0] == 1:
         return status if status >= 0 else 128 - status
     folder = _text(page, _FOLDER, _NAMES - _FOLDER)
@@ -122,7 +127,8 @@ def _exit_status(status: int, page: mmap.mmap) -> int:
 
         shutil.rmtree(folder, ignore_errors=True)
     loss = "the files of the run are written" if page[0] else "the run is lost"
-    if status == UNEXPECTED_END:  # an FMU called exit: `process_guard.h` has told that
+    # an FMU called exit: `process_guard.h` has reported it
+    if status == UNEXPECTED_END:
         print(f"l1-depth: {loss}", file=sys.stderr)
         return status
     if -status in _INTERRUPTS:
@@ -130,7 +136,8 @@ def _exit_status(status: int, page: mmap.mmap) -> int:
         return 130
     (busy,) = struct.unpack_from("=q", page, _REPORT + 8 * _BUSY)
     name = _text(page, _NAMES + _NAME_SIZE * (abs(busy) - 1), _NAME_SIZE) if busy else ""
-    from fmus.fmi.process import ending  # whose imports no other end needs
+    # no other end of a program needs the imports of this module
+    from fmus.fmi.process import ending
 
     print(
         f"l1-depth: {name or 'something'} ended the process with {ending(status)}: {loss}; "

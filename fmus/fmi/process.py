@@ -1,8 +1,8 @@
 """A function of a module in another process: how it starts, exchanges messages and ends.
 
-For FMUs, which may hang or crash: what they do to their process, they do to nothing else. A message carries
-the number of its request. Where an FMU forks and the child returns from the call, the child ends before it
-answers in the place of the process, and the process is ended with that reason.
+It is for FMUs, which may hang or crash: they can damage their own process alone. A message carries the number
+of its request. If an FMU forks and the child returns from the call, the child ends before it answers in place
+of the process, and the process is ended with this reason.
 """
 
 import contextlib
@@ -22,21 +22,26 @@ from typing import IO, Any, BinaryIO, cast
 
 from fmus.operating_system import kill_group
 
-_TO_END_S = 10.0  # for a process whose messages have ended
+# for a process whose messages have ended
+_TO_END_S = 10.0
 # before a message: its length, and the number of the request that it belongs to
 _HEADER = struct.Struct("<QQ")
-# a file in the folder of a process, made by a child that an FMU forked: on the pipe it could break a message
+# A child that an FMU forked makes this file in the folder of the process: on the pipe it could break a
+# message.
 _FORKED = "forked"
 CHILD_RETURNED = " and the child returned from the call; expected a child that calls _exit or exec"
-_MOST_OF_ERRORS = 1 << 16  # bytes kept of what a process writes to standard error
-_MOST_OF_MESSAGE = 1 << 26  # bytes, and messages that nobody has received, of an untrusted process
+# bytes that are kept of the standard error of a process
+_MOST_OF_ERRORS = 1 << 16
+# Bytes of a message, and waiting messages, of an untrusted process: it must not fill the memory of this one.
+_MOST_OF_MESSAGE = 1 << 26
 _MOST_MESSAGES = 2
 
 
 class ProcessEndedError(Exception):
     """The process ended; the message names its exit status or signal, and the reason if it is known.
 
-    status: as of `subprocess.Popen.returncode`; last_error_line: of what it wrote to standard error
+    status: as `subprocess.Popen.returncode`
+    last_error_line: the last line on its standard error
     """
 
     def __init__(self, status: int, last_error_line: str, reason: str = "") -> None:
@@ -45,7 +50,7 @@ class ProcessEndedError(Exception):
 
 
 class Parent:
-    """The process that started this one; this one ends at once when that one does, or closes its end."""
+    """The process that started this one; this one ends as soon as the parent ends or closes the pipe."""
 
     def __init__(self, incoming: BinaryIO, outgoing: BinaryIO) -> None:
         self._outgoing, self._number = outgoing, 0
@@ -57,11 +62,12 @@ class Parent:
         with contextlib.suppress(EOFError):
             while True:
                 self._messages.put(_read_message(incoming))
-        kill_group(self._pid)  # also what FMUs started
+        # also the processes that FMUs started
+        kill_group(self._pid)
         os._exit(1)
 
     def receive(self) -> Any:
-        """Returns the next message; raises what unpickling it raises."""
+        """Returns the next message; raises the errors of unpickling."""
         self._number, content = self._messages.get()
         return pickle.loads(content)
 
@@ -84,11 +90,11 @@ Worker = Callable[[Parent], None]
 class WorkerProcess:
     """A function of a module, called with its `Parent` in a new interpreter.
 
-    It imports from where this process does, and what it prints is dropped. Its temporary files go to
-    `folder`, a new one inside the folder that is given; `close` removes it. An interrupt at the terminal does
-    not reach it: the process that is interrupted decides. The processes that it starts end with it.
+    It imports from the same folders as this process, and its output is dropped. Its temporary files go to
+    `folder`, a new one inside the given folder; `close` removes it. An interrupt at the terminal does not
+    reach it: the interrupted process decides. The processes that it starts end with it.
 
-    trusted: otherwise its messages are JSON, short, and read only when asked for
+    trusted: whether its messages are pickles; messages of an untrusted process are JSON and limited
     request: number of the last request
     """
 
@@ -99,7 +105,7 @@ class WorkerProcess:
             dir=folder, prefix="l1-depth-process-", ignore_cleanup_errors=True
         )
         self.folder = Path(self._temporary.name)
-        # no SimpleQueue, whose get may wait for ever after a signal
+        # SimpleQueue.get may wait for ever after a signal
         self._messages: Queue[tuple[int, bytes] | None] = Queue()
         self._trusted, self._errors, self._group_ended = trusted, b"", False
         self._process = _started(worker, self.folder)
@@ -108,7 +114,7 @@ class WorkerProcess:
         threading.Thread(target=self._read, args=(incoming,), daemon=True).start()
         self._error_reader = threading.Thread(target=self._read_errors, args=(errors,), daemon=True)
         self._error_reader.start()
-        # A child that an FMU forked keeps the pipe open, which so does not tell the end of the process.
+        # A child that an FMU forked keeps the pipe open: its end is not the end of the process.
         threading.Thread(target=self._end_group, daemon=True).start()
 
     @property
@@ -122,15 +128,16 @@ class WorkerProcess:
         """
         self.request += request is None
         number, content = self.request if request is None else request, pickle.dumps(message)
-        with contextlib.suppress(OSError, ValueError):  # ValueError: it was closed meanwhile
+        # ValueError: the pipe was closed meanwhile
+        with contextlib.suppress(OSError, ValueError):
             _write_message(self._outgoing, number, content)
 
     def receive(self, timeout: float | None = None, request: int | None = None) -> Any:
         """Returns the next answer to a request, by default the last one; answers to others are passed over.
 
-        Raises TimeoutError after `timeout` seconds, ProcessEndedError at the end and where an FMU forked the
-        process and its child went on. Of an untrusted process, ValueError for an answer to another request
-        and for one that is no JSON.
+        Raises TimeoutError after `timeout` seconds, ProcessEndedError at the end and if an FMU forked the
+        process and its child went on. With an untrusted process, also ValueError for an answer to another
+        request and for one that is no JSON.
         """
         expected = self.request if request is None else request
         while True:
@@ -139,7 +146,8 @@ class WorkerProcess:
             except Empty:
                 raise TimeoutError(f"no message within {timeout:g} s") from None
             if message is None or (self.folder / _FORKED).exists():
-                self._messages.put(None)  # for whoever asks again
+                # for the next call
+                self._messages.put(None)
                 raise self._ended()
             number, content = message
             if number == expected:
@@ -151,14 +159,16 @@ class WorkerProcess:
         """Ends the process and those that it started at once, also from another thread."""
         self._process.kill()
         if not self._group_ended:
-            self._group_ended = True  # its number may become another's once the process is waited for
+            # the number of the group may be used again once the process is waited for
+            self._group_ended = True
             kill_group(self._process.pid)
         self._process.wait()
 
     def close(self) -> None:
         """Ends the process at once, also from another thread, and removes its folder."""
         self.kill()
-        with contextlib.suppress(OSError):  # of a message that was not sent
+        # a message may be left that was not sent
+        with contextlib.suppress(OSError):
             self._outgoing.close()
         self._temporary.cleanup()
 
@@ -166,11 +176,13 @@ class WorkerProcess:
         """Queues the messages; None is the end. An untrusted process that sends too much has ended."""
         most = None if self._trusted else _MOST_OF_MESSAGE
         with incoming:
-            with contextlib.suppress(Exception):  # of a message that was cut off
+            # a message may be cut off
+            with contextlib.suppress(Exception):
                 while self._trusted or self._messages.qsize() < _MOST_MESSAGES:
                     self._messages.put(_read_message(incoming, most))
             if not self._trusted:
-                self.kill()  # before its pipe is closed, which would end it in another way
+                # A closed pipe would end the process in another way.
+                self.kill()
         self._messages.put(None)
 
     def _read_errors(self, errors: IO[bytes]) -> None:
@@ -209,7 +221,7 @@ def _write_message(stream: BinaryIO | IO[bytes], number: int, content: bytes) ->
 def _read_message(stream: BinaryIO | IO[bytes], most: int | None = None) -> tuple[int, bytes]:
     """Returns the number of the next message and its content.
 
-    Raises EOFError where there is none, ValueError for one of more than `most` bytes.
+    Raises EOFError at the end of the stream, ValueError for a message of more than `most` bytes.
     """
     length, number = _HEADER.unpack(_read_bytes(stream, _HEADER.size))
     if most is not None and length > most:
@@ -225,7 +237,8 @@ def _read_bytes(stream: BinaryIO | IO[bytes], count: int) -> bytes:
 
 
 def _started(worker: Worker, folder: Path) -> subprocess.Popen[bytes]:
-    """Starts the process. It imports from no folder that it enters: paths are absolute, and -P adds none."""
+    """Starts the process."""
+    # It must not import from a folder that it enters: paths are absolute, and -P adds none.
     paths = [str(Path(path).absolute()) if Path(path).is_dir() else path for path in sys.path]
     call = f"from {__name__} import serve; from {worker.__module__} import {worker.__name__} as worker"
     temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))
@@ -233,7 +246,8 @@ def _started(worker: Worker, folder: Path) -> subprocess.Popen[bytes]:
         [sys.executable, "-P", "-c", f"import sys; sys.path[:] = {paths!r}; {call}; serve(worker)"],
         env={**os.environ, **temporary},
         start_new_session=True,
-        creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),  # a session, on Windows
+        # in place of a session, on Windows
+        creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -247,7 +261,7 @@ def serve(worker: Worker) -> None:
 
 
 def _private_stream(descriptor: int, mode: str) -> BinaryIO:
-    """Returns a standard stream for the caller alone: what an FMU prints or reads goes to the null device."""
+    """Returns a standard stream for the caller alone: output and input of an FMU use the null device."""
     stream = os.fdopen(os.dup(descriptor), mode)
     null = os.open(os.devnull, os.O_RDWR)
     os.dup2(null, descriptor)
@@ -258,8 +272,10 @@ def _private_stream(descriptor: int, mode: str) -> BinaryIO:
 def ending(status: int) -> str:
     """Returns the return code of a process in words: "SIGSEGV", "exit status 1"."""
     if status >= 0:
-        return f"exit status {status if status < 256 else hex(status)}"  # of Windows, where it is a code
+        # on Windows, it may be a code of the system, such as 0xc0000005
+        return f"exit status {status if status < 256 else hex(status)}"
     try:
         return signal.Signals(-status).name
-    except ValueError:  # of a real-time signal
+    # a real-time signal has no name
+    except ValueError:
         return f"signal {-status}"

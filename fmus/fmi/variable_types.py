@@ -10,7 +10,8 @@ TRANSFER_TYPE = {
     "String": "String",
     "Enumeration": "Integer",
 }
-INTEGER_RANGE = (-(2**31), 2**31 - 1)  # of fmi2Integer
+# of fmi2Integer
+INTEGER_RANGE = (-(2**31), 2**31 - 1)
 TYPES = tuple(TRANSFER_TYPE)
 NUMBERS = tuple(name for name in TYPES if name != "String")
 

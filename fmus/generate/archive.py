@@ -1,9 +1,9 @@
 """Traced block -> members of its FMU: path inside it -> content.
 
-The GUID of a native FMU follows from the compiler with its flags and from all members but the libraries and
-those whose digests stand in the bill of materials, such as the icon. It does not depend on which platforms
-were built. That of the python flavour follows from everything inside. Its binary is PythonFMU's;
-docs/fidelity.md lists what that makes impossible.
+The GUID of a native FMU follows from the compiler with its flags and from all members except the libraries
+and the members whose digests stand in the bill of materials, such as the icon. It does not depend on which
+platforms were built. The GUID of an FMU of the python flavour follows from everything inside. Its binary is
+PythonFMU's; docs/fidelity.md lists the limits that follow from this.
 """
 
 from collections.abc import Mapping
@@ -33,13 +33,14 @@ OF_PYTHON = {
 _OF_BOTH = {"canNotUseMemoryManagementFunctions": "true", "providesDirectionalDerivative": "true"}
 _OF_EXCHANGE = {"completedIntegratorStepNotNeeded": "true", **_OF_BOTH}
 _OF_CO_SIMULATION = {"canInterpolateInputs": "true", "maxOutputDerivativeOrder": "0", **_OF_BOTH}
-_WRITERS = ("l1-depth", "casadi")  # of the C
+# both write parts of the C sources
+_WRITERS = ("l1-depth", "casadi")
 
 
 def native_members(traced: Traced, reals_only: bool = False, fmi: int = 2) -> tuple[str, dict[str, bytes]]:
     """Returns (GUID, path -> content) of a native FMU without its libraries.
 
-    reals_only: whether every variable is a Real, for importers that know no other type
+    reals_only: whether every variable is a Real, for importers that support no other type
     fmi: the version of the standard, 2 or 3
     """
     block, files, modes = traced.block, COMPILED[fmi], Sensitivities(traced)

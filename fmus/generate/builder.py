@@ -34,7 +34,8 @@ from fmus.operating_system import usable_processors
 from fmus.platforms import host_platform, library_name
 from fmus.registry import BLOCKS, Flavour, block_fmus, block_names, fmu_folder, installed, load, unwritable
 
-_AT_ONCE = usable_processors()  # orders that are compiled
+# build requests that are compiled at the same time: one compiler keeps one processor busy
+_AT_ONCE = usable_processors()
 _ICONS = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
 
 
@@ -55,9 +56,9 @@ def load_block(name: str) -> Block:
 
 @contextmanager
 def loaded(name_or_path: str) -> Iterator[tuple[Traced, ...]]:
-    """Yields what is traced of the installed block of a name, or of the blocks of a Python file.
+    """Yields the traced installed block of a name, or the traced blocks of a Python file.
 
-    The modules of the file are there until the context ends.
+    The modules of the file stay loaded until the context ends.
     Raises ExportError for a block that cannot become an FMU.
     """
     try:
@@ -72,7 +73,7 @@ def loaded(name_or_path: str) -> Iterator[tuple[Traced, ...]]:
 
 
 def verified(block: Block) -> Traced:
-    """Returns what is traced of the block, if it takes a step at its start values."""
+    """Returns the traced block; ExportError if it cannot take a step at its start values."""
     name = block.name
     is_word = re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", name)
     if not is_word or keyword.iskeyword(name) or name.lower() in DEVICES:
@@ -80,7 +81,8 @@ def verified(block: Block) -> Traced:
             f"block {name!r}: expected ASCII letters, digits and single underscores, and no word of Python's "
             "or device of Windows"
         )
-    traced = trace(block)  # before a call with numbers, which a function could remember
+    # Tracing comes before the first call with numbers: a function could keep numbers from that call.
+    traced = trace(block)
     trial = BlockInstance(block)
     try:
         trial.exit_initialization_mode()
@@ -104,12 +106,29 @@ def build_block(
     reals_only: bool = False,
     fmi: int = 2,
 ) -> Path:
-    """Writes `folder/NAME.fmu` of a block, or of the installed block of a name, whatever stands there.
+    """Writes `folder/NAME.fmu` of a block, in place of a file that is there, and returns its path.
 
-    platforms: of the libraries in a native FMU, by default this one; those in a python one are PythonFMU's.
-    with_terminals: with terminalsAndIcons.xml, which some importers of FMI 2.0 cannot read
-    reals_only: a native FMU whose every variable is a Real, for importers that know no other type
-    fmi: the version of the standard, 2 or 3; 3 in the native flavour alone
+    Parameters
+    ----------
+    block : Block or str
+        A block, or the name of an installed one.
+    folder : Path
+        Folder of the FMU.
+    flavour : Flavour
+        Compiled (native), or run by Python.
+    platforms : sequence of str
+        Platforms of the libraries in a native FMU, by default this one; none for a python FMU.
+    with_terminals : bool
+        Whether to add terminalsAndIcons.xml, which some importers of FMI 2.0 cannot read.
+    reals_only : bool
+        Whether every variable is a Real, for importers that support no other type; native flavour alone.
+    fmi : int
+        Version of the standard, 2 or 3; 3 in the native flavour alone.
+
+    Raises
+    ------
+    ExportError
+        If the block cannot become such an FMU. The message names the file and line.
     """
     traced = verified(load_block(block)) if isinstance(block, str) else trace(block)
     name = traced.block.name
@@ -120,7 +139,7 @@ def build_block(
 
 @dataclass(frozen=True)
 class _Content:
-    """The members of an FMU without its libraries, as far as its GUID follows from them."""
+    """The members of an FMU that decide its GUID; the libraries are not among them."""
 
     traced: Traced
     order: BuildRequest
@@ -133,7 +152,7 @@ class _Compiling:
     """An FMU whose libraries are compiled beside this process.
 
     compared: the calls that the compiled library must repeat
-    shown: members beside those of the content: icon, terminals, reference results
+    shown: members that do not decide the GUID: icon, terminals, reference results
     libraries: waits for the compiler; returns path inside the FMU -> library
     """
 
@@ -145,7 +164,7 @@ class _Compiling:
 
 
 def _content(traced: Traced, order: BuildRequest) -> _Content:
-    """Returns what the libraries are compiled from; ExportError for options that the flavour has not."""
+    """Returns the content of a build request; ExportError for options that the flavour does not have."""
     is_native = order.flavour is Flavour.NATIVE
     if order.reals_only and (not is_native or order.fmi != 2):
         raise ExportError("an FMU of Reals only: expected the native flavour and FMI 2.0")
@@ -179,11 +198,11 @@ def _compiling(content: _Content, stack: ExitStack) -> _Compiling:
 
 
 def _written(compiling: _Compiling) -> dict[Path, bytes]:
-    """Writes an FMU once its libraries are compiled; returns the FMU, then what belongs to it."""
+    """Writes an FMU once its libraries are compiled; returns the FMU, then the files beside it."""
     content, order, block = compiling.content, compiling.content.order, compiling.content.traced.block
     built = compiling.libraries()
     if path := library_member(built, block.name, order.fmi):
-        # OSError: no library can be loaded from where temporary files are
+        # Without the check where no library can be loaded from the folder of temporary files: OSError.
         shipped = content.traced, content.guid, built[path], order.fmi
         with suppress(OSError), closing(ShippedLibrary(*shipped)) as library:
             check_shipped(compiling.compared, library)
@@ -203,7 +222,7 @@ def _written(compiling: _Compiling) -> dict[Path, bytes]:
 
 
 def _reference_run(block: Block) -> ReferenceRun:
-    """Returns the reference run; ExportError names the line of the block that cannot go on."""
+    """Returns the reference run; ExportError names the line of the block that fails."""
     try:
         return reference_run(block)
     except BlockError as error:
@@ -213,7 +232,7 @@ def _reference_run(block: Block) -> ReferenceRun:
 
 
 def build_orders(orders: Iterable[BuildRequest]) -> Iterator[list[Path] | ExportError]:
-    """Writes the FMUs of each order, whatever stands there, and stamps them.
+    """Writes the FMUs of each build request, in place of present files, and stamps them.
 
     Yields the files of each, or the error that prevents it. Some are compiled while the next are traced.
     """
@@ -284,7 +303,7 @@ def _built_if_stale(order: BuildRequest) -> Path:
         needed = library_name(name, host_platform()) if order.flavour is Flavour.NATIVE else None
         found = path.read_bytes() if path.is_file() else b""
         fits = _fits(found, content.guid, needed)
-        # without a record of its build, it would run like one of another tool
+        # Without a record of its build, an FMU runs with the precautions for FMUs of other tools.
         fits = fits and (store.is_own_build(found) or not os.access(path.parent, os.W_OK))
         if not fits:
             with ExitStack() as stack:
@@ -294,7 +313,7 @@ def _built_if_stale(order: BuildRequest) -> Path:
 
 
 def build_missing(paths: Iterable[Path]) -> None:
-    """Builds those of the paths that scenarios find the FMUs of blocks at, where missing or stale."""
+    """Builds missing and stale FMUs of blocks; paths: of FMUs that a scenario needs."""
     for name, flavour in block_fmus(paths):
         try:
             build_if_stale(name, flavour=flavour)
@@ -303,7 +322,7 @@ def build_missing(paths: Iterable[Path]) -> None:
 
 
 def _fits(fmu: bytes, guid: str, library: str | None) -> bool:
-    """Whether an FMU runs as what was traced; its GUID does not tell its icon, for one."""
+    """Whether an FMU is complete and has this GUID; members that do not decide the GUID may differ."""
     try:
         with zipfile.ZipFile(io.BytesIO(fmu)) as archive:
             root = ElementTree.fromstring(archive.read("modelDescription.xml"))

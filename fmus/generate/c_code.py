@@ -1,6 +1,6 @@
-"""Traced functions -> C. Two dialects write the same operations, each a statement.
+"""Traced functions -> C in two dialects: for one instance, and for a group of instances.
 
-So the numbers of both are the same bit for bit.
+Both write the same operations, a statement each. So their numbers are the same bit for bit.
 """
 
 import textwrap
@@ -31,12 +31,12 @@ _INITIAL = """static void model_initial_{kind}(double t, const double *x, const 
     model_{second}(t, x, u, p, between, along);
 }}
 """
-_ABOUT_LANES = "/* Equations in vectors, for ensembles: an importer compiles those of model_code.h. */\n"
+_ABOUT_LANES = "/* Equations in vectors, for ensembles. An importer compiles model_code.h. */\n"
 
 
 @dataclass(frozen=True)
 class CFunction:
-    """A static function of C: its arguments are called as CasADi's, and the column of its result.
+    """A static function of C: its arguments have CasADi's names, as has the column of its result.
 
     is_inlined: whether each call becomes a copy
     """
@@ -58,7 +58,8 @@ class ScalarC:
 
     number, unset = "double", "0"
     column = "double *"
-    changed = ("k",)  # arguments that a function writes
+    # Arguments that a function writes: they are not const.
+    changed = ("k",)
     more_arguments: Sequence[str] = ()
     inlined = "INLINED "
     branch = "if ({0}) {{", "if (!{0}) {{", "}} else {{"
@@ -131,7 +132,7 @@ class ScalarC:
         return f"{operation.text or f'v{number}'} = {value};"
 
     def _term(self, f: CFunction, number: int) -> str:
-        """Returns what stands for the number of an operation in an expression."""
+        """Returns the text of the number of an operation in an expression."""
         operation = f.operations[number]
         return f"v{number}" if operation.arguments else operation.text
 
@@ -145,7 +146,7 @@ class VectorC(ScalarC):
     """C of Clang for a group of instances, a lane for each, with the functions of lane_functions.h.
 
     A choice takes each lane from its own alternative, and a branch is carried out if one lane at least needs
-    it. All dear calls remember what they were called with.
+    it. Every expensive call stores its arguments and its result, for the next call with equal arguments.
 
     memory: how many vectors the calls of all functions until now remember
     """
@@ -183,7 +184,8 @@ class VectorC(ScalarC):
     def _call(self, operation: Operation, function: str, terms: list[str]) -> str:
         if operation.is_dear_call:
             terms = [*terms, f"memory + {self.memory}"]
-            self.memory += len(terms)  # of its arguments, and its result
+            # `terms` has the arguments and the address, in whose place the result is counted
+            self.memory += len(terms)
         return f"lanes_{function}({', '.join(terms)})"
 
 
@@ -192,9 +194,10 @@ def c_code(traced: Traced, derivatives: Mapping[str, casadi.Function]) -> dict[s
 
     derivatives: further functions, of directional derivatives
 
-    model_code.h has all of them, model_lanes.h those of a run for groups of instances. What a step needs of
-    its size and the parameters alone is computed apart, by model_step_constants.
+    model_code.h has all of them, model_lanes.h the functions of a run for groups of instances.
     """
+    # Numbers that follow from step size and parameters alone stay for many steps: model_step_constants
+    # computes them once.
     step, constants = c_functions(traced.step, "model_step", held=("h", "p", "c"), inputs="u")
     others = {name: function for name, function in traced.functions().items() if name != "step"}
     others.update(derivatives)
@@ -211,7 +214,7 @@ def c_code(traced: Traced, derivatives: Mapping[str, casadi.Function]) -> dict[s
 
 
 def _initial(derivatives: Mapping[str, casadi.Function]) -> Iterator[str]:
-    """Yields the functions of initialization that are one after the other of two functions."""
+    """Yields the functions of initialization that call two functions one after the other."""
     for kind in ("forward", "adjoint"):
         if start := derivatives.get(f"start_{kind}"):
             first, second = (start.name(), f"step_{kind}")[:: 1 if kind == "forward" else -1]
@@ -226,11 +229,11 @@ def c_function(function: casadi.Function, name: str, is_inlined: bool = False) -
 def c_functions(
     function: casadi.Function, name: str, held: Collection[str], inputs: str
 ) -> tuple[list[CFunction], int]:
-    """Returns two: what follows from the arguments `held` alone is computed by a function of its own.
+    """Returns the functions NAME_constants and NAME, and how many numbers they share in a column k.
 
-    NAME_constants writes these numbers to a column k, which is the last argument of NAME. After them come
-    argument and result of each call that follows from the argument `inputs` too, and is dear: NAME computes
-    it anew where the argument has changed. Second result: how many numbers there are in k.
+    NAME_constants writes to k the numbers that follow from the arguments `held` alone. k is the last argument
+    of NAME. After these numbers come argument and result of each expensive call that follows from the
+    argument `inputs` too: NAME computes it again where the argument has changed.
     """
     operations, arguments = operations_of(function), function.name_in()
     varies = follows_from(operations, {*arguments} - {*held})
@@ -261,7 +264,7 @@ def _constants(operations: Sequence[Operation], varies: Sequence[bool]) -> list[
 def _calls_of_inputs(
     operations: Sequence[Operation], varies: Sequence[bool], varies_in_any_step: Sequence[bool]
 ) -> list[int]:
-    """Returns the dear calls whose argument changes with inputs alone: it may stay for many steps."""
+    """Returns the expensive calls whose argument changes with inputs alone: it may stay for many steps."""
     return [
         number
         for number, operation in enumerate(operations)

@@ -1,9 +1,9 @@
-"""Stamps of built FMUs: an unchanged one is known without tracing its block again.
+"""Stamps of built FMUs, by which an unchanged FMU is recognised without tracing its block again.
 
-A stamp names FMUs by their content and lists what decided about it: the files of the block and of what it
-imports. The files of this package, the libraries that build, and the options are in its key in the store. A
-block that may depend on anything else, such as a file that it reads when it is imported, gets no stamp: what
-is traced of it decides, as for an FMU without a stamp.
+A stamp names FMUs by their content and lists the files that decide it: files of the block and of its imports.
+The files of this package, the libraries that build, and the options are in the key of the stamp in the store.
+A block that may depend on anything else, such as a file that it reads when it is imported, gets no stamp: it
+is traced each time.
 """
 
 import json
@@ -24,10 +24,14 @@ from fmus.block.block_file import SourceLoader
 from fmus.generate.imports import Import, ImpureError, Modules, may_take, pure_imports
 from fmus.registry import BLOCKS, Flavour, block_fmus, fmu_folder, fmu_path, installed
 
+# The version of l1-depth stands for the interfaces of its blocks, which the page of every FMU lists.
 _LIBRARIES = ("casadi", "fmpy", "l1-depth", "pillow", "pint", "pythonfmu", "ziglang")
-_NOT_BUILDING = ("compliance",)  # folders of this package that no FMU is made from
-_NO_FILE = "", ""  # no module of a name, or one of Python's or of this package's
-_RECENT_S = 2.0  # a file that changed so shortly before the process began may have been loaded before that
+# folders of this package that no FMU is made from
+_NOT_BUILDING = ("compliance",)
+# no module of a name, or one of Python's or of this package's
+_NO_FILE = "", ""
+# A file that changed so shortly before the process began may have been loaded in its earlier form.
+_RECENT_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -60,13 +64,13 @@ class BuildRequest:
 
 
 def order_of_file(path: Path, flavour: Flavour) -> BuildRequest:
-    """Returns the FMU of a Python file's block that a command runs, in a folder of the user's cache."""
+    """Returns the build request of a Python file that a command runs, in a folder of the user's cache."""
     folder = store.digest(str(path.absolute()).encode())[:12]
     return BuildRequest(str(path), fmu_folder(flavour) / folder, flavour)
 
 
 def stale(paths: Iterable[Path]) -> list[Path]:
-    """Returns the paths, among those at which scenarios find FMUs, whose block may have to be built."""
+    """Returns the paths of FMUs of installed blocks that may have to be built."""
     stamps = BuildCache()
     orders = {
         fmu_path(name, flavour): BuildRequest(name, fmu_folder(flavour), flavour)
@@ -108,9 +112,9 @@ class BuildCache:
         store.keep_fmus()
 
     def current(self, order: BuildRequest, to_run: bool = False) -> list[Path] | None:
-        """Returns the FMUs of an order, if they are what would be built now; None if that is not known.
+        """Returns the FMUs of an order if a build would give the same ones; None if this is uncertain.
 
-        to_run: whether they may differ in what runs do not need, such as their icons
+        to_run: whether members that runs do not need, such as icons, may differ
         """
         with suppress(ImpureError, OSError):
             stamp = json.loads(store.get(store.BUILDS, self._key(order)) or b"null")
@@ -137,7 +141,7 @@ class BuildCache:
 
         sources: from before they were imported, and only if they were loaded
         fmus: content by the name of the file, where another process may have written since
-        was_built: otherwise they were found, and run as what was traced
+        was_built: whether they were built now; else they were found with the GUID of the traced block
         """
         if sources and sources.changed <= self._begun - _RECENT_S:
             digests = {name: store.digest(fmu) for name, fmu in fmus.items()}
@@ -173,7 +177,7 @@ class BuildCache:
         return max(changed for *_, changed in files), [(path, digest) for path, digest, _ in files]
 
     def _followed(self, order: BuildRequest, name: str, file: str) -> Iterator[Import]:
-        """Yields what a pure module imports; of Python, the names that no file of the user's may hide."""
+        """Yields the imports of a pure module; of Python, the names that no file of the user's may hide."""
         for base, members in pure_imports(self._modules.read(file), name, file):
             top = base.partition(".")[0]
             found = self._modules.file(top, order.beside)
@@ -203,8 +207,10 @@ def _is_loaded(name: str, file: str, digest: str) -> bool:
     loader = getattr(module, "__loader__", None)
     if isinstance(loader, SourceLoader):
         return loader.digest == digest
-    # it was imported before the build: a compiled file may stand for a source of the same size and second
-    loader = SourceFileLoader(name, file)  # pytest may have loaded it by one of its own
-    with suppress(OSError, SyntaxError, ValueError, ImportError):  # it was changed meanwhile
+    # It was imported before the build: a compiled file may stand for a source of the same size and second.
+    # pytest loads modules by another loader than Python's, which could not be asked.
+    loader = SourceFileLoader(name, file)
+    # the file may have been changed or removed meanwhile
+    with suppress(OSError, SyntaxError, ValueError, ImportError):
         return loader.get_code(name) == loader.source_to_code(loader.get_data(file), file)
     return False

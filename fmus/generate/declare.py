@@ -43,7 +43,8 @@ _RESULTS = {
 }
 _TYPES = "a float, an int, a bool, an IntEnum member, or a tuple of these"
 
-_EXACT = {kind: cls.__name__ for cls in (float, int, bool) for kind in (cls, cls.__name__)}  # of annotations
+# An annotation is a class, or its name where the module imports annotations from __future__.
+_EXACT = {kind: cls.__name__ for cls in (float, int, bool) for kind in (cls, cls.__name__)}
 _SUCH_AS = {"float": "a number such as 1.0", "int": "a whole number such as 1", "bool": "True or False"}
 
 
@@ -75,7 +76,7 @@ def check_declaration(block: Block) -> None:
 
 
 def check_result(block: Block, name: str, result: Any) -> None:
-    """Raises ExportError if a function of a block returns something else than what is declared."""
+    """Raises ExportError if the result of a function of a block differs from its declaration."""
     cls = getattr(block, _RESULTS[name])
     where = f"block {block.name!r}: {location(getattr(block, name))}{name} returns "
     if not isinstance(result, cls) and not (cls is NoValues and result is None):
@@ -162,7 +163,7 @@ def _continuous_mistakes(declared: Field) -> Iterator[str]:
 
 
 def _shape_mistakes(classes: list[type]) -> Iterator[tuple[type, str, str]]:
-    """Yields (class, field, reason) for what cannot be made of its values by their places, at any depth."""
+    """Yields (class, field, reason) for fields that cannot be set by position, at any depth."""
     for cls in classes:
         for declared in fields(cls):
             if declared.kw_only or not declared.init:
@@ -239,7 +240,8 @@ def _check_arguments(block: Block, name: str) -> None:
     function, arguments = getattr(block, name), _ARGUMENTS[name]
     try:
         signature = inspect.signature(function)
-    except ValueError:  # of a compiled function
+    # a compiled function need not have a signature
+    except ValueError:
         return
     try:
         signature.bind(*arguments)
@@ -251,7 +253,7 @@ def _check_arguments(block: Block, name: str) -> None:
 
 
 def _differences(result: Any, template: Any, path: str) -> Iterator[tuple[str, str, str]]:
-    """Yields (path, got, expected) where the shape of a result is not that of its declaration."""
+    """Yields (path, got, expected) where the shape of a result differs from its declaration."""
     if isinstance(template, tuple):
         if not isinstance(result, tuple):
             yield path, f"a {type(result).__name__}", f"a tuple of {len(template)}"

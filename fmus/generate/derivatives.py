@@ -1,4 +1,4 @@
-"""Modes of an FMU: what is calculated in each by what is known, dependencies and directional derivatives."""
+"""Modes of an FMU: the knowns and unknowns of each, their dependencies and directional derivatives."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -9,28 +9,16 @@ from fmus.block.variables import BlockVariable
 from fmus.generate.operations import follows_from, operations_of
 from fmus.generate.trace import Traced
 
-_STEEP = {
-    "SQRT",
-    "POW",
-    "CONSTPOW",
-    "ASIN",
-    "ACOS",
-    "ACOSH",
-    "ATANH",
-    "ATAN2",
-    "HYPOT",
-    "LOG",
-    "LOG1P",
-    "INV",
-}
-"""Operations whose derivatives may be infinite or no numbers, as that of a quotient by its divisor."""
+_STEEP = {"SQRT", "POW", "CONSTPOW", "ASIN", "ACOS", "ACOSH", "ATANH", "ATAN2", "HYPOT"}
+_STEEP |= {"LOG", "LOG1P", "INV"}
+"""Operations whose derivatives may be infinite or NaN; a quotient by its divisor is another one."""
 
 
 class Mode(NamedTuple):
-    """Mode of an FMU: expressions of what is calculated in it, and the symbols that they follow from.
+    """Mode of an FMU: the expressions of its unknowns, and the symbols of its knowns.
 
     arguments: symbols t, x, u, p
-    known, unknown: value reference -> symbol of what is set, expression of what is calculated
+    known, unknown: value reference -> symbol that is set, expression that is calculated
     """
 
     arguments: list[casadi.SX]
@@ -38,7 +26,10 @@ class Mode(NamedTuple):
     unknown: dict[int, casadi.SX]
 
     def dependencies(self, among: Iterable[BlockVariable] | None = None) -> dict[int, tuple[int, ...]]:
-        """Returns value reference of each unknown -> those of the knowns behind it; among: these alone."""
+        """Returns value reference of each unknown -> value references of the knowns that it depends on.
+
+        among: the only knowns to list
+        """
         chosen = {*self.known} if among is None else {v.value_reference for v in among}
         knowns, unknowns = [*self.known], [*self.unknown]
         sparsity = casadi.jacobian_sparsity(*map(_column, (self.unknown, self.known)))
@@ -50,8 +41,8 @@ class Mode(NamedTuple):
     def derivative(self, name: str, count: int, is_adjoint: bool) -> casadi.Function:
         """Returns the function (t, x, u, p, v) -> sensitivities of unknowns along the seed v of knowns.
 
-        count: of all variables, the length of seed and result, which are 0 where there is nothing to say
-        is_adjoint: of the knowns along a seed of the unknowns
+        count: the length of seed and result, which are 0 for variables that are no knowns or unknowns
+        is_adjoint: whether the result is of the knowns, along a seed of the unknowns
         """
         seed, along = casadi.SX.sym("v", count), casadi.SX.zeros(count)
         given, derived = (self.unknown, self.known) if is_adjoint else (self.known, self.unknown)
@@ -65,7 +56,7 @@ def _column(expressions: dict[int, casadi.SX]) -> casadi.SX:
 
 
 class Sensitivities:
-    """The modes of a block: initialization, step mode of co-simulation, and those of model exchange."""
+    """The modes of a block: initialization, step mode of co-simulation, and the modes of model exchange."""
 
     def __init__(self, functions: Traced) -> None:
         block = functions.block
@@ -94,9 +85,9 @@ class Sensitivities:
         first = self._calculated | _at(block.states[:count], start)
         self.initial = Mode(arguments, inputs | time, first | calculated(start, start))
         self.step = Mode(arguments, known, calculated(x, x))
-        # without continuous states outputs are the same at all times
+        # Without continuous states, outputs between events are outputs of step mode.
         self.exchange = Mode(arguments, known, calculated(x, held(x))) if count else self.step
-        # of all states, those that are no variables behind the time
+        # States that are no variables get places behind the time.
         places = [*range(self._count, self._count + x.numel())]
         places[:count] = [v.value_reference for v in block.states[:count]]
         before, after = (dict(zip(places, casadi.vertsplit(s), strict=True)) for s in (x, start))
@@ -104,15 +95,15 @@ class Sensitivities:
         self._whole = Mode(arguments, known | before, before | self.step.unknown)
 
     def of_settable(self) -> dict[int, tuple[int, ...]]:
-        """Returns value reference of each initial unknown -> those of the parameters and inputs behind it."""
+        """Returns value reference of each initial unknown -> those parameters and inputs it depends on."""
         return self.initial.dependencies(self._settable)
 
     def functions(self, fmi: int) -> dict[str, casadi.Function]:
         """Returns the functions of an FMU of a version of the standard, by name.
 
-        Those of FMI 2.0 are forward alone. Where there is start_KIND in place of initial_KIND, derivatives of
-        initialization are those of the initial state, and of step mode. The functions of step mode then have
-        seeds and results of the rest of the state, too, behind that of the time.
+        FMI 2.0 has forward derivatives alone. With start_KIND in place of initial_KIND, derivatives of
+        initialization are made of two functions: of the initial state, and of step mode. The functions of
+        step mode then have seeds and results of the rest of the state, too, behind the time.
         """
         modes, size = {"initial": self.initial, "step": self.step}, self._count
         if self._is_smooth():

@@ -1,8 +1,8 @@
 """Block -> modelDescription.xml of FMI 2.0.5 or 3.0.2, in the native flavour for model exchange too.
 
-Everything explicit: causality, variability, initial, units, ranges, enumerations, dependencies. In
-step mode no output depends directly on an input; in initialisation mode outputs follow the inputs. One list
-of dependencies serves both interfaces: it has the inputs that outputs follow in model exchange alone too.
+All attributes are written, also those with FMI's default: causality, variability, initial, units, ranges,
+enumerations, dependencies. In step mode no output depends directly on an input; in initialization mode
+outputs follow the inputs.
 """
 
 import math
@@ -42,7 +42,7 @@ _OF_CO_SIMULATION = {"canHandleVariableCommunicationStepSize": "true", "canRunAs
 
 
 Dependencies = Mapping[int, Sequence[int]]
-"""Value reference of an unknown -> those of the knowns behind it."""
+"""Value reference of an unknown -> value references of the knowns that it depends on."""
 
 
 @dataclass(frozen=True)
@@ -74,9 +74,9 @@ def model_description(
     capabilities: the attributes of `CoSimulation` that the flavour decides
     initial: each initial unknown -> the parameters and inputs behind it
     exchange: None for an FMU of co-simulation alone
-    source_files: what an importer must compile to rebuild the FMU, inside the folder `sources`.
+    source_files: the files of the folder `sources` that an importer compiles to rebuild the FMU
 
-    Raises ExportError for a unit that `fmus.block.units` does not know.
+    Raises ExportError for a unit that `fmus.block.units` does not define.
     """
     attributes = {"fmiVersion": "2.0", "guid": guid, **_model_attributes(block)}
     if exchange and exchange.indicators:
@@ -99,11 +99,13 @@ def model_description(
         of_state = variable.value_reference - len(states) // 2
         is_rate = of_state >= len(block.variables) and variable.causality == "local"
         of_all, of_type = _attributes_of(variable.name, [variable])
-        of_type["derivative"] = str(of_state + 1) if is_rate else None  # index of the state
+        # FMI 2.0 names the state by its index from 1, not by its value reference
+        of_type["derivative"] = str(of_state + 1) if is_rate else None
         of_type["reinit"] = "true" if variable.value_reference in restarted else None
         _add(_add(variables, "ScalarVariable", **of_all), variable.type, **of_type)
     described = len(block.variables) + len(states)
     initial = {unknown: known for unknown, known in initial.items() if unknown < described}
+    # One list of dependencies serves both interfaces: it also has those that hold in model exchange alone.
     _structure(root, block, exchange.dependencies if exchange else {}, initial)
     return _parsable(root, block)
 
@@ -152,7 +154,8 @@ def _without_none(attributes: dict[str, str | None]) -> dict[str, str]:
 
 
 def _generation_date() -> str | None:
-    """Returns the date of SOURCE_DATE_EPOCH, None without it: two builds of one source are the same file."""
+    """Returns the date of SOURCE_DATE_EPOCH, None without it."""
+    # The time of the build itself would make two builds of one source different files.
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     return datetime.fromtimestamp(int(epoch), UTC).strftime("%Y-%m-%dT%H:%M:%SZ") if epoch else None
 
@@ -186,7 +189,10 @@ def _enumeration(parent: Any, **named: str) -> Any:
 
 
 def _add_enumerations(root: Any, block: Block, add_type: Callable[..., Any] = _enumeration) -> None:
-    """Adds the enumerations of a block; add_type: adds one of a name and description, without its items."""
+    """Adds the enumerations of a block.
+
+    add_type: adds an enumeration of a name and description, without its items
+    """
     enumerations = {v.enumeration.__name__: v.enumeration for v in block.variables if v.enumeration}
     definitions = _add(root, "TypeDefinitions") if enumerations else root
     for name, enumeration in sorted(enumerations.items()):
@@ -197,9 +203,9 @@ def _add_enumerations(root: Any, block: Block, add_type: Callable[..., Any] = _e
 
 
 def _attributes_of(name: str, scalars: Sequence[BlockVariable]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Returns the attributes of a variable of some scalars, alike but for start values and texts.
+    """Returns the attributes that every variable has, and the attributes of its type.
 
-    They are those of every variable, and those of its type.
+    scalars: its elements, which differ in start values and texts alone
     """
     v = scalars[0]
     texts = dict.fromkeys(s.description + (f" ({s.source})" if s.source else "") for s in scalars)
@@ -225,9 +231,10 @@ def _attributes_of(name: str, scalars: Sequence[BlockVariable]) -> tuple[dict[st
 
 
 def _attribute(value: Any) -> str | None:
-    """Returns a value as XML has it."""
+    """Returns a value as XML writes it."""
     if value is None:
         return None
+    # a bool is an int, too
     if isinstance(value, bool):
         return str(value).lower()
     return repr(value) if isinstance(value, float) else str(int(value))
@@ -269,7 +276,8 @@ def other_variables(traced: Traced) -> tuple[BlockVariable, ...]:
     block = traced.block
     reference = len(block.variables) + len(block.states)
     is_taken = _TIME in {array_name(v) for v in block.variables}
-    time = "independent.time" if is_taken else _TIME  # no variable of a block has a point in its name
+    # no variable of a block has a point in its name
+    time = "independent.time" if is_taken else _TIME
     indicators = (f"event.indicators[{i + 1}]" for i in range(traced.indicators))
     about = "Changes its sign where a derivative has a corner or a jump"
     return (
@@ -289,20 +297,20 @@ def _variable(
 
 
 def array_name(v: BlockVariable) -> str:
-    """Returns the name of the array that a scalar belongs to; of any other, its own."""
+    """Returns the name of the array that a scalar belongs to, or the name of any other variable."""
     return _INDICES.sub("", v.name)
 
 
 def variable_names(variables: Iterable[BlockVariable]) -> list[str]:
-    """Returns the names of the variables that some scalars become."""
+    """Returns the names in FMI 3.0 of the variables that some scalars become."""
     return [name for name, *_ in arrays(variables)]
 
 
 def arrays(variables: Iterable[BlockVariable]) -> Iterator[tuple[str, list[int], list[BlockVariable]]]:
     """Yields name, dimensions and scalars of each variable; no dimensions for one that is no array.
 
-    Scalars that differ in more than their start values are no array, and neither are rows of several lengths,
-    nor derivatives of states that are none.
+    Scalars that differ in more than their start values are no array, and neither are rows of different
+    lengths. Derivatives are an array if their states are one.
     """
     variables = list(variables)
     of_states = {f"der({v.name})": _common(v) for v in variables}
@@ -322,20 +330,11 @@ def arrays(variables: Iterable[BlockVariable]) -> Iterator[tuple[str, list[int],
 
 def _common(v: BlockVariable) -> tuple[Any, ...]:
     """Returns what the scalars of an array have in common."""
-    return (
-        v.type,
-        v.variability,
-        v.unit,
-        v.display_unit,
-        v.minimum,
-        v.maximum,
-        v.nominal,
-        v.enumeration,
-    )
+    return (v.type, v.variability, v.unit, v.display_unit, v.minimum, v.maximum, v.nominal, v.enumeration)
 
 
 def extents(traced: Traced) -> list[int]:
-    """Returns by value reference how many scalars the variable has that begins there: 0 inside an array."""
+    """Returns by value reference the scalar count of the variable that begins there, 0 inside an array."""
     block = traced.block
     scalars = [group for *_, group in arrays((*block.variables, *block.states, *other_variables(traced)))]
     return [extent for group in scalars for extent in (len(group), *[0] * (len(group) - 1))]
@@ -344,7 +343,7 @@ def extents(traced: Traced) -> list[int]:
 def fmi3_description(traced: Traced, modes: Sensitivities, token: str) -> bytes:
     """Returns the XML of FMI 3.0 of a block; token: the instantiation token.
 
-    Raises ExportError for a unit that `fmus.block.units` does not know.
+    Raises ExportError for a unit that `fmus.block.units` does not define.
     """
     block = traced.block
     others, count = other_variables(traced), len(block.states) // 2

@@ -1,8 +1,8 @@
-"""Guard of a tracing: refuses what would turn a symbol, or a draw, into a constant.
+"""Guard of a tracing: refuses uses of a symbol, and calls, that would become constants.
 
 Python asks a symbol for a number (`math.tanh(x)`), a truth value (`if x > 0`) or a key (`table[x]`); CasADi
-gives NaN or an identity for some of these without an error, and computes `%`, `//` and `round` otherwise than
-Python does. A clock, a random number or a global that is assigned would be what it is during the tracing.
+gives NaN or an identity for some of these without an error, and its `%`, `//` and `round` differ from
+Python's. A clock, a random number or an assigned global would keep the value that it has during the tracing.
 """
 
 import dis
@@ -28,9 +28,12 @@ from fmus.numerics.hints import hint
 _LIBRARIES = {*sys.stdlib_module_names, "casadi", "numpy"} - {"__main__"}
 _OURS = (f"{__name__}.", f"{numerics.__name__}.")
 _PROJECT, _INSTALLED = {"fmus", "orchestration"}, {"site-packages", "dist-packages"}
-_DRAWS = {"time", "random", "_random"}  # modules whose compiled functions give another value at each call
-_CLOCKS = {"now", "utcnow", "today", "urandom", "getrandom"}  # of classes and modules that hold others too
-_LOCK = threading.Lock()  # two tracings at a time would restore each other's methods
+# modules whose compiled functions give another value at each call
+_DRAWS = {"time", "random", "_random"}
+# functions of the same kind, in classes and modules that have other functions, too
+_CLOCKS = {"now", "utcnow", "today", "urandom", "getrandom"}
+# Two tracings at a time would restore each other's methods.
+_LOCK = threading.Lock()
 
 # method of a symbol -> what Python asks it for, and the function of fmus.numerics to use
 _REFUSED = {
@@ -45,9 +48,9 @@ _REFUSED = {
     "__getitem__": ("a sequence is needed", ""),
     "__array__": ("a NumPy array is needed", ""),
     "__round__": ("Python's is of a number", "round"),
-    "__mod__": ("Python computes it otherwise than compiled code", "fmod"),
-    "__floordiv__": ("Python computes it otherwise than compiled code", "floor"),
-    "__divmod__": ("Python computes it otherwise than compiled code", "fmod"),
+    "__mod__": ("Python and compiled code differ", "fmod"),
+    "__floordiv__": ("Python and compiled code differ", "floor"),
+    "__divmod__": ("Python and compiled code differ", "fmod"),
     "__and__": ("a truth value is needed", "logical_and"),
     "__or__": ("a truth value is needed", "logical_or"),
     "__xor__": ("a truth value is needed", "logical_xor"),
@@ -57,7 +60,8 @@ _BINARY = ("__mod__", "__floordiv__", "__divmod__", "__and__", "__or__", "__xor_
 _REFUSED |= {f"__r{name[2:]}": _REFUSED[name] for name in _BINARY}
 _UNKNOWN = "but the value is not known before the FMU runs"
 NO_MEMORY = "an FMU has no memory beside its state"
-_OPERATORS = {  # of NumPy, which an operator between a NumPy number and a symbol calls
+# An operator between a NumPy number and a symbol calls these functions of NumPy.
+_OPERATORS = {
     "add": operator.add,
     "subtract": operator.sub,
     "multiply": operator.mul,
@@ -73,7 +77,7 @@ _OPERATORS = {  # of NumPy, which an operator between a NumPy number and a symbo
 
 
 class _RefusedError(TypeError):
-    """A use of a symbol that has no meaning in compiled code; `function` is what to use instead."""
+    """A use of a symbol that has no meaning in compiled code; `function` is the one to use instead."""
 
     def __init__(self, reason: str, function: str = "") -> None:
         super().__init__(reason)
@@ -154,12 +158,13 @@ def _is_draw(called: Any) -> bool:
 
 
 def _is_of_block(frame: FrameType | None, package: str) -> bool:
-    """Whether code of the block calls, perhaps through libraries; not in an import, which happens once.
+    """Whether code of the block calls, perhaps through libraries.
 
-    It is of the block's package, or not installed, as a module that stands beside the block.
+    Code of the block is in its package, or it is not installed, as a module beside the block.
     """
     own = None
     while frame and _module(frame) != __name__:
+        # An import happens once, not at each call.
         if _module(frame).startswith("importlib"):
             return False
         own = own or (None if _is_library(frame) else frame)
@@ -191,8 +196,9 @@ def _package(module: str) -> str:
 
 
 def _reason(error: Exception) -> str:
-    """Returns the file, line and expression of the user's that led to an error, and what to write instead."""
-    cause = error.__cause__ if isinstance(error.__cause__, _RefusedError) else error  # NumPy raises its own
+    """Returns the user's file, line and expression that led to an error, and the code to write instead."""
+    # NumPy raises another error, with the refusal as its cause.
+    cause = error.__cause__ if isinstance(error.__cause__, _RefusedError) else error
     own = own_line(error)
     if not own:
         return f"{cause}"
@@ -207,12 +213,13 @@ def _reason(error: Exception) -> str:
 
 
 def own_line(error: BaseException) -> tuple[str, int, str] | None:
-    """Returns the file, line and expression of the user's that led to an error, where there is one."""
+    """Returns the user's file, line and expression that led to an error, or None."""
     frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
     summaries = traceback.extract_tb(error.__traceback__)
     users = [(frame, s) for frame, s in zip(frames, summaries, strict=True) if _is_users(frame)]
     beside = [s for frame, s in users if _is_beside(frame)]
-    own = beside or [s for _, s in users]  # a block may be installed itself
+    # a block may be installed itself
+    own = beside or [s for _, s in users]
     if not own:
         return None
     file, line, column = own[-1].filename, own[-1].lineno or 0, own[-1].colno or 0
@@ -221,4 +228,5 @@ def own_line(error: BaseException) -> tuple[str, int, str] | None:
 
 
 def _is_users(frame: FrameType) -> bool:
-    return not _is_library(frame) and not frame.f_code.co_filename.startswith("<")  # as of a dataclass
+    # the generated methods of a dataclass have the file "<string>"
+    return not _is_library(frame) and not frame.f_code.co_filename.startswith("<")

@@ -1,9 +1,9 @@
 """The modules that a module imports, found without importing any; and whether they are pure.
 
-A pure module is the same at every import, as long as its text and those of what it imports are the same. Its
-names and attributes are known to lead to nothing else: no file, clock, environment or order of a set, which
-the seed of Python's hashes decides. Everything that is not listed here is refused. What is not found: the
-text of an object, `str(object())`, has an address.
+A pure module is the same at every import, as long as its text and the texts of its imports are the same. Its
+names and attributes lead to no file, clock, environment or order of a set, which the seed of Python's hashes
+decides. Everything that is not listed here is refused. One case is not found: the text of an object,
+`str(object())`, has an address.
 """
 
 import ast
@@ -22,8 +22,10 @@ Import = tuple[str, tuple[str, ...]]
 """(module, the names that are taken from it)."""
 
 _NUMERICS = "fmus.numerics"
-_WHOLE = {"cmath", "math"}  # modules that hold nothing but functions of numbers
-_TAKEN = {  # module -> names that may be taken from it
+# modules with functions of numbers alone: all their names may be taken
+_WHOLE = {"cmath", "math"}
+# module -> names that may be taken from it
+_TAKEN = {
     "__future__": "annotations",
     "builtins": "abs all any bool callable chr classmethod complex dict divmod enumerate filter float int "
     "isinstance issubclass iter len list map max min next object ord pow property range reversed round slice "
@@ -40,7 +42,8 @@ _TAKEN = {  # module -> names that may be taken from it
     "typing": "Any Final Literal NamedTuple Protocol TYPE_CHECKING TypeAlias TypeVar",
 }
 _SPECIAL = {"__all__", "__debug__", "__doc__", "__init__", "__name__", "__post_init__", "__setattr__"}
-_PREFIXES = ("__", "ag_", "cr_", "gi_")  # the last three: of generators, whose frames lead to all modules
+# The last three begin attributes of generators, whose frames lead to all modules.
+_PREFIXES = ("__", "ag_", "cr_", "gi_")
 _NO_NAMES = {*dir(builtins)} - {*_TAKEN["builtins"].split()}
 # attributes that read others by their names, or make sets; the modules of `fmus.numerics` import more
 _NO_ATTRIBUTES = {"*", "format", "format_map", "items", "keys"} | {
@@ -49,7 +52,7 @@ _NO_ATTRIBUTES = {"*", "format", "format_map", "items", "keys"} | {
 
 
 class ImpureError(Exception):
-    """A module that may depend on more than texts of Python."""
+    """A module that may depend on more than the texts of Python modules."""
 
 
 def may_take(module: str, names: tuple[str, ...]) -> bool:
@@ -62,7 +65,7 @@ def may_take(module: str, names: tuple[str, ...]) -> bool:
 
 
 def is_package(file: str) -> bool:
-    """Whether a file is that of a package."""
+    """Whether a file defines a package."""
     return Path(file).name == "__init__.py"
 
 
@@ -90,7 +93,8 @@ def pure_imports(content: bytes, module: str, file: str) -> list[Import]:
         elif isinstance(node, ast.Name):
             names, refused = (node.id,), _NO_NAMES
         hidden = {name for name in names if name.startswith(_PREFIXES) or name in refused} - _SPECIAL
-        if hidden or isinstance(node, ast.Set | ast.SetComp | ast.MatchClass):  # a class reads attributes
+        # sets have no fixed order; a class pattern of `match` reads attributes
+        if hidden or isinstance(node, ast.Set | ast.SetComp | ast.MatchClass):
             raise ImpureError(module)
     return [*imports_in(nodes, module, file)]
 
@@ -105,12 +109,13 @@ class Modules:
     def closure(
         self, roots: Sequence[str], imports: Callable[[str, str], Iterable[Import]], folder: str = ""
     ) -> dict[str, str | None]:
-        """Returns the files, as of `file`, of roots, of what they import, and of the packages of all these.
+        """Returns module -> result of `file`, for the roots, their imports, and the packages of all these.
 
-        A name that is taken from a module may be one: it has a file if so.
+        A name that is taken from a module may be a module itself: then it has a file.
         imports: module and file -> the imports that are followed
         """
-        files: dict[str, str | None] = {"": None}  # which is the package of those that are in none
+        # "" stands for the package of modules outside of packages
+        files: dict[str, str | None] = {"": None}
         waiting = [*roots]
         while waiting:
             if (name := waiting.pop()) not in files:
@@ -124,7 +129,7 @@ class Modules:
         return files
 
     def file(self, name: str, folder: str = "") -> str | None:
-        """Returns the path of a module, "" for a folder without code; None if there is none, or Python's own.
+        """Returns the path of a module, "" for a folder without code, None if it is missing or Python's own.
 
         Raises ImpureError for a module that is not a text of Python.
         """
@@ -145,11 +150,11 @@ class Modules:
 
     @property
     def changed(self) -> float:
-        """The time of the last change of what was read [s since the epoch]."""
+        """The time of the last change of a file that was read [s since the epoch]."""
         return max((changed for _, changed in self._read.values()), default=0.0)
 
     def _spec(self, name: str, folder: str) -> ModuleSpec | None:
-        """Returns what an import of this name finds, without importing its package."""
+        """Returns the module that an import of this name finds, without importing its package."""
         if (name, folder) not in self._specs:
             package, path = name.rpartition(".")[0], None
             spec = PathFinder.find_spec(name, [folder]) if folder and not package else None
@@ -164,5 +169,5 @@ class Modules:
 
 
 def _is_of_python(spec: ModuleSpec) -> bool:
-    """Whether a module is that of the standard library, and none of the user's that hides it."""
+    """Whether a module is in the standard library, not a user's module that hides it."""
     return not spec.has_location or Path(str(spec.origin)).is_relative_to(sysconfig.get_path("stdlib"))

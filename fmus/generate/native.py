@@ -32,7 +32,8 @@ from fmus.native.toolchain import compiling
 from fmus.platforms import check_platforms, host_platform, library_name
 
 COMPILED = {2: ("fmi2.c",), 3: ("fmi3.c",)}
-_WORD = 32  # bits of the set of items
+# bits of the set of items, a uint32_t of variables.h
+_WORD = 32
 _SETTABLE = {"fixed": "BEFORE_STEPPING", "continuous": "ALWAYS"} | dict.fromkeys(
     ("tunable", "discrete"), "AT_POINTS"
 )
@@ -48,7 +49,8 @@ def compiled_libraries(
 ) -> Iterator[Callable[[], dict[str, bytes]]]:
     """Starts compiling libraries beside this process; yields a function that waits for them.
 
-    It returns path inside the FMU -> library, made from the FMU's sources; by default for this platform.
+    The function returns path inside the FMU -> library, made from the FMU's sources.
+    platforms: by default this one
     Raises ExportError for an unknown platform.
     """
     sources = {Path(path).name: members[path].decode() for path in members if path.startswith("sources/")}
@@ -67,7 +69,7 @@ def c_sources(
 ) -> dict[str, str]:
     """Returns file name -> text of the FMU's folder `sources`: all but FMI's own headers (2.3).
 
-    reals_only: every variable is a Real, what is an item, truth value or Integer one that is a whole number
+    reals_only: whether every variable is a Real; items, truth values and Integers are then whole numbers
     """
     layer = resources.files("fmus") / "native"
     texts = dict(_included(layer, COMPILED[fmi][0]))
@@ -101,7 +103,8 @@ def _tables(traced: Traced, reals_only: bool, fmi: int) -> dict[str, object]:
         "outputs": len(block.of_causality("output")),
         "states": traced.step.numel_out(0),
         "n_whole": len(not_real),
-        "whole": ", ".join(map(str, (*not_real, 0))),  # never empty, which C99 has not
+        # C99 has no empty arrays
+        "whole": ", ".join(map(str, (*not_real, 0))),
         "requirements": len(traced.required),
         "internal_step": next(v.value_reference for v in block.variables if v.name == "internal_step"),
         "continuous": len(block.states) // 2,
@@ -134,7 +137,7 @@ def _access(v: BlockVariable, reals_only: bool, fmi: int) -> str:
 
 
 def _range(v: BlockVariable) -> tuple[float, float]:
-    """Returns the range that the C layer lets pass: without declared limits, that of the type."""
+    """Returns the range that the C layer accepts: the declared limits, else the range of the type."""
     if items := [0, 1] if v.type == "Boolean" else _items(v):
         return float(min(items)), float(max(items))
     low, high = INTEGER_RANGE if v.type == "Integer" else (-sys.float_info.max, sys.float_info.max)
@@ -151,7 +154,8 @@ def _items(v: BlockVariable) -> list[int]:
 
 def _string(text: str) -> str:
     """Returns a C string literal of the UTF-8 bytes: everything but plain printable ASCII as octal."""
-    plain = set(range(32, 127)) - set(b'"\\?')  # ?? would begin a trigraph
+    # ?? would begin a trigraph
+    plain = set(range(32, 127)) - set(b'"\\?')
     return '"' + "".join(chr(b) if b in plain else f"\\{b:03o}" for b in text.encode()) + '"'
 
 
@@ -205,7 +209,7 @@ class ShippedLibrary(BoundInstance):
     def reached(self, t: float, *arguments: Any) -> tuple[float, list[float], list[float]] | None:
         """Returns time [s], state and outputs after the initialization or a step; None if the FMU refuses it.
 
-        arguments: those of the block's `initial_state` after t, or of its `step`
+        arguments: of the block's `initial_state` after t, or of its `step`
         """
         *step, u, p, c = arguments
         known = [t, *flatten(p), *flatten(c), *flatten(u)]

@@ -1,8 +1,8 @@
 """The operations of a function of CasADi, and their order; `c_code.py` writes them in a dialect of C.
 
 CasADi evaluates both alternatives of a choice. Here an operation that is needed only where a condition holds
-stands in an `if` of that condition, unless that would save less than a branch may cost. The operations and
-their order in each expression are those of CasADi, so the results are the same bit for bit.
+stands in an `if` of that condition, unless that would save less than a branch may cost. The operations of
+each expression keep CasADi's order, so the results are the same bit for bit.
 """
 
 from collections import defaultdict
@@ -14,45 +14,23 @@ from itertools import takewhile
 import casadi
 
 TIMES = ("t", "h")
-"""Arguments that are numbers; all else are columns."""
-CALLS = {
-    "EXP": "exp",
-    "LOG": "log",
-    "POW": "pow",
+"""Arguments that are numbers; all others are columns."""
+# functions of math.h and elementary.h with CasADi's names in lower case
+_SAME_NAMES = (
+    "EXP LOG POW SQRT SIN COS TAN ASIN ACOS ATAN FLOOR CEIL FMOD FMOD_BY_WHOLE REMAINDER FABS COPYSIGN "
+    "ERF SINH COSH TANH ASINH ACOSH ATANH ATAN2 HYPOT LOG1P EXPM1"
+)
+CALLS = {name: name.lower() for name in _SAME_NAMES.split()} | {
     "CONSTPOW": "pow",
-    "SQRT": "sqrt",
-    "SIN": "sin",
-    "COS": "cos",
-    "TAN": "tan",
-    "ASIN": "asin",
-    "ACOS": "acos",
-    "ATAN": "atan",
-    "FLOOR": "floor",
-    "CEIL": "ceil",
-    "FMOD": "fmod",
-    "FMOD_BY_WHOLE": "fmod_by_whole",
-    "REMAINDER": "remainder",
-    "FABS": "fabs",
-    "COPYSIGN": "copysign",
-    "ERF": "erf",
     "FMIN": "smaller",
     "FMAX": "larger",
-    "SINH": "sinh",
-    "COSH": "cosh",
-    "TANH": "tanh",
-    "ASINH": "asinh",
-    "ACOSH": "acosh",
-    "ATANH": "atanh",
-    "ATAN2": "atan2",
-    "HYPOT": "hypot",
-    "LOG1P": "log1p",
-    "EXPM1": "expm1",
 }
 """Operation -> function of math.h or elementary.h."""
 _QUICK_CALLS = {"SQRT", "FABS", "FLOOR", "CEIL", "COPYSIGN", "FMIN", "FMAX"}
 _NAMES = {getattr(casadi, name): name[3:] for name in dir(casadi) if name.startswith("OP_")}
 _LARGEST_WHOLE = 2.0**53
-_BRANCH = 8  # cost of operations that are not worth a branch
+# operations that cost less are not worth a branch
+_BRANCH = 8
 
 
 @dataclass(frozen=True)
@@ -62,7 +40,7 @@ class Operation:
     name: as in CasADi, or RESULT, CHOICE (a condition and two numbers), FMOD_BY_WHOLE (of a constant)
     arguments: numbers of operations
     text: of an argument or result of the function, `t` or `x[0]`, or of a constant
-    place: in C, of the last argument and result of a call that is made where its argument changes
+    place: address in C of the last argument and result of a call that is repeated for a new argument alone
     """
 
     name: str
@@ -102,7 +80,8 @@ def operations_of(function: casadi.Function) -> list[Operation]:
             operation = Operation("CONST", text=_constant(function.instruction_constant(i)))
         else:
             used = tuple(held[number] for number in function.instruction_input(i))
-            if code in (casadi.OP_FMIN, casadi.OP_FMAX):  # of 0 and -0, these give the first, ours the second
+            # of 0 and -0, CasADi's functions give the first, the functions of elementary.h the second
+            if code in (casadi.OP_FMIN, casadi.OP_FMAX):
                 used = used[::-1]
             choice = _choice(operations, used) if code == casadi.OP_ADD else None
             operation = choice or Operation(_NAMES[code], used)
@@ -125,7 +104,7 @@ def follows_from(operations: Sequence[Operation], names: Collection[str]) -> lis
 def _choice(operations: Sequence[Operation], terms: Sequence[int]) -> Operation | None:
     """Returns one operation in place of CasADi's choice: a sum of two terms, one of which is 0.
 
-    The sum with 0 makes 0 of -0.
+    The operation adds 0, too, as the sum makes 0 of -0.
     """
     first, second = (operations[number] for number in terms)
     if first.name == second.name == "IF_ELSE_ZERO":
@@ -192,7 +171,7 @@ class Schedule:
         self.steps = [*self._steps(()), *results]
 
     def _steps(self, path: Path) -> Iterator[Step]:
-        """Yields those of a branch, as far as they can be carried out, in the order of the operations."""
+        """Yields the operations of a branch that can be carried out, in their order."""
         ready = self._ready[path]
         while True:
             while ready:
@@ -275,7 +254,8 @@ def as_late_as_possible(steps: Sequence[Step], operations: Sequence[Operation]) 
 
     def place(number: int) -> None:
         path = [number] if number in waiting else []
-        while path:  # not by recursion, which would be as deep as the longest chain of operations
+        # A recursion would be as deep as the longest chain of operations.
+        while path:
             missing = [used for used in operations[path[-1]].arguments if used in waiting]
             if missing:
                 path.append(missing[0])
@@ -294,7 +274,8 @@ def as_late_as_possible(steps: Sequence[Step], operations: Sequence[Operation]) 
         else:
             inside = (as_late_as_possible(part, operations) for part in (step.holds, step.fails))
             ordered.append(Branch(step.condition, *inside))
-    for number in list(waiting):  # what is used behind this branch
+    # the rest is used behind this branch
+    for number in list(waiting):
         place(number)
     return ordered
 

@@ -17,7 +17,7 @@ def ramp_source(name: str, output: str, unit: str | None, points: int) -> Block:
     It takes the place of a signal. Its parameters are smooth, point_time[i] and point_value[i].
 
     output: an identifier
-    unit: of the output and of point_value, one that `fmus.block.units` knows; None for no unit
+    unit: of the output and of point_value, one that `fmus.block.units` defines; None for no unit
     points: how many, at least 2; their times start at 0, 1, 2, ... s, their values at 0
     """
 
@@ -36,7 +36,7 @@ def ramp_source(name: str, output: str, unit: str | None, points: int) -> Block:
         )
         point_time: tuple[float, ...] = variable(
             tuple(float(i) for i in range(points)),
-            "Time of a point, later than that of the one before",
+            "Time of a point, later than the time before",
             unit="s",
             min=-1e9,
             max=1e9,
@@ -72,13 +72,13 @@ f(s) = s                            smooth false
        10 s^3 - 15 s^4 + 6 s^5      smooth true
 """,
     conventions=("The first value holds before the first point, the last one after the last.",),
-    tuning=("Points that are not needed come after the last one that is, with its value.",),
+    tuning=("Spare points of point_time come after the last needed one; their point_value is its value.",),
     experiment=Experiment(step_size=0.1),
 )
 
 
 def with_start_values(block: Block, values: Mapping[str, Value]) -> Block:
-    """Returns the block, its parameters and inputs starting at these values; the others as they are declared.
+    """Returns the block with other start values of some parameters and inputs.
 
     values: name of a scalar, such as "gain" or "A[1,2]" -> value in the unit of the variable
     Raises ExportError for a name that is no parameter or input, and for a value that it does not accept.

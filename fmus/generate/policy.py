@@ -1,8 +1,8 @@
 """FILE.py:Class -> FMU of the python flavour that runs a policy class, in the user's cache.
 
 The FMU carries the file, the modules beside it that it imports, and the files beside it that a text in them
-names, such as "weights.npz". Other libraries are those that are installed where it runs. It is made anew if
-any of these files has changed, in a process of its own, which runs two objects of the class.
+names, such as "weights.npz". Other libraries must be installed where the FMU runs. A separate process makes
+the FMU, again if any of these files has changed, and runs two objects of the class.
 """
 
 import ast
@@ -38,17 +38,20 @@ from fmus.registry import Flavour, fmu_folder, unwritable
 
 _NAMED = re.compile(r"(.+\.py):([^:/\\]*)", re.DOTALL)
 _SLAVE = "fmus.block.policy_slave"
-_PATIENCE_S = 120  # for the imports of a policy and its first steps
-_MOST_SAMPLES, _MOST_S = 20, 0.5  # of the first object
+# for the imports of a policy and its first steps
+_PATIENCE_S = 120
+# of the first object: a build should not wait for a slow policy
+_MOST_SAMPLES, _MOST_S = 20, 0.5
 _HELD = {FunctionType: "default values of arguments, closure or attributes of "}
-_EQUAL = {"rtol": 1e-9, "atol": 1e-12, "equal_nan": True}  # threads may add numbers in another order
+# threads may add numbers in another order
+_EQUAL = {"rtol": 1e-9, "atol": 1e-12, "equal_nan": True}
 
 
 def fmu_of_class(name: str, folder: Path = Path()) -> Path:
-    """Returns the FMU of the class that FILE.py:Class names, made if that of the present files is missing.
+    """Returns the FMU of the class that FILE.py:Class names; makes it if the files have changed.
 
-    folder: that the file is relative to
-    Raises ExportError for a file or a class of which none can be made.
+    folder: the folder that the file is relative to
+    Raises ExportError for a file or a class that cannot become an FMU.
     """
     found = _NAMED.fullmatch(name)
     if not found or not re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", found[2]):
@@ -89,7 +92,8 @@ def _named_files(sources: Mapping[str, str], folder: Path) -> dict[str, bytes]:
 
 
 def _made(file: Path, cls: str, sources: Mapping[str, str], carried: Mapping[str, bytes]) -> bytes:
-    """Returns the FMU of a class, made in a process of its own; ExportError if that cannot make it."""
+    """Returns the FMU of a class, which a separate process makes; ExportError if it cannot."""
+    # The user's code may end, block or change its process.
     with closing(WorkerProcess(_worker)) as process:
         process.send((file, cls, dict(sources), dict(carried)))
         try:
@@ -107,7 +111,7 @@ def _made(file: Path, cls: str, sources: Mapping[str, str], carried: Mapping[str
 
 
 def _worker(parent: Parent) -> None:
-    """Makes an FMU; sends it, or why it cannot be made."""
+    """Makes an FMU; sends it, or the reason of a failure."""
     file, cls, sources, carried = parent.receive()
     try:
         parent.send((_fmu(file, cls, sources, carried), ""))
@@ -116,7 +120,8 @@ def _worker(parent: Parent) -> None:
 
 
 def _fmu(file: Path, cls: str, sources: dict[str, str], carried: dict[str, bytes]) -> bytes:
-    from fmus.generate.archive import OF_PYTHON, with_resources  # these load what builds FMUs
+    # CasADi, which these load, takes time: a process that finds the FMU in the cache does without.
+    from fmus.generate.archive import OF_PYTHON, with_resources
     from fmus.generate.describe import model_description
 
     package = package_of(cls)
@@ -142,7 +147,8 @@ def _tried(file: Path, cls: str, files: Mapping[str, bytes], package: str) -> tu
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         (folder / path).write_bytes(content)
     sys.path.insert(0, str(folder))
-    run = import_module(f"{package}.{PolicyInstance.__module__}")  # what the FMU carries of it
+    # the copy that the FMU carries: it is tried as it will run
+    run = import_module(f"{package}.{PolicyInstance.__module__}")
     modules = run.OwnModules(package, folder / package)
     try:
         with modules.present():
@@ -163,12 +169,14 @@ def _tried(file: Path, cls: str, files: Mapping[str, bytes], package: str) -> tu
 def check_repeats(policies: ModuleType, block: Any) -> bool:
     """Returns whether the state of a policy can be saved, after runs of two objects.
 
-    policies: `fmus.block.policy` as the FMU has it; block: of a class whose modules are new
-    Raises ExportError if the second object has other outputs, and what the policy raises at the start.
+    policies: the copy of `fmus.block.policy` in the FMU
+    block: of a class whose modules are newly imported
+    Raises ExportError if the second object has other outputs, and errors of the policy at the start.
     """
     before, saved = _memory(block), None
     trial, end = _begun(policies, block), perf_counter() + _MOST_S
-    before = _memory(block) | before  # with modules that the first step imports
+    # the first step may import further modules
+    before = _memory(block) | before
     with suppress(Exception):
         saved = trial.snapshot()
     first = _outputs(trial, block, _MOST_SAMPLES, end)
@@ -203,8 +211,8 @@ def _outputs(trial: Any, block: Any, count: int, end: float = inf) -> np.ndarray
     """Returns the outputs of `count` samples, the last one and more: shape (samples, outputs).
 
     end: the time of `perf_counter` after which no step is begun
-    They are NaN from a step on that fails: it may not expect these inputs.
     """
+    # Outputs stay NaN from a failed step on: the policy may not expect these inputs.
     outputs = block.of_causality("output")
     values = np.full((count, len(outputs)), np.nan)
     for k in range(count):
@@ -221,7 +229,7 @@ def _outputs(trial: Any, block: Any, count: int, end: float = inf) -> np.ndarray
 
 
 def _memory(block: Any) -> dict[str, Any]:
-    """Returns module.name and Class.name -> a digest of what the modules hold outside of objects."""
+    """Returns module.name and Class.name -> a digest of the value, for all values outside of objects."""
     memory = {}
     with block.modules.present():
         for module in block.modules.loaded():

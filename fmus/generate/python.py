@@ -1,7 +1,7 @@
-"""Block -> the Python modules that an FMU of the python flavour carries, and those of a Python file.
+"""Block -> the Python modules that an FMU of the python flavour carries; the modules of a Python file.
 
-Two FMUs in one process share `sys.modules`. Each FMU therefore carries its sources in a package named after
-its own content; absolute imports between them are rewritten to that package.
+Two FMUs in one process share `sys.modules`. So each FMU carries its sources in a package that is named after
+its content, and absolute imports between them are rewritten to this package.
 """
 
 import ast
@@ -19,9 +19,12 @@ from fmus.generate.imports import Import, ImpureError, Modules, imports_in
 from fmus.guid import GUID, GUID_IN_NAMES
 
 _CODING = re.compile(r"^([ \t\f]*#.*?coding[:=][ \t]*)[-\w.]+", re.MULTILINE)  # PEP 263
-_SLAVE = "fmus.block.slave"  # which every FMU carries
-_PATIENCE_S = 60  # for an import, which takes less than 1 s
-_OURS = {"controller_fmu", "plant_fmu", "fmus"}  # need nothing but their modules, as the tests show
+# every FMU carries it
+_SLAVE = "fmus.block.slave"
+# for an import, which takes less than 1 s
+_PATIENCE_S = 60
+# The tests show that these need their modules alone: a build saves the time of another process.
+_OURS = {"controller_fmu", "plant_fmu", "fmus"}
 
 _ENTRY = '''"""Entry point of the FMU {name}: the class that PythonFMU's binary instantiates."""
 
@@ -40,16 +43,13 @@ class {name}({base}):
 
 
 def python_modules(block: Block) -> dict[str, str]:
-    """Returns path inside the FMU's resources -> text of the block's modules and of what the binary loads.
+    """Returns path inside the FMU's resources -> text of the block's modules and of the entry point.
 
     Raises ExportError for a block whose modules cannot be carried.
     """
     module, attribute = defined_as(block)
     package = package_of(block.name)
-    imports = (
-        f"from {package}.{module} import {attribute}",
-        f"from {package}.{_SLAVE} import BlockSlave",
-    )
+    imports = (f"from {package}.{module} import {attribute}", f"from {package}.{_SLAVE} import BlockSlave")
     entry = entry_point(block.name, "BlockSlave", imports, f"block = {attribute}")
     texts = in_package(source_closure(module), package) | entry
     if module.partition(".")[0] not in _OURS:
@@ -63,14 +63,14 @@ def package_of(name: str) -> str:
 
 
 def entry_point(name: str, base: str, imports: Iterable[str], member: str) -> dict[str, str]:
-    """Returns path -> text of what PythonFMU's binary loads: a class of this name and base, with a member."""
+    """Returns path -> text of the files that PythonFMU's binary loads: a class with this base and member."""
     entry = package_of(name).removesuffix("_sources")
     text = _ENTRY.format(name=name, base=base, imports="\n".join(imports), member=member, guid=GUID)
     return {f"{entry}.py": text, "slavemodule.txt": entry}
 
 
 def _check_import(name: str, text: dict[str, str], entry: str) -> None:
-    """Raises ExportError for sources that need what the FMU does not carry, such as a file with a table.
+    """Raises ExportError for sources that need a file that the FMU does not carry, such as a table.
 
     The packages that are installed here can be imported: a block that needs one passes.
     """
@@ -142,7 +142,7 @@ def source_closure(module: str) -> dict[str, str]:
 
 
 def sources_beside(file: Path) -> dict[str, str]:
-    """Returns module -> source, of a Python file and of what it imports of its folder and of `fmus`.
+    """Returns module -> source of a Python file and of its imports from its folder and from `fmus`.
 
     Imports in functions count. Other modules stay where they are installed.
     Raises ExportError for a file that cannot be read as Python.
@@ -160,7 +160,8 @@ def sources_beside(file: Path) -> dict[str, str]:
                 found = [
                     (base, members) for base, members in imports_in([node], name, path) if is_carried(base)
                 ]
-            except ImportError:  # of a relative import
+            # a relative import leaves the folder
+            except ImportError:
                 line = getattr(node, "lineno", 1)
                 raise ExportError(f"{path}:{line}: an import with dots: expected one without") from None
             if found and isinstance(node, ast.stmt):

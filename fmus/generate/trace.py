@@ -1,4 +1,4 @@
-"""A block traced to CasADi: what its functions compute, as expressions.
+"""A block traced to CasADi: the results of its functions as expressions.
 
 Every function takes and gives column vectors in the order of `flatten`; parameters `p`, calculated
 parameters `c`, inputs `u`, state `x`, outputs `y`, times `t` and `h` in s.
@@ -35,12 +35,13 @@ class Traced:
     indicators: how many event indicators the block has
     restarted: value references of the continuous states that an event may change
 
-    In model exchange `step` is evaluated with h = 0: what it copies from inputs follows them at once, what
-    `sampled` and `at_events` guard is held, and the continuous states are the solver's. Of a block with these
-    besides, all but `held` of the state that `held` returns:
-    held: (t, x, u, p, c) -> x between events of model exchange
+    A block with continuous states has these, too. In model exchange `step` is evaluated with h = 0: copies of
+    inputs follow them at once, states that `sampled` and `at_events` guard are held, and the solver
+    integrates the continuous states.
+
+    held: (t, x, u, p, c) -> x between events of model exchange; the following functions take this state
     derivative, crossings, event: (t, x, u, p, c) -> derivatives, event indicators, x after an event
-    next_event: (t, x, u, p, c) -> the time at which the next sample is due [s], infinite if none is
+    next_event: (t, x, u, p, c) -> the time of the next sample [s], infinite without one
     integrated_rate: (t, x, u, p, c) -> the derivatives that `integrate` of the block has, for a comparison
     """
 
@@ -74,7 +75,7 @@ class Traced:
             self._trace_exchange()
 
     def _trace_exchange(self) -> None:
-        """Traces what a block with continuous states needs besides."""
+        """Traces the further functions of a block with continuous states."""
         block, x, arguments = self.block, self._columns["x"], "t x u p c"
         held, rates = self._called(block.held, arguments), self._result("derivative", arguments)
         event = _column(self._result("step", "t h x u p c", h=0.0))
@@ -122,7 +123,7 @@ class Traced:
             )
 
     def functions(self) -> dict[str, casadi.Function]:
-        """Returns everything that an FMU needs, by name."""
+        """Returns the functions that an FMU needs, by name."""
         own = {name: value for name, value in vars(self).items() if isinstance(value, casadi.Function)}
         return {name: value for name, value in own.items() if name != "integrated_rate"}
 
@@ -141,7 +142,7 @@ class Traced:
     def _result(
         self, name: str, arguments: str, function: Callable[..., Any] | None = None, **instead: Any
     ) -> Any:
-        """Returns what `_called` does of a function of the block, or of one in its place, checked."""
+        """Returns the checked result of a function of the block, or of one in its place."""
         result = self._called(function or getattr(self.block, name), arguments, **instead)
         check_result(self.block, name, result)
         return result
@@ -160,7 +161,8 @@ def trace(block: Block) -> Traced:
     except ExportError:
         raise
     except (TypeError, AttributeError, RuntimeError, NotImplementedError) as error:
-        if " are free." in str(error):  # symbols that are no arguments of a function, in CasADi's words
+        # CasADi's message for symbols that are no arguments of a function
+        if " are free." in str(error):
             reason = (
                 f"a function changes its arguments, or gives what an earlier call has kept; {guard.NO_MEMORY}"
             )
@@ -174,7 +176,7 @@ def _column(value: Any) -> casadi.SX:
 
 
 def _due_samples(block: Block, t: float, state: Any, *others: Any) -> list[float]:
-    """Returns the times at which samples are due [s]."""
+    """Returns the times of the next samples [s]."""
     with between_events() as due:
         block.step(t, 0.0, state, *others)
     return due
@@ -184,7 +186,7 @@ def _copied(block: Block, state: casadi.SX, held: casadi.SX) -> list[int]:
     """Returns the numbers of the state that follow inputs at once.
 
     state, held: the state, and as it is between events
-    Raises ExportError if `step` changes something at no event that is no copy of what is given.
+    Raises ExportError if `step` changes a state between events by its former value.
     """
     changed = [i for i in range(state.numel()) if not casadi.is_equal(state[i], held[i])]
     for wrong in (i for i in changed if casadi.depends_on(held[i], state[changed])):

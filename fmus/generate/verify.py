@@ -1,4 +1,4 @@
-"""Check that a traced block, and its library, compute what its Python functions do, and miss no sample.
+"""Check that a traced block, and its library, give the results of its Python functions, and miss no sample.
 
 The functions are called at random points. A difference is rounding if the Python function itself changes as
 much when its arguments change by a few units in the last place. Any other difference refuses the block.
@@ -26,7 +26,8 @@ from fmus.numerics.symbols import are_numbers
 
 _POINTS, _STEPS = 60, 3  # draws of parameters; steps from each, with inputs drawn anew
 _DRAWS = 20  # of parameters for a point, until they meet the requirements
-_EQUAL = 1e-12  # relative: a few roundings of elementary functions, which differ between C libraries
+# relative: a few roundings of elementary functions, which differ between C libraries
+_EQUAL = 1e-12
 _PERTURBATIONS, _AMPLIFIED = 8, 32.0
 # of the points; a function that amplifies rounding at more of them is not compared at all
 _MOST_AMPLIFIED = 0.2
@@ -36,11 +37,15 @@ _COMPILED = "when it is compiled; set ZIG_GLOBAL_CACHE_DIR to an empty folder, a
 _FUNCTIONS = ("calculate", "requirements", "initial_state", "output", "step")
 _OF_CONTINUOUS = ("derivative", "crossings")
 _INTEGRATED = "as the function integrate has it in a short step"
-_SPECIAL = (0.0, 0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, 2.5, -2.5)  # signs, and halves, which are rounded
+# both signs, and halves, whose rounding differs between functions
+_SPECIAL = (0.0, 0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, 2.5, -2.5)
 _ULP = 2.0**-52
-_LONGEST_VECTOR = 9  # numbers; a longer one is a table
-_INTERNAL_STEPS = 200  # internal steps, until one that is half a per cent longer than the period is late
-_NEARLY_EQUAL = 1e-9  # relative: two ways to the same derivative
+# A longer vector counts as a table, whose order the requirements of a block ask for.
+_LONGEST_VECTOR = 9
+# After so many internal steps, one that is half a per cent longer than the period is late.
+_INTERNAL_STEPS = 200
+# relative: two ways to the same derivative
+_NEARLY_EQUAL = 1e-9
 
 
 class Comparison:
@@ -62,9 +67,9 @@ class Comparison:
         self._are_requirements = name == "requirements"
 
     def __call__(self, *arguments: Any, is_reached: bool = True) -> Any:
-        """Returns the result of the Python function; None where that is no finite number.
+        """Returns the result of the Python function; None for NaN, infinity or an error.
 
-        is_reached: whether the block can have these arguments; an error at others is none of the block
+        is_reached: whether the block can have these arguments; errors at others do not count
         """
         self._attempts += 1
         errors = len(self._errors)
@@ -107,14 +112,15 @@ class Comparison:
         self.check_traced(self._traced, _TRACED, rng)
 
     def check_traced(self, function: Any, how: str, rng: random.Random, equal: float = _EQUAL) -> None:
-        """Checks the numbers of each call beside those of a traced function; raises ExportError likewise."""
+        """Compares the numbers of each call with a traced function; raises ExportError for a difference."""
         self.check_numbers(_numbers_of(function, [a for a, _, _ in self.calls]), how, rng, equal)
 
     def check_numbers(
         self, given: Sequence[list[float] | None], how: str, rng: random.Random, equal: float = _EQUAL
     ) -> None:
-        """Checks the numbers of each call, None where there are none; raises ExportError for a difference.
+        """Compares the numbers of each call with given ones; raises ExportError for a difference.
 
+        given: the numbers for each call, or None to leave it out
         equal: relative difference of numbers that count as equal
         """
         amplified = 0
@@ -129,10 +135,8 @@ class Comparison:
             raise ExportError(f"{self._where} differs {how} at {amplified} of {len(self.calls)} points")
 
     def _check_errors(self) -> None:
-        """Raises ExportError where Python divides by zero or leaves a domain, and compiled code does not.
-
-        A number that is too large for Python is no such error: compiled code takes it for infinite.
-        """
+        """Raises ExportError where Python divides by zero or leaves a domain, and compiled code does not."""
+        # Compiled code takes a number that is too large for Python for infinite: that is no such error.
         errors = [(a, error) for a, error in self._errors if not isinstance(error, OverflowError)]
         results = _numbers_of(self._traced, [arguments for arguments, _ in errors])
         for (_, error), numbers in zip(errors, results, strict=True):
@@ -187,7 +191,7 @@ def check_trace(traced: Traced) -> dict[str, Comparison]:
 def check_shipped(compare: dict[str, Comparison], library: ShippedLibrary) -> None:
     """Checks that the library of an FMU gives the values of Python; raises ExportError for a difference.
 
-    It gives outputs for the states that it reaches alone: they are compared where Python reached the same.
+    The library gives outputs for states that it reaches: they are compared where Python reached the same.
     """
     rng, outputs = random.Random(0), {}
     given = {"calculate": [library.calculated(p) for (p,), _, _ in compare["calculate"].calls]}
@@ -216,7 +220,8 @@ def _compare_at_a_point(
     else:
         return
     _check_whole(block, "calculate", block.calculated, c)
-    t = 0.0 if at_start else rng.uniform(-0.5, 1.0) * block.stop_time  # a run may begin before 0
+    # a run may begin before 0
+    t = 0.0 if at_start else rng.uniform(-0.5, 1.0) * block.stop_time
     x, h = None, p.internal_step * rng.choice((1.0, rng.uniform(0.1, 1.0)))
     for _ in range(_STEPS):
         u = drawn(block, "input", block.inputs, changed, rng)
@@ -288,18 +293,20 @@ def _described(error: Exception) -> str:
 
 
 def _are_near(x: float, y: float, allowed: float) -> bool:
-    return abs(x - y) <= allowed  # False for NaN
+    # written so that it is false for NaN
+    return abs(x - y) <= allowed
 
 
 # random points
 
 
 def drawn(block: Block, causality: str, template: type, changed: float, rng: random.Random) -> Any:
-    """Returns the parameters or inputs, of which a part is not at the start value; of choices, all are drawn.
+    """Returns parameters or inputs with random values in place of some start values.
 
-    Requirements refuse most draws that change many numbers, but few that change choices. A table keeps its
-    order, which requirements ask for: all its numbers are multiplied by one factor.
+    changed: the share of drawn numbers; choices are all drawn, unless it is 0
     """
+    # Requirements refuse most draws that change many numbers, but few that change choices. They ask for the
+    # order of a table: all its numbers are multiplied by one factor.
     variables = block.of_causality(causality)
     counts = Counter(_vector(v) for v in variables)
     factors: dict[str, float] = {}
@@ -317,7 +324,7 @@ def drawn(block: Block, causality: str, template: type, changed: float, rng: ran
 
 
 def _vector(v: BlockVariable) -> str:
-    """Returns the name of the vector that a variable is an element of; its own if of none."""
+    """Returns the name of the vector that a variable belongs to, or the name of any other variable."""
     return v.name.partition("[")[0]
 
 
@@ -340,7 +347,7 @@ def _draw(v: BlockVariable, rng: random.Random) -> Any:
 
 
 def _disturbed(state: Any, rng: random.Random) -> Any:
-    """Returns a state near another one, which the block need not be able to reach."""
+    """Returns a state near another one; the block may be unable to reach it."""
 
     def change(x: Any) -> Any:
         if isinstance(x, IntEnum | bool):
@@ -376,7 +383,8 @@ def check_sampling(block: Block) -> None:
             _check_step(block, t, p.internal_step, before, state)
     except ExportError:
         raise
-    except (ArithmeticError, ValueError):  # which the comparison with the traced functions judges
+    # the comparison with the traced functions judges these
+    except (ArithmeticError, ValueError):
         return
 
 
@@ -386,7 +394,8 @@ def _check_step(block: Block, t: float, h: float, before: Any, after: Any) -> No
         if new.start != old.start and new.count == 0 and new.start > t and new.start != t + h:
             missed = "samples"
             expected = "a step_size, or a parameter internal_step, of at most the sampling period"
-            if old.start <= t == 0.0:  # whatever the period is, a sample at t + h is late for such a clock
+            # a clock that starts at 0 is late for a sample at t + h, whatever its period is
+            if old.start <= t == 0.0:
                 missed = f"the sample that is due at {old.start!r} s"
                 expected = "Clock(t + period) in initial_state, for samples at t + h"
             raise ExportError(

@@ -1,5 +1,5 @@
-/* Functions of FMI 3.0 for what the model does not have. Of variables of a type without any, and of
- * derivatives of outputs, only an empty list is accepted. */
+/* Functions of FMI 3.0 for features that the model does not have. Functions for a type without variables, and for
+ * derivatives of outputs, accept only an empty list. */
 
 #ifndef ABSENT_H
 #define ABSENT_H
@@ -95,7 +95,7 @@ ABSENT(ActivateModelPartition, "model partitions",
        (fmi3Instance c, fmi3ValueReference clockReference, fmi3Float64 activationTime),
        ((void)clockReference, (void)activationTime))
 
-/* 2.2.9: dependencies of elements; the model description has those of variables. */
+/* 2.2.9: dependencies of elements; the model description has the dependencies of variables. */
 ABSENT(GetNumberOfVariableDependencies, "dependencies of elements",
        (fmi3Instance c, fmi3ValueReference reference, size_t *nDependencies), ((void)reference, (void)nDependencies))
 ABSENT(GetVariableDependencies, "dependencies of elements",

@@ -1,6 +1,7 @@
 """A C source, with its headers, as a loaded library: shipped beside the source, or compiled once and stored.
 
-A library is named after what it is made from, `loop-linux64-<recipe>.so`, and sealed as entries of the store.
+The name of a library has a digest of its sources and options, `loop-linux64-<recipe>.so`. It is sealed as
+entries of the store are.
 """
 
 import ctypes
@@ -19,7 +20,7 @@ _KIND = "libraries"
 def load(source: Path, options: Sequence[str] = ()) -> ctypes.CDLL:
     """Loads the library of a C source: the one beside it, else the one in the store, else a new one.
 
-    options: of the compiler, beside those of every library
+    options: further options of the compiler
     Raises ExportError if there is no compiler for a new one, OSError if the system refuses to load it.
     """
     name = file_name(source, host_platform(), options)
@@ -47,8 +48,9 @@ def compile_source(source: Path, platform: str, options: Sequence[str] = ()) -> 
 
 
 def file_name(source: Path, platform: str, options: Sequence[str] = ()) -> str:
-    """Returns the name of the library that is made from a source in this way."""
-    toolchain = Path(__file__).with_name("toolchain.py")  # it holds the flags of the compiler
+    """Returns the name of the library of a source, a platform and options."""
+    # toolchain.py has the flags of the compiler
+    toolchain = Path(__file__).with_name("toolchain.py")
     recipe = b"".join(path.read_bytes() for path in (*_files(source), toolchain)) + " ".join(options).encode()
     return f"{source.stem}-{platform}-{store.digest(recipe)[:32]}.{TARGETS[platform][1]}"
 
@@ -58,11 +60,9 @@ def _files(source: Path) -> list[Path]:
 
 
 def _load(content: bytes, shipped: Path) -> ctypes.CDLL:
-    """Loads a library from a file that only this process knows, with the other temporary files.
-
-    It is in the store where temporary files cannot be executed. Windows neither removes nor replaces a file
-    that is loaded: there it is the file that was read.
-    """
+    """Loads a library from a new temporary file, or from one in the store if temporary files cannot run."""
+    # No other process has the name of the new file. Windows neither removes nor replaces a loaded file:
+    # there it is the file that was read.
     kept = store.folder(_KIND) / shipped.name
     if os.name == "nt":
         for path in (shipped, kept):

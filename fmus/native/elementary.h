@@ -7,8 +7,8 @@
 #include <stdint.h>
 #include <string.h>
 
-/* INLINED wherever it is called: what its caller computes too is computed once. OUTLINED: never, because steps of
- * co-simulation do not call it, and each copy takes time to compile. */
+/* INLINED wherever it is called: expressions that its caller computes, too, are computed once. OUTLINED: never, because
+ * steps of co-simulation do not call it, and each copy takes time to compile. */
 #ifdef __GNUC__
 #define INLINED inline __attribute__((always_inline))
 #define OUTLINED __attribute__((noinline))
@@ -38,13 +38,13 @@ static inline double larger(double x, double y) {
     return y != y ? x : number;
 }
 
-/* fmod(x, m) of a whole number m from 1 to 2^53, which a compiler knows: whole numbers x are divided as such. */
+/* fmod(x, m) of a constant m, a whole number from 1 to 2^53: whole numbers x are divided as such. */
 static inline double fmod_by_whole(double x, double m) {
     if (x > 0 && x < 9007199254740992.0 && x == (double)(int64_t)x) return (double)((int64_t)x % (int64_t)m);
     return fmod(x, m);
 }
 
-/* function(x), computed where x is not, bit for bit, what it was before: `last` holds that and the result. */
+/* function(x), computed again if a bit of x has changed: `last` holds the last x and its result. */
 static inline double remembered(double (*function)(double), double x, double *last) {
     if (!is_same(*last, x)) {
         last[0] = x;

@@ -109,7 +109,7 @@ Status FMI(GetContinuousStates)(void *c, double x[], size_t nx) {
     return OK;
 }
 
-/* 3.2.2; 3.2.3: in every state but that of an error, here also there: they are constants. */
+/* 3.2.2; 3.2.3: in every state except after an error; here also after an error: they are constants. */
 Status FMI(GetNominalsOfContinuousStates)(void *c, double x_nominal[], size_t nx) {
     static const char *const function = NAME(GetNominalsOfContinuousStates);
     if (!is_vector(c, READABLE, x_nominal, nx, N_CONTINUOUS, function)) return ERROR;
@@ -117,7 +117,7 @@ Status FMI(GetNominalsOfContinuousStates)(void *c, double x_nominal[], size_t nx
     return OK;
 }
 
-/* Copies numbers that have been calculated; what is not finite is discarded, so that the solver takes a shorter step. */
+/* Copies calculated numbers. Numbers that are not finite are discarded, so that the solver takes a shorter step. */
 static OUTLINED Status give(Instance *instance, const double numbers[], int count, double values[],
                             const char *function) {
     if (!are_finite(numbers, count))

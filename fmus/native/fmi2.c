@@ -140,7 +140,7 @@ static fmi2Status get_with_locals(Instance *instance, Type type, const fmi2Value
     }
 
 /* 2.1.7. Sets all values or none: a refused value leaves every variable as it was. 4.2.4: until the end of the
- * initialization, and in 'step complete' only inputs and tunable parameters, which `settable` of a variable says. */
+ * initialization, and in 'step complete' only inputs and tunable parameters: `settable` of a variable. */
 #define DEFINE_SET(Name, CType, TYPE)                                                                           \
     fmi2Status fmi2Set##Name(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const CType value[]) { \
         Instance *instance = c;                                                                                 \
@@ -230,7 +230,7 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boo
     if (!is_of(instance, CO_SIMULATION, "fmi2GetBooleanStatus")) return fmi2Error;
     if (!is_allowed(instance, STEPPING | TERMINATED, "fmi2GetBooleanStatus")) return fmi2Error;
     if (!value) return missing(instance, "fmi2GetBooleanStatus", "value");
-    *value = fmi2False; /* the model never wants the simulation to end */
+    *value = fmi2False; /* the model never ends the simulation */
     return fmi2OK;
 }
 

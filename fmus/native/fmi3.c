@@ -1,10 +1,10 @@
 /* FMI 3.0.2 for co-simulation and model exchange: checks of calls and arguments around an instance of the model.
  *
  * Statuses (2.2.4): as in FMI 2.0, see fmi2.c; fmi3Discard leaves the instance as it was, and after fmi3Error only to
- * read, restore, reset or free is allowed. Numbers of clauses in shared headers are those of FMI 2.0.5.
+ * read, restore, reset or free is allowed. Numbers of clauses in shared headers refer to FMI 2.0.5.
  *
- * This is the one file to compile. Functions that FMI 2.0 has too stand in lifecycle.h, states.h and exchange.h, those
- * for what the model does not have in absent.h.
+ * This is the one file to compile. lifecycle.h, states.h and exchange.h have the functions that FMI 2.0 has, too;
+ * absent.h has the functions for features that the model does not have.
  *
  * 2.2.1: an instance is one block of memory, there are no globals, no setting of the process or thread is changed.
  */
@@ -71,7 +71,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
     static const char *const function = "fmi3InstantiateCoSimulation";
     const Log log = {(Callback)logMessage, instanceEnvironment, "", loggingOn ? LOG_ALL : 0};
     (void)resourcePath, (void)visible;
-    if (eventModeUsed) return cannot_instantiate(&log, "%s: eventModeUsed: expected false, there is none", function);
+    if (eventModeUsed) return cannot_instantiate(&log, "%s: eventModeUsed: expected false, there is no event mode", function);
     if (nRequiredIntermediateVariables && !requiredIntermediateVariables)
         return cannot_instantiate(&log, "%s: requiredIntermediateVariables is NULL", function);
     for (size_t i = 0; i < nRequiredIntermediateVariables; i++)
@@ -106,7 +106,7 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean toleranceDefi
     return status;
 }
 
-/* Arrays are one variable, whose value reference is that of its first element; its elements follow (2.2.7.1). */
+/* An array is one variable. It has the value reference of its first element, whose other elements follow (2.2.7.1). */
 
 /* Whether these are variables of a type, `n` numbers in all. */
 static int are_elements(Instance *instance, int modes, Type type, const fmi3ValueReference vr[], size_t nvr,
@@ -150,7 +150,7 @@ static fmi3Status check_get(Instance *instance, Type type, const fmi3ValueRefere
     }
 
 /* 2.2.7.2. Sets all values or none: a refused value leaves every variable as it was. 2.3, 4.2.1: until the end of the
- * initialization, and in step mode only inputs and tunable parameters, which `settable` of a variable says. */
+ * initialization, and in step mode only inputs and tunable parameters: `settable` of a variable. */
 #define DEFINE_SET(Name, TYPE)                                                                                 \
     fmi3Status fmi3Set##Name(fmi3Instance c, const fmi3ValueReference vr[], size_t nvr,                        \
                              const fmi3##Name values[], size_t nValues) {                                      \
@@ -193,8 +193,8 @@ fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t 
     return fmi3OK;
 }
 
-/* 2.2.12. In initialization mode of what is calculated, by parameters and inputs; later, the rest of the state held, of
- * outputs and derivatives, by continuous states too; always by the time. */
+/* 2.2.12. In initialization mode, derivatives of all calculated variables by parameters, inputs and time; later, with
+ * the rest of the state held, derivatives of outputs and state derivatives, by continuous states, too. */
 
 #if !MODEL_HAS_DERIVATIVE /* outputs are the same at all times */
 #define model_exchange_adjoint model_step_adjoint
@@ -290,7 +290,7 @@ static fmi3Status get_number(Instance *instance, size_t *result, size_t number, 
     return fmi3OK;
 }
 
-/* 2.3.2. There are no structural parameters: the number is that of the model description. */
+/* 2.3.2. There are no structural parameters: the model description states the number. */
 fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *nContinuousStates) {
     return get_number(c, nContinuousStates, N_CONTINUOUS, "fmi3GetNumberOfContinuousStates");
 }

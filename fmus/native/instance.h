@@ -1,4 +1,4 @@
-/* One instance of the model: values, modes, steps. Knows no importer; nothing is allocated here.
+/* One instance of the model: values, modes, steps. Independent of the importer; nothing is allocated here.
  *
  * Every function leaves the instance as it was unless it returns DONE.
  */
@@ -33,9 +33,9 @@ typedef struct {
 /* Of an instance for model exchange, also whether its initialization is over, in whatever mode it is. */
 typedef enum { CO_SIMULATION, INITIAL_EXCHANGE, EXCHANGE } Face;
 
-/* What internal steps need of their size h and the parameters alone, and calls that follow from inputs, as
- * `remembered` has them. Importers take the size of a communication step as the difference of two times, so it is
- * rounded to a few sizes in turn: each has numbers of its own. Stale once a parameter changes. */
+/* Numbers of internal steps that follow from their size h and the parameters alone, and calls that follow from inputs,
+ * for `remembered`. Importers compute the size of a communication step as the difference of two times, so rounding
+ * makes a few sizes in turn: each has its numbers here. Stale once a parameter changes. */
 enum { N_STEP_SIZES = 4 };
 
 typedef struct {
@@ -87,7 +87,7 @@ static void data_set(Data *d, StepCache *cache, int reference, double value) {
 
 /* The calculated parameters, computed into `fresh` after a change. NULL if parameters contradict each other:
  * `broken` is then the first requirement that does not hold; or, counted on from these, the first calculated
- * parameter that is none of its items. */
+ * parameter with a value that is no item. */
 static INLINED const double *data_calculated(const Data *d, double *fresh, int *broken) {
     double holds[N_REQUIREMENTS + 1];
     if (!d->parameters_are_stale) return d->value + FIRST_CALCULATED;
@@ -108,7 +108,7 @@ static INLINED const double *data_calculated(const Data *d, double *fresh, int *
     return fresh;
 }
 
-/* The numbers for steps of size h: those of N_STEP_SIZES sizes are kept, others are computed. */
+/* The numbers for steps of size h: computed, unless the size is one of the last N_STEP_SIZES. */
 static INLINED double *step_numbers(StepCache *cache, double h, const double *p, const double *c) {
     if (cache->is_stale) memset(cache, 0, sizeof *cache); /* no step has the size 0 */
     for (int i = 0; i < N_STEP_SIZES; i++) {
@@ -138,7 +138,7 @@ static int can_be_read(const double *outputs) {
     return are_finite(outputs, N_OUTPUTS);
 }
 
-/* Whether state and outputs are finite, and outputs items where they must be: `broken` is then the first that is none. */
+/* Whether state and outputs are finite, and outputs are items where they must be; `broken`: the first that is not. */
 static INLINED Outcome checked(const double *state, const double *outputs, int *broken) {
     if (!are_finite(state, N_STATES) || !can_be_read(outputs)) return NOT_FINITE;
     for (int i = 0; i < N_WHOLE_OUTPUTS; i++) {
@@ -162,7 +162,7 @@ static INLINED double tolerance_at(double t, double h) {
     return fmin(1e-9 * fmax(1, fabs(t)), 1e-3 * h) + 8 * DBL_EPSILON * fabs(t);
 }
 
-/* A state between events of model exchange: what it copies from inputs is up to date. */
+/* A state between events of model exchange, with up-to-date copies of inputs. */
 static void data_hold(const Data *d, const double *state, const double *c, double *held) {
 #if MODEL_HAS_DERIVATIVE
     model_held(d->time, state, d->value + FIRST_INPUT, d->value, c, held);
@@ -203,9 +203,9 @@ static void data_inputs_at(const Data *d, double elapsed, double *inputs) {
     }
 }
 
-/* From t to t + h in equal internal steps with the inputs u. They are held over an internal step; those with a rate
- * at what they are in its middle. Outputs follow the last step at once, so that a compiler computes once what
- * both need. */
+/* From t to t + h in equal internal steps with the inputs u. They are held over an internal step; inputs with a rate
+ * at their value in its middle. Outputs follow the last step at once, so that a compiler computes shared
+ * expressions once. */
 static INLINED Outcome data_step(Data *d, StepCache *cache, double t, double h, const double *u, int *broken) {
     double fresh[N_CALCULATED + 1], moving[N_INPUTS + 1], reached[N_STATES + 1], next[N_STATES + 1];
     double outputs[N_OUTPUTS + 1];
@@ -237,8 +237,8 @@ static INLINED Outcome data_step(Data *d, StepCache *cache, double t, double h, 
     return DONE;
 }
 
-/* An event of model exchange: samples that are due are taken. `next`: the time of the next [s], infinite if none
- * is known; `jumped`: whether continuous states have changed. A model without derivative steps: each internal step, with
+/* An event of model exchange: takes the samples that are due. `next`: the time of the next sample [s], infinite without
+ * one; `jumped`: whether continuous states have changed. A model without derivative steps: each internal step, with
  * the inputs that were there at its beginning, is one sample. */
 static OUTLINED Outcome data_event(Data *d, StepCache *cache, int *jumped, double *next, int *broken) {
     const Data before = *d;
@@ -267,7 +267,7 @@ static OUTLINED Outcome data_event(Data *d, StepCache *cache, int *jumped, doubl
     return outcome;
 }
 
-/* What an event leaves behind: a step that begins now takes the present inputs. */
+/* The end of an event: a step that begins now takes the present inputs. */
 static void data_leave_event(Data *d) {
     const double h = sample_time(d), begins = d->start_time + (double)d->n_steps * h;
     if (fabs(d->time - begins) <= tolerance_at(d->time, h))
@@ -296,7 +296,7 @@ static void data_indicators(const Data *d, const double *c, double *indicators) 
 #endif
 }
 
-/* Of what is calculated in a mode, by value reference, along those of what is known: t, x, u, p, v -> along. */
+/* Derivatives of the unknowns of a mode along a seed v of its knowns, by value reference: t, x, u, p, v -> along. */
 typedef void Derivatives(double t, const double *x, const double *u, const double *p, const double *v, double *along);
 
 #if !MODEL_HAS_DERIVATIVE /* outputs are the same at all times */

@@ -21,8 +21,8 @@ static void instance_reset(Instance *instance) {
     instance->stop_time = DBL_MAX;
 }
 
-/* 2.1.5. The resources are not used: the model needs no file. What the pointers point to is copied: it is valid during
- * the call only. `log` has no name of the instance yet. */
+/* 2.1.5. The resources are not used: the model needs no file. The targets of the pointers are copied: they are valid
+ * during the call only. `log` has no name of the instance yet. */
 static void *instantiate(Log log, Callback after_step, Face face, const char *name, const char *guid,
                          const char *function) {
     Instance *instance;

@@ -1,4 +1,4 @@
-/* Messages to the importer: formatted, escaped, and only those of an enabled category. */
+/* Messages of enabled categories to the importer, formatted and escaped. */
 
 #ifndef LOG_H
 #define LOG_H
@@ -11,7 +11,7 @@
 #include "elementary.h"
 
 /* Names of the standard that the including file implements: FMI(Reset) is fmi2Reset where STANDARD is fmi2, and
- * NAME(Reset) is its text. Names that differ are those of FMI 3.0, which fmi2.c translates. */
+ * NAME(Reset) is its text. Where names differ, FMI 3.0 gives the name, which fmi2.c translates. */
 #define PASTED(prefix, name) prefix##name
 #define JOINED(prefix, name) PASTED(prefix, name)
 #define QUOTED(name) #name
@@ -47,7 +47,7 @@ typedef struct {
     unsigned enabled;
 } Log;
 
-/* The mask of a category's name, 0 if there is none of this name. */
+/* The mask of a category's name, 0 for an unknown name. */
 static OUTLINED unsigned log_category(const char *name) {
     for (size_t i = 0; name && i < N_LOG_CATEGORIES; i++)
         if (!strcmp(name, LOG_CATEGORIES[i].name)) return LOG_CATEGORIES[i].mask;

@@ -1,4 +1,4 @@
-"""The bill of materials of compiled libraries, in CycloneDX 1.6 (ECMA-424): their parts, and what made them.
+"""The bill of materials of compiled libraries, in CycloneDX 1.6 (ECMA-424): their parts and tools.
 
 It has no date and no random number: equal libraries have the same, byte for byte.
 """
@@ -16,7 +16,8 @@ RECIPE = " ".join((*COMPILER, *FLAGS))
 """The compiler, its version and its options."""
 MEMBER = "documentation/sbom.cdx.json"
 """The path of the bill inside an FMU."""
-_PARTS = 2  # of the libraries in an FMU: the written C, and the headers of FMI
+# parts of the libraries in an FMU: the written C, and the headers of FMI
+_PARTS = 2
 _RECIPE_NAME = "l1-depth:recipe"
 _LIBC = {"linux": "glibc", "windows": "Universal C Runtime", "macos": "libSystem of macOS"}
 _SPDX = {"BSD-2-Clause", "MIT", "ZPL-2.1"}
@@ -37,8 +38,9 @@ def bill_of_materials(
 ) -> bytes:
     """Returns the bill as JSON.
 
-    subject: what holds the libraries; parts: what is in them, besides what the compiler adds
-    tools: what wrote their C
+    subject: the component that holds the libraries
+    parts: components of the libraries, without those that the compiler adds
+    tools: the programs that wrote their C
     libraries: path in the subject -> (platform, content); "" is the platform of another file
     """
     compiler = component(*COMPILER, "MIT", type="application")
@@ -85,6 +87,6 @@ def _file(path: str, platform: str, content: bytes) -> Component:
 
 
 def recipe_of(bill: bytes) -> str:
-    """Returns the recipe that a bill of `bill_of_materials` states; "" for one that states none."""
+    """Returns the recipe that a bill of `bill_of_materials` states, or ""."""
     properties = json.loads(bill).get("metadata", {}).get("properties", [])
     return next((p["value"] for p in properties if p["name"] == _RECIPE_NAME), "")

@@ -1,7 +1,7 @@
 /* A saved state, in memory and as bytes.
  *
  * Bytes: magic, format, GUID, the words of `Data` and a checksum, little-endian on every platform, so that
- * a state saved on one host can be restored on another. Damaged bytes and those of another FMU are refused.
+ * a state saved on one host can be restored on another. Damaged bytes and bytes of another FMU are refused.
  * The stop time is no part of a state: the importer sets it once for each instance.
  */
 
@@ -94,7 +94,7 @@ static const char *deserialize(const unsigned char *bytes, size_t size, Snapshot
         const uint64_t word = get_u64(bytes + WORDS_PLACE + 8 * i);
         memcpy(words + 8 * i, &word, sizeof word);
     }
-    return is_consistent(&snapshot->data) ? NULL : "the state is none that this FMU can have";
+    return is_consistent(&snapshot->data) ? NULL : "this FMU cannot have such a state";
 }
 
 #endif

@@ -1,7 +1,6 @@
 """C sources -> shared libraries for every platform, with the `ziglang` wheel: no system compiler, no network.
 
-No fast-math and no contraction of a product and a sum into one rounding: a trajectory is the same on every
-platform as far as the elementary functions of its C library are.
+A trajectory is the same on every platform, except for differences of the C libraries' elementary functions.
 """
 
 import hashlib
@@ -25,6 +24,7 @@ from fmus.errors import ExportError
 from fmus.operating_system import kill_group
 from fmus.platforms import FMPY, TARGETS
 
+# No fast-math, and no contraction of a product and a sum into one rounding: both differ between platforms.
 FLAGS = (
     "-DFMI2_OVERRIDE_FUNCTION_PREFIX",
     "-DFMI3_OVERRIDE_FUNCTION_PREFIX",
@@ -36,10 +36,13 @@ FLAGS = (
     "-g0",
     "-s",
 )
-FMI_HEADERS = FMPY / "c-code"  # of FMI 2.0 and 3.0, which no FMU carries
-_PATIENCE_S = 600  # the first build for Windows takes a minute: its C library is compiled too
+# of FMI 2.0 and 3.0, which no FMU carries
+FMI_HEADERS = FMPY / "c-code"
+# The first build for Windows takes a minute: its C library is compiled, too.
+_PATIENCE_S = 600
 COMPILER = ("ziglang", version("ziglang"))
-_SILENT_S = 10  # after which a wait for the compiler is announced
+# A longer wait for the compiler is announced.
+_SILENT_S = 10
 # The shell kills the compiler, and all that it started, when the pipe to this process closes: also where this
 # process is killed. Where there is no such shell, as on Windows, the compiler then works on to its end.
 _SCRIPT = 'exec 3<&0 </dev/null; (read -r x <&3; kill -KILL 0) & "$@" 3<&-; status=$?; kill $!; exit $status'
@@ -106,7 +109,7 @@ def compiling(
 
 
 def zig(arguments: Sequence[str], folder: Path) -> None:
-    """Runs zig in a folder; ExportError with what it printed if it fails."""
+    """Runs zig in a folder; ExportError with its output if it fails."""
     with _running(arguments, folder) as end:
         end()
 
@@ -115,8 +118,8 @@ def zig(arguments: Sequence[str], folder: Path) -> None:
 def _running(arguments: Sequence[str], folder: Path, cache: str = "") -> Iterator[Callable[[], None]]:
     """Starts zig; the returned function waits for its end.
 
-    cache: the folder of what it compiled before; by default one for all builds of the user
-    Zig outlives neither the context nor this process.
+    cache: the folder of compiled files; by default one for all builds of the user
+    Zig ends with the context, and with this process.
     """
     command = [*_SHELL, _ZIG, *arguments]
     kept = {name: value for name, value in os.environ.items() if name.upper() in _KEPT}
@@ -130,19 +133,21 @@ def _running(arguments: Sequence[str], folder: Path, cache: str = "") -> Iterato
         try:
             yield partial(_end, arguments, folder, cache, process, output)
         finally:
-            if process.poll() is None:  # of an interrupt, too: zig starts processes of its own
+            # After an interrupt, too: zig starts further processes.
+            if process.poll() is None:
                 kill_group(process.pid)
 
 
 def _end(
     arguments: Sequence[str], folder: Path, cache: str, process: subprocess.Popen[bytes], output: IO[bytes]
 ) -> None:
-    """Waits for a process of zig; ExportError with what it printed if it fails.
+    """Waits for a process of zig; ExportError with its output if it fails.
 
     A long wait is announced on standard error: zig prints nothing while another has the lock of its cache.
-    What does not end in time is tried once more, in a cache of its own.
+    A process that does not end in time is started once more, with a new cache.
     """
-    files = [f" of {file}" for option, file in pairwise(arguments) if option == "-o"]  # TARGET/BLOCK.so
+    # the option -o has TARGET/BLOCK.so
+    files = [f" of {file}" for option, file in pairwise(arguments) if option == "-o"]
     name = f"zig {arguments[0]}{''.join(files)}"
     try:
         with suppress(subprocess.TimeoutExpired):
@@ -154,10 +159,11 @@ def _end(
     except subprocess.TimeoutExpired:
         lock = _awaited_lock(process.pid)
         text = f"{name} did not end within {_PATIENCE_S} s" + (f"; it waits for {lock}" if lock else "")
-        kill_group(process.pid)  # what it has locked is free then
+        # this frees its locks
+        kill_group(process.pid)
         if cache:
-            raise ExportError(f"{text}, in a cache of its own") from None
-        print(f"l1-depth: {text}; it is tried once more, in a cache of its own", file=sys.stderr)
+            raise ExportError(f"{text}, with a new cache") from None
+        print(f"l1-depth: {text}; it is tried once more, with a new cache", file=sys.stderr)
         with tempfile.TemporaryDirectory() as new, _running(arguments, folder, new) as again:
             again()
         return
@@ -170,13 +176,15 @@ def _end(
 
 
 def _awaited_lock(group: int) -> str:
-    """Returns the file whose lock a process of a group waits for; "" for none, and outside of Linux."""
-    locks = Path("/proc/locks")  # which a sandbox may not have
+    """Returns the file whose lock a process of a group waits for; "" without one, and outside of Linux."""
+    # a sandbox may not have this file
+    locks = Path("/proc/locks")
     if sys.platform != "linux" or not locks.exists():
         return ""
     for line in locks.read_text().splitlines():
         pid, place = line.split()[-4:-2]
-        with suppress(OSError, ValueError, StopIteration):  # a process that has ended
+        # a process may have ended meanwhile
+        with suppress(OSError, ValueError, StopIteration):
             if " -> " in line and os.getpgid(int(pid)) == group:
                 inode = int(place.rpartition(":")[2])
                 files = (file for file in Path(f"/proc/{pid}/fd").iterdir() if file.stat().st_ino == inode)
@@ -186,7 +194,8 @@ def _awaited_lock(group: int) -> str:
 
 def _universal(slices: Sequence[bytes]) -> bytes:
     """Returns a universal Mach-O of thin ones: big-endian header, slices at pages (mach-o/fat.h)."""
-    page = 14  # 2^14 bytes, the page size of Apple silicon
+    # 2^14 bytes, the page size of Apple silicon
+    page = 14
     table, body = b"", b""
     start = 1 << page
     for thin in slices:

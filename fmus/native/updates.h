@@ -22,7 +22,7 @@ static Outcome internal_step(Data *d, StepCache *cache, double t, double h, doub
     return outcome;
 }
 
-/* The callback at time t: whether no call in it was an error. `until`: where the importer wants the step to end. */
+/* Makes the callback at time t: whether no call in it was an error. `until`: the end that the importer asks for. */
 static int update(Instance *instance, Mode mode, double t, int can_return_early, double *until) {
     const int is_get = mode == UPDATE_OF_OUTPUTS;
     fmi3Boolean is_requested = fmi3False;
@@ -38,7 +38,7 @@ static int update(Instance *instance, Mode mode, double t, int can_return_early,
 
 /* As `do_step`, in the same internal steps. Each holds the inputs that the importer has for its middle, which are
  * asked for before it; after it outputs can be got. It ends early at the last internal time that is not later than
- * the importer wants. */
+ * the importer's. */
 static Status do_step_with_updates(Instance *instance, double t, double h, fmi3Boolean *is_early) {
     if (check_step(instance, t, h) != OK) return ERROR;
     Data *d = &instance->data;
@@ -62,7 +62,7 @@ static Status do_step_with_updates(Instance *instance, double t, double h, fmi3B
                    : refuse(instance, ERROR, NAME(DoStep) ": a call in the intermediate update was an error");
 }
 
-/* 4.2.1: a step ends exactly at its end, unless the importer wants it to end early; no event is needed there, and the
+/* 4.2.1: a step ends exactly at its end, unless the importer ends it early; no event is needed there, and the
  * simulation goes on. */
 fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 currentCommunicationPoint, fmi3Float64 communicationStepSize,
                       fmi3Boolean noSetFMUStatePriorToCurrentPoint, fmi3Boolean *eventHandlingNeeded,

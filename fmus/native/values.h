@@ -41,9 +41,9 @@ static int are_of_type(Instance *instance, Type type, const unsigned references[
     return 1;
 }
 
-/* 2.1.7: until stepping begins, calculated values follow the values that are set, also after an error; later they
- * are those of the last step, and nothing is stale (4.2.4: no fmi2GetXXX after fmi2SetXXX without a step). Called
- * when something is stale. */
+/* 2.1.7: until stepping begins, calculated values follow the values that are set, also after an error; later the last
+ * step gives them, and nothing is stale (4.2.4: no fmi2GetXXX after fmi2SetXXX without a step). Called when something
+ * is stale. */
 static Status refreshed(Instance *instance, Type type, const unsigned references[], size_t count,
                             const char *function) {
     int broken = 0;
@@ -54,7 +54,7 @@ static Status refreshed(Instance *instance, Type type, const unsigned references
     return OK;
 }
 
-/* What a variable has already, it can have. Continuous states, in the solver's mode, as FMI 3.0.2 allows (3.2.1) and
+/* A present value can be set again. Continuous states can be set in the solver's mode, as FMI 3.0.2 allows (3.2.1) and
  * importers of FMI 2.0 do too. */
 static int can_be_set(const Data *d, unsigned reference, Type type, double value) {
     if (!has_type(reference, type)) return 0;

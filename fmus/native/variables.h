@@ -26,7 +26,7 @@ typedef enum {
     UPDATE_IN_ERROR = 512
 } Mode;
 
-/* In which of them a variable can be set: never what is calculated, fixed parameters until stepping begins, tunable
+/* The modes in which a variable can be set: calculated ones never, fixed parameters until stepping begins, tunable
  * parameters and discrete inputs not in continuous-time mode, nor inside a step. */
 enum {
     NEVER = 0,
@@ -38,12 +38,12 @@ enum {
 typedef struct {
     const char *name;
     double start, min, max;
-    uint32_t items;       /* of an enumeration: bit i stands for the item i; 0 if it is none */
+    uint32_t items;       /* of an enumeration: bit i stands for the item i; else 0 */
     int whole;            /* a Real that takes whole numbers alone, in an FMU of Reals only */
     const char *expected; /* of a value, in words */
 } Variable;
 
-/* What each call asks of each variable: in a table of its own, which is small and stays in the processor's cache. */
+/* Attributes that each call reads of each variable: a small separate table stays in the processor's cache. */
 typedef struct {
     unsigned type : 8, settable : 8; /* NEVER, BEFORE_STEPPING, AT_POINTS or ALWAYS */
     unsigned is_continuous : 16;     /* by its variability: other variables change at events alone (2.2.7) */
@@ -71,8 +71,8 @@ static int is_state(unsigned reference) { return reference >= STATES_FROM_TO[0] 
 
 static int is_settable(int reference) { return ACCESS[reference].settable != NEVER; }
 
-/* Within range, which for whole numbers is one of int; false for what is not finite, as a variable without range has
- * the range of double. */
+/* Whether a value is in the range, which for whole numbers is one of int. False for values that are not finite: a
+ * variable without a range has the range of double. */
 static int is_acceptable(int reference, double value) {
     const Variable *v = VARIABLES + reference;
     if (!(value >= v->min && value <= v->max) || (v->whole && value != (int)value)) return 0;

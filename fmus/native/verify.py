@@ -24,17 +24,19 @@ from fmus.platforms import TARGETS, platform_folder
 SAME = "same"
 DIFFERENT = "different"
 _DESCRIPTION = "sources/buildDescription.xml"
-_OF_ENSEMBLES = "model_lanes.h"  # which no library includes, but ensembles
+# only ensembles include it, no library of an FMU
+_OF_ENSEMBLES = "model_lanes.h"
 _PLATFORMS = {platform_folder(name, fmi): name for name in TARGETS for fmi in (2, 3)}
-# the builder's own, which the bill lists and the GUID leaves out; others that a bill may list are added
+# members that the builder adds: the bill lists them, the GUID leaves them out; a bill may list others
 _OUTSIDE_GUID = "model.png", "terminalsAndIcons/", "extra/org.fmi-standard.fmi-ls-ref/"
-_NO_BILL = ValueError, LookupError, TypeError, AttributeError  # what reading one of another tool raises
+# the errors of reading a bill of another tool
+_NO_BILL = ValueError, LookupError, TypeError, AttributeError
 
 
 def verified(archive: zipfile.ZipFile) -> Iterator[tuple[str, str]]:
-    """Yields the path of each library in an FMU, and `SAME`, `DIFFERENT` or why it cannot be compiled anew.
+    """Yields the path of each library in an FMU, and `SAME`, `DIFFERENT` or why it cannot be compiled again.
 
-    Then the same of other members that the bill of materials lists, of the bill, and of the GUID.
+    Then yields verdicts on other members that the bill of materials lists, on the bill, and on the GUID.
     Raises ExportError for members of one name, for links, and for a description of the build that is no XML.
     """
     infos = [info for info in archive.infolist() if info.file_size or not info.is_dir()]
@@ -66,7 +68,8 @@ def _compiled(model: str, members: Mapping[str, bytes], files: Sequence[str], pl
     """Returns the library of files in `sources`; ExportError if others are included, or lie there."""
     paths = [path for path in members if path.startswith("sources/") and path != _DESCRIPTION]
     sources = {path.removeprefix("sources/"): members[path].decode() for path in paths}
-    plain = {name for name in sources if re.fullmatch(r"\w[\w.]*", name)}  # no folder, no option
+    # a name must not lead to another folder, nor be an option of the compiler
+    plain = {name for name in sources if re.fullmatch(r"\w[\w.]*", name)}
     if odd := {*sources, *files} - plain:
         raise ExportError(f"sources/{min(odd)}: expected a file there, named by letters, digits and points")
     with tempfile.TemporaryDirectory() as folder:
@@ -76,7 +79,8 @@ def _compiled(model: str, members: Mapping[str, bytes], files: Sequence[str], pl
         texts = (path.read_text("utf-8").partition(": ")[2] for path in Path(folder).iterdir())
         names = re.split(r"(?<!\\)\s+", " ".join(texts).replace("\\\n", " "))
     read = {Path(os.path.normpath(re.sub(r"\\([ #])", r"\1", name))) for name in names if name}
-    zig = Path(ziglang.__file__).parent  # which finds its folder behind symbolic links
+    # the compiler names its own files with or without symbolic links
+    zig = Path(ziglang.__file__).parent
     known = FMI_HEADERS, zig, zig.resolve(), *map(Path, sources)
     if outside := [file for file in read if not any(map(file.is_relative_to, known))]:
         raise ExportError(f"sources include {outside[0]}: expected files of sources, of FMI and of C alone")
@@ -111,7 +115,7 @@ def _platform(path: str) -> str:
 
 
 def _reason(members: Mapping[str, bytes], description: ElementTree.Element) -> str:
-    """Returns why this compiler cannot compile what the libraries were compiled to; "" if it can."""
+    """Returns why this compiler cannot give the same libraries; "" if it can."""
     stated = ""
     with suppress(*_NO_BILL):
         stated = recipe_of(members.get(MEMBER, b"{}"))

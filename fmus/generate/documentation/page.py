@@ -1,7 +1,7 @@
 """Block -> the folder `documentation` of its FMU: a page that works offline, derived from the declaration."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from html import escape
 from importlib import resources
 from importlib.metadata import distributions, version
@@ -11,31 +11,42 @@ from fmus.block import Block
 from fmus.block.guide import Source
 from fmus.block.variables import BlockVariable
 from fmus.errors import ExportError
+from fmus.generate.documentation.mathml import equations_table
+from fmus.generate.documentation.wiring import Connection, connections, declared_variables, diagram
 from fmus.native.toolchain import COMPILER, FMI_HEADERS
 
-# name -> (installed project, file of its metadata, what the licence is for)
+# name -> (installed project, file of its metadata, parts of the FMU under this licence)
 _LICENSES = {
     "l1-depth": (
         "l1-depth",
         "LICENSE",
-        "what makes an FMU of the model and its documentation, and models that come with l1-depth",
+        "the layer around the model, the documentation, and models that come with l1-depth",
     ),
     "fmi-headers": ("fmpy", "", "headers that the libraries are compiled with, of the Modelica Association"),
-    "zig": (COMPILER[0], "ziglang/LICENSE", "what its compiler adds to the libraries"),
-    "mingw-w64": (COMPILER[0], "ziglang/lib/libc/mingw/COPYING", "what it adds to the library for Windows"),
+    "zig": (COMPILER[0], "ziglang/LICENSE", "code that its compiler adds to the libraries"),
+    "mingw-w64": (
+        COMPILER[0],
+        "ziglang/lib/libc/mingw/COPYING",
+        "code that it adds to the library for Windows",
+    ),
     "pythonfmu": ("pythonfmu", "LICENSE", "the libraries, and the package of that name in resources"),
 }
-_TABLES = (
-    ("input", "Inputs"),
-    ("output", "Outputs"),
-    ("parameter", "Parameters"),
-    ("calculatedParameter", "Calculated parameters, which follow from the parameters"),
-)
+_SIGNALS = {
+    "input": "Inputs",
+    "output": "Outputs",
+    "calculatedParameter": "Calculated parameters, which follow from the parameters",
+}
+_ARRAYS = {
+    2: "name[1..2] stands for name[1] and name[2], m[1..2,1..2] for m[1,1], m[1,2], m[2,1] and m[2,2].",
+    3: "name[1..2] stands for the array name with two elements, m[1..2,1..2] for an array with two rows.",
+}
+_EXCHANGE = "<tr><td>Model exchange</td><td>{}</td></tr>"
 _BUILDING = """<li>For another platform compile sources/{file} with the headers of FMI {fmi}.0, which belong
 to the importer; FMI{fmi}_OVERRIDE_FUNCTION_PREFIX gives functions the names that a shared library has:
 <code>cc -std=c99 -O2 -shared -fPIC -DFMI{fmi}_OVERRIDE_FUNCTION_PREFIX -I HEADERS -o {name}.so
 sources/{file} -lm</code></li>"""
-_HEADINGS = ("Name", "Unit or type", "Start", "Permitted", "Variability", "Meaning", "Source")
+_HEADINGS = ("Name", "Meaning", "Unit or type", "Start", "Permitted", "Variability", "Source")
+_CONNECTED = ("Variable here", "Direction", "Variable there", "FMU there, one of")
 
 
 def documentation(
@@ -49,17 +60,23 @@ def documentation(
     """
     templates, experiment = resources.files("fmus.generate.documentation"), block.guide.experiment
     files = {"index.html": "page.html", "fmi-ls-ref.txt": "fmi-ls-ref.txt"}
+    connected = connections(block)
     values = {
         "fmi": fmi,
         "interfaces": "co-simulation and model exchange" if compiled else "co-simulation",
+        "exchange": _exchange(block) if compiled else "",
         "name": escape(block.name),
         "description": escape(block.description),
         "release": escape(version("l1-depth")),
         "stop_time": block.stop_time,
         "step_size": block.step_size,
+        "diagram": diagram(block, connected),
+        "wiring": _wiring(block, connected),
+        "parameters": _parameters(block, reals_only),
+        "signals": "\n".join(_signals(block, reals_only)),
         "guide": _guide(block),
+        "arrays": _ARRAYS[fmi],
         "building": _BUILDING.format(file=compiled, name=block.name, fmi=fmi) if compiled else "",
-        "variables": "\n".join(_tables(block, reals_only)),
         "reference_stop_time": experiment.stop_time or block.stop_time,
         "reference_step_size": experiment.step_size or block.step_size,
         "stimuli": _stimuli(block),
@@ -74,12 +91,11 @@ def documentation(
 
 
 def _guide(block: Block) -> str:
-    """Returns the sections that the guide fills."""
+    """Returns the sections that the guide fills, without the advice on parameters."""
     guide = block.guide
     sections = {
-        "Equations": f"<pre>{escape(guide.equations.strip())}</pre>" if guide.equations else "",
+        "Equations": equations_table(guide.equations) if guide.equations.strip() else "",
         "Sign conventions": _list(map(escape, guide.conventions)),
-        "Tuning": _list(map(escape, guide.tuning)),
         "Limits": _list(map(escape, guide.limits)),
     }
     return "\n".join(f"<h2>{title}</h2>\n{text}" for title, text in sections.items() if text)
@@ -96,19 +112,59 @@ def _source(source: Source) -> str:
     return f'<a href="{escape(source.url)}">{text}</a>' if source.url else text
 
 
-def _tables(block: Block, reals_only: bool) -> Iterable[str]:
-    for causality, caption in _TABLES:
-        if variables := block.of_causality(causality):
-            yield _table(caption, _HEADINGS, (_cells(v, reals_only) for v in variables))
+def _exchange(block: Block) -> str:
+    # half of them are derivatives
+    states = len(block.states) // 2
+    integrated = f"The importer integrates the continuous states, {states} of them."
+    return _EXCHANGE.format(integrated if states else "The importer calls the FMU at its time events.")
 
 
-def _cells(v: BlockVariable, reals_only: bool) -> tuple[str, ...]:
-    """Returns one row: what `_HEADINGS` says, as text."""
+def _wiring(block: Block, connected: Sequence[Connection]) -> str:
+    """Returns the section on connections; nothing for a block that fits no other one."""
+    if not connected:
+        return ""
+    ways = {True: "comes from", False: "goes to"}
+    rows = [(one.own, ways[one.is_input], one.other, ", ".join(one.fmus)) for one in connected]
+    table = _table(f"Variables of {block.name} and of FMUs that fit it", _CONNECTED, rows)
+    return f"<h2>Connect these two</h2>\n{table}\n<p>Inputs that nothing drives keep their start values.</p>"
+
+
+def _parameters(block: Block, reals_only: bool) -> str:
+    """Returns two tables: the parameters that the advice names, in its order, then the others."""
+    words: list[str] = re.findall(r"\w+", " ".join(block.guide.tuning))
+    parameters = declared_variables(block.of_causality("parameter"))
+    places = {name: name.partition("[")[0] for name in parameters}
+    places = {name: words.index(plain) for name, plain in places.items() if plain in words}
+    first = sorted(places, key=places.__getitem__)
+    others = [name for name in parameters if name not in places]
+    tables = {"Set these first, in this order": first, "Other parameters" if first else "Parameters": others}
+    parts = [_list(map(escape, block.guide.tuning))]
+    for caption, names in tables.items():
+        if names:
+            rows = (_cells(name, parameters[name], reals_only) for name in names)
+            parts.append(_table(caption, _HEADINGS, rows))
+    return "\n".join(parts)
+
+
+def _signals(block: Block, reals_only: bool) -> Iterable[str]:
+    for causality, caption in _SIGNALS.items():
+        if variables := declared_variables(block.of_causality(causality)):
+            rows = (_cells(name, scalars, reals_only) for name, scalars in variables.items())
+            yield _table(caption, _HEADINGS, rows)
+
+
+def _cells(name: str, scalars: list[BlockVariable], reals_only: bool) -> tuple[str, ...]:
+    """Returns one row as text; a cell lists the values of the elements of an array if they differ."""
+    columns = [list(column) for column in zip(*(_texts(v, reals_only) for v in scalars), strict=True)]
+    return name, *(", ".join(texts if len({*texts}) > 1 else texts[:1]) for texts in columns)
+
+
+def _texts(v: BlockVariable, reals_only: bool) -> tuple[str, ...]:
     kind = "whole number" if reals_only else v.type.lower()
     unit = kind if v.unit is None else v.unit
     number = str(v.start).lower() if isinstance(v.start, bool) else repr(v.cast(v.start).real)
     start, permitted = (number, v.expected.removesuffix(f" {v.unit}")) if v.settable else ("", "")
-    return v.name, unit, start, permitted, v.variability, v.description, v.source
+    return v.description, unit, start, permitted, v.variability, v.source
 
 
 def _stimuli(block: Block) -> str:
@@ -122,16 +178,22 @@ def _stimuli(block: Block) -> str:
 
 
 def _table(caption: str, headings: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
-    head = "".join(f"<th>{escape(heading)}</th>" for heading in headings)
-    body = "\n".join("<tr>" + "".join(f"<td>{escape(x)}</td>" for x in row) + "</tr>" for row in rows)
+    names = [escape(heading) for heading in headings]
+    head = "".join(f"<th>{name}</th>" for name in names)
+    body = []
+    for row in rows:
+        # narrow screens show a row as a paragraph, with the headings in it
+        cells = (f'<td data-heading="{n}">{escape(text)}</td>' for n, text in zip(names, row, strict=True))
+        body.append(f"<tr>{''.join(cells)}</tr>")
+    lines = "\n".join(body)
     return (
-        f'<div class="scroll"><table>\n<caption>{escape(caption)}</caption>\n'
-        f"<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody>\n</table></div>"
+        f'<div class="scroll"><table class="rows">\n<caption>{escape(caption)}</caption>\n'
+        f"<thead><tr>{head}</tr></thead>\n<tbody>\n{lines}\n</tbody>\n</table></div>"
     )
 
 
 def licenses(*names: str, fmi: int = 2) -> dict[str, bytes]:
-    """Returns path inside the FMU -> licence, and the file of FMI that says what each is for.
+    """Returns path inside the FMU -> licence, and the file of FMI that lists the licences.
 
     fmi: the version of the standard, of whose headers the licence is
     """
@@ -141,7 +203,8 @@ def licenses(*names: str, fmi: int = 2) -> dict[str, bytes]:
 
 
 def _license(project: str, file: str, fmi: int) -> str:
-    if file:  # a clone's own .egg-info, found first where it is the working directory, has no licence
+    if file:
+        # In a clone as the working directory, its .egg-info is found first, which has no licence.
         texts = (distribution.read_text(f"licenses/{file}") for distribution in distributions(name=project))
         text = next(filter(None, texts), "")
         if not text:

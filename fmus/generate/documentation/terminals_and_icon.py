@@ -1,9 +1,9 @@
 """Terminals and icon of an FMU (FMI 2.0.5, 2.3; FMI 3.0.2, 2.5): terminalsAndIcons.xml and a picture.
 
-Terminals say which ports belong together, in the file format of FMI 3.0 (2.4.9), which FMI 2.0.4 took over as
-it is, at the same place. There it is written on request alone: FMI Library 3.0.4 reads it as a file of
-FMI 3.0 and prints FATAL lines. Two terminals are enough: inputs and outputs. Both match as a bus: members of
-equal name are connected, so the outputs of a block plug into those inputs of the next that bear their names.
+Terminals list the ports that belong together, in the file format of FMI 3.0 (2.4.9), which FMI 2.0.4 took
+over at the same place. An FMU of FMI 2.0 has the file on request alone: FMI Library 3.0.4 reads it as a file
+of FMI 3.0 and prints FATAL lines. Two terminals are enough: inputs and outputs. Both match as a bus: members
+of equal name are connected, so the outputs of a block fit the inputs of the same names.
 `GraphicalRepresentation` is left out: some readers take the first child of the root for the terminals.
 """
 
@@ -18,8 +18,10 @@ from fmus.block import Block
 from fmus.block.variables import BlockVariable
 from fmus.files import xml_document
 
-SIZE = 512  # pixels, both ways
-_SCALE = 4  # drawn larger and scaled down, as shapes are drawn without smooth edges
+# pixels, both ways
+SIZE = 512
+# The picture is drawn larger and scaled down: Pillow draws shapes without smooth edges.
+_SCALE = 4
 _PAPER, _INK, _BAND, _INPUT, _OUTPUT = "#ffffff", "#1d2b3a", "#12486b", "#b45309", "#12486b"
 _COLOURS = 128
 _EDGE, _RADIUS, _HEADER, _PORT = 14, 26, 96, 9
@@ -62,11 +64,8 @@ def _ports(draw: ImageDraw.ImageDraw, block: Block) -> None:
     ):
         for i, name in enumerate(names):
             y = top + (i + 0.5) * (bottom - top) / len(names)
-            corners = (
-                (x - _PORT, y - _PORT),
-                (x + _PORT, y),
-                (x - _PORT, y + _PORT),
-            )  # a signal to the right
+            # a signal to the right
+            corners = (x - _PORT, y - _PORT), (x + _PORT, y), (x - _PORT, y + _PORT)
             draw.polygon([(_px(a), _px(b)) for a, b in corners], colour)
             draw.text((_px(x + direction * 2 * _PORT), _px(y)), name, _INK, font, anchor)
 

@@ -34,10 +34,9 @@ INLINE Lanes lanes_copysign(Lanes x, Lanes y) { return __builtin_elementwise_cop
 INLINE Lanes lanes_smaller(Lanes x, Lanes y) { return choice((Mask)(y != y), x, choice((Mask)(x < y), x, y)); }
 INLINE Lanes lanes_larger(Lanes x, Lanes y) { return choice((Mask)(y != y), x, choice((Mask)(x > y), x, y)); }
 
-/* Other functions are those of the C library, which the FMU calls lane by lane; sin and cos follow below. A call
- * remembers its arguments and results, and what has the same bits again is not computed again: an angle that stays, or a
- * time constant. A compiler that sees the argument would compute the result without that condition; constants it may
- * see, as in the FMU. */
+/* For other functions, the C library is called lane by lane, as in the FMU; sin and cos follow below. A call stores its
+ * arguments and results: equal bits, such as a constant angle or a time constant, are not computed again. A compiler
+ * that sees the argument would compute the result without that condition; constants it may see, as in the FMU. */
 #define HIDE(x) \
     if (!__builtin_constant_p(x[0])) __asm__ volatile("" : "+m"(x))
 #define DEFINE_FUNCTION(name)                           \

@@ -4,7 +4,7 @@
  * (sysdeps/ieee754/dbl-64/s_sin.c). Here that number is high + low to 0.006 of the last place of `high`, the double next
  * to it. Where `low` is below 0.44 of that place, 0.47 for cos, the doubles on both sides of it are farther away than
  * that, and `high` is the result of glibc. A power of two has the double below at half the distance, and is left out.
- * In the other lanes, every eighth or sixteenth, glibc is called. The arithmetic is that of two doubles (Dekker 1971),
+ * In the other lanes, every eighth or sixteenth, glibc is called. The arithmetic uses pairs of doubles (Dekker 1971),
  * which needs the instruction of a fused product. */
 
 #if defined(__GLIBC__) && defined(__FMA__)
@@ -74,7 +74,7 @@ INLINE Mask is_certain(Lanes high, Lanes low, double factor) {
     return (Mask)(high + low * factor == high) & ~is_power_of_two;
 }
 
-/* sin(x), |x| < 2^-4, and the lanes where it is certain. What is added to x is below 2^-10 of it, so its roundings, four
+/* sin(x), |x| < 2^-4, and the lanes where it is certain. The terms after x are below 2^-10 of it, so their roundings, four
  * here and four in glibc, are together below 0.007 of the last place of the result. */
 INLINE Mask small_sin(Lanes x, Lanes *result) {
     static const double coefficients[N_SMALL_TERMS] = {1 / 362880., -1 / 5040., 1 / 120., -1 / 6.};

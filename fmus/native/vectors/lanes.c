@@ -1,8 +1,8 @@
-/* Groups of instances of a native FMU that step together, each in a lane of its own.
+/* Groups of instances of a native FMU that step together, a lane for each.
  *
  * Compiled with variables.h and model.h of the FMU and with its equations for vectors, model_lanes.h. This is
- * data_step of instance.h for a group of LANES: what is refused there is a bit of the result here, and the values of that
- * lane have no meaning from then on. The other lanes do not notice.
+ * data_step of instance.h for a group of LANES: a refusal there is a bit of the result here. The values of that lane
+ * have no meaning from then on; the other lanes are not affected.
  */
 
 #include <float.h>
@@ -25,7 +25,7 @@ enum { N_STEP_SIZES = 4 };
 #include "model_lanes.h"
 
 /* size: of a communication step, NaN: of none; internal: of its `count` internal steps [s];
- * constants: what these need of the parameters. */
+ * constants: their numbers that follow from the parameters. */
 typedef struct {
     Lanes constants[N_STEP_CONSTANTS + 1];
     double size, internal;
@@ -33,7 +33,7 @@ typedef struct {
 } Steps;
 
 /* value: by value reference, as in `Data` of instance.h; state: the present one and the next, by turns;
- * steps: of some sizes, since those of a time grid differ by rounding. */
+ * steps: of some sizes, since the steps of a time grid differ by rounding. */
 typedef struct {
     Lanes value[N_VALUES];
     Lanes state[2][N_STATES + 1];
@@ -44,8 +44,8 @@ typedef struct {
 
 static const double MOST_INTERNAL_STEPS = 1e9;
 
-/* What the caller has to know: how many variables, states, and bytes of a group; its internal step; how many Reals take
- * whole numbers alone. */
+/* Sizes for the caller: numbers of variables, states, and bytes of a group; the value reference of its internal step;
+ * the number of Reals that take whole numbers alone. */
 EXPORT void lanes_sizes(int64_t sizes[5]) {
     int64_t known[] = {N_VALUES, N_STATES, sizeof(Group), INTERNAL_STEP, 0};
     for (int i = 0; i < N_VALUES; i++) known[4] += VARIABLES[i].whole;
@@ -58,7 +58,7 @@ EXPORT const char *lanes_guid(void) { return MODEL_GUID; }
 /* Of new memory, before anything else: nothing is remembered yet. */
 EXPORT void lanes_clear(Group *group) { memset(group->memory, 0xff, sizeof group->memory); } /* NaN of NaN */
 
-/* What follows from the parameters. Lanes whose parameters contradict each other. */
+/* Computes the calculated parameters. Returns the lanes whose parameters contradict each other. */
 static Mask calculate(Group *group) {
     Lanes holds[N_REQUIREMENTS + 1], *p = group->value, *c = p + FIRST_CALCULATED;
     Mask broken = {0};
@@ -73,10 +73,10 @@ static Mask calculate(Group *group) {
     return broken;
 }
 
-/* The next step begins with what follows from them, as that of the FMU. */
+/* The next step begins by computing the calculated parameters, as a step of the FMU does. */
 EXPORT void lanes_parameters_changed(Group *group) { group->parameters_are_stale = 1; }
 
-/* Those of a communication step [s]; NULL if they are too many. */
+/* The internal steps of a communication step of a size [s]; NULL if they are too many. */
 static const Steps *steps_of(Group *group, double size) {
     const Lanes *p = group->value;
     for (int i = 0; i < N_STEP_SIZES; i++)

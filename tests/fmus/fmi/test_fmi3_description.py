@@ -231,7 +231,7 @@ def test_without_a_compiler_and_a_library_an_fmu_is_refused(
     fmi3._calls.cache_clear()
     path = linear(fmi=3)
     try:
-        with pytest.raises(FmuLoadError, match=r"FMI 3.0 takes a library of fmi3_calls.c.*: no compiler"):
+        with pytest.raises(FmuLoadError, match=r"FMI 3.0 needs a library of fmi3_calls.c.*: no compiler"):
             FmuInstance("m", path, describe(path))
     finally:
         fmi3._calls.cache_clear()

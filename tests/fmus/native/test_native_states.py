@@ -90,7 +90,7 @@ def is_taken(session: Session, content: bytes, position: int, word: bytes) -> bo
         else:
             assert answer.status == ERROR
             (message,) = answer.messages
-            assert message.text == "fmi2DeSerializeFMUstate: the state is none that this FMU can have"
+            assert message.text == "fmi2DeSerializeFMUstate: this FMU cannot have such a state"
     return answer.status == OK
 
 
