@@ -8,6 +8,7 @@ import io
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
+from string import ascii_lowercase
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -103,19 +104,24 @@ def _outside(panels: Sequence[Axes], renderer: RendererAgg) -> tuple[float, floa
     return frame.x0 - left, max(labels), right - frame.x1, frame.y0 - below.y0
 
 
-def stacked_panels(heights_in: Sequence[float], x_label: str) -> tuple[ShownFigure, list[Axes]]:
-    """Returns a figure as wide as a page: panels (a), (b), ... one below the other, on one time axis."""
+def stacked_panels(
+    heights_in: Sequence[float], x_label: str, letters: str = ascii_lowercase
+) -> tuple[ShownFigure, list[Axes]]:
+    """Returns a figure as wide as a page: panels one below the other, on one time axis.
+
+    letters: of the panels; a panel whose letter is a space belongs to the one above
+    """
     figure = ShownFigure(figsize=(WIDTH_IN, sum(heights_in) + 0.4), layout=StackedLayout())
     grid = figure.subplots(
         len(heights_in), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights_in}
     )
     panels = list(grid[:, 0])
-    for index, panel in enumerate(panels):
+    for letter, panel in zip(letters, panels, strict=False):
         panel.margins(x=0.0)
-        letter = chr(ord("a") + index)
-        panel.annotate(
-            f"({letter})", (0.0, 1.0), (-36.0, 4.0), "axes fraction", "offset points", fontweight="bold"
-        )
+        if letter != " ":
+            panel.annotate(
+                f"({letter})", (0.0, 1.0), (-36.0, 4.0), "axes fraction", "offset points", fontweight="bold"
+            )
     panels[-1].set_xlabel(x_label)
     return figure, panels
 
