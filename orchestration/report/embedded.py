@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from orchestration.report.result import RunResult, SweepResult, correlations, groups_of, strongest
-from orchestration.results.files import points_down
 from orchestration.results.metrics import SIGNALS
 from orchestration.results.page import packed
+from orchestration.results.panels import points_down
 from orchestration.sweep.table import categorical
 
 COLUMNS = 2000

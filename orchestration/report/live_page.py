@@ -13,9 +13,9 @@ from fmus.fmi.description import start_value
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.report.web_program import program
-from orchestration.results.files import points_down
 from orchestration.results.metrics import SIGNALS
 from orchestration.results.page import packed, page
+from orchestration.results.panels import points_down
 from orchestration.scenarios import free_parameter
 from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.scenarios.scenario import Scenario

@@ -5,7 +5,7 @@ settings of the caller are touched. The same data give the same file, byte by by
 """
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from string import ascii_lowercase
@@ -20,8 +20,9 @@ from matplotlib.layout_engine import LayoutEngine
 from matplotlib.transforms import ScaledTranslation
 
 from fmus.files import open_atomically
-from orchestration.results.files import ERROR_ESTIMATE, Columns, points_down
+from orchestration.results.files import ERROR_ESTIMATE, Columns
 from orchestration.results.formats import FigureFormat
+from orchestration.results.panels import axis_label, grouped_by_panel, points_down
 
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#666666"  # told apart by colour-blind readers
 _COLOURS = (BLUE, ORANGE, GREEN, "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -35,6 +36,7 @@ _MOST_BESIDE = 0.5  # of the width of a figure that is left to what stands besid
 _RUN_LENGTHS = 3  # Z_RLE of zlib, which is as small for lines on white, and faster
 _PANEL_IN, _LEGEND_LINE_IN = 1.5, 0.22  # of which margins take a part
 _BINS = 1200  # of a dense curve: about two pixels each
+_ROUGH = 50.0  # a wave of 25 periods: of more, thin lines are told apart and thick ones are a band
 _METADATA: dict[FigureFormat, dict[str, Any]] = {
     FigureFormat.PNG: {"Software": None},
     FigureFormat.PDF: {"CreationDate": None, "Producer": None, "Creator": None},
@@ -116,8 +118,9 @@ def stacked_panels(
         len(heights_in), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights_in}
     )
     panels = list(grid[:, 0])
-    for letter, panel in zip(letters, panels, strict=False):
+    for panel in panels:
         panel.margins(x=0.0)
+    for letter, panel in zip(letters, panels, strict=False):
         if letter != " ":
             panel.annotate(
                 f"({letter})", (0.0, 1.0), (-36.0, 4.0), "axes fraction", "offset points", fontweight="bold"
@@ -183,40 +186,63 @@ def _write_png(figure: Figure, stream: BinaryIO, dots_per_inch: int) -> None:
 def run_figure(
     title: str, recording: Columns, path: Path, formats: Sequence[FigureFormat] = (FigureFormat.PNG,)
 ) -> list[Path]:
-    """Draws every signal of a run that is a number, one panel for each unit; without estimates of errors."""
+    """Draws every signal of a run that is a number, a few in a panel; without estimates of errors."""
     with figure_style():
         figure = figure_of(recording)
         figure.suptitle(title, wrap=True)
         return write_figure(figure, path, formats, _DPI_OF_RUNS)
 
 
-def figure_of(recording: Columns, names: Sequence[str] = ()) -> ShownFigure:
-    """Returns signals of a run over time, by default those that `run_figure` draws: a panel for each unit."""
+def figure_of(
+    recording: Columns, names: Sequence[str] = (), beside: Mapping[str, Columns] = {}
+) -> ShownFigure:
+    """Returns signals of a run over time, by default those that `run_figure` draws.
+
+    beside: label -> another recording, whose lines have dashes of their own;
+    signals that it does not have, or has with the same values, are not drawn again
+    """
     signals = names or [name for name in recording.numbers if not name.startswith(ERROR_ESTIMATE)]
-    units = list(dict.fromkeys(map(recording.unit, signals)))
+    members = grouped_by_panel({name: recording.unit(name) for name in signals})
     with figure_style():
-        lines = [sum(recording.unit(name) == unit for name in signals) for unit in units]
-        heights = [max(_PANEL_IN, count * _LEGEND_LINE_IN) for count in lines]
+        lines = [_lines_of(panel, recording, beside) for panel in members]
+        heights = [max(_PANEL_IN, len(own) * _LEGEND_LINE_IN) for own in lines]
         figure, panels = stacked_panels(heights, "Time [s]")
-        for unit, panel in zip(units, panels, strict=True):
-            names = [name for name in signals if recording.unit(name) == unit]
-            for index, name in enumerate(sorted(names, key=lambda name: -_roughness(recording[name]))):
-                draw_curve(
-                    panel,
-                    recording.time,
-                    recording[name],
-                    label=name,
-                    linewidth=0.7,
-                    color=_COLOURS[index % len(_COLOURS)],
-                    linestyle=LINES[index // len(_COLOURS) % len(LINES)],
-                )
-            if any(points_down(name, unit) for name in names):
+        for panel, own, drawn in zip(panels, members, lines, strict=True):
+            for time, values, line in drawn:
+                draw_curve(panel, time, values, **line)
+            unit = recording.unit(own[0])
+            if points_down(own[0], unit):
                 panel.invert_yaxis()
-            panel.set_ylabel(f"[{unit or '1'}]")
+            panel.set_ylabel(axis_label(own, unit))
             panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02))
         return figure
 
 
-def _roughness(values: np.ndarray) -> float:
-    """Returns the sum of changes: smooth signals are drawn last, over rough ones."""
-    return float(np.abs(np.diff(values)).sum())
+def _lines_of(
+    names: Sequence[str], recording: Columns, beside: Mapping[str, Columns]
+) -> list[tuple[np.ndarray, np.ndarray, dict[str, Any]]]:
+    """Returns time, values and style of each line of a panel."""
+    lines = []
+    for name in names:
+        drawn: list[tuple[np.ndarray, np.ndarray]] = []
+        for run, (label, columns) in enumerate({"": recording, **beside}.items()):
+            if name not in columns.numbers:
+                continue
+            signal = columns.time, columns[name]
+            # runs beside each other often have one reference: one line, without the label of a run
+            if any(all(map(np.array_equal, signal, other)) for other in drawn):
+                continue
+            drawn.append(signal)
+            style = {"color": _COLOURS[len(lines) % len(_COLOURS)], "linestyle": LINES[run % len(LINES)]}
+            style |= {"label": f"{name}, {label}" if label else name, **_weight(name, columns[name])}
+            lines.append((*signal, style))
+    return lines
+
+
+def _weight(name: str, values: np.ndarray) -> dict[str, Any]:
+    """Returns how strong a line is: a reference black and on top; the rougher, the thinner and the lower."""
+    if "reference" in name:
+        return {"color": "black", "linewidth": 0.7, "zorder": 2.9}
+    roughness = float(np.abs(np.diff(values)).sum() / (np.ptp(values) or 1.0))
+    is_thin = "measured" in name or roughness > _ROUGH
+    return {"linewidth": 0.5 if is_thin else 1.2, "zorder": 2.0 + 1.0 / (2.0 + roughness)}

@@ -39,11 +39,6 @@ _GROUP = 1 << 17  # rows of Parquet that are copied at a time
 _BYTES = {RecordingFormat.CSV: 20, RecordingFormat.PARQUET: 8}  # about, of a number in a file
 
 
-def points_down(name: str, unit: str) -> bool:
-    """Whether a signal is a depth: a plot of it has its vertical axis pointing down."""
-    return unit == "m" and "depth" in name.lower()
-
-
 @dataclass(frozen=True)
 class Columns:
     """Signals by name, as in a file: the base of `Recording`, whose docstring explains the fields."""

@@ -74,21 +74,40 @@ class Recording(files.Columns):
             f'{text}<img width="480" src="data:image/png;base64,{b64encode(figure._repr_png_()).decode()}">'
         )
 
-    def plot(self, *names: str) -> "ShownFigure":
-        """Returns a Matplotlib figure of signals over time, by default all numbers: a panel for each unit.
+    def plot(self, *names: str, beside: "Recording | Mapping[str, Recording] | None" = None) -> "ShownFigure":
+        """Returns a Matplotlib figure of signals over time; a notebook shows it, `savefig` writes it.
 
-        A notebook shows it, `savefig` writes it. OrchestrationError for a signal that was not recorded, a
-        String, and a recording of many runs, of which `run(i)` is one.
+        Parameters
+        ----------
+        *names
+            Signals, by default all that are numbers. A panel has at most four, of one unit.
+        beside
+            Another recording, or several by their labels in the legend, drawn over this one with other
+            dashes. A signal that is missing there, or equal, is drawn once.
+
+        Raises
+        ------
+        OrchestrationError
+            For a signal that was not recorded, a String, and a recording of many runs, of which `run(i)`
+            is one.
+
+        Examples
+        --------
+        >>> extended.plot("plant.depth", beside={"plain L1": plain}).savefig("depth.png")  # doctest: +SKIP
         """
-        if self.run_count is not None:
-            raise OrchestrationError(f"a recording of {self.run_count} runs: expected one, such as run(0)")
+        others = {"beside": beside} if isinstance(beside, Recording) else beside or {}
+        for recording in (self, *others.values()):
+            if recording.run_count is not None:
+                raise OrchestrationError(
+                    f"a recording of {recording.run_count} runs: expected one, such as run(0)"
+                )
         for name in names:
             self._column(name)
             if name in self.strings:
                 raise OrchestrationError(f"{name} is a String: expected numbers to plot")
         from orchestration.results.figures import figure_of  # which takes a while to import
 
-        return figure_of(self, names)
+        return figure_of(self, names, others)
 
     def to_pandas(self) -> "pd.DataFrame":
         """Returns a column a signal over the time [s]; `attrs` holds "units" (name -> unit), "provenance"."""

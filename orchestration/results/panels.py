@@ -1,0 +1,76 @@
+"""Panels of a figure: which signals share one, and the name and the direction of its vertical axis."""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+
+MOST_LINES = 4  # of a panel: readers tell no more lines apart
+_QUANTITIES = {
+    "m": "Length",
+    "m/s": "Velocity",
+    "m/s2": "Acceleration",
+    "N": "Force",
+    "N.m": "Torque",
+    "V": "Voltage",
+    "A": "Current",
+    "W": "Power",
+    "K": "Temperature",
+    "degC": "Temperature",
+    "Pa": "Pressure",
+    "rad": "Angle",
+    "deg": "Angle",
+    "rad/s": "Angular velocity",
+}
+_SHORT = 3  # letters of words that name no quantity, such as u of u_a and hat of sigma_hat
+
+
+def points_down(name: str, unit: str) -> bool:
+    """Whether a signal is a depth: a plot of it has its vertical axis pointing down."""
+    return unit == "m" and "depth" in name.lower()
+
+
+def grouped_by_panel(units: Mapping[str, str]) -> list[list[str]]:
+    """Returns the signals of each panel in the order of their units; a panel has one unit and one direction.
+
+    units: signal -> unit. Where too many signals have one unit, those that share a word share a panel.
+    """
+    kinds: dict[tuple[str, bool], list[str]] = {}
+    for name, unit in units.items():
+        kinds.setdefault((unit, points_down(name, unit)), []).append(name)
+    return [panel for names in kinds.values() for panel in _split(names)]
+
+
+def _split(names: list[str]) -> Iterator[list[str]]:
+    if len(names) <= MOST_LINES:
+        yield names
+        return
+    groups: list[tuple[set[str], list[str]]] = []  # words that all members share, members
+    for name in names:
+        words = set(_words(name))
+        for index, (shared, members) in enumerate(groups):
+            if shared & words:
+                groups[index] = shared & words, [*members, name]
+                break
+        else:
+            groups.append((words, [name]))
+    for _, members in groups:
+        count = -(-len(members) // MOST_LINES)
+        for part in range(count):
+            yield members[part * len(members) // count : (part + 1) * len(members) // count]
+
+
+def axis_label(names: Sequence[str], unit: str) -> str:
+    """Returns what signals have in common, by their names or by their unit, and the unit: "Depth [m]"."""
+    first, *others = map(_words, names)
+    common = [word for word in first if all(word in words for words in others)]
+    if all(len(word) <= _SHORT for word in common):
+        # one signal, or one variable of several components, keeps its name, such as y or u_a
+        name = "_".join(first) if common == first and first else _QUANTITIES.get(unit, "Value")
+    else:
+        name = " ".join(common).capitalize()
+    return f"{name} [{unit or '1'}]"
+
+
+def _words(name: str) -> list[str]:
+    """Returns the words of a signal's own name, without its component and its indices."""
+    own = re.sub(r"\[[^\]]*\]", "", name).rpartition(".")[2]
+    return [word for word in own.split("_") if word]
