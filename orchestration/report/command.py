@@ -50,7 +50,10 @@ def live(
     if beside := beside or _without_extension(chosen):
         settings = {**changes.settings, **Changes.of_options(settings=beside).settings}
         runs[", ".join(beside)] = chosen_scenario.load(name, changes=replace(changes, settings=settings))
-    write_text_atomically(out, live_page(runs, sliders))
+    # zig compiles the C library of WebAssembly too, if this machine has not done so yet
+    with shared.progress("compile for the browser: half a minute once, then half a second", 0):
+        text = live_page(runs, sliders)
+    write_text_atomically(out, text)
     print(out)
 
 

@@ -13,9 +13,10 @@ from fmus.fmi.description import start_value
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.report.web_program import program
+from orchestration.results.metric_units import metric_units, shown
 from orchestration.results.metrics import SIGNALS
 from orchestration.results.page import packed, page
-from orchestration.results.panels import points_down
+from orchestration.results.panels import axis_label, grouped_by_panel, points_down
 from orchestration.scenarios import free_parameter
 from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.scenarios.scenario import Scenario
@@ -27,6 +28,7 @@ from orchestration.system.values import value_range
 
 _TEMPLATE = Path(__file__).parent / "files" / "live.html"
 _CONTROLLER = "controller"  # the component whose parameters are gains
+_METRICS = ("settling_time", "rmse")  # functions of metrics that live.js has
 _SPAN = 4.0  # of a gain: from a fourth of its value to four times that
 # of disturbances that the description of no vehicle varies; the thrusters of the paper's can hold them
 _DISTURBANCES = {"external_force": (-1.0, 1.0), "current_velocity": (-0.1, 0.1)}
@@ -43,25 +45,29 @@ def live_page(runs: Mapping[str, Scenario], sliders: Sequence[str] = ()) -> str:
     prepared = first.prepared
     for other in others:
         _check_differs_in_values(first, other)
-    shown = list(
+    chosen = list(
         _with_limits(prepared, [*free_parameter.parse(sliders, "--slider"), *default_sliders(first)])
     )
     values = [_values(scenario.prepared) for scenario in runs.values()]
     names = list(
-        dict.fromkeys([*(n for own in values for n in own), *(n for s in shown for n in s.variables)])
+        dict.fromkeys([*(n for own in values for n in own), *(n for s in chosen for n in s.variables)])
     )
     ports = [prepared.system.ports[name] for name in names]
     settings = [(port, _value(values[0], port)) for port in ports]
-    components = dict.fromkeys(s.name.partition(".")[0] for s in shown)
+    components = dict.fromkeys(s.name.partition(".")[0] for s in chosen)
     scored = {call.get(key) for call in first.metrics.values() for key in SIGNALS}
+    signal_units = {name: prepared.system.ports[name].variable.unit or "" for name in prepared.recorded}
+    metrics = _metrics_data(first, signal_units)
     return page(
         _TEMPLATE,
         ("live.js",),
         title=first.title,
-        groups={name: [s for s in shown if s.name.startswith(f"{name}.")] for name in components},
+        groups={name: [s for s in chosen if s.name.startswith(f"{name}.")] for name in components},
         descriptions={
-            s.name: prepared.system.ports[s.variables[0]].variable.description or "" for s in shown
+            s.name: prepared.system.ports[s.variables[0]].variable.description or "" for s in chosen
         },
+        overridden=_overridden(prepared, chosen),
+        metrics=metrics,
         data={
             "program": base64.b64encode(zlib.compress(program(prepared, settings), 9)).decode("ascii"),
             "points": packed(prepared.points),
@@ -69,18 +75,25 @@ def live_page(runs: Mapping[str, Scenario], sliders: Sequence[str] = ()) -> str:
             "columns": [
                 {
                     "name": name,
-                    "unit": prepared.system.ports[name].variable.unit or "1",
-                    "down": points_down(name, prepared.system.ports[name].variable.unit or ""),
                     "shown": name in scored or not scored & {*prepared.recorded},
                     "isSignal": name in first.experiment.signals,
                 }
                 for name in prepared.recorded
             ],
+            "panels": [
+                {
+                    "names": names,
+                    "axis": axis_label(names, signal_units[names[0]]),
+                    "down": points_down(names[0], signal_units[names[0]]),
+                }
+                for names in grouped_by_panel(signal_units)
+            ],
+            "metrics": metrics,
             "runs": [
                 {"label": label, "values": [float(_value(own, port)) for port in ports]}
                 for label, own in zip(runs, values, strict=True)
             ],
-            "sliders": [_slider_data(s, names) for s in shown],
+            "sliders": [_slider_data(s, names) for s in chosen],
         },
     )
 
@@ -109,6 +122,29 @@ def default_sliders(scenario: Scenario) -> Iterator[FreeParameter]:
         if len({settable.get(variable) for variable in own}) == 1 and own[0] in settable:
             least, most = value_range(prepared.system.ports[own[0]])
             yield FreeParameter(name, max(low, least), min(high, most), variables=own)
+
+
+def _metrics_data(scenario: Scenario, signal_units: Mapping[str, str]) -> list[dict[str, Any]]:
+    """Returns the settling times and RMSEs of recorded signals, which the page computes for its runs."""
+    units = metric_units(scenario.metrics, signal_units)
+    return [
+        {"name": name, "in_unit": units[name], "absent": shown(math.nan, call), **call}
+        for name, call in scenario.metrics.items()
+        if call["function"] in _METRICS and {call[key] for key in SIGNALS if key in call} <= {*signal_units}
+    ]
+
+
+def _overridden(prepared: PreparedRun, sliders: Sequence[FreeParameter]) -> dict[str, str]:
+    """Returns the note of each slider whose variable an event sets: its name -> from when on."""
+    times: dict[str, float] = {}
+    for point, settings in sorted(prepared.changes.items()):
+        for port, _ in settings:
+            times.setdefault(port.name, prepared.points[point])
+    return {
+        slider.name: f"until {min(times[name] for name in names):g} s, then an event sets it"
+        for slider in sliders
+        if (names := [name for name in slider.variables if name in times])
+    }
 
 
 def _check_differs_in_values(first: Scenario, other: Scenario) -> None:

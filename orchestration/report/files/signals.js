@@ -108,9 +108,6 @@ function signalsSection() {
     return found;
   }
 
-  /** How much ink a line takes: the sum of its changes. */
-  const roughness = (line) => line.y.reduce((sum, y, i) => sum + (Math.abs(y - line.y[i - 1]) || 0), 0);
-
   function panel(unit) {
     if (!panels.has(unit)) {
       const [caption, legend, plot] = ["figcaption", "div", "div"].map((tag) => element(tag));

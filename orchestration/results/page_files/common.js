@@ -19,6 +19,9 @@ const dash = (i) => Object.keys(DASHES)[i % 4];
 const SHARED = 8; // the grey of lines that several runs share; no run has it
 const colourOfRun = (i) => (i % 9 < SHARED ? i % 9 : 9);
 
+/** How much ink a line takes: the sum of its changes. Smooth lines are drawn over rough ones. */
+const roughness = ({ y }) => y.reduce((sum, value, i) => sum + (Math.abs(value - y[i - 1]) || 0), 0);
+
 const titled = (name, unit) => (unit ? `${name} [${unit}]` : name);
 const short = (value) => (typeof value === "number" ? String(Number(value.toPrecision(6))) : value);
 
