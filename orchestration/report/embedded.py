@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from orchestration.report.result import RunResult, SweepResult, correlations, groups_of, strongest
+from orchestration.report.result import RunResult, SweepResult, correlations, grid_of, groups_of, strongest
 from orchestration.results.metrics import SIGNALS
 from orchestration.results.page import packed
 from orchestration.results.panels import points_down
@@ -106,6 +106,7 @@ def sweep_data(sweep: SweepResult) -> dict[str, Any]:
             {"name": ", ".join(group), "members": indices.tolist()}
             for group, indices in groups_of(sweep).items()
         ],
+        "grid": grid_of(sweep),
         "first": strongest(correlations(sweep)),
         "command": sweep.command,
     }

@@ -15,12 +15,14 @@ from orchestration.report.result import (
     common_metrics,
     correlations,
     distributions,
+    grid_of,
     of_succeeded,
     paired_differences,
     toml,
 )
 from orchestration.results.metric_units import shown
 from orchestration.results.page import page
+from orchestration.results.panels import axis_label
 from orchestration.sweep.table import HEADINGS, categorical
 
 _TEMPLATE = Path(__file__).parent / "files" / "page.html"
@@ -51,11 +53,13 @@ def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
         headings=HEADINGS,
         categorical=categorical,
         distributions=distributions,
+        grid_of=grid_of,
         correlations=correlations,
         data={
             "columns": COLUMNS,
             "runs": [{**run_data(run), "label": labels[run.name]} for run in runs],
             "sweeps": [{**sweep_data(sweep), "label": labels[sweep.name]} for sweep in swept],
+            "axes": _axes(runs),
             "compared": list(compared.items()),
         },
     )
@@ -66,6 +70,15 @@ def _title(runs: Sequence[RunResult], swept: Sequence[SweepResult]) -> str:
         return [*runs, *swept][0].title
     counted = [(len(runs), "run"), (len(swept), "sweep")]
     return " and ".join(f"{count} {what}{'s' * (count > 1)}" for count, what in counted if count)
+
+
+def _axes(runs: Sequence[RunResult]) -> dict[str, str]:
+    """Returns unit, "1" for none -> the label of the axis of the signals that have it in any run."""
+    names: dict[str, dict[str, None]] = {}
+    for run in runs:
+        for name in run.recording.numbers:
+            names.setdefault(run.recording.unit(name) or "1", {})[name] = None
+    return {unit: axis_label([*signals], unit) for unit, signals in names.items()}
 
 
 def _metric_groups(runs: Sequence[RunResult]) -> dict[tuple[tuple[str, str], ...], list[RunResult]]:

@@ -179,6 +179,22 @@ def strongest(rows: list[dict[str, Any]]) -> tuple[str, str] | None:
     return max(strength, key=lambda pair: strength[pair]) if strength else None
 
 
+def grid_of(sweep: SweepResult) -> tuple[str, str] | None:
+    """Returns the names of the two numbers that a sweep varies on a grid; None for any other sweep.
+
+    On a grid each group of samples has each pair of values once.
+    """
+    categories = categorical(sweep.varied)
+    numbers = [name for name in sweep.varied if name not in categories]
+    if len(numbers) != 2:
+        return None
+    first, second = (sweep.varied[name] for name in numbers)
+    pairs = len({*first}) * len({*second})
+    cells = {*zip(first, second, *(sweep.varied[name] for name in categories), strict=True)}
+    is_grid = min(len({*first}), len({*second})) > 1 and len(cells) == len(sweep.samples)
+    return (numbers[0], numbers[1]) if is_grid and len(cells) % pairs == 0 else None
+
+
 def common_metrics(sweeps: Sequence[SweepResult]) -> dict[str, str]:
     """Returns the metrics that several sweeps have in common -> their units."""
     if len(sweeps) < 2:
