@@ -1,7 +1,7 @@
 """Figures as a journal prints them: panels, curves, files. The only module that imports Matplotlib.
 
-It uses Matplotlib's figure classes and a style of its own for each figure, so that neither pyplot nor the
-settings of the caller are touched. The same data give the same file, byte by byte.
+It uses Matplotlib's figure classes and a style file, so that pyplot and the settings of the caller stay as
+they are. The same data give the same file, byte by byte.
 """
 
 import io
@@ -24,19 +24,22 @@ from orchestration.results.files import ERROR_ESTIMATE, Columns
 from orchestration.results.formats import FigureFormat
 from orchestration.results.panels import axis_label, grouped_by_panel, points_down
 
-BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#666666"  # told apart by colour-blind readers
+# Colour-blind readers distinguish these (Okabe and Ito).
+BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#666666"
 _COLOURS = (BLUE, ORANGE, GREEN, "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 LINES = ("-", "--", "-.", ":")
-MARKERS = "osD^v<>ph*PX8dHx+"  # as many as the protocol has laws
+MARKERS = "osD^v<>ph*PX8dHx+"  # one for each control law of the score protocol
 WIDTH_IN = 7.16  # both columns of an IEEE or IFAC page
-_DPI, _DPI_OF_RUNS, _DPI_IN_A_NOTEBOOK = 300, 200, 100  # in print, and to look at
-_GAP_IN = 0.24  # between panels, which holds their letters
+_DPI, _DPI_OF_RUNS, _DPI_IN_A_NOTEBOOK = 300, 200, 100  # print, screen, notebook
+_GAP_IN = 0.24  # between panels: room for their letters
 _PAD_IN = 0.05  # around everything, and between the numbers of an axis and its label
-_MOST_BESIDE = 0.5  # of the width of a figure that is left to what stands beside its panels
-_RUN_LENGTHS = 3  # Z_RLE of zlib, which is as small for lines on white, and faster
-_PANEL_IN, _LEGEND_LINE_IN = 1.5, 0.22  # of which margins take a part
+_MOST_BESIDE = 0.5  # largest share of the width of a figure for legends beside its panels
+# Z_RLE of zlib: files of lines on white are as small as with the default, and written faster.
+_RUN_LENGTHS = 3
+_PANEL_IN, _LEGEND_LINE_IN = 1.5, 0.22  # heights with their margins
 _BINS = 1200  # of a dense curve: about two pixels each
-_ROUGH = 50.0  # a wave of 25 periods: of more, thin lines are told apart and thick ones are a band
+# Sum of changes by range of a wave of 25 periods: a thick line of more periods fills an area.
+_ROUGH = 50.0
 _METADATA: dict[FigureFormat, dict[str, Any]] = {
     FigureFormat.PNG: {"Software": None},
     FigureFormat.PDF: {"CreationDate": None, "Producer": None, "Creator": None},
@@ -45,7 +48,7 @@ _METADATA: dict[FigureFormat, dict[str, Any]] = {
 
 
 def figure_style() -> AbstractContextManager[None]:
-    """Returns a context: figures that are made and written inside it have the style of this module."""
+    """Returns a context; figures that are made and written inside it have the style of this module."""
     return style.context(["default", str(Path(__file__).with_name("figures.mplstyle"))])
 
 
@@ -60,17 +63,18 @@ class ShownFigure(Figure):
 
 
 class StackedLayout(LayoutEngine):
-    """A layout of panels one below the other; each text that needs room outside of them is measured once.
+    """A layout of panels one below the other, with room for the texts outside of them."""
 
-    Matplotlib's own layouts measure all texts several times, which takes longer than to draw them.
-    """
-
-    _adjust_compatible = _colorbar_gridspec = True  # which every layout of Matplotlib states
+    # Matplotlib's own layouts measure every text several times, which takes longer than to draw it.
+    _adjust_compatible = _colorbar_gridspec = True  # required of every layout of Matplotlib
 
     def execute(self, fig: Figure) -> None:
         renderer, (width, height) = RendererAgg(1, 1, fig.dpi), fig.get_size_inches()
         numbers, labels, right, bottom = (length / fig.dpi for length in _outside(fig.axes, renderer))
-        self._place_labels(fig, numbers + _PAD_IN)
+        # as far left of all panels, so that the labels stand one below the other
+        offset = ScaledTranslation(-numbers - _PAD_IN, 0.0, fig.dpi_scale_trans)
+        for panel in fig.axes:
+            panel.yaxis.set_label_coords(0.0, 0.5, panel.transAxes + offset)
         left, right = numbers + labels + 2.0 * _PAD_IN, min(right + _PAD_IN, _MOST_BESIDE * width)
         top, bottom = _PAD_IN + _GAP_IN, bottom + _PAD_IN
         for title in fig.texts:
@@ -86,16 +90,9 @@ class StackedLayout(LayoutEngine):
             hspace=_GAP_IN / mean_panel,
         )
 
-    @staticmethod
-    def _place_labels(fig: Figure, left_in: float) -> None:
-        """Places the labels of the vertical axes as far left of their panels, one below the other."""
-        for panel in fig.axes:
-            offset = ScaledTranslation(-left_in, 0.0, fig.dpi_scale_trans)
-            panel.yaxis.set_label_coords(0.0, 0.5, panel.transAxes + offset)
-
 
 def _outside(panels: Sequence[Axes], renderer: RendererAgg) -> tuple[float, float, float, float]:
-    """Returns the room outside of panels [pixels]: of numbers and labels on the left, at the right, below."""
+    """Returns the room [pixels] that texts need outside of panels: numbers, labels, at the right, below."""
     below: Any = panels[-1].xaxis.get_tightbbox(renderer)
     frame = panels[-1].bbox
     numbers = [text for panel in panels for text in panel.yaxis.get_majorticklabels()]
@@ -114,10 +111,8 @@ def stacked_panels(
     letters: of the panels; a panel whose letter is a space belongs to the one above
     """
     figure = ShownFigure(figsize=(WIDTH_IN, sum(heights_in) + 0.4), layout=StackedLayout())
-    grid = figure.subplots(
-        len(heights_in), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights_in}
-    )
-    panels = list(grid[:, 0])
+    shape: Any = {"nrows": len(heights_in), "squeeze": False, "height_ratios": heights_in}
+    panels = list(figure.subplots(sharex=True, **shape)[:, 0])
     for panel in panels:
         panel.margins(x=0.0)
     for letter, panel in zip(letters, panels, strict=False):
@@ -165,8 +160,9 @@ def write_figure(
     figure: Figure, path: Path, formats: Sequence[FigureFormat], dots_per_inch: int = _DPI
 ) -> list[Path]:
     """Writes `path` with the ending of each format; returns the files."""
-    files = [path.with_name(f"{path.name}.{ending}") for ending in formats]
-    for file, ending in zip(files, formats, strict=True):
+    files = []
+    for ending in formats:
+        files.append(file := path.with_name(f"{path.name}.{ending}"))
         with open_atomically(file) as stream:
             if ending is FigureFormat.PNG:
                 _write_png(figure, stream, dots_per_inch)
@@ -177,7 +173,7 @@ def write_figure(
 
 def _write_png(figure: Figure, stream: BinaryIO, dots_per_inch: int) -> None:
     """Writes a figure as PNG."""
-    # not by `savefig`, which goes through everything in a figure once more before it draws it
+    # `savefig` would traverse the whole figure once more before it draws it.
     figure.set_dpi(dots_per_inch)
     options = {"compress_type": _RUN_LENGTHS}
     FigureCanvasAgg(figure).print_png(stream, metadata=_METADATA[FigureFormat.PNG], pil_kwargs=options)
@@ -198,8 +194,8 @@ def figure_of(
 ) -> ShownFigure:
     """Returns signals of a run over time, by default those that `run_figure` draws.
 
-    beside: label -> another recording, whose lines have dashes of their own;
-    signals that it does not have, or has with the same values, are not drawn again
+    beside: label -> another recording, drawn with other dashes; signals that it does not have, or has with
+    the same values, are not drawn again
     """
     signals = names or [name for name in recording.numbers if not name.startswith(ERROR_ESTIMATE)]
     members = grouped_by_panel({name: recording.unit(name) for name in signals})
@@ -229,7 +225,7 @@ def _lines_of(
             if name not in columns.numbers:
                 continue
             signal = columns.time, columns[name]
-            # runs beside each other often have one reference: one line, without the label of a run
+            # Runs that are compared often share their reference: one line without the label of a run.
             if any(all(map(np.array_equal, signal, other)) for other in drawn):
                 continue
             drawn.append(signal)

@@ -113,7 +113,7 @@ function sweepSection(section, sweep) {
       const cells = members.map((at) => ({
         x: known[0].indexOf(x[at]), y: known[1].indexOf(y[at]), mark: "cell", sample: numbers[at],
         share: (all[at] - least) / (largest - least || 1),
-        label: Number.isFinite(all[at]) ? Number(all[at].toPrecision(3)).toString() : "-",
+        label: known[0].length > 12 ? "" : Number.isFinite(all[at]) ? String(Number(all[at].toPrecision(3))) : "-",
         text: `sample ${numbers[at]}: ${Number.isFinite(all[at]) ? short(all[at]) : metric.absent}`,
       }));
       scatter(plot, cells, {
