@@ -1,4 +1,4 @@
-"""Commands that write a page: report, of results, and live, of a scenario that runs in the browser."""
+"""The commands that write a page: report shows results, live runs a scenario in the browser."""
 
 import sys
 from dataclasses import replace
@@ -33,7 +33,7 @@ def live(
         list[str],
         typer.Option(
             metavar="NAME=VALUE",
-            help="Draw the same scenario with this value beside it; by default that without an extension.",
+            help="Draw the same scenario with this value beside it; by default without the extension.",
         ),
     ] = [],  # noqa: B006
     changes: Changes = NO_CHANGES,
@@ -50,7 +50,7 @@ def live(
     if beside := beside or _without_extension(chosen):
         settings = {**changes.settings, **Changes.of_options(settings=beside).settings}
         runs[", ".join(beside)] = chosen_scenario.load(name, changes=replace(changes, settings=settings))
-    # zig compiles the C library of WebAssembly too, if this machine has not done so yet
+    # The first build on a machine compiles the C library of WebAssembly too.
     with shared.progress("compile for the browser: half a minute once, then half a second", 0):
         text = live_page(runs, sliders)
     write_text_atomically(out, text)
@@ -58,7 +58,7 @@ def live(
 
 
 def _without_extension(scenario: "Scenario") -> list[str]:
-    """Returns the setting that switches the extension of the controller off, if it has one that is on."""
+    """Returns the setting that switches the extension of the controller off, if it is on."""
     from orchestration.system.prepared_run import values_of
 
     extension = values_of(scenario.prepared, "controller").get("augmentation", "none")
@@ -70,7 +70,7 @@ def report(
         list[Path],
         typer.Argument(
             metavar="RESULT",
-            help="What run, reproduce, sweep or fit has written: .json, .csv, .parquet or a folder.",
+            help="A result of run, reproduce, sweep or fit: .json, .csv, .parquet or a folder.",
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="Write this page.")] = Path("report.html"),

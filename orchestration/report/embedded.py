@@ -11,19 +11,20 @@ from orchestration.results.panels import points_down
 from orchestration.sweep.table import categorical
 
 COLUMNS = 2000
-"""Columns of pixels of a chart: a screen shows no more of one of them than its least and largest value."""
+"""Columns of pixels of a chart: a column shows the least and the largest of its values, no more."""
 
 
 def drawn_points(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Returns the indices of both ends and, of each column of time, the least and largest value, and a gap.
+    """Returns the indices of both ends and, in each column of time, of the extreme values and a gap.
 
-    Of no more than two points a column they are all indices.
+    With at most two points a column it returns all indices.
     """
     if len(values) <= 2 * COLUMNS:
         return np.arange(len(values))
     column = ((time - time[0]) * (COLUMNS / (time[-1] - time[0]))).astype(int)
     finite = np.where(np.isfinite(values), values, np.nan)
-    order = np.lexsort((finite, column))  # within a column by value, gaps last
+    # by column, within it by value; NaN, a gap, is last
+    order = np.lexsort((finite, column))
     starts = np.flatnonzero(np.diff(column, prepend=-1))
     largest = starts + np.maximum(np.add.reduceat(np.isfinite(finite).astype(int), starts), 1) - 1
     lasts = np.append(starts[1:], len(values)) - 1
@@ -31,7 +32,7 @@ def drawn_points(time: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def tracking_errors(run: RunResult) -> dict[str, tuple[str, str, np.ndarray]]:
-    """Returns signal -> name, unit and values of its error, scaled as an RMSE or a peak error of the run."""
+    """Returns signal -> name, unit and values of its tracking error, scaled as the metric of the run."""
     errors: dict[str, tuple[str, str, np.ndarray]] = {}
     for metric, call in run.scenario.get("metrics", {}).items():
         signal, reference = call.get("signal"), call.get("reference")
@@ -45,7 +46,7 @@ def tracking_errors(run: RunResult) -> dict[str, tuple[str, str, np.ndarray]]:
 def _signal_data(
     name: str, unit: str, time: np.ndarray, values: np.ndarray, error_of: str = ""
 ) -> dict[str, Any]:
-    """Returns what is drawn of a signal; error_of: the unit of the signal whose tracking error it is."""
+    """Returns the data of a line; error_of: the unit of the signal if the line is its tracking error."""
     kept = drawn_points(time, values)
     return {
         "name": name,
@@ -58,7 +59,7 @@ def _signal_data(
 
 
 def run_data(run: RunResult) -> dict[str, Any]:
-    """Returns the data that the page's script draws of a run."""
+    """Returns the data of a run for the script of the page."""
     recording = run.recording
     signals = [
         _signal_data(name, recording.unit(name), recording.time, recording[name])
@@ -66,7 +67,7 @@ def run_data(run: RunResult) -> dict[str, Any]:
     ]
     errors = tracking_errors(run)
     for of, (name, unit, values) in errors.items():
-        at = recording.numbers.index(of) + 1  # beside what it is the error of
+        at = recording.numbers.index(of) + 1  # after its signal
         signals.insert(at, _signal_data(name, unit, recording.time, values, recording.unit(of) or "1"))
     return {
         "name": run.name,
@@ -85,7 +86,7 @@ def run_data(run: RunResult) -> dict[str, Any]:
 
 
 def sweep_data(sweep: SweepResult) -> dict[str, Any]:
-    """Returns the data that the page's script draws of a sweep."""
+    """Returns the data of a sweep for the script of the page."""
     categories = categorical(sweep.varied)
     return {
         "name": sweep.name,

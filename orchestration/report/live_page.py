@@ -29,17 +29,17 @@ from orchestration.system.values import value_range
 _TEMPLATE = Path(__file__).parent / "files" / "live.html"
 _CONTROLLER = "controller"  # the component whose parameters are gains
 _METRICS = ("settling_time", "rmse")  # functions of metrics that live.js has
-_SPAN = 4.0  # of a gain: from a fourth of its value to four times that
-# of disturbances that the description of no vehicle varies; the thrusters of the paper's can hold them
+_SPAN = 4.0  # of a gain: from a fourth of its value to four times its value
+# Descriptions of vehicles vary no disturbances. The thrusters of the paper's vehicle can hold these.
 _DISTURBANCES = {"external_force": (-1.0, 1.0), "current_velocity": (-0.1, 0.1)}
 
 
 def live_page(runs: Mapping[str, Scenario], sliders: Sequence[str] = ()) -> str:
-    """Returns a self-contained HTML page that makes these runs, one beside the other, for values of sliders.
+    """Returns a self-contained HTML page that makes these runs in the browser, with sliders for values.
 
-    runs: label -> scenario; all have the system and the experiment of the first one but for values
-    sliders: NAME or NAME=LOW:HIGH, beside those that `default_sliders` chooses
-    Raises ScenarioError for other runs and for a slider that does not fit, and what `program` raises.
+    runs: label -> scenario; they differ in values of parameters and constant inputs alone
+    sliders: NAME or NAME=LOW:HIGH, in addition to `default_sliders`
+    Raises ScenarioError for other runs and for a slider that does not fit, and the errors of `program`.
     """
     first, *others = runs.values()
     prepared = first.prepared
@@ -99,7 +99,7 @@ def live_page(runs: Mapping[str, Scenario], sliders: Sequence[str] = ()) -> str:
 
 
 def default_sliders(scenario: Scenario) -> Iterator[FreeParameter]:
-    """Yields gains that the scenario sets, what the vehicle's description varies, and disturbances."""
+    """Yields the gains of the scenario, the variations of the vehicle's description, and disturbances."""
     prepared, settable = scenario.prepared, _settable(scenario.prepared)
     ranges: dict[str, tuple[float, float]] = {}
     variables: dict[str, tuple[str, ...]] = {}
@@ -135,7 +135,7 @@ def _metrics_data(scenario: Scenario, signal_units: Mapping[str, str]) -> list[d
 
 
 def _overridden(prepared: PreparedRun, sliders: Sequence[FreeParameter]) -> dict[str, str]:
-    """Returns the note of each slider whose variable an event sets: its name -> from when on."""
+    """Returns slider -> a note, for each slider whose variable an event sets."""
     times: dict[str, float] = {}
     for point, settings in sorted(prepared.changes.items()):
         for port, _ in settings:
@@ -157,7 +157,7 @@ def _check_differs_in_values(first: Scenario, other: Scenario) -> None:
 
 
 def _with_limits(prepared: PreparedRun, sliders: Sequence[FreeParameter]) -> Iterator[FreeParameter]:
-    """Yields the sliders, each variable once, with their units and finite limits around their values."""
+    """Yields the sliders with units and finite limits; a variable of an earlier slider has no second one."""
     settable, taken = _settable(prepared), set[str]()
     for slider in sliders:
         variables = slider.variables or (slider.name,)
@@ -175,12 +175,12 @@ def _with_limits(prepared: PreparedRun, sliders: Sequence[FreeParameter]) -> Ite
         low = slider.low if math.isfinite(slider.low) else max(low, around[0])
         high = slider.high if math.isfinite(slider.high) else min(high, around[1])
         limited = replace(slider, low=low, high=high, variables=variables).within(port.variable, "--slider")
-        # the value of the scenario can be chosen
+        # The range includes the value of the scenario, where the slider begins.
         yield replace(limited, low=min(limited.low, value), high=max(limited.high, value), start=value)
 
 
 def _settable(prepared: PreparedRun) -> dict[str, float]:
-    """Returns the values of parameters and constant inputs that are Reals, by name."""
+    """Returns the values of Real parameters and constant inputs, by name."""
     given = {port.name: value for port, value in prepared.settings}
     return {
         name: float(_value(given, port))
@@ -190,7 +190,7 @@ def _settable(prepared: PreparedRun) -> dict[str, float]:
 
 
 def _values(prepared: PreparedRun) -> dict[str, FmiValue]:
-    """Returns what a run sets before and in its initialisation, by name."""
+    """Returns the values that a run sets before and during initialisation, by name."""
     return {port.name: value for port, value in prepared.initial_settings}
 
 

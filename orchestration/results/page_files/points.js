@@ -68,7 +68,7 @@ const padded = (u, least, largest) => {
   return [least - margin, largest + margin];
 };
 
-/** The colour of a share from 0 to 1, farther from that of the page the larger it is, and a colour that is legible on it. */
+/** The fill of a share from 0 to 1, farther from the colour of the page if larger, and a legible ink on it. */
 function heat(share) {
   const lightness = Number.isFinite(share) ? (dark() ? 20 + 60 * share : 95 - 60 * share) : dark() ? 10 : 100;
   return [`hsl(210 ${Number.isFinite(share) ? 65 : 0}% ${lightness}%)`, lightness > 55 ? "#000000" : "#ffffff"];

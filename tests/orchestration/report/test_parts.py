@@ -52,7 +52,7 @@ def test_short_lists_stand_on_one_line() -> None:
 
 def test_a_scenario_that_toml_cannot_say_is_refused(tmp_path: Path) -> None:
     document = write_run(tmp_path, "dive", parameters={"plant.mass": None})
-    with pytest.raises(OrchestrationError, match="expected what TOML can say"):
+    with pytest.raises(OrchestrationError, match="expected values of TOML"):
         found_results([document])
 
 
