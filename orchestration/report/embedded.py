@@ -69,19 +69,17 @@ def run_data(run: RunResult) -> dict[str, Any]:
     for of, (name, unit, values) in errors.items():
         at = recording.numbers.index(of) + 1  # after its signal
         signals.insert(at, _signal_data(name, unit, recording.time, values, recording.unit(of) or "1"))
+    calls = run.scenario.get("metrics", {}).values()
+    scored = {str(call[key]) for call in calls for key in SIGNALS if key in call}
+    scored |= {name for name, _, _ in errors.values()}
+    if run.is_measured:
+        scored.update(recording.numbers)
     return {
         "name": run.name,
         "time": packed(recording.time),
         "is_measured": run.is_measured,
         "signals": signals,
-        "in_metrics": sorted(
-            {
-                str(call[key])
-                for call in run.scenario.get("metrics", {}).values()
-                for key in SIGNALS
-                if key in call
-            }.union((name for name, _, _ in errors.values()), recording.numbers if run.is_measured else ())
-        ),
+        "in_metrics": sorted(scored),
     }
 
 

@@ -4,7 +4,7 @@ import base64
 import math
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from orchestration.report.web_program import program
 from orchestration.results.metric_units import metric_units, shown
 from orchestration.results.metrics import SIGNALS
 from orchestration.results.page import packed, page
-from orchestration.results.panels import axis_label, grouped_by_panel, points_down
+from orchestration.results.panels import panels_of
 from orchestration.scenarios import free_parameter
 from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.scenarios.scenario import Scenario
@@ -45,16 +45,15 @@ def live_page(runs: Mapping[str, Scenario], sliders: Sequence[str] = ()) -> str:
     prepared = first.prepared
     for other in others:
         _check_differs_in_values(first, other)
-    chosen = list(
-        _with_limits(prepared, [*free_parameter.parse(sliders, "--slider"), *default_sliders(first)])
-    )
-    values = [_values(scenario.prepared) for scenario in runs.values()]
-    names = list(
-        dict.fromkeys([*(n for own in values for n in own), *(n for s in chosen for n in s.variables)])
-    )
+    asked = free_parameter.parse(sliders, "--slider")
+    chosen = list(_with_limits(prepared, [*asked, *default_sliders(first)]))
+    values = [{p.name: value for p, value in run.prepared.initial_settings} for run in runs.values()]
+    names = [*dict.fromkeys(n for own in [*values, *(s.variables for s in chosen)] for n in own)]
     ports = [prepared.system.ports[name] for name in names]
     settings = [(port, _value(values[0], port)) for port in ports]
-    components = dict.fromkeys(s.name.partition(".")[0] for s in chosen)
+    groups: dict[str, list[FreeParameter]] = {}
+    for slider in chosen:
+        groups.setdefault(slider.name.partition(".")[0], []).append(slider)
     scored = {call.get(key) for call in first.metrics.values() for key in SIGNALS}
     signal_units = {name: prepared.system.ports[name].variable.unit or "" for name in prepared.recorded}
     metrics = _metrics_data(first, signal_units)
@@ -62,10 +61,8 @@ def live_page(runs: Mapping[str, Scenario], sliders: Sequence[str] = ()) -> str:
         _TEMPLATE,
         ("live.js",),
         title=first.title,
-        groups={name: [s for s in chosen if s.name.startswith(f"{name}.")] for name in components},
-        descriptions={
-            s.name: prepared.system.ports[s.variables[0]].variable.description or "" for s in chosen
-        },
+        groups=groups,
+        ports=prepared.system.ports,
         overridden=_overridden(prepared, chosen),
         metrics=metrics,
         data={
@@ -80,14 +77,7 @@ def live_page(runs: Mapping[str, Scenario], sliders: Sequence[str] = ()) -> str:
                 }
                 for name in prepared.recorded
             ],
-            "panels": [
-                {
-                    "names": names,
-                    "axis": axis_label(names, signal_units[names[0]]),
-                    "down": points_down(names[0], signal_units[names[0]]),
-                }
-                for names in grouped_by_panel(signal_units)
-            ],
+            "panels": [*map(asdict, panels_of(signal_units))],
             "metrics": metrics,
             "runs": [
                 {"label": label, "values": [float(_value(own, port)) for port in ports]}
@@ -187,11 +177,6 @@ def _settable(prepared: PreparedRun) -> dict[str, float]:
         for name, port in prepared.system.ports.items()
         if port.variable.type == "Real" and (port.variable.causality == "parameter" or name in given)
     }
-
-
-def _values(prepared: PreparedRun) -> dict[str, FmiValue]:
-    """Returns the values that a run sets before and during initialisation, by name."""
-    return {port.name: value for port, value in prepared.initial_settings}
 
 
 def _value(values: Mapping[str, FmiValue], port: Port) -> Any:

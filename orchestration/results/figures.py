@@ -22,7 +22,7 @@ from matplotlib.transforms import ScaledTranslation
 from fmus.files import open_atomically
 from orchestration.results.files import ERROR_ESTIMATE, Columns
 from orchestration.results.formats import FigureFormat
-from orchestration.results.panels import axis_label, grouped_by_panel, points_down
+from orchestration.results.panels import panels_of
 
 # Colour-blind readers distinguish these (Okabe and Ito).
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#666666"
@@ -198,19 +198,18 @@ def figure_of(
     the same values, are not drawn again
     """
     signals = names or [name for name in recording.numbers if not name.startswith(ERROR_ESTIMATE)]
-    members = grouped_by_panel({name: recording.unit(name) for name in signals})
+    panels = panels_of({name: recording.unit(name) for name in signals})
+    lines = [_lines_of(panel.names, recording, beside) for panel in panels]
     with figure_style():
-        lines = [_lines_of(panel, recording, beside) for panel in members]
         heights = [max(_PANEL_IN, len(own) * _LEGEND_LINE_IN) for own in lines]
-        figure, panels = stacked_panels(heights, "Time [s]")
-        for panel, own, drawn in zip(panels, members, lines, strict=True):
-            for time, values, line in drawn:
-                draw_curve(panel, time, values, **line)
-            unit = recording.unit(own[0])
-            if points_down(own[0], unit):
-                panel.invert_yaxis()
-            panel.set_ylabel(axis_label(own, unit))
-            panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02))
+        figure, axes = stacked_panels(heights, "Time [s]")
+        for panel, own, drawn in zip(panels, lines, axes, strict=True):
+            for time, values, line in own:
+                draw_curve(drawn, time, values, **line)
+            if panel.down:
+                drawn.invert_yaxis()
+            drawn.set_ylabel(panel.axis)
+            drawn.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02))
         return figure
 
 

@@ -86,11 +86,7 @@ class Columns:
 
     def columns(self) -> list[list[Any]]:
         """Returns the values of each signal, Strings as text."""
-        pairs = zip(self.names, self.values.T.tolist(), strict=True)
-        return [
-            [self.strings[name][int(number)] for number in column] if name in self.strings else column
-            for name, column in pairs
-        ]
+        return [self[name].tolist() for name in self.names]
 
 
 def write(path: Path, content: Columns) -> str:

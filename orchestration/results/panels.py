@@ -2,8 +2,9 @@
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
-MOST_LINES = 4  # of a panel: readers tell no more lines apart
+_MOST_LINES = 4  # of a panel: readers follow no more
 _QUANTITIES = {
     "m": "Length",
     "m/s": "Velocity",
@@ -28,19 +29,32 @@ def points_down(name: str, unit: str) -> bool:
     return unit == "m" and "depth" in name.lower()
 
 
-def grouped_by_panel(units: Mapping[str, str]) -> list[list[str]]:
-    """Returns the signals of each panel in the order of their units; a panel has one unit and one direction.
+@dataclass(frozen=True)
+class Panel:
+    """Signals of one unit; axis: the label of their axis; down: whether it points down."""
 
-    units: signal -> unit. Where too many signals have one unit, those that share a word share a panel.
+    names: list[str]
+    axis: str
+    down: bool
+
+
+def panels_of(units: Mapping[str, str]) -> list[Panel]:
+    """Returns the panels of some signals, in the order of their units.
+
+    units: signal -> unit. If too many signals have one unit, signals that share a word share a panel.
     """
     kinds: dict[tuple[str, bool], list[str]] = {}
     for name, unit in units.items():
         kinds.setdefault((unit, points_down(name, unit)), []).append(name)
-    return [panel for names in kinds.values() for panel in _split(names)]
+    return [
+        Panel(part, axis_label(part, unit), down)
+        for (unit, down), names in kinds.items()
+        for part in _split(names)
+    ]
 
 
 def _split(names: list[str]) -> Iterator[list[str]]:
-    if len(names) <= MOST_LINES:
+    if len(names) <= _MOST_LINES:
         yield names
         return
     groups: list[tuple[set[str], list[str]]] = []  # words that all members share, members
@@ -53,17 +67,17 @@ def _split(names: list[str]) -> Iterator[list[str]]:
         else:
             groups.append((words, [name]))
     for _, members in groups:
-        count = -(-len(members) // MOST_LINES)
+        count = -(-len(members) // _MOST_LINES)
         for part in range(count):
             yield members[part * len(members) // count : (part + 1) * len(members) // count]
 
 
 def axis_label(names: Sequence[str], unit: str) -> str:
-    """Returns what signals have in common, by their names or by their unit, and the unit: "Depth [m]"."""
+    """Returns the common quantity of signals, by their names or their unit, with the unit: "Depth [m]"."""
     first, *others = map(_words, names)
     common = [word for word in first if all(word in words for words in others)]
     if all(len(word) <= _SHORT for word in common):
-        # one signal, or one variable of several components, keeps its name, such as y or u_a
+        # One signal, or the same variable of several components, keeps its name, such as y or u_a.
         name = "_".join(first) if common == first and first else _QUANTITIES.get(unit, "Value")
     else:
         name = " ".join(common).capitalize()

@@ -36,7 +36,7 @@ function chosen(slider) {
   return input.value === input.defaultValue ? slider.value : valueAt(slider, input.valueAsNumber);
 }
 
-/** Metrics of a run, as those of metrics.py: {function, signal, ...} as the scenario declares them. */
+/** Metrics of a run, computed as in metrics.py from {function, signal, ...} as the scenario declares them. */
 const METRICS = {
   settling_time: ({ signal, target, band }, time, columns) => {
     const last = columns(signal).findLastIndex((value) => !(Math.abs(value - target) <= band));
@@ -76,7 +76,7 @@ function runAll(program) {
     results = page.runs.map((run) => {
       const own = Float64Array.from(run.values);
       page.sliders.forEach(({ indices }, i) => {
-        for (const index of indices) if (own[index] === page.runs[0].values[index]) own[index] = values[i]; // else it is what differs
+        for (const index of indices) if (own[index] === page.runs[0].values[index]) own[index] = values[i]; // else the runs differ in it
       });
       return simulate(program, own);
     });
@@ -98,7 +98,7 @@ const panels = page.panels.map(({ names, axis, down }) => {
   return { columns, axis, down, legend, plot };
 });
 
-/** The lines of a panel: a signal has one colour, a run beside the first is dashed and pale; what drives all runs is drawn once, thin and grey. */
+/** The lines of a panel: one colour a signal; runs after the first are dashed and pale; a signal of the scenario, equal in all runs, is thin and grey. */
 function linesOf(columns) {
   return columns.flatMap((column, i) =>
     page.runs.slice(0, column.isSignal ? 1 : undefined).map(({ label }, run) => ({
@@ -126,7 +126,7 @@ function zoomed(times) {
   draw(true);
 }
 
-/** Draws all runs; anew: with other lines, colours or times, else the charts take the new values. */
+/** Draws all runs; anew: with other lines, colours or times, else with new values alone. */
 function draw(anew = false) {
   for (const { columns, axis, down, legend, plot } of panels) {
     const lines = linesOf(columns);

@@ -1,5 +1,5 @@
 "use strict";
-// Signals over time: a panel for each unit, and for the errors beside what they are of, all with one time axis.
+// Signals over time: a panel for each unit, with tracking errors beside their signals, all with one time axis.
 
 if (page.runs.length) signalsSection();
 
@@ -31,7 +31,7 @@ function signalsSection() {
     return found.map((name) => [name, (anyInMetrics ? inMetrics : first).has(name)]);
   }
 
-  /** Tick boxes with a heading and a button for all of them; returns what tells the ticked ones. */
+  /** Tick boxes with a heading and a button for all of them; returns a function that lists the ticked ones. */
   function ticks(fieldset, heading, entries) {
     const boxes = entries.map(([name, checked]) => element("input", { type: "checkbox", checked, value: name }));
     const every = element("button", { type: "button", className: "small", textContent: "all or none" });
@@ -51,7 +51,7 @@ function signalsSection() {
   const times = (run) => (run.times ??= unpacked(run.time));
   const numbers = (signal) => (signal.numbers ??= unpacked(signal.values));
 
-  /** The times of the points of a signal: those of the run, or some of them. */
+  /** The times of the points of a signal: all or some of the run's. */
   async function timesOf(run, signal) {
     const time = await times(run);
     let at = 0;

@@ -1,5 +1,5 @@
 "use strict";
-// Sweeps: how metrics are distributed, what they depend on, and what one sample was.
+// Sweeps: distributions of metrics, maps, one quantity against another, and single samples.
 
 const values = (column) => (column.numbers ??= Array.isArray(column.values) ? column.values : unpacked(column.values));
 

@@ -11,7 +11,7 @@ from PIL import Image
 
 from orchestration.results import figures
 from orchestration.results.formats import FigureFormat
-from orchestration.results.panels import axis_label, grouped_by_panel
+from orchestration.results.panels import panels_of
 from orchestration.results.recording import Recording
 
 TIME = np.linspace(0.0, 100.0, 50_001)
@@ -82,17 +82,16 @@ def test_depth_points_down(recording: Recording, tmp_path: Path, monkeypatch: py
 def test_a_panel_has_one_unit_and_one_direction_and_the_name_of_what_its_signals_share(
     units: dict[str, str], panels: dict[str, list[str]]
 ) -> None:
-    grouped = grouped_by_panel(units)
-    assert {axis_label(names, units[names[0]]): names for names in grouped} == panels
+    assert {panel.axis: panel.names for panel in panels_of(units)} == panels
 
 
 def test_of_many_signals_of_one_unit_those_that_share_a_word_share_a_panel() -> None:
     forces = ["plant.total_force", "c.demanded_force", "c.u_m", "c.u_a", "c.theta_hat[1]", "c.sigma_hat"]
-    grouped = grouped_by_panel(dict.fromkeys(forces, "N"))
-    assert grouped == [forces[:2], forces[2:4], forces[4:]]
-    assert [axis_label(names, "N") for names in grouped] == ["Force [N]"] * 3
+    panels = panels_of(dict.fromkeys(forces, "N"))
+    assert [panel.names for panel in panels] == [forces[:2], forces[2:4], forces[4:]]
+    assert [panel.axis for panel in panels] == ["Force [N]"] * 3
     states = [f"plant.x[{i}]" for i in range(9)]
-    assert [*map(len, grouped_by_panel(dict.fromkeys(states, "1")))] == [3, 3, 3]
+    assert [len(panel.names) for panel in panels_of(dict.fromkeys(states, "1"))] == [3, 3, 3]
 
 
 def test_a_reference_is_thin_and_a_rough_signal_thinner_than_a_smooth_one_above_it() -> None:
