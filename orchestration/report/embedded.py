@@ -7,28 +7,11 @@ import numpy as np
 from orchestration.report.result import RunResult, SweepResult, correlations, grid_of, groups_of, strongest
 from orchestration.results.metrics import SIGNALS
 from orchestration.results.page import packed
-from orchestration.results.panels import points_down
+from orchestration.results.panels import drawn_points, points_down
 from orchestration.sweep.table import categorical
 
 COLUMNS = 2000
-"""Columns of pixels of a chart: a column shows the least and the largest of its values, no more."""
-
-
-def drawn_points(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Returns the indices of both ends and, in each column of time, of the extreme values and a gap.
-
-    With at most two points a column it returns all indices.
-    """
-    if len(values) <= 2 * COLUMNS:
-        return np.arange(len(values))
-    column = ((time - time[0]) * (COLUMNS / (time[-1] - time[0]))).astype(int)
-    finite = np.where(np.isfinite(values), values, np.nan)
-    # by column, within it by value; NaN, a gap, is last
-    order = np.lexsort((finite, column))
-    starts = np.flatnonzero(np.diff(column, prepend=-1))
-    largest = starts + np.maximum(np.add.reduceat(np.isfinite(finite).astype(int), starts), 1) - 1
-    lasts = np.append(starts[1:], len(values)) - 1
-    return np.unique(np.concatenate([[0, len(values) - 1], order[starts], order[largest], order[lasts]]))
+"""Columns of pixels of a chart."""
 
 
 def tracking_errors(run: RunResult) -> dict[str, tuple[str, str, np.ndarray]]:
@@ -47,7 +30,7 @@ def _signal_data(
     name: str, unit: str, time: np.ndarray, values: np.ndarray, error_of: str = ""
 ) -> dict[str, Any]:
     """Returns the data of a line; error_of: the unit of the signal if the line is its tracking error."""
-    kept = drawn_points(time, values)
+    kept = drawn_points(time, values, COLUMNS)
     return {
         "name": name,
         "unit": unit or "1",

@@ -230,6 +230,7 @@ def paired_differences(sweeps: Sequence[SweepResult]) -> list[dict[str, Any]]:
 
 def _pairs(first: SweepResult, other: SweepResult) -> tuple[np.ndarray, np.ndarray]:
     """Returns the indices of the paired samples in both sweeps."""
+    # Equal numbers alone make no pair: a sweep with another seed draws other values for them.
     _, *indices = np.intersect1d(first.samples, other.samples, return_indices=True)
     varied = [name for name in first.varied if name in other.varied]
     are_pairs = [

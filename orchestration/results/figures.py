@@ -22,7 +22,7 @@ from matplotlib.transforms import ScaledTranslation
 from fmus.files import open_atomically
 from orchestration.results.files import ERROR_ESTIMATE, Columns
 from orchestration.results.formats import FigureFormat
-from orchestration.results.panels import panels_of
+from orchestration.results.panels import drawn_points, panels_of
 
 # Colour-blind readers distinguish these (Okabe and Ito).
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#666666"
@@ -126,20 +126,8 @@ def stacked_panels(
 
 def draw_curve(panel: Axes, time: np.ndarray, values: np.ndarray, **line: Any) -> None:
     """Draws a line through the smallest and the largest value of each of many short intervals."""
-    chosen = _extremes(values)
+    chosen = drawn_points(time, values, _BINS)
     panel.plot(time[chosen], values[chosen], **line)
-
-
-def _extremes(values: np.ndarray) -> np.ndarray:
-    """Returns indices, ascending: the first, the last, and each interval's smallest and largest value."""
-    size = -(-len(values) // _BINS)  # points in an interval
-    if size <= 2:
-        return np.arange(len(values))
-    starts = np.arange(0, len(values) - size + 1, size)
-    rest = np.arange(starts[-1] + size, len(values))
-    intervals = values[: rest[0] if len(rest) else None].reshape(-1, size)
-    pairs = starts + intervals.argmin(axis=1), starts + intervals.argmax(axis=1)
-    return np.unique(np.concatenate([*pairs, rest, (0, len(values) - 1)]))
 
 
 def draw_noisy(panel: Axes, time: np.ndarray, values: np.ndarray, window: float, **line: Any) -> None:

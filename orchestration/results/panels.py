@@ -1,8 +1,10 @@
-"""Panels of a figure: which signals share one, and the name and the direction of its vertical axis."""
+"""Panels of a figure: which signals share one, its vertical axis, and the points of a dense line to draw."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 _MOST_LINES = 4  # of a panel: readers follow no more
 _QUANTITIES = {
@@ -88,3 +90,21 @@ def _words(name: str) -> list[str]:
     """Returns the words of a signal's own name, without its component and its indices."""
     own = re.sub(r"\[[^\]]*\]", "", name).rpartition(".")[2]
     return [word for word in own.split("_") if word]
+
+
+def drawn_points(time: np.ndarray, values: np.ndarray, columns: int) -> np.ndarray:
+    """Returns the indices of both ends and, in each column of time, of the extreme values and a gap.
+
+    columns: of pixels; a column shows no more than its extreme values. With at most two points in each the
+    indices are all.
+    """
+    if len(values) <= 2 * columns:
+        return np.arange(len(values))
+    column = ((time - time[0]) * (columns / (time[-1] - time[0]))).astype(int)
+    finite = np.where(np.isfinite(values), values, np.nan)
+    # by column, within it by value; NaN, a gap, is last
+    order = np.lexsort((finite, column))
+    starts = np.flatnonzero(np.diff(column, prepend=-1))
+    largest = starts + np.maximum(np.add.reduceat(np.isfinite(finite).astype(int), starts), 1) - 1
+    lasts = np.append(starts[1:], len(values)) - 1
+    return np.unique(np.concatenate([[0, len(values) - 1], order[starts], order[largest], order[lasts]]))

@@ -57,6 +57,7 @@ def _given(
         return (end, end) if is_new else (start, start)
     if is_new:
         return start, end
+    # the first step has no earlier output to extrapolate from: it is held
     slope = np.concatenate([[0.0], np.diff(output)[:-1] / size[:-1]])
     return start, start + slope * size
 

@@ -196,8 +196,8 @@ def along_time(
 ) -> Callable[Concatenate[Recording, P], Any]:
     """Decorates a metric that computes along the last axis of signals: a float, or shape (runs,).
 
-    The metric computes where the signals are, also on a GPU: it uses functions of NumPy and creates arrays
-    like those of the signals.
+    The metric computes where the signals are, also on a GPU: it uses functions of NumPy, and creates arrays
+    with `like`.
     """
 
     @wraps(function)

@@ -1,7 +1,7 @@
 """Figures 3, 5 and 6 of the paper with their captions, from the recordings of a reproduction.
 
-Every figure shows the published numbers beside those of the run. Panels (a) to (c) of figures 5 and 6 are the
-paper's (depth, control input, estimates); the tracking error comes after them, because the paper has none.
+Every figure shows published and own numbers side by side. Panels (a) to (c) of figures 5 and 6 are those that
+the paper has (depth, control input, estimates); the tracking error, which it has not, comes last.
 """
 
 import math
@@ -184,7 +184,8 @@ def _finish_depth(panel: Axes, curves: Sequence[DrawnRun]) -> None:
     panel.fill_between([0.0, _BAND_END], _TARGET - _BAND, _TARGET + _BAND, **band)
     panel.plot([], [], ":", color=GREY, linewidth=0.8, label="paper")
     panel.plot([], [], "o", color=GREY, markersize=4.0, fillstyle="none", label="settled")
-    for size, curve in zip((6.0, 3.0), curves, strict=True):  # of circles that may coincide
+    # circles of two sizes, because settling times may coincide
+    for size, curve in zip((6.0, 3.0), curves, strict=True):
         colour, settled = curve.line["color"], curve.measured[_SETTLING]
         panel.axvline(curve.published(_SETTLING), color=colour, linewidth=0.8, linestyle=":")
         panel.plot(settled, _TARGET - _BAND, "o", color=colour, markersize=size, fillstyle="none", zorder=3)
@@ -214,7 +215,7 @@ def _compare(panel: Axes, name: str, metric: str, digits: str, unit: str, curves
     rows = []
     for curve in curves:
         value = curve.measured[metric]
-        text = shown(value, {"function": metric}, digits)  # their names are those of the functions
+        text = shown(value, {"function": metric}, digits)  # each has the name of its function
         result = text if math.isnan(value) else f"{text} {unit}"
         rows.append(f"{curve.label} {result} ({curve.published(metric):g} {unit})")
     _note(panel, f"{name}, run (paper): {'; '.join(rows)}")
