@@ -12,6 +12,8 @@ from orchestration.cli import shared
 from orchestration.cli.changes import NO_CHANGES, Changes, takes_changes
 
 if TYPE_CHECKING:
+    from rich.progress import Progress
+
     from orchestration.scenarios.scenario import Scenario
 
 PANEL = "Scenarios"
@@ -50,11 +52,23 @@ def live(
     if beside := beside or _without_extension(chosen):
         settings = {**changes.settings, **Changes.of_options(settings=beside).settings}
         runs[", ".join(beside)] = chosen_scenario.load(name, changes=replace(changes, settings=settings))
-    # The first build on a machine compiles the C library of WebAssembly too.
-    with shared.progress("compile for the browser: half a minute once, then half a second", 0):
+    with _elapsed("compiling for the browser: half a minute of a processor, once"):
         text = live_page(runs, sliders)
     write_text_atomically(out, text)
     print(out)
+
+
+def _elapsed(description: str) -> "Progress":
+    """Returns a context that shows the elapsed time on standard error, if that is a terminal."""
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = TimeElapsedColumn(), SpinnerColumn(), TextColumn("{task.description}")
+    progress = Progress(
+        *columns, console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()
+    )
+    progress.add_task(description)
+    return progress
 
 
 def _without_extension(scenario: "Scenario") -> list[str]:
