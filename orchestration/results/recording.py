@@ -108,12 +108,17 @@ class Recording(files.Columns):
         Raises
         ------
         OrchestrationError
-            For a signal that was not recorded, a String, and a recording of many runs, of which `run(i)`
-            is one.
+            For a signal that was not recorded, a String, a signal that has another unit in `beside`, and a
+            recording of many runs, of which `run(i)` is one.
 
         Examples
         --------
-        >>> extended.plot("plant.depth", beside={"plain L1": plain}).savefig("depth.png")  # doctest: +SKIP
+        >>> import numpy as np
+        >>> time = np.linspace(0.0, 1.0, 11)
+        >>> fast, slow = (Recording(("a.depth",), ("m",), time, f * time[:, None]) for f in (1.0, 0.5))
+        >>> figure = fast.plot("a.depth", beside={"half as fast": slow})
+        >>> figure.axes[0].get_ylabel()
+        'Depth [m]'
         """
         others = {"beside": beside} if isinstance(beside, Recording) else beside or {}
         for recording in (self, *others.values()):
@@ -125,6 +130,12 @@ class Recording(files.Columns):
             self._column(name)
             if name in self.strings:
                 raise OrchestrationError(f"{name} is a String: expected numbers to plot")
+        for label, other in others.items():
+            for name in names or self.names:
+                if name in other.names and other.unit(name) != self.unit(name):
+                    units = f"expected {self.unit(name)!r}, got {other.unit(name)!r}"
+                    raise OrchestrationError(f"unit of {name} in {label!r}: {units}")
+
         # Matplotlib takes longer to import than a run
         from orchestration.results.figures import figure_of
 

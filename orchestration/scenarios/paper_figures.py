@@ -1,7 +1,7 @@
 """Figures 3, 5 and 6 of the paper with their captions, from the recordings of a reproduction.
 
-Every figure shows published and own numbers side by side. Panels (a) to (c) of figures 5 and 6 are those that
-the paper has (depth, control input, estimates); the tracking error, which it has not, comes last.
+Every figure shows published and own numbers side by side. Panels (a) to (c) of figures 5 and 6 are the panels
+of the paper (depth, control input, estimates); the tracking error, which the paper does not draw, comes last.
 """
 
 import math

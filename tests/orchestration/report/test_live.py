@@ -303,7 +303,7 @@ def test_settling_times_and_rmses_of_both_runs_follow_the_sliders(open_live: Ope
     assert metrics_shown(open_live(short))["settling_time"] == ["not settled"]
 
 
-def test_a_slider_says_from_when_on_an_event_sets_its_variable(open_live: Open) -> None:
+def test_a_slider_shows_from_when_on_an_event_sets_its_variable(open_live: Open) -> None:
     page = open_live(with_experiment(loaded("nominal-extended"), stop_time=15.0, events=EVENTS))
     (note,) = page.all(".slider small")
     assert note.text == "until 3.011 s, then an event sets it"

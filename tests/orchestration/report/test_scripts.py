@@ -110,10 +110,12 @@ def test_a_point_of_a_sweep_is_its_sample() -> None:
         return {"name": name, "unit": "", "kind": kind, "values": values}
 
     sweep = {
-        "samples": [5.0, 7.0, 9.0], "first": ["k", "rmse"], "grid": None,
+        "samples": [5.0, 7.0, 9.0],
+        "first": ["k", "rmse"],
+        "grid": None,
         "groups": [{"name": "all", "members": [0, 1, 2]}],
         "columns": [column("k", "varied", [1.0, 2.0, 3.0]), column("rmse", "metric", [4.0, 5.0, 6.0])],
-    }  # fmt: skip
+    }
     files = SHARED / "points.js", FILES / "sweeps.js"
     ids = {"section.sweep": [{"dataset": {"sweep": "0"}}], "sweeps-compared": None}
     replaced = "scatter = (place, points) => charts.push(points.map(({ sample }) => sample))"

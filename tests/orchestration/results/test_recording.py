@@ -1,6 +1,7 @@
 """A recording survives its file exactly and becomes what others work with; a failed write leaves nothing."""
 
 import base64
+import doctest
 import io
 import json
 import math
@@ -24,6 +25,7 @@ from hypothesis.extra.numpy import arrays
 from PIL import Image
 
 from orchestration.errors import OrchestrationError
+from orchestration.results import recording as recordings
 from orchestration.results.files import is_recording, reserved
 from orchestration.results.recording import Recording
 
@@ -319,6 +321,11 @@ def test_recordings_are_drawn_over_each_other_with_their_labels_in_the_legend() 
     assert [line.get_label() for line in panel.get_lines()] == ["a.depth", "a.depth, beside"]
 
 
+def test_the_examples_of_the_docstrings_give_what_they_show() -> None:
+    ran = doctest.testmod(recordings)
+    assert (ran.failed, ran.attempted > 5) == (0, True)
+
+
 def test_what_cannot_be_plotted_is_refused() -> None:
     run = recording()
     with pytest.raises(OrchestrationError, match=r"nearest is 'a\.x\[1\]'"):
@@ -327,5 +334,8 @@ def test_what_cannot_be_plotted_is_refused() -> None:
         replace(run, values=np.stack([run.values, run.values])).plot()
     with pytest.raises(OrchestrationError, match=r"a recording of 2 runs: expected one, such as run\(0\)"):
         run.plot(beside=replace(run, values=np.stack([run.values, run.values])))
+    in_cm = replace(run, units=("cm", *run.units[1:]))
+    with pytest.raises(OrchestrationError, match=r"unit of a\.x\[0\] in 'log': expected '.*', got 'cm'"):
+        run.plot("a.x[0]", beside={"log": in_cm})
     with pytest.raises(OrchestrationError, match=r"a\.x\[0\] is a String"):
         replace(run, strings={"a.x[0]": ("off", "on", "no")}).plot("a.x[0]")
