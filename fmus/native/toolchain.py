@@ -153,7 +153,7 @@ def _end(
         with suppress(subprocess.TimeoutExpired):
             process.wait(min(_SILENT_S, _PATIENCE_S))
         if process.poll() is None:
-            reason = "it compiles a C library for the first time, or another build has the lock of its cache"
+            reason = "it compiles a C library, once, or another build has the lock of its cache"
             print(f"l1-depth: {name} is not done after {_SILENT_S} s: {reason}", file=sys.stderr)
         status = process.wait(_PATIENCE_S)
     except subprocess.TimeoutExpired:

@@ -1,4 +1,4 @@
-"""Commands that write a page: report, of results, and live, of a scenario that runs in the browser."""
+"""The commands that write a page: report shows results, live runs a scenario in the browser."""
 
 import sys
 from dataclasses import replace
@@ -12,6 +12,8 @@ from orchestration.cli import shared
 from orchestration.cli.changes import NO_CHANGES, Changes, takes_changes
 
 if TYPE_CHECKING:
+    from rich.progress import Progress
+
     from orchestration.scenarios.scenario import Scenario
 
 PANEL = "Scenarios"
@@ -33,7 +35,7 @@ def live(
         list[str],
         typer.Option(
             metavar="NAME=VALUE",
-            help="Draw the same scenario with this value beside it; by default that without an extension.",
+            help="Draw the same scenario with this value beside it; by default without the extension.",
         ),
     ] = [],  # noqa: B006
     changes: Changes = NO_CHANGES,
@@ -50,12 +52,27 @@ def live(
     if beside := beside or _without_extension(chosen):
         settings = {**changes.settings, **Changes.of_options(settings=beside).settings}
         runs[", ".join(beside)] = chosen_scenario.load(name, changes=replace(changes, settings=settings))
-    write_text_atomically(out, live_page(runs, sliders))
+    with _elapsed("compiling for the browser: half a minute of a processor, once"):
+        text = live_page(runs, sliders)
+    write_text_atomically(out, text)
     print(out)
 
 
+def _elapsed(description: str) -> "Progress":
+    """Returns a context that shows the elapsed time on standard error, if that is a terminal."""
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = TimeElapsedColumn(), SpinnerColumn(), TextColumn("{task.description}")
+    progress = Progress(
+        *columns, console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()
+    )
+    progress.add_task(description)
+    return progress
+
+
 def _without_extension(scenario: "Scenario") -> list[str]:
-    """Returns the setting that switches the extension of the controller off, if it has one that is on."""
+    """Returns the setting that switches the extension of the controller off, if it is on."""
     from orchestration.system.prepared_run import values_of
 
     extension = values_of(scenario.prepared, "controller").get("augmentation", "none")
@@ -67,7 +84,7 @@ def report(
         list[Path],
         typer.Argument(
             metavar="RESULT",
-            help="What run, reproduce, sweep or fit has written: .json, .csv, .parquet or a folder.",
+            help="A result of run, reproduce, sweep or fit: .json, .csv, .parquet or a folder.",
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="Write this page.")] = Path("report.html"),

@@ -4,34 +4,18 @@ from typing import Any
 
 import numpy as np
 
-from orchestration.report.result import RunResult, SweepResult, correlations, groups_of, strongest
-from orchestration.results.files import points_down
+from orchestration.report.result import RunResult, SweepResult, correlations, grid_of, groups_of, strongest
 from orchestration.results.metrics import SIGNALS
 from orchestration.results.page import packed
+from orchestration.results.panels import drawn_points, points_down
 from orchestration.sweep.table import categorical
 
 COLUMNS = 2000
-"""Columns of pixels of a chart: a screen shows no more of one of them than its least and largest value."""
-
-
-def drawn_points(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Returns the indices of both ends and, of each column of time, the least and largest value, and a gap.
-
-    Of no more than two points a column they are all indices.
-    """
-    if len(values) <= 2 * COLUMNS:
-        return np.arange(len(values))
-    column = ((time - time[0]) * (COLUMNS / (time[-1] - time[0]))).astype(int)
-    finite = np.where(np.isfinite(values), values, np.nan)
-    order = np.lexsort((finite, column))  # within a column by value, gaps last
-    starts = np.flatnonzero(np.diff(column, prepend=-1))
-    largest = starts + np.maximum(np.add.reduceat(np.isfinite(finite).astype(int), starts), 1) - 1
-    lasts = np.append(starts[1:], len(values)) - 1
-    return np.unique(np.concatenate([[0, len(values) - 1], order[starts], order[largest], order[lasts]]))
+"""Columns of pixels of a chart."""
 
 
 def tracking_errors(run: RunResult) -> dict[str, tuple[str, str, np.ndarray]]:
-    """Returns signal -> name, unit and values of its error, scaled as an RMSE or a peak error of the run."""
+    """Returns signal -> name, unit and values of its tracking error, scaled as the metric of the run."""
     errors: dict[str, tuple[str, str, np.ndarray]] = {}
     for metric, call in run.scenario.get("metrics", {}).items():
         signal, reference = call.get("signal"), call.get("reference")
@@ -45,8 +29,8 @@ def tracking_errors(run: RunResult) -> dict[str, tuple[str, str, np.ndarray]]:
 def _signal_data(
     name: str, unit: str, time: np.ndarray, values: np.ndarray, error_of: str = ""
 ) -> dict[str, Any]:
-    """Returns what is drawn of a signal; error_of: the unit of the signal whose tracking error it is."""
-    kept = drawn_points(time, values)
+    """Returns the data of a line; error_of: the unit of the signal if the line is its tracking error."""
+    kept = drawn_points(time, values, COLUMNS)
     return {
         "name": name,
         "unit": unit or "1",
@@ -58,7 +42,7 @@ def _signal_data(
 
 
 def run_data(run: RunResult) -> dict[str, Any]:
-    """Returns the data that the page's script draws of a run."""
+    """Returns the data of a run for the script of the page."""
     recording = run.recording
     signals = [
         _signal_data(name, recording.unit(name), recording.time, recording[name])
@@ -66,26 +50,24 @@ def run_data(run: RunResult) -> dict[str, Any]:
     ]
     errors = tracking_errors(run)
     for of, (name, unit, values) in errors.items():
-        at = recording.numbers.index(of) + 1  # beside what it is the error of
+        at = recording.numbers.index(of) + 1  # after its signal
         signals.insert(at, _signal_data(name, unit, recording.time, values, recording.unit(of) or "1"))
+    calls = run.scenario.get("metrics", {}).values()
+    scored = {str(call[key]) for call in calls for key in SIGNALS if key in call}
+    scored |= {name for name, _, _ in errors.values()}
+    if run.is_measured:
+        scored.update(recording.numbers)
     return {
         "name": run.name,
         "time": packed(recording.time),
         "is_measured": run.is_measured,
         "signals": signals,
-        "in_metrics": sorted(
-            {
-                str(call[key])
-                for call in run.scenario.get("metrics", {}).values()
-                for key in SIGNALS
-                if key in call
-            }.union((name for name, _, _ in errors.values()), recording.numbers if run.is_measured else ())
-        ),
+        "in_metrics": sorted(scored),
     }
 
 
 def sweep_data(sweep: SweepResult) -> dict[str, Any]:
-    """Returns the data that the page's script draws of a sweep."""
+    """Returns the data of a sweep for the script of the page."""
     categories = categorical(sweep.varied)
     return {
         "name": sweep.name,
@@ -106,6 +88,7 @@ def sweep_data(sweep: SweepResult) -> dict[str, Any]:
             {"name": ", ".join(group), "members": indices.tolist()}
             for group, indices in groups_of(sweep).items()
         ],
+        "grid": grid_of(sweep),
         "first": strongest(correlations(sweep)),
         "command": sweep.command,
     }

@@ -1,4 +1,4 @@
-"""Results at the paths that a user names, under names that differ."""
+"""The results at the paths of a user, each with a name that no other has."""
 
 import hashlib
 import json
@@ -23,19 +23,20 @@ from orchestration.scenarios.data_file import read_data_file
 from orchestration.scenarios.file_tables import Table, checked
 from orchestration.sweep import table
 
-_ENDINGS = (".json", *(f".{ending}" for ending in reversed(RecordingFormat)))  # the one that holds most first
+# The ending of the most complete file comes first: of copies of a result, it is read.
+_ENDINGS = (".json", *(f".{ending}" for ending in reversed(RecordingFormat)))
 
 
 class _MetricValue(Table):
-    value: float | None  # None for what did not happen
+    value: float | None  # None for an event that did not happen, such as settling
     unit: str
 
 
 class _Document(Table, extra="allow"):
-    """The document of a run, its .json."""
+    """The .json of a run."""
 
     recording: str
-    sha256: str = ""  # of the file with the recording; a document without it fits none
+    sha256: str = ""  # of the file with the recording; a document without it fits no recording
     scenario: dict[str, Any]
     run: dict[str, Any]
     metrics: dict[str, _MetricValue]
@@ -45,9 +46,9 @@ _DOCUMENT = TypeAdapter(_Document)
 
 
 def found_results(paths: Iterable[Path]) -> list[RunResult | SweepResult]:
-    """Returns the results that files and folders hold, each once, in the order given; a folder's sorted.
+    """Returns the results in files and folders, each once, in the order given; a folder's results are sorted.
 
-    Raises OrchestrationError for a path that does not exist or holds no result.
+    Raises OrchestrationError for a path that does not exist or has no result.
     """
     files = dict.fromkeys(file for path in paths for file in _files(path))
     measured = [file for file in files if file.suffix == ".csv" and not is_recording(file)]
@@ -62,7 +63,7 @@ def found_results(paths: Iterable[Path]) -> list[RunResult | SweepResult]:
 
 
 def _files(path: Path) -> list[Path]:
-    """Returns the files that stand for the results at a path: of a run, its .json where there is one."""
+    """Returns one file for each result at a path; for a run its .json, if there is one."""
     if path.is_dir():
         return _of_folder(path.resolve())
     if not path.is_file():
@@ -86,13 +87,13 @@ def _of_folder(folder: Path) -> list[Path]:
     results = sorted([*runs, *alone])
     if not results:
         raise OrchestrationError(
-            f"{folder}: no result in this folder: expected what l1-depth run, reproduce or sweep writes"
+            f"{folder}: no result in this folder: expected files of l1-depth run, reproduce or sweep"
         )
     return results
 
 
 def _recording_of(document: Path) -> Path | None:
-    """Returns the file with the recording of a run's .json; None for anything else."""
+    """Returns the file with the recording of a run's .json; None for any other file."""
     if document.suffix == ".json":
         try:
             content = json.loads(document.read_text(encoding="utf-8"))
@@ -131,7 +132,7 @@ def _run(document: Path) -> RunResult:
     try:
         toml(content.scenario)
     except TypeError as error:
-        raise OrchestrationError(f"{document}: scenario: expected what TOML can say: {error}") from error
+        raise OrchestrationError(f"{document}: scenario: expected values of TOML: {error}") from error
     return RunResult(
         document.stem,
         signals,
@@ -143,11 +144,11 @@ def _run(document: Path) -> RunResult:
 
 
 def _measured(file: Path, units: Collection[str]) -> RunResult:
-    """Returns the columns of numbers of a CSV file of another program, over its first one, the time.
+    """Returns the columns of numbers of a CSV file of another program; its first column is the time.
 
-    Its provenance says why the others are left out.
+    The provenance has the reason for each column that is left out.
 
-    units: those of other signals on the page, to which units of their dimension are converted
+    units: of the other signals on the page; units of the same dimension are converted to them
     """
     data = read_data_file(file)
     if not data.titles:
@@ -163,7 +164,8 @@ def _measured(file: Path, units: Collection[str]) -> RunResult:
             continue
         others = sorted({*units} - {""}) if own and own not in units else []
         for unit in (own, *others):
-            with suppress(ScenarioError):  # of another dimension
+            # a unit of another dimension has no conversion
+            with suppress(ScenarioError):
                 columns[title] = unit, data.conversion(i, unit)(column)
     values = np.array([column for _, column in columns.values()]).reshape(len(columns), len(time)).T
     recording = Recording(tuple(columns), tuple(unit for unit, _ in columns.values()), time, values)
@@ -172,7 +174,7 @@ def _measured(file: Path, units: Collection[str]) -> RunResult:
 
 
 def _with_times(file: Path, recording: Recording, jumps: bool = False) -> Recording:
-    """Returns the recording, whose times are checked; jumps: whether two rows may have one time."""
+    """Returns the recording after a check of its times; jumps: whether two rows may have one time."""
     if not len(recording.time):
         raise OrchestrationError(f"{file}: expected at least one communication point, got none")
     if not np.isfinite(recording.time).all():
@@ -183,7 +185,7 @@ def _with_times(file: Path, recording: Recording, jumps: bool = False) -> Record
 
 
 def _without_copies(results: dict[Path, RunResult | SweepResult]) -> dict[Path, RunResult | SweepResult]:
-    """Removes files that hold the recording of another one of their name in another format."""
+    """Removes files whose recording another format of the same name has too."""
     chosen: set[Path] = set()
     for file in sorted(results, key=lambda file: _ENDINGS.index(file.suffix)):
         beside = [results[other] for other in chosen if other.with_suffix("") == file.with_suffix("")]
@@ -202,7 +204,7 @@ def _same_recording(one: RunResult | SweepResult, other: RunResult | SweepResult
 
 
 def _names(files: list[Path]) -> dict[Path, str]:
-    """Returns the stem of each file, with the ending or as many folders as make it unique."""
+    """Returns the stem of each file, with its ending or as many folders as make it unique."""
     count_of_stem = Counter(file.with_suffix("") for file in files)
     own = {file: file.stem if count_of_stem[file.with_suffix("")] == 1 else file.name for file in files}
     names = dict(own)

@@ -15,12 +15,14 @@ from orchestration.report.result import (
     common_metrics,
     correlations,
     distributions,
+    grid_of,
     of_succeeded,
     paired_differences,
     toml,
 )
 from orchestration.results.metric_units import shown
 from orchestration.results.page import page
+from orchestration.results.panels import axis_label
 from orchestration.sweep.table import HEADINGS, categorical
 
 _TEMPLATE = Path(__file__).parent / "files" / "page.html"
@@ -28,7 +30,7 @@ _SCRIPTS = ("points.js", "tables.js", "signals.js", "sweeps.js")
 
 
 def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
-    """Returns a self-contained HTML page of these results; by default titled after them."""
+    """Returns a self-contained HTML page of these results; its default title is theirs."""
     runs = [result for result in results if isinstance(result, RunResult)]
     swept = [result for result in results if isinstance(result, SweepResult)]
     labels = shortened([run.name for run in runs]) | shortened([sweep.name for sweep in swept])
@@ -51,11 +53,13 @@ def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
         headings=HEADINGS,
         categorical=categorical,
         distributions=distributions,
+        grid_of=grid_of,
         correlations=correlations,
         data={
             "columns": COLUMNS,
             "runs": [{**run_data(run), "label": labels[run.name]} for run in runs],
             "sweeps": [{**sweep_data(sweep), "label": labels[sweep.name]} for sweep in swept],
+            "axes": _axes(runs),
             "compared": list(compared.items()),
         },
     )
@@ -68,6 +72,15 @@ def _title(runs: Sequence[RunResult], swept: Sequence[SweepResult]) -> str:
     return " and ".join(f"{count} {what}{'s' * (count > 1)}" for count, what in counted if count)
 
 
+def _axes(runs: Sequence[RunResult]) -> dict[str, str]:
+    """Returns unit, "1" for none -> the label of the axis of the signals that have it in any run."""
+    names: dict[str, dict[str, None]] = {}
+    for run in runs:
+        for name in run.recording.numbers:
+            names.setdefault(run.recording.unit(name) or "1", {})[name] = None
+    return {unit: axis_label([*signals], unit) for unit, signals in names.items()}
+
+
 def _metric_groups(runs: Sequence[RunResult]) -> dict[tuple[tuple[str, str], ...], list[RunResult]]:
     """Returns metrics with their units -> the runs that have them."""
     groups: dict[tuple[tuple[str, str], ...], list[RunResult]] = {}
@@ -77,18 +90,18 @@ def _metric_groups(runs: Sequence[RunResult]) -> dict[tuple[tuple[str, str], ...
     return groups
 
 
-_NO_BEST = ("mean", "time_below")  # functions of which neither less nor more is better
+_NO_BEST = ("mean", "time_below")  # functions without a better direction
 
 
 def least(runs: Sequence[RunResult], metric: str) -> float | None:
-    """Returns the least magnitude of a metric, the best; None of one run, or where all are equal."""
+    """Returns the least magnitude of a metric, the best; None for one run, or if all are equal."""
     call = runs[0].scenario.get("metrics", {}).get(metric, {})
     sizes = {abs(run.metrics[metric]) for run in runs if math.isfinite(run.metrics[metric])}
     return min(sizes) if len(sizes) > 1 and call.get("function", "mean") not in _NO_BEST else None
 
 
 def shortened(names: Sequence[str]) -> dict[str, str]:
-    """Returns name -> what differs: without the parts that all names begin or end with."""
+    """Returns name -> the name without the parts that all names begin or end with."""
     start = _common_length(names)
     rest = [name[start:] for name in names]
     end = _common_length([name[::-1] for name in rest])
@@ -96,7 +109,7 @@ def shortened(names: Sequence[str]) -> dict[str, str]:
 
 
 def _common_length(names: Sequence[str]) -> int:
-    """Returns the length of the parts, each with its separator, that all of several names begin with."""
+    """Returns the length of the parts, with separators, that all of several names begin with."""
     parts = [re.split(r"(?<=[-_./ ])", name)[:-1] for name in names] if len(names) > 1 else []
     common = takewhile(lambda same: len(set(same)) == 1, zip(*parts, strict=False))
     return sum(len(part) for part, *_ in common)
@@ -110,14 +123,14 @@ def _facts(provenance: Mapping[str, Any]) -> dict[str, str]:
 
 _ABSENT = "absent"
 _FEW = 3
-_NEVER_TELLING = ("title",)  # it always differs, and is shown
+_SHOWN_ABOVE = ("title",)  # it always differs
 
 
 def differences(runs: list[RunResult]) -> dict[str, dict[str, str]]:
-    """Returns setting -> value as text -> names of its runs, where values differ; rare values first."""
+    """Returns each setting that differs -> value as text -> names of its runs; rare values first."""
     settings = {run.name: flat({**run.scenario, "run": run.provenance}) for run in runs if run.scenario}
     values_by_setting: dict[str, dict[str, str]] = {}
-    for key in sorted({key for values in settings.values() for key in values} - set(_NEVER_TELLING)):
+    for key in sorted({key for values in settings.values() for key in values} - set(_SHOWN_ABOVE)):
         names: dict[str, list[str]] = {}
         for name, values in settings.items():
             names.setdefault(values.get(key, _ABSENT), []).append(name)

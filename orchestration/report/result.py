@@ -1,7 +1,6 @@
-"""Results on a page: runs, and sweeps in numbers: distributions, and what metrics depend on.
+"""Results on a page: runs, and sweeps with their distributions and correlations.
 
-Failed samples are left out. Where texts or truth values are varied, each combination of them is a group of
-its own.
+Statistics leave failed samples out. If texts or truth values are varied, each combination of them is a group.
 """
 
 import math
@@ -22,19 +21,20 @@ from orchestration.results.recording import Recording
 from orchestration.results.statistics import holm, paired
 
 with imports_of("report", "a report"):
-    import pyarrow  # noqa: F401  (of the table, which would name its own extra)
+    # A missing pyarrow is reported here, because the table would name the extra of sweeps.
+    import pyarrow  # noqa: F401
 
-    from orchestration.sweep import table  # which needs no more of the extra sweep
+    from orchestration.sweep import table
     from orchestration.sweep.table import categorical, groups, statistics
 
 
 @dataclass(frozen=True)
 class RunResult:
-    """The result of a run. Scenario, provenance and metrics of a recording that stands alone are empty.
+    """The result of a run. A recording without its .json has no scenario, provenance and metrics.
 
     name: unique on a page; scenario: resolved, as TOML has it; provenance: FMUs, algorithm, step size
-    metric_units: by the names of the metrics, "" where a unit is not known
-    is_measured: whether it is a log of another program, whose empty cells are no readings
+    metric_units: by the names of the metrics, "" for an unknown unit
+    is_measured: whether it is a log of another program; an empty cell of a log is a gap
     """
 
     name: str
@@ -52,11 +52,12 @@ class RunResult:
 
 @dataclass(frozen=True)
 class SweepResult:
-    """The result of a sweep; arrays have an entry a sample.
+    """The result of a sweep; arrays have an entry for each sample.
 
-    samples: their numbers; varied: "component.variable" -> values; metrics: name -> values, NaN where a
-    sample failed or it did not happen; errors: "" where none; units: of varied ones and metrics, where known;
-    absent: metric -> the word for what did not happen; command: runs a sample again, {sample} is its number
+    samples: their numbers; varied: "component.variable" -> values
+    metrics: name -> values, NaN if the sample failed or the event did not happen; errors: "" for no error
+    units: of variables and metrics, if known; absent: metric -> words for an event that did not happen
+    command: runs a sample again, {sample} is its number
     """
 
     name: str
@@ -93,12 +94,12 @@ _SHOWN_ELSEWHERE = {"name", "title", "scenario", "varied", "arguments"}
 
 
 def read_sweep(file: Path) -> SweepResult:
-    """Reads the sweep in a file, named after the file; OrchestrationError if it has no sample."""
+    """Reads a sweep, which is named after its file; OrchestrationError if it has no sample."""
     rows, provenance = table.read(file)
     if not rows.num_rows:
         raise OrchestrationError(f"{file}: expected at least one sample, got none")
     varied, metrics = table.names(rows.schema, "varied"), table.names(rows.schema, "metric")
-    arguments = provenance.get("arguments", [provenance["name"]])  # those of older tables are not known
+    arguments = provenance.get("arguments", [provenance["name"]])  # older tables have no arguments
     return SweepResult(
         name=file.stem,
         samples=rows[table.SAMPLE].to_numpy(),
@@ -114,12 +115,12 @@ def read_sweep(file: Path) -> SweepResult:
 
 
 def groups_of(sweep: SweepResult) -> dict[tuple[str, ...], np.ndarray]:
-    """Returns values of what is varied and no number -> indices of their samples that did not fail."""
+    """Returns the varied texts and truth values -> indices of their samples that did not fail."""
     return groups(sweep.varied, [i for i, error in enumerate(sweep.errors) if not error])
 
 
 def of_succeeded(sweep: SweepResult, metric: str) -> dict[str, float]:
-    """Returns the statistics of a metric over all samples that did not fail; empty where it has no number."""
+    """Returns the statistics of a metric over all samples that did not fail; empty if it has no number."""
     return statistics(sweep.metrics[metric][[not error for error in sweep.errors]])
 
 
@@ -133,11 +134,11 @@ def distributions(sweep: SweepResult) -> list[dict[str, Any]]:
 
 
 def correlations(sweep: SweepResult) -> list[dict[str, Any]]:
-    """Returns rows of what is varied: metric -> correlation of ranks; None where one of them does not vary.
+    """Returns a row for each variable: metric -> correlation of ranks; None if one of both is constant.
 
-    Of a number, within each group, Spearman's, -1..1; of a text or truth value, over all groups, 0..1: the
-    share of the metric's ranks that the value determines, as a standard deviation. For two values it is the
-    size of Spearman's.
+    For a number it is Spearman's within each group, -1..1. For a text or truth value it is the correlation
+    ratio over all groups, 0..1: the standard deviation of the ranks that the value determines, divided by the
+    standard deviation of all ranks. With two values it is the magnitude of Spearman's.
     """
     categories, by_group = categorical(sweep.varied), groups_of(sweep)
     pooled = {("all",) * len(categories): np.flatnonzero([not error for error in sweep.errors])}
@@ -156,7 +157,8 @@ def correlations(sweep: SweepResult) -> list[dict[str, Any]]:
 
 
 def _rank_correlation(values: Sequence[Any], metric: np.ndarray) -> float | None:
-    from scipy.stats import rankdata  # takes longer to import than a page without a sweep takes
+    # SciPy takes longer to import than a page without a sweep takes
+    from scipy.stats import rankdata
 
     good = np.isfinite(metric)
     chosen, ranks = np.array(values)[good], rankdata(metric[good])
@@ -164,12 +166,12 @@ def _rank_correlation(values: Sequence[Any], metric: np.ndarray) -> float | None
         return None
     if np.issubdtype(chosen.dtype, np.number):
         return float(np.corrcoef(rankdata(chosen), ranks)[0, 1])
-    means = [ranks[chosen == value].mean() for value in chosen]  # of each rank, that of its value
+    means = [ranks[chosen == value].mean() for value in chosen]  # for each rank, the mean of its value
     return float(np.std(means) / np.std(ranks))
 
 
 def strongest(rows: list[dict[str, Any]]) -> tuple[str, str] | None:
-    """Returns the varied name and the metric with the largest correlation."""
+    """Returns the variable and the metric with the largest correlation."""
     strength = {
         (row["name"], metric): abs(value)
         for row in rows
@@ -179,8 +181,24 @@ def strongest(rows: list[dict[str, Any]]) -> tuple[str, str] | None:
     return max(strength, key=lambda pair: strength[pair]) if strength else None
 
 
+def grid_of(sweep: SweepResult) -> tuple[str, str] | None:
+    """Returns the two variables of a sweep on a grid, in which each group has each pair of values once.
+
+    Returns None for any other sweep.
+    """
+    categories = categorical(sweep.varied)
+    numbers = [name for name in sweep.varied if name not in categories]
+    if len(numbers) != 2:
+        return None
+    first, second = (sweep.varied[name] for name in numbers)
+    pairs = len({*first}) * len({*second})
+    cells = {*zip(first, second, *(sweep.varied[name] for name in categories), strict=True)}
+    is_grid = min(len({*first}), len({*second})) > 1 and len(cells) == len(sweep.samples)
+    return (numbers[0], numbers[1]) if is_grid and len(cells) % pairs == 0 else None
+
+
 def common_metrics(sweeps: Sequence[SweepResult]) -> dict[str, str]:
-    """Returns the metrics that several sweeps have in common -> their units."""
+    """Returns the common metrics of several sweeps -> their units."""
     if len(sweeps) < 2:
         return {}
     first, *others = sweeps
@@ -192,9 +210,9 @@ def common_metrics(sweeps: Sequence[SweepResult]) -> dict[str, str]:
 
 
 def paired_differences(sweeps: Sequence[SweepResult]) -> list[dict[str, Any]]:
-    """Returns how each metric of each later sweep differs from the first one's, sample by sample.
+    """Returns the differences of each metric of each later sweep to the first sweep, sample by sample.
 
-    Samples of equal numbers are a pair if the values of all that both vary are equal, and neither failed.
+    Samples with equal numbers are a pair if all their common variables are equal and neither failed.
     """
     first, *others = sweeps
     tests = {}
@@ -211,7 +229,8 @@ def paired_differences(sweeps: Sequence[SweepResult]) -> list[dict[str, Any]]:
 
 
 def _pairs(first: SweepResult, other: SweepResult) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the indices of the samples of both that are pairs."""
+    """Returns the indices of the paired samples in both sweeps."""
+    # Equal numbers alone make no pair: a sweep with another seed draws other values for them.
     _, *indices = np.intersect1d(first.samples, other.samples, return_indices=True)
     varied = [name for name in first.varied if name in other.varied]
     are_pairs = [

@@ -1,7 +1,7 @@
 """A scenario as a WebAssembly program: its FMUs' C sources and the communication loop, compiled together.
 
-`files/web_program.c` is the program. The wiring of a run, which elsewhere is arrays of this process, becomes
-`plan.h`: C arrays of the same content, with names where there were addresses.
+`files/web_program.c` is the program. `plan.h` has the wiring of the run: C arrays with the content of the
+arrays of this process, and with names in place of addresses.
 """
 
 import json
@@ -31,9 +31,9 @@ from orchestration.system.system import CheckedSystem, LinearTransformation, Por
 _TARGET = "a WebAssembly program"
 _TYPES = ("Real", "Integer", "Boolean")  # of getters and setters, in the order of web_program.c
 _NUMBERS = (*_TYPES, "Enumeration")
-_OF_CALLER = ("wiring_points", "wiring_signal_values", "wiring_rows")  # arrays that it writes or reads
+_OF_CALLER = ("wiring_points", "wiring_signal_values", "wiring_rows")  # the page writes or reads them
 _EXPORTED = (*_OF_CALLER, "setting_values", "message")
-_ADDRESSES = (  # ends of the names of arrays that hold addresses
+_ADDRESSES = (  # endings of the names of arrays of addresses
     *("_function", "_references", "_buffer", "_instances", "_do_step"),
     *("_real_status", "_boolean_status", "_get_state", "_set_state"),
 )
@@ -44,7 +44,7 @@ _OPTIONS = ("-target", "wasm32-wasi", "-mexec-model=reactor")
 
 @dataclass
 class _UnloadedInstance:
-    """Stands for an FMU that is not loaded: the address of a function is its place in `functions`, from 1."""
+    """An FMU that is not loaded; the address of a function is its position in `functions`, from 1."""
 
     description: Any
     functions: list[str]
@@ -60,10 +60,10 @@ class _UnloadedInstance:
 
 
 def program(prepared: PreparedRun, settings: Sequence[Setting]) -> bytes:
-    """Returns the WebAssembly module of a run, whose settings its caller can change.
+    """Returns the WebAssembly module of a run; the page can change the values of `settings`.
 
-    Raises ScenarioError for what the program cannot do, FmuLoadError for an FMU without C sources,
-    ExportError if they cannot be compiled.
+    Raises ScenarioError for a run that the program cannot make, FmuLoadError for an FMU without C sources,
+    ExportError if the sources do not compile.
     """
     from fmus.native.toolchain import FLAGS, FMI_HEADERS, zig
 
@@ -97,7 +97,8 @@ def _prefix(description: Any) -> str:
 def _unpack_sources(system: CheckedSystem, folder: Path, headers: Path) -> Iterator[str]:
     """Unpacks the sources of each FMU; yields the files to compile, relative to the folder.
 
-    Each includes one of the FMU's files, whose functions it gives the prefix of a static library (2.1.1).
+    Each file includes one source of the FMU and renames its functions with the prefix of a static library
+    (2.1.1).
     """
     functions = re.findall(r"fmi2FullName\((fmi2\w+)\)", (headers / "fmi2Functions.h").read_text("utf-8"))
     paths: dict[str, Path] = {}
@@ -182,7 +183,7 @@ def _initial_connections(system: CheckedSystem, port: Any) -> Iterator[str]:
 
 def _wiring(wired: WiredRun, functions: Sequence[str]) -> Iterator[str]:
     """Yields the arrays of a wiring and the wiring itself, member by member as loop.c declares it."""
-    # no state is saved, so that no array need be a part of `memory`
+    # `memory` is for arrays of a state that is saved, and this program saves none
     members = dict(_leaves(wired.wiring._replace(memory=np.zeros(0)), "wiring"))
     arrays = {name: value for name, value in members.items() if isinstance(value, np.ndarray)}
     del arrays["wiring_team"]
@@ -203,7 +204,7 @@ def _wiring(wired: WiredRun, functions: Sequence[str]) -> Iterator[str]:
             yield _array(f"static {_C_TYPES[array.dtype.name]} {name}", array)
     for name, array in addresses.items():
         yield f"static intptr_t {name}[] = {{{', '.join(map(named, array.tolist())) or '0'}}};"
-    members["wiring_orders"] = np.ones(0)  # by its name, as the arrays
+    members["wiring_orders"] = np.ones(0)  # an array, so that the wiring has its name
     counted = ("points", "instances", "connections_source", "signal_index", "record_index", "memory")
     counts = [str(members[f"wiring_{name}"].size) for name in counted]
     values = [name if isinstance(value, np.ndarray) else str(value) for name, value in members.items()]
@@ -222,7 +223,8 @@ def _leaves(value: Any, name: str) -> Iterator[tuple[str, Any]]:
 
 def _array(declared: str, values: np.ndarray) -> str:
     """Returns the definition of an array of C, which has at least one element."""
-    rows = ", ".join(map(_number, values.ravel().tolist())) if any(values.tobytes()) else "0"  # -0.0 too
+    # bytes, because -0.0 equals 0.0 but has a bit of its own
+    rows = ", ".join(map(_number, values.ravel().tolist())) if any(values.tobytes()) else "0"
     return f"{declared}[{max(values.size, 1)}] = {{{rows}}};"
 
 

@@ -1,4 +1,4 @@
-"""The delay of a reference at which it is nearest to a signal: how far the signal lags.
+"""The lag of a signal: the delay of its reference with the least distance to it.
 
 The reference is a line between communication points, so the mean square of signal - delayed reference is a
 parabola in the delay within each communication step. For a delay of k + f steps, 0 <= f <= 1, its sum is
@@ -6,7 +6,7 @@ parabola in the delay within each communication step. For a delay of k + f steps
     A_k + 2 f B_k + f^2 C_k,   A_k = sum (s_i - r_(i-k))^2,   C_k = sum (r_(i-k) - r_(i-k-1))^2,
     2 B_k = A_(k+1) - A_k - C_k,
 
-and its least value follows from these. All A_k come from one correlation by FFT and one cumulative sum.
+which gives its least value. All A_k come from one correlation by FFT and one cumulative sum.
 """
 
 import math
@@ -19,17 +19,17 @@ from orchestration.errors import ScenarioError
 from orchestration.results.recording import Recording, along_time, on_host
 
 _PARTS = 60  # of the search: a signal leads if it is nearer at one part of lead than at 0
-_LAG_ERROR_S = 1e-4  # of the search where points are not equally spaced
+_LAG_ERROR_S = 1e-4  # of the search for points that are not equally spaced
 _MOST_POINTS = 2**17  # of a reference whose sums are kept
 _NEAR, _EQUAL = 1e-9, 1e-6  # of a communication step: rounding of a delay, and of the distance of points
 
 
 @along_time
 def shift_lag(recording: Recording, signal: str, reference: str, largest: float) -> Any:
-    """Returns the delay [s], 0..largest, of the reference at which it is nearest to the signal (least RMSE).
+    """Returns the delay [s], 0..largest, of the reference with the least RMSE to the signal.
 
-    Judged from `largest` seconds after the start, so that every delay sees the same points. Not a number if
-    the nearest is at an edge of the search, but for a signal that neither lags nor leads: 0.
+    Points count from `largest` seconds after the start, so that every delay has the same points. The result
+    is NaN if the least RMSE is at an edge of the search, and 0 if the signal neither lags nor leads.
     """
     time, values, target = recording.time, np.atleast_2d(recording[signal]), recording[reference]
     if not time[-1] >= time[0] + largest:
@@ -37,7 +37,8 @@ def shift_lag(recording: Recording, signal: str, reference: str, largest: float)
             f"largest = {largest:g}: expected less than the {time[-1] - time[0]:g} s of the run"
         )
     if target.ndim > 1 and (target == target[0]).all():
-        target = on_host(target[0])  # of all runs
+        # one reference for all runs: its sums are computed once
+        target = on_host(target[0])
     step = float(time[-1] - time[0]) / (len(time) - 1)
     gaps = np.diff(time)
     gaps -= step
@@ -56,10 +57,10 @@ def shift_lag(recording: Recording, signal: str, reference: str, largest: float)
 
 
 def _nearest_delays(signals: np.ndarray, reference: np.ndarray, count: int, largest: float) -> np.ndarray:
-    """Returns the delay of each signal, 0..largest in steps, of the least distance; NaN if all are equal.
+    """Returns the delay of least distance of each signal, 0..largest in steps; NaN if all are equal.
 
     signals: shape (runs, n); reference: the same, or shape (n,)
-    count: of steps that have delays of the search
+    count: number of steps with delays of the search
     """
     if count < 1:
         return np.full(len(signals), math.nan)
@@ -71,7 +72,8 @@ def _nearest_delays(signals: np.ndarray, reference: np.ndarray, count: int, larg
     np.subtract(signals[:, count:], level, out=padded[:, count:points])
     spectra = np.fft.rfft(padded)
     spectra *= spectrum
-    out: dict[str, Any] = {"out": padded} if isinstance(padded, np.ndarray) else {}  # CuPy's has none
+    # CuPy's function has no argument `out`
+    out: dict[str, Any] = {"out": padded} if isinstance(padded, np.ndarray) else {}
     products = np.fft.irfft(spectra, length, **out)[:, : count + 1]
     distances = squares - 2.0 * products
     ends = np.asarray(np.minimum(largest - np.arange(count), 1.0), like=signals)
@@ -83,31 +85,35 @@ def _nearest_delays(signals: np.ndarray, reference: np.ndarray, count: int, larg
 
 
 def _length(points: int) -> int:
-    """Returns the length of a Fourier transform of so many points in which no delay wraps around."""
+    """Returns the length of a Fourier transform of `points` in which no delay wraps around."""
     return 1 << (points - 1).bit_length()
 
 
-@lru_cache(1)  # most runs have the reference of the one before
+# most runs have the reference of the run before
+@lru_cache(1)
 def _sums_of_reference(reference: bytes, points: int, first: int) -> tuple[np.ndarray, ...]:
     """Returns sums over the points of references from `first` on, each of shape (1, ...) or (runs, ...).
 
-    They are the mean; of the reference less that, of which less is lost to rounding, the conjugate of the
-    spectrum; sums of r_(i-k)^2, k = 0..first; and sums of (r_(i-k) - r_(i-k-1))^2, k = 0..first - 1.
+    They are the mean; the conjugate of the spectrum of the reference less the mean; sums of r_(i-k)^2,
+    k = 0..first; and sums of (r_(i-k) - r_(i-k-1))^2, k = 0..first - 1.
     """
+    # sums of squares lose fewer digits to rounding without the mean
     values = np.frombuffer(reference).reshape(-1, points)
     level = values.mean(axis=-1, keepdims=True)
     centred = values - level
     sums: Any = np.zeros((len(centred), points + 1), complex)
     sums.real[:, 1:] = centred**2
     sums.imag[:, 1:-1] = np.diff(centred) ** 2
-    np.cumsum(sums, axis=-1, out=sums)  # real and imaginary part take as long as one of them
+    # both sums at once take the time of one
+    np.cumsum(sums, axis=-1, out=sums)
     by_delay: Any = (sums[:, -first - 1 :] - sums[:, : first + 1])[:, ::-1]
     return level, np.fft.rfft(centred, _length(points)).conj(), by_delay.real, by_delay.imag[:, 1:]
 
 
 def _searched_delay(time: np.ndarray, signal: np.ndarray, reference: np.ndarray, largest: float) -> float:
-    """Returns the nearest delay [s] where points are not equally spaced, by search."""
-    from scipy.optimize import minimize_scalar  # which takes longer to import than to run
+    """Returns the nearest delay [s] by search, for points that are not equally spaced."""
+    # SciPy takes longer to import than this search, which few recordings need
+    from scipy.optimize import minimize_scalar
 
     late = slice(int(np.searchsorted(time, time[0] + largest)), None)
 
@@ -121,12 +127,12 @@ def _searched_delay(time: np.ndarray, signal: np.ndarray, reference: np.ndarray,
     minimum: Any = minimize_scalar(distance, bounds=bounds, method="bounded", options={"xatol": _LAG_ERROR_S})
     if min(distances) == max(distances):
         return math.nan
-    # the search stays off its bounds
+    # the minimum may be at a bound, which the search only approaches
     return float(minimum.x if minimum.fun < distances[best] else coarse[best])
 
 
 def _leads(time: np.ndarray, signal: np.ndarray, reference: np.ndarray, largest: float) -> bool:
-    """Whether the signal is nearer to what the reference becomes than to what it is; not without points."""
+    """Whether the signal is nearer to the later reference than to the present one; false without points."""
     lead = largest / _PARTS
     first, end = np.searchsorted(time, (time[0] + largest, time[-1] - lead))
     if end <= first:

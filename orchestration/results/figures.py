@@ -1,13 +1,14 @@
 """Figures as a journal prints them: panels, curves, files. The only module that imports Matplotlib.
 
-It uses Matplotlib's figure classes and a style of its own for each figure, so that neither pyplot nor the
-settings of the caller are touched. The same data give the same file, byte by byte.
+It uses Matplotlib's figure classes and a style file, so that pyplot and the settings of the caller stay as
+they are. The same data give the same file, byte by byte.
 """
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
+from string import ascii_lowercase
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -19,21 +20,26 @@ from matplotlib.layout_engine import LayoutEngine
 from matplotlib.transforms import ScaledTranslation
 
 from fmus.files import open_atomically
-from orchestration.results.files import ERROR_ESTIMATE, Columns, points_down
+from orchestration.results.files import ERROR_ESTIMATE, Columns
 from orchestration.results.formats import FigureFormat
+from orchestration.results.panels import drawn_points, panels_of
 
-BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#666666"  # told apart by colour-blind readers
+# Colour-blind readers distinguish these (Okabe and Ito).
+BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#666666"
 _COLOURS = (BLUE, ORANGE, GREEN, "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 LINES = ("-", "--", "-.", ":")
-MARKERS = "osD^v<>ph*PX8dHx+"  # as many as the protocol has laws
+MARKERS = "osD^v<>ph*PX8dHx+"  # one for each control law of the score protocol
 WIDTH_IN = 7.16  # both columns of an IEEE or IFAC page
-_DPI, _DPI_OF_RUNS, _DPI_IN_A_NOTEBOOK = 300, 200, 100  # in print, and to look at
-_GAP_IN = 0.24  # between panels, which holds their letters
+_DPI, _DPI_OF_RUNS, _DPI_IN_A_NOTEBOOK = 300, 200, 100  # print, screen, notebook
+_GAP_IN = 0.24  # between panels: room for their letters
 _PAD_IN = 0.05  # around everything, and between the numbers of an axis and its label
-_MOST_BESIDE = 0.5  # of the width of a figure that is left to what stands beside its panels
-_RUN_LENGTHS = 3  # Z_RLE of zlib, which is as small for lines on white, and faster
-_PANEL_IN, _LEGEND_LINE_IN = 1.5, 0.22  # of which margins take a part
+_MOST_BESIDE = 0.5  # largest share of the width of a figure for legends beside its panels
+# Z_RLE of zlib: files of lines on white are as small as with the default, and written faster.
+_RUN_LENGTHS = 3
+_PANEL_IN, _LEGEND_LINE_IN = 1.5, 0.22  # heights with their margins
 _BINS = 1200  # of a dense curve: about two pixels each
+# Sum of changes by range of a wave of 25 periods: a thick line of more periods fills an area.
+_ROUGH = 50.0
 _METADATA: dict[FigureFormat, dict[str, Any]] = {
     FigureFormat.PNG: {"Software": None},
     FigureFormat.PDF: {"CreationDate": None, "Producer": None, "Creator": None},
@@ -42,7 +48,7 @@ _METADATA: dict[FigureFormat, dict[str, Any]] = {
 
 
 def figure_style() -> AbstractContextManager[None]:
-    """Returns a context: figures that are made and written inside it have the style of this module."""
+    """Returns a context; figures that are made and written inside it have the style of this module."""
     return style.context(["default", str(Path(__file__).with_name("figures.mplstyle"))])
 
 
@@ -57,17 +63,18 @@ class ShownFigure(Figure):
 
 
 class StackedLayout(LayoutEngine):
-    """A layout of panels one below the other; each text that needs room outside of them is measured once.
+    """A layout of panels one below the other, with room for the texts outside of them."""
 
-    Matplotlib's own layouts measure all texts several times, which takes longer than to draw them.
-    """
-
-    _adjust_compatible = _colorbar_gridspec = True  # which every layout of Matplotlib states
+    # Matplotlib's own layouts measure every text several times, which takes longer than to draw it.
+    _adjust_compatible = _colorbar_gridspec = True  # required of every layout of Matplotlib
 
     def execute(self, fig: Figure) -> None:
         renderer, (width, height) = RendererAgg(1, 1, fig.dpi), fig.get_size_inches()
         numbers, labels, right, bottom = (length / fig.dpi for length in _outside(fig.axes, renderer))
-        self._place_labels(fig, numbers + _PAD_IN)
+        # as far left of all panels, so that the labels stand one below the other
+        offset = ScaledTranslation(-numbers - _PAD_IN, 0.0, fig.dpi_scale_trans)
+        for panel in fig.axes:
+            panel.yaxis.set_label_coords(0.0, 0.5, panel.transAxes + offset)
         left, right = numbers + labels + 2.0 * _PAD_IN, min(right + _PAD_IN, _MOST_BESIDE * width)
         top, bottom = _PAD_IN + _GAP_IN, bottom + _PAD_IN
         for title in fig.texts:
@@ -83,16 +90,9 @@ class StackedLayout(LayoutEngine):
             hspace=_GAP_IN / mean_panel,
         )
 
-    @staticmethod
-    def _place_labels(fig: Figure, left_in: float) -> None:
-        """Places the labels of the vertical axes as far left of their panels, one below the other."""
-        for panel in fig.axes:
-            offset = ScaledTranslation(-left_in, 0.0, fig.dpi_scale_trans)
-            panel.yaxis.set_label_coords(0.0, 0.5, panel.transAxes + offset)
-
 
 def _outside(panels: Sequence[Axes], renderer: RendererAgg) -> tuple[float, float, float, float]:
-    """Returns the room outside of panels [pixels]: of numbers and labels on the left, at the right, below."""
+    """Returns the room [pixels] that texts need outside of panels: numbers, labels, at the right, below."""
     below: Any = panels[-1].xaxis.get_tightbbox(renderer)
     frame = panels[-1].bbox
     numbers = [text for panel in panels for text in panel.yaxis.get_majorticklabels()]
@@ -103,39 +103,31 @@ def _outside(panels: Sequence[Axes], renderer: RendererAgg) -> tuple[float, floa
     return frame.x0 - left, max(labels), right - frame.x1, frame.y0 - below.y0
 
 
-def stacked_panels(heights_in: Sequence[float], x_label: str) -> tuple[ShownFigure, list[Axes]]:
-    """Returns a figure as wide as a page: panels (a), (b), ... one below the other, on one time axis."""
+def stacked_panels(
+    heights_in: Sequence[float], x_label: str, letters: str = ascii_lowercase
+) -> tuple[ShownFigure, list[Axes]]:
+    """Returns a figure as wide as a page: panels one below the other, on one time axis.
+
+    letters: of the panels; a panel whose letter is a space belongs to the one above
+    """
     figure = ShownFigure(figsize=(WIDTH_IN, sum(heights_in) + 0.4), layout=StackedLayout())
-    grid = figure.subplots(
-        len(heights_in), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights_in}
-    )
-    panels = list(grid[:, 0])
-    for index, panel in enumerate(panels):
+    shape: Any = {"nrows": len(heights_in), "squeeze": False, "height_ratios": heights_in}
+    panels = list(figure.subplots(sharex=True, **shape)[:, 0])
+    for panel in panels:
         panel.margins(x=0.0)
-        letter = chr(ord("a") + index)
-        panel.annotate(
-            f"({letter})", (0.0, 1.0), (-36.0, 4.0), "axes fraction", "offset points", fontweight="bold"
-        )
+    for letter, panel in zip(letters, panels, strict=False):
+        if letter != " ":
+            panel.annotate(
+                f"({letter})", (0.0, 1.0), (-36.0, 4.0), "axes fraction", "offset points", fontweight="bold"
+            )
     panels[-1].set_xlabel(x_label)
     return figure, panels
 
 
 def draw_curve(panel: Axes, time: np.ndarray, values: np.ndarray, **line: Any) -> None:
     """Draws a line through the smallest and the largest value of each of many short intervals."""
-    chosen = _extremes(values)
+    chosen = drawn_points(time, values, _BINS)
     panel.plot(time[chosen], values[chosen], **line)
-
-
-def _extremes(values: np.ndarray) -> np.ndarray:
-    """Returns indices, ascending: the first, the last, and each interval's smallest and largest value."""
-    size = -(-len(values) // _BINS)  # points in an interval
-    if size <= 2:
-        return np.arange(len(values))
-    starts = np.arange(0, len(values) - size + 1, size)
-    rest = np.arange(starts[-1] + size, len(values))
-    intervals = values[: rest[0] if len(rest) else None].reshape(-1, size)
-    pairs = starts + intervals.argmin(axis=1), starts + intervals.argmax(axis=1)
-    return np.unique(np.concatenate([*pairs, rest, (0, len(values) - 1)]))
 
 
 def draw_noisy(panel: Axes, time: np.ndarray, values: np.ndarray, window: float, **line: Any) -> None:
@@ -156,8 +148,9 @@ def write_figure(
     figure: Figure, path: Path, formats: Sequence[FigureFormat], dots_per_inch: int = _DPI
 ) -> list[Path]:
     """Writes `path` with the ending of each format; returns the files."""
-    files = [path.with_name(f"{path.name}.{ending}") for ending in formats]
-    for file, ending in zip(files, formats, strict=True):
+    files = []
+    for ending in formats:
+        files.append(file := path.with_name(f"{path.name}.{ending}"))
         with open_atomically(file) as stream:
             if ending is FigureFormat.PNG:
                 _write_png(figure, stream, dots_per_inch)
@@ -168,7 +161,7 @@ def write_figure(
 
 def _write_png(figure: Figure, stream: BinaryIO, dots_per_inch: int) -> None:
     """Writes a figure as PNG."""
-    # not by `savefig`, which goes through everything in a figure once more before it draws it
+    # `savefig` would traverse the whole figure once more before it draws it.
     figure.set_dpi(dots_per_inch)
     options = {"compress_type": _RUN_LENGTHS}
     FigureCanvasAgg(figure).print_png(stream, metadata=_METADATA[FigureFormat.PNG], pil_kwargs=options)
@@ -177,40 +170,62 @@ def _write_png(figure: Figure, stream: BinaryIO, dots_per_inch: int) -> None:
 def run_figure(
     title: str, recording: Columns, path: Path, formats: Sequence[FigureFormat] = (FigureFormat.PNG,)
 ) -> list[Path]:
-    """Draws every signal of a run that is a number, one panel for each unit; without estimates of errors."""
+    """Draws every signal of a run that is a number, a few in a panel; without estimates of errors."""
     with figure_style():
         figure = figure_of(recording)
         figure.suptitle(title, wrap=True)
         return write_figure(figure, path, formats, _DPI_OF_RUNS)
 
 
-def figure_of(recording: Columns, names: Sequence[str] = ()) -> ShownFigure:
-    """Returns signals of a run over time, by default those that `run_figure` draws: a panel for each unit."""
+def figure_of(
+    recording: Columns, names: Sequence[str] = (), beside: Mapping[str, Columns] = {}
+) -> ShownFigure:
+    """Returns signals of a run over time, by default those that `run_figure` draws.
+
+    beside: label -> another recording, drawn with other dashes; signals that it does not have, or has with
+    the same values, are not drawn again
+    """
     signals = names or [name for name in recording.numbers if not name.startswith(ERROR_ESTIMATE)]
-    units = list(dict.fromkeys(map(recording.unit, signals)))
+    panels = panels_of({name: recording.unit(name) for name in signals})
+    lines = [_lines_of(panel.names, recording, beside) for panel in panels]
     with figure_style():
-        lines = [sum(recording.unit(name) == unit for name in signals) for unit in units]
-        heights = [max(_PANEL_IN, count * _LEGEND_LINE_IN) for count in lines]
-        figure, panels = stacked_panels(heights, "Time [s]")
-        for unit, panel in zip(units, panels, strict=True):
-            names = [name for name in signals if recording.unit(name) == unit]
-            for index, name in enumerate(sorted(names, key=lambda name: -_roughness(recording[name]))):
-                draw_curve(
-                    panel,
-                    recording.time,
-                    recording[name],
-                    label=name,
-                    linewidth=0.7,
-                    color=_COLOURS[index % len(_COLOURS)],
-                    linestyle=LINES[index // len(_COLOURS) % len(LINES)],
-                )
-            if any(points_down(name, unit) for name in names):
-                panel.invert_yaxis()
-            panel.set_ylabel(f"[{unit or '1'}]")
-            panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02))
+        heights = [max(_PANEL_IN, len(own) * _LEGEND_LINE_IN) for own in lines]
+        figure, axes = stacked_panels(heights, "Time [s]")
+        for panel, own, drawn in zip(panels, lines, axes, strict=True):
+            for time, values, line in own:
+                draw_curve(drawn, time, values, **line)
+            if panel.down:
+                drawn.invert_yaxis()
+            drawn.set_ylabel(panel.axis)
+            drawn.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02))
         return figure
 
 
-def _roughness(values: np.ndarray) -> float:
-    """Returns the sum of changes: smooth signals are drawn last, over rough ones."""
-    return float(np.abs(np.diff(values)).sum())
+def _lines_of(
+    names: Sequence[str], recording: Columns, beside: Mapping[str, Columns]
+) -> list[tuple[np.ndarray, np.ndarray, dict[str, Any]]]:
+    """Returns time, values and style of each line of a panel."""
+    lines = []
+    for name in names:
+        drawn: list[tuple[np.ndarray, np.ndarray]] = []
+        for run, (label, columns) in enumerate({"": recording, **beside}.items()):
+            if name not in columns.numbers:
+                continue
+            signal = columns.time, columns[name]
+            # Runs that are compared often share their reference: one line without the label of a run.
+            if any(all(map(np.array_equal, signal, other)) for other in drawn):
+                continue
+            drawn.append(signal)
+            style = {"color": _COLOURS[len(lines) % len(_COLOURS)], "linestyle": LINES[run % len(LINES)]}
+            style |= {"label": f"{name}, {label}" if label else name, **_weight(name, columns[name])}
+            lines.append((*signal, style))
+    return lines
+
+
+def _weight(name: str, values: np.ndarray) -> dict[str, Any]:
+    """Returns how strong a line is: a reference black and on top; the rougher, the thinner and the lower."""
+    if "reference" in name:
+        return {"color": "black", "linewidth": 0.7, "zorder": 2.9}
+    roughness = float(np.abs(np.diff(values)).sum() / (np.ptp(values) or 1.0))
+    is_thin = "measured" in name or roughness > _ROUGH
+    return {"linewidth": 0.5 if is_thin else 1.2, "zorder": 2.0 + 1.0 / (2.0 + roughness)}

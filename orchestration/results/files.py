@@ -27,26 +27,22 @@ from orchestration.results.formats import RecordingFormat
 
 TIME = "time"  # name of the first column
 ERROR_ESTIMATE = "error_estimate."
-"""Prefix of the column that holds the estimated error of a signal."""
+"""Prefix of the column with the estimated error of a signal."""
 _TIME_TITLE = f"{TIME} [s]"
-_STRING = "String"  # in a title in place of the unit: the column holds text
+_STRING = "String"  # in a title in place of the unit: a column of text
 _TITLE = re.compile(r"(.*) \[([^\[\]]*)\]", re.DOTALL)  # of a signal with its unit
 _UNIT, _KIND, _PROVENANCE = b"unit", b"l1_depth.kind", b"l1_depth.provenance"
 _RECORDING = b"recording"
-_BLOCK = 250  # rows that are text at a time: their numbers stay in the processor's cache
-_LEAST_PLAIN, _FIRST_LARGE = 1e-4, 1e16  # between which `repr` writes a number without an exponent
+# The numbers of so many rows stay in the processor's cache while they become text.
+_BLOCK = 250
+_LEAST_PLAIN, _FIRST_LARGE = 1e-4, 1e16  # `repr` writes numbers between them without an exponent
 _GROUP = 1 << 17  # rows of Parquet that are copied at a time
 _BYTES = {RecordingFormat.CSV: 20, RecordingFormat.PARQUET: 8}  # about, of a number in a file
 
 
-def points_down(name: str, unit: str) -> bool:
-    """Whether a signal is a depth: a plot of it has its vertical axis pointing down."""
-    return unit == "m" and "depth" in name.lower()
-
-
 @dataclass(frozen=True)
 class Columns:
-    """Signals by name, as in a file: the base of `Recording`, whose docstring explains the fields."""
+    """Signals by name, as a file has them: the base of `Recording`, whose docstring explains the fields."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -56,9 +52,17 @@ class Columns:
     strings: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Returns one signal, shape (n,) or (runs, n), a String as text.
+        """Returns one signal, shape (n,) or (runs, n); a String as an array of text.
 
-        OrchestrationError offers the nearest name for one that was not recorded.
+        Parameters
+        ----------
+        name
+            "component.variable", or "time" for the communication points [s].
+
+        Raises
+        ------
+        OrchestrationError
+            If the signal was not recorded; the message names the nearest one.
         """
         if name == TIME:
             return self.time
@@ -67,7 +71,7 @@ class Columns:
 
     @property
     def numbers(self) -> tuple[str, ...]:
-        """Names of the signals that are no Strings."""
+        """Names of the signals other than Strings."""
         return tuple(name for name in self.names if name not in self.strings)
 
     def _column(self, name: str) -> int:
@@ -77,24 +81,20 @@ class Columns:
             raise OrchestrationError(f"{name!r} was not recorded; {nearest(str(name), self.names)}") from None
 
     def unit(self, name: str) -> str:
-        """Returns the unit of a signal, "" where the FMU gives none."""
+        """Returns the unit of a signal, "" if the FMU gives none."""
         return "s" if name == TIME else self.units[self._column(name)]
 
     def columns(self) -> list[list[Any]]:
         """Returns the values of each signal, Strings as text."""
-        pairs = zip(self.names, self.values.T.tolist(), strict=True)
-        return [
-            [self.strings[name][int(number)] for number in column] if name in self.strings else column
-            for name, column in pairs
-        ]
+        return [self[name].tolist() for name in self.names]
 
 
 def write(path: Path, content: Columns) -> str:
-    """Writes a file of the format that the ending of the path names; returns its SHA-256."""
+    """Writes a file in the format of its ending; returns its SHA-256."""
     write_format = {RecordingFormat.CSV: _write_csv, RecordingFormat.PARQUET: _write_parquet}[_format(path)]
     with open_atomically(path) as stream:
         write_format(stream, content)
-        # before it is at the path, where another run may write at the same time
+        # The digest is of this stream: another run may write the same path a moment later.
         stream.seek(0)
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -118,7 +118,7 @@ def write_document(
 
 
 def read(path: Path) -> Columns:
-    """Reads what `write` wrote; CSV does not keep the provenance.
+    """Reads a recording; one from CSV has no provenance.
 
     Raises OrchestrationError for a file that is not a recording, or is damaged.
     """
@@ -130,19 +130,20 @@ def read(path: Path) -> Columns:
 
 @contextmanager
 def reserved(path: Path, shape: tuple[int, int]) -> Iterator[None]:
-    """Holds the room on the disk that a recording will need there, until it is written.
+    """Allocates the disk space of a recording until the context ends.
 
-    shape: points, signals. Raises OrchestrationError where there is not that much room.
+    shape: points, signals. Raises OrchestrationError if the disk has less space.
     """
     needed = shape[0] * (shape[1] + 1) * _BYTES[_format(path)]
     path.parent.mkdir(parents=True, exist_ok=True)
-    # without a name: it ends with the process
+    # A file without a name is freed with the process, however it ends.
     stream = tempfile.TemporaryFile(dir=path.parent, buffering=0)  # noqa: SIM115
     try:
         _allocate(stream.fileno(), needed, path)
         yield
     finally:
-        with suppress(OSError):  # an FMU has closed it
+        # An FMU may have closed the descriptor: it runs in this process.
+        with suppress(OSError):
             stream.close()
 
 
@@ -161,7 +162,7 @@ def _allocate(descriptor: int, size: int, path: Path) -> None:
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a file is marked as a recording; its data is not read."""
+    """Whether a file is marked as a recording, without reading its data."""
     if path.suffix[1:] == RecordingFormat.CSV:
         with path.open("rb") as stream:
             return stream.readline().startswith(_TIME_TITLE.encode())
@@ -196,10 +197,10 @@ def _write_csv(stream: BinaryIO, content: Columns) -> None:
 
 def _lines(rows: np.ndarray) -> bytes:
     """Returns rows of numbers as lines, each number in the fewest digits that read back exactly."""
-    # here, as a run that writes no CSV does without it
+    # imported here because runs that write no CSV start faster without it
     from pydantic_core import to_json
 
-    # `to_json` writes numbers that need no exponent as `repr` does, in a fifth of its time
+    # `to_json` writes numbers without an exponent as `repr` does, in a fifth of its time
     numbers, sizes = rows.tolist(), np.abs(rows)
     lines = to_json(numbers)[2:-2].split(b"],[")
     is_plain = (sizes >= _LEAST_PLAIN) & (sizes < _FIRST_LARGE) | (sizes == 0.0)
@@ -244,7 +245,7 @@ def _read_csv(path: Path) -> Columns:
 def _rows_with_strings(
     stream: TextIO, pairs: list[tuple[str, str]], strings: dict[str, list[str]]
 ) -> list[list[float]]:
-    """Returns the lines of a table as numbers; a text becomes its index in its list, which grows."""
+    """Returns the lines of a table as numbers; a text becomes its index in the list of its column."""
     names = ["", *(name for name, _ in pairs)]
     numbers: dict[str, dict[str, int]] = {name: {} for name in strings}
     rows = []
@@ -262,7 +263,7 @@ def _rows_with_strings(
 
 
 def _write_parquet(stream: BinaryIO, content: Columns) -> None:
-    """Writes units as metadata of the columns, and the provenance as that of the table."""
+    """Writes units as metadata of the columns, and the provenance as metadata of the table."""
     pa, pq = _arrow()
     names, units = (TIME, *content.names), ("s", *content.units)
     fields = [
@@ -276,7 +277,8 @@ def _write_parquet(stream: BinaryIO, content: Columns) -> None:
     ]
     metadata = {_KIND: _RECORDING, _PROVENANCE: json.dumps(content.provenance)}
     schema = pa.schema(fields, metadata=metadata)
-    strings = [*content.strings] or False  # dictionaries of numbers that hardly repeat take memory and room
+    # Numbers hardly repeat: a dictionary of them would only add memory and bytes.
+    strings = [*content.strings] or False
     with pq.ParquetWriter(stream, schema, use_dictionary=strings) as writer:
         for start in range(0, max(len(content.time), 1), _GROUP):
             rows = slice(start, start + _GROUP)

@@ -1,7 +1,7 @@
-"""An interactive page: a template, style and scripts of files with the results put in; it needs no network.
+"""An interactive page from a template, a style and scripts; it needs no network.
 
-Text from files is escaped by jinja2, data is JSON without markup, and the content security policy lets
-only the scripts run whose hashes it names and nothing be fetched.
+Jinja2 escapes text from files, data is JSON without markup, and the content security policy allows the
+scripts whose hashes it lists, and no download.
 """
 
 import base64
@@ -33,9 +33,9 @@ def page(
     """Returns a self-contained HTML page.
 
     template: extends `base.html` of `page_files/`
-    scripts: files beside the template or in `page_files/`, after those that every page has
-    filters: of the template, beside number and breakable
-    content: what the template shows, with `title`, and `data` for its scripts
+    scripts: files beside the template or in `page_files/`, run after uplot.js and common.js
+    filters: of the template, in addition to number and breakable
+    content: variables of the template, with `title`, and `data` for the scripts
     """
     own = template.parent
     environment = Environment(
@@ -56,10 +56,8 @@ def page(
 
 
 def packed(values: np.ndarray) -> str:
-    """Doubles -> base64 of zlib of their bytes, all first bytes before all second ones and so on.
-
-    Neighbours in time share sign and exponent, so that these bytes compress well side by side.
-    """
+    """Returns doubles as base64 of zlib of their bytes: all first bytes, all second ones and so on."""
+    # Neighbours in time share sign and exponent, and equal bytes side by side compress well.
     bytes_of_values = np.ascontiguousarray(values, dtype="<f8").view(np.uint8).reshape(-1, 8)
     return base64.b64encode(zlib.compress(bytes_of_values.T.tobytes())).decode("ascii")
 
@@ -73,10 +71,10 @@ def _sha256(text: str) -> str:
 
 
 def _number(value: Any) -> str:
-    """Returns five digits of a number; whole numbers and texts as they are."""
+    """Returns five digits of a float, and other values as text."""
     return f"{value:.5g}" if isinstance(value, (float, np.floating)) else str(value)
 
 
 def _breakable(name: str) -> Markup:
-    """Returns a name that breaks after a dot, an underscore or a comma, if three letters follow."""
+    """Returns a name that may break after a dot, an underscore or a comma before three letters."""
     return Markup("<wbr>").join(re.split(r"(?<=[._,])(?=\w{3})", name))

@@ -1,18 +1,18 @@
-"""The energy that exchanging at communication points creates on a connection which carries power.
+"""The energy that exchanging values at communication points creates on a power bond.
 
-Two outputs whose product is a power, such as a force and a velocity, go to each other's components. Between
-two points the one component works with u_e against its own flow, the other with u_f against its own effort, u
-being the output that was held, or carried on with its slope. The powers differ, by
+A power bond is two outputs whose product is a power, such as a force and a velocity, each an input of the
+other component. Between two points the one component uses u_e with its own flow, the other uses u_f with its
+own effort; u is the other's last output, held or extrapolated. The powers differ by
 
     u_e(t) flow(t) - effort(t) u_f(t),
 
-which no component delivers. It enters the system where effort * flow is the power from the component of the
-effort to the other; where it is the power in the other direction, it leaves the system. Its integral over a
-step is taken with effort and flow as lines between the points.
+which no component delivers. This power enters the system if effort * flow is the power from the component of
+the effort to the other, and leaves it if effort * flow has the other direction. Its integral over a step
+assumes that effort and flow are lines between the points.
 
 Source: S. Sadjina, L. T. Kyllingstad, S. Skjong, E. Pedersen, Energy conservation and power bonds in
-co-simulations, Engineering with Computers 33 (2017), arXiv 1602.06434 (ECCO); its residual is that of the end
-of the step times the step.
+co-simulations, Engineering with Computers 33 (2017), arXiv 1602.06434 (ECCO); its residual is the value at
+the end of the step times the step.
 """
 
 import numpy as np
@@ -25,8 +25,8 @@ def energy_residuals(recording: Recording, effort: str, flow: str) -> np.ndarray
     """Returns the energy that each step creates, in the unit of effort * flow * s, shape (points - 1,).
 
     effort, flow: outputs of two components, each an input of the other, connected without factors
-    ScenarioError for a recording without provenance, or of a run with faults, or with steps between its
-    points, or others than the communication step.
+    Raises ScenarioError for a recording without provenance, and for a run with faults, with steps between its
+    points, or with step sizes other than the communication step.
     """
     _check(recording)
     size = np.diff(recording.time)
@@ -38,7 +38,7 @@ def energy_residuals(recording: Recording, effort: str, flow: str) -> np.ndarray
 
 
 def _is_first(recording: Recording, effort: str, flow: str) -> bool | None:
-    """Whether the component of the effort steps before that of the flow; None if they step together."""
+    """Whether the component of the effort steps before the other one; None if they step together."""
     if recording.provenance["algorithm"] == "jacobi":
         return None
     order = list(recording.provenance["fmus"])
@@ -48,15 +48,16 @@ def _is_first(recording: Recording, effort: str, flow: str) -> bool | None:
 def _given(
     recording: Recording, output: np.ndarray, size: np.ndarray, is_new: bool | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Returns what the other component is given of an output at the start and at the end of each step.
+    """Returns the input of the other component at the start and at the end of each step.
 
-    is_new: whether the output of the end of the step is known
+    is_new: whether the output at the end of the step is known
     """
     start, end = output[:-1], output[1:]
     if recording.provenance["extrapolation"] == 0:
         return (end, end) if is_new else (start, start)
     if is_new:
         return start, end
+    # the first step has no earlier output to extrapolate from: it is held
     slope = np.concatenate([[0.0], np.diff(output)[:-1] / size[:-1]])
     return start, start + slope * size
 

@@ -27,15 +27,34 @@ TIME = files.TIME
 class Recording(files.Columns):
     """A recording: signals over time, of one run or of many runs with the same communication points.
 
-    names: "component.variable"; units: same order, "" where the FMU gives none
-    time: shape (n,) [s]; values: shape (n, len(names)), of many runs (runs, n, len(names)), which may be an
-    array of a GPU; those of one run never are
-    provenance: FMUs, algorithm and settings of the run, as plain data
-    strings: String -> the strings that it can have; its column of `values` holds their indices
+    Attributes
+    ----------
+    names
+        "component.variable" of each signal.
+    units
+        In the same order, "" if the FMU gives none.
+    time
+        Communication points [s], shape (n,).
+    values
+        Shape (n, len(names)); of many runs (runs, n, len(names)), also as an array on a GPU.
+    provenance
+        FMUs, algorithm and settings of the run, as plain data.
+    strings
+        String -> the strings that it can have; its column of `values` has their indices.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time = np.array([0.0, 1.0])
+    >>> recording = Recording(("plant.depth",), ("m",), time, np.array([[0.0], [0.5]]))
+    >>> float(recording["plant.depth"].max())
+    0.5
+    >>> recording.unit("plant.depth")
+    'm'
     """
 
     def __contains__(self, name: object) -> bool:
-        """Whether a signal was recorded; the time always is."""
+        """Whether a signal was recorded; true for the time."""
         return name == TIME or name in self.names
 
     def __iter__(self) -> Iterator[str]:
@@ -43,7 +62,7 @@ class Recording(files.Columns):
         return iter(self.names)
 
     def __len__(self) -> int:
-        """Returns the number of signals; `len(recording.time)` is that of communication points."""
+        """Returns the number of signals; `len(recording.time)` is the number of communication points."""
         return len(self.names)
 
     def keys(self) -> tuple[str, ...]:
@@ -52,7 +71,7 @@ class Recording(files.Columns):
 
     @property
     def run_count(self) -> int | None:
-        """Number of runs; None without an axis of runs."""
+        """Number of runs; None for the recording of a single one."""
         return self.values.shape[0] if self.values.ndim == 3 else None
 
     def run(self, index: int) -> "Recording":
@@ -63,7 +82,8 @@ class Recording(files.Columns):
         return _as_text(self.units, self.time, {name: self[name] for name in self.names})
 
     def _repr_html_(self) -> str:
-        from base64 import b64encode  # of a notebook alone
+        # only notebooks need them
+        from base64 import b64encode
         from html import escape
 
         text = f"<pre>{escape(repr(self))}</pre>"
@@ -74,24 +94,58 @@ class Recording(files.Columns):
             f'{text}<img width="480" src="data:image/png;base64,{b64encode(figure._repr_png_()).decode()}">'
         )
 
-    def plot(self, *names: str) -> "ShownFigure":
-        """Returns a Matplotlib figure of signals over time, by default all numbers: a panel for each unit.
+    def plot(self, *names: str, beside: "Recording | Mapping[str, Recording] | None" = None) -> "ShownFigure":
+        """Returns a Matplotlib figure of signals over time; a notebook shows it, `savefig` writes it.
 
-        A notebook shows it, `savefig` writes it. OrchestrationError for a signal that was not recorded, a
-        String, and a recording of many runs, of which `run(i)` is one.
+        Parameters
+        ----------
+        *names
+            Signals, by default all that are numbers. A panel has at most four, of one unit.
+        beside
+            Another recording, or several by their labels in the legend, drawn over this one with other
+            dashes. A signal that is missing there, or equal, is drawn once.
+
+        Raises
+        ------
+        OrchestrationError
+            For a signal that was not recorded, a String, a signal that has another unit in `beside`, and a
+            recording of many runs, of which `run(i)` is one.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> time = np.linspace(0.0, 1.0, 11)
+        >>> fast, slow = (Recording(("a.depth",), ("m",), time, f * time[:, None]) for f in (1.0, 0.5))
+        >>> figure = fast.plot("a.depth", beside={"half as fast": slow})
+        >>> figure.axes[0].get_ylabel()
+        'Depth [m]'
         """
-        if self.run_count is not None:
-            raise OrchestrationError(f"a recording of {self.run_count} runs: expected one, such as run(0)")
+        others = {"beside": beside} if isinstance(beside, Recording) else beside or {}
+        for recording in (self, *others.values()):
+            if recording.run_count is not None:
+                raise OrchestrationError(
+                    f"a recording of {recording.run_count} runs: expected one, such as run(0)"
+                )
         for name in names:
             self._column(name)
             if name in self.strings:
                 raise OrchestrationError(f"{name} is a String: expected numbers to plot")
-        from orchestration.results.figures import figure_of  # which takes a while to import
+        for label, other in others.items():
+            for name in names or self.names:
+                if name in other.names and other.unit(name) != self.unit(name):
+                    units = f"expected {self.unit(name)!r}, got {other.unit(name)!r}"
+                    raise OrchestrationError(f"unit of {name} in {label!r}: {units}")
 
-        return figure_of(self, names)
+        # Matplotlib takes longer to import than a run
+        from orchestration.results.figures import figure_of
+
+        return figure_of(self, names, others)
 
     def to_pandas(self) -> "pd.DataFrame":
-        """Returns a column a signal over the time [s]; `attrs` holds "units" (name -> unit), "provenance"."""
+        """Returns a table with a column for each signal and the time [s] as index.
+
+        Its `attrs` have "units" (name -> unit) and "provenance". It needs the extra `tables`.
+        """
         pandas = require("pandas", "tables", "a recording as a data frame")
         table = pandas.DataFrame(
             self.values, index=pandas.Index(self.time, name=TIME), columns=list(self.names), copy=True
@@ -103,7 +157,11 @@ class Recording(files.Columns):
         return table
 
     def to_xarray(self) -> "xr.Dataset":
-        """Returns a variable a signal over the coordinate time; attributes "units", "provenance" as JSON."""
+        """Returns a data set with a variable for each signal over the coordinate "time" [s].
+
+        Each variable has the attribute "units", the data set has "provenance" as JSON. It needs the extra
+        `tables`.
+        """
         xarray = require("xarray", "tables", "a recording as a data set")
         columns = zip(self.names, self.units, strict=True)
         return xarray.Dataset(
@@ -113,23 +171,34 @@ class Recording(files.Columns):
         )
 
     def write(self, path: str | Path) -> None:
-        """Writes one row per communication point, as .csv or as .parquet; floats survive exactly in both.
+        """Writes a row for each communication point; floats survive exactly.
 
-        Raises OrchestrationError for another ending.
+        Parameters
+        ----------
+        path
+            Ends in .csv, or in .parquet for a file with the provenance.
+
+        Raises
+        ------
+        OrchestrationError
+            For another ending.
         """
         files.write(Path(path), self)
 
     @staticmethod
     def read(path: str | Path) -> "Recording":
-        """Reads what `write` wrote; CSV does not keep the provenance.
+        """Reads a file of `write`; a recording from CSV has no provenance.
 
-        Raises OrchestrationError for a file that is not a recording, or is damaged.
+        Raises
+        ------
+        OrchestrationError
+            For a file that does not exist, is not a recording, or is damaged.
         """
         return Recording(**vars(files.read(Path(path))))
 
 
 def on_host(values: Any) -> np.ndarray:
-    """Returns an array of NumPy: the same one, or a copy of one of a GPU."""
+    """Returns the same array of NumPy, or a copy of an array on a GPU."""
     return values.get() if hasattr(values, "get") else values
 
 
@@ -138,7 +207,8 @@ def along_time(
 ) -> Callable[Concatenate[Recording, P], Any]:
     """Decorates a metric that computes along the last axis of signals: a float, or shape (runs,).
 
-    It computes where the signals are, on a GPU too: with functions of NumPy, but none of its arrays.
+    The metric computes where the signals are, also on a GPU: it uses functions of NumPy, and creates arrays
+    with `like`.
     """
 
     @wraps(function)
@@ -152,7 +222,7 @@ def along_time(
 def run_by_run(
     function: Callable[Concatenate[Recording, P], float],
 ) -> Callable[Concatenate[Recording, P], Any]:
-    """Decorates a metric of one run: of many, it computes the metric of each, shape (runs,)."""
+    """Decorates a metric of one run; for many runs it returns one value each, shape (runs,)."""
 
     @wraps(function)
     def metric(recording: Recording, /, *arguments: P.args, **named: P.kwargs) -> Any:
@@ -169,9 +239,9 @@ _HEADINGS = ("signal", "unit", "least", "largest", "last")
 
 
 def _as_text(units: Sequence[str], time: np.ndarray, signals: Mapping[str, np.ndarray]) -> str:
-    """Returns a heading, and a line a signal in columns, for a Python prompt or a notebook.
+    """Returns a heading and a line for each signal, for a Python prompt or a notebook.
 
-    signals: by their names; units: in the same order
+    signals: by name; units: in the same order
     """
     names = list(signals)
     columns = zip(names[:_MOST], units[:_MOST], strict=True)
@@ -190,7 +260,7 @@ def _count(number: int, noun: str) -> str:
 
 
 def _numbers(values: np.ndarray) -> tuple[str, ...]:
-    """Returns least, largest and last; a value that is not finite shows in them."""
+    """Returns the least, the largest and the last value; NaN spreads to the first two."""
     if not len(values):
         return "", "", ""
     if values.dtype == object:  # a String

@@ -1,7 +1,7 @@
-"""Statistics over many runs of a controller, and how two controllers differ, run by run.
+"""Statistics over many runs of a controller, and differences of two controllers, run by run.
 
-A run in which a controller has no value (it ended early) counts as worse than any number in the distribution
-of that controller, and is left out of pairs, whose number is given.
+A run without a value (it ended early) counts as worse than any number in the distribution of its controller.
+Pairs leave it out and give the number of pairs.
 """
 
 import math
@@ -12,18 +12,18 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-TAIL = 0.05  # of the plants: the worst ones, of which CVaR is the mean
+TAIL = 0.05  # share of the worst plants; CVaR is their mean
 CONFIDENCE = 0.95
 Name = TypeVar("Name", bound=Hashable)
 Verdict = Literal["lower", "equal", "higher", "open"]
-# Of the lesser median: the seeds of one search agree if they come so near to each other
-# (tune.LARGEST_SPREAD), so that a smaller difference may be that of two searches
+# Share of the smaller median. Seeds of one search agree if they come so near to each other
+# (tune.LARGEST_SPREAD), so a smaller difference may come from the search alone.
 EQUIVALENCE = 0.05
 
 
 @dataclass(frozen=True)
 class OrderStatistics:
-    """Order statistics of a metric over the plants; infinite where plants without a value are part of it.
+    """Order statistics of a metric over the plants; infinite if they include a plant without a value.
 
     median, p95: the least value that at least 50 % or 95 % of the plants do not exceed
     cvar: conditional value at risk at 95 %, the mean of the largest 5 % of the values
@@ -39,8 +39,8 @@ class PairedComparison:
     """A metric of two controllers in the same runs, the first minus the second.
 
     pairs: runs in which both have a value; interval: of the median difference
-    margin: a difference below it counts as none, 5 % of the lesser median
-    p: of Wilcoxon's signed-rank test, that the differences are symmetric about 0
+    margin: smaller differences count as equal: 5 % of the smaller median
+    p: of Wilcoxon's signed-rank test that the differences are symmetric about 0
     """
 
     pairs: int
@@ -52,7 +52,7 @@ class PairedComparison:
 
 
 def verdict_of(interval: tuple[float, float], margin: float) -> Verdict:
-    """Returns the verdict of an interval: wholly within the margin, wholly beyond it, or neither."""
+    """Returns "equal" for an interval within the margin, "lower" or "higher" beyond it, else "open"."""
     low, high = interval
     if -margin < low and high < margin:
         return "equal"
@@ -62,7 +62,7 @@ def verdict_of(interval: tuple[float, float], margin: float) -> Verdict:
 
 
 def distribution(values: npt.ArrayLike) -> OrderStatistics:
-    """Returns median, 95th percentile and CVaR by order statistics: each value is one of the plants'."""
+    """Returns median, 95th percentile and CVaR by order statistics."""
     ordered = np.sort(np.nan_to_num(np.asarray(values, float), nan=math.inf))
     median, p95 = np.quantile(ordered, (0.5, 1.0 - TAIL), method="inverted_cdf")
     worst = ordered[len(ordered) - math.ceil(TAIL * len(ordered)) :]
@@ -72,9 +72,10 @@ def distribution(values: npt.ArrayLike) -> OrderStatistics:
 def paired(first: npt.ArrayLike, second: npt.ArrayLike, comparisons: int = 1) -> PairedComparison:
     """Returns Wilcoxon's test and the interval of the median difference between order statistics, by pairs.
 
-    comparisons: so many intervals hold together with 95 % (Bonferroni)
+    comparisons: number of intervals that hold together with 95 % (Bonferroni)
     """
-    from scipy import stats  # takes longer to import than the test takes
+    # SciPy takes longer to import than the test takes
+    from scipy import stats
 
     pairs = np.array([first, second], float)
     pairs = pairs[:, np.isfinite(pairs).all(axis=0)]
@@ -92,7 +93,7 @@ def paired(first: npt.ArrayLike, second: npt.ArrayLike, comparisons: int = 1) ->
 
 
 def proportion_interval(count: int, of: int) -> tuple[float, float]:
-    """Returns the 95 % interval of a share by Clopper and Pearson (1934), which covers at least that."""
+    """Returns the 95 % interval of a share by Clopper and Pearson (1934), which covers at least 95 %."""
     from scipy import stats
 
     interval = stats.binomtest(count, of).proportion_ci(CONFIDENCE, method="exact")
@@ -102,7 +103,7 @@ def proportion_interval(count: int, of: int) -> tuple[float, float]:
 def ratios_to_best(values: npt.ArrayLike, ranked: Sequence[bool]) -> npt.NDArray[np.float64]:
     """Returns each value by the least of its problem among the ranked controllers (Dolan and More 2002).
 
-    values: controllers x problems, not a number for a run that failed, whose ratio is infinite
+    values: controllers x problems; NaN for a run that failed, whose ratio is infinite
     """
     given = np.nan_to_num(np.asarray(values, float), nan=math.inf)
     best = given[np.asarray(ranked, bool)].min(axis=0, initial=math.inf)
@@ -115,10 +116,10 @@ def profile(ratios: npt.NDArray[np.float64], limits: npt.ArrayLike) -> npt.NDArr
 
 
 def holm(p_values: Mapping[Name, float]) -> dict[Name, float]:
-    """Returns name -> p-value corrected for how many are tested together, in steps as of Holm (1979).
+    """Returns name -> p-value corrected for the number of tests by the step-down method of Holm (1979).
 
-    The k-th smallest of m is multiplied by m - k + 1, and is not below those before it, nor above 1. What is
-    not a number is no test, and stays.
+    The k-th smallest of m is multiplied by m - k + 1, and is at least the one before it and at most 1. NaN is
+    no test and stays NaN.
     """
     tested = sorted((name for name, p in p_values.items() if not math.isnan(p)), key=p_values.__getitem__)
     corrected, largest = dict(p_values), 0.0

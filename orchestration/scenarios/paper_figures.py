@@ -1,6 +1,7 @@
-"""Figures 3, 5 and 6 of the paper, drawn from the recordings of a reproduction.
+"""Figures 3, 5 and 6 of the paper with their captions, from the recordings of a reproduction.
 
-Every figure shows the published numbers beside those of the run. Captions: docs/explanation/results.md.
+Every figure shows published and own numbers side by side. Panels (a) to (c) of figures 5 and 6 are the panels
+of the paper (depth, control input, estimates); the tracking error, which the paper does not draw, comes last.
 """
 
 import math
@@ -9,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fmus.files import write_text_atomically
 from orchestration.results.figures import (
     BLUE,
     GREEN,
@@ -53,6 +55,11 @@ class DrawnRun:
 
 _PLAIN = ("L1", {"color": BLUE, "linestyle": (0, (4, 1.5))})
 _EXTENDED = ("extended L1", {"color": ORANGE, "linestyle": "-"})
+_TITLES = {
+    "figure_3": "Illustrative example, L1 and extended L1",
+    "figure_5": "Nominal conditions, L1 and extended L1",
+    "figure_6": "Extended L1 in nominal conditions and with 0.2 N of buoyancy added",
+}
 _FIGURES: dict[str, dict[str, tuple[str, Mapping[str, Any]]]] = {
     "figure_3": {"example-l1": _PLAIN, "example-extended": _EXTENDED},
     "figure_5": {"nominal-l1": _PLAIN, "nominal-extended": _EXTENDED},
@@ -69,13 +76,21 @@ def write_figures(
     folder: Path,
     formats: Formats,
 ) -> list[Path]:
-    """Draws all three from the recordings and metrics of scenarios, by their names; returns the files."""
+    """Draws all three from the recordings and metrics of scenarios, by their names; returns the files.
+
+    Beside each figure is its caption, NAME.md.
+    """
     files = []
     for name, curves in _FIGURES.items():
         drawn = [DrawnRun(s, *curve, recordings[s], measured[s]) for s, curve in curves.items()]
-        draw = _example_figure if name == "figure_3" else _vehicle_figure
+        is_example = name == "figure_3"
         with figure_style():
-            files += write_figure(draw(drawn), folder / name, formats)
+            figure = _example_figure(drawn) if is_example else _vehicle_figure(drawn)
+            files += write_figure(figure, folder / name, formats)
+        panels = _EXAMPLE_PANELS if is_example else _vehicle_panels(drawn)
+        text = f"# Figure {name[-1]}: {_TITLES[name]}\n\n{panels}"
+        write_text_atomically(caption := folder / f"{name}.md", text)
+        files.append(caption)
     return files
 
 
@@ -108,7 +123,8 @@ def _example_figure(curves: Sequence[DrawnRun]) -> Figure:
 
 
 def _vehicle_figure(curves: Sequence[DrawnRun]) -> Figure:
-    figure, (depth, error, thrust, theta, sigma) = stacked_panels([1.9, 1.3, 1.9, 1.0, 1.0], "Time [s]")
+    heights_in = [1.9, 1.9, 1.0, 1.0, 1.3]
+    figure, (depth, thrust, theta, sigma, error) = stacked_panels(heights_in, "Time [s]", letters="abc d")
     for curve in curves:
         run = curve.run
         draw_curve(depth, run.time, run[_DEPTH], label=curve.label, **curve.line)
@@ -125,6 +141,41 @@ def _vehicle_figure(curves: Sequence[DrawnRun]) -> Figure:
     return figure
 
 
+_EXAMPLE_PANELS = """\
+- (a) Output and reference.
+- (b) Tracking error: output minus reference.
+- (c) The error of the extended controller between -3 and 3. Its first 6 s leave the panel:
+  the output starts at 0, 100 below the reference.
+
+The notes compare the last two periods with an independent calculation: the paper has no table of them.
+"""
+
+
+def _vehicle_panels(curves: Sequence[DrawnRun]) -> str:
+    """Returns the key of a figure of the vehicle, and why the thrust swings at first."""
+    swings = []
+    for curve in curves:
+        early = curve.run[_THRUST][curve.run.time <= _SURFACE_END_S]
+        swings.append(f"{early.min():.1f} to {early.max():.1f} N ({curve.label})")
+    return f"""\
+- (a) Depth, positive down. The grey band is 0.8 m with 5 % on each side.
+  A circle marks the time at which a run has settled, a dotted vertical line the published time.
+  Circles differ in size, so that both show where they coincide.
+- (b) Thrust, the sum of the thrusters. Horizontal dotted lines: published holding thrust. Inset: first 20 s.
+- (c) Estimates of the uncertainty: theta above, sigma below.
+- (d) Tracking error: depth minus reference. The paper does not draw it.
+
+In (b) and (c) a line is the mean over {_NOISE_WINDOW_S:g} s, the pale band the range in that time.
+
+**Why the thrust swings at first.** In the first {_SURFACE_END_S:g} s it is within
+{" and ".join(swings)}.
+The vehicle starts afloat at the surface. As it emerges, buoyancy falls in proportion, which acts as a spring.
+Spring and mass oscillate at about 1 Hz. Observer and thrusters delay the feedback and so keep this up.
+It is a limit cycle, not noise: with the true depth rate (scenarios that end in -ideal) it vanishes.
+It ends when the thrust holds the vehicle under water, where the spring is gone.
+"""
+
+
 def _finish_depth(panel: Axes, curves: Sequence[DrawnRun]) -> None:
     """Draws reference, settling band and settling times: circles of the runs, dotted lines of the paper."""
     run, reference = curves[0].run, {"label": "reference $z_r$", "color": "black", "linewidth": 0.6}
@@ -133,7 +184,8 @@ def _finish_depth(panel: Axes, curves: Sequence[DrawnRun]) -> None:
     panel.fill_between([0.0, _BAND_END], _TARGET - _BAND, _TARGET + _BAND, **band)
     panel.plot([], [], ":", color=GREY, linewidth=0.8, label="paper")
     panel.plot([], [], "o", color=GREY, markersize=4.0, fillstyle="none", label="settled")
-    for size, curve in zip((6.0, 3.0), curves, strict=True):  # of circles that may coincide
+    # circles of two sizes, because settling times may coincide
+    for size, curve in zip((6.0, 3.0), curves, strict=True):
         colour, settled = curve.line["color"], curve.measured[_SETTLING]
         panel.axvline(curve.published(_SETTLING), color=colour, linewidth=0.8, linestyle=":")
         panel.plot(settled, _TARGET - _BAND, "o", color=colour, markersize=size, fillstyle="none", zorder=3)
@@ -163,7 +215,7 @@ def _compare(panel: Axes, name: str, metric: str, digits: str, unit: str, curves
     rows = []
     for curve in curves:
         value = curve.measured[metric]
-        text = shown(value, {"function": metric}, digits)  # their names are those of the functions
+        text = shown(value, {"function": metric}, digits)  # each has the name of its function
         result = text if math.isnan(value) else f"{text} {unit}"
         rows.append(f"{curve.label} {result} ({curve.published(metric):g} {unit})")
     _note(panel, f"{name}, run (paper): {'; '.join(rows)}")

@@ -9,6 +9,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from fmus.generate import builder
@@ -99,11 +100,31 @@ def test_the_fmus_defaults_are_the_identified_gains() -> None:
         assert starts[name.removeprefix("controller.")] == entry["value"]
 
 
+def test_the_caption_gives_the_swings_of_the_thrust_at_the_surface_and_their_cause(
+    results: dict[str, Result], folder: Path
+) -> None:
+    caption = (folder / "figure_5.md").read_text(encoding="utf-8")
+    for name, label in (("nominal-l1", "L1"), ("nominal-extended", "extended L1")):
+        force, ideal = (
+            recording["plant.total_force"][recording.time <= 20.0]
+            for recording in (results[name].recording, results[f"{name}-ideal"].recording)
+        )
+        assert f"{force.min():.1f} to {force.max():.1f} N ({label})" in caption
+        assert _largest_drop(ideal) < 0.1 * _largest_drop(force)
+
+
+def _largest_drop(force: np.ndarray) -> float:
+    """Returns the largest fall below an earlier value, after a second in which any thrust overshoots once."""
+    later = force[50:]
+    return float((np.maximum.accumulate(later) - later).max())
+
+
 def test_figures_and_recordings_are_of_the_papers_experiments_alone(
     results: dict[str, Result], summary: dict[str, Any], folder: Path
 ) -> None:
     for number in (3, 5, 6):
         assert (folder / f"figure_{number}.png").read_bytes().startswith(b"\x89PNG")
+        assert (folder / f"figure_{number}.md").is_file()
     assert set(results) == set(reproduced())
     assert {path.stem for path in folder.glob("*.csv")} == set(results)
     for name in results:

@@ -36,22 +36,53 @@ function chosen(slider) {
   return input.value === input.defaultValue ? slider.value : valueAt(slider, input.valueAsNumber);
 }
 
+/** Metrics of a run, computed as in metrics.py from {function, signal, ...} as the scenario declares them. */
+const METRICS = {
+  settling_time: ({ signal, target, band }, time, columns) => {
+    const last = columns(signal).findLastIndex((value) => !(Math.abs(value - target) <= band));
+    return last === time.length - 1 ? NaN : time[Math.max(last, 0)];
+  },
+  rmse: ({ signal, reference, scale = 1 }, time, columns) => {
+    const [values, wanted] = [signal, reference].map(columns);
+    return scale * Math.sqrt(values.reduce((sum, value, i) => sum + (value - wanted[i]) ** 2, 0) / time.length);
+  },
+};
+
+/** The value of a metric in its window of a run, NaN where it did not happen. */
+function measured(metric, [time, ...columns]) {
+  const [start, end] = metric.window ?? [-Infinity, Infinity];
+  const tolerance = 1e-9 * Math.max(1, Math.abs(end)); // as metrics.py
+  const isInside = (t) => metric.window === undefined || (t >= start - tolerance && t <= end + tolerance);
+  const inside = [time.findIndex(isInside), time.findLastIndex(isInside) + 1];
+  const column = (name) => columns[page.columns.findIndex((each) => each.name === name)].subarray(...inside);
+  return inside[1] ? METRICS[metric.function](metric, time.subarray(...inside), column) : NaN;
+}
+
+function showMetrics() {
+  page.metrics.forEach((metric, i) => {
+    const cells = document.querySelectorAll(`#metrics tbody tr:nth-child(${i + 1}) td`);
+    results.forEach((columns, run) => {
+      const value = measured(metric, columns);
+      cells[run].textContent = Number.isNaN(value) ? metric.absent : value.toPrecision(4);
+    });
+  });
+}
+
 function runAll(program) {
   const status = document.getElementById("status");
   const values = page.sliders.map(chosen);
   page.sliders.forEach((slider, i) => (form.elements[slider.name].previousElementSibling.value = values[i].toPrecision(4)));
   try {
-    const begun = performance.now();
     results = page.runs.map((run) => {
       const own = Float64Array.from(run.values);
       page.sliders.forEach(({ indices }, i) => {
-        for (const index of indices) if (own[index] === page.runs[0].values[index]) own[index] = values[i]; // else it is what differs
+        for (const index of indices) if (own[index] === page.runs[0].values[index]) own[index] = values[i]; // else the runs differ in it
       });
       return simulate(program, own);
     });
-    const each = (performance.now() - begun) / page.runs.length;
-    status.textContent = `${results[0][0].length} communication points in ${each.toFixed(1)} ms`;
+    status.textContent = "";
     status.className = "";
+    showMetrics();
     draw();
   } catch (error) {
     status.textContent = error.message;
@@ -59,23 +90,24 @@ function runAll(program) {
   }
 }
 
-/** A panel for each unit, and for each kind of vertical axis. */
-const panels = Object.values(Object.groupBy(page.columns, ({ unit, down }) => `${unit} ${down}`)).map((columns) => {
+const panels = page.panels.map(({ names, axis, down }) => {
+  const columns = names.map((name) => page.columns.find((column) => column.name === name));
   const legend = element("div", { className: "legend" });
   const plot = element("div", { className: "plot" });
   document.getElementById("panels").append(element("figure", {}, legend, plot));
-  return { columns, legend, plot };
+  return { columns, axis, down, legend, plot };
 });
 
-/** The lines of a panel: a signal has one colour, a run one dash; what drives all runs is drawn once. */
+/** The lines of a panel: one colour a signal; runs after the first are dashed and pale; a signal of the scenario, equal in all runs, is thin and grey. */
 function linesOf(columns) {
   return columns.flatMap((column, i) =>
     page.runs.slice(0, column.isSignal ? 1 : undefined).map(({ label }, run) => ({
       label: run ? `${column.name}, ${label}` : column.name,
-      color: colour(i),
+      color: (column.isSignal ? colour(SHARED) : colour(i % SHARED)) + (run ? "99" : ""),
+      width: column.isSignal ? 1 : 1.4,
       dash: dash(run),
+      run,
       hidden: hidden.has(column.name),
-      isFirst: run === 0,
       toggle: () => {
         hidden[hidden.has(column.name) ? "delete" : "add"](column.name);
         draw(true);
@@ -94,15 +126,20 @@ function zoomed(times) {
   draw(true);
 }
 
-/** Draws all runs; anew: with other lines, colours or times, else the charts take the new values. */
+/** Draws all runs; anew: with other lines, colours or times, else with new values alone. */
 function draw(anew = false) {
-  for (const { columns, legend, plot } of panels) {
+  for (const { columns, axis, down, legend, plot } of panels) {
     const lines = linesOf(columns);
     const shown = lines.filter((line) => !line.hidden);
-    fillLegend(legend, lines.filter(({ isFirst }) => isFirst));
+    fillLegend(legend, lines.filter(({ run }) => !run));
     plot.hidden = !shown.length;
     if (!shown.length) continue;
-    if (anew || !plot.chart) chart(plot, shown, { y: `[${columns[0].unit}]`, down: columns[0].down, legend, range, zoomed, more });
+    if (anew || !plot.chart) {
+      // the order stays until the chart is drawn anew, because new values go to its lines by their place
+      plot.order = shown.toSorted((one, other) => other.run - one.run || roughness(other) - roughness(one)).map(({ label }) => label);
+    }
+    shown.sort((one, other) => plot.order.indexOf(one.label) - plot.order.indexOf(other.label));
+    if (anew || !plot.chart) chart(plot, shown, { y: axis, down, legend, range, zoomed, more });
     else {
       plot.chart.setData(dataOf(shown));
       if (range) plot.chart.setScale("x", { min: range[0], max: range[1] });

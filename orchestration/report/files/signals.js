@@ -1,5 +1,5 @@
 "use strict";
-// Signals over time: a panel for each unit, and for the errors beside what they are of, all with one time axis.
+// Signals over time: a panel for each unit, with tracking errors beside their signals, all with one time axis.
 
 if (page.runs.length) signalsSection();
 
@@ -31,7 +31,7 @@ function signalsSection() {
     return found.map((name) => [name, (anyInMetrics ? inMetrics : first).has(name)]);
   }
 
-  /** Tick boxes with a heading and a button for all of them; returns what tells the ticked ones. */
+  /** Tick boxes with a heading and a button for all of them; returns a function that lists the ticked ones. */
   function ticks(fieldset, heading, entries) {
     const boxes = entries.map(([name, checked]) => element("input", { type: "checkbox", checked, value: name }));
     const every = element("button", { type: "button", className: "small", textContent: "all or none" });
@@ -51,7 +51,7 @@ function signalsSection() {
   const times = (run) => (run.times ??= unpacked(run.time));
   const numbers = (signal) => (signal.numbers ??= unpacked(signal.values));
 
-  /** The times of the points of a signal: those of the run, or some of them. */
+  /** The times of the points of a signal: all or some of the run's. */
   async function timesOf(run, signal) {
     const time = await times(run);
     let at = 0;
@@ -108,9 +108,6 @@ function signalsSection() {
     return found;
   }
 
-  /** How much ink a line takes: the sum of its changes. */
-  const roughness = (line) => line.y.reduce((sum, y, i) => sum + (Math.abs(y - line.y[i - 1]) || 0), 0);
-
   function panel(unit) {
     if (!panels.has(unit)) {
       const [caption, legend, plot] = ["figcaption", "div", "div"].map((tag) => element(tag));
@@ -163,7 +160,7 @@ function signalsSection() {
     fillLegend(made.legend, styled);
     const shown = styled.filter((line) => !line.hidden).sort((a, b) => roughness(b) - roughness(a)); // smooth ones on top
     chart(made.plot, shown, {
-      y: inBrackets(unit), range, yRange: made.y, down: found.some((line) => line.down), // depth increases downwards
+      y: page.axes[unit] ?? unit, range, yRange: made.y, down: found.some((line) => line.down), // depth increases downwards
       legend: made.legend, zoomed: (x, y) => zoomed(made, x, y),
     });
   }

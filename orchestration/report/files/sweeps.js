@@ -1,5 +1,5 @@
 "use strict";
-// Sweeps: how metrics are distributed, what they depend on, and what one sample was.
+// Sweeps: distributions of metrics, maps, one quantity against another, and single samples.
 
 const values = (column) => (column.numbers ??= Array.isArray(column.values) ? column.values : unpacked(column.values));
 
@@ -91,6 +91,38 @@ function sweepSection(section, sweep) {
     });
   }
 
+  const mapped = find(".mapped"); // the metric of the maps
+  if (sweep.grid) {
+    mapped.append(...metrics.map((metric, i) => new Option(heading(metric), i)));
+    mapped.addEventListener("change", () => counted(drawMaps));
+  }
+
+  /** Draws the metric as a map over the two numbers of a grid, one for each group. */
+  async function drawMaps() {
+    if (!sweep.grid) return;
+    const metric = metrics[Number(mapped.value)];
+    const axes = sweep.grid.map(named);
+    const [numbers, x, y, all] = await Promise.all([sampleColumn, ...axes, metric].map(values));
+    const known = [x, y].map((each) => [...new Set(each)].sort((a, b) => a - b));
+    const finite = all.filter(Number.isFinite);
+    const [least, largest] = [Math.min(...finite), Math.max(...finite)];
+    find(".maps").replaceChildren();
+    for (const { name, members } of sweep.groups) {
+      const plot = element("div", { className: "plot map" });
+      find(".maps").append(element("figure", {}, element("figcaption", {}, [heading(metric), name].filter(Boolean).join(", ")), plot));
+      const cells = members.map((at) => ({
+        x: known[0].indexOf(x[at]), y: known[1].indexOf(y[at]), mark: "cell", sample: numbers[at],
+        share: (all[at] - least) / (largest - least || 1),
+        label: known[0].length > 12 ? "" : Number.isFinite(all[at]) ? String(Number(all[at].toPrecision(3))) : "-",
+        text: `sample ${numbers[at]}: ${Number.isFinite(all[at]) ? short(all[at]) : metric.absent}`,
+      }));
+      scatter(plot, cells, {
+        x: heading(axes[0]), y: heading(axes[1]), names: known.map((each) => each.map(short)), reach: Infinity,
+        press: (point) => counted(() => choose(point.sample)),
+      });
+    }
+  }
+
   async function choose(wanted) {
     const samples = await values(sampleColumn);
     const at = samples.indexOf(wanted);
@@ -123,7 +155,7 @@ function sweepSection(section, sweep) {
   }
 
   number.addEventListener("change", () => Number.isFinite(number.valueAsNumber) && counted(() => choose(number.valueAsNumber)));
-  const draw = () => counted(() => drawHistograms().then(drawScatter));
+  const draw = () => counted(() => drawHistograms().then(drawMaps).then(drawScatter));
   redraws.push(draw);
   draw();
 }

@@ -1,5 +1,5 @@
-/* One run of a scenario as a program: what initialisation.py and stepping.py do around the loop, for FMUs that are
-   linked to it. plan.h, which web_program.py writes, holds the system and the wiring.
+/* One run of a scenario as a program: the work of initialisation.py and stepping.py around the loop, for FMUs that
+   are linked to it. plan.h, which web_program.py writes, has the system and the wiring.
 
    Each run has a new instance of this module, so that nothing is left of the run before. The caller writes
    `setting_values`, `wiring_points` and `wiring_signal_values`, calls `run`, and reads `wiring_rows`; `message` is
@@ -63,7 +63,7 @@ typedef struct {
     double factor, offset, nominal;
 } InitialConnection;
 
-/* What an event sets; bus_index: of a recorded value, or -1. */
+/* A value that an event sets; bus_index: of a recorded value, or -1. */
 typedef struct {
     int64_t point, bus_index;
     Port port;
@@ -200,6 +200,6 @@ __attribute__((export_name("run"))) int run(void) {
     if (report[FAILURE])
         fail(FAILURES[report[FAILURE]], report[COMPONENT], wiring.points[point]);
     else
-        message[0] = '\0'; /* FMUs log also what is no failure */
+        message[0] = '\0'; /* an FMU may have logged a message without a failure */
     return (int)report[RECORDED];
 }

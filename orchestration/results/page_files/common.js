@@ -1,5 +1,5 @@
 "use strict";
-// What the sections share: the data of the page, colours, and charts that follow the colour scheme.
+// Shared by all sections: the data of the page, colours, and charts that follow the colour scheme.
 
 const page = JSON.parse(document.getElementById("data").textContent);
 const PALETTE = {
@@ -18,6 +18,9 @@ const colour = (i) => PALETTE[dark() ? "dark" : "light"][i % 10];
 const dash = (i) => Object.keys(DASHES)[i % 4];
 const SHARED = 8; // the grey of lines that several runs share; no run has it
 const colourOfRun = (i) => (i % 9 < SHARED ? i % 9 : 9);
+
+/** The sum of the changes of a line. Smooth lines are drawn over rough ones. */
+const roughness = ({ y }) => y.reduce((sum, value, i) => sum + (Math.abs(value - y[i - 1]) || 0), 0);
 
 const titled = (name, unit) => (unit ? `${name} [${unit}]` : name);
 const short = (value) => (typeof value === "number" ? String(Number(value.toPrecision(6))) : value);
@@ -47,7 +50,7 @@ async function unpacked(text) {
   return new Float64Array(bytes.buffer); // little-endian, as every machine that runs a browser
 }
 
-/** Says in the page how many drawings are under way, for whoever waits for them. */
+/** Counts the drawings under way in the attribute data-drawing, so that a program can wait for them. */
 async function counted(drawing) {
   const add = (change) => (document.body.dataset.drawing = Number(document.body.dataset.drawing) + change);
   add(1);
@@ -110,7 +113,7 @@ function chart(place, lines, { x = "time [s]", y = "", range, yRange, down = fal
   return made;
 }
 
-/** The data of uPlot: all x in one column, values of each line in others; what is not finite is a gap. */
+/** The data of uPlot: all x in one column, values of each line in others; NaN and infinity are gaps. */
 const aligned = (lines) => uPlot.join(lines.map(({ x, y }) => [x, Array.from(y, (value) => (Number.isFinite(value) ? value : null))]));
 
 const resized = new ResizeObserver((entries) => {

@@ -5,20 +5,28 @@ const MARKS = {
   circle: (path, x, y, r) => path.arc(x, y, r, 0, 2 * Math.PI),
   diamond: (path, x, y, r) => [[0, -r], [r, 0], [0, r], [-r, 0], [0, -r]].forEach(([across, down], i) => path[i ? "lineTo" : "moveTo"](x + across, y + down)),
   cross: (path, x, y, r) => [[-r, -r, r, r], [-r, r, r, -r]].forEach(([a, b, c, d]) => (path.moveTo(x + a, y + b), path.lineTo(x + c, y + d))),
+  cell: (path, x, y, r, u) => {
+    const [width, height] = ["x", "y"].map((axis) => Math.abs(u.valToPos(1, axis, true) - u.valToPos(0, axis, true)));
+    path.rect(x - width / 2, y - height / 2, width, height);
+  },
   bar: (path, x, y, r) => (path.moveTo(x - 3 * r, y), path.lineTo(x + 3 * r, y)),
 };
 
 /**
  * Draws points {x, y, color, text, mark, size, strong, label} and returns the uPlot.
  *
- * text is shown under the pointer, label beside the point; press(point) is called with the nearest one; line: points
- * that a grey line joins; names: [of x, of y], lists of which a coordinate is an index, or null for numbers
+ * text is shown under the pointer, label beside the point; a cell has a share from 0 to 1 in place of a colour, and
+ * its label inside; press(point) is called with the nearest one within reach [px]; line: points that a grey line
+ * joins; names: [of x, of y], lists of which a coordinate is an index, or null for numbers
  */
-function scatter(place, points, { x, y, log = false, names = [], line = [], press }) {
+function scatter(place, points, { x, y, log = false, names = [], line = [], reach = 12, press }) {
   const drawn = points.filter((point) => Number.isFinite(point.x) && Number.isFinite(point.y));
   const tip = element("output", { className: "tip" });
   const near = { point: null };
-  const across = (values) => (values ? { splits: () => values.map((_, i) => i), values: () => values, rotate: values.length > 4 ? -30 : 0, size: values.length > 4 ? 110 : 34 } : {});
+  const across = (values) => {
+    const isSlanted = values?.join("").length > 40; // letters that have room side by side on a phone
+    return values ? { splits: () => values.map((_, i) => i), values: () => values, rotate: isSlanted ? -30 : 0, size: isSlanted ? 110 : 34 } : {};
+  };
   const scale = (values) => (values ? { range: [-0.5, values.length - 0.5] } : { distr: log ? 3 : 1, range: log ? oneDigit : padded });
   const invisible = { ...sorted(drawn), label: "points", series: { paths: () => null } };
   const joined = { ...sorted(line), label: "line", color: "#888888", width: 1, series: { spanGaps: true } };
@@ -38,7 +46,7 @@ function scatter(place, points, { x, y, log = false, names = [], line = [], pres
   function point(u) {
     const far = (each) => Math.hypot(u.valToPos(each.x, "x") - u.cursor.left, u.valToPos(each.y, "y") - u.cursor.top);
     const nearest = drawn.reduce((best, each) => (far(each) < far(best) ? each : best), drawn[0]);
-    near.point = nearest && far(nearest) < 12 ? nearest : null;
+    near.point = nearest && u.cursor.left >= 0 && far(nearest) < reach ? nearest : null;
     tip.textContent = near.point?.text ?? "";
     const { left, top } = u.cursor;
     const [width, height] = [u.over.clientWidth, u.over.clientHeight];
@@ -60,17 +68,33 @@ const padded = (u, least, largest) => {
   return [least - margin, largest + margin];
 };
 
-function mark(u, { x, y, color, mark = "circle", size = 4, strong = false, label = "" }) {
+/** The fill of a share from 0 to 1, farther from the colour of the page if larger, and a legible ink on it. */
+function heat(share) {
+  const lightness = Number.isFinite(share) ? (dark() ? 20 + 60 * share : 95 - 60 * share) : dark() ? 10 : 100;
+  return [`hsl(210 ${Number.isFinite(share) ? 65 : 0}% ${lightness}%)`, lightness > 55 ? "#000000" : "#ffffff"];
+}
+
+function mark(u, { x, y, color, share, mark = "circle", size = 4, strong = false, label = "" }) {
   const [across, down, r] = [u.valToPos(x, "x", true), u.valToPos(y, "y", true), size * devicePixelRatio];
   const path = new Path2D();
-  MARKS[mark](path, across, down, r);
+  MARKS[mark](path, across, down, r, u);
   u.ctx.save();
+  u.ctx.textAlign = "center";
+  if (mark === "cell") {
+    const [fill, ink] = heat(share);
+    u.ctx.fillStyle = fill;
+    u.ctx.fill(path);
+    u.ctx.fillStyle = ink;
+    u.ctx.textBaseline = "middle";
+    u.ctx.fillText(label, across, down);
+    u.ctx.restore();
+    return;
+  }
   u.ctx.globalAlpha = strong ? 1 : 0.65;
   [u.ctx.fillStyle, u.ctx.strokeStyle, u.ctx.lineWidth] = [color, color, (strong ? 3 : 1.5) * devicePixelRatio];
   if (color !== "none" && !strong) u.ctx.fill(path);
   u.ctx.stroke(path);
   u.ctx.globalAlpha = 1;
-  u.ctx.textAlign = "center";
   u.ctx.fillStyle = u.axes[0].stroke();
   u.ctx.fillText(label, across, down - 2 * r);
   u.ctx.restore();

@@ -9,7 +9,7 @@ for (const table of document.querySelectorAll("table.sortable")) {
       headings.forEach((each) => each.setAttribute("aria-sort", "none"));
       heading.setAttribute("aria-sort", ascending ? "ascending" : "descending");
       const rows = [...table.tBodies[0].rows].map((row) => [sortKey(row.cells[column]), row]);
-      rows.sort(([a], [b]) => (a === "") - (b === "") || (ascending ? 1 : -1) * compared(a, b)); // what is absent is last
+      rows.sort(([a], [b]) => (a === "") - (b === "") || (ascending ? 1 : -1) * compared(a, b)); // absent values last
       table.tBodies[0].append(...rows.map(([, row]) => row));
     });
   });

@@ -11,6 +11,7 @@ from selenium import webdriver
 
 from orchestration import Recording, simulate
 from orchestration.report.live_page import live_page
+from orchestration.results import metrics
 from orchestration.scenarios import scenario
 from orchestration.scenarios.fmu_files import build_missing
 from orchestration.scenarios.scenario import Scenario
@@ -250,18 +251,71 @@ def test_what_an_fmu_refuses_is_shown_and_the_last_runs_stay(open_live: Open, of
 def test_charts_follow_the_sliders_and_signals_are_shown_by_their_buttons(open_live: Open) -> None:
     page = open_live(with_experiment(loaded("nominal-extended"), stop_time=5.0))
 
-    def drawn() -> list[list[float]]:
-        return page.run("return panels[0].plot.chart.data.slice(1).map((column) => [...column])")
+    def drawn() -> dict[str, list[float]]:
+        return page.run(
+            "const {chart} = panels[0].plot;"
+            "const lines = chart.series.slice(1).map(({label}, i) => [label, [...chart.data[i + 1]]]);"
+            "return Object.fromEntries(lines)"
+        )
 
-    reference, depth = drawn()
-    assert [reference, depth] == page.run("return [1, 2].map((i) => [...results[0][i]])")
+    def recorded() -> dict[str, list[float]]:
+        columns = page.run("return results[0].map((column) => [...column])")
+        names = page.run("return page.columns.map(({name}) => name)")
+        every = dict(zip(names, columns[1:], strict=True))
+        return {name: every[name] for name in ("controller.depth_reference", "plant.depth")}
+
+    before = drawn()
+    assert before == recorded()
     move(page, "plant.external_force", 1.0)
-    assert drawn()[0] == reference
-    assert drawn()[1] != depth
+    assert drawn() == recorded()
+    assert drawn()["controller.depth_reference"] == before["controller.depth_reference"]
+    assert drawn()["plant.depth"] != before["plant.depth"]
     page.click(page.one("#panels .legend button[aria-pressed=false]"))  # measured_depth
     assert len(drawn()) == 3
     page.click(page.one("#panels .legend button"))
     assert len(drawn()) == 2
+
+
+def metrics_shown(page: OpenedPage) -> dict[str, list[str]]:
+    """Metric -> its value in each run, as the table beside the sliders has them."""
+    return {
+        row.find_element("tag name", "th").text.split()[0]: [
+            cell.text for cell in row.find_elements("tag name", "td")
+        ]
+        for row in page.all("#metrics tbody tr")
+    }
+
+
+def test_settling_times_and_rmses_of_both_runs_follow_the_sliders(open_live: Open) -> None:
+    """Four digits of what the functions of metrics.py give, which the scenario declares with windows."""
+    extended, plain = loaded("nominal-extended"), loaded("nominal-l1")
+    page = open_live(extended, plain)
+
+    def expected(*scenarios: Scenario) -> dict[str, list[str]]:
+        values = [metrics.evaluate(native(one), one.metrics) for one in scenarios]
+        return {name: [f"{value[name]:#.4g}" for value in values] for name in ("settling_time", "rmse")}
+
+    assert metrics_shown(page) == expected(extended, plain)
+    value = move(page, "controller.proportional_gain", 0.8)
+    stiffer = loaded("nominal-extended", **{"controller.proportional_gain": value})
+    assert metrics_shown(page) == expected(stiffer, plain)
+    short = with_experiment(extended, stop_time=30.0)  # on the way down
+    assert metrics_shown(open_live(short))["settling_time"] == ["not settled"]
+
+
+def test_a_slider_shows_from_when_on_an_event_sets_its_variable(open_live: Open) -> None:
+    page = open_live(with_experiment(loaded("nominal-extended"), stop_time=15.0, events=EVENTS))
+    (note,) = page.all(".slider small")
+    assert note.text == "until 3.011 s, then an event sets it"
+    assert note.find_element("xpath", "../input").get_attribute("name") == "plant.external_force"
+
+
+def test_axes_have_the_names_of_their_quantities(open_live: Open) -> None:
+    page = open_live(with_experiment(loaded("nominal-extended"), stop_time=5.0))
+    titles = page.run(
+        "return panels.filter(({plot}) => !plot.hidden).map(({plot: {chart}}) => chart.axes[1].label)"
+    )
+    assert titles == ["Depth [m]", "Force [N]"]
 
 
 def test_times_that_a_drag_chooses_stay_chosen_when_a_slider_moves(open_live: Open) -> None:

@@ -18,10 +18,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from orchestration.errors import OrchestrationError
-from orchestration.report.embedded import COLUMNS, drawn_points, packed, run_data
+from orchestration.report.embedded import COLUMNS, packed, run_data
 from orchestration.report.find import found_results
 from orchestration.report.render import differences, shortened
 from orchestration.report.result import RunResult, SweepResult, correlations, distributions, strongest, toml
+from orchestration.results.panels import drawn_points
 from orchestration.scenarios import scenario
 
 from .made_up import PROVENANCE, SCENARIO, recording, write_run
@@ -52,7 +53,7 @@ def test_short_lists_stand_on_one_line() -> None:
 
 def test_a_scenario_that_toml_cannot_say_is_refused(tmp_path: Path) -> None:
     document = write_run(tmp_path, "dive", parameters={"plant.mass": None})
-    with pytest.raises(OrchestrationError, match="expected what TOML can say"):
+    with pytest.raises(OrchestrationError, match="expected values of TOML"):
         found_results([document])
 
 
@@ -76,7 +77,7 @@ def test_a_decimated_line_keeps_ends_extremes_of_each_column_and_gaps(
     """Exactly; and no more than three points of a column, of steps of any length."""
     draw = np.random.default_rng(seed)
     time, values = np.cumsum(draw.exponential(size=points)), draw.choice(few, points)
-    kept = drawn_points(time, values)
+    kept = drawn_points(time, values, COLUMNS)
     assert (np.diff(kept) > 0).all()
     if points <= 2 * COLUMNS:
         assert kept.tolist() == list(range(points))

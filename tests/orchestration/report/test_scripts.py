@@ -4,9 +4,12 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from orchestration.report import render
+from orchestration.results import metrics
+from orchestration.results.recording import Recording
 from tests.orchestration.results.page_scripts import SHARED, evaluated
 
 FILES = Path(render.__file__).with_name("files")
@@ -30,8 +33,10 @@ def test_every_value_of_a_histogram_is_in_a_bin() -> None:
     assert (sum(others), others[10]) == (1, 1)
 
 
-LIVE = {
+LIVE: dict[str, Any] = {
     "columns": [],
+    "panels": [],
+    "metrics": [],
     "runs": [{"label": "a", "values": [2.0, 3.0, 9.0]}, {"label": "b", "values": [2.0, 4.0, 9.0]}],
     "sliders": [
         {"name": "p", "indices": [0], "low": 1.0, "high": 100.0, "isLogarithmic": True, "value": 2.0},
@@ -57,6 +62,31 @@ def test_sliders_change_every_run_but_where_it_differs_from_the_first() -> None:
     assert evaluated(run, FILES / "live.js", page=LIVE) == [[7.0, 8.0, 9.0], [7.0, 4.0, 9.0]]
 
 
+@pytest.mark.parametrize("window", [None, [1.0, 3.0], [2.0, 9.0]])
+def test_metrics_of_the_live_page_are_those_of_a_recording(window: list[float] | None) -> None:
+    """Settled in the window to 3 s, at the end of which the error is large again; settled from the start."""
+    time = np.arange(6.0)
+    run = Recording(
+        ("a.y", "a.r"), ("m", "m"), time, np.array([[0, 2, 1, 1.05, 1, 9], [1, 1, 1, 1, 1, 2.0]]).T
+    )
+    calls: list[dict[str, Any]] = [
+        {"function": "settling_time", "signal": "a.y", "target": 1.0, "band": 0.1},
+        {"function": "settling_time", "signal": "a.y", "target": 1.0, "band": 9.0},
+        {"function": "rmse", "signal": "a.y", "reference": "a.r", "scale": 100.0},
+    ]
+    declared = {str(i): call | ({"window": window} if window else {}) for i, call in enumerate(calls)}
+    page = {
+        **LIVE,
+        "columns": [{"name": name, "shown": True} for name in run.names],
+        "metrics": [*declared.values()],
+    }
+    columns = json.dumps([time.tolist(), *run.values.T.tolist()])
+    of_run = f"{columns}.map((column) => Float64Array.from(column))"
+    expression = f"page.metrics.map((metric) => String(measured(metric, {of_run})))"
+    shown = [*map(float, evaluated(expression, FILES / "live.js", page=page))]
+    assert shown == pytest.approx([*metrics.evaluate(run, declared).values()], rel=1e-14, nan_ok=True)  # sums
+
+
 def test_the_difference_of_two_runs_is_taken_on_lines_between_the_points_of_the_first() -> None:
     def run(name: str, time: list[float], values: list[float]) -> dict[str, Any]:
         signal = {"name": "z", "unit": "m", "values": values, "error_of": None, "steps": None, "down": True}
@@ -69,7 +99,7 @@ def test_the_difference_of_two_runs_is_taken_on_lines_between_the_points_of_the_
     ]
     drawn = "charts[0].data[0]"
     time, difference = evaluated(
-        drawn, FILES / "signals.js", page={"runs": runs}, ids={"view": {"value": "0"}}
+        drawn, FILES / "signals.js", page={"runs": runs, "axes": {}}, ids={"view": {"value": "0"}}
     )
     assert list(time.values()) == [-1.0, 1.0, 5.0, 6.0]
     assert difference == [None, 1.0, -5.0, 0.0]
@@ -80,9 +110,12 @@ def test_a_point_of_a_sweep_is_its_sample() -> None:
         return {"name": name, "unit": "", "kind": kind, "values": values}
 
     sweep = {
-        "samples": [5.0, 7.0, 9.0], "first": ["k", "rmse"], "groups": [{"name": "all", "members": [0, 1, 2]}],
+        "samples": [5.0, 7.0, 9.0],
+        "first": ["k", "rmse"],
+        "grid": None,
+        "groups": [{"name": "all", "members": [0, 1, 2]}],
         "columns": [column("k", "varied", [1.0, 2.0, 3.0]), column("rmse", "metric", [4.0, 5.0, 6.0])],
-    }  # fmt: skip
+    }
     files = SHARED / "points.js", FILES / "sweeps.js"
     ids = {"section.sweep": [{"dataset": {"sweep": "0"}}], "sweeps-compared": None}
     replaced = "scatter = (place, points) => charts.push(points.map(({ sample }) => sample))"

@@ -271,7 +271,7 @@ def test_a_recording_alone_and_one_of_a_single_point_are_drawn(opened: Open, tmp
     recording().write(tmp_path / "alone.csv")
     page = opened(tmp_path / "point.parquet", tmp_path / "alone.csv")
     assert {"plant.depth, point", "plant.depth, alone"} <= set(page.shown())
-    assert "does not say what was run" in str(page.one("#what-was-run").get_property("textContent"))
+    assert "has no scenario" in str(page.one("#what-was-run").get_property("textContent"))
 
 
 def test_measured_data_lie_over_the_run_and_are_joined_across_empty_cells(

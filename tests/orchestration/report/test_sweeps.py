@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from orchestration.report.find import found_results
-from orchestration.report.result import SweepResult, common_metrics, paired_differences
+from orchestration.report.result import SweepResult, common_metrics, grid_of, paired_differences
 from orchestration.results.statistics import paired
 from orchestration.sweep import table
 from tests.orchestration.results.opened import OpenedPage
@@ -153,6 +153,63 @@ def test_texts_are_varied_too(opened: Open, tmp_path: Path) -> None:
     ]
     assert len(page.all(".distributions tbody tr")) == 2 * len(bars)
     assert any(row.text.startswith("plant.sensor_seed all ") for row in page.all(".correlations tbody tr"))
+
+
+def on_a_grid(path: Path, kinds: tuple[str, ...] = ()) -> tuple[list[float], list[float]]:
+    """Varies inertia and buoyancy on a grid of 3 x 4, and the seed, which is a text then, or not at all."""
+    read, _ = table.read(path)
+    heavy, light = [5.0, 6.0, 7.0], [-0.2, 0.0, 0.2, 0.4]
+    points = [(kind, x, y) for kind in kinds or ("",) for x in heavy for y in light]
+    columns = {name: read[name] for name in ("sample", "rmse", "holding_thrust", "error")}
+    columns |= {
+        name: pa.array([p[i] for p in points])
+        for i, name in ((1, "plant.inertia"), (2, "plant.buoyancy_change"))
+    }
+    if kinds:
+        columns["plant.sensor_seed"] = pa.array([kind for kind, _, _ in points])
+    fields = [read.schema.field(name).with_type(column.type) for name, column in columns.items()]
+    schema = pa.schema(fields, read.schema.metadata)
+    pq.write_table(pa.Table.from_arrays([*columns.values()], schema=schema), path)
+    return heavy, light
+
+
+def test_a_grid_of_two_numbers_is_a_map_of_each_metric(opened: Open, tmp_path: Path) -> None:
+    """The failed samples are no cells, and a press on a cell shows its sample."""
+    path = write_sweep(tmp_path, 12)
+    heavy, light = on_a_grid(path)
+    page = opened(path).choose(".mapped", "rmse [cm]")
+    rows = table.read(path)[0].to_pylist()
+    cells = page.run("return document.querySelector('.map').points")
+    assert {(heavy[c["x"]], light[c["y"]]): c["label"] for c in cells} == {
+        (row["plant.inertia"], row["plant.buoyancy_change"]): f"{row['rmse']:.3g}"
+        for row in rows
+        if not row["error"]
+    }
+    assert {min(c["share"] for c in cells), max(c["share"] for c in cells)} == {0.0, 1.0}
+    titles = page.run("return document.querySelector('.map').chart.axes.map((axis) => axis.label)")
+    assert titles == ["plant.inertia [kg]", "plant.buoyancy_change [N]"]
+    page.click_point(page.one(".map"), 2, 1)
+    page.until(lambda: facts(page))
+    assert (facts(page)["plant.inertia [kg]"], facts(page)["plant.buoyancy_change [N]"]) == ("7", "0")
+
+
+def test_each_group_of_a_grid_has_its_map(opened: Open, tmp_path: Path) -> None:
+    path = write_sweep(tmp_path, 24)
+    on_a_grid(path, ("pi", "none"))
+    page = opened(path)
+    captions = [caption.text for caption in page.all(".maps figcaption")]
+    assert captions == ["rmse [cm], pi", "rmse [cm], none"]
+
+
+def test_what_is_no_grid_has_no_map(tmp_path: Path) -> None:
+    (drawn,) = found_results([write_sweep(tmp_path, 12)])
+    assert isinstance(drawn, SweepResult)
+    assert grid_of(drawn) is None
+    numbers = {"a.x": [1.0, 2.0, 1.0, 2.0], "a.y": [1.0, 1.0, 2.0, 2.0]}
+    four = replace(drawn, samples=np.arange(4))
+    assert grid_of(replace(four, varied=numbers)) == ("a.x", "a.y")
+    assert grid_of(replace(four, varied={**numbers, "a.y": [1.0, 1.0, 2.0, 3.0]})) is None
+    assert grid_of(replace(four, varied={**numbers, "a.y": [1.0] * 4})) is None
 
 
 def test_several_sweeps_stand_in_one_table_with_overlaid_histograms_and_paired_differences(

