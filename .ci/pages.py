@@ -7,9 +7,12 @@ import json
 import re
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
+
+from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs" / "explanation" / "identification"))
 sys.path.insert(0, str(Path(__file__).parent))
@@ -69,6 +72,7 @@ def gallery_page() -> str:
     return "\n".join([_GALLERY, *entries])
 
 
+_COLOURS = 64  # of lines and letters, smoothed
 WRITTEN = "<!-- Written by .ci/pages.py: change what it reads. -->\n\n"
 PAGES: Mapping[str, Callable[[], str]] = {
     "explanation/comparison.md": comparison_page.page,
@@ -116,11 +120,25 @@ def pages_with_tables() -> Iterator[Path]:
             yield path
 
 
+def _write_paper_figures(folder: Path) -> None:
+    """Writes figures 3, 5 and 6 of `l1-depth reproduce`, smaller than for print, with their captions."""
+    with tempfile.TemporaryDirectory() as results:
+        subprocess.run(["l1-depth", "reproduce", "--out", results], check=True, capture_output=True)
+        for caption in Path(results).glob("figure_*.md"):
+            (folder / caption.name).write_text(
+                WRITTEN + caption.read_text(encoding="utf-8"), encoding="utf-8"
+            )
+            image = Image.open(caption.with_suffix(".png")).convert("RGB")
+            smaller = image.resize((image.width * 3 // 5, image.height * 3 // 5), Image.Resampling.LANCZOS)
+            smaller.quantize(_COLOURS).save(folder / f"{caption.stem}.png", optimize=True)
+
+
 def main() -> None:
     """Writes everything."""
     for name, page in PAGES.items():
         (DOCS / name).write_text(WRITTEN + page(), encoding="utf-8")
     comparison_page.figures(DOCS / "explanation")
+    _write_paper_figures(DOCS / "explanation")
     for path in pages_with_tables():
         path.write_text(with_tables(path.read_text(encoding="utf-8")), encoding="utf-8")
 

@@ -49,7 +49,6 @@ def _generated() -> Contents:
             **_downloads(working),
             **_schemas(),
             **_gallery(working),
-            **_results(working),
             **_live(working),
             **_names(),
         }
@@ -108,12 +107,6 @@ def executed(script: Path, folder: Path) -> nbformat.NotebookNode:
         resources={"metadata": {"path": str(folder)}},
         extra_arguments=["--log-level=ERROR"],
     ).execute(env=environment)
-
-
-def _results(working: Path) -> Contents:
-    """The figures of `l1-depth reproduce`."""
-    downloads.run("l1-depth", "reproduce", "--out", "results", folder=working)
-    return {f"explanation/{path.name}": path.read_bytes() for path in (working / "results").glob("fig*.png")}
 
 
 def _live(working: Path) -> Contents:

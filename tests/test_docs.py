@@ -19,10 +19,8 @@ ROOT = Path(__file__).parent.parent
 PAGES = own_pages(ROOT / "docs")
 ROOMS = [ROOT / room / "README.md" for room in ("controller_fmu", "fmus", "plant_fmu")]
 TEXTS = [*sorted((ROOT / "docs").rglob("*.md")), *ROOMS, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
-# downloads, the live page and pictures are large, and the list of names is directives for the site's program
-MADE_WITH_THE_SITE = re.compile(
-    r"docs/(downloads/|live\.html|explanation/figure_\d|reference/api/orchestration\.md)"
-)
+# downloads and the live page are large, and the list of names is directives for the site's program
+MADE_WITH_THE_SITE = re.compile(r"docs/(downloads/|live\.html|reference/api/orchestration\.md)")
 TOOL_PAGES = [
     page for page in (ROOT / "docs" / "how-to" / "importing").glob("*.md") if page.name != "README.md"
 ]
