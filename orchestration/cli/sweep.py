@@ -73,12 +73,13 @@ def sweep(
 
     from orchestration.sweep import table  # Arrow is slow to import: after what can be refused
     from orchestration.sweep.run import sweep as run_samples
-    from orchestration.sweep.table import summary_table
+    from orchestration.sweep.table import grid_tables, summary_table
 
     with shared.progress("sweep", planned.count, kept="samples") as bar:
         path = run_samples(planned, out, place, recorded, restart, bar.advance)
     results, provenance = table.read(path)
-    shared.print_table(summary_table(results, provenance))
+    for printed in (summary_table(results, provenance), *grid_tables(results, provenance)):
+        shared.print_table(printed)
     print(path)
     if recordings:
         print(path.with_suffix(".recordings"))

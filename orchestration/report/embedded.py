@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from orchestration.report.result import RunResult, SweepResult, correlations, grid_of, groups_of, strongest
+from orchestration.report.result import RunResult, SweepResult, correlations, groups_of, strongest
 from orchestration.results.metrics import SIGNALS
 from orchestration.results.page import packed
 from orchestration.results.panels import drawn_points, points_down
-from orchestration.sweep.table import categorical
+from orchestration.sweep.table import categorical, grid
 
 COLUMNS = 2000
 """Columns of pixels of a chart."""
@@ -88,7 +88,7 @@ def sweep_data(sweep: SweepResult) -> dict[str, Any]:
             {"name": ", ".join(group), "members": indices.tolist()}
             for group, indices in groups_of(sweep).items()
         ],
-        "grid": grid_of(sweep),
+        "grid": grid(sweep.varied),
         "first": strongest(correlations(sweep)),
         "command": sweep.command,
     }

@@ -15,7 +15,6 @@ from orchestration.report.result import (
     common_metrics,
     correlations,
     distributions,
-    grid_of,
     of_succeeded,
     paired_differences,
     toml,
@@ -23,7 +22,7 @@ from orchestration.report.result import (
 from orchestration.results.metric_units import shown
 from orchestration.results.page import page
 from orchestration.results.panels import axis_label
-from orchestration.sweep.table import HEADINGS, categorical
+from orchestration.sweep.table import HEADINGS, categorical, grid
 
 _TEMPLATE = Path(__file__).parent / "files" / "page.html"
 _SCRIPTS = ("points.js", "tables.js", "signals.js", "sweeps.js")
@@ -53,7 +52,7 @@ def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
         headings=HEADINGS,
         categorical=categorical,
         distributions=distributions,
-        grid_of=grid_of,
+        grid=grid,
         correlations=correlations,
         data={
             "columns": COLUMNS,

@@ -181,22 +181,6 @@ def strongest(rows: list[dict[str, Any]]) -> tuple[str, str] | None:
     return max(strength, key=lambda pair: strength[pair]) if strength else None
 
 
-def grid_of(sweep: SweepResult) -> tuple[str, str] | None:
-    """Returns the two variables of a sweep on a grid, in which each group has each pair of values once.
-
-    Returns None for any other sweep.
-    """
-    categories = categorical(sweep.varied)
-    numbers = [name for name in sweep.varied if name not in categories]
-    if len(numbers) != 2:
-        return None
-    first, second = (sweep.varied[name] for name in numbers)
-    pairs = len({*first}) * len({*second})
-    cells = {*zip(first, second, *(sweep.varied[name] for name in categories), strict=True)}
-    is_grid = min(len({*first}), len({*second})) > 1 and len(cells) == len(sweep.samples)
-    return (numbers[0], numbers[1]) if is_grid and len(cells) % pairs == 0 else None
-
-
 def common_metrics(sweeps: Sequence[SweepResult]) -> dict[str, str]:
     """Returns the common metrics of several sweeps -> their units."""
     if len(sweeps) < 2:

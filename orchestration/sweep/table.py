@@ -12,7 +12,7 @@ table metadata: `l1_depth.kind` is sweep; `l1_depth.provenance` is JSON with the
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -138,6 +138,7 @@ def unit(columns: pa.Schema, name: str) -> str:
 
 _PERCENT = {"least": 0, "5 %": 5, "50 %": 50, "95 %": 95, "largest": 100}
 HEADINGS = ("samples", "mean", "std", *_PERCENT)
+_MOST_ACROSS = 10  # columns of a grid that a terminal shows
 _PRINTED = ("samples", "mean", "std", "5 %", "50 %", "95 %")
 
 
@@ -168,6 +169,22 @@ def categorical(varied: Mapping[str, Sequence[Any]]) -> list[str]:
     return [
         name for name, values in varied.items() if any(isinstance(v, (str, bool, np.bool_)) for v in values)
     ]
+
+
+def grid(varied: Mapping[str, Sequence[Any]]) -> tuple[str, str] | None:
+    """Returns the two variables of a grid, in which each group has each pair of values once.
+
+    varied: name -> a value for each sample. Returns None for any other sweep.
+    """
+    categories = categorical(varied)
+    numbers = [name for name in varied if name not in categories]
+    if len(numbers) != 2:
+        return None
+    first, second = (varied[name] for name in numbers)
+    pairs = len({*first}) * len({*second})
+    cells = {*zip(first, second, *(varied[name] for name in categories), strict=True)}
+    is_grid = min(len({*first}), len({*second})) > 1 and len(cells) == len(first)
+    return (numbers[0], numbers[1]) if is_grid and len(cells) % pairs == 0 else None
 
 
 def failed(results: pa.Table) -> int:
@@ -202,3 +219,33 @@ def summary_table(results: pa.Table, provenance: dict[str, Any]) -> "Table":
             ]
             printed.add_row(*map(escape, (*values, name, unit(results.schema, name))), *cells)
     return printed
+
+
+def grid_tables(results: pa.Table, provenance: dict[str, Any]) -> Iterator["Table"]:
+    """Yields, for a sweep over a grid of two numbers alone, each metric as a table for a terminal.
+
+    The variable with fewer values is across. A grid that is wider than a page has no tables.
+    """
+    from rich.markup import escape
+    from rich.table import Table
+
+    varied = {name: results[name].to_pylist() for name in names(results.schema, "varied")}
+    if len(varied) != 2 or not grid(varied):
+        return
+    across, down = sorted(varied, key=lambda name: len({*varied[name]}))
+    values = {name: sorted({*varied[name]}) for name in varied}
+    if len(values[across]) > _MOST_ACROSS:
+        return
+    labels = {name: f"{name} [{unit(results.schema, name) or '1'}]" for name in varied}
+    for name, call in provenance["scenario"]["metrics"].items():
+        numbers = [math.nan if value is None else value for value in results[name].to_pylist()]
+        cells = dict(zip(zip(varied[down], varied[across], strict=True), numbers, strict=True))
+        title = f"{name} [{unit(results.schema, name) or '1'}], across: {labels[across]}"
+        printed = Table(escape(labels[down]), title=escape(title))
+        for value in values[across]:
+            printed.add_column(f"{value:.4g}", justify="right")
+        for row in values[down]:
+            numbers = [cells[row, column] for column in values[across]]
+            texts = [f"{number:.4g}" if math.isfinite(number) else shown(number, call) for number in numbers]
+            printed.add_row(f"{row:.4g}", *map(escape, texts))
+        yield printed

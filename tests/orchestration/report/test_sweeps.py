@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from orchestration.report.find import found_results
-from orchestration.report.result import SweepResult, common_metrics, grid_of, paired_differences
+from orchestration.report.result import SweepResult, common_metrics, paired_differences
 from orchestration.results.statistics import paired
 from orchestration.sweep import table
 from tests.orchestration.results.opened import OpenedPage
@@ -201,15 +201,14 @@ def test_each_group_of_a_grid_has_its_map(opened: Open, tmp_path: Path) -> None:
     assert captions == ["rmse [cm], pi", "rmse [cm], none"]
 
 
-def test_what_is_no_grid_has_no_map(tmp_path: Path) -> None:
+def test_other_sweeps_are_no_grid(tmp_path: Path) -> None:
     (drawn,) = found_results([write_sweep(tmp_path, 12)])
     assert isinstance(drawn, SweepResult)
-    assert grid_of(drawn) is None
+    assert table.grid(drawn.varied) is None
     numbers = {"a.x": [1.0, 2.0, 1.0, 2.0], "a.y": [1.0, 1.0, 2.0, 2.0]}
-    four = replace(drawn, samples=np.arange(4))
-    assert grid_of(replace(four, varied=numbers)) == ("a.x", "a.y")
-    assert grid_of(replace(four, varied={**numbers, "a.y": [1.0, 1.0, 2.0, 3.0]})) is None
-    assert grid_of(replace(four, varied={**numbers, "a.y": [1.0] * 4})) is None
+    assert table.grid(numbers) == ("a.x", "a.y")
+    assert table.grid({**numbers, "a.y": [1.0, 1.0, 2.0, 3.0]}) is None
+    assert table.grid({**numbers, "a.y": [1.0] * 4}) is None
 
 
 def test_several_sweeps_stand_in_one_table_with_overlaid_histograms_and_paired_differences(

@@ -260,6 +260,41 @@ def test_every_text_that_is_varied_has_rows_of_its_own_in_the_summary(planned: M
     assert columns["Mean"] == ["10", "1", "5", "not a number"]
 
 
+def test_a_grid_of_two_numbers_has_a_table_of_each_metric(planned: Make, tmp_path: Path) -> None:
+    """The variable with fewer values is across; a failed sample has no number."""
+    made = planned(
+        '[sweep.vary]\n"r.u" = { values = [1, 2, 3] }\n"experiment.stop_time" = { values = [0.5, 1] }\n'
+    )
+    opened = begun(made, tmp_path, range(5))
+    opened.add([row(made, 5, "the rudder is stuck")])
+    opened.finish()
+    rows, about = table.read(opened.path)
+    mean, effort = table.grid_tables(rows, about)
+    assert "mean" in str(mean.title)
+    assert "across: experiment.stop_time" in str(mean.title)
+    u, *columns = mean.columns
+    assert [u.header, *u.cells] == ["r.u \\[1]", "1", "2", "3"]
+    assert [column.header for column in columns] == ["0.5", "1"]
+    cells = {
+        (float(x), float(column.header)): cell
+        for column in columns
+        for x, cell in zip(u.cells, column.cells, strict=True)
+    }
+    given = [made.values(sample) for sample in range(6)]
+    expected = {(one["r.u"], one["experiment.stop_time"]): f"{10.0 * i:.4g}" for i, one in enumerate(given)}
+    assert cells == expected | {(given[5]["r.u"], given[5]["experiment.stop_time"]): "not a number"}
+    assert {cell for column in effort.columns[1:] for cell in column.cells} == {"1", "not a number"}
+
+
+@pytest.mark.parametrize("values", ['["none", "warning"]', "[0.5]"])
+def test_other_sweeps_have_no_table_of_a_grid(planned: Make, tmp_path: Path, values: str) -> None:
+    name = "r.misdeed" if "none" in values else "experiment.stop_time"
+    made = planned(f'[sweep.vary]\n"r.u" = {{ values = [1, 2] }}\n"{name}" = {{ values = {values} }}\n')
+    opened = begun(made, tmp_path, range(made.count))
+    opened.finish()
+    assert not [*table.grid_tables(*table.read(opened.path))]
+
+
 def test_another_file_is_no_table_of_a_sweep(tmp_path: Path, planned: Make) -> None:
     path = tmp_path / "other.parquet"
     pq.write_table(table.schema(planned(GRID), None).remove_metadata().empty_table(), path)
