@@ -10,10 +10,12 @@ FIXED_UNITS = {
     "shift_lag": "s",
     "phase_lag": "s",
     "time_below": "s",
+    "time_above": "s",
+    "duty_cycle": "%",
     "overshoot": "%",
 }
 """Function -> its unit, whatever the signal is measured in."""
-_UNIT_OF_THE_SIGNAL = ("rmse", "peak_error", "std", "mean", "peak", "total_variation")
+_UNIT_OF_THE_SIGNAL = ("rmse", "peak_error", "std", "mean", "peak", "maximum", "minimum", "total_variation")
 _INTEGRALS = {"effort": (1, 1), "iae": (1, 1), "ise": (2, 1), "itae": (1, 2)}
 """Function -> powers of the signal and of time in it."""
 
@@ -23,6 +25,7 @@ _ABSENT = {
     "shift_lag": "no lag found",
     "phase_lag": "no oscillation",
     "time_below": "never above",
+    "duty_cycle": "no time passes",
 }
 
 MetricDocument = dict[str, dict[str, float | str | None]]

@@ -112,6 +112,18 @@ def peak(recording: Recording, signal: str, window: list[float] | None = None, s
 
 
 @along_time
+def maximum(recording: Recording, signal: str, window: list[float] | None = None, scale: float = 1.0) -> Any:
+    """Returns scale * largest value at the communication points of the window, with its sign."""
+    return scale * recording[signal][..., _window(recording, window)].max(axis=-1)
+
+
+@along_time
+def minimum(recording: Recording, signal: str, window: list[float] | None = None, scale: float = 1.0) -> Any:
+    """Returns scale * least value at the communication points of the window, with its sign."""
+    return scale * recording[signal][..., _window(recording, window)].min(axis=-1)
+
+
+@along_time
 def peak_error(
     recording: Recording, signal: str, reference: str, window: list[float] | None = None, scale: float = 1.0
 ) -> Any:
@@ -174,11 +186,46 @@ def time_below(
     passed = np.flatnonzero(values > after)
     if not len(passed):
         return math.nan
-    time, values = time[passed[0] :], values[passed[0] :]
+    return _seconds_below(time[passed[0] :], values[passed[0] :], limit)
+
+
+def _seconds_below(time: np.ndarray, values: np.ndarray, limit: float) -> float:
+    """Returns how long [s] straight lines between points are below a limit."""
     low, high = np.minimum(values[:-1], values[1:]), np.maximum(values[:-1], values[1:])
     span = np.where(high > low, high - low, 1.0)
     share = np.where(high > low, ((limit - low) / span).clip(0.0, 1.0), low < limit)
     return float((share * np.diff(time)).sum())  # not BLAS, whose threads wait for each other
+
+
+@run_by_run
+def time_above(recording: Recording, signal: str, limit: float, window: list[float] | None = None) -> float:
+    """Returns how long [s] the signal is above the limit. The signal is lines between points.
+
+    Not a number if a value of the signal is not a number.
+    """
+    inside = _window(recording, window)
+    values = recording[signal][inside]
+    # a comparison with such a value is false, and would count it as not above
+    if np.isnan(values).any():
+        return math.nan
+    return _seconds_below(recording.time[inside], -values, -limit)
+
+
+@run_by_run
+def duty_cycle(
+    recording: Recording, signal: str, limit: float = 0.5, window: list[float] | None = None
+) -> float:
+    """Returns the share of the time [%] in which the signal is above the limit, as a Boolean is when true.
+
+    The signal keeps its value until the next communication point.
+
+    Not a number if the window has a single point, or if a value of the signal is not a number.
+    """
+    inside = _window(recording, window)
+    durations, values = np.diff(recording.time[inside]), recording[signal][inside]
+    if not len(durations) or np.isnan(values).any():
+        return math.nan
+    return float(100.0 * durations[values[:-1] > limit].sum() / durations.sum())
 
 
 @along_time
@@ -226,12 +273,16 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
         mean,
         effort,
         peak,
+        maximum,
+        minimum,
         peak_error,
         iae,
         ise,
         itae,
         energy_residual,
         time_below,
+        time_above,
+        duty_cycle,
         total_variation,
         phase_lag,
     )
