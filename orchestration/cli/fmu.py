@@ -29,14 +29,23 @@ _PIPED_WIDTH = 260  # a line a variable, for grep
 def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the file, such as pid or depth_pid.")],
     vehicle: Annotated[bool, typer.Option("--vehicle", help="Write an underwater vehicle.")] = False,
+    plain: Annotated[
+        bool,
+        typer.Option(
+            "--plain", help="Write a room with a thermostat: a block with a derivative and an event."
+        ),
+    ] = False,
 ) -> None:
-    """Write a block to start from, NAME.py, and its test: a PID controller of depth, or a vehicle.
+    """Write a block to start from, NAME.py, and its test: a PID controller of depth, a vehicle or a room.
 
     For example, l1-depth new depth_pid writes depth_pid.py and test_depth_pid.py.
     """
     from fmus.block.block_file import write_new_block
 
-    for path in write_new_block(name, Path(), vehicle):
+    if plain:
+        refuse_without_effect("--plain", {"--vehicle": vehicle})
+    kind = "plain" if plain else "vehicle" if vehicle else "controller"
+    for path in write_new_block(name, Path(), kind):
         print(path)
 
 
