@@ -302,7 +302,7 @@ def proportional_gain_range(
     Parameters
     ----------
     a_m, b, order, w, lipschitz, omegas
-        As of `l1_condition`.
+        See `l1_condition`.
     extension : Extension
         K_I and the output C; its K_P is replaced.
 
@@ -350,7 +350,7 @@ def smallest_bandwidth(
     Parameters
     ----------
     a_m, b, order, lipschitz, extension, omegas
-        As of `l1_condition`.
+        See `l1_condition`.
     largest : float
         Largest bandwidth of the search [rad/s].
 

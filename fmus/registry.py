@@ -71,7 +71,7 @@ def load(point: EntryPoint, kind: str) -> Any:
 
 
 def _version(folder: str) -> tuple[str, int]:
-    """Returns a folder, and the time at which a member was last added or removed [ns]."""
+    """Returns a folder, and the time of the last addition or removal of a member [ns]."""
     with suppress(OSError):
         return folder, os.stat(folder or ".").st_mtime_ns  # noqa: PTH116
     return folder, 0

@@ -69,7 +69,7 @@ def project(estimate: float, rate: float, bound: float, tolerance: float) -> flo
     Parameters
     ----------
     estimate, rate, bound, tolerance : float
-        As of `projection_factor`.
+        See `projection_factor`.
 
     Returns
     -------

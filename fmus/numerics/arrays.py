@@ -255,7 +255,7 @@ def ramp_rates(
     Parameters
     ----------
     t, times, values, smooth
-        As of `ramps`.
+        See `ramps`.
 
     Returns
     -------

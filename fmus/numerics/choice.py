@@ -136,9 +136,9 @@ def select(conditions: Sequence[bool | float], choices: Sequence[Any], default: 
     Parameters
     ----------
     conditions : sequence of bool or float
-        Conditions as of `where`.
+        Conditions of `where`.
     choices : sequence
-        Alternatives as of `where`, as many as conditions.
+        Alternatives of `where`, as many as conditions.
     default : float, tuple, dataclass, or function without arguments
         Alternative if no condition holds.
 
@@ -165,7 +165,7 @@ def choose(index: float, choices: Sequence[Any]) -> Any:
     index : float
         Whole number from 0.
     choices : sequence
-        Alternatives as of `where`.
+        Alternatives of `where`.
 
     Returns
     -------
