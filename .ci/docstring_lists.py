@@ -8,7 +8,7 @@ Markdown runs lines that follow one another together.
 
 import re
 
-from griffe import Docstring, Extension, Object
+from griffe import Extension, Object
 
 _ARGUMENTS = re.compile(r"^([a-z_]\w*(?:, [a-z_]\w*)*): ")
 _FUNCTION = re.compile(r"^([a-z_]\w*\(.*?\)) -> ")
@@ -20,7 +20,8 @@ class Lists(Extension):
     def on_object(self, *, obj: Object, **_: object) -> None:
         """Changes the docstring of an object."""
         if obj.docstring and not obj.is_module:
-            obj.docstring = Docstring(with_lists(obj.docstring.value), parent=obj)
+            # the value alone: a new docstring would lose the style by which it is parsed
+            obj.docstring.value = with_lists(obj.docstring.value)
 
 
 def with_lists(text: str) -> str:

@@ -2,9 +2,9 @@
 
     F = T^+ J' tau,   u = K^-1 F    with K = diag(k_1, k_2) [N/V], T = [1, 1], T^+ = [1/2, 1/2]
 
-The force F of each is half of J tau, limited to what it gives up to the largest voltage. A table in place of
-k inverts the curve of thrusters: the voltage is that at which the table has the force. Where the force
-changes its sign the voltage jumps over the dead band; it is 0 V for a force of exactly 0.
+The force F of each is half of J tau, limited to its force at the largest voltage. A table in place of k
+inverts the curve of thrusters: it has the force at the voltage. Where the force changes its sign the voltage
+jumps over the dead band; it is 0 V for a force of exactly 0.
 
 Force and moment together, of thrusters at x_1 > 0 > x_2 forward of the centre of gravity, bow up positive:
 
@@ -22,11 +22,12 @@ from collections.abc import Sequence
 from fmus.numerics import clip, cos, interp, maximum, minimum, where
 
 Pair = tuple[float, float]
-_SMALLEST_J = 0.1  # a vehicle on its side cannot push vertically; keeps the inverse finite
+# a vehicle on its side cannot push vertically; keeps the inverse finite
+_SMALLEST_J = 0.1
 
 
 def body_to_earth(roll: float, pitch: float) -> float:
-    """Returns J(roll, pitch) = cos(roll) cos(pitch), for angles in rad."""
+    """Returns J = cos(roll) cos(pitch), for angles in rad."""
     return cos(roll) * cos(pitch)
 
 
@@ -36,29 +37,79 @@ def saturate(voltages: Pair, limit: float) -> Pair:
 
 
 def force(forces: Pair, j: float) -> float:
-    """Returns the force [N] in the earth frame that thrusters give: tau = T F / J, with |J| kept from 0."""
+    """Returns the force tau = T F / J of thrusters in the earth frame.
+
+    Parameters
+    ----------
+    forces : tuple of two floats
+        Force F of each thruster along the body's z axis [N].
+    j : float
+        J; a magnitude below 0.1 counts as 0.1.
+
+    Returns
+    -------
+    float
+        tau [N], positive down.
+
+    Examples
+    --------
+    >>> force((1.0, 2.0), j=0.5)
+    6.0
+    """
     return (forces[0] + forces[1]) / where(j < 0.0, minimum(j, -_SMALLEST_J), maximum(j, _SMALLEST_J))
 
 
 def table_voltage(force: float, voltages: Sequence[float], forces: Sequence[float]) -> float:
-    """Returns the voltage [V] at which a table has a force [N], held at its ends; 0 V for 0 N.
+    """Returns the voltage [V] of a force [N] by a table, held at its ends; 0 V for 0 N.
 
-    voltages, forces: points of the table, ascending; a force that several points have is a jump
+    Parameters
+    ----------
+    force : float
+        Demanded force [N].
+    voltages, forces : sequence of float
+        Points of the table [V, N], ascending. A force of several points is a jump.
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> table_voltage(2.0, voltages=(-12.0, -1.0, 1.0, 12.0), forces=(-4.0, 0.0, 0.0, 4.0))
+    6.5
     """
     return where(force == 0.0, 0.0, lambda: interp(force, forces, voltages))
 
 
 def shares(levers: Pair) -> Pair:
-    """Returns the share s of a force that each thruster takes, for their levers x_1 > 0 > x_2 [m]."""
+    """Returns the share s of a force for each thruster, for their levers x_1 > 0 > x_2 [m]."""
     span = levers[0] - levers[1]
     return -levers[1] / span, levers[0] / span
 
 
 def limited(force: float, couple: float, share: Pair, ranges: tuple[Pair, Pair], heave_first: bool) -> Pair:
-    """Returns F [N] and m [N] within what the thrusters give; both as they are where that gives both.
+    """Returns the force F and the couple m within the range of the thrusters.
 
-    ranges: lowest and highest force [N] of each thruster, of different signs
-    heave_first: whether F is limited first, and m to what F leaves of the thrusters; else the other way
+    Parameters
+    ----------
+    force, couple : float
+        Demanded F [N] and m = M / (x_1 - x_2) [N].
+    share : tuple of two floats
+        Shares of `shares`.
+    ranges : tuple of two pairs
+        Lowest and highest force [N] of each thruster, of different signs.
+    heave_first : bool
+        Whether F is limited first, and m to the range that F leaves; else the other way.
+
+    Returns
+    -------
+    tuple of two floats
+        F [N] and m [N], unchanged if the thrusters can give both.
+
+    Examples
+    --------
+    >>> limited(6.0, 2.0, (0.5, 0.5), ((-4.0, 4.0), (-4.0, 4.0)), heave_first=True)
+    (6.0, 1.0)
     """
     (low_1, high_1), (low_2, high_2) = ranges
     s_1, s_2 = share

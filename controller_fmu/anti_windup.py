@@ -1,7 +1,6 @@
 """Anti-windup by conditional integration: an integrator holds where its change would widen a saturation.
 
-The saturation error is the control that is delivered minus the one that is demanded, exactly 0 without
-saturation.
+The saturation error is the delivered minus the demanded control, exactly 0 without saturation.
 Source: Astrom and Hagglund, Advanced PID Control (2006), chapter 3 (windup).
 """
 
@@ -14,7 +13,7 @@ def widens(saturation_error: float, change: float) -> bool:
 
 
 def integrate_error(h: float, integral: float, error: float, saturation_error: float) -> float:
-    """Returns int e dt after h s with the error held, of a demand that falls as it grows.
+    """Returns int e dt after h s with the error held; the demand falls as the integral grows.
 
     error: e, or e times a gain that may change during a run
     """

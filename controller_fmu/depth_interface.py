@@ -1,8 +1,7 @@
 """The depth control interface: inputs, observer, allocation and outputs that every depth controller shares.
 
-A block declares its parameters by inheritance from the classes that it uses, so that one variable has one
-name, unit and start value in all of them. The order of a step is that of L1DepthController: the measurement
-of the beginning of a step decides the control of its end.
+A block inherits its parameters from the classes that it uses, so that one variable has one name, unit and
+start value in all of them. The measurement at the beginning of a step decides the control at its end.
 """
 
 from dataclasses import dataclass
@@ -18,7 +17,8 @@ from fmus.numerics import all as all_hold
 Vector = tuple[float, float]
 Table = tuple[float, ...]
 _GUESS = "guess: the paper gives none"
-# Pulse [us] and force [kgf] of a Blue Robotics T200 at 16 V, as `plant_fmu/thruster.py` has them
+# Pulse [us] and force [kgf] of a Blue Robotics T200 at 16 V. `plant_fmu/thruster.py` has the same numbers: a
+# controller imports nothing of the vehicle, whose numbers may differ from the assumed ones.
 _T200_AT_16_V = (
     (1900, 5.25), (1860, 4.65), (1820, 3.82), (1780, 3.11), (1740, 2.43), (1700, 1.82), (1660, 1.28),
     (1620, 0.82), (1580, 0.40), (1540, 0.08), (1532, 0.04), (1528, 0.0), (1472, 0.0), (1468, -0.04),
@@ -29,7 +29,7 @@ _T200_AT_16_V = (
 
 @dataclass(frozen=True)
 class ActuatorParameters:
-    """Parameters of the thrusters, which every depth controller has."""
+    """Parameters of the thrusters, which every depth controller needs."""
 
     internal_step: float = variable(
         0.02,
@@ -78,7 +78,7 @@ class ActuatorParameters:
 
 @dataclass(frozen=True)
 class ObserverParameters(ActuatorParameters):
-    """Parameters of the observer too, for a controller that uses the depth rate."""
+    """Parameters of thrusters and observer, for a controller that uses the depth rate."""
 
     velocity_source: VelocitySource = variable(
         VelocitySource.ALPHA_BETA_OBSERVER, "Where the depth rate comes from", variability="fixed"
@@ -129,7 +129,7 @@ class DampingParameter:
 
 @dataclass(frozen=True)
 class DesignParameters(DampingParameter, InertiaParameter, ObserverParameters):
-    """Parameters of a design that assumes inertia and damping, beside those of observer and thrusters."""
+    """Parameters of thrusters, observer, and a design that assumes inertia and damping."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ class DepthOutputs:
 
 @dataclass(frozen=True)
 class DepthMeasurement:
-    """Measurement as the law uses it: depth z [m], rate v [m/s]; reference r [m], r' [m/s] and r'' [m/s2]."""
+    """Measurement for the law: depth z [m], rate v [m/s]; reference r [m], r' [m/s] and r'' [m/s2]."""
 
     depth: float = 0.0
     rate: float = 0.0
@@ -176,7 +176,7 @@ class DepthMeasurement:
 
 @dataclass(frozen=True)
 class DepthState:
-    """State of the interface, beside that of the law: last measurement, observer and J."""
+    """State of the interface: last measurement, observer and J."""
 
     measured: DepthMeasurement = DepthMeasurement()
     observer: ObserverState = ObserverState()
@@ -193,13 +193,14 @@ class Delivery:
 
 
 def requirements(p: ObserverParameters, calculated: object) -> tuple[tuple[bool, str], ...]:
-    """Returns the requirements of the observer, which takes one sample a step, and of the table."""
+    """Returns the requirements of the observer and of the table."""
+    # The observer takes one sample a step. 1e-9: rounding of equal times that are given in other digits.
     is_short = p.internal_step <= p.observer_period * (1.0 + 1e-9)
     return ((is_short, "internal_step at most observer_period"), *table_requirements(p))
 
 
 def table_requirements(p: ActuatorParameters, calculated: object = None) -> tuple[tuple[bool, str], ...]:
-    """Returns the requirements of a table that is used: it ascends, and gives forces of both signs."""
+    """Returns the requirements of a table in use: it ascends, and has forces of both signs."""
     voltages, forces = p.thruster_table_voltage, p.thruster_table_force
     is_left_out = logical_not(p.thruster_tabulated)
     rises = all_hold(a < b for a, b in pairwise(voltages))
@@ -218,7 +219,7 @@ def first_state(t: float, inputs: DepthInputs, p: ObserverParameters) -> DepthSt
 
 
 def next_state(t: float, state: DepthState, inputs: DepthInputs, p: ObserverParameters) -> DepthState:
-    """Returns the state with the measurement of time t, and with the observer after it if a sample is due."""
+    """Returns the state with the measurement of time t [s], and the observer corrected if a sample is due."""
     observer = sample_when_due(
         t, state.observer, inputs.measured_depth, p.observer_alpha, p.observer_beta, p.observer_period
     )
@@ -232,7 +233,7 @@ def _after(observer: ObserverState, inputs: DepthInputs, p: ObserverParameters) 
 
 
 def measurement(inputs: DepthInputs, rate: float) -> DepthMeasurement:
-    """Returns the inputs of one time, with the depth rate [m/s] that the law uses."""
+    """Returns the inputs with the depth rate [m/s] for the law."""
     return DepthMeasurement(
         inputs.measured_depth,
         rate,
@@ -248,11 +249,12 @@ def body_to_earth(inputs: DepthInputs) -> float:
 
 
 def deliver(force: float, j: float, p: ActuatorParameters) -> Delivery:
-    """Allocates a demand [N] to the thrusters, half to each, and returns what they deliver of it."""
+    """Allocates a demand [N] to the thrusters, half to each, and returns their delivery."""
     share = 0.5 * j * force
     first, second = (clip(share, low, high) for low, high in force_ranges(p))
     voltage, forces = voltages_of((first, second), p)
-    missing = first - share, second - share  # exactly 0 without saturation
+    # from the limit itself: after division by a gain and back, it would not be exactly 0 without saturation
+    missing = first - share, second - share
     return Delivery(voltage, allocation.force(forces, j), allocation.force(missing, j))
 
 
@@ -270,7 +272,7 @@ def force_ranges(p: ActuatorParameters) -> tuple[Vector, Vector]:
 
 
 def voltages_of(forces: Vector, p: ActuatorParameters) -> tuple[Vector, Vector]:
-    """Returns the voltages [V] at which the thrusters give forces [N] in their range, and these forces."""
+    """Returns the voltages [V] for forces [N] in the range of the thrusters, and these forces."""
     table = p.thruster_table_voltage, p.thruster_table_force
 
     def of_table() -> tuple[Vector, Vector]:
@@ -299,6 +301,6 @@ def outputs(force: float, measured: DepthMeasurement, j: float, p: ActuatorParam
 
 
 def depth_controller(module: str, name: str, description: str, **given: Any) -> Block:
-    """Returns `Block.of_module` of a depth controller, with the inputs and the experiment of all."""
+    """Returns `Block.of_module` of a depth controller, with the inputs and the experiment that all share."""
     shared = {"inputs": DepthInputs, "stop_time": 310.0, "step_size": 0.02, "license": "MIT"}
     return Block.of_module(module, name, description, **(shared | given))

@@ -1,4 +1,4 @@
-"""The model of the vehicle that a design assumes, under the state feedback u_m = -k_m x, with x = (z, z').
+"""Model of the vehicle that a design assumes, under the state feedback u_m = -k_m x, with x = (z, z').
 
     A = [[0, 1], [0, -D / M]],   B_m = [0, 1 / M],   A_m = A - B_m k_m,   C = [1, 0]                    (13)
 

@@ -1,7 +1,7 @@
-"""Block DepthReference: the depth that is wanted, as ramps through given points, and its derivatives.
+"""Block DepthReference: the depth reference as ramps through given points, and its derivatives.
 
 Straight or quintic lines through (point_time, point_depth), held before the first and after the last
-point. For an importer that has no other means to give the controller its reference.
+point. For an importer without other means to give the controller its reference.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,8 @@ from fmus.block import Block, NoValues, variable
 from fmus.block.guide import Experiment, Guide
 from fmus.numerics import ramp_rates, ramps
 
-POINTS = 12  # spare ones come later than the last wanted one, at the same depth
+# spare points come later than the last wanted one, at the same depth: an FMU's vectors have a fixed size
+POINTS = 12
 
 _SHIPPED = "published: Maalouf et al. (2013), section 5.2; straight ramps are assumed"
 
@@ -32,7 +33,7 @@ class Parameters:
     )
     point_time: tuple[float, ...] = variable(
         (0.0, 40.0, 140.0, 180.0, 250.0, 310.0, 320.0, 330.0, 340.0, 350.0, 360.0, 370.0),
-        "Time of a point, later than that of the one before",
+        "Time of a point, later than the time of the point before",
         unit="s",
         min=-1e9,
         max=1e9,
@@ -79,7 +80,7 @@ z'(t)  = (z_i+1 - z_i) f'(s) / (t_i+1 - t_i),   z''(t) = (z_i+1 - z_i) f''(s) / 
     conventions=(
         "Depth is positive down and 0 at the surface.",
         "The first depth holds before the first point, the last one after the last.",
-        "At a point the derivatives are those of the time after it. Straight ramps have an acceleration of 0"
+        "At a point the derivatives belong to the ramp after it. Straight ramps have an acceleration of 0"
         " everywhere: the impulse by which the speed jumps at a point is left out.",
     ),
     tuning=(
@@ -88,7 +89,7 @@ z'(t)  = (z_i+1 - z_i) f'(s) / (t_i+1 - t_i),   z''(t) = (z_i+1 - z_i) f''(s) / 
         "Connect depth_reference_rate and depth_reference_acceleration to a controller that has a reference"
         " feedforward; others need neither.",
         "smooth removes the kinks, which a controller answers with a jump in its demand; the greatest"
-        " speed of a ramp then is 1.875 times that of the straight one.",
+        " speed of a ramp then is 1.875 times the speed of the straight ramp.",
     ),
     limits=(
         "Twelve points, one trajectory; nothing is repeated.",

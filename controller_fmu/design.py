@@ -1,4 +1,4 @@
-"""Offline design with SciPy: P, k_g, the L1-norm condition and the bandwidth that it asks for.
+"""Offline design with SciPy: P, k_g, the L1-norm condition and the bandwidth that it requires.
 
 The L1 adaptive controller is stable with any fast adaptation if
 
@@ -24,11 +24,16 @@ from scipy.optimize import brentq
 
 from controller_fmu.l1.parameters import FilterOrder, Regressor
 
-_STEPS_PER_TIME_CONSTANT = 20  # of the fastest mode: a change of sign is found to 1e-3 of it
-_TIME_CONSTANTS = 30  # of a mode: e^-30 of its part of the impulse response is left out
+# of the fastest mode: a change of sign is found to 1e-3 of a time constant
+_STEPS_PER_TIME_CONSTANT = 20
+# of a mode: e^-30 of its part of the impulse response is left out
+_TIME_CONSTANTS = 30
+# points at once: all points of a stiff system would fill the memory
 _CHUNK = 4096
-_LARGEST_GAIN = 1e4  # times k_g: where the search for the largest proportional gain ends
-_UNSTABLE = 1e3  # in place of the norm of a system that is not stable, which is infinite
+# times k_g: the end of the search for the largest proportional gain
+_LARGEST_GAIN = 1e4
+# in place of the infinite norm of an unstable system: the search for a root needs numbers
+_UNSTABLE = 1e3
 
 
 @dataclass(frozen=True)
@@ -53,7 +58,27 @@ NO_EXTENSION = Extension()
 
 
 def lyapunov_matrix(a_m: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Returns P of A_m' P + P A_m = -Q, shapes (n, n). Raises ValueError if A_m is not Hurwitz."""
+    """Returns P of A_m' P + P A_m = -Q.
+
+    Parameters
+    ----------
+    a_m, q : array, shape (n, n)
+        A Hurwitz matrix A_m, and Q.
+
+    Returns
+    -------
+    array, shape (n, n)
+
+    Raises
+    ------
+    ValueError
+        If A_m is not Hurwitz.
+
+    Examples
+    --------
+    >>> lyapunov_matrix(np.array([[-2.0]]), np.array([[4.0]]))
+    array([[1.]])
+    """
     a_m = np.asarray(a_m, float)
     if np.linalg.eigvals(a_m).real.max() >= 0.0:
         raise ValueError(f"A_m must be Hurwitz, got eigenvalues {np.linalg.eigvals(a_m)}")
@@ -61,12 +86,42 @@ def lyapunov_matrix(a_m: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def feedforward_gain(a_m: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
-    """Returns k_g = -1 / (C A_m^-1 B_m): unit gain from reference to output in steady state."""
+    """Returns k_g = -1 / (C A_m^-1 B_m), which gives a steady gain of 1 from reference to output.
+
+    Parameters
+    ----------
+    a_m : array, shape (n, n)
+    b, c : array, shape (n,)
+        B_m and C.
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> feedforward_gain(np.array([[0.0, 1.0], [-4.0, -1.0]]), np.array([0.0, 1.0]), np.array([1.0, 0.0]))
+    4.0
+    """
     return float(-1.0 / (np.asarray(c) @ np.linalg.solve(np.asarray(a_m, float), np.asarray(b))))
 
 
 def filter_realisation(order: FilterOrder, w: float, omega: float = 1.0) -> StateSpace:
-    """Returns C_omega(s) with one input and one output, in controllable form; C(s) with omega = 1."""
+    """Returns C_omega(s) in controllable form; C(s) for omega = 1.
+
+    Parameters
+    ----------
+    order : FilterOrder
+    w : float
+        Bandwidth of C(s) [rad/s].
+    omega : float
+        Input gain.
+
+    Returns
+    -------
+    StateSpace
+        One input and one output.
+    """
     if order == FilterOrder.FIRST:
         return StateSpace(np.array([[-omega * w]]), np.array([[1.0]]), np.array([[omega * w]]))
     square, cube = omega * 3.0 * w**2, omega * w**3
@@ -82,7 +137,25 @@ def uncompensated(
     extension: Extension = NO_EXTENSION,
     omega: float = 1.0,
 ) -> StateSpace:
-    """Returns G(s) from the uncertainty to the state x; the integral of an extension is one more state."""
+    """Returns G(s) from the uncertainty to the state x; the integral of an extension is one more state.
+
+    Parameters
+    ----------
+    a_m : array, shape (n, n)
+    b : array, shape (n,)
+        B_m.
+    order, w : FilterOrder, float
+        Order and bandwidth [rad/s] of C(s).
+    extension : Extension
+        u_p, with the output C.
+    omega : float
+        Input gain.
+
+    Returns
+    -------
+    StateSpace
+        One input, n outputs.
+    """
     low_pass = filter_realisation(order, w, omega)
     a_x, column = np.asarray(a_m, float), np.asarray(b, float).reshape(-1, 1)
     n = len(a_x)
@@ -100,17 +173,36 @@ def uncompensated(
 def l1_norm(system: StateSpace) -> float:
     """Returns |G|_L1 = max over rows of sum over columns of the integral of |C e^(A t) B| dt.
 
-    The integral over a step without a change of sign is exact, C A^-1 (e^(A t_2) - e^(A t_1)) B; with one, it
-    is that of a straight line. Steps suit the fastest mode that is left, until the slowest has died out.
-    Raises ValueError if the system is not stable.
+    Parameters
+    ----------
+    system : StateSpace
+        A stable system.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    ValueError
+        If the system is not stable.
+
+    Examples
+    --------
+    >>> one = np.array([[1.0]])
+    >>> round(l1_norm(StateSpace(-2.0 * one, one, one)), 9)
+    0.5
     """
     eigenvalues = np.linalg.eigvals(system.a)
     if eigenvalues.real.max() >= 0.0:
         raise ValueError(f"the system must be stable, got eigenvalues {eigenvalues}")
+    # The integral over a step without a change of sign is exact: C A^-1 (e^(A t_2) - e^(A t_1)) B. With one,
+    # the response is taken as a straight line.
     antiderivative = system.c @ np.linalg.inv(system.a)
     total = np.zeros((system.c.shape[0], system.b.shape[1]))
     state, start = system.b.astype(float), 0.0
     for end in np.unique(_TIME_CONSTANTS / -eigenvalues.real):
+        # steps suit the fastest remaining mode: short ones until the slowest has died out would take long
         left = eigenvalues[_TIME_CONSTANTS / -eigenvalues.real >= end]
         count = int(np.ceil((end - start) * _STEPS_PER_TIME_CONSTANT * np.abs(left).max()))
         step, start = (end - start) / count, end
@@ -139,7 +231,23 @@ def _propagated(a: np.ndarray, state: np.ndarray, step: float, count: int) -> np
 
 
 def lipschitz_constant(kind: Regressor, theta_bound: tuple[float, float]) -> float:
-    """Returns L such that |theta' phi(x)| <= L |x|_inf for every theta within its bounds."""
+    """Returns L such that |theta' phi(x)| <= L |x|_inf for every theta within its bounds.
+
+    Parameters
+    ----------
+    kind : Regressor
+    theta_bound : tuple of two floats
+        Bounds of |theta|.
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> lipschitz_constant(Regressor.STATE, (5.0, 2.0))
+    7.0
+    """
     return theta_bound[0] if kind == Regressor.INFINITY_NORM else sum(theta_bound)
 
 
@@ -152,7 +260,30 @@ def l1_condition(
     extension: Extension = NO_EXTENSION,
     omegas: Sequence[float] = (1.0,),
 ) -> float:
-    """Returns |G|_L1 L, which must stay below 1: the largest over these input gains."""
+    """Returns the largest |G|_L1 L over the input gains, which must stay below 1.
+
+    Parameters
+    ----------
+    a_m : array, shape (n, n)
+    b : array, shape (n,)
+        B_m.
+    order, w : FilterOrder, float
+        Order and bandwidth [rad/s] of C(s).
+    lipschitz : float
+        L.
+    extension : Extension
+    omegas : sequence of float
+        Input gains.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    ValueError
+        If G is not stable.
+    """
     systems = (uncompensated(a_m, b, order, w, extension, omega) for omega in omegas)
     return max(map(l1_norm, systems)) * lipschitz
 
@@ -166,10 +297,20 @@ def proportional_gain_range(
     extension: Extension,
     omegas: Sequence[float] = (1.0,),
 ) -> tuple[float, float]:
-    """Returns the lowest and the highest K_P of the L1-norm condition, with K_I as in the extension.
+    """Returns the lowest range of K_P that satisfies the L1-norm condition.
 
-    It is the lowest such range, searched at 0 and on 5 gains a decade, its ends to 0.01 %. Both are NaN if
-    the condition holds nowhere; the upper one is infinite if it holds up to 1e4 k_g.
+    Parameters
+    ----------
+    a_m, b, order, w, lipschitz, omegas
+        See `l1_condition`.
+    extension : Extension
+        K_I and the output C; its K_P is replaced.
+
+    Returns
+    -------
+    tuple of two floats
+        Both ends, to 0.01 %. Both are NaN if no searched gain satisfies the condition: 0, and 5 gains a
+        decade. The upper end is infinite if the condition holds up to 1e4 k_g.
     """
 
     def excess(gain: float) -> float:
@@ -206,8 +347,23 @@ def smallest_bandwidth(
 ) -> float:
     """Returns the filter bandwidth [rad/s] above which the L1-norm condition holds, to 0.1 %.
 
-    The search begins at a hundredth of the slowest mode of A_m, the result if the condition holds there.
-    Raises ValueError if even `largest` does not satisfy the condition.
+    Parameters
+    ----------
+    a_m, b, order, lipschitz, extension, omegas
+        See `l1_condition`.
+    largest : float
+        Largest bandwidth of the search [rad/s].
+
+    Returns
+    -------
+    float
+        The search begins at a hundredth of the slowest mode of A_m, which is the result if the condition
+        holds there.
+
+    Raises
+    ------
+    ValueError
+        If `largest` does not satisfy the condition.
     """
 
     def excess(logarithm: float) -> float:
@@ -219,7 +375,7 @@ def smallest_bandwidth(
     if excess(low) < 0.0:
         return float(np.exp(low))
     decade = np.log(10.0)
-    # climb: a wide range of bandwidths is dear to evaluate
+    # by decades: a wide range of bandwidths takes long to evaluate
     while excess(min(low + decade, high)) > 0.0:
         low += decade
         if low >= high:

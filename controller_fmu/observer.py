@@ -32,7 +32,29 @@ class ObserverState:
 def correct(
     observer: ObserverState, measured: float, alpha: float, beta: float, period: float
 ) -> ObserverState:
-    """Returns the estimates after one sample taken `period` s after the last."""
+    """Returns the estimates after one more sample.
+
+    Parameters
+    ----------
+    observer : ObserverState
+        Estimates at the last sample.
+    measured : float
+        Measured depth [m].
+    alpha, beta : float
+        Gains.
+    period : float
+        Time since the last sample [s].
+
+    Returns
+    -------
+    ObserverState
+        The clock is unchanged.
+
+    Examples
+    --------
+    >>> correct(ObserverState(depth=1.0, rate=0.0), 1.5, alpha=0.5, beta=0.25, period=0.5)
+    ObserverState(depth=1.25, rate=0.25, clock=Clock(start=0.0, count=0))
+    """
     predicted = observer.depth + period * observer.rate
     innovation = measured - predicted
     return replace(
@@ -45,5 +67,5 @@ def correct(
 def sample_when_due(
     t: float, observer: ObserverState, measured: float, alpha: float, beta: float, period: float
 ) -> ObserverState:
-    """Returns the observer corrected if a sample is due at time t, else as it was."""
+    """Returns the observer corrected if a sample is due at time t [s], else unchanged."""
     return sampled(t, period, observer, correct(observer, measured, alpha, beta, period))

@@ -13,9 +13,9 @@ CONVENTIONS = (
     " each thruster takes half of the demand.",
     "tracking_error is measured depth minus reference: positive when the vehicle is too deep.",
     "Angles are in rad; roll and pitch may stay at 0 where they are not measured.",
-    "With thruster_tabulated the voltages are those at which thruster_table_force is demanded, a line between"
-    " its points; thruster_scale is n, the thrusters that a voltage drives. Table and n are those of the"
-    " vehicle. A force of exactly 0 is 0 V.",
+    "With thruster_tabulated the voltages follow from thruster_table_force, by lines between its points;"
+    " thruster_scale is n, the thrusters that a voltage drives. Table and n describe the vehicle. A force of"
+    " exactly 0 is 0 V.",
 )
 ALLOCATION = """\
 voltage_i    = J u / (2 K_i), saturated,   J = cos(roll) cos(pitch)   Maalouf et al. (2013), (11)
@@ -28,15 +28,13 @@ OBSERVER_TUNING = (
     "observer_period is the sampling period of the depth sensor; beta = alpha^2 / (2 - alpha) goes"
     " with an alpha. With a measured depth rate, set velocity_source to measured."
 )
-VEHICLE_LIMIT = (
-    "A vehicle that lies on its side (J near 0) cannot push vertically, and nothing here tries to."
-)
+VEHICLE_LIMIT = "A vehicle on its side (J near 0) cannot push vertically, and the controller does not try."
 REFERENCE_RATES = (
     "depth_reference_rate and depth_reference_acceleration may stay at 0 where only the depth is given."
     " The loop then follows a ramp with a lag, as the equations say."
 )
 HELD_CONTROL = (
-    "The controller calculates what its own voltages deliver, held from one communication point to the next:"
+    "The controller calculates the force of its own voltages, held from one communication point to the next:"
     " a communication step should not be longer than internal_step."
 )
 OBSERVER_SOURCE = Source("R. Penoyer: The alpha-beta filter, C User's Journal 11(7), 1993 (the observer).")
@@ -68,7 +66,7 @@ def depth_guide(
     sources: tuple[Source, ...],
     has_observer: bool = True,
 ) -> Guide:
-    """Returns the guide of a depth controller that is no L1 law, with what holds for all of them.
+    """Returns the guide of a depth controller without the L1 law, with the sentences for all of them.
 
     has_observer: whether the depth rate comes from the alpha-beta observer
     """

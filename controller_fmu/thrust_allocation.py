@@ -1,7 +1,7 @@
 """Block ThrustAllocation: a vertical force in, two thruster voltages out.
 
-For a controller whose output is the force of the depth control interface, positive down. The voltages are
-those of the inputs of the last step, a communication step later than those of a controller that allocates.
+For a controller whose output is the force of the depth control interface, positive down. The voltages follow
+from the inputs of the last step, one communication step later than in a controller that allocates.
 """
 
 from dataclasses import dataclass
@@ -62,20 +62,20 @@ voltage_i = J u / (2 K_i), limited to -voltage_limit .. voltage_limit,   J = cos
             or table^-1(J u / (2 n_i)); 0 V for 0 N, over the dead band at a change of sign
 """,
     conventions=(
-        "The force u is that of the earth frame, positive down; a positive voltage pushes the upright vehicle"
+        "The force u is in the earth frame, positive down; a positive voltage pushes the upright vehicle"
         " down. Each thruster takes half of the demand.",
         "Angles are in rad; roll and pitch may stay at 0 where they are not measured.",
     ),
     tuning=(
-        "thruster_gain (N/V, measured) and voltage_limit are those of the thrusters; with thruster_tabulated,"
+        "thruster_gain (N/V, measured) and voltage_limit describe the thrusters; with thruster_tabulated,"
         " thruster_table_voltage, thruster_table_force and thruster_scale n, the thrusters that a voltage"
         " drives, take the place of the gain.",
     ),
     limits=(
-        "The voltages of a communication point are those of the inputs of the step before it: in a Jacobi"
+        "The voltages of a communication point follow from the inputs of the step before it: in a Jacobi"
         " exchange this block delays the force by one communication step. In a Gauss-Seidel exchange that"
         " steps it after the controller and before the vehicle it does not.",
-        "The controller does not learn of the limit of the voltages: its own limit of the force should be"
+        "The controller does not get the limit of the voltages: its own limit of the force should be"
         " voltage_limit (K_1 + K_2) at most, so that its anti-windup acts.",
         "A demand that changes its sign at each sample, as noise makes it, moves the voltage from one end of"
         " the dead band to the other.",

@@ -19,7 +19,7 @@ class MissingExtraError(ImportError):
 
 
 class HostError(Exception):
-    """Error of this machine, such as a full disk, which says nothing of an FMU."""
+    """Error of this machine, such as a full disk, and not of an FMU."""
 
 
 class OrchestrationError(Exception):
@@ -38,8 +38,8 @@ class FmuError(OrchestrationError):
         self.instance, self.time, self.call, self.status, self.log = instance, time, call, status, log
 
     def __str__(self) -> str:
-        said = "; ".join(self.log) or "it logged nothing"
-        return f"{self.instance} at t = {self.time:.9g} s: {self.call} returned {self.status}: {said}"
+        logged = "; ".join(self.log) or "it logged nothing"
+        return f"{self.instance} at t = {self.time:.9g} s: {self.call} returned {self.status}: {logged}"
 
 
 class FmuWarning(UserWarning):
@@ -47,10 +47,11 @@ class FmuWarning(UserWarning):
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Returns the end of a message about an unknown name: the known name much like it, or those known."""
+    """Returns the end of a message about an unknown name: the known name most like it, or the known names."""
     choices = list(known)
     if not choices:
-        return "there are none"
+        return "known: none"
+    # reversed: of names that differ in upper case alone, the first remains
     by_lower_case = {choice.lower(): choice for choice in reversed(choices)}
     for match in get_close_matches(name.lower(), by_lower_case, n=1, cutoff=_LIKE):
         return f"nearest is {by_lower_case[match]!r}"
@@ -58,6 +59,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 def listed(words: Sequence[str], most: int) -> str:
-    """Returns the words with commas; the end as a number, unless that hides one word alone."""
+    """Returns the words with commas. The number of further words takes their place, unless it would be 1."""
+    # "and 1 more" takes as much room as the word itself
     hidden = len(words) - most
     return ", ".join(words) if hidden <= 1 else f"{', '.join(words[:most])} and {hidden} more"

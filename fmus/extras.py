@@ -1,4 +1,4 @@
-"""Libraries that only some features need: one line for whoever has not installed them."""
+"""Libraries that only some features need: an error of one line where they are not installed."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

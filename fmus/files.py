@@ -15,8 +15,10 @@ _MOST_MEMBERS = 100_000
 _MOST_BYTES = 8_000_000_000  # unpacked
 _MOST_BYTES_A_BYTE = 200  # unpacked for one of the archive, from `_FEW_BYTES` on
 _FEW_BYTES = 100_000_000
-TEMPORARY_VARIABLE = "L1_DEPTH_TMPDIR"  # names the user's folder while a command has one of its own
-# of a command, which an FMU may change; None in a program of the user's, which may change its own
+# environment variable that keeps the user's temporary folder while a command uses another one
+TEMPORARY_VARIABLE = "L1_DEPTH_TMPDIR"
+# Umask of a command: an FMU in its process may change the process's umask. None in a user's program, which
+# may change the umask on purpose.
 command_umask: int | None = None
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest date that a zip can hold
 
@@ -28,14 +30,15 @@ def lasting_folder() -> Path:
 
 @contextmanager
 def open_atomically(path: Path, mode: int = 0o666) -> Iterator[io.BufferedRandom]:
-    """Yields a stream of bytes, which can be read too, that becomes `path`; after an error nothing is left.
+    """Yields a stream of bytes that becomes the file `path`; an error leaves nothing.
 
-    A file that was at `path` stays until then. The folder is made if it is missing.
-    mode: the permissions of the file, of which the user's umask takes some away
+    The stream can be read, too. An earlier file stays until then. A missing folder is made.
+    mode: permissions of the file, from which the user's umask is subtracted
     """
     if command_umask is not None:
         os.umask(command_umask)
     path.parent.mkdir(parents=True, exist_ok=True)
+    # in the same folder: a file cannot be renamed to another file system
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:
         with open(temporary, "x+b", opener=lambda path, flags: os.open(path, flags, mode)) as stream:
@@ -69,10 +72,11 @@ def write_archive(path: Path, members: Mapping[str, bytes]) -> Path:
 
 
 def packed(members: Mapping[str, bytes]) -> bytes:
-    """Returns a zip of these members, sorted by name; equal members give the same, byte for byte."""
+    """Returns a zip of these members, sorted by name; equal members give equal bytes."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
         for name in sorted(members):
+            # by default, a member has the time of the build: equal members would give other bytes
             info = zipfile.ZipInfo(name, _EPOCH)
             info.compress_type = zipfile.ZIP_DEFLATED
             info.external_attr = 0o644 << 16
@@ -99,8 +103,9 @@ def too_large(members: Sequence[zipfile.ZipInfo], packed: int) -> str:
 
 
 def extract_archive(path: Path, folder: Path, members: Sequence[str] | None = None) -> None:
-    """Unpacks all of a zip, or some members; ValueError, with nothing written, if it is larger than any FMU
-    that a tool writes.
+    """Unpacks a zip, or some of its members.
+
+    Raises ValueError, before anything is written, for an archive larger than any FMU that a tool writes.
     """
     with zipfile.ZipFile(path) as archive:
         reason = too_large(archive.infolist(), path.stat().st_size)

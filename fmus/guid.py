@@ -3,12 +3,13 @@
 import hashlib
 import uuid
 
-# They stand for the GUID, and for a part of it in Python names, until it is known.
+# Placeholders of the GUID, and of a part of it in Python names: the GUID follows from the members that
+# contain it, so it is known after them.
 GUID, GUID_IN_NAMES = "GUID-of-this-FMU", "GUID_of_this_FMU"
 
 
 def with_guid(members: dict[str, bytes], recipe: str = "") -> tuple[str, dict[str, bytes]]:
-    """Returns a GUID that follows from members and recipe, and the members with it in names and contents."""
+    """Returns the GUID of members and recipe, and the members with the GUID in place of the placeholders."""
     digest = hashlib.sha256(recipe.encode())
     for name, data in sorted(members.items()):
         digest.update(hashlib.sha256(name.encode()).digest() + hashlib.sha256(data).digest())

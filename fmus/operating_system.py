@@ -1,6 +1,6 @@
 """Processors, memory, processes and locks, which Linux, macOS and Windows handle differently.
 
-Calls that not every system has stand here alone, each beside what is done without it.
+No other module calls functions that some systems lack. Each call stands beside its substitute.
 """
 
 import contextlib
@@ -20,13 +20,14 @@ else:
 
 CAN_WATCH = sys.platform == "linux"
 """Whether a process can wait for signals and for the end of a child at once."""
-_ROOT = 0  # this user can replace the program itself
+# not distrusted: this user can replace the program itself
+_ROOT = 0
 _WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 _MOST_READERS = 1 << 20  # bytes of a lock in Windows: a process that shares it takes one of them
 
 
 def usable_processors() -> int:
-    """Returns the number of processors that this process may use: in a container perhaps not all."""
+    """Returns the number of processors that this process may use: a container may have fewer."""
     return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
@@ -36,14 +37,14 @@ def memory_size() -> int | None:
 
 
 def foreign_threads() -> set[str]:
-    """Returns the threads of this process that Python did not start; none but in Linux."""
+    """Returns the threads of this process that Python did not start; an empty set outside Linux."""
     # a thread of C that has called Python once is a dummy
     own = [thread for thread in threading.enumerate() if not isinstance(thread, threading._DummyThread)]
     return {task.name for task in Path("/proc/self/task").glob("*")} - {str(x.native_id) for x in own}
 
 
 def allocate(descriptor: int, size: int) -> None:
-    """Gives an empty file its size, of room that is taken at once in Linux; OSError without room."""
+    """Gives an empty file its size; OSError without room on the disk, which Linux reserves at once."""
     if sys.platform == "linux":
         os.posix_fallocate(descriptor, 0, size)
     else:
@@ -65,18 +66,20 @@ def limit_process(memory: int, file_size: int) -> None:
 
 
 def kill_group(leader: int) -> None:
-    """Ends the processes that one with a session of its own started, and itself; in Windows itself alone."""
+    """Kills the leader of a session and all processes of the session; in Windows the leader alone."""
     with contextlib.suppress(OSError):  # they have ended
         if sys.platform == "win32":
-            os.kill(leader, signal.SIGTERM)  # which ends it at once there
+            # no process can handle this signal in Windows: it ends at once
+            os.kill(leader, signal.SIGTERM)
         else:
             os.killpg(leader, signal.SIGKILL)
 
 
 def lock(descriptor: int, shared: bool) -> None:
-    """Locks a file; one that is shared waits for one that is not. BlockingIOError if another has the lock."""
+    """Locks a file; a shared lock waits for an exclusive one, which raises BlockingIOError at once."""
     try:
         if sys.platform == "win32":
+            # Windows has no shared lock: a reader locks one byte by chance, a writer all of them
             os.lseek(descriptor, int.from_bytes(os.urandom(8)) % _MOST_READERS if shared else 0, os.SEEK_SET)
             mode = msvcrt.LK_LOCK if shared else msvcrt.LK_NBLCK
             msvcrt.locking(descriptor, mode, 1 if shared else _MOST_READERS)
@@ -108,7 +111,7 @@ def fork(signals: Collection[int]) -> tuple[int, Collection[int]]:
 
 
 def block_alone(signals: Collection[int]) -> None:
-    """Lets all other signals reach this process."""
+    """Unblocks all signals except these."""
     if sys.platform != "win32":
         signal.pthread_sigmask(signal.SIG_SETMASK, signals)
 
@@ -116,7 +119,7 @@ def block_alone(signals: Collection[int]) -> None:
 def wait_for(child: int, signals: Collection[int]) -> int:
     """Returns the status of a child at its end: an exit code, or minus the number of a signal.
 
-    Signals, which are blocked, are passed on, but for those of a terminal that reach the child too.
+    Passes the blocked signals on to the child. A signal of the terminal reaches the child directly.
     """
     if sys.platform != "linux":
         raise OSError("no child process: expected Linux")
@@ -126,6 +129,6 @@ def wait_for(child: int, signals: Collection[int]) -> int:
             number, status = os.waitpid(child, os.WNOHANG)
             if number:
                 return os.waitstatus_to_exitcode(status)
-        # those of a process, and those of the terminal where the child has left it: an FMU called setsid
+        # sent by a process; or by a terminal that the child has left, as an FMU may call setsid
         elif received.si_code <= 0 or os.getsid(child) != os.getsid(0):
             os.kill(child, received.si_signo)

@@ -27,12 +27,13 @@ _PLATFORM_TUPLES = {"linux64": "x86_64-linux", "win64": "x86_64-windows", "darwi
 
 _SYSTEM = {"win32": "win", "darwin": "darwin"}.get(sys.platform, "linux")
 SYSTEM_PLATFORM = f"{_SYSTEM}{64 if sys.maxsize > 2**32 else 32}"
-"""The platform of this machine in FMPy's words, and the standard's but for the processor."""
+"""Platform of this machine by FMPy's name; the standard's name has the processor, too."""
 SHARED_LIBRARY_SUFFIX = {"win": ".dll", "darwin": ".dylib", "linux": ".so"}[_SYSTEM]
+# found without an import: to import FMPy takes long
 FMPY = Path(getattr(find_spec("fmpy"), "origin", None) or "").parent
-"""The folder of FMPy, which has FMI's headers and schemas, and takes long to import."""
+"""Folder of FMPy, which contains FMI's headers and schemas."""
 
-# levels of the x86-64 ABI, the best first -> what Linux calls their features, beside those of the level below
+# level of the x86-64 ABI, the best first -> the features that it adds to x86-64-v2, by Linux's names
 _V3 = "avx avx2 bmi1 bmi2 f16c fma abm movbe"
 INSTRUCTION_SETS = {
     "x86-64-v4": f"{_V3} avx512f avx512bw avx512cd avx512dq avx512vl",
@@ -42,7 +43,7 @@ INSTRUCTION_SETS = {
 
 
 def host_platform() -> str:
-    """Returns the FMI name of the platform that this runs on."""
+    """Returns the FMI name of the platform of this machine."""
     machine = platform.machine().lower()
     architecture = {"amd64": "x86_64", "arm64": "aarch64"}.get(machine, machine)
     known = {
@@ -62,7 +63,7 @@ def host_platform() -> str:
 
 @cache
 def instruction_sets() -> tuple[str, ...]:
-    """Returns the instruction sets of this processor, the best first; on Linux alone more than "portable"."""
+    """Returns the instruction sets of this processor, the best first; outside Linux "portable" alone."""
     features: set[str] = set()
     with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
@@ -84,5 +85,5 @@ def library_name(model: str, fmi_platform: str, fmi: int = 2) -> str:
 
 
 def platform_folder(fmi_platform: str, fmi: int) -> str:
-    """Returns the name that a version of the standard has for a platform."""
+    """Returns the name of a platform in a version of the standard."""
     return fmi_platform if fmi == 2 else _PLATFORM_TUPLES.get(fmi_platform, fmi_platform)

@@ -1,7 +1,7 @@
 """Registry of what is installed and of the paths of FMUs; nothing is built here.
 
-Blocks, commands and places where runs are made are entry points, so that those of another package work the
-same way, for example `MyBlock = "my_package.my_module:BLOCK"` in the group `l1_depth.blocks`.
+Blocks, commands and places where runs are made are entry points, which other packages can have, too: for
+example `MyBlock = "my_package.my_module:BLOCK"` in the group `l1_depth.blocks`.
 """
 
 import os
@@ -33,8 +33,8 @@ class Flavour(StrEnum):
 def installed(group: str) -> dict[str, EntryPoint]:
     """Returns the entry points of a group by name, sorted.
 
-    Commands and places whose module is not there are left out, as those of a folder that was removed; a block
-    of such a module is an error when it is built. To look for a module imports the packages above it.
+    Commands and places without their module are left out, for example after its folder was removed. A block
+    without its module is an error when it is built. The packages above a module are imported.
     """
     return dict(_read_entry_points(entry_points, group, tuple(map(_version, sys.path))))
 
@@ -43,7 +43,8 @@ def installed(group: str) -> dict[str, EntryPoint]:
 def _read_entry_points(
     read: Callable[..., Iterable[EntryPoint]], group: str, folders: tuple[tuple[str, int], ...]
 ) -> dict[str, EntryPoint]:
-    """Returns `read()`, read once while these folders of packages are unchanged: it opens many files."""
+    """Returns the entry points of a group by name, read once while these folders are unchanged."""
+    # cached: to read them opens many files
     points = sorted(read(group=group), key=lambda point: point.name)
     return {point.name: point for point in points if group == BLOCKS or _is_there(point.module)}
 
@@ -52,13 +53,14 @@ def _is_there(module: str) -> bool:
     try:
         return find_spec(module) is not None
     except ModuleNotFoundError as error:
-        return not f"{module}.".startswith(f"{error.name}.")  # else a package above it lacks a library
-    except Exception:  # a package above it is broken: to load it says why
+        # another name: the package above the module lacks a library, an error that loading reports
+        return not f"{module}.".startswith(f"{error.name}.")
+    except Exception:  # of a package above the module, which loading reports
         return True
 
 
 def load(point: EntryPoint, kind: str) -> Any:
-    """Returns what an entry point names; ExportError if it cannot be loaded. kind: "block", "command" """
+    """Returns the object that an entry point names; ExportError if it cannot be loaded. kind: "block" """
     try:
         return point.load()
     except (Exception, SystemExit) as error:
@@ -69,7 +71,7 @@ def load(point: EntryPoint, kind: str) -> Any:
 
 
 def _version(folder: str) -> tuple[str, int]:
-    """Returns a folder, and when a member of it was last added or removed."""
+    """Returns a folder, and the time of the last addition or removal of a member [ns]."""
     with suppress(OSError):
         return folder, os.stat(folder or ".").st_mtime_ns  # noqa: PTH116
     return folder, 0
@@ -83,16 +85,16 @@ def block_names() -> list[str]:
 def fmu_folder(flavour: Flavour = Flavour.NATIVE) -> Path:
     """Returns the folder of the FMUs that scenarios run.
 
-    It is in the user's cache, another one for each installation, so that two versions do not overwrite each
-    other's FMUs. The environment variable L1_DEPTH_FMUS names another folder. FMUs that another user can have
-    written are refused there (`fmus.store`).
+    It is in the user's cache. The environment variable L1_DEPTH_FMUS names another folder. FMUs that another
+    user can have written are refused there (`fmus.store`).
     """
+    # one folder per installation: two versions must not overwrite each other's FMUs
     own = store.folder(store.FMUS) / store.digest(str(Path(__file__).resolve().parent).encode())[:12]
     return Path(os.environ.get(FOLDER_VARIABLE) or own).absolute() / flavour.value
 
 
 def unwritable(folder: Path, error: OSError) -> ExportError:
-    """Returns the error for a folder of FMUs that cannot be written, with what to do."""
+    """Returns the error for a folder of FMUs that cannot be written, with a remedy."""
     reason = f"cannot write FMUs to {folder}: {error.strerror or error}"
     return ExportError(f"{reason}; set {FOLDER_VARIABLE} to another folder")
 
@@ -108,7 +110,7 @@ def is_in_cache(path: Path) -> bool:
 
 
 def block_fmus(paths: Iterable[Path]) -> list[tuple[str, Flavour]]:
-    """Returns (block, flavour) of those paths that `fmu_path` gives."""
+    """Returns (block, flavour) of each path that `fmu_path` returns."""
     folders = {flavour: fmu_folder(flavour) for flavour in Flavour}
     known = {
         folders[flavour] / f"{name}.fmu": (name, flavour) for flavour in Flavour for name in block_names()

@@ -1,10 +1,10 @@
-"""The store of what outlives a process: entries in the user's cache, each found by a kind and a key.
+"""Store of data that outlives a process: entries in the user's cache, each found by a kind and a key.
 
-Callers say what they key on and what they store. A key follows from all that the content follows from. So no
-entry is ever out of date: it is there or not. The entries that were used longest ago are removed.
+The caller computes the key from everything that the content depends on. So an entry is never out of date. The
+least recently used entries are removed.
 
-Libraries are executed. So an entry is used only if no other user can have written it, and if it is as it was
-written. On Windows the system keeps the folders of a user from others.
+Libraries are executed. So an entry is used only if no other user can have written it, and if it is unchanged.
+On Windows the system protects the folders of a user from others.
 """
 
 import hashlib
@@ -21,12 +21,10 @@ from fmus.files import write_bytes_atomically
 
 FMUS, BUILDS = "fmus", "builds"
 MOST = {BUILDS: 10_000, "libraries": 300}
-"""Kind -> how many entries are kept.
+"""Kind -> largest number of entries. Files of `FMUS` are not counted: scenarios name them."""
 
-The files of `FMUS` are no entries: scenarios name them.
-"""
-
-_IN_USE = "in-use.lock"  # which processes that run FMUs share
+# lock that processes share while they run FMUs
+_IN_USE = "in-use.lock"
 _REMEDY = "remove it, or set XDG_CACHE_HOME (for FMUs L1_DEPTH_FMUS) to a folder of your own"
 _SEAL_BYTES = hashlib.sha256().digest_size
 
@@ -40,7 +38,7 @@ def digest(*parts: object) -> str:
 def digests(folder: Path, skipped: Collection[str] = ()) -> Iterator[tuple[str, str, float]]:
     """Yields path, digest and time of the last change [s] of each file below a folder, in the order of paths.
 
-    skipped: names of folders, beside those of compiled Python
+    skipped: names of further folders to skip; folders of compiled Python always are
     """
     for parent, names, files in os.walk(folder):
         names[:] = sorted({*names} - {"__pycache__", *skipped})
@@ -51,14 +49,15 @@ def digests(folder: Path, skipped: Collection[str] = ()) -> Iterator[tuple[str, 
 
 
 def read_with_time(file: str) -> tuple[bytes, float]:
-    """Returns the content of a file, and when it was last changed [s since the epoch]."""
+    """Returns the content of a file, and the time of its last change [s since the epoch]."""
     with open(file, "rb") as stream:  # noqa: PTH123
         status = os.fstat(stream.fileno())
+        # a copy may keep the modification time of its original; its status changed later
         return stream.read(), max(status.st_mtime, status.st_ctime)
 
 
 def folder(kind: str = "") -> Path:
-    """Returns the folder of a kind in the user's cache, by default the one of all kinds."""
+    """Returns the folder of a kind in the user's cache; without a kind, the folder of all kinds."""
     if sys.platform == "win32":
         local = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
         return Path(local, "l1-depth", "Cache", kind)
@@ -68,10 +67,11 @@ def folder(kind: str = "") -> Path:
 
 
 def get(kind: str, key: str) -> bytes | None:
-    """Returns the content of an entry; None if there is none, or none that can be trusted."""
+    """Returns the content of an entry; None if it is missing or cannot be trusted."""
     path = folder(kind) / key
     content = None if reason_for_distrust(path) else unsealed(path)
     if content is not None:
+        # the time of the last use, by which entries are removed
         with suppress(OSError):  # of a cache that can only be read
             os.utime(path)
     return content
@@ -86,7 +86,8 @@ def put(kind: str, key: str, content: bytes) -> None:
 
 
 def sealed(content: bytes) -> bytes:
-    """Returns a content with its digest at the end, where the loader of a system ignores it in a library."""
+    """Returns a content with its digest at the end."""
+    # the loader of a system ignores what follows a library
     return content + hashlib.sha256(content).digest()
 
 
@@ -100,9 +101,9 @@ def unsealed(path: Path) -> bytes | None:
 
 
 def reason_for_distrust(path: Path) -> str:
-    """Returns why a file of a cache is not used, "" if nobody else can have written it, nor its folder.
+    """Returns why a file of a cache is not used, with a remedy; "" if no other user can have written it.
 
-    What is missing is no reason. The text ends with what to do.
+    Its folder counts, too. A missing file or folder is not distrusted.
     """
     return _distrust(path.parent) or _distrust(path)
 
@@ -119,7 +120,7 @@ def _distrust(path: Path) -> str:
 def write(path: Path, content: bytes) -> None:
     """Writes a file of a cache, whatever the umask is; missing folders become private.
 
-    Raises PermissionError, with what to do, for a folder that others can write.
+    Raises PermissionError, with a remedy, for a folder that others can write.
     """
     for parent in reversed([parent for parent in (path.parent, *path.parents) if not parent.exists()]):
         parent.mkdir(mode=0o700, exist_ok=True)
@@ -129,18 +130,18 @@ def write(path: Path, content: bytes) -> None:
 
 
 def record_build(fmu: bytes) -> None:
-    """Records an FMU that was built by its digest: that of its library, its sources and all else."""
+    """Records the digest of an FMU that was built."""
     put(BUILDS, digest(fmu), b"")
 
 
 def is_own_build(fmu: bytes) -> bool:
-    """Whether a build of this user wrote an FMU, wherever it is now and whatever tool it names."""
+    """Whether a build of this user wrote these bytes; path and tool of the FMU do not matter."""
     return get(BUILDS, digest(fmu)) is not None
 
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Holds the lock of a file until the context ends, or the process in any way.
+    """Holds the lock of a file until the context or the process ends.
 
     Raises BlockingIOError at once if another process holds the lock.
     """
@@ -159,7 +160,7 @@ def _remove(path: Path) -> None:
 
 
 def _lock(path: Path, shared: bool = False) -> int:
-    """Returns the file descriptor of a lock; one that is shared waits for one that is not."""
+    """Returns the file descriptor of a lock; a shared lock waits for an exclusive one."""
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
         try:
@@ -169,13 +170,15 @@ def _lock(path: Path, shared: bool = False) -> int:
             raise
         if os.fstat(descriptor).st_nlink:
             return descriptor
-        os.close(descriptor)  # of a file that its last holder has removed meanwhile
+        # the last holder has removed the file meanwhile: a lock of it would exclude nobody
+        os.close(descriptor)
 
 
 def keep_fmus() -> None:
     """Keeps the FMUs of the cache, and the records of builds, until this process ends."""
     lock = folder(_IN_USE)
-    if lock.parent.is_dir():  # running leaves no cache where there was none
+    # to run an FMU does not create a cache
+    if lock.parent.is_dir():
         _kept(lock)
 
 
@@ -189,6 +192,7 @@ def _kept(lock: Path) -> int | None:
 def entries(kind: str) -> Iterator[tuple[float, int, Path]]:
     """Yields the last use [s since the epoch], the size [bytes] and the path of each file of a kind."""
     top = folder(kind)
+    # a link could lead to files that are no entries, and that would be removed
     for parent, _, names in () if top.is_symlink() else os.walk(top):
         for path in (Path(parent, name) for name in names):
             with suppress(FileNotFoundError):  # another process has removed it
@@ -197,7 +201,7 @@ def entries(kind: str) -> Iterator[tuple[float, int, Path]]:
 
 
 def clear(kind: str) -> list[int]:
-    """Removes the entries of a kind, which other processes then make anew; returns their sizes [bytes].
+    """Removes the entries of a kind, and returns their sizes [bytes]. Other processes then make them anew.
 
     Raises BlockingIOError for FMUs and their records while another process runs some.
     """

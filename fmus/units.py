@@ -40,7 +40,8 @@ SYMBOLS = {
     "°C": (1.0, "K"),
     "degF": (5.0 / 9.0, "K"),
 }
-"""Symbol -> the factor and the unit that it stands for, "" for a base unit and for none."""
+"""Symbol -> the factor and the unit that it stands for; "" for a base unit and for a number without unit."""
+# apart from the symbols: an offset has a meaning for a name alone, "degC", and not in "W/degC"
 _OFFSETS = {"degC": 273.15, "°C": 273.15, "degF": 459.67 * 5.0 / 9.0}  # K
 _POWER = re.compile(r"(1(?!\d)|%|°C?|[^\W\d_]+)(-?\d+)?")
 
@@ -55,7 +56,7 @@ class UnitDefinition:
 
 
 def of_differences(units: Mapping[str, UnitDefinition]) -> dict[str, UnitDefinition]:
-    """Returns the units for a relative quantity, of which the offset is ignored (FMI 2.0.5, 2.2.3)."""
+    """Returns the units for relative quantities, without offsets (FMI 2.0.5, 2.2.3)."""
     known = {name: unit for name in _OFFSETS if (unit := si_unit(name))}
     return {name: replace(unit, offset=0.0) for name, unit in {**known, **units}.items()}
 
@@ -80,7 +81,7 @@ def si_unit(name: str) -> UnitDefinition | None:
 
 
 def _symbol(text: str) -> UnitDefinition | None:
-    """Returns the unit of a symbol, which may have a prefix, without offset."""
+    """Returns the unit of a symbol with or without prefix, without its offset."""
     if text in SYMBOLS:
         factor, name = SYMBOLS[text]
         unit = si_unit(name) or UnitDefinition({text: 1} if text in BASES else {})

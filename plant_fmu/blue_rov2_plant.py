@@ -1,8 +1,7 @@
 """Block BlueRov2Plant: a BlueROV2 Heavy in heave and pitch, from published numbers; none is fitted here.
 
-The equations are those of RovHeavePitchPlant. The voltages are those of the fore and the aft pair of the four
-vertical thrusters. A number that is not published for this vehicle is a choice, a guess or an estimate, and
-its source says so.
+RovHeavePitchPlant has the equations. The two voltages drive the fore and the aft pair of the four vertical
+thrusters. A number that is not published for this vehicle has the source choice, guess or estimate.
 """
 
 from dataclasses import replace
@@ -12,7 +11,8 @@ from plant_fmu import heave_pitch_plant
 from plant_fmu.heave_pitch_guide import GUIDE
 
 _TABLE = "published: von Benzon et al. (2022), table A1"
-_GRAVITY = 9.82  # m/s2, of the source
+# m/s2: the source computes weight and buoyancy with it
+_GRAVITY = 9.82
 _MASS, _VOLUME, _DENSITY = 13.5, 0.0134, 1000.0  # kg, m3, kg/m3: table A1
 _BAR30 = "published: a Bar30, the depth sensor of this vehicle"
 _PLACE = "assumed: at the centre of gravity; no place was found published for a Heavy"
@@ -93,10 +93,10 @@ BLOCK = heave_pitch_plant.BLOCK.with_starts(
         ),
         limits=(
             "Surge is neglected. Thrust F at a pitch of 0.1 rad pushes forward by 0.1 F; the added mass of"
-            " heave is 12.3 kg above that of surge, which turns the vehicle by 12.3 kg u w: 0.06 N.m at"
-            " 0.1 m/s and 0.05 m/s, 0.05 rad of pitch.",
-            "The righting moment has the weight for the buoyancy, which differ by 0.7 %, and stays at the"
-            " surface what it is below. The free surface acts on heave alone.",
+            " heave is 12.3 kg above the added mass of surge, which turns the vehicle by 12.3 kg u w: 0.06"
+            " N.m at 0.1 m/s and 0.05 m/s, 0.05 rad of pitch.",
+            "The righting moment has the weight for the buoyancy, which differ by 0.7 %, and is the same at"
+            " the surface as below. The free surface acts on heave alone.",
             "One pair at full reverse thrust has a moment of 9.6 N.m, the righting moment is 1.3 N.m at most:"
             " it tumbles the vehicle.",
             "The hydrodynamic numbers were identified in a tank by others. Other sets of numbers of this"

@@ -1,7 +1,7 @@
 """Block RovDepthPlant: two thruster voltages in, depth out; vehicle, thrusters and depth sensor.
 
-The AC-ROV of Maalouf et al. (2013) as far as it is published; every other number is an estimate or a
-guess and says so. Depth is positive down and zero when the vehicle's top is at the surface.
+The AC-ROV of Maalouf et al. (2013) as far as it is published; every other number has the source estimate
+or guess. Depth is positive down, and 0 when the vehicle's top is at the surface.
 """
 
 from collections.abc import Callable
@@ -72,7 +72,7 @@ class Parameters(SensorParameters, ThrusterParameters, HullParameters):
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Inputs of vehicles whose attitude is their own."""
+    """Inputs of every vehicle: voltages, faults, forces and the motion of the water."""
 
     voltage: Pair = variable((0.0, 0.0), "Voltage of each thruster", unit="V")
     thruster_efficiency: Pair = variable(
@@ -109,7 +109,7 @@ class Continuous:
 
 @dataclass(frozen=True)
 class State(Continuous):
-    """Continuous states, and what follows from the inputs and the sensor."""
+    """Continuous states, values that follow from the inputs, and the sensor."""
 
     steady_force: Pair = (0.0, 0.0)
     j: float = 1.0
@@ -131,10 +131,8 @@ class Outputs:
 
 def requirements(p: Parameters, calculated: NoValues) -> tuple:
     return (
-        (
-            p.internal_step <= p.sensor_period * (1.0 + 1e-9),
-            "internal_step at most sensor_period",
-        ),
+        # 1e-9: rounding of equal times that are given in other digits
+        (p.internal_step <= p.sensor_period * (1.0 + 1e-9), "internal_step at most sensor_period"),
         (p.net_weight < p.weight, "net_weight below weight, so that there is buoyancy"),
         depth_sensor.delay_fits(p),
         thruster.table_ascends(p),
@@ -157,6 +155,7 @@ def derivative(t: float, state: State, inputs: Inputs, p: Parameters, calculated
 
 def integrate(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
     """Returns the state after h seconds: the exact forces of the thrusters, and Runge-Kutta under these."""
+    # a short lag would be stiff for Runge-Kutta steps that suit the vehicle
     forces = forces_from(state.thruster_force, inputs, p)
     depth, velocity = rk4_step(
         lambda elapsed, x: _motion(x, forces(elapsed), inputs, p), 0.0, (state.depth, state.heave_velocity), h
@@ -187,13 +186,13 @@ def crossings(t: float, state: State, inputs: Inputs, p: Parameters, calculated:
 
 
 def surface_crossings(z: float, inputs: Surroundings, p: Parameters) -> tuple[float, float]:
-    """Returns the height [m] that is left until the vehicle begins to leave the water, and until it has."""
+    """Returns the heights [m] until the vehicle begins to emerge, and until it has left the water."""
     submerged_buoyancy = p.weight - p.net_weight + inputs.buoyancy_change
     return z, z + heave.height(submerged_buoyancy, p.water_density, p.waterplane_area)
 
 
 def steady_forces(inputs: Surroundings, p: Parameters) -> Pair:
-    """Returns the forces [N] at which the submerged thrusters settle."""
+    """Returns the steady forces [N] of the submerged thrusters."""
     first, second = (
         thruster.steady_force(p, i, inputs.voltage[i], inputs.thruster_efficiency[i]) for i in (0, 1)
     )
@@ -201,7 +200,7 @@ def steady_forces(inputs: Surroundings, p: Parameters) -> Pair:
 
 
 def forces_from(force: Pair, inputs: Surroundings, p: Parameters) -> Callable[[float], Pair]:
-    """Returns a function of time [s]: the force of each submerged thruster [N] so long after `force`."""
+    """Returns a function of time [s]: the force of each submerged thruster [N] that long after `force`."""
     steady = steady_forces(inputs, p)
 
     def forces(elapsed: float) -> Pair:

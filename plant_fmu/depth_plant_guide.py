@@ -18,7 +18,7 @@ sensor     s_k = q(z(t_k) + h + bias + drift (t_k - t_0) + noise n_k) at t_k = t
            measured = the newest s_k with t_k + delay <= t;   n_k standard normal, h pressure head of waves
 """,
     conventions=(
-        "Depth z is that of the vehicle's top, positive down and 0 at the surface.",
+        "Depth z is the depth of the vehicle's top, positive down and 0 at the surface.",
         "Forces and velocities along the body's z axis are positive down; a current and waves are given in"
         " the earth frame.",
         "wave_velocity w_f and wave_acceleration w_f' are vertical and positive down, wave_pressure_head h is"
@@ -38,7 +38,7 @@ sensor     s_k = q(z(t_k) + h + bias + drift (t_k - t_0) + noise n_k) at t_k = t
         " no air, with thruster_depth d_t below the vehicle's top.",
         "A measured thruster: thruster_tabulated, with thruster_table_voltage and thruster_table_force, a"
         " line between their points, for thruster_scale n thrusters. Points that a shorter table lacks go"
-        " on its lines. The start values are those of a T200, far too strong for this vehicle.",
+        " on its lines. The start values describe a T200, far too strong for this vehicle.",
         "sensor_ideal reports the depth, with the pressure head of waves, at every instant; otherwise period,"
         " noise, bias, drift, resolution and delay act, and sensor_seed chooses the noise: one seed gives one"
         " sequence, on every platform.",
@@ -50,13 +50,13 @@ sensor     s_k = q(z(t_k) + h + bias + drift (t_k - t_0) + noise n_k) at t_k = t
         "The paper gives neither inertia, damping, thruster nor sensor data: see the column Source for"
         " what is published, estimated or guessed. The plant validates no vehicle.",
         "Sides are taken as vertical where the vehicle breaks the surface; no bottom, no tether.",
-        "Waves act as on a small body below them, by linear theory: the surface at which the vehicle emerges"
+        "Waves act as on a small body below them, by linear theory: the surface where the vehicle emerges"
         " stays level, and forces of second order, such as the mean pull towards the surface, are left out.",
         "At the surface it is a spring of 218 N/m under 5.5 kg, at 6.3 rad/s, and sensor noise in a loop"
         " keeps it bobbing there.",
-        "The controllers of this project take the thrust for a line, with a gain and a limit of the voltage"
-        " of their own, or invert a table that they have as parameters; they know of no other limit of the"
-        " vehicle's thrusters.",
+        "The controllers of this project assume a straight line of the thrust, with their own gain and limit"
+        " of the voltage, or invert a table among their parameters; they assume no other limit of the"
+        " thrusters.",
         "Loss of thrust at the surface is a straight line in the propeller's depth: it depends neither on the"
         " load nor on how long the propeller has drawn air.",
         "internal_step may not exceed sensor_period, and sensor_delay not seven periods.",

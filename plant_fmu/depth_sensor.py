@@ -14,8 +14,10 @@ from dataclasses import dataclass, replace
 from fmus.block import variable
 from fmus.numerics import Clock, cos, floor, fmod, log, logical_and, sampled, sqrt, where
 
-HISTORY = 8  # samples kept: the delay may be HISTORY - 1 sampling periods
-_FINEST = 1e-9  # m; a finer resolution counts as none
+# samples kept: the delay may be HISTORY - 1 sampling periods
+HISTORY = 8
+# m; a finer resolution counts as 0, which keeps the quotient finite
+_FINEST = 1e-9
 _M_1, _A_1 = 2147483563.0, 40014.0
 _M_2, _A_2 = 2147483399.0, 40692.0
 _HALF = 65536.0  # a seed has 32 bits, in two halves
@@ -74,7 +76,7 @@ class SensorParameters:
 
 @dataclass(frozen=True)
 class SensorState:
-    """State: the last samples, newest first; start of the run [s]; clock; the two seeds of the generator."""
+    """State: the last samples, the newest first; start of the run [s]; clock; both seeds of the generator."""
 
     samples: tuple[float, ...] = (0.0,) * HISTORY
     start: float = 0.0
@@ -114,12 +116,10 @@ def sample(p: SensorParameters, state: SensorState, t: float, depth: float) -> S
 
 
 def scrambled(seed: int) -> tuple[float, float]:
-    """Returns the generator's first state, from a seed of at least 1 and below 2^32.
-
-    Both components of the generator are linear: without scrambling, consecutive seeds would give
-    sequences at a constant distance. A Feistel network over the two halves of the seed, its round
-    function the middle bits of a square, is not linear and gives every seed another state.
-    """
+    """Returns the generator's first state, from a seed of at least 1 and below 2^32."""
+    # Both components of the generator are linear: without scrambling, consecutive seeds would give sequences
+    # at a constant distance. A Feistel network over the two halves of the seed, with the middle bits of a
+    # square as round function, is not linear and gives every seed another state.
     high, low = _mixed(floor(seed / _HALF), _low_half(1.0 * seed))
     further_high, further_low = _mixed(high, low)
     return (
@@ -136,12 +136,12 @@ def _mixed(high: float, low: float) -> tuple[float, float]:
 
 
 def _low_half(value: float) -> float:
-    # exact; compilers would make a fused product and sum of a remainder by a power of two
+    # fmod by a power of two is not used: compilers would fuse its product and sum, and round once less
     return value - _HALF * floor(value / _HALF)
 
 
 def first_sample(p: SensorParameters, t: float, depth: float, seed: int) -> SensorState:
-    """Returns the state of a sensor that has been reading this depth for ever; `seed` is 1 or more."""
+    """Returns the state of a sensor that has always read this depth; `seed` is 1 or more."""
     state = sample(p, SensorState((), t, Clock(t, 1), *scrambled(seed)), t, depth)
     return replace(state, samples=(state.samples[0],) * HISTORY)
 
@@ -152,15 +152,16 @@ def sample_when_due(p: SensorParameters, state: SensorState, t: float, depth: fl
 
 
 def reading(p: SensorParameters, state: SensorState, t: float, depth: float) -> float:
-    """Returns the depth that the sensor reports at time t: the newest sample that has had time to arrive."""
+    """Returns the depth that the sensor reports at time t: the newest sample that is as old as the delay."""
     arrived, last_sample = state.samples[-1], state.clock.last_sample(p.sensor_period)
     for age, value in reversed(list(enumerate(state.samples))):
+        # 1e-6 of a period: a delay of whole periods must not depend on the rounding of t
         waited = t - last_sample + age * p.sensor_period
         arrived = where(waited >= p.sensor_delay - 1e-6 * p.sensor_period, value, arrived)
     return where(p.sensor_ideal, depth, arrived)
 
 
 def delay_fits(p: SensorParameters) -> tuple:
-    """Returns the requirement that the samples kept reach back as far as the delay."""
+    """Returns the requirement that the kept samples reach back as far as the delay."""
     fits = logical_and(p.sensor_delay >= 0.0, p.sensor_delay <= (HISTORY - 1) * p.sensor_period)
     return fits, f"sensor_delay at most {HISTORY - 1} times sensor_period"

@@ -16,38 +16,112 @@ GRAVITY = 9.81  # m/s2
 
 
 def body_to_earth(roll: float, pitch: float) -> float:
-    """Returns J(roll, pitch) = cos(roll) cos(pitch), for angles in rad."""
+    """Returns J = cos(roll) cos(pitch), for angles in rad."""
     return cos(roll) * cos(pitch)
 
 
 def buoyancy(z: float, submerged: float, density: float, waterplane_area: float) -> float:
-    """Returns B(z) [N]: `submerged` under water, less rho g A per metre that has emerged, never negative.
+    """Returns the buoyancy B(z) [N] of a vehicle with vertical sides, never negative.
 
-    Vertical-sided approximation: the vehicle emerges by -z when its top is above the surface.
+    Parameters
+    ----------
+    z : float
+        Depth of the vehicle's top [m], positive down; the vehicle emerges by -z.
+    submerged : float
+        Buoyancy under water [N].
+    density : float
+        Density of the water [kg/m3].
+    waterplane_area : float
+        Horizontal section of the vehicle [m2].
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> buoyancy(1.0, 30.0, 1000.0, 0.02), round(buoyancy(-0.1, 30.0, 1000.0, 0.02), 2)
+    (30.0, 10.38)
     """
     emerged = clip(-z, 0.0, height(submerged, density, waterplane_area))
     return submerged - density * GRAVITY * waterplane_area * emerged
 
 
 def height(submerged: float, density: float, waterplane_area: float) -> float:
-    """Returns the height [m] of a vehicle with vertical sides, of this buoyancy under water."""
+    """Returns the height [m] of a vehicle with vertical sides.
+
+    Parameters
+    ----------
+    submerged : float
+        Buoyancy under water [N].
+    density : float
+        Density of the water [kg/m3].
+    waterplane_area : float
+        Horizontal section of the vehicle [m2].
+
+    Returns
+    -------
+    float
+    """
     return submerged / (density * GRAVITY * waterplane_area)
 
 
 def damping(relative_velocity: float, linear: float, quadratic: float) -> float:
-    """Returns D_z w_r + D_q |w_r| w_r [N], opposing the motion through the water."""
+    """Returns the damping D_z w_r + D_q |w_r| w_r [N], which opposes the motion through the water.
+
+    Parameters
+    ----------
+    relative_velocity : float
+        Velocity w_r of the vehicle in the water [m/s].
+    linear, quadratic : float
+        D_z [N.s/m] and D_q [N.s2/m2].
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> damping(-0.5, 2.0, 4.0)
+    -2.0
+    """
     return (linear + quadratic * absolute(relative_velocity)) * relative_velocity
 
 
 def wave_force(water_acceleration: float, inertia: float, net_weight: float) -> float:
-    """Returns the force [N] of accelerated water on a body that is small beside the wave: (rho V + A) w_f'.
+    """Returns the force (rho V + A) w_f' [N] of accelerated water on a body that is small beside the wave.
 
-    Froude and Krylov's on the displaced water rho V, and that of the added mass A. M_z = W / g + A and
-    rho V = B / g, so both follow from inertia and net weight W - B: rho V + A = M_z - (W - B) / g.
+    It is the force of Froude and Krylov on the displaced water rho V, and the force on the added mass A.
+
+    Parameters
+    ----------
+    water_acceleration : float
+        Vertical acceleration w_f' of the water [m/s2].
+    inertia : float
+        Inertia with added mass M_z [kg].
+    net_weight : float
+        W - B [N].
+
+    Returns
+    -------
+    float
     """
+    # M_z = W / g + A and rho V = B / g give rho V + A = M_z - (W - B) / g
     return (inertia - net_weight / GRAVITY) * water_acceleration
 
 
 def acceleration(thrust: float, external: float, restoring: float, drag: float, inertia: float) -> float:
-    """Returns w' [m/s2] of (10), restoring = J (W - B)."""
+    """Returns the acceleration w' [m/s2] of (10).
+
+    Parameters
+    ----------
+    thrust, external, restoring, drag : float
+        tau_z, w_dz, J (W - B) and damping [N].
+    inertia : float
+        Inertia with added mass M_z [kg].
+
+    Returns
+    -------
+    float
+    """
     return (thrust + external + restoring - drag) / inertia

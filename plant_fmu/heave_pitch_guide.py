@@ -29,26 +29,26 @@ pitch      sampled as the depth is, with white noise
     conventions=(
         "Depth z, its rate and vertical forces are positive down; pitch is positive bow up, and so is"
         " external_moment.",
-        "voltage[1] is that of the fore thruster, voltage[2] that of the aft one; a positive voltage pushes"
-        " down. Forces of thrusters are along the body's z axis.",
+        "voltage[1] drives the fore thruster, voltage[2] the aft one; a positive voltage pushes down. Forces"
+        " of thrusters are along the body's z axis.",
         "thruster_lever and sensor_forward are positive forward of the centre of gravity.",
-        "waves: as in RovDepthPlant; they turn the vehicle by nothing but external_moment.",
+        "Waves act as in RovDepthPlant. They turn the vehicle only if external_moment does so.",
     ),
     tuning=(
-        "For another vehicle: what RovDepthPlant needs; then pitch_inertia and metacentric_height from the"
+        "For another vehicle: as RovDepthPlant; then pitch_inertia and metacentric_height from the"
         " period 2 pi sqrt(I / (W BG)) of a free oscillation, the damping from its decay.",
         "thruster_tabulated and thruster_transfer for a measured thruster; the lag acts before the transfer"
         " function, so set it to 0.",
         "A step is one of the classical Runge-Kutta method of fourth order, exact in the lag. internal_step"
-        " is to resolve the poles of thruster_transfer: at 0.45 of the fastest, 5 ms for a T200, the force"
+        " must resolve the poles of thruster_transfer: at 0.45 of the fastest, 5 ms for a T200, the force"
         " after a jump of the voltage is within 0.03 % of the jump.",
     ),
     limits=(
         "Surge is neglected. Thrust F at a pitch of 0.1 rad pushes forward by 0.1 F: 0.12 N at the holding"
         " thrust, 5 cm/s with a damping of 2.5 N.s/m, of which 0.5 cm/s would be along the inclined path."
         " Added masses of surge and heave that differ would turn the vehicle while it surges.",
-        "The righting moment has the weight for the buoyancy, which differ by 4 % here, and stays at the"
-        " surface what it is below. The free surface acts on heave alone.",
+        "The righting moment has the weight for the buoyancy, which differ by 4 % here, and is the same at"
+        " the surface as below. The free surface acts on heave alone.",
         "A thruster whose moment is above W BG tumbles the vehicle: 0.147 N.m here, two thrusters that"
         " differ by 2.5 N.",
         "internal_step may exceed neither sensor_period nor the inverse of the largest rate of"

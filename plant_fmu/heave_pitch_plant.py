@@ -1,7 +1,7 @@
 """Block RovHeavePitchPlant: fore and aft thruster voltage in, depth and pitch out.
 
-The vehicle of RovDepthPlant with an axis more. What it needs besides is not published, and a guess. Other
-vehicles are this block with other start values.
+The vehicle of RovDepthPlant with one more axis, whose numbers are not published and guessed. Other vehicles
+are this block with other start values.
 """
 
 from dataclasses import dataclass, replace
@@ -15,12 +15,13 @@ from plant_fmu.heave_pitch_guide import GUIDE
 from plant_fmu.thruster import Pair, Transfer, Triple
 
 _GUESS = "guess: the paper gives none"
-_OTHER_SEEDS = 2**30  # the noise of the pitch has other numbers than that of the depth
+# added to the seed: the noise of the pitch must not repeat the noise of the depth
+_OTHER_SEEDS = 2**30
 
 
 @dataclass(frozen=True)
 class Parameters(depth_plant.Parameters):
-    """Parameters of pitch, beside those of heave."""
+    """Parameters of heave and pitch."""
 
     initial_pitch: float = variable(
         0.0, "Pitch angle at the start", unit="rad", variability="fixed", source="assumed: level"
@@ -35,7 +36,7 @@ class Parameters(depth_plant.Parameters):
     )
     metacentric_height: float = variable(
         0.005,
-        "Height BG of the centre of buoyancy above that of gravity",
+        "Height BG of the centre of buoyancy above the centre of gravity",
         unit="m",
         min=0.0,
         max=1e3,
@@ -105,7 +106,7 @@ class Continuous:
 
 @dataclass(frozen=True)
 class State(Continuous):
-    """Continuous states, and what follows from the inputs and the sensors."""
+    """Continuous states, values that follow from the inputs, and the sensors."""
 
     steady_force: Pair = (0.0, 0.0)
     pressure_head: float = 0.0
@@ -128,10 +129,8 @@ class Outputs:
 
 
 def requirements(p: Parameters, calculated: NoValues) -> tuple:
-    return (
-        *depth_plant.requirements(p, calculated),
-        *_transfer_of(p).requirements(p.internal_step),
-    )
+    of_heave = depth_plant.requirements(p, calculated)
+    return (*of_heave, *Transfer(*p.thruster_transfer).requirements(p.internal_step))
 
 
 def initial_state(t: float, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
@@ -186,7 +185,7 @@ def _in_parts(x: tuple) -> tuple:
 def _motion(x: tuple, asked: Pair, inputs: Inputs, p: Parameters) -> tuple:
     """Returns the derivatives of x, the numbers of `_moving`, under forces of limit and lag [N]."""
     z, v, theta, q, *rest = x
-    transfer, turning = _transfer_of(p), ((*rest[:3],), (*rest[3:],))
+    transfer, turning = Transfer(*p.thruster_transfer), ((*rest[:3],), (*rest[3:],))
     forces = _forces(z, theta, turning, asked, p)
     thrust = heave_pitch.vertical_thrust(forces, theta)
     moment = heave_pitch.thrust_moment(forces, p.thruster_lever) + inputs.external_moment
@@ -240,7 +239,7 @@ def _forces(depth: float, pitch: float, transfer: tuple[Triple, Triple], asked: 
     """Returns the force of each thruster [N], each at its own depth below the surface."""
     first, second = (
         thruster.submerged_share(heave_pitch.depth_at(depth, pitch, lever), p)
-        * where(p.thruster_ideal, steady, _transfer_of(p).force(x, steady))
+        * where(p.thruster_ideal, steady, Transfer(*p.thruster_transfer).force(x, steady))
         for lever, x, steady in zip(p.thruster_lever, transfer, asked, strict=True)
     )
     return first, second
@@ -250,20 +249,10 @@ def _sensed_depth(depth: float, pitch: float, p: Parameters) -> float:
     return heave_pitch.depth_at(depth, pitch, p.sensor_forward, p.sensor_below)
 
 
-def _transfer_of(p: Parameters) -> Transfer:
-    return Transfer(*p.thruster_transfer)
-
-
 def _pitch_sensor(p: Parameters) -> Parameters:
-    """Returns the parameters with those of the pitch sensor for those of the depth sensor."""
-    return replace(
-        p,
-        sensor_noise=p.pitch_noise,
-        sensor_bias=0.0,
-        sensor_drift=0.0,
-        sensor_resolution=0.0,
-        sensor_delay=0.0,
-    )
+    """Returns the parameters with the pitch sensor's numbers by the names of the depth sensor."""
+    others = dict.fromkeys(("sensor_bias", "sensor_drift", "sensor_resolution", "sensor_delay"), 0.0)
+    return replace(p, sensor_noise=p.pitch_noise, **others)
 
 
 BLOCK = Block.of_module(

@@ -1,4 +1,4 @@
-"""One thruster: voltage to force, by a curve with few parameters or by a table, and its answer in time.
+"""Thruster: voltage to force, by a curve with few parameters or by a table, and its answer in time.
 
     v_s = sat(v, v_max),   v_d = sgn(v_s) max(|v_s| - v_0, 0)
     F_s = efficiency K r v_d ((1 - c) + c |v_d| / v_c),   r = 1 for v_d >= 0, the reverse ratio below
@@ -13,12 +13,12 @@
 K [N/V], dead zone v_0 [V], saturation v_max [V], lag T [s], efficiency 0..1 (1 healthy, 0 dead). The curve
 is a line for c = 0 and quadratic for c = 1; at v_c [V] both give K v_c, so that K stays in N/V. R [N/s]
 limits how fast the force changes, as the torque of a motor limits how fast its propeller speeds up. d [m]
-is the depth of the propeller, d_f that from which its thrust is full; above it draws air (ventilation) and
-loses thrust, here in proportion to its depth. An ideal thruster gives efficiency K v at once, in air too.
-The table is linear between its points and held outside; n is the number of
-thrusters that the voltage drives. The transfer function has a gain of 1.
-The paper's model is F = K u, (11); the rest is added here. The straight line of the ventilation stands for
-curves that depend on the load too: Kozlowska et al., Time domain modeling of propeller forces due to
+is the depth of the propeller, d_f the depth of its full thrust; above it draws air (ventilation) and loses
+thrust, here in proportion to its depth. An ideal thruster gives efficiency K v at once, in air too.
+The table is linear between its points and held outside; n is the number of thrusters that the voltage
+drives. The transfer function has a gain of 1.
+The paper's model is F = K u, (11); the rest is added here. The straight line of the ventilation replaces
+curves that depend on the load, too: Kozlowska et al., Time domain modeling of propeller forces due to
 ventilation in static and dynamic conditions, Journal of Marine Science and Engineering 8, 2020.
 """
 
@@ -50,8 +50,8 @@ _T200_AT_16_V = (
     (1460, -0.07), (1420, -0.32), (1380, -0.65), (1340, -1.02), (1300, -1.44), (1260, -1.94), (1220, -2.45),
     (1180, -2.99), (1140, -3.66), (1100, -4.07),
 )  # fmt: skip
-# The map from volts to pulses is a choice, a line that falls: a positive voltage is to push down, and forward
-# thrust of the vehicle for which the table is there pushes up.
+# The map from volts to pulses is a choice, a line that falls: a positive voltage must push down, and forward
+# thrust of the BlueROV2, the vehicle with this table, pushes up.
 T200_VOLTAGE = tuple((1500.0 - pulse) * 12.0 / 400.0 for pulse, _ in _T200_AT_16_V)
 T200_FORCE = tuple(0.0 - kgf * 9.80665 for _, kgf in _T200_AT_16_V)
 """Points of a table: voltage [V], and force [N], positive down."""
@@ -61,14 +61,15 @@ Triple = tuple[float, float, float]
 Table = tuple[float, ...]
 
 _GUESS = "guess: the paper gives none"
-_SHORTEST_LAG = 1e-9  # s; what is shorter counts as no lag
-_LEAST_RATE = 1e-9  # N/s; what is less counts as no limit
-_LEAST_DEPTH = 1e-9  # m; what is less counts as no ventilation
+# a parameter below these counts as 0, which leaves its effect out; the divisions by it stay finite
+_SHORTEST_LAG = 1e-9  # s
+_LEAST_RATE = 1e-9  # N/s
+_LEAST_DEPTH = 1e-9  # m
 
 
 @dataclass(frozen=True)
 class ThrusterParameters:
-    """Parameters of two thrusters; functions have the index i of one of them."""
+    """Parameters of two thrusters; functions take the index i of one."""
 
     thruster_ideal: bool = variable(
         False,
@@ -97,7 +98,7 @@ class ThrusterParameters:
     )
     thruster_reverse_ratio: Pair = variable(
         (1.0, 1.0),
-        "Gain of negative voltages over that of positive ones",
+        "Gain of negative voltages over the gain of positive ones",
         min=0.0,
         max=10.0,
         source="assumed: symmetric, as (11); other propellers give less in reverse, about 0.8 (guess)",
@@ -111,7 +112,7 @@ class ThrusterParameters:
     )
     thruster_curve_voltage: Pair = variable(
         (12.0, 12.0),
-        "Voltage at which line and parabola give the same force",
+        "Voltage where line and parabola give the same force",
         unit="V",
         min=1e-6,
         max=1e6,
@@ -165,9 +166,10 @@ class ThrusterParameters:
 
 
 def steady_force(p: ThrusterParameters, i: int, voltage: float, efficiency: float) -> float:
-    """Returns the force [N] at which the submerged thruster settles under a constant voltage."""
+    """Returns the steady force [N] of the submerged thruster under a constant voltage [V]."""
     saturated = clip(voltage, -p.thruster_voltage_limit[i], p.thruster_voltage_limit[i])
-    # by none of absolute and maximum: without a dead zone the slope at 0 V is the gain, theirs is 0
+    # Not by absolute and maximum: their derivative at 0 V is 0. Without a dead zone the slope there is the
+    # gain, which directional derivatives must give.
     direction, zone = where(saturated < 0.0, -1.0, 1.0), p.thruster_dead_zone[i]
     beyond = direction * saturated - absolute(sign(saturated)) * zone
     size = where(direction * saturated < zone, 0.0, beyond)
@@ -188,7 +190,7 @@ def table_force(p: ThrusterParameters, voltage: float) -> float:
 
 
 def table_ascends(p: ThrusterParameters) -> tuple:
-    """Returns the requirement that each voltage of a table that is used is above the one before."""
+    """Returns the requirement that the voltages of a table in use ascend."""
     ascend = all_hold(a < b for a, b in pairwise(p.thruster_table_voltage))
     is_left_out = logical_not(p.thruster_tabulated)
     return logical_or(is_left_out, ascend), "thruster_table_voltage: each above the one before"
@@ -197,7 +199,7 @@ def table_ascends(p: ThrusterParameters) -> tuple:
 def force_after(p: ThrusterParameters, i: int, force: float, steady: float, elapsed: float) -> float:
     """Returns the force [N] `elapsed` s after it was `force`: the exact answer of limit and lag to a voltage.
 
-    Where the lag alone would change the force faster than R, it changes by R a second until it would not.
+    The force changes at the rate R as long as the lag alone would change it faster.
     """
     lag = where(p.thruster_ideal, 0.0, p.thruster_lag[i])
     rate = maximum(p.thruster_rate_limit[i], _LEAST_RATE)
@@ -205,20 +207,20 @@ def force_after(p: ThrusterParameters, i: int, force: float, steady: float, elap
     away = force - steady
     limited = where(is_limited, maximum(absolute(away) / rate - lag, 0.0), 0.0)  # s
     begins = where(is_limited, clip(away, -rate * lag, rate * lag), away)
-    # s; of slope 1 at 0, which a maximum has not
+    # s; not by maximum, whose derivative at 0 is not 1
     lagging = where(elapsed < limited, 0.0, elapsed - limited)
     left = where(is_limited, _left(lag, lagging), _left(lag, elapsed))
     return where(elapsed < limited, force - sign(away) * rate * elapsed, steady + begins * left)
 
 
 def present_forces(p: ThrusterParameters, forces: Pair, steady: Pair) -> Pair:
-    """Returns the forces [N]: those of limit and lag, or where there is neither those of the voltages."""
+    """Returns the forces [N] behind limit and lag; without either, the forces of the voltages."""
     first, second = (where(is_moving(p, i), forces[i], steady[i]) for i in (0, 1))
     return first, second
 
 
 def force_rates(p: ThrusterParameters, forces: Pair, steady: Pair) -> Pair:
-    """Returns F' [N/s] of each thruster by limit and lag; 0 where there is neither."""
+    """Returns F' [N/s] of each thruster by limit and lag; 0 without either."""
     first, second = (_force_rate(p, i, forces[i], steady[i]) for i in (0, 1))
     return first, second
 
@@ -231,13 +233,13 @@ def _force_rate(p: ThrusterParameters, i: int, force: float, steady: float) -> f
 
 
 def is_moving(p: ThrusterParameters, i: int) -> bool:
-    """Whether the force moves towards that which the voltage asks for, and does not follow it at once."""
+    """Whether the force follows the voltage by a limit or a lag, and not at once."""
     has_rate = logical_or(p.thruster_lag[i] > _SHORTEST_LAG, p.thruster_rate_limit[i] > _LEAST_RATE)
     return logical_and(logical_not(p.thruster_ideal), has_rate)
 
 
 def _left(lag: float, elapsed: float) -> float:
-    """Returns the share that is left of a difference after some time [s], 1 at its start."""
+    """Returns the remaining share of a difference after some time [s], 1 at its start."""
     return where(lag > _SHORTEST_LAG, exp(-elapsed / maximum(lag, _SHORTEST_LAG)), 0.0)
 
 
@@ -254,7 +256,7 @@ class Transfer:
     a_0: float
 
     def rates(self, x: Triple, steady: float) -> Triple:
-        """Returns x' [N/s, N/s2, N/s3] at a state x [N, N/s, N/s2], under a force F [N] that is asked for."""
+        """Returns x' [N/s, N/s2, N/s3] at a state x [N, N/s, N/s2], under a steady force F [N]."""
         third = self.a_0 * (steady - x[0]) - self.a_1 * x[1] - self.a_2 * x[2]
         return where(self.a_0 > 0.0, (x[1], x[2], third), (0.0, 0.0, 0.0))
 
@@ -263,7 +265,7 @@ class Transfer:
         return where(self.a_0 > 0.0, lambda: x[0] + self.b_1 / self.a_0 * x[1], steady)
 
     def requirements(self, step: float) -> tuple:
-        """Returns the requirements: it is stable, and Runge-Kutta steps [s] resolve its poles."""
+        """Returns the requirements: the function is stable, and Runge-Kutta steps [s] resolve its poles."""
         is_stable = logical_and(self.a_2 > 0.0, self.a_2 * self.a_1 > self.a_0)  # Routh and Hurwitz
         fastest = maximum(maximum(self.a_2, sqrt(self.a_1)), power(self.a_0, 1.0 / 3.0))
         is_left_out = self.a_0 <= 0.0
@@ -277,7 +279,7 @@ class Transfer:
 
 
 def ventilation_crossings(depth: float, p: ThrusterParameters) -> tuple[float, float]:
-    """Returns how far propellers at a depth are below where their thrust begins, and is full [m]."""
+    """Returns the distances [m] of propellers below the depths where thrust begins, and where it is full."""
     is_ventilated = logical_and(logical_not(p.thruster_ideal), p.thruster_full_depth > _LEAST_DEPTH)
     of_propeller = depth + p.thruster_depth
     return (
@@ -287,10 +289,7 @@ def ventilation_crossings(depth: float, p: ThrusterParameters) -> tuple[float, f
 
 
 def submerged_share(depth: float, p: ThrusterParameters) -> float:
-    """Returns the share of thrust that the propellers of a vehicle give at its depth [m].
-
-    It is 1 where each is `thruster_full_depth` or more below the surface, or where that is 0.
-    """
+    """Returns the share of thrust, 0 to 1, that the propellers of a vehicle give at its depth [m]."""
     full_depth = p.thruster_full_depth
     share = clip((depth + p.thruster_depth) / maximum(full_depth, _LEAST_DEPTH), 0.0, 1.0)
     return where(logical_and(logical_not(p.thruster_ideal), full_depth > _LEAST_DEPTH), share, 1.0)

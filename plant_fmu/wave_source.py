@@ -1,7 +1,7 @@
-"""Block WaveSource: waves in deep water, and what they are at the depth of a vehicle.
+"""Block WaveSource: waves in deep water, and their motion at the depth of a vehicle.
 
-A regular wave, or a sea with the JONSWAP spectrum whose phases follow from a seed; the water moves as
-`plant_fmu.waves` says.
+A regular wave, or a sea with the JONSWAP spectrum whose phases follow from a seed, by the equations of
+`plant_fmu.waves`.
 """
 
 from dataclasses import dataclass
@@ -72,7 +72,7 @@ class Parameters:
     )
     gamma: float = variable(
         3.3,
-        "Height of the peak over that of Pierson and Moskowitz",
+        "Height of the peak over the peak of Pierson and Moskowitz",
         min=1.0,
         max=20.0,
         variability="fixed",
@@ -144,8 +144,8 @@ JONSWAP   S ~ x^-5 exp(-5/4 x^-4) gamma^exp(-(x - 1)^2 / (2 s^2)),    x = w / w_
         "Above the mean surface (z < 0) the water moves as at the surface.",
         "t is the time of the simulation, whatever its start.",
         f"A sea has {waves.COMPONENTS} components, with frequencies in bands of equal variance for gamma = 1."
-        " Phases and frequencies follow from the seed; amplitudes are those of the spectrum, so that every"
-        " seed has the same variance.",
+        " Phases and frequencies follow from the seed, amplitudes from the spectrum, so that every seed has"
+        " the same variance.",
     ),
     tuning=(
         "Connect the vehicle's depth to depth, and wave_velocity, wave_acceleration and wave_pressure_head to"
@@ -154,11 +154,11 @@ JONSWAP   S ~ x^-5 exp(-5/4 x^-4) gamma^exp(-(x - 1)^2 / (2 s^2)),    x = w / w_
         " sea.",
         "One seed is one sea: take several for a statement about a sea state.",
         "The depth comes from the last communication point: its error is the way of a step, 2 mm in 20 ms at"
-        " 0.1 m/s, and k times that of the motion, 0.03 % at a period of 5 s.",
+        " 0.1 m/s. The relative error of the motion is k times this way, 0.03 % at a period of 5 s.",
     ),
     limits=(
-        "Linear theory in deep water: bottom, breaking and drift are left out. Waves above the steepness at"
-        " which they break are refused; well below it the theory is better.",
+        "Linear theory in deep water: bottom, breaking and drift are left out. Waves above the steepness of"
+        " breaking are refused; well below it the theory is better.",
         "One direction, and one place: the vehicle does not move with the waves horizontally, and it is small"
         " beside a wave length.",
         "The spectrum ends at four times the peak frequency, above which JONSWAP has 0.4 % of its variance.",

@@ -6,7 +6,7 @@
     p / (rho g) = sum a_i exp(-k_i z) cos(w_i t + phi_i)              pressure head, positive under a crest
     k_i         = w_i^2 / g                                           each component has its own length
 
-z [m] is the depth below the mean surface, positive down; above it (z < 0) the motion is that of the surface.
+z [m] is the depth below the mean surface, positive down; above it (z < 0) the water moves as at the surface.
 Source: Faltinsen, Sea Loads on Ships and Offshore Structures (1990), chapter 2.
 """
 
@@ -20,14 +20,15 @@ from plant_fmu.heave import GRAVITY
 
 COMPONENTS = 32
 LOWEST, HIGHEST = 0.5, 4.0  # of the peak frequency, as the signal `spectrum` of the scenarios
-STEEPEST = 0.142  # height / length at which a wave breaks: Miche (1944)
-_OTHER_SEEDS = 2**31  # so that a sea has other numbers than a sensor of its seed
+STEEPEST = 0.142  # height / length of a breaking wave: Miche (1944)
+# added to the seed: a sea must not repeat the numbers of a sensor with the same seed
+_OTHER_SEEDS = 2**31
 _Numbers = tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class Components:
-    """Components of the waves. A regular wave has the first one alone."""
+    """Components of the waves; a regular wave has the first alone."""
 
     amplitude: _Numbers = variable(
         (0.0,) * COMPONENTS, "Amplitude of a component", unit="m", variability="fixed"
@@ -120,5 +121,5 @@ def jonswap_sea(significant_height: float, peak_period: float, gamma: float, see
 
 
 def is_unbroken(height: float, period: float) -> bool:
-    """Whether a wave is less steep than one that breaks: height [m] from trough to crest, period [s]."""
+    """Whether a wave does not break: height [m] from trough to crest, period [s]."""
     return height <= STEEPEST * GRAVITY * period * period / (2.0 * math.pi)

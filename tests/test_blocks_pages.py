@@ -89,6 +89,15 @@ def test_the_tutorial_shows_the_block_that_new_writes(tmp_path: Path) -> None:
     assert block == "# pid.py\n" + write_new_block("pid", tmp_path)[0].read_text(encoding="utf-8")
 
 
+def test_the_tutorial_of_a_thermostat_shows_functions_that_new_writes(tmp_path: Path) -> None:
+    shown = examples(ROOT / "docs" / "tutorials" / "thermostat.md")
+    (functions,) = [e.code for e in shown if e.language == "python" and e.code.startswith("def ")]
+    written = write_new_block("room", tmp_path, "plain")[0].read_text(encoding="utf-8")
+    parts = functions.split("\n\n\n")
+    assert len(parts) == 4
+    assert not [part for part in parts if part.strip() not in written]
+
+
 def test_the_page_on_importers_names_tests_that_there_are_with_their_fmus() -> None:
     program = program_of_the_site("compatibility")
     runs = [tool[interface] for tool in program["table"]().values() for interface in program["INTERFACES"]]

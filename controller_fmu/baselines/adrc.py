@@ -1,10 +1,10 @@
 """Block AdrcDepthController: linear active disturbance rejection control of the depth, after Gao: EQUATIONS.
 
 z is the measured depth, u_d the force that the thrusters deliver, z_3 the estimate of everything else that
-accelerates the vehicle: damping, buoyancy, disturbances. The observer's three poles are at -w_o, those of the
-loop with a perfect observer both at -w_c. A step is exact for a held z and u_d, hence stable for any length:
-the error from the steady state (z, 0, -u_d / M) is multiplied by e^(-w_o h) (I + h N + h^2 N^2 / 2), where
-N = A_o + w_o I and N^3 = 0. The observer is given what the thrusters deliver, so z_3 does not wind up.
+accelerates the vehicle: damping, buoyancy, disturbances. The observer has three poles at -w_o, the loop with
+a perfect observer two at -w_c. A step is exact for a held z and u_d, hence stable for any length: the error
+from the steady state (z, 0, -u_d / M) is multiplied by e^(-w_o h) (I + h N + h^2 N^2 / 2), where
+N = A_o + w_o I and N^3 = 0.
 Source: J. Han, From PID to active disturbance rejection control, IEEE Trans. Industrial Electronics 56
 (2009); Z. Gao, Scaling and bandwidth-parameterization based controller tuning, ACC 2003.
 """
@@ -56,7 +56,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class State:
-    """State of the controller; `measured`: with the rate of the extended state observer; `j`: J."""
+    """State of the controller; `measured` has the rate of the extended state observer; `j`: J."""
 
     measured: DepthMeasurement = DepthMeasurement()
     estimate: Estimate = Estimate()
@@ -66,7 +66,7 @@ class State:
 @dataclass(frozen=True)
 class Outputs(DepthOutputs):
     estimated_depth: float = variable(0.0, "z_1, depth of the extended state observer", unit="m")
-    estimated_disturbance: float = variable(0.0, "M z_3, force besides that of the thrusters", unit="N")
+    estimated_disturbance: float = variable(0.0, "M z_3, force of all but the thrusters", unit="N")
 
 
 def observe(h: float, estimate: Estimate, depth: float, acceleration: float, bandwidth: float) -> Estimate:
@@ -107,6 +107,7 @@ def initial_state(t: float, inputs: DepthInputs, p: Parameters, calculated: NoVa
 
 
 def step(t: float, h: float, state: State, inputs: DepthInputs, p: Parameters, calculated: NoValues) -> State:
+    # the delivered force, not the demand: z_3 then does not wind up while the thrusters saturate
     delivered = depth_interface.deliver(control(state.measured, state.estimate, p), state.j, p)
     estimate = observe(
         h, state.estimate, inputs.measured_depth, delivered.force / p.model_inertia, p.observer_bandwidth

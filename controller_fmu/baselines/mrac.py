@@ -2,9 +2,9 @@
 
 On x' = A x + B_m (u_d + theta |x|_inf + sigma), with ideal measurements, the error x - x_m and the errors of
 the estimates make V = (x - x_m)^T P (x - x_m) + (theta_err^2 + sigma_err^2) / Gamma fall at the rate
-(x - x_m)^T Q (x - x_m) at least, also under saturation: the estimates do not learn it.
-No loop inside the controller is fast: the plant closes the loop of the estimates, so Gamma is bounded by the
-lags of the real loop, and the explicit step of the estimates adds half a step to them.
+(x - x_m)^T Q (x - x_m) at least, also under saturation, which changes no estimate.
+No loop inside the controller is fast: the plant closes the loop of the estimates, so the lags of the real
+loop bound Gamma. The explicit step of the estimates adds half a step to these lags.
 Source: Ioannou and Sun, Robust Adaptive Control (1996), chapter 6; Lavretsky and Wise, Robust and Adaptive
 Control (2013), chapter 9 to 11 (projection, saturation in the reference model).
 """
@@ -64,10 +64,10 @@ class Parameters(depth_interface.DesignParameters):
         unit="N",
         min=0.0,
         max=1e6,
-        source="that of L1DepthController; per SI unit of the regressor",
+        source="as in L1DepthController; per SI unit of the regressor",
     )
     sigma_bound: float = variable(
-        10.0, "Bound of |sigma_hat|", unit="N", min=0.0, max=1e6, source="that of L1DepthController"
+        10.0, "Bound of |sigma_hat|", unit="N", min=0.0, max=1e6, source="as in L1DepthController"
     )
 
 
@@ -150,7 +150,7 @@ def initial_state(t: float, inputs: DepthInputs, p: Parameters, matrices: DepthM
 def step(
     t: float, h: float, state: State, inputs: DepthInputs, p: Parameters, matrices: DepthMatrices
 ) -> State:
-    """Steps the controller; x_m is driven by the part f of the control that the vehicle receives."""
+    """Returns the state h s later; the part f of the control that the vehicle receives drives x_m."""
     before, adaptive = state.interface.measured, state.adaptive
     given = depth_interface.deliver(control(before, adaptive, p, matrices), state.interface.j, p)
     interface = depth_interface.next_state(t, state.interface, inputs, p)
@@ -185,8 +185,8 @@ GUIDE = shared_guide.depth_guide(
     ),
     limits=(
         "There is no low-pass filter between estimates and control: Gamma trades robustness for speed.",
-        "While the thrusters saturate, the reference model is driven by what they deliver, so the estimates"
-        " do not learn it.",
+        "While the thrusters saturate, the delivered force drives the reference model, so that saturation"
+        " changes no estimate.",
         shared_guide.HELD_CONTROL,
         shared_guide.REFERENCE_RATES,
     ),

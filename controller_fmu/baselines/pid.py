@@ -1,8 +1,8 @@
 """Block PidDepthController: PID control of the depth with two degrees of freedom: EQUATIONS.
 
-beta weighs the reference in the derivative, 0 to 1; its weight in the proportional part is 1. z / r is that
-of the assumed vehicle, M z'' + D z' = u + d, with ideal measurements and thrusters: beta moves zeros and no
-pole, and with 1, e / r is -M s^3 over the same denominator.
+beta weighs the reference in the derivative, 0 to 1; its weight in the proportional part is 1. z / r holds for
+the assumed vehicle, M z'' + D z' = u + d, with ideal measurements and thrusters: beta moves zeros and no
+pole, and with beta = 1, e / r is -M s^3 over the same denominator.
 Source: Astrom and Hagglund, Advanced PID Control (2006), chapter 3 (set-point weighting) and 5 (two degrees
 of freedom, feedforward).
 """
@@ -39,9 +39,10 @@ class Parameters(depth_interface.DampingParameter, depth_interface.ObserverParam
 
 @dataclass(frozen=True)
 class State:
-    """State of the controller; `integral`: int k_i e dt [N], which a change of k_i leaves as it is."""
+    """State of the controller; `integral`: int k_i e dt [N]."""
 
     interface: DepthState = DepthState()
+    # with the gain inside, a change of k_i during a run makes no jump of the control
     integral: float = 0.0
 
 

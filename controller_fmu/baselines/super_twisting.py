@@ -4,9 +4,9 @@ On M z'' + D z' = u + d, with ideal measurements and thrusters, M s' = -k_1 sqrt
 (g is the sign of s) and |d'| <= L below k_2, s and s' reach 0 in finite time for a k_1 that is large enough,
 whatever d is; with eps > 0 they reach a neighbourhood of 0.
 
-The g of a step is the law, explicit, unless it would lead the s of the assumed vehicle beyond 0: then to 0.
-So the control does not switch for ever at eps = 0, as it does with the explicit step alone, and is the law
-for every eps that is large beside h^2 k_1^2 / M^2.
+The g of a step is the explicit law, unless it would lead the s of the assumed vehicle beyond 0: then s ends
+at 0. So the control does not switch for ever at eps = 0, as it would with the explicit step alone. For every
+eps that is large beside h^2 k_1^2 / M^2, g is the law.
 Source: A. Levant, Sliding order and sliding accuracy in sliding mode control, Int. J. Control 58 (1993);
 J. Moreno and M. Osorio, Strict Lyapunov functions for the super-twisting algorithm, IEEE TAC 57 (2012); after
 B. Brogliato, A. Polyakov and D. Efimov, The implicit discretization of the supertwisting sliding-mode control
@@ -28,7 +28,7 @@ u = M (r'' - lambda e') + D v - k_1 sqrt(|s|) g + nu,   nu' = -k_2 g
 g = s / max(|s| + eps, (h / M) (k_1 sqrt(|s|) + h k_2))   in a step of h s
 """
 
-# of eps: the root is held below, where g is smaller, so that it has a derivative at 0
+# of eps: the root is held below it, so that it has a derivative at 0; g is smaller there
 _LEAST_ROOT = 1e-3
 
 
@@ -137,7 +137,7 @@ GUIDE = shared_guide.depth_guide(
         "smoothing: of the order of the noise of the depth rate.",
     ),
     limits=(
-        "Finite time is that of eps = 0 and an ideal loop; with eps, noise and lags the error stays in a"
+        "The finite time holds for eps = 0 and an ideal loop; with eps, noise and lags the error stays in a"
         " neighbourhood of 0.",
         shared_guide.REFERENCE_RATES,
         "nu holds while the thrusters saturate and it would demand still more.",

@@ -7,8 +7,8 @@ The prediction error x_tilde = x_hat - x and the matched part eta of the predict
 
 between two measurements, with x a straight line, u the control that the plant received, and phi and the
 projection factors g constant. Without A_m x_tilde this turns s and eta by the angle h sqrt(kappa B_m' P B_m),
-which is exact for any angle; A_m x_tilde acts for half the time before and half after (Strang). So neither
-frequency nor damping of the fast loop depends on the step. docs/explanation/theory.md describes the step.
+which is exact for any angle; A_m x_tilde acts for half the time before and half after (Strang).
+docs/explanation/theory.md describes the step.
 """
 
 from dataclasses import dataclass
@@ -18,15 +18,17 @@ from controller_fmu.l1.parameters import InputGainRegressor, LawParameters, Regr
 from controller_fmu.l1.projection import keep_within, projection_factor
 from fmus.numerics import absolute, maximum, sin, sqrt, where
 
-_SMALL_SQUARE = 1e-16  # of an angle: below it sin(a) / a is 1 to the last bit
-_SMALLEST = 1e-300  # keeps a share of no gain finite
+# of an angle: below it sin(a) / a is 1 to the last bit
+_SMALL_SQUARE = 1e-16
+# keeps the share of omega_hat finite where all gains are 0
+_SMALLEST = 1e-300
 
 
 @dataclass(frozen=True)
 class Estimates:
     """Prediction error x_tilde = x_hat - x and the estimates, at the time of a measurement of x.
 
-    sigma_u: the unmatched disturbance, which the piecewise-constant law alone estimates
+    sigma_u: the unmatched disturbance; only the piecewise-constant law estimates it
     """
 
     x_tilde: Vector = (0.0, 0.0)
@@ -40,8 +42,8 @@ class Estimates:
 class Interval:
     """Interval between two measurements.
 
-    duration [s]; x at both ends; u_ap: the control that the plant received less u_m, that is u_a + u_p + u_f
-    and what saturation took away; u_a: its part that precedes the extension
+    duration [s]; x at both ends; u_ap: the control that the plant received less u_m, hence u_a + u_p + u_f
+    plus the saturation error; u_a: its part that precedes the extension
     """
 
     duration: float
@@ -52,7 +54,7 @@ class Interval:
 
 
 def regressor(kind: Regressor, x: Vector) -> Vector:
-    """Returns phi, the vector that theta_hat multiplies: (|x|_inf, 0) over numbers in SI units, or x."""
+    """Returns phi, the vector that theta_hat multiplies: (|x|_inf, 0) of numbers in SI units, or x."""
     by_norm = kind == Regressor.INFINITY_NORM
     norm = maximum(absolute(x[0]), absolute(x[1]))
     return where(by_norm, norm, x[0]), where(by_norm, 0.0, x[1])
@@ -63,8 +65,9 @@ def adapt(
 ) -> tuple[Estimates, float]:
     """Returns the estimates at the end of the interval, and the mean of theta_hat' phi + sigma_hat over it.
 
-    The mean takes phi from the end of the interval, the newest that is known.
+    The mean has the phi of the end of the interval, the newest one.
     """
+    # The turn is exact in h: neither frequency nor damping of the fast loop depends on the step.
     p, h, u = parameters, over.duration, over.u_ap
     pb, b = matrices.adaptation_vector, matrices.predictor_input
     pbb = dot(pb, b)
@@ -82,7 +85,7 @@ def adapt(
     s, growth = dot(pb, x_tilde), dot(pb, drift) + h * pbb * eta
 
     g = _projection_factors(before, phi, s + 0.5 * growth, u_omega, p)
-    # omega_hat acts on u and may learn from another control: that is damping only where both agree
+    # omega_hat acts on u and may learn from another control: only where both have one sign is this damping
     learnt = maximum(u_omega * u, 0.0)
     kappa = g.theta[0] * phi[0] ** 2 + g.theta[1] * phi[1] ** 2 + g.sigma + g.omega * learnt
     square = h * h * p.adaptation_gain * kappa * pbb
@@ -118,7 +121,7 @@ def _with_newest(
     newest: Vector,
     parameters: LawParameters,
 ) -> float:
-    """Returns theta_hat' phi + sigma_hat with the newest phi, limited to what the estimates' bounds allow."""
+    """Returns theta_hat' phi + sigma_hat with the newest phi, limited by the bounds of the estimates."""
     p, change = parameters, (newest[0] - phi[0], newest[1] - phi[1])
     known = known + 0.5 * (dot(before.theta_hat, change) + dot(after.theta_hat, change))
     largest = p.theta_bound[0] * absolute(newest[0]) + p.theta_bound[1] * absolute(newest[1]) + p.sigma_bound
@@ -135,7 +138,7 @@ class _Factors:
 def _projection_factors(
     estimates: Estimates, phi: Vector, s: float, u_omega: float, parameters: LawParameters
 ) -> _Factors:
-    """Returns Proj(th, y) / y of each estimate, for rates -s phi, -s and -s u_omega: their signs matter."""
+    """Returns Proj(th, y) / y of each estimate, for rates with the signs of -s phi, -s and -s u_omega."""
     p, eps = parameters, parameters.projection_tolerance
     away = estimates.omega_hat - p.input_gain
     return _Factors(

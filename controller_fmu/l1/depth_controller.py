@@ -26,7 +26,7 @@ from fmus.block.guide import Guide, Source
 
 @dataclass(frozen=True)
 class Parameters(depth_interface.DesignParameters, LawParameters):
-    """Parameters: gains are tunable at communication points, structural choices fixed."""
+    """Parameters: gains are tunable at communication points, structural choices are fixed."""
 
     depth_feedback_gain: float = variable(
         1.895, "k_m of the depth", unit="N/m", min=1e-6, max=1e6, source="identified, docs/fidelity.md"
@@ -86,7 +86,7 @@ class Parameters(depth_interface.DesignParameters, LawParameters):
         min=1e-6,
         max=10.0,
         variability="fixed",
-        source="guess: that of the depth sensor",
+        source="guess: the period of the depth sensor",
     )
     prediction_error_matrix: Matrix = variable(
         ((-0.1, 0.0), (0.0, -0.1)),
@@ -175,7 +175,7 @@ def after_delivery(
     p: Parameters,
     matrices: Matrices,
 ) -> State:
-    """Returns the state h seconds later; given: what the thrusters deliver of its control u meanwhile."""
+    """Returns the state h seconds later; given: the delivery of the thrusters for its control u meanwhile."""
     interface = depth_interface.next_state(t, state.interface, inputs, p)
     now, k_m = _measurement(interface.measured, matrices), _state_feedback(p)
     law = l1.law_step(h, state.law, now, u, given.force, given.saturation_error, k_m, p, matrices)
@@ -220,23 +220,22 @@ x            = (z, z'),   A_m = [[0, 1], [-k_m1 / M_z, -(D_z + k_m2) / M_z]],   
     conventions=shared_guide.CONVENTIONS,
     tuning=(
         "Begin with the vehicle: model_inertia with added mass, model_damping, thruster_gain (N/V,"
-        " measured) and voltage_limit. What is wrong here, the adaptation has to make up for.",
-        "depth_feedback_gain and rate_feedback_gain make A_m, the dynamics that the loop is given. On a"
+        " measured) and voltage_limit. The adaptation has to compensate their errors.",
+        "depth_feedback_gain and rate_feedback_gain make A_m, the desired dynamics of the loop. On a"
         " ramp the plain law lags by about (model_damping + rate_feedback_gain) / depth_feedback_gain"
         " seconds, and the filter adds about 1 / filter_bandwidth.",
-        "filter_bandwidth: more lets the adaptive control act faster, and lets more noise and less margin"
-        " to delays into the loop.",
-        "adaptation_gain: more makes the estimates faster and noisier. It needs no shorter step, but the"
-        " margin to sensor delay is smaller at 1000 than at 100, and a little larger again at 1e4: watch"
+        "filter_bandwidth: a larger one makes the adaptive control faster, with more noise and less margin to"
+        " delays.",
+        "adaptation_gain: a larger one makes the estimates faster and noisier. It needs no shorter step, but"
+        " the margin to sensor delay is smaller at 1000 than at 100, and a little larger again at 1e4: watch"
         " sigma_hat and the voltages, not the depth alone.",
-        "theta_bound and sigma_bound enclose what must be compensated, in N; sigma_hat has to reach the"
-        " net buoyancy. An estimate that stays on its bound says that the bound is too small or the loop"
-        " too fast.",
+        "theta_bound and sigma_bound enclose the uncertainty, in N; sigma_hat has to reach the net buoyancy."
+        " Where an estimate stays on its bound, the bound is too small or the loop too fast.",
         "Against the lag, augmentation is pi: proportional_gain first, then little integral_gain; or"
         " nonlinear_p, with a_1 = a_2 where the control should not jump at |e| = delta.",
         "If the derivatives of the reference are known, drive depth_reference_rate and"
         " depth_reference_acceleration and set reference_feedforward: inside leaves the lag of the filter,"
-        " outside none. It combines with augmentation, which then acts on what error is left.",
+        " outside none. It combines with augmentation, which then acts on the remaining error.",
         "adaptation_law piecewise_constant needs no adaptation_gain and no bounds, and has no fast loop, but"
         " differentiates the depth rate over adaptation_period: its estimates are noisier. A slow"
         " prediction_error_matrix A_s leaves the smallest offset; a Ts below the period of the depth sensor"

@@ -4,7 +4,8 @@
     y'' = C A_m^2 x + C A_m B_m f = tr(A_m) y' - det(A_m) y + C A_m B_m f        (Cayley and Hamilton)
     f   = k_g (r - (tr(A_m) r' - r'') / det(A_m)),   as k_g = det(A_m) / (C A_m B_m)
 
-so y = r from then on if it is so once, with its rate. For the vehicle f = M r'' + (D + k_m2) r' + k_m1 r.
+so if y = r and y' = r' hold once, y = r holds from then on. For the vehicle
+f = M r'' + (D + k_m2) r' + k_m1 r.
 """
 
 from controller_fmu.l1.matrices import LawMatrices, Vector, dot
@@ -22,7 +23,8 @@ def reference_feedforward(r: float, rate: float, acceleration: float, matrices: 
 
 
 def feedforward_requirement(kind: ReferenceFeedforward, b: Vector, c: Vector) -> tuple[bool, str]:
-    """Returns the requirement C B_m = 0 of a feedforward: else f would depend on the past of r as well."""
+    """Returns the requirement C B_m = 0 of a feedforward."""
+    # with another C B_m, f would depend on the past of r as well
     is_relative_degree_two = absolute(dot(c, b)) <= _ROUNDING * sqrt(dot(c, c) * dot(b, b))
     return (
         logical_or(kind == ReferenceFeedforward.NONE, is_relative_degree_two),

@@ -4,7 +4,7 @@ The pitch is an axis like the depth, with its moment in place of the force, its 
 
     I q' = M - K theta - D q,   theta' = q    assumed;   A_m = [[0, 1], [-(K + k_m1) / I, -(D + k_m2) / I]]
 
-What one axis does to the other is left to the adaptation of each: no published law of both axes was read.
+The adaptation of each axis compensates the effect of the other: no published law of both axes was found.
 Depth is positive down, pitch theta and moment M are positive bow up.
 """
 
@@ -23,7 +23,7 @@ from fmus.block import variable
 from fmus.block.guide import Experiment, Guide
 
 _POLES = "both poles of A_m at w = 3 rad/s: "
-_GUESS = "guess: a small vehicle as that of RovHeavePitchPlant"
+_GUESS = "guess: a small vehicle as in RovHeavePitchPlant"
 
 
 class Priority(IntEnum):
@@ -35,7 +35,7 @@ class Priority(IntEnum):
 
 @dataclass(frozen=True)
 class Parameters(axis.Parameters):
-    """Parameters of the depth, and those of the pitch that differ from them."""
+    """Parameters of the depth, and own parameters of the pitch."""
 
     thruster_lever: Vector = variable(
         (0.06, -0.06),
@@ -131,7 +131,7 @@ class Inputs(DepthInputs):
 
 @dataclass(frozen=True)
 class Matrices(axis.Matrices):
-    """The calculated parameters of the depth, and those of the pitch."""
+    """The calculated parameters of the depth and of the pitch."""
 
     pitch_predictor_matrix: Matrix = variable(
         ((0.0, 1.0), (-9.0, -6.0)), "A_m of the pitch", unit=(("1/s", "1"), ("1/s2", "1/s"))
@@ -168,7 +168,7 @@ class Outputs(axis.Outputs):
 
 
 def _of_pitch(declared: type) -> list[tuple[str, str]]:
-    """Returns names of the depth axis, each with the variable of the pitch axis: that name behind pitch_."""
+    """Returns names of the depth axis, each with its counterpart of the pitch axis, "pitch_" and the name."""
     names = [field.name for field in fields(declared)]
     own = [(name, f"pitch_{name}") for name in names if f"pitch_{name}" in names]
     return [*own, ("depth_feedback_gain", "pitch_feedback_gain")] if declared is Parameters else own
@@ -179,7 +179,7 @@ _PARAMETERS, _MATRICES, _OUTPUTS = map(_of_pitch, (Parameters, Matrices, Outputs
 
 def calculate(p: Parameters) -> Matrices:
     of_pitch = _pitch_parameters(p)
-    # A_m knows the stiffness and the feedback by their sum alone
+    # A_m depends on the sum of stiffness and feedback alone
     total = p.pitch_model_stiffness + p.pitch_feedback_gain, p.pitch_rate_feedback_gain
     pitch = depth_matrices(total, p.lyapunov_weight, of_pitch)
     sampled = sampled_prediction(pitch.predictor_input, p.prediction_error_matrix, p.adaptation_period)
@@ -236,7 +236,7 @@ def _controls(state: State, p: Parameters) -> tuple[Control, Control]:
 def _deliver(
     force: float, moment: float, j: float, p: Parameters, matrices: Matrices
 ) -> tuple[Delivery, Delivery]:
-    """Returns what the thrusters deliver of a force [N] in the earth frame and of a moment [N.m]."""
+    """Returns the deliveries for a force [N] in the earth frame and for a moment [N.m]."""
     share, (x_1, x_2) = matrices.thruster_share, p.thruster_lever
     span, demanded = x_1 - x_2, j * force
     couple, ranges = moment / span, depth_interface.force_ranges(p)
@@ -261,7 +261,7 @@ def _pitch_inputs(inputs: Inputs) -> DepthInputs:
 
 
 def _pitch_parameters(p: Parameters) -> Parameters:
-    """Returns the parameters of the pitch axis by the names of the depth axis; what both share stays."""
+    """Returns the parameters of the pitch axis by the names of the depth axis; shared ones are unchanged."""
     given = asdict(p)
     own = {name: given[of_pitch] for name, of_pitch in _PARAMETERS}
     return replace(p, **own, reference_feedforward=ReferenceFeedforward.NONE)
@@ -283,24 +283,24 @@ s_1          = -x_2 / (x_1 - x_2),   s_2 = x_1 / (x_1 - x_2),   voltage_i = F_i 
 """,
     conventions=(
         *axis.GUIDE.conventions,
-        "voltage[1] is that of the fore thruster, voltage[2] that of the aft one. Pitch and moment are"
-        " positive bow up; the moment of a force F_i, positive down, at x_i is -x_i F_i.",
-        "pitch is the attitude of J, as in other depth controllers, measured_pitch that of the law. A"
+        "voltage[1] drives the fore thruster, voltage[2] the aft one. Pitch and moment are positive bow up;"
+        " the moment of a force F_i, positive down, at x_i is -x_i F_i.",
+        "pitch is the attitude of J, as in other depth controllers; the law controls measured_pitch. A"
         " vehicle that measures its pitch drives both.",
     ),
     tuning=(
         "Tune the depth first, as L1DepthController: with a pitch at rest the depth axis is that law.",
-        "pitch_model_inertia, pitch_model_damping, pitch_model_stiffness and thruster_lever are those of"
-        " the vehicle. pitch_feedback_gain and pitch_rate_feedback_gain make A_m of the pitch.",
-        "priority says which axis keeps its demand at the limit of the thrusters. The other one loses what"
-        " the first takes, its prediction is driven by what is left, and its integrators hold.",
+        "pitch_model_inertia, pitch_model_damping, pitch_model_stiffness and thruster_lever describe the"
+        " vehicle. pitch_feedback_gain and pitch_rate_feedback_gain make A_m of the pitch.",
+        "priority chooses the axis that keeps its demand at the limit of the thrusters. The other axis gets"
+        " the rest, which drives its prediction, and its integrators hold.",
     ),
     limits=(
         *axis.GUIDE.limits,
-        "The L1-norm condition of each axis alone says nothing of the coupling between them: a moment by"
-        " heave and a depth reading by pitch count as disturbances.",
-        "Regressor, filter order, adaptation law, observer and input gain are those of both axes. The pitch"
-        " has no reference feedforward and no nonlinear P.",
+        "The L1-norm condition of each axis alone does not cover the coupling between them: a moment by heave"
+        " and a depth reading by pitch count as disturbances.",
+        "Both axes share regressor, filter order, adaptation law, observer and input gain. The pitch has no"
+        " reference feedforward and no nonlinear P.",
         "No gain of the pitch is published or identified: all are guesses for RovHeavePitchPlant.",
     ),
     sources=axis.GUIDE.sources,

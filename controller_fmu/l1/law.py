@@ -1,7 +1,7 @@
 """The L1 adaptive control law for a second-order plant with one input and one output: EQUATIONS.
 
-The wiring that decides everything: the prediction receives u_a + u_p + u_f, eta_hat holds omega_hat u_a
-alone. With either wrong the filter cancels u_p and u_f, and the response is plain L1 again, or none at all.
+The prediction receives u_a + u_p + u_f; eta_hat contains omega_hat u_a alone. With either wrong the filter
+cancels u_p and u_f, and the response is plain L1, or no response.
 
 Source: Maalouf, Chemori and Creuze (2013); errata and additions in docs/fidelity.md. The step is
 derived in docs/explanation/theory.md.
@@ -39,7 +39,7 @@ class Measurement:
 class Held:
     """Held control: u that the plant received, its part u_a that precedes the extension, its duration [s].
 
-    A feedforward outside the filter is part of u_a here, as it is where it acts inside.
+    u_a includes a feedforward outside the filter.
     """
 
     duration: float = 0.0
@@ -51,16 +51,16 @@ class Held:
 class LawState:
     """State of the law.
 
-    `estimates` are those of the time of `measured`, the last measurement, or of the last sample of the
+    `estimates` belong to the time of `measured`, the last measurement, or of the last sample of the
     piecewise-constant law; `sample.x` is the state at that time. `held` is the control that the plant
-    received since `measured`. Filter and integral belong to the end of the last step.
-    `integral` is int K_I e dt, which a change of K_I leaves as it is.
+    received since `measured`. Filter and `integral`, int K_I e dt, belong to the end of the last step.
     """
 
     measured: Measurement = Measurement()
     estimates: Estimates = Estimates()
     held: Held = Held()
     filter: FilterState = FilterState()
+    # with the gain inside, a change of K_I during a run makes no jump of the control
     integral: float = 0.0
     sample: Sample = Sample()
 
@@ -85,7 +85,23 @@ def initial_law(measured: Measurement, omega: float) -> LawState:
 
 
 def extension(parameters: LawParameters, e: float, integral: float, r: float) -> float:
-    """Returns u_p of the chosen augmentation."""
+    """Returns u_p of the chosen augmentation.
+
+    Parameters
+    ----------
+    parameters : LawParameters
+    e : float
+        Tracking error.
+    integral : float
+        int K_I e dt.
+    r : float
+        Reference.
+
+    Returns
+    -------
+    float
+        u_p in the unit of the control.
+    """
     p = parameters
     pi = augmentation.proportional_integral(e, integral, p.proportional_gain)
     delta = augmentation.threshold(p.threshold, p.nonlinear_threshold, p.threshold_floor, r)
@@ -97,7 +113,19 @@ def extension(parameters: LawParameters, e: float, integral: float, r: float) ->
 
 
 def control(law: LawState, k_m: Vector, parameters: LawParameters) -> Control:
-    """Returns u = u_m + u_a + u_p + u_f, until the next step."""
+    """Returns the control u = u_m + u_a + u_p + u_f until the next step.
+
+    Parameters
+    ----------
+    law : LawState
+    k_m : tuple of two floats
+        State feedback gain.
+    parameters : LawParameters
+
+    Returns
+    -------
+    Control
+    """
     last, is_outside = law.measured, parameters.reference_feedforward == ReferenceFeedforward.OUTSIDE
     return Control(
         u_m=-dot(k_m, last.x),
@@ -114,9 +142,10 @@ def predicted_state(law: LawState) -> Vector:
 
 
 def outputs(law: LawState, u: Control) -> dict[str, Any]:
-    """Returns the outputs that every block with this law has, by name: parts of the control, estimates."""
+    """Returns the outputs of every block with this law by name: parts of the control, estimates."""
     estimates = asdict(law.estimates)
-    del estimates["x_tilde"]  # of which each block has its own variables
+    # each block has own variables for it, with the names and units of its plant
+    del estimates["x_tilde"]
     return asdict(u) | estimates
 
 
@@ -131,22 +160,40 @@ def law_step(
     parameters: LawParameters,
     matrices: SampledLawMatrices,
 ) -> LawState:
-    """Returns the law h seconds later: estimates of the time of `now`, filter and integral of the step's end.
+    """Returns the law h seconds later: estimates at the time of `now`, filter and integral at the step's end.
 
-    u: the control of `law`, demanded during this step
-    delivered: what the actuator makes of it, by which the prediction is driven
-    saturation_error: delivered minus demanded, exactly 0 unless the actuator saturates; integrators stop
-        where they would demand still more
+    Parameters
+    ----------
+    h : float
+        Step [s].
+    law : LawState
+        The law at the step's beginning.
+    now : Measurement
+        Measurement at the step's beginning; with `inputs_at_step_end`, at its end.
+    u : Control
+        The control of `law`, demanded during this step.
+    delivered : float
+        The actuator's control, which drives the prediction.
+    saturation_error : float
+        Delivered minus demanded control, exactly 0 unless the actuator saturates. Integrators hold where
+        they would demand still more.
+    k_m : tuple of two floats
+        State feedback gain.
+    parameters : LawParameters
+    matrices : SampledLawMatrices
 
-    The prediction is driven by the control that the plant received between the last measurement and this
-    one. `now` is of the step's beginning, so that is the control of the step before; with
-    `inputs_at_step_end`, `now` is of the step's end and that control is `u`.
+    Returns
+    -------
+    LawState
     """
+    # The control that the plant received between the last measurement and `now` drives the prediction. `now`
+    # is from the step's beginning, so this control was held in the step before; with `inputs_at_step_end` it
+    # is `u`.
     p, at_end = parameters, parameters.inputs_at_step_end
     given = Held(h, delivered, u.u_a + u.u_f)
     duration = where(at_end, given.duration, law.held.duration)
     before = law.measured
-    # u_m that belongs to A_m: of the state during the interval, not of the measurement before it
+    # A_m contains the u_m of the state during the interval, not of the measurement before it
     midway_u_m = -0.5 * (dot(k_m, before.x) + dot(k_m, now.x))
     u_ap = where(at_end, given.u, law.held.u) - midway_u_m
     interval = Interval(duration, before.x, now.x, u_ap, where(at_end, given.u_a, law.held.u_a))
@@ -156,7 +203,7 @@ def law_step(
         lambda: (*adapt(law.estimates, interval, p, matrices), Sample(now.x)),
     )
 
-    # the filter's own midpoint: its input is omega_hat u_a + drive
+    # implicit, as the input contains the output omega_hat u_a: an explicit step of a fast filter diverges
     omega = estimates.omega_hat
     drive = known - _filter_reference(now, omega, p, matrices)
     free, gain = lowpass.midpoint_response(p.filter_order, p.filter_bandwidth, law.filter, 0.5 * h)
@@ -174,10 +221,8 @@ def law_step(
 def _filter_reference(
     now: Measurement, omega: float, parameters: LawParameters, matrices: LawMatrices
 ) -> float:
-    """Returns v, to which the filter drives eta_hat.
-
-    With f outside, it is the part of f that the input gain takes away.
-    """
+    """Returns v, the value to which the filter drives eta_hat."""
+    # with f outside, the part of f that the input gain takes away
     kind = parameters.reference_feedforward
     without = where(
         kind == ReferenceFeedforward.OUTSIDE, (1.0 - omega) * now.f, matrices.feedforward_gain * now.r

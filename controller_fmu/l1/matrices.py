@@ -15,8 +15,10 @@ from fmus.numerics import cos, cosh, exp, expm1, logical_and, matmul, maximum, s
 Vector = tuple[float, float]
 Matrix = tuple[Vector, Vector]
 
-FASTEST = 20.0  # of -tr(A_s) Ts: beyond it nothing of a disturbance would be estimated, e^-10 of it
-_SMALL_SQUARE = 1e-16  # rad2; of an angle a for which sin(a) / a is 1 to the last bit
+# of -tr(A_s) Ts: the estimate would be e^-10 of a disturbance, hence nothing
+FASTEST = 20.0
+# rad2; of an angle a for which sin(a) / a is 1 to the last bit
+_SMALL_SQUARE = 1e-16
 
 
 def dot(first: Vector, second: Vector) -> float:
@@ -50,8 +52,9 @@ def sampled_system(a: Matrix, period: float) -> tuple[Matrix, Matrix, Matrix]:
         e^(A T / 2) = e^(m T / 2) (c I + s D)
         E - I       = (c I + s D) N,   N = (e^(m T) - 1) c I + (e^(m T) + 1) s D
 
-    which subtracts nothing that is nearly equal, however short the period T [s].
+    period: T [s]
     """
+    # This form subtracts no nearly equal numbers, however short the period is.
     (a_11, a_12), (a_21, a_22) = a
     mean, half_difference, half = 0.5 * (a_11 + a_22), 0.5 * (a_11 - a_22), 0.5 * period
     d = half_difference * half_difference + a_12 * a_21
@@ -103,7 +106,7 @@ class LawMatrices:
 
 @dataclass(frozen=True)
 class SampledPrediction:
-    """Matrices of the sampled prediction, which the piecewise-constant law needs besides."""
+    """Further matrices for the piecewise-constant law: of the sampled prediction."""
 
     unmatched_input: Vector = variable((1.0, 0.0), "B_u, unit vector at right angles to B_m")
     error_transition: Matrix = variable(((1.0, 0.0), (0.0, 1.0)), "e^(A_s Ts)")
@@ -140,10 +143,9 @@ def law_matrices(a_m: Matrix, b: Vector, c: Vector, q: Vector) -> LawMatrices:
 
 
 def sampled_prediction(b: Vector, a_s: Matrix, period: float) -> SampledPrediction:
-    """Returns the matrices of the prediction error x_tilde' = A_s x_tilde + ..., sampled every `period` [s].
-
-    An A_s for which `can_be_sampled` is false is replaced by one that can be computed.
-    """
+    """Returns the matrices of the prediction error x_tilde' = A_s x_tilde + ..., sampled at a period [s]."""
+    # The requirements refuse an A_s that cannot be sampled, after the matrices are calculated: until then,
+    # another one keeps them finite.
     a_s = where(can_be_sampled(a_s, period), a_s, ((-1.0 / period, 0.0), (0.0, -1.0 / period)))
     transition, error_input, inverse = sampled_system(a_s, period)
     square = dot(b, b)
@@ -159,5 +161,5 @@ def sampled_prediction(b: Vector, a_s: Matrix, period: float) -> SampledPredicti
 
 
 def can_be_sampled(a_s: Matrix, period: float) -> bool:
-    """Whether A_s is Hurwitz, and so slow for its sampling period [s] that something is estimated."""
+    """Whether A_s is Hurwitz, and slow enough for its sampling period [s] to estimate a disturbance."""
     return logical_and(is_hurwitz(a_s), (a_s[0][0] + a_s[1][1]) * period > -FASTEST)

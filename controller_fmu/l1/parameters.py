@@ -45,17 +45,17 @@ LAW_LIMITS = (
     "Where input_gain_uncertainty is not 0, omega_hat multiplies u_a + u_p but learns from u_a alone:"
     " another reason why the proof does not cover the extension. input_gain_regressor lets it learn from"
     " both, which restores the Lyapunov argument and not the accuracy.",
-    "While the actuator saturates, the prediction is driven by what it delivers, and the states of the"
+    "While the actuator saturates, its delivered control drives the prediction, and the states of the"
     " filter and the integral of the PI are held where their change would demand still more. Noise that"
-    " touches the limit all the time therefore slows them: keep the limit some noise above the demand.",
+    " touches the limit all the time therefore slows them: keep the limit above the demand and its noise.",
     "The reference feedforward and the piecewise-constant law are not from the paper. The feedforward is"
     " exact for the assumed A_m and a reference whose derivatives are given; at a corner of the reference"
     " its acceleration is an impulse, which is left out. The piecewise-constant law estimates e^(A_s Ts)"
     " times the disturbance, and has no bounds.",
     "The prediction is driven by the control that this FMU put out, held from one communication point to"
-    " the next: a communication step should not be longer than internal_step. Where it is, the FMU predicts"
-    " by control that the plant does not get, and the control varies more. Where the inputs of a step are"
-    " those of its end (Gauss-Seidel), set inputs_at_step_end.",
+    " the next: a communication step should not be longer than internal_step. In a longer step, the FMU"
+    " predicts by control that the plant does not get, and the control varies more. Where a step takes the"
+    " inputs of its end (Gauss-Seidel), set inputs_at_step_end.",
 )
 
 
@@ -74,7 +74,7 @@ class Regressor(IntEnum):
 
 
 class InputGainRegressor(IntEnum):
-    """Regressor of the input gain: the control that omega_hat learns from."""
+    """Regressor of the input gain: the control from which omega_hat is estimated."""
 
     ADAPTIVE_CONTROL = 1
     ADAPTIVE_CONTROL_AND_EXTENSION = 2
@@ -103,7 +103,7 @@ class Threshold(IntEnum):
 
 
 class ReferenceFeedforward(IntEnum):
-    """Place where the reference feedforward f acts: none, inside the filter for k_g r, or added behind it."""
+    """Place of the reference feedforward f: none, inside the filter instead of k_g r, or added behind it."""
 
     NONE = 1
     INSIDE = 2
@@ -111,7 +111,7 @@ class ReferenceFeedforward(IntEnum):
 
 
 class PlantParameters:
-    """The parameters of the law that each block declares itself, in the units of its plant."""
+    """Parameters of the law that each block declares itself, in the units of its plant."""
 
     theta_bound: Vector
     sigma_bound: float
@@ -182,7 +182,7 @@ class LawParameters(PlantParameters):
     )
     inputs_at_step_end: bool = variable(
         False,
-        "Inputs are those of the end of a step (Gauss-Seidel), not of its beginning (Jacobi)",
+        "Whether inputs belong to the end of a step (Gauss-Seidel), not to its beginning (Jacobi)",
         variability="fixed",
     )
     reference_feedforward: ReferenceFeedforward = variable(

@@ -1,11 +1,11 @@
-"""The piecewise-constant law: an adaptation that computes its estimates anew at every sample.
+"""Piecewise-constant adaptation law, which computes its estimates anew at every sample.
 
     x_hat'             = A_m x + A_s x_tilde + B_m (omega u + sigma_hat) + B_u sigma_u,   x_tilde = x_hat - x
     (sigma_hat, sigma_u) = -[B_m, B_u]^-1 Phi^-1 e^(A_s Ts) x_tilde   at every sample, constant between two
     Phi                = A_s^-1 (e^(A_s Ts) - I)
 
-sigma_hat is the matched disturbance, which the filter of the law answers, and sigma_u the unmatched one,
-which the prediction alone uses. With x' = A_m x + B_m omega u + d and d constant over an interval,
+sigma_hat is the matched disturbance, which the filter of the law compensates, and sigma_u the unmatched one,
+which only the prediction uses. With x' = A_m x + B_m omega u + d and d constant over an interval,
 x_tilde goes from one sample to the next as
 
     x_tilde <- e^(A_s Ts) x_tilde + Phi (B_m sigma_hat + B_u sigma_u - d) = -Phi d
@@ -21,13 +21,15 @@ from controller_fmu.l1.matrices import SampledLawMatrices, Vector, dot
 from controller_fmu.l1.parameters import LawParameters
 from fmus.numerics import matmul, maximum, where
 
-_EARLY = 1e-6  # of a period: sums of communication steps are rounded
-_SHORTEST = 1e-300  # s; keeps a mean over no time finite
+# of a period: sums of communication steps are rounded
+_EARLY = 1e-6
+# s; keeps a mean over no time finite
+_SHORTEST = 1e-300
 
 
 @dataclass(frozen=True)
 class Sample:
-    """Sample: the state x there and, since then, the duration [s] and the integrals of x and of u."""
+    """Sample: its state x and, since then, the duration [s] and the integrals of x and of u."""
 
     x: Vector = (0.0, 0.0)
     duration: float = 0.0
@@ -42,10 +44,10 @@ def adapt_at_samples(
     parameters: LawParameters,
     matrices: SampledLawMatrices,
 ) -> tuple[Estimates, float, Sample]:
-    """Returns the estimates, the matched one of them, and the sample to go on from, at the interval's end.
+    """Returns the estimates, the matched one of them, and the sample for the next interval.
 
-    A sample is due at the first measurement Ts or more after the last. The estimates are those of the mean
-    disturbance since the last sample, also where that is longer than Ts.
+    A sample is due at the first measurement Ts or more after the last. The estimates follow from the mean
+    disturbance since the last sample, also after more than Ts.
     """
     h, x_0, x_1 = over.duration, over.x_0, over.x_1
     since = Sample(
@@ -66,7 +68,7 @@ def adapt_at_samples(
 def _estimates(
     before: Estimates, since: Sample, x: Vector, omega: float, matrices: SampledLawMatrices
 ) -> Estimates:
-    """Returns the estimates at a sample at which the state is x."""
+    """Returns the estimates at a sample with the state x."""
     m, duration = matrices, maximum(since.duration, _SHORTEST)
     b, b_u = m.predictor_input, m.unmatched_input
 

@@ -1,7 +1,7 @@
-"""Block L1Controller: the law of `law.py` for any plant of second order, A_m, B_m, C and k_m given.
+"""Block L1Controller: the law of `law.py` for any plant of second order, with A_m, B_m, C and k_m given.
 
-Starts at the paper's illustrative example (Maalouf et al. (2013), section 3.3), which is the one of
-Hovakimyan and Cao (2010), page 29. Units are those of the plant at hand.
+The start values are the paper's illustrative example (Maalouf et al. (2013), section 3.3), the example of
+Hovakimyan and Cao (2010), page 29. Units follow from the plant.
 """
 
 from dataclasses import asdict, dataclass
@@ -36,7 +36,7 @@ _BOOK = "Hovakimyan and Cao (2010), page 29, and public MATLAB programs; not pri
 
 @dataclass(frozen=True)
 class Parameters(LawParameters):
-    """Parameters: gains are tunable at communication points, structural choices fixed."""
+    """Parameters: gains are tunable at communication points, structural choices are fixed."""
 
     regressor: Regressor = variable(
         Regressor.STATE, "Regressor that theta_hat multiplies", variability="fixed"
@@ -175,15 +175,15 @@ y            = C x,   u saturated at +-control_limit
         "prediction_error is x_hat - x, both of the time of the last measurement.",
     ),
     tuning=(
-        "state_matrix (A_m, Hurwitz), input_vector (B_m) and output_vector (C) are the dynamics wanted,"
+        "state_matrix (A_m, Hurwitz), input_vector (B_m) and output_vector (C) are the desired dynamics,"
         " with feedback_gain k_m already in A_m: A_m = A - B_m k_m.",
-        "theta_bound, sigma_bound and input_gain_uncertainty enclose what is unknown; a bound of 0 holds"
-        " the estimate where it is.",
-        "filter_bandwidth: the L1-norm condition asks for a least one, 44.5 rad/s for the start values"
+        "theta_bound, sigma_bound and input_gain_uncertainty enclose the uncertainty; a bound of 0 holds the"
+        " estimate at its value.",
+        "filter_bandwidth: the L1-norm condition requires a least one, 44.5 rad/s for the start values"
         " with the first-order filter and 36.4 rad/s with the third-order one.",
         "adaptation_gain may be large: a step turns prediction error and estimates by the angle of their"
         " oscillation, exactly and however large.",
-        "The lag of the plain law is that of A_m, not of the filter; augmentation takes it away. With"
+        "The lag of the plain law comes from A_m, not from the filter; augmentation removes it. With"
         " nonlinear_p, a_1 = a_2 avoids a jump at |e| = delta; threshold_floor keeps delta from vanishing"
         " where the reference crosses zero.",
         "If the derivatives of the reference are known, drive reference_rate and reference_acceleration and"

@@ -23,8 +23,12 @@ from fmus.files import write_text_atomically
 _RELATIVE = "; import it without dots, or name the block in an entry point of its package"
 # files with these names, whatever their ending, are devices in Windows
 DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{i}" for port in ("com", "lpt") for i in range(10))}
-_CONTROLLER = {"{}.py": "block.py.in", "test_{}.py": "test.py.in"}
-_VEHICLE = {"{}.py": "vehicle.py.in", "test_{}.py": "test_vehicle.py.in"}
+# kind of a new block -> the templates of its file and of its test
+_TEMPLATES = {
+    "controller": ("block.py.in", "test.py.in"),
+    "vehicle": ("vehicle.py.in", "test_vehicle.py.in"),
+    "plain": ("plain.py.in", "test_plain.py.in"),
+}
 _OWN = {"fmus", "controller_fmu", "plant_fmu", "orchestration"}
 
 
@@ -157,11 +161,11 @@ def _defined(module: ModuleType, path: Path) -> tuple[Block, ...]:
     return blocks
 
 
-def write_new_block(name: str, folder: Path, vehicle: bool = False) -> list[Path]:
+def write_new_block(name: str, folder: Path, kind: str = "controller") -> list[Path]:
     """Writes `folder/NAME.py` and `folder/test_NAME.py`; raises ExportError if one of them is there already.
 
     name: of the module, such as depth_pid; its block is called DepthPid
-    vehicle: write a vehicle in place of a controller
+    kind: "controller" of depth, "vehicle", or "plain": a room with a thermostat
     """
     values = {"module": name, "name": "".join(map(str.capitalize, name.split("_")))}
     is_taken = not is_free_module_name(name) or keyword.iskeyword(values["name"])
@@ -172,8 +176,8 @@ def write_new_block(name: str, folder: Path, vehicle: bool = False) -> list[Path
         )
     templates = Path(__file__).with_name("templates")
     texts = {
-        folder / file.format(name): Template((templates / template).read_text("utf-8")).substitute(values)
-        for file, template in (_VEHICLE if vehicle else _CONTROLLER).items()
+        folder / file: Template((templates / template).read_text("utf-8")).substitute(values)
+        for file, template in zip((f"{name}.py", f"test_{name}.py"), _TEMPLATES[kind], strict=True)
     }
     if present := next((path for path in texts if path.exists()), None):
         raise ExportError(f"{present}: is there already; expected another name than {name!r}")

@@ -1,8 +1,8 @@
 """Mathematics that means the same on a float and on a CasADi symbol.
 
 Blocks call these functions instead of `math` and `if`, so that one source runs as Python and is
-traced to C. Names are those of `math` and NumPy. On floats nothing but the standard library is
-imported; CasADi is loaded when the first symbol arrives. Annotations say `float` and `bool` for both.
+traced to C. Names are as in `math` and NumPy. Floats need the standard library alone; CasADi is
+loaded when the first symbol arrives. Annotations have `float` and `bool` for both.
 """
 
 from fmus.numerics import arrays, choice, elementary, stepping

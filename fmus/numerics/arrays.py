@@ -15,7 +15,28 @@ Matrix = tuple[Vector, ...]
 
 
 def matmul(a: Any, b: Any) -> Any:
-    """Returns the product of two matrices, a matrix and a vector, or two vectors (a number): NumPy's `@`."""
+    """Returns the product of two matrices, a matrix and a vector, or two vectors, as NumPy's `@`.
+
+    Parameters
+    ----------
+    a, b : tuple, or tuple of rows
+        Vectors of n numbers, or matrices of m rows; lists and arrays of constants are taken, too.
+
+    Returns
+    -------
+    tuple or float
+        A matrix, a vector, or, of two vectors, a number.
+
+    Raises
+    ------
+    ValueError
+        If `a` has another number of columns than `b` has rows.
+
+    Examples
+    --------
+    >>> matmul(((1.0, 2.0), (3.0, 4.0)), (1.0, 1.0))
+    (3.0, 7.0)
+    """
     a, b = _tuples(a), _tuples(b)
     if len(a[0] if isinstance(a[0], tuple) else a) != len(b):
         raise ValueError(f"matmul of {_size(a)} and {_size(b)}: expected as many columns as rows")
@@ -27,7 +48,7 @@ def matmul(a: Any, b: Any) -> Any:
 
 
 def _tuples(value: Any) -> Any:
-    """Returns a vector or matrix as tuples, also one that is given as lists, or as an array of constants."""
+    """Returns a vector or matrix, given as tuples, lists or an array of constants, as tuples."""
     value = value.tolist() if hasattr(value, "tolist") else value
     return tuple(map(_tuples, value)) if isinstance(value, tuple | list) else value
 
@@ -43,15 +64,37 @@ def _dot(a: Vector, b: Vector) -> Any:
 
 
 def transpose(a: Matrix) -> Matrix:
-    """Returns the rows as columns."""
+    """Returns the rows of a matrix as columns."""
     return tuple(zip(*_tuples(a), strict=True))
 
 
 def solve(a: Matrix, b: Any) -> Any:
-    """Returns the x of a x = b, for a square matrix and a vector or matrix b, as `np.linalg.solve`.
+    """Returns the x of a x = b, as `np.linalg.solve`.
 
-    Gaussian elimination with partial pivoting: for matrices of up to about ten rows, as the compiled code
-    grows with their cube. A singular matrix is a division by zero.
+    The method is Gaussian elimination with partial pivoting. The compiled code grows with the cube of the
+    number of rows: use it for up to about ten. A singular matrix is a division by zero.
+
+    Parameters
+    ----------
+    a : tuple of n rows
+        Square matrix.
+    b : tuple of n numbers, or of n rows
+        Right-hand side, or several as columns.
+
+    Returns
+    -------
+    tuple
+        The solution in the shape of `b`.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit.
+
+    Examples
+    --------
+    >>> solve(((2.0, 0.0), (0.0, 4.0)), (2.0, 2.0))
+    (1.0, 0.5)
     """
     a, b = _tuples(a), _tuples(b)
     if any(len(row) != len(a) for row in a) or len(b) != len(a):
@@ -74,24 +117,44 @@ def solve(a: Matrix, b: Any) -> Any:
 
 
 def interp(x: float, xp: Sequence[float], fp: Sequence[float]) -> float:
-    """Returns the line through the points (xp, fp) at x, held before the first and after the last one.
+    """Returns the straight line through the points (xp, fp) at x, held before the first and after the last.
 
-    xp: ascending; two equal numbers are a jump, at which the value is that of the later
-    fp: as many. Both may be numbers or symbols.
-    Raises ValueError for other points, as far as they are numbers: say of parameters what is expected in the
-    requirements of the block.
+    Parameters
+    ----------
+    x : float
+        Where the line is evaluated.
+    xp : sequence of float
+        Ascending numbers or symbols. Two equal ones are a jump, where the later value holds.
+    fp : sequence of float
+        Values, as many as points.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    ValueError
+        If the points do not ascend, or their number is not that many values. Points that are parameters are
+        not checked here: write a requirement of the block.
+
+    Examples
+    --------
+    >>> interp(0.5, (0.0, 1.0, 2.0), (0.0, 10.0, 40.0))
+    5.0
     """
     _check_points(xp, len(fp), jumps=True)
 
     def piece(i: int) -> float:
-        """Returns the value from point i - 1 to point i; at the first piece and the last, of one point."""
-        # no x lies in a jump: its piece is there for symbols alone, which evaluate all
+        """Returns the line from point i - 1 to point i; the first and the last piece are constant."""
+        # no x lies in a jump, but symbols evaluate every piece: no division by zero
         if i in (0, len(xp)) or (are_numbers(xp[i - 1], xp[i]) and xp[i - 1] == xp[i]):
             return fp[min(i, len(xp) - 1)]
         return (fp[i] - fp[i - 1]) / (xp[i] - xp[i - 1]) * (x - xp[i - 1]) + fp[i - 1]
 
     def one_of(first: int, last: int) -> float:
-        """Returns the value at x among these pieces, halved in turn: a chain would be as deep as long."""
+        """Returns the value at x among these pieces."""
+        # halved in turn: a chain of choices would be as deep as the table is long
         if first == last:
             return piece(first)
         middle = (first + last) // 2
@@ -105,9 +168,28 @@ def interp2d(
 ) -> float:
     """Returns the bilinear interpolation of a table at (x, y), held outside.
 
-    xp, yp: ascending, each number larger than the one before
-    fp: `fp[i][j]` is the value at (xp[i], yp[j])
-    Raises ValueError as `interp` does.
+    Parameters
+    ----------
+    x, y : float
+        Where the table is evaluated.
+    xp, yp : sequence of float
+        Ascending numbers or symbols, without jumps.
+    fp : sequence of rows
+        `fp[i][j]` is the value at (xp[i], yp[j]).
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    ValueError
+        If points do not ascend, or rows and columns are not as many as points.
+
+    Examples
+    --------
+    >>> interp2d(0.5, 0.5, (0.0, 1.0), (0.0, 1.0), ((0.0, 1.0), (2.0, 3.0)))
+    1.5
     """
     _check_points(xp, len(fp))
     for row in fp:
@@ -117,10 +199,7 @@ def interp2d(
 
 
 def _check_points(points: Sequence[float], values: int, jumps: bool = False) -> None:
-    """Raises ValueError for points that do not ascend, or are not as many as the values.
-
-    jumps: whether two points may be equal
-    """
+    """Raises ValueError for points that do not ascend, or another number of values; jumps: equal points."""
     if len(points) != values:
         raise ValueError(f"{len(points)} points and {values} values: expected as many")
     if are_numbers(*points) and not all(a < b or (jumps and a == b) for a, b in pairwise(points)):
@@ -134,10 +213,28 @@ def _weights(x: float, points: Sequence[float]) -> list[float]:
 
 
 def ramps(t: float, times: Sequence[float], values: Sequence[float], smooth: bool | float) -> float:
-    """Returns the lines through (time, value) at time t, held before the first and after the last point.
+    """Returns ramps through (time, value) at time t, held before the first and after the last point.
 
-    times: ascending, each later than the one before
-    smooth: quintic ramps instead, 10 s^3 - 15 s^4 + 6 s^5: no first or second derivative at the points
+    Parameters
+    ----------
+    t : float
+        Time [s].
+    times : sequence of float
+        Times of the points [s], each later than the one before.
+    values : sequence of float
+        Values at the points.
+    smooth : bool
+        Whether ramps are quintic, 10 s^3 - 15 s^4 + 6 s^5, with first and second derivatives of 0 at the
+        points, and not straight.
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> ramps(0.5, (0.0, 1.0), (0.0, 4.0), smooth=False)
+    2.0
     """
     points = list(zip(times, values, strict=True))
     value = points[-1][1]
@@ -151,9 +248,24 @@ def ramps(t: float, times: Sequence[float], values: Sequence[float], smooth: boo
 def ramp_rates(
     t: float, times: Sequence[float], values: Sequence[float], smooth: bool | float
 ) -> tuple[float, float]:
-    """Returns the first and second derivative of `ramps` at time t; at a point, those of the time after it.
+    """Returns the first and second derivative of `ramps` at time t; at a point, of the ramp after it.
 
     The second derivative of straight ramps is 0 everywhere, also where the first one jumps.
+
+    Parameters
+    ----------
+    t, times, values, smooth
+        See `ramps`.
+
+    Returns
+    -------
+    tuple of two floats
+        Derivatives in the unit of the values per s and per s2.
+
+    Examples
+    --------
+    >>> ramp_rates(0.5, (0.0, 1.0), (0.0, 4.0), smooth=False)
+    (4.0, 0.0)
     """
     points = list(zip(times, values, strict=True))
     start, duration, rise = times[-1], 1.0, 0.0

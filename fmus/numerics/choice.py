@@ -1,8 +1,8 @@
 """Conditions, and choices between values: in place of `if`, `and`, `or`, `not`, `min` and `max`.
 
-All alternatives are evaluated. In compiled code one that is not taken cannot spoil the result nor its
-derivatives. In Python a division by zero or the root of a negative number in it raises an error: give such an
-alternative as a function without arguments, which Python calls only if it is taken.
+All alternatives are evaluated. In compiled code an alternative that is not taken changes neither the result
+nor its derivatives. In Python its division by zero, or its root of a negative number, raises an error: give
+such an alternative as a function without arguments, which Python calls only if it is taken.
 
     where(x > 0.0, lambda: sqrt(x), 0.0)
 """
@@ -25,8 +25,28 @@ T = TypeVar("T")
 def where(condition: bool | float, if_true: T | Callable[[], T], if_false: T | Callable[[], T]) -> T:
     """Returns `if_true` where the condition holds, else `if_false`; 0.0 for -0.0.
 
-    condition: a comparison, a Boolean variable, or what the logical functions give
-    if_true, if_false: numbers, or tuples or dataclasses of one shape; or functions that return them
+    Parameters
+    ----------
+    condition : bool or float
+        A comparison, a Boolean variable, or the result of a logical function.
+    if_true, if_false : float, tuple, dataclass, or function without arguments
+        Alternatives of one shape, or functions that return them.
+
+    Returns
+    -------
+    float, tuple or dataclass
+        The alternative that is taken.
+
+    Raises
+    ------
+    TypeError
+        If the alternatives are symbols of different shapes.
+
+    Examples
+    --------
+    >>> x = 0.0
+    >>> where(x > 0.0, lambda: 1.0 / x, 100.0)
+    100.0
     """
     if condition.__class__ is bool or are_numbers(condition):
         return _without_minus_zeros(_value(if_true if condition else if_false))
@@ -59,7 +79,8 @@ def _value(alternative: Any) -> Any:
 
 
 def _without_minus_zeros(value: Any) -> Any:
-    """Returns the value with 0.0 for -0.0: compiled code adds 0.0 to what it chooses."""
+    """Returns the value with 0.0 for -0.0."""
+    # compiled code adds 0.0 to an alternative: Python must give the same bits
     if isinstance(value, float):
         return value + 0.0
     if isinstance(value, tuple) or hasattr(value, "__dataclass_fields__"):
@@ -112,7 +133,23 @@ def any(conditions: Iterable[bool | float]) -> bool:
 def select(conditions: Sequence[bool | float], choices: Sequence[Any], default: Any = 0.0) -> Any:
     """Returns the choice of the first condition that holds, else the default.
 
-    choices: as many as conditions; each as an alternative of `where`, as the default
+    Parameters
+    ----------
+    conditions : sequence of bool or float
+        Conditions of `where`.
+    choices : sequence
+        Alternatives of `where`, as many as conditions.
+    default : float, tuple, dataclass, or function without arguments
+        Alternative if no condition holds.
+
+    Returns
+    -------
+    float, tuple or dataclass
+
+    Examples
+    --------
+    >>> select([False, True], [1.0, 2.0], 3.0)
+    2.0
     """
     chosen = default
     for condition, choice in reversed(list(zip(conditions, choices, strict=True))):
@@ -121,19 +158,36 @@ def select(conditions: Sequence[bool | float], choices: Sequence[Any], default: 
 
 
 def choose(index: float, choices: Sequence[Any]) -> Any:
-    """Returns choices[index]: the first for 0 and for what is below, the last for what is beyond."""
+    """Returns `choices[index]`; the first choice for lower indices, the last for higher ones.
+
+    Parameters
+    ----------
+    index : float
+        Whole number from 0.
+    choices : sequence
+        Alternatives of `where`.
+
+    Returns
+    -------
+    float, tuple or dataclass
+
+    Examples
+    --------
+    >>> choose(1, (10.0, 20.0, 30.0)), choose(7, (10.0, 20.0, 30.0))
+    (20.0, 30.0)
+    """
     return select([index < i + 1 for i in range(len(choices) - 1)], choices[:-1], choices[-1])
 
 
 def minimum(first: float, second: float) -> float:
-    """Returns the smaller of two numbers, of 0.0 and -0.0 the second."""
+    """Returns the smaller of two numbers; the second of 0.0 and -0.0."""
     if are_numbers(first, second):
         return first if first < second or math.isnan(second) else second
     return casadi().fmin(second, first)
 
 
 def maximum(first: float, second: float) -> float:
-    """Returns the larger of two numbers, of 0.0 and -0.0 the second."""
+    """Returns the larger of two numbers; the second of 0.0 and -0.0."""
     if are_numbers(first, second):
         return first if first > second or math.isnan(second) else second
     return casadi().fmax(second, first)

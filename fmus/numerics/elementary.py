@@ -59,7 +59,7 @@ asinh = _of_one("asinh", "the inverse hyperbolic sine.")
 acosh = _of_one("acosh", "the inverse hyperbolic cosine of a value of at least 1.")
 atanh = _of_one("atanh", "the inverse hyperbolic tangent of a value between -1 and 1.")
 erf = _of_one("erf", "the error function.")
-# whole numbers as floats with the sign of the value, which are declared as int in a block
+# Python's int has no -0: a whole number stays a float with the sign of the value, as in C
 floor: Callable[[float], Any] = _of_one(
     "floor", "the largest whole number that is not above the value, as a float."
 )
@@ -79,7 +79,7 @@ def trunc(value: float) -> Any:
 
 
 def round(value: float) -> Any:
-    """Returns the whole number nearest to the value, as a float; of two, the even one, like Python's."""
+    """Returns the whole number nearest to the value, as a float; the even one of two, like Python's."""
     return value - remainder(value, 1.0)
 
 
@@ -98,6 +98,7 @@ def sign(value: float) -> float:
 def power(base: float, exponent: float) -> float:
     """Returns `base ** exponent` for a base of zero or more."""
     if are_numbers(base, exponent):
+        # CasADi makes a root of the exponent 0.5, whose last bit can differ from C's pow
         return math.sqrt(base) if exponent == 0.5 else math.pow(base, exponent)
     return casadi().constpow(base, exponent)
 

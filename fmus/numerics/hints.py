@@ -1,4 +1,4 @@
-"""Hints: the code to write in a block in place of an expression that has no meaning on a symbol."""
+"""Hints: code for a block in place of an expression that has no meaning on a symbol."""
 
 import ast
 import re
@@ -55,7 +55,7 @@ _OPERATORS = {
 }  # fmt: skip
 
 
-# the beginning of what asks for a whole number, up to the expression inside it -> what to do
+# pattern of code that needs a whole number, up to the expression inside -> what to do
 _INDICES = {r"\brange\([^()]*": INSTEAD["range"], r"[\w)\]]\[[^\[\]]*": "use fmus.numerics.choose"}
 
 

@@ -8,27 +8,40 @@ from fmus.numerics.choice import where
 
 __all__ = ["Clock", "at_events", "rk4_step", "sampled"]
 
-_EARLY = 1e-6  # of a period: t and the clock round differently
-_LATE = 0.5  # of a period
+# of a period: t and the clock round differently
+_EARLY = 1e-6
+# of a period: a sample that is later was missed
+_LATE = 0.5
 
 
 @dataclass(frozen=True)
 class Clock:
-    """Clock of samples, due at start + count * period, without accumulated rounding.
+    """Clock of samples, which are due at start + count * period.
 
-    start: time of the first sample [s]; `Clock(t)` in `initial_state` for one in the first step
-    count: samples taken since
+    Parameters
+    ----------
+    start : float
+        Time of the first sample [s]; `Clock(t)` in `initial_state` for a sample in the first step.
+    count : int
+        Samples taken since.
+
+    Examples
+    --------
+    >>> Clock(start=1.0, count=3).next_sample(0.5)
+    2.5
     """
+
+    # counted and not summed: a sum of periods would accumulate their rounding
 
     start: float = 0.0
     count: int = 0
 
     def next_sample(self, period: float) -> float:
-        """Returns the time at which the next sample is due [s]."""
+        """Returns the time of the next sample [s]."""
         return self.start + self.count * period
 
     def last_sample(self, period: float) -> float:
-        """Returns the time at which the last sample was due [s]."""
+        """Returns the time of the last sample [s]."""
         return self.start + (self.count - 1) * period
 
 
@@ -36,24 +49,62 @@ Part = TypeVar("Part")
 
 
 def at_events(state: Part, new: Part) -> Part:
-    """Returns `new`; between the events of model exchange, `state` as it was.
+    """Returns `new`; between the events of model exchange, `state`.
 
-    For what `step` changes besides samples: the state of a switch, a count, or a continuous state that jumps.
+    Use it for every change in `step` that is not a sample: of a switch, a count, or a continuous state that
+    jumps.
+
+    Parameters
+    ----------
+    state : float, tuple or dataclass
+        Part of the state before the event.
+    new : float, tuple or dataclass
+        The same part after the event.
+
+    Returns
+    -------
+    float, tuple or dataclass
+
+    Examples
+    --------
+    >>> at_events(False, True)
+    True
     """
+    # between events an importer's solver tries times and states that it may reject
     return new if DUE.get() is None else state
 
 
 def sampled(t: float, period: float, state: Part, new: Part) -> Part:
-    """Returns `new` if a sample is due at time t, else `state` as it was.
+    """Returns `new` if a sample is due at time t, else `state`.
 
-    t: of the sample [s]: where `step` begins, or `t + h` where it ends
-    period: sampling period [s]; it must not change during a run
-    state, new: dataclasses of one class with a field `clock: Clock`, which this function sets; it is the
-        only one to read that of `state`, and that of `new` does not matter
+    A step takes one sample at most, so require `internal_step <= period`. Missed samples are not made up for:
+    a sample that is late by more than half a period starts the clock again, with the next sample half a
+    period later.
 
-    A step takes one sample at most, so require `internal_step <= period`. Samples that were missed are not
-    made up for: one that is late by more than half a period, in steps longer than that, starts the clock
-    again, with the next sample half a period later.
+    Parameters
+    ----------
+    t : float
+        Time of the sample [s]: `t` of `step`, or `t + h` for a sample at the end of the step.
+    period : float
+        Sampling period [s]; it must not change during a run.
+    state, new : dataclass
+        The part of the state before and after the sample, with a field `clock: Clock`. This function sets
+        the clock; the clock of `new` is ignored.
+
+    Returns
+    -------
+    dataclass
+
+    Examples
+    --------
+    >>> @dataclass(frozen=True)
+    ... class Reading:
+    ...     value: float = 0.0
+    ...     clock: Clock = Clock()
+    >>> sampled(0.0, 0.5, Reading(), Reading(7.0)).value
+    7.0
+    >>> sampled(0.3, 0.5, Reading(clock=Clock(0.0, 1)), Reading(7.0)).value
+    0.0
     """
     clock: Clock = state.clock  # type: ignore[attr-defined]
     due = clock.next_sample(period)

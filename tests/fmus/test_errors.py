@@ -14,7 +14,7 @@ from fmus.fmi.instance import _shortened
         ("voltage", ["mass", "depth"], "known: 'depth', 'mass'"),
         ("q", [f"x{i}" for i in range(7)], "known: 'x0', 'x1', 'x2', 'x3', 'x4' and 2 more"),
         ("q", [f"x{i}" for i in range(6)], "known: 'x0', 'x1', 'x2', 'x3', 'x4', 'x5'"),
-        ("q", [], "there are none"),
+        ("q", [], "known: none"),
     ],
 )
 def test_a_name_is_suggested_only_if_it_is_near(name: str, known: list[str], suggestion: str) -> None:

@@ -272,9 +272,9 @@ def test_a_file_may_declare_its_encoding(encoding: str, first_line: str, tmp_pat
     assert not source.startswith("\ufeff".encode())
 
 
-@pytest.mark.parametrize("vehicle", [False, True])
-def test_a_new_block_passes_its_test(tmp_path: Path, vehicle: bool) -> None:
-    path, test = write_new_block("depth_pid", tmp_path, vehicle)
+@pytest.mark.parametrize("kind", ["controller", "vehicle", "plain"])
+def test_a_new_block_passes_its_test(tmp_path: Path, kind: str) -> None:
+    path, test = write_new_block("depth_pid", tmp_path, kind)
     with blocks_in(path) as (block,):
         claims = {name: f for name, f in runpy.run_path(str(test)).items() if name.startswith("test_")}
         assert len(claims) == 4

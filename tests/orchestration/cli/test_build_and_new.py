@@ -48,6 +48,18 @@ def test_new_and_build_make_the_fmu_of_a_file_beside_that_of_an_installed_block(
     assert done.stdout == "out/Pid.fmu\nout/DepthReference.fmu\n"
 
 
+def test_new_writes_a_block_without_depth_and_no_two_kinds_at_once(
+    command: Command, refused: Command
+) -> None:
+    assert "--vehicle: no effect with --plain" in refused("new", "room", "--plain", "--vehicle")
+    assert not Path("room.py").exists()
+    assert command("new", "room", "--plain").stdout == "room.py\ntest_room.py\n"
+    written = Path("room.py").read_text() + Path("test_room.py").read_text()
+    assert "depth" not in written.replace("l1-depth build", "")
+    done = command("build", "room.py", "--flavour", "python", "--out", "out")
+    assert done.stdout == "out/Room.fmu\n"
+
+
 def test_build_writes_the_fmu_of_a_class_and_no_other(command: Command, refused: Command) -> None:
     Path("own.py").write_text(
         "class Own:\n    period = 0.1\n    def reset(self): pass\n"

@@ -254,7 +254,7 @@ def test_inspect_takes_what_other_commands_take(command: Command, error: Callabl
     for given, name in (("BlueRov2Plant", "BlueRov2Plant"), ("rover.py", "Rover")):
         assert command("inspect", given).stdout.startswith(f"{name}: ")
     assert "nearest is 'BlueRov2Plant'" in error("inspect", "BlueRov2Plan")
-    assert error("inspect", "rover.fmu").endswith("no FMU at rover.fmu; in that folder, there are none")
+    assert error("inspect", "rover.fmu").endswith("no FMU at rover.fmu; in that folder, known: none")
 
 
 @pytest.mark.parametrize("given", ["ExamplePlant", "fmus-built/ExamplePlant.fmu"])

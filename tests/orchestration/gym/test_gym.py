@@ -360,7 +360,7 @@ def test_a_vector_of_no_environment_is_refused(task: Task, count: Any) -> None:
 
 def test_a_vehicle_may_be_a_python_file(vehicle_fmus: None, tmp_path: Path) -> None:
     """Its FMU is built, and the range of its force bounds the actions."""
-    write_new_block("rover", tmp_path, vehicle=True)
+    write_new_block("rover", tmp_path, kind="vehicle")
     task = task_of("nominal-extended", {"rmse": -1.0}, plant=tmp_path / "rover.py")
     assert task.actions == ("plant.control_force",)
     with closing(FmuEnv(task)) as env:

@@ -101,7 +101,7 @@ def test_a_missing_file_offers_the_nearest(tmp_path: Path) -> None:
     (tmp_path / "nominal.png").touch()
     with pytest.raises(OrchestrationError, match=r"nearest is 'nominal\.json'"):
         found_results([tmp_path / "nominl.json"])
-    with pytest.raises(OrchestrationError, match="there are none"):
+    with pytest.raises(OrchestrationError, match="known: none"):
         found_results([tmp_path / "no" / "folder.json"])
 
 

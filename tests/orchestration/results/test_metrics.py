@@ -87,6 +87,56 @@ def test_time_below_counts_from_the_first_crossing_and_between_points() -> None:
     assert metrics.time_below(flat, "z", limit=0.5, after=0.9) == pytest.approx(50.0, abs=0.01)
 
 
+def test_maximum_and_minimum_keep_the_sign() -> None:
+    """-50 .. 50, and -30 .. -10 in the window: the peak is a magnitude, these are not."""
+    run = recording(z=TIME - 50.0)
+    assert (metrics.minimum(run, "z"), metrics.maximum(run, "z")) == (-50.0, 50.0)
+    window = [20.0, 40.0]
+    assert (metrics.minimum(run, "z", window), metrics.maximum(run, "z", window)) == (-30.0, -10.0)
+    assert metrics.maximum(run, "z", window, scale=100.0) == -1000.0
+
+
+def test_time_above_counts_between_points_too() -> None:
+    """The triangle 1 - |t - 50| / 50 is above 0.105 from 5.25 s to 94.75 s, both between points of 1 s."""
+    every_second = TIME[::100]
+    triangle = 1.0 - np.abs(every_second - 50.0) / 50.0
+    run = Recording(("z",), ("m",), every_second, triangle[:, None])
+    assert metrics.time_above(run, "z", limit=0.105) == pytest.approx(89.5)
+    assert metrics.time_above(run, "z", 0.105, [0.0, 50.0]) == pytest.approx(44.75)
+    assert metrics.time_above(run, "z", limit=2.0) == 0.0
+    assert metrics.time_above(run, "z", limit=-1.0) == 100.0
+    assert metrics.time_above(recording(z=np.ones_like(TIME)), "z", limit=1.0) == 0.0
+
+
+def test_a_duty_cycle_is_the_share_of_a_pulse_that_holds_from_point_to_point() -> None:
+    """On for 3 s of every 10 s; the point at which it goes off ends the pulse, in steps of any length."""
+    on = (TIME % 10.0 < 3.0 - 1e-9).astype(float)  # 1e-9 s: the rounding of TIME
+    pulses = recording(z=on)
+    # the trapezoidal rule would give each edge half a step of 0.01 s: 30.0 % to the rounding of the sum
+    assert metrics.duty_cycle(pulses, "z") == pytest.approx(30.0, rel=1e-9)
+    assert metrics.duty_cycle(pulses, "z", window=[0.0, 4.0]) == pytest.approx(75.0, rel=1e-9)
+    assert metrics.duty_cycle(recording(z=on * 12.0), "z", limit=12.0) == 0.0
+    uneven = Recording(("z",), ("",), np.array([0.0, 1.0, 4.0, 5.0]), np.array([[0.0], [1.0], [0.0], [1.0]]))
+    assert metrics.duty_cycle(uneven, "z") == 60.0
+
+
+def test_a_share_of_time_is_not_a_number_without_time_or_with_such_a_value() -> None:
+    run = recording(z=np.where(TIME == 50.0, math.nan, 1.0))
+    assert math.isnan(metrics.duty_cycle(run, "z"))
+    assert math.isnan(metrics.time_above(run, "z", limit=0.5))
+    assert metrics.duty_cycle(run, "z", window=[0.0, 49.0]) == 100.0
+    assert metrics.time_above(run, "z", 0.5, [0.0, 49.0]) == pytest.approx(49.0)
+    assert math.isnan(metrics.duty_cycle(run, "z", window=[7.0, 7.0]))
+    declared = {"on": {"function": "duty_cycle"}}
+    assert metrics_table("One", {"on": math.nan}, {"on": "%"}, declared).splitlines()[-1].split() == [
+        "on",
+        "no",
+        "time",
+        "passes",
+        "%",
+    ]
+
+
 def test_total_variation_can_be_sampled() -> None:
     run = recording(z=np.sin(TIME * 2 * math.pi))
     assert metrics.total_variation(run, "z") == pytest.approx(400.0)

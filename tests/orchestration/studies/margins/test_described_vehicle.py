@@ -40,7 +40,7 @@ def test_a_vehicle_that_takes_a_force_has_the_plant_of_its_description(tmp_path:
 
 
 def test_the_description_beside_a_python_file_is_found(tmp_path: Path) -> None:
-    write_new_block("rover", tmp_path, vehicle=True)
+    write_new_block("rover", tmp_path, kind="vehicle")
     description = f'{INERTIA}damping = "linear_drag"\nlag = ["thruster_lag"]\n'
     (tmp_path / "rover.vehicle.toml").write_text(description)
     expected = Plant(a=((0.0, 1.0), (0.0, -0.5)), b=(0.0, 1.0 / 32.0), lags=(0.05,))
