@@ -17,8 +17,13 @@ from orchestration.studies.score.protocol_format import COMPARED
 from orchestration.studies.score.score_document import OF_A_ROW, CaseResult, MetricInfo, Row, Score
 
 BEST, FAILED = "*", "!"
+MARKS = (
+    f"{BEST} the best of a column, {FAILED} a run that failed, - nothing to measure, such as the delay "
+    "margin of a loop that is not quiet as it is"
+)
 _COLUMN_WIDTH = 13  # with its padding and its edge
 _PADDING = 3
+_MOST_ROWS = 20  # in a summary, the scored controllers first
 _TEXTS = 3  # first columns of the differences
 _OVERVIEW = ("rmse", "total_variation")
 _FACTORS = (1.1, 2.0)  # of the least RMSE: as good but for little, and not out of the question
@@ -252,6 +257,29 @@ def _column(
         replace(c, is_best=is_ranked and c.value == best) for c, is_ranked in zip(cells, ranked, strict=True)
     ]
     return Column(**{**info.model_dump(), **changes}, cells=marked)
+
+
+def summary(score: Score, width: int) -> Table:
+    """Returns the most important numbers of a score, as many columns as a terminal of this width shows."""
+    cases = score.protocol.cases
+    distinct = [name for name, case in cases.items() if not (case.tuned_on or case.repeats_nominal)]
+    plants = over_plants(score)
+    margin, *_ = _of_the_row(score)
+    columns = [
+        _of_case(score, "rmse", score.nominal, title="RMSE, nominal"),
+        _failed(score, list(cases), "cases"),
+        margin,
+        *([plants.columns[0].model_copy(update={"title": "Failed plants"})] if plants else []),
+        *(list(_profiles(score, distinct))[1:] if distinct else []),
+        _of_case(score, "total_variation", score.nominal, title="Total variation, nominal"),
+        *overview(score).columns,
+    ]
+    left = len(score.rows) - _MOST_ROWS
+    count = _MOST_ROWS if left > 1 else len(score.rows)
+    shown = [column.model_copy(update={"cells": column.cells[:count]}) for column in columns]
+    table = next(_parts(ScoreTable("Summary of the cases", score.rows[:count], shown), width))
+    table.caption = f"and {left} more controllers" if left > 1 else None
+    return table
 
 
 def in_parts(tables: Iterable[ScoreTable], width: int) -> list[Table]:

@@ -159,13 +159,18 @@ def print_gains(tuning: "Tuning", name: str) -> None:
         expected = f"expected {tuning.fewest} or more"
         print(f"{last} evaluations are too few to tell whether the cost is flat: {expected}.")
         return
-    verdict = "flat" if tuning.is_flat else "not flat: more evaluations may lower it"
+    verdict = (
+        "The cost is flat." if tuning.is_flat else "The cost is not flat: more evaluations may lower it."
+    )
     if tuning.flattening[0] == tuning.flattening[-1]:
-        verdict = "not known to be flat: the search found nothing better after its first quarter"
+        # a cost that did not fall at all says nothing of how flat it is
+        verdict = "The search found nothing better after its first quarter."
     if stopped:
-        verdict = f"limited by the range of {', '.join(stopped)}: a wider one in --free may lower it"
+        verdict = (
+            f"The cost is limited by the range of {', '.join(stopped)}: a wider one in --free may lower it."
+        )
     print(
-        f"The cost is {verdict}. In the last half of {last} evaluations it fell by "
+        f"{verdict} In the last half of {last} evaluations the cost fell by "
         f"{100 * tuning.improvement:.2g} %; the {f'median of {seeds} seeds' if seeds > 1 else 'one seed'} is "
         f"{100 * tuning.spread:.2g} % above the lowest, and after each quarter of its evaluations "
         f"{', '.join(f'{cost:.4g}' for cost in tuning.flattening)} cm."
