@@ -96,6 +96,13 @@ class LinearMargins:
     frequency: float
     low_gain: float
     high_gain: float
+    low_frequency: float = math.nan
+    high_frequency: float = math.nan
+
+    @property
+    def phase(self) -> float:
+        """The phase margin [rad] at the frequency at which the smallest delay loses the stability."""
+        return self.delay * self.frequency
 
 
 _UNSTABLE = LinearMargins(math.nan, math.nan, math.nan, math.nan)
@@ -110,14 +117,11 @@ def margins(loop: LinearLoop) -> LinearMargins:
     unit = _roots(loop, grid, np.log(np.abs(response)), lambda values: np.log(np.abs(values)))
     # the smallest delay with L(j w) e^(-j w delay) = 1, where |L| = 1
     delays = [(float(np.angle(loop.response(w)) % (2.0 * math.pi) / w), w) for w in unit]
-    gains = [1.0 / loop.response(w).real for w in _roots(loop, grid, response.imag, np.imag)]
+    gains = [(float(1.0 / loop.response(w).real), w) for w in _roots(loop, grid, response.imag, np.imag)]
     delay, frequency = min(delays, default=(math.inf, math.nan))
-    return LinearMargins(
-        delay=delay,
-        frequency=frequency,
-        low_gain=float(max((g for g in gains if 0.0 < g < 1.0), default=0.0)),
-        high_gain=float(min((g for g in gains if g > 1.0), default=math.inf)),
-    )
+    low_gain, low_frequency = max((g for g in gains if 0.0 < g[0] < 1.0), default=(0.0, math.nan))
+    high_gain, high_frequency = min((g for g in gains if g[0] > 1.0), default=(math.inf, math.nan))
+    return LinearMargins(delay, frequency, low_gain, high_gain, low_frequency, high_frequency)
 
 
 def _frequencies(loop: LinearLoop) -> np.ndarray:

@@ -86,26 +86,29 @@ def _or_none(function: Callable[..., float], *arguments: Any, **options: Any) ->
 
 def linear_metrics(design: Design) -> Iterator[Metric]:
     """Yields the margins of the loop in the limit of fast adaptation, and at the adaptation gain."""
+    for label, (law, plant, limit) in linear_loops(design).items():
+        yield from _margins(label, law, plant, limit, bool(design.frozen_gains))
+
+
+def linear_loops(design: Design) -> dict[str, tuple[Law, Plant, str]]:
+    """Returns name -> law, plant and assumption of each linear loop; the last one leaves out least."""
     law, true_state = replace(design.law, kappa=math.inf), replace(design.law, kappa=math.inf, observer=None)
     lagging, prompt = design.plant, design.plant.without_lag()
-    limit = "limit of fast adaptation"
-    loops = {"ideal": (true_state, prompt)}
-    if lagging != prompt:
-        loops["thruster lag"] = true_state, lagging
+    limit, has_lag = "limit of fast adaptation", lagging != prompt
+    loops = {"ideal": (true_state, prompt, limit)}
+    if has_lag:
+        loops["thruster lag"] = true_state, lagging, limit
     if law.observer:
-        loops["observer"] = law, prompt
-    if law.observer and lagging != prompt:
-        loops["lag and observer"] = law, lagging
+        loops["observer"] = law, prompt, limit
+    if law.observer and has_lag:
+        loops["lag and observer"] = law, lagging, limit
     if law.observer:
         sampled = replace(law, observer=replace(law.observer, sampled=True))
-        loops["lag and sampled observer" if lagging != prompt else "sampled observer"] = sampled, lagging
-    for label, (chosen, plant) in loops.items():
-        yield from _margins(label, chosen, plant, limit, bool(design.frozen_gains))
+        loops["lag and sampled observer" if has_lag else "sampled observer"] = sampled, lagging, limit
     if design.has_rest:
         at_rest = f"kappa = {design.law.kappa:g} at rest, theta_hat = 0"
-        yield from _margins(
-            "at this adaptation gain", design.law, lagging, at_rest, bool(design.frozen_gains)
-        )
+        loops["at this adaptation gain"] = design.law, lagging, at_rest
+    return loops
 
 
 def gamma_metrics(design: Design, gains: Sequence[float]) -> Iterator[Metric]:
