@@ -114,7 +114,7 @@ def _conditions(scenario: "Scenario") -> "Conditions":
 
 
 def _print(l1: "Sequence[Gain]", pid: "Sequence[Gain]", checks: "Sequence[DesignCheck]", title: str) -> None:
-    """Prints the gains with their reasons, and what the runs gave."""
+    """Prints the gains with their reasons, and the results of the runs."""
     from rich.table import Table
 
     from orchestration.studies.design.parameter_file import TABLE

@@ -94,7 +94,7 @@ def _values(over: str) -> dict[str, list[float]]:
 
 
 def _print(title: str, judged: "Margins") -> None:
-    """Prints the metrics, and below them what all of a group assume and what some of them assume besides."""
+    """Prints the metrics, and below them the assumptions of each whole group and of single metrics."""
     parts: dict[str, list[list[str]]] = {}
     for metric in judged.metrics:
         parts.setdefault(metric.group, []).append(f"{metric.assumption}; {metric.source}".split("; "))

@@ -1,4 +1,4 @@
-"""Margins of a scenario: what follows from the design of its controller, and what its FMUs show."""
+"""Margins of a scenario: from the design of its controller, and from runs of its FMUs."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -28,7 +28,7 @@ FOREIGN = (
 
 @dataclass(frozen=True)
 class Margins:
-    """The margins of one scenario; not_judged: sentences on what is missing, and why.
+    """The margins of one scenario; not_judged: sentences on missing margins, and why.
 
     linear: the name of the linear loop that leaves out least, and the loop; None if none is known
     """

@@ -27,11 +27,12 @@ CONDITION, LINEAR = "L1-norm condition", "linear loop"
 _BOOK = "Hovakimyan and Cao (2010)"
 _EXTENDED = "derived in docs/explanation/margins.md; not in the paper"
 _NYQUIST = "frequency response of the linear loop; limit after Hovakimyan and Cao (2010)"
-_OMEGAS = 9  # input gains tried over their box: the norm need not be monotonic in omega
+# input gains tried over their box: the norm need not be monotonic in omega
+_OMEGAS = 9
 
 
 def design_metrics(design: Design, gains: Sequence[float]) -> Iterator[Metric]:
-    """Yields what follows from the design alone; gains: those of the adaptation, for the delay margin."""
+    """Yields the metrics of the design alone; gains: of the adaptation, for the delay margin."""
     yield from norm_metrics(design)
     yield from linear_metrics(design)
     if design.has_gain and design.has_rest:
@@ -155,7 +156,7 @@ def step_metrics(chosen: Scenario, progress: Callable[[], object]) -> Iterator[M
     """Yields max |x_tilde| after steps of the reference, for three step sizes, if it is an output."""
     (metric,) = [m for m in chosen.metrics.values() if m.get("reference")][:1] or [{}]
     reference = str(metric.get("reference", ""))
-    if not reference.endswith(".reference"):  # that of L1Controller
+    if not reference.endswith(".reference"):  # of L1Controller, whose prediction errors are outputs
         return
     errors = tuple(reference.removesuffix("reference") + name for name in _ERRORS)
     with Simulator(chosen.system) as simulator:

@@ -225,7 +225,7 @@ def chosen_protocol(changes: Changes, file: Path | None = None) -> "Protocol":
 
 
 def scored_controllers(names: Sequence[str], no_rates: bool, changes: Changes) -> list["Controller"]:
-    """Returns the FMUs, blocks and Python files of blocks; settings and mapping are those of the only one."""
+    """Returns the FMUs, blocks and Python files of blocks; settings and mapping belong to the only one."""
     from orchestration.studies.score.closed_loop import Controller
 
     replaced = changes.components.keys() - {PLANT}

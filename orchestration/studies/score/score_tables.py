@@ -41,7 +41,7 @@ _STATISTICS = {
 
 @dataclass(frozen=True)
 class Cell:
-    """A number, not a number where there is none; failed: why the run counts as failed."""
+    """A value, NaN if missing, and the reasons why its run failed."""
 
     value: float
     failed: tuple[str, ...] = ()
@@ -72,7 +72,7 @@ class ScoreTable:
 
 
 def all_tables(score: Score) -> dict[str, dict[str, ScoreTable]]:
-    """Returns every table by its key, in groups by their headings; without those of --full if it was not."""
+    """Returns every table by its key, in groups by their headings; tables of --full only for such a score."""
     groups = {
         "Means over the cases": {"overview": overview(score)},
         "A case": {f"case-{case}": of_case(score, case) for case in score.protocol.cases},
@@ -114,14 +114,15 @@ def overview(score: Score) -> ScoreTable:
     if others:
         columns.append(_failed(score, others, "others"))
     columns += _of_the_row(score)
-    if any(math.isfinite(row.step) for row in score.rows):  # earlier scores do not have it
+    # earlier versions of score.json have no step
+    if any(math.isfinite(row.step) for row in score.rows):
         steps = [Cell(1e3 * row.step) for row in score.rows]
         columns.append(_column(score, _STEP, steps, has_best=False))
     return ScoreTable("Summary of the cases", score.rows, columns)
 
 
 def of_case(score: Score, case: str) -> ScoreTable:
-    """Returns every metric of one case; in the nominal case also those of the row."""
+    """Returns every metric of one case; in the nominal case also the metrics of the row."""
     metrics = score.protocol.metrics
     columns = [_of_case(score, name, case) for name in metrics if name not in OF_A_ROW]
     of_the_row = _of_the_row(score) if case == score.nominal else []
@@ -138,7 +139,7 @@ def of_metric(score: Score, name: str) -> ScoreTable:
 
 
 def over_plants(score: Score) -> ScoreTable | None:
-    """Statistics over the plants; None if there are none."""
+    """Returns statistics over the plants; None for a score without plants."""
     plants = [row.plants for row in score.rows if row.plants]
     if not plants or len(plants) < len(score.rows):
         return None
@@ -176,7 +177,7 @@ def over_draws(score: Score) -> ScoreTable | None:
 
 
 def _of_the_row(score: Score) -> list[Column]:
-    """Returns the metrics that a row has once, which count as those of its nominal run."""
+    """Returns the metrics that a row has once; they count as metrics of its nominal run."""
     failed = [_cell(row, "", score.nominal).failed for row in score.rows]
     return [
         _column(
