@@ -181,8 +181,10 @@ def messages_of(check: Iterable[str]) -> tuple[str, ...]:
     What an FMU puts into one cannot move the cursor of a terminal, or begin a line of its own.
     """
     messages = [_plain(" ".join(message[:_LONGEST_MESSAGE].split())) for message in check]
-    more = [f"{len(messages) - _MOST_MESSAGES} more of this kind"] if len(messages) > _MOST_MESSAGES else []
-    return tuple(messages[:_MOST_MESSAGES] + more)
+    left = len(messages) - _MOST_MESSAGES
+    if left < 2:  # a number alone would hide one message
+        return tuple(messages)
+    return (*messages[:_MOST_MESSAGES], f"{left} more of this kind")
 
 
 def _plain(text: str) -> str:

@@ -244,14 +244,15 @@ def _as_text(units: Sequence[str], time: np.ndarray, signals: Mapping[str, np.nd
     signals: by name; units: in the same order
     """
     names = list(signals)
-    columns = zip(names[:_MOST], units[:_MOST], strict=True)
+    # a number stands for two signals or more: one alone is shown in its line
+    shown = _MOST if len(names) > _MOST + 1 else len(names)
+    columns = zip(names[:shown], units[:shown], strict=True)
     rows = [_HEADINGS, *((name, unit, *_numbers(signals[name])) for name, unit in columns)]
     widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
     lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
     span = f", {time[0]:g}..{time[-1]:g} s" if len(time) else ""
     heading = f"Recording of {_count(len(names), 'signal')} at {_count(len(time), 'point')}{span}"
-    more = len(names) - _MOST
-    rest = [f"and {_count(more, 'more signal')}"] if more > 0 else []
+    rest = [f"and {len(names) - shown} more signals"] if shown < len(names) else []
     return "\n".join([heading, *(f"  {line}" for line in lines), *rest])
 
 

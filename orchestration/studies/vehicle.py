@@ -1,4 +1,4 @@
-"""The vehicle of a study: that of a shipped base, or another in its place."""
+"""The vehicle of a study: the vehicle of a shipped base, or another in its place."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -66,7 +66,7 @@ class Vehicle:
         mapping: Mapping[str, str] | None = None,
         settings: Mapping[str, FmiValue] | None = None,
     ) -> "Vehicle":
-        """Returns the vehicle of a block, an FMU or a Python file; ScenarioError for one that is none."""
+        """Returns the vehicle of a block, an FMU or a Python file; ScenarioError for any other file."""
         file = description_file(given)
         named = named_fmu(given, Path(), lambda keys: f"plant = {given}", ("plant",))
         vehicle = cls(
@@ -90,7 +90,7 @@ class Vehicle:
 
     @property
     def key(self) -> list[Any]:
-        """The content that a score follows from besides the FMU."""
+        """The content that determines a score together with the FMU."""
         return [dict(self.mapping), dict(self.settings), self.file.data]
 
     @property
@@ -114,7 +114,7 @@ class Vehicle:
 
     @property
     def actuators(self) -> Actuators:
-        """The actuators as controllers are told them: those of the unchanged vehicle."""
+        """The actuators of the unchanged vehicle, whose data controllers receive."""
         return self.values().actuators
 
     @property

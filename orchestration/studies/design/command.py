@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fmus.errors import listed
 from orchestration.cli import shared
 from orchestration.cli.changes import CONTROLLER, NO_CHANGES, Changes, takes_changes
 from orchestration.errors import OrchestrationError
@@ -80,9 +81,8 @@ def design(
         ]
     _print(l1_gains, pid_gains, checks, f"{data.name}: {len(values) - draws} corners, {draws} draws")
     if failures := [line for one in checks for line in one.failures()]:
-        more = f"; {len(failures) - 1} more runs do not" if failures[1:] else ""
         raise OrchestrationError(
-            f"{failures[0]}{more}: no file is written; expected a smaller --bandwidth, a larger "
+            f"{listed(failures, 1)}: no file is written; expected a smaller --bandwidth, a larger "
             "--phase-margin or narrower ranges in [vary.*]"
         )
     files = (("l1", l1_gains, l1, checks[:2]), ("pid", pid_gains, pid, checks[2:]))
@@ -114,7 +114,7 @@ def _conditions(scenario: "Scenario") -> "Conditions":
 
 
 def _print(l1: "Sequence[Gain]", pid: "Sequence[Gain]", checks: "Sequence[DesignCheck]", title: str) -> None:
-    """Prints the gains with their reasons, and what the runs gave."""
+    """Prints the gains with their reasons, and the results of the runs."""
     from rich.table import Table
 
     from orchestration.studies.design.parameter_file import TABLE

@@ -34,7 +34,7 @@ _UNITS = {
     "thruster_table_force": "N",
     "voltage_limit": "V",
 }
-_DIGITS = 4  # what is written is what was run
+_DIGITS = 4  # also of the values that are run: the checked gains are the written ones
 
 
 def l1_gains(design: L1Design, data: VehicleData, conditions: Conditions) -> list[Gain]:
@@ -223,7 +223,7 @@ def _reduced(metrics: Mapping[str, Mapping[str, Any]], runs: Recording) -> list[
 def write(
     path: Path, gains: Sequence[Gain], phase: float, delay: float, checks: Sequence[DesignCheck]
 ) -> None:
-    """Writes a parameter file, with what the check gave."""
+    """Writes a parameter file, with the results of the check."""
     document: dict[str, Any] = {
         "design": {
             "phase_margin_deg": float(f"{phase:.{_DIGITS}g}"),

@@ -41,7 +41,7 @@ OBSERVER_PHASE = 20.0  # deg; that the observer takes at the crossover
 NOISE = 0.05  # of the thrust limit: the largest standard deviation of the demand
 TURN = 0.25  # of a turn of the fast loop in a sample; at half a turn it aliases
 WEIGHT = 1.0 / 9.0  # of the depth in Q, times w_m^2: the fast loop then has 90 % of the damping it can have
-SIGMA = 1.5  # bound of sigma_hat over what it has to reach
+SIGMA = 1.5  # bound of sigma_hat, relative to the value that it has to reach
 _RATIO, _STEPS = 1.1, 60  # bandwidths are tried from the highest down, each 9 % below the one before
 
 Design = TypeVar("Design", "L1Design", "PidDesign")
@@ -160,7 +160,7 @@ def observer_alpha(crossover: float, period: float) -> float:
 
 
 def rate_noise(alpha: float, period: float, noise: float) -> float:
-    """Returns the standard deviation [m/s] of the observed rate; noise: that of a sample [m], white."""
+    """Returns the standard deviation [m/s] of the observed rate; noise: of a sample [m], white."""
     beta = beta_of(alpha)
     return noise / period * math.sqrt(2.0 * beta**2 / (alpha * (4.0 - 2.0 * alpha - beta)))
 
@@ -181,7 +181,7 @@ def lipschitz_constant(data: VehicleData, inertia: float, damping: float, k_m: R
 
 
 def adaptation_gain(design_law: Law, period: float, depth: float) -> float:
-    """Returns Gamma at which the fast loop makes `TURN` of a turn in a sample at the largest depth."""
+    """Returns the Gamma with which the fast loop makes `TURN` of a turn in a sample at the largest depth."""
     p_b = lyapunov_matrix(np.array(design_law.a_m), np.diag(design_law.q)) @ np.array(design_law.b)
     fastest = 2.0 * math.pi * TURN / period
     return fastest**2 / (float(p_b @ np.array(design_law.b)) * (1.0 + depth**2))
@@ -332,7 +332,7 @@ def _pid_at(data: VehicleData, conditions: Conditions, w_0: float, enough: float
 
 
 def _misfits(design: _Design, data: VehicleData, phase_margin: float) -> dict[str, str]:
-    """Returns what does not fit of a design -> what besides the ranges would mend it."""
+    """Returns each misfit of a design -> its remedy other than narrower ranges."""
     if math.isnan(design.noise):
         norm = (
             f"|G|_L1 L of the L1-norm condition is {design.norm:.3g} with the fastest filter for this delay"

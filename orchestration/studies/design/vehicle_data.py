@@ -1,7 +1,7 @@
 """The data of a vehicle that a design starts from: start values of its FMU, and the ranges that it states.
 
-A range is an entry of [vary.*] in the description of the vehicle: what `score --full` draws. What has none
-is known: its start value, or that of `--set plant.NAME`.
+A range is an entry of [vary.*] in the description of the vehicle: `score --full` draws from it. A parameter
+without a range is known: its start value, or the value of `--set plant.NAME`.
 """
 
 import itertools
@@ -23,8 +23,10 @@ Range = tuple[float, float]
 Draws = Mapping[tuple[str, ...], Distribution]
 """Variables, "plant.NAME" -> the distribution of their common value."""
 _REQUIRED = ("inertia", "net_weight", "sensor_period")  # of [variables]; what others lack is 0
-_VOLTS = 12.0  # for a vehicle that takes a force: the controller's volts are then a matter of its own
-_SHARE_FOR_TRIM = 0.9  # of the thrust, at most: what is left moves the vehicle
+# for a vehicle with a force as input: the volts are then a scale inside the controller
+_VOLTS = 12.0
+# of the thrust, at most: the rest moves the vehicle
+_SHARE_FOR_TRIM = 0.9
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ class VehicleData:
     """The data of a vehicle.
 
     inertia [kg], damping [N.s/m], drag [N.s2/m2], net_weight [N]: ranges
-    gain: range of the thrust over that of the start values; actuators: what a controller is told
+    gain: range of the thrust, relative to the start values; actuators: the data that a controller receives
     lag, delay, period [s]: of thrusters, sensor, and its sampling: the longest; noise [m]: with rounding
     """
 
@@ -87,7 +89,7 @@ class VehicleData:
 
 
 def draws_of(vehicle: Vehicle) -> Draws:
-    """Returns what the description of a vehicle varies; ScenarioError for a draw without an end."""
+    """Returns the draws in the description of a vehicle; ScenarioError for a draw without an end."""
     protocol = read_protocol(vehicle=vehicle)
     check_vehicle(protocol)
     draws = dict[tuple[str, ...], Distribution]()
@@ -131,7 +133,7 @@ def overruled(vehicle: Vehicle, draws: Draws) -> Iterator[str]:
 
 
 def data_of(vehicle: Vehicle, draws: Draws) -> VehicleData:
-    """Returns the data of a vehicle; ScenarioError names what is missing, and where to write it."""
+    """Returns the data of a vehicle; ScenarioError names missing data, and where to write them."""
     _check_described(vehicle)
     reach = {name: one.reach for names, one in draws.items() for name in names}
     low, high = (vehicle.values({name: ends[end] for name, ends in reach.items()}) for end in (0, 1))

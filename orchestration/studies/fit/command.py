@@ -76,7 +76,7 @@ def fit(
 
 
 def print_fit(fitted: "VehicleFit") -> None:
-    """Prints the table of a fit, and what the data do not determine."""
+    """Prints the table of a fit, and the parameters that the data do not determine."""
     from rich.table import Table
 
     analysis = fitted.analysis

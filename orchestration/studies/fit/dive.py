@@ -16,7 +16,7 @@ from orchestration.system.signals import Table
 DATA = "data"  # before the name of a column, as a component
 TIME, DEPTHS = "time", ("measured_depth", "depth")
 UNIT_OF_TIMES = "if the times are not in s, their title needs the unit, as in time [us]"
-LONG_GAP = 1.0  # s, from which a gap in the commands is told
+LONG_GAP = 1.0  # s; the shortest gap in the commands that causes a message
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Nonlinear least squares over runs: values of free parameters at which residuals are least.
+"""Nonlinear least squares over runs: the values of free parameters with the least residuals.
 
 Residuals are asked for at many points at once, so that the columns of a Jacobian step together in vectors.
 """
@@ -18,7 +18,7 @@ Values = Mapping[str, float]
 Evaluate = Callable[[Sequence[Values]], Iterable[np.ndarray]]
 """Returns the residuals at some points, shape (m,) each; a point is name -> value of each parameter."""
 
-_FIRST = 1.0  # coordinate of the lower limit of a logarithmic search; that of the upper one is 2
+_FIRST = 1.0  # coordinate of the lower limit of a logarithmic search; the upper one has 2
 
 
 def coordinate(free: FreeParameter, value: float) -> float:
@@ -186,7 +186,7 @@ def correlation_time(series: Sequence[np.ndarray]) -> float:
 def analysed(search: LeastSquares, series: Callable[[np.ndarray], Sequence[np.ndarray]]) -> Analysis:
     """Returns the estimates at the best point of a search, with intervals.
 
-    series: splits the residuals into those of each dive
+    series: splits the residuals by dives
     """
     from scipy.stats import t as student  # slow to import
 
@@ -232,7 +232,7 @@ def analysed(search: LeastSquares, series: Callable[[np.ndarray], Sequence[np.nd
 
 
 def _is_rough(search: LeastSquares, best: np.ndarray, step: np.ndarray, rise: float) -> bool:
-    """Whether the sum of squares at the ends of an interval is not what the linear model predicts.
+    """Whether the sum of squares at the ends of an interval differs from the linear model.
 
     step: from the best point to an end, the other parameters with it; rise: square root of that predicted
     """

@@ -1,4 +1,4 @@
-"""A vehicle fitted to logs of dives: parameters at which its simulated depth is nearest to the measured one.
+"""A vehicle fitted to logs of dives: parameters whose simulated depth is nearest to the measured depth.
 
 The vehicle's FMU is driven by the measured commands. A residual is the simulated depth, without the sensor,
 minus the measured one, where there is a reading; between two communication points the depth is a straight
@@ -46,8 +46,8 @@ from orchestration.system.system import System
 _DIFFERENCE = 1e-5  # of the coordinates: about 1e-4 of a value between limits of seven decades
 _EVALUATIONS = 100  # for each free parameter
 _MOST_STEPS = 2e7  # of a dive: four days at 0.02 s
+# of each dive, to which the search fits first: errors of the depth grow with time and cause local minima
 _SHARES = (1 / 8, 1 / 4, 1 / 2)
-"""Of each dive, to which the search fits first: errors of the depth grow with time, to local minima."""
 _FEWEST, _ROUGHLY = 50, {"x_scale": "jac", "ftol": 1e-2, "max_nfev": 10}
 _MEASURED, _RESIDUAL = f"{DATA}.{DEPTHS[0]}", f"{DATA}.residual"
 
@@ -68,7 +68,7 @@ class VehicleFit:
 
     @property
     def of_vehicle(self) -> Iterator[tuple[str, ParameterEstimate]]:
-        """Each fitted variable, "plant.NAME", with its estimate; depths at the start of dives are none."""
+        """Each fitted variable, "plant.NAME", with its estimate; without depths at the start of dives."""
         for estimate in self.analysis.estimates:
             if not estimate.free.name.startswith(f"{DATA}."):
                 yield from ((PREFIX + name, estimate) for name in estimate.free.variables)
@@ -114,9 +114,9 @@ class VehicleFit:
 def free_parameters(texts: Sequence[str], vehicle: Vehicle) -> list[FreeParameter]:
     """Returns the parameters of options --free NAME,NAME=LOW:HIGH.
 
-    A name is that of a parameter, of an array for all its elements, or one in the description of the vehicle.
-    Limits are those of the FMU if none are given; the start is its start value, or one that is set.
-    Raises OrchestrationError for what is no parameter of type Real, or for limits that it cannot have.
+    A name belongs to a parameter, an array (all its elements) or the description of the vehicle.
+    The default limits are the limits of the FMU; the start is its start value, or a value that is set.
+    Raises OrchestrationError for a name without a parameter of type Real, and for limits beyond its range.
     """
     result = [_of_vehicle(free, vehicle) for free in parse(texts)]
     check_once(result)
@@ -248,7 +248,7 @@ def fit_vehicle(
 ) -> VehicleFit:
     """Fits parameters of a vehicle to dives.
 
-    step_size: communication step [s], by default that of the FMU; progress: called after each evaluation
+    step_size: communication step [s], by default the step of the FMU; progress: called after each evaluation
     Raises OrchestrationError for values with which the vehicle cannot run, and too few readings.
     """
     if len({dive.name for dive in dives}) < len(dives):

@@ -23,7 +23,10 @@ PANEL = "Controllers compared"
 def margins(
     name: shared.ScenarioArgument,
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write margins.json to this folder.")
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Write margins.json and margins.png (Bode, Nyquist) to this folder."
+        ),
     ] = None,
     flavour: shared.FlavourOption = Flavour.NATIVE,
     changes: Changes = NO_CHANGES,
@@ -70,6 +73,10 @@ def margins(
         judged = judge(chosen, hold, quiet=quiet, over=repeated, measured=not theory, progress=bar.advance)
     _print(chosen.title, judged)
     if out:
+        if judged.linear:
+            from orchestration.studies.margins.margins_figure import write_margins_figure
+
+            print(write_margins_figure(chosen.title, *judged.linear, out / "margins"))
         path = out / "margins.json"
         write_json_atomically(path, judged.document())
         print(path)
@@ -87,7 +94,7 @@ def _values(over: str) -> dict[str, list[float]]:
 
 
 def _print(title: str, judged: "Margins") -> None:
-    """Prints the metrics, and below them what all of a group assume and what some of them assume besides."""
+    """Prints the metrics, and below them the assumptions of each whole group and of single metrics."""
     parts: dict[str, list[list[str]]] = {}
     for metric in judged.metrics:
         parts.setdefault(metric.group, []).append(f"{metric.assumption}; {metric.source}".split("; "))

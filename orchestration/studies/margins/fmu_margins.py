@@ -23,7 +23,7 @@ class Metric:
     """A metric of a margin.
 
     value: not a number if it does not exist, infinite if nothing is lost; unit: "" where it has none
-    assumption: what it holds under; remark: what belongs to this metric alone
+    assumption: the conditions of its validity; remark: a note on this metric alone
     """
 
     group: str
@@ -42,7 +42,7 @@ class Metric:
         return "not lost" if math.isinf(self.value) else f"{self.value:.4g}"
 
     def document(self) -> dict[str, Any]:
-        """Returns the metric for JSON, which has neither infinity nor what is not a number: both are null."""
+        """Returns the metric for JSON, which has neither infinity nor NaN: both are null."""
         return {
             **asdict(self),
             "value": self.value if math.isfinite(self.value) else None,
@@ -91,7 +91,7 @@ GAINS = Grid(Scale, largest=10.0, step=1.1, resolution=1.01)
 
 @dataclass(frozen=True)
 class Scan:
-    """A scan of the values of a grid, and what it measured.
+    """A scan of the values of a grid, and its measurements.
 
     margin: the last quiet value before the first loss; not a number if the scenario is not quiet as it is
     lost: the first value that is not quiet; infinite if all are; at most the resolution beyond the margin
@@ -117,7 +117,7 @@ def scan(
     """Measures up to which delay of, or factor on, a signal of the loop the scenario holds quietly.
 
     A delay is interpolated on straight lines between communication points. The delays of the loop itself, of
-    sampling, of communication and of the scenario's own faults, are there besides.
+    sampling, of communication and of the scenario's own faults, come in addition.
 
     only_first_loss: end the scan there; `quiet_again` is then empty
     Raises ScenarioError for a scenario without a loop.

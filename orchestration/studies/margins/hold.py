@@ -29,7 +29,7 @@ _JUDGED_S = 40.0  # the same of the nominal case, whose vehicle is on its way to
 
 
 class LoopSignal(StrEnum):
-    """The signal at which the loop is changed: what enters the plant, or what leaves it."""
+    """The signal where the loop is changed: an input or an output of the plant."""
 
     CONTROL = "control"
     MEASUREMENT = "measurement"
@@ -89,7 +89,7 @@ def _constant(chosen: Scenario, reference: str) -> tuple[float, float]:
 def loop_inputs(prepared: PreparedRun, signal: str, loop_signal: LoopSignal) -> tuple[str, ...]:
     """Returns the inputs of type Real on the loops through the component of the signal, of that signal.
 
-    Raises ScenarioError if there is none.
+    Raises ScenarioError for a scenario without one.
     """
     plant = signal.partition(".")[0]
     arrows = {(source.component, target.component) for source, target in prepared.system.connections}
@@ -180,7 +180,7 @@ class HoldRuns(AbstractContextManager["HoldRuns"]):
         """Returns the signal in the hold, shape (n,).
 
         Raises SimulationError for a run that failed, OrchestrationError for one whose process ended or was
-        ended: what it would have done is not known.
+        ended: its further course is not known.
         """
         self.count += 1
         experiment = replace(self._experiment, faults=(*self._experiment.faults, *faults))

@@ -30,7 +30,7 @@ class Design:
 
     law: with its adaptation at rest, at the depth of the hold
     lipschitz: L of the uncertainty; omegas: lowest and highest input gain of the box
-    frozen_gains: of the nonlinear P, ascending; empty for other extensions. The law has that of small errors
+    frozen_gains: of the nonlinear P, ascending; empty for other extensions. The law has the small-error gain
     gain_unit: of K_P
     has_rest: whether the adaptation has a gain at rest, by which the loop without the limit is linear
     controller: the component; adaptation_gain: Gamma, not a number of a law that has none
@@ -105,7 +105,7 @@ def _matrix(values: Values, name: str) -> tuple[Pair, Pair]:
 
 
 def _common(values: Values, rest: float, reference: float) -> dict[str, Any]:
-    """Returns what these laws share; the nonlinear P is linear about e = 0, where |r| is `reference`."""
+    """Returns values common to these laws; nonlinear P is linear about e = 0, where |r| is `reference`."""
     slope = _small_error_gain(values, _threshold(values, reference))
     pi = values["augmentation"] == "pi"
     proportional = values["proportional_gain"] if pi else 0.0

@@ -15,8 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
 
-_INFINITE = 1e6  # 1/s; a pole beyond it belongs to an algebraic equation
-_SHIFT = 0.7320508  # 1/s; any number that is no pole
+# 1/s; a pole beyond it belongs to an algebraic equation
+_INFINITE = 1e6
+# 1/s; any number works that is not a pole
+_SHIFT = 0.7320508
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ _LOWEST, _HIGHEST, _PER_DECADE = 1e-5, 1e5, 400  # rad/s
 class LinearMargins:
     """Margins of a loop; not a number if the loop is not stable as it is, infinite if nothing is lost.
 
-    delay [s] and the frequency [rad/s] at which it is lost; the factors, below and above 1, at which a gain
+    delay [s] and the frequency [rad/s] of its loss; the factors, below and above 1, with which a gain
     that is too low or too high loses the stability (0 and infinity if none does)
     """
 
@@ -96,6 +98,13 @@ class LinearMargins:
     frequency: float
     low_gain: float
     high_gain: float
+    low_frequency: float = math.nan
+    high_frequency: float = math.nan
+
+    @property
+    def phase(self) -> float:
+        """The phase margin [rad] at the frequency where the smallest delay loses the stability."""
+        return self.delay * self.frequency
 
 
 _UNSTABLE = LinearMargins(math.nan, math.nan, math.nan, math.nan)
@@ -110,14 +119,11 @@ def margins(loop: LinearLoop) -> LinearMargins:
     unit = _roots(loop, grid, np.log(np.abs(response)), lambda values: np.log(np.abs(values)))
     # the smallest delay with L(j w) e^(-j w delay) = 1, where |L| = 1
     delays = [(float(np.angle(loop.response(w)) % (2.0 * math.pi) / w), w) for w in unit]
-    gains = [1.0 / loop.response(w).real for w in _roots(loop, grid, response.imag, np.imag)]
+    gains = [(float(1.0 / loop.response(w).real), w) for w in _roots(loop, grid, response.imag, np.imag)]
     delay, frequency = min(delays, default=(math.inf, math.nan))
-    return LinearMargins(
-        delay=delay,
-        frequency=frequency,
-        low_gain=float(max((g for g in gains if 0.0 < g < 1.0), default=0.0)),
-        high_gain=float(min((g for g in gains if g > 1.0), default=math.inf)),
-    )
+    low_gain, low_frequency = max((g for g in gains if 0.0 < g[0] < 1.0), default=(0.0, math.nan))
+    high_gain, high_frequency = min((g for g in gains if g[0] > 1.0), default=(math.inf, math.nan))
+    return LinearMargins(delay, frequency, low_gain, high_gain, low_frequency, high_frequency)
 
 
 def _frequencies(loop: LinearLoop) -> np.ndarray:
@@ -132,7 +138,7 @@ def _frequencies(loop: LinearLoop) -> np.ndarray:
 
 
 def _roots(loop: LinearLoop, grid: np.ndarray, values: np.ndarray, function: Any) -> list[float]:
-    """Returns the frequencies at which a function of the response is 0: between values of unlike signs."""
+    """Returns the frequencies where a function of the response is 0: between values of unlike signs."""
     changes = np.flatnonzero(np.sign(values[1:]) != np.sign(values[:-1]))
     roots: list[Any] = [brentq(lambda w: function(loop.response(w)), grid[i], grid[i + 1]) for i in changes]
     return [float(root) for root in roots]

@@ -1,4 +1,4 @@
-"""Margins of a scenario: what follows from the design of its controller, and what its FMUs show."""
+"""Margins of a scenario: from the design of its controller, and from runs of its FMUs."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +13,9 @@ from orchestration.scenarios.scenario import Scenario
 from orchestration.studies.margins.fmu_margins import ADAPTATION_GAINS, Metric, parameter_metrics, run_metrics
 from orchestration.studies.margins.hold import QUIET, Hold, HoldRuns, hold_of
 from orchestration.studies.margins.l1_design import Design, design_of
-from orchestration.studies.margins.theory_metrics import design_metrics, step_metrics
+from orchestration.studies.margins.l1_loop import loop
+from orchestration.studies.margins.linear_margins import LinearLoop
+from orchestration.studies.margins.theory_metrics import design_metrics, linear_loops, step_metrics
 from orchestration.system.signals import values_at
 
 FOREIGN = (
@@ -26,11 +28,15 @@ FOREIGN = (
 
 @dataclass(frozen=True)
 class Margins:
-    """The margins of one scenario; not_judged: sentences on what is missing, and why."""
+    """The margins of one scenario; not_judged: sentences on missing margins, and why.
+
+    linear: the name of the linear loop that leaves out least, and the loop; None if none is known
+    """
 
     scenario: str
     metrics: tuple[Metric, ...]
     not_judged: tuple[str, ...]
+    linear: tuple[str, LinearLoop] | None = None
 
     def document(self) -> dict[str, Any]:
         """Returns the margins for JSON."""
@@ -75,7 +81,11 @@ def judge(
                 metrics += parameter_metrics(runs, parameter, values, progress)
         if design and measured and math.isfinite(design.adaptation_gain):
             metrics += step_metrics(chosen, progress)
-    return Margins(chosen.name, tuple(metrics), tuple(not_judged))
+    linear = None
+    if design:
+        name, (law, plant, _) = list(linear_loops(design).items())[-1]
+        linear = name, loop(law, plant)
+    return Margins(chosen.name, tuple(metrics), tuple(not_judged), linear)
 
 
 def _design(chosen: Scenario, runs: HoldRuns | None) -> Design | None:

@@ -27,11 +27,12 @@ CONDITION, LINEAR = "L1-norm condition", "linear loop"
 _BOOK = "Hovakimyan and Cao (2010)"
 _EXTENDED = "derived in docs/explanation/margins.md; not in the paper"
 _NYQUIST = "frequency response of the linear loop; limit after Hovakimyan and Cao (2010)"
-_OMEGAS = 9  # input gains tried over their box: the norm need not be monotonic in omega
+# input gains tried over their box: the norm need not be monotonic in omega
+_OMEGAS = 9
 
 
 def design_metrics(design: Design, gains: Sequence[float]) -> Iterator[Metric]:
-    """Yields what follows from the design alone; gains: those of the adaptation, for the delay margin."""
+    """Yields the metrics of the design alone; gains: of the adaptation, for the delay margin."""
     yield from norm_metrics(design)
     yield from linear_metrics(design)
     if design.has_gain and design.has_rest:
@@ -86,26 +87,29 @@ def _or_none(function: Callable[..., float], *arguments: Any, **options: Any) ->
 
 def linear_metrics(design: Design) -> Iterator[Metric]:
     """Yields the margins of the loop in the limit of fast adaptation, and at the adaptation gain."""
+    for label, (law, plant, limit) in linear_loops(design).items():
+        yield from _margins(label, law, plant, limit, bool(design.frozen_gains))
+
+
+def linear_loops(design: Design) -> dict[str, tuple[Law, Plant, str]]:
+    """Returns name -> law, plant and assumption of each linear loop; the last one leaves out least."""
     law, true_state = replace(design.law, kappa=math.inf), replace(design.law, kappa=math.inf, observer=None)
     lagging, prompt = design.plant, design.plant.without_lag()
-    limit = "limit of fast adaptation"
-    loops = {"ideal": (true_state, prompt)}
-    if lagging != prompt:
-        loops["thruster lag"] = true_state, lagging
+    limit, has_lag = "limit of fast adaptation", lagging != prompt
+    loops = {"ideal": (true_state, prompt, limit)}
+    if has_lag:
+        loops["thruster lag"] = true_state, lagging, limit
     if law.observer:
-        loops["observer"] = law, prompt
-    if law.observer and lagging != prompt:
-        loops["lag and observer"] = law, lagging
+        loops["observer"] = law, prompt, limit
+    if law.observer and has_lag:
+        loops["lag and observer"] = law, lagging, limit
     if law.observer:
         sampled = replace(law, observer=replace(law.observer, sampled=True))
-        loops["lag and sampled observer" if lagging != prompt else "sampled observer"] = sampled, lagging
-    for label, (chosen, plant) in loops.items():
-        yield from _margins(label, chosen, plant, limit, bool(design.frozen_gains))
+        loops["lag and sampled observer" if has_lag else "sampled observer"] = sampled, lagging, limit
     if design.has_rest:
         at_rest = f"kappa = {design.law.kappa:g} at rest, theta_hat = 0"
-        yield from _margins(
-            "at this adaptation gain", design.law, lagging, at_rest, bool(design.frozen_gains)
-        )
+        loops["at this adaptation gain"] = design.law, lagging, at_rest
+    return loops
 
 
 def gamma_metrics(design: Design, gains: Sequence[float]) -> Iterator[Metric]:
@@ -152,7 +156,7 @@ def step_metrics(chosen: Scenario, progress: Callable[[], object]) -> Iterator[M
     """Yields max |x_tilde| after steps of the reference, for three step sizes, if it is an output."""
     (metric,) = [m for m in chosen.metrics.values() if m.get("reference")][:1] or [{}]
     reference = str(metric.get("reference", ""))
-    if not reference.endswith(".reference"):  # that of L1Controller
+    if not reference.endswith(".reference"):  # of L1Controller, whose prediction errors are outputs
         return
     errors = tuple(reference.removesuffix("reference") + name for name in _ERRORS)
     with Simulator(chosen.system) as simulator:

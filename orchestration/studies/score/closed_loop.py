@@ -42,17 +42,36 @@ RATE, MEASURED_RATE = f"{OWN}measured_depth_rate", f"{PREFIX}measured_depth_rate
 _RATES = {"depth_reference_rate": 1, "depth_reference_acceleration": 2}  # input -> order of the derivative
 TOLD = ("depth_reference", *_RATES, "measured_depth_rate")
 """Inputs of the depth control interface that tell of the reference and of the depth rate."""
-_LOADING = threading.Lock()  # filters of warnings are those of all threads
+_LOADING = threading.Lock()  # all threads share the filters of warnings
 
 
 @dataclass(frozen=True)
 class Controller:
     """A controller to be run.
 
-    fmu: an .fmu, a block or its .py file; parameters: variable -> value, of what is not at its start value
-    mapping: name of the depth control interface -> variable that stands for it
-    reference_rates: whether the derivatives of the reference are connected, where it has inputs for them
-    step: communication step [s] of its runs; 0: that of the protocol's base
+    Parameters
+    ----------
+    name
+        Name of its row in a score.
+    fmu
+        An .fmu, a block or its .py file.
+    reference_rates
+        Whether the derivatives of the reference are connected, where it has inputs for them.
+    title
+        Name in tables and figures; by default `name`.
+    parameters
+        Variable -> value that differs from its start value.
+    mapping
+        Name of the depth control interface -> variable that stands for it.
+    open_inputs
+        Treatment of inputs without a source: "error", or another option of a run.
+    step
+        Communication step [s] of its runs; 0 for the step of the protocol's base.
+
+    Examples
+    --------
+    >>> Controller("mine", "L1DepthController", parameters={"augmentation": "pi"}).variable("depth_reference")
+    'controller.depth_reference'
     """
 
     name: str
@@ -79,7 +98,7 @@ def built_in(protocol: Protocol, name: str) -> Controller:
 
 
 def _designed_for(protocol: Protocol, fmu: str) -> dict[str, FmiValue]:
-    """Returns inertia and damping of another vehicle than that of the base, for a law that assumes them."""
+    """Returns inertia and damping of a vehicle other than the base's, for a law that assumes them."""
     if protocol.vehicle.is_of_base:
         return {}
     known = {variable.name for variable in describe(built(fmu)).modelVariables}
@@ -164,7 +183,7 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
         return result
 
     def results(self, runs: Sequence["ClosedLoopRun"]) -> Iterator[Any]:
-        """Yields what is computed of each run, or a `Failure` with the reason, in the order given."""
+        """Yields the computed result of each run, or a `Failure` with the reason, in the order given."""
         for system, group in groupby(runs, key=lambda run: self.scenario(run.case).system):
             made = list(self._runs(group))
             job = Job(system, made[0].experiment, self.timeout)
@@ -176,7 +195,7 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
             first, *others = group
             experiment = self.experiment(first.case)
             vehicle = self.protocol.vehicle
-            # the limits are those of the run, the force that of the vehicle as controllers are told it
+            # limits change with the run; the force is of the unchanged vehicle, as controllers receive it
             ranges = vehicle.values(experiment.parameters).actuators.ranges
             actuators = replace(vehicle.actuators, ranges=ranges)
             stride = max(1, round(_judged_period(self.protocol.tables.base) / experiment.step_size))
@@ -271,7 +290,7 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
                 inputs[variable] = 0.0
 
     def connected(self) -> list[str]:
-        """Returns what the controller is told of reference and rate, by names of the interface."""
+        """Returns the inputs for reference and rate that are connected, by names of the interface."""
         experiment = self.experiment(self.protocol.nominal)
         connections = self.scenario(self.protocol.nominal).system.connections
         driven = {*experiment.signals, *(target for _, target, *_ in connections)}
@@ -301,9 +320,9 @@ def _judged_period(base: str) -> float:
 
 @cache
 def _base(path: Path, inputs: tuple[str, ...]) -> tuple[Layer, ...]:
-    """Returns the layers of a base, and one with what is recorded for metrics in place of its metrics.
+    """Returns the layers of a base, and one with the signals of the metrics in place of its metrics.
 
-    No controller is told the depth rate of a vehicle that does not measure it.
+    No controller receives the depth rate of a vehicle that does not measure it.
     inputs: of the actuators
     """
     layers = file_layers(path)

@@ -1,7 +1,10 @@
 """Commands score and compare: controllers in every case of the protocol, beside the built-in ones or all."""
 
+import math
 import sys
+from bisect import bisect_right
 from collections.abc import Iterable, Sequence
+from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,6 +26,8 @@ if TYPE_CHECKING:
     from orchestration.studies.score.score_tables import ScoreTable
 
 PANEL = "Controllers compared"
+MOST_LINES = 40  # of a score on a terminal
+_FILE_LINES = 4  # the heading of the files, their two names, and that a controller failed every case
 FullOption = Annotated[
     bool,
     typer.Option(
@@ -77,7 +82,7 @@ def score(
     ] = None,
     workers: WorkersOption = PROCESSORS,
 ) -> None:
-    """Score a controller on the simulated vehicle: terminal tables, score.json and an interactive page.
+    """Score a controller on the simulated vehicle: a summary, score.json and an interactive page.
 
     For example, l1-depth score PidDepthController writes results/score.json and results/score.html.
     """
@@ -150,31 +155,62 @@ def write_score(result: "ScoreResult", on_page: "ScoreResult", file: Path, title
 
 def print_tables(tables: "Iterable[ScoreTable]", document: "Score") -> None:
     """Prints the protocol, tables of a score, and the differences between its controllers, if it has any."""
-    from orchestration.studies.score.score_tables import BEST, FAILED, differences_table, in_parts
+    from orchestration.studies.score.score_tables import MARKS, differences_table, in_parts
 
-    print(f"Protocol {document.protocol.version}, seed {document.seed}. {document.protocol.statement}")
+    print(_protocol(document))
     for table in (*in_parts(tables, shared.console().width), differences_table(document)):
         if table:
             shared.print_table(table)
-    none = "- nothing to measure, such as the delay margin of a loop that is not quiet as it is"
-    print(f"{BEST} the best of a column, {FAILED} a run that failed, {none}")
+    print(MARKS)
     for title, reason in document.protocol.left_out.items():
         print(f"left out: {title}: {reason}")
 
 
 def print_score(document: "Score") -> None:
-    """Prints the tables of a score, why controllers are not ranked, and why runs failed."""
-    from orchestration.studies.score.score_tables import chosen
+    """Prints the summary of a score, why controllers are not ranked and why runs failed.
 
-    keys = ("overview", f"case-{document.nominal}", "metric-rmse", "draws", "plants")
-    print_tables(chosen(document, keys).values(), document)
+    These are at most `MOST_LINES` lines with the names of the files, which `write_score` prints below.
+    """
+    from orchestration.studies.score.score_tables import MARKS, summary
+
+    console = shared.console()
+    with console.capture() as captured:
+        console.print(summary(document, console.width))
+    lines = [_protocol(document), *captured.get().splitlines(), MARKS]
+    room = MOST_LINES - _FILE_LINES - sum(_heights(lines, console.width))
+    lines += _shortened(_reasons(document), room, console.width)
+    print("\n".join([*lines, "Every case and metric:"]), flush=True)
+
+
+def _protocol(document: "Score") -> str:
+    return f"Protocol {document.protocol.version}, seed {document.seed}. {document.protocol.statement}"
+
+
+def _heights(lines: Iterable[str], width: int) -> list[int]:
+    """Returns the number of lines that each takes on a terminal."""
+    return [max(1, math.ceil(len(line) / width)) for line in lines]
+
+
+def _shortened(reasons: list[str], room: int, width: int) -> list[str]:
+    """Returns the reasons that fit, and the number of the others, two or more."""
+    ends = list(accumulate(_heights(reasons, width)))
+    if len(reasons) < 2 or ends[-1] <= room:
+        return reasons
+    count = min(bisect_right(ends, room - 1), len(reasons) - 2)
+    return [*reasons[:count], f"and {len(reasons) - count} more reasons"]
+
+
+def _reasons(document: "Score") -> list[str]:
+    """Returns why scored controllers are not ranked, why their runs failed, and why cases are left out."""
+    reasons: list[str] = []
     for row in document.scored:
-        for reason in row.unranked:
-            print(f"{row.title} is not ranked: {reason}")
+        reasons += [f"{row.title} is not ranked: {reason}" for reason in row.unranked]
         for name, case in row.cases.items():
-            if case.failed:
-                print(f"{row.title}, {document.protocol.cases[name].title}: {', '.join(case.failed)}")
-    sys.stdout.flush()
+            title = document.protocol.cases[name].title
+            failed = [reason for reason in case.failed if f"{title}: {reason}" not in row.unranked]
+            if failed:
+                reasons.append(f"{row.title}, {title}: {', '.join(failed)}")
+    return reasons + [f"left out: {title}: {why}" for title, why in document.protocol.left_out.items()]
 
 
 def chosen_protocol(changes: Changes, file: Path | None = None) -> "Protocol":
@@ -189,7 +225,7 @@ def chosen_protocol(changes: Changes, file: Path | None = None) -> "Protocol":
 
 
 def scored_controllers(names: Sequence[str], no_rates: bool, changes: Changes) -> list["Controller"]:
-    """Returns the FMUs, blocks and Python files of blocks; settings and mapping are those of the only one."""
+    """Returns the FMUs, blocks and Python files of blocks; settings and mapping belong to the only one."""
     from orchestration.studies.score.closed_loop import Controller
 
     replaced = changes.components.keys() - {PLANT}

@@ -25,7 +25,7 @@ def drawn_cases(protocol: Protocol, seed: int) -> list[Case]:
 
 
 def repeated_cases(protocol: Protocol, seed: int, count: int) -> list[list[Case]]:
-    """Returns so many draws of each case; the first are those of `drawn_cases`."""
+    """Returns so many draws of each case; the first equal `drawn_cases`."""
     sources = (np.random.SeedSequence(seed, spawn_key=(0, number)) for number in range(len(protocol.cases)))
     generators = map(np.random.default_rng, sources)
     return [

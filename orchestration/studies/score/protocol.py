@@ -66,7 +66,7 @@ class Case:
     """A run of the vehicle: what differs from the base scenario, and what of it is judged.
 
     layer: as a scenario file gives it; values: parameters and constant inputs laid over it
-    trajectory: [time, depth] of the reference in place of that of the layer; judged: [start, end] in s
+    trajectory: [time, depth] of the reference, over the trajectory of the layer; judged: [start, end] in s
     seed_variable: "plant.variable" of the seed of the sensor's noise, "" if the vehicle has none
     later: how much later [s] its signals and faults come than the layer gives them, of at most latest
     """
@@ -125,7 +125,7 @@ class Protocol:
 
     @cached_property
     def inertia_ratio(self) -> float:
-        """The inertia of the vehicle by that of the base's; 1 if its description names none."""
+        """The inertia relative to the vehicle of the base; 1 if the description names no inertia."""
         inertia, ours = (v.values().heave[0] for v in (self.vehicle, Vehicle.of_base(self.tables.base)))
         return inertia / ours if inertia and ours else 1.0
 
@@ -265,7 +265,7 @@ def first_target(points: Iterable[Sequence[float]]) -> Target:
 def read_protocol(path: Path = FILE, vehicle: Vehicle | None = None) -> Protocol:
     """Returns the protocol of a file, by default the one that ships; ScenarioError names file and line.
 
-    vehicle: in place of that of its base
+    vehicle: in place of the vehicle of its base
     """
     return _protocol_of(read_toml(path), vehicle)
 
@@ -302,7 +302,7 @@ def _check_name(file: TomlFile, keys: KeyPath, name: str, known: Collection[str]
 def check_vehicle(protocol: Protocol) -> None:
     """Refuses a case, a disturbance or a plant that names a variable which the vehicle does not have.
 
-    A case of another vehicle than that of the base is left out instead.
+    Such a case is left out instead if the vehicle is not the vehicle of the base.
     """
     vehicle, tables = protocol.vehicle, protocol.tables
     changes: list[tuple[TomlFile, KeyPath, ChangesTable]] = [

@@ -96,7 +96,7 @@ class CostTable(Table):
 
 
 def _distribution(**also: Any) -> OneOf:
-    """Returns the tables of a distribution of numbers, by its name, with entries besides its arguments."""
+    """Returns the tables of a distribution of numbers, by its name, with entries beyond its arguments."""
     laws = {name: law for name, law in FUNCTIONS.items() if name not in ("seed", "choice")}
     key = "distribution"
     return OneOf(key, {name: table_of(key, name, law, also=also) for name, law in laws.items()})

@@ -75,14 +75,14 @@ def metrics_of(signals: Recording, metrics: Mapping[str, Mapping[str, Any] | Non
 def traced_metrics(
     signals: Recording, metrics: Mapping[str, Mapping[str, Any] | None], traced: bool
 ) -> tuple[dict[str, float], Trace]:
-    """Returns the metrics of a run, and what is drawn of it where it is traced."""
+    """Returns the metrics of a run, and its trace if it is traced."""
     stride = max(1, round(_TRACE_PERIOD_S / (signals.time[1] - signals.time[0])))
     columns = {name: signals[name][::stride] for name in ("time", *_TRACED)} if traced else {}
     return metrics_of(signals, metrics), {n: np.round(column, 5).tolist() for n, column in columns.items()}
 
 
 def failures(metrics: Mapping[str, float], protocol: Protocol) -> list[str]:
-    """Returns why a run failed: what did not happen, and what is above its limit; empty if it did not."""
+    """Returns why a run failed: not settled, or a metric above its limit; empty if it did not."""
     reasons = ["not settled"] if math.isnan(metrics.get("settling_time", 0.0)) else []
     for name, limit in protocol.tables.failure.items():
         if metrics.get(name, 0.0) > limit:

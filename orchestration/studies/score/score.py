@@ -1,10 +1,7 @@
-"""The score of controllers in every case of the protocol, beside those that it has, and their comparison.
-
-result = score_controllers([Controller("mine", "my.fmu")])
-result.document.scored[0].cases["nominal"].metrics["rmse"]
+"""The score of controllers in every case of the protocol, beside its own controllers, and their comparison.
 
 Rows of the comparison: "start/l1" has the start values of its FMU, which for L1 are the gains identified from
-the paper; "tuned/l1" has those of gains/l1.toml.
+the paper; "tuned/l1" has the gains of gains/l1.toml.
 """
 
 import secrets
@@ -35,7 +32,7 @@ from orchestration.system.prepared_run import prepare
 
 @dataclass(frozen=True)
 class ScoreResult:
-    """The document of a score, and what is drawn: row and case -> the trace of that run."""
+    """The document of a score, and the traces that are drawn: row and case -> trace of the run."""
 
     document: Score
     traces: Mapping[str, Mapping[str, Trace]]
@@ -54,19 +51,50 @@ def score_controllers(
 ) -> ScoreResult:
     """Runs every case, with `full` every plant too, and compares with the controllers of the protocol.
 
-    beside: the other controllers, by default those of the protocol, tuned, if their gains fit the vehicle
-    seed: what the seeds and times of the cases and the plants follow from, by default one that is drawn
-    timeout: longest time [s] of a run, by default that of the protocol
-    progress: called with how many more runs are done, of `run_count`
-    Each controller runs in a process of its own. One that fails, hangs or crashes has its row with the
-    reason; one that does not fit the vehicle raises OrchestrationError before anything runs.
+    Each controller runs in a separate process. One that fails, hangs or crashes has its row with the reason.
+
+    Parameters
+    ----------
+    controllers
+        The controllers to score.
+    protocol
+        Cases, metrics and vehicle; by default the protocol that ships.
+    beside
+        The other controllers, by default the tuned ones of the protocol, if their gains fit the vehicle.
+    full
+        Whether to run the plants and the draws of each case.
+    seed
+        Determines the seeds and times of the cases and the plants; by default random.
+    timeout
+        Longest time [s] of a run, by default the limit of the protocol.
+    workers
+        Number of controllers that run side by side.
+    progress
+        Called with the number of newly finished runs, `run_count` in total.
+
+    Returns
+    -------
+    ScoreResult
+        The document of score.json, and the traces that the page draws.
+
+    Raises
+    ------
+    OrchestrationError
+        For a controller that does not fit the vehicle, before anything runs.
+
+    Examples
+    --------
+    >>> mine = Controller("mine", "L1DepthController", parameters={"augmentation": "pi"})
+    >>> (row,) = score_controllers([mine], beside=[]).document.rows
+    >>> rmse = row.cases["nominal"].metrics["rmse"]  # cm
     """
     protocol = protocol or read_protocol()
     if timeout is not None and not timeout > 0.0:
         raise ScenarioError(f"timeout {timeout!r} s: expected more than 0")
     for controller in controllers:
         if controller.fmu.endswith(".py"):
-            fmu_file(controller.fmu)  # refuses one without a block before the FMUs of others are built
+            # refuses a file without a block before the FMUs of others are built
+            fmu_file(controller.fmu)
     if beside is None:
         beside = [tuned(protocol, name) for name in protocol.controllers if protocol.scales_gains]
     renamed = _with_other_names(controllers, beside)
@@ -85,7 +113,7 @@ def score_controllers(
 
 
 def run_count(controllers: int, protocol: Protocol, full: bool) -> int:
-    """Returns the number of runs of a score of so many controllers beside those of the protocol."""
+    """Returns the number of runs of a score with this number of controllers and the protocol's."""
     full_runs = protocol.tables.plants.count + sum(map(len, repeated(protocol, 0).values()))
     beside = len(protocol.controllers) if protocol.scales_gains else 0
     return (controllers + beside) * (len(protocol.cases) + full * full_runs)
@@ -112,7 +140,8 @@ def _rows(
     """Returns the rows of the scored controllers, then of those beside them, and their traces."""
     nominal, makers = scoring.protocol.nominal, list[tuple[ClosedLoop, LimitedRuns]]()
     for fmu in (fmu for case in scoring.cases for fmu in case.layer.get("components", {}).values()):
-        built(fmu)  # before there are threads: a block is traced by one alone
+        # before there are threads: only one thread may trace a block
+        built(fmu)
     for controller in (*scored, *beside):
         limited = LimitedRuns(LocalRuns(1, isolate=True))
         loop = ClosedLoop(controller, scoring.protocol, limited, timeout)
@@ -122,7 +151,8 @@ def _rows(
         pool = stack.enter_context(ThreadPoolExecutor(workers))
         for _, limited in makers:
             stack.callback(limited.local.close)
-        stack.callback(pool.shutdown, wait=False, cancel_futures=True)  # first: no thread takes another row
+        # registered last, so that it runs first: no thread begins another row
+        stack.callback(pool.shutdown, wait=False, cancel_futures=True)
         futures = [pool.submit(scoring.row, *maker, i < len(scored)) for i, maker in enumerate(makers)]
         return [future.result() for future in futures]
 

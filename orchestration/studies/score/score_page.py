@@ -15,7 +15,8 @@ from orchestration.studies.score.score_tables import all_tables
 _TEMPLATE = Path(__file__).parent / "files" / "score.html"
 _SCRIPTS = ("points.js", "tables.js", "score.js")
 _LINES = ("depth", "u")
-_SCALE = 1e4  # whole numbers compress to a quarter of the room
+# whole numbers compress to a quarter of the size
+_SCALE = 1e4
 
 
 def score_page(result: ScoreResult, title: str) -> str:
@@ -33,7 +34,7 @@ def score_page(result: ScoreResult, title: str) -> str:
 
 
 def _data(result: ScoreResult) -> dict[str, Any]:
-    """Returns what the scripts draw."""
+    """Returns the data that the scripts draw."""
     score = result.document
     document = score.model_dump(mode="json", include={"protocol", "rows"})
     for row in document["rows"]:
@@ -50,7 +51,7 @@ def _data(result: ScoreResult) -> dict[str, Any]:
 
 
 def preselected(score: Score) -> list[str]:
-    """Returns the names of the rows that are drawn at first: what was scored, and three others.
+    """Returns the names of the rows that are drawn at first: the scored rows, and three others.
 
     Of those that are ranked: the least RMSE, the least total variation and the longest delay margin in the
     nominal case.

@@ -1,4 +1,4 @@
-"""The row of one controller: every case, what is measured of it once, and every plant."""
+"""The result row of one controller: all cases, one-off measurements, all sampled plants."""
 
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -39,7 +39,7 @@ _REPETITIONS = 3
 _TIMED_RUN = 10.0  # timeouts for a run that is timed, which has more steps than a case
 Progress = Callable[[int], object]
 RowTraces = tuple[Row, dict[str, Trace]]
-"""A row, and what is drawn of its runs by case."""
+"""A row, and the traces of its runs by case."""
 
 
 class LimitedRuns:
@@ -148,7 +148,7 @@ class Scoring:
     def _judged(
         self, loop: ClosedLoop, cases: Sequence[Case], names: Collection[str] = (), traced: bool = False
     ) -> Iterator[tuple[CaseResult, Trace]]:
-        """Yields the result of each case, or the reason why there is none, and what is drawn of it."""
+        """Yields the result of each case, or the reason why it is missing, and its trace."""
         metrics = (declared(case, self.protocol, names) for case in cases)
         compute = (partial(traced_metrics, metrics=of_case, traced=traced) for of_case in metrics)
         for result in loop.results([ClosedLoopRun(*pair) for pair in zip(cases, compute, strict=True)]):

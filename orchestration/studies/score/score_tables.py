@@ -17,8 +17,13 @@ from orchestration.studies.score.protocol_format import COMPARED
 from orchestration.studies.score.score_document import OF_A_ROW, CaseResult, MetricInfo, Row, Score
 
 BEST, FAILED = "*", "!"
+MARKS = (
+    f"{BEST} the best of a column, {FAILED} a run that failed, - nothing to measure, such as the delay "
+    "margin of a loop that is not quiet as it is"
+)
 _COLUMN_WIDTH = 13  # with its padding and its edge
 _PADDING = 3
+_MOST_ROWS = 20  # in a summary, the scored controllers first
 _TEXTS = 3  # first columns of the differences
 _OVERVIEW = ("rmse", "total_variation")
 _FACTORS = (1.1, 2.0)  # of the least RMSE: as good but for little, and not out of the question
@@ -36,7 +41,7 @@ _STATISTICS = {
 
 @dataclass(frozen=True)
 class Cell:
-    """A number, not a number where there is none; failed: why the run counts as failed."""
+    """A value, NaN if missing, and the reasons why its run failed."""
 
     value: float
     failed: tuple[str, ...] = ()
@@ -67,7 +72,7 @@ class ScoreTable:
 
 
 def all_tables(score: Score) -> dict[str, dict[str, ScoreTable]]:
-    """Returns every table by its key, in groups by their headings; without those of --full if it was not."""
+    """Returns every table by its key, in groups by their headings; tables of --full only for such a score."""
     groups = {
         "Means over the cases": {"overview": overview(score)},
         "A case": {f"case-{case}": of_case(score, case) for case in score.protocol.cases},
@@ -109,14 +114,15 @@ def overview(score: Score) -> ScoreTable:
     if others:
         columns.append(_failed(score, others, "others"))
     columns += _of_the_row(score)
-    if any(math.isfinite(row.step) for row in score.rows):  # earlier scores do not have it
+    # earlier versions of score.json have no step
+    if any(math.isfinite(row.step) for row in score.rows):
         steps = [Cell(1e3 * row.step) for row in score.rows]
         columns.append(_column(score, _STEP, steps, has_best=False))
     return ScoreTable("Summary of the cases", score.rows, columns)
 
 
 def of_case(score: Score, case: str) -> ScoreTable:
-    """Returns every metric of one case; in the nominal case also those of the row."""
+    """Returns every metric of one case; in the nominal case also the metrics of the row."""
     metrics = score.protocol.metrics
     columns = [_of_case(score, name, case) for name in metrics if name not in OF_A_ROW]
     of_the_row = _of_the_row(score) if case == score.nominal else []
@@ -133,7 +139,7 @@ def of_metric(score: Score, name: str) -> ScoreTable:
 
 
 def over_plants(score: Score) -> ScoreTable | None:
-    """Statistics over the plants; None if there are none."""
+    """Returns statistics over the plants; None for a score without plants."""
     plants = [row.plants for row in score.rows if row.plants]
     if not plants or len(plants) < len(score.rows):
         return None
@@ -171,7 +177,7 @@ def over_draws(score: Score) -> ScoreTable | None:
 
 
 def _of_the_row(score: Score) -> list[Column]:
-    """Returns the metrics that a row has once, which count as those of its nominal run."""
+    """Returns the metrics that a row has once; they count as metrics of its nominal run."""
     failed = [_cell(row, "", score.nominal).failed for row in score.rows]
     return [
         _column(
@@ -252,6 +258,29 @@ def _column(
         replace(c, is_best=is_ranked and c.value == best) for c, is_ranked in zip(cells, ranked, strict=True)
     ]
     return Column(**{**info.model_dump(), **changes}, cells=marked)
+
+
+def summary(score: Score, width: int) -> Table:
+    """Returns the most important numbers of a score, as many columns as a terminal of this width shows."""
+    cases = score.protocol.cases
+    distinct = [name for name, case in cases.items() if not (case.tuned_on or case.repeats_nominal)]
+    plants = over_plants(score)
+    margin, *_ = _of_the_row(score)
+    columns = [
+        _of_case(score, "rmse", score.nominal, title="RMSE, nominal"),
+        _failed(score, list(cases), "cases"),
+        margin,
+        *([plants.columns[0].model_copy(update={"title": "Failed plants"})] if plants else []),
+        *(list(_profiles(score, distinct))[1:] if distinct else []),
+        _of_case(score, "total_variation", score.nominal, title="Total variation, nominal"),
+        *overview(score).columns,
+    ]
+    left = len(score.rows) - _MOST_ROWS
+    count = _MOST_ROWS if left > 1 else len(score.rows)
+    shown = [column.model_copy(update={"cells": column.cells[:count]}) for column in columns]
+    table = next(_parts(ScoreTable("Summary of the cases", score.rows[:count], shown), width))
+    table.caption = f"and {left} more controllers" if left > 1 else None
+    return table
 
 
 def in_parts(tables: Iterable[ScoreTable], width: int) -> list[Table]:

@@ -1,7 +1,7 @@
 """Tuning: one optimiser, the same number of evaluations for each free gain, several seeds, for every law.
 
 The searches of all seeds go on together, a generation of each at a time, so that several processes have work.
-A last search of as many evaluations begins at the best gains of them all: what it gains shows whether the
+A last search of as many evaluations begins at the best gains of them all: its improvement shows whether the
 cost is flat there. While it is not, another one begins where that ended.
 
 Source: Hansen, "The CMA evolution strategy: a tutorial" (arXiv 1604.00772), as the library `cmaes` has it;
@@ -29,13 +29,16 @@ from orchestration.errors import OrchestrationError
 from orchestration.many.journal import Journal
 from orchestration.scenarios.free_parameter import FreeParameter, check_once
 
-REFINEMENTS = (0, 1001, 1002, 1003)  # the seeds of the last searches
-LAST_PART = 0.5  # of the evaluations of a last search: what they still gain shows whether the cost is flat
+# the seeds of the last searches, apart from the seeds of the first ones, which count from 1
+REFINEMENTS = (0, 1001, 1002, 1003)
+# of the evaluations of a last search: their improvement shows whether the cost is flat
+LAST_PART = 0.5
 LARGEST_IMPROVEMENT = 0.02  # of the cost, in the last part
 LARGEST_SPREAD = 0.05  # of the lowest cost: where most of the seeds come so near to it, they agree
 _BEGIN = (0.25, 0.75)  # of the unit cube: the first mean of a search is drawn from there
 _STEP = 0.25  # first standard deviation: half of the range lies within one of the mean
-_FINE_STEP = 0.05  # that of a search which begins at gains that another one has found
+# first standard deviation of a search that begins at the best gains: a larger one would leave them
+_FINE_STEP = 0.05
 
 Evaluate = Callable[[Sequence[dict[str, float]]], Iterable[Mapping[str, Any]]]
 """Several {gain: value} -> in their order {"cost": a finite number, and what else is of interest}."""
@@ -46,7 +49,7 @@ class Problem:
     """The problem of a tuning.
 
     gains: those that are free
-    tuned: plain data that says what the cost depends on; a journal of something else is refused
+    tuned: plain data that the cost depends on; a journal with other data is refused
     """
 
     gains: tuple[FreeParameter, ...]
@@ -108,7 +111,7 @@ class Tuning:
 
     @property
     def fewest(self) -> int:
-        """The evaluations of a search from which its end can show something: those of two generations."""
+        """The fewest evaluations after which the end of a search is evidence: two generations."""
         return 2 * _generation(len(self.problem.gains))
 
     @property
@@ -138,7 +141,7 @@ def tune(
 ) -> Tuning:
     """Searches the gains of least cost; the same seeds give the same gains, interrupted or not.
 
-    path: of the journal, which holds what is done; restart: discard it first
+    path: of the journal with the finished evaluations; restart: discard it first
     progress: called with how many more evaluations are done, and the lowest cost until then
     """
     evaluations = evaluations_per_gain * len(problem.gains)
@@ -224,7 +227,7 @@ class SeedSearch:
 
     The same seed and the same costs give the same gains, so that a search continues from its costs alone.
     start: the gains that it begins at, in small steps; by default it begins anywhere
-    cost: what it makes small, of a row
+    cost: of a row, which the search minimises
     """
 
     def __init__(
@@ -245,7 +248,8 @@ class SeedSearch:
 
     def _begin(self, population: int) -> None:
         cmaes = require("cmaes", "study", "tuning")
-        size = max(len(self._gains), 2)  # CMA-ES adapts a covariance: one gain gets a second coordinate
+        # CMA-ES adapts a covariance: one gain gets a second coordinate
+        size = max(len(self._gains), 2)
         anywhere = self._random.uniform(*_BEGIN, size)
         self._strategy = cmaes.CMA(
             mean=anywhere if self._start is None else np.array([*self._start, 0.5])[:size],
@@ -271,7 +275,8 @@ class SeedSearch:
             return
         costs = [self._cost(row) for row in self.rows[-len(self._points) :]]
         self._strategy.tell(list(zip(self._points, costs, strict=True)))
-        if self._strategy.should_stop():  # converged: what is left of the evaluations looks elsewhere
+        # converged: the remaining evaluations search elsewhere
+        if self._strategy.should_stop():
             self._begin(2 * self._strategy.population_size)
 
     def result(self) -> SearchResult:

@@ -125,7 +125,7 @@ def _controller(
     changes: Changes,
     protocol: "Protocol",
 ) -> "Controller":
-    """Returns the controller of the protocol, or of an FMU, with what the options change."""
+    """Returns the controller of the protocol, or of an FMU, with the changes of the options."""
     from orchestration.studies.score.closed_loop import built_in
 
     known = [*protocol.controllers, *block_names()]

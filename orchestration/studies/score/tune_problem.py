@@ -118,7 +118,7 @@ def halved(controller: Controller, protocol: Protocol) -> Controller:
 def change_at_half_the_step(gains: Gains, controller: Controller, protocol: Protocol) -> float:
     """Returns the relative change of the error of gains when the communication step is halved.
 
-    Not that of the cost: the best gains keep their bounds just so, and what is beyond one costs much.
+    The cost would mislead: the best gains only just keep their bounds, and a value beyond one costs much.
     """
     with (
         ClosedLoop(controller, protocol) as coarse,
@@ -163,7 +163,7 @@ def evaluations(
 
 
 def costs(loop: ClosedLoop, gains: Sequence[Gains], every_seed: bool = False) -> Iterator[dict[str, Any]]:
-    """Yields the cost of gains over those of the controller, with the mean metrics of each case.
+    """Yields the cost of gains, laid over the gains of the controller, with the mean metrics of each case.
 
     every_seed: each case with every practice seed, not with one
     """
@@ -237,7 +237,7 @@ def practice_cases(protocol: Protocol, every_seed: bool = False) -> list[Case]:
 
 
 def run_cost(metrics: Metrics, objective: str, bounds: Mapping[str, float]) -> float:
-    """Returns the cost of one run: its objective, and what its metrics are beyond their bounds.
+    """Returns the cost of one run: its objective, and the excess of its metrics over their bounds.
 
     A bound on a metric that is not a number does not apply: there is no overshoot where nothing moves.
     """
@@ -275,7 +275,7 @@ def _mean(runs: Sequence[Metrics]) -> dict[str, float]:
 
 
 def provenance(tuning: Tuning, controller: Controller, protocol: Protocol) -> dict[str, Any]:
-    """Returns what the file of a tuning has of the controller, the protocol and the cost.
+    """Returns the entries of a tuning's file on the controller, the protocol and the cost.
 
     Raises OrchestrationError if every evaluation failed: then there are no gains to write.
     """

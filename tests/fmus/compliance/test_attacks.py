@@ -18,6 +18,7 @@ import pytest
 from fmus.compliance.check import main
 from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.rule import messages_of
 from fmus.errors import HostError
 from tests.described_fmus import XML, members
 from tests.mutants.mutant import broken_rules as static_rules
@@ -147,6 +148,7 @@ def test_findings_are_as_many_as_somebody_may_read(built: Fmus, tmp_path: Path) 
     broken = static_rules(write(members(built[NAME]) | stray, tmp_path / "stray.fmu"))
     assert len(broken["archive-layout"]) == 101
     assert broken["archive-layout"][-1] == "200 more of this kind"
+    assert messages_of(map(str, range(101)))[-1] == "100"  # a number would hide one message alone
 
 
 def test_a_library_outside_the_archive_is_not_loaded(built: Fmus, tmp_path: Path) -> None:

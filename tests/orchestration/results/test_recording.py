@@ -262,8 +262,8 @@ def test_text_shows_what_is_not_finite_counts_many_signals_and_needs_no_points()
     run = recording(1)
     run.values[1, 0] = np.nan
     assert repr(run).splitlines()[-1].split() == ["a.x[0]", "m/s", "nan", "nan", "1"]
-    assert repr(recording(31)).splitlines()[-1] == "and 1 more signal"
-    assert "more" not in repr(recording(30))
+    assert repr(recording(32)).splitlines()[-1] == "and 2 more signals"
+    assert repr(recording(31)).splitlines()[-1].split()[0] == "a.x[30]"  # a number would hide one alone
     assert repr(recording(1, 0)).splitlines()[0] == "Recording of 1 signal at 0 points"
     assert recording(1, 0)._repr_html_()
 

@@ -24,7 +24,8 @@ def test_every_figure_has_its_unit_its_assumption_and_its_source(
     """What a group assumes is printed once, and each part of the rest with its number."""
     short_scenario()
     done = command("margins", "short.toml", *HOLD, "--over", "controller.adaptation_gain=100", "--out", "out")
-    assert done.stdout.splitlines()[-1] == "out/margins.json"
+    assert done.stdout.splitlines()[-2:] == ["out/margins.png", "out/margins.json"]
+    assert (tmp_path / "out" / "margins.png").read_bytes().startswith(b"\x89PNG")
     figures = written(tmp_path / "out")
     assert {figure["group"] for figure in figures.values()} == {
         "L1-norm condition", "linear loop", "through the FMUs", "prediction error",
@@ -71,6 +72,7 @@ def test_a_foreign_controller_is_judged_by_runs_alone_and_told_why(
     foreign = ("--controller", "PidDepthController", "--over", "controller.model_damping=2")
     done = command("margins", "short.toml", *foreign, *HOLD, "--out", "out")
     assert {figure["group"] for figure in written(tmp_path / "out").values()} == {"through the FMUs"}
+    assert not (tmp_path / "out" / "margins.png").exists()  # no linear loop is known
     assert "not judged: they follow from the equations of a law" in done.stdout
 
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 from controller_fmu.design import FilterOrder
 from orchestration.studies.margins.l1_loop import Law, Observer, Plant, loop
 from orchestration.studies.margins.linear_margins import Equation, LinearLoop, LinearMargins, margins
+from orchestration.studies.margins.margins_figure import margins_figure
 
 M, D, K_1, K_2, W, K_P, K_I, LAG = 5.5, 2.5, 1.895, 20.23, 0.3017, 3.967, 0.00499, 0.05
 A_M = ((0.0, 1.0), (-K_1 / M, -(D + K_2) / M))
@@ -208,3 +210,43 @@ def test_the_fast_loop_of_the_example_bears_less_delay_than_its_limit() -> None:
     assert limit == pytest.approx(0.0100, abs=5e-5)
     assert margins(loop(replace(law, kappa=1e6), plant)).delay < 1e-4
     assert margins(loop(replace(law, kappa=1e8), plant)).delay == pytest.approx(limit, rel=1e-3)
+
+
+def test_the_diagrams_mark_the_margins_on_the_frequency_response() -> None:
+    """The crossover is on the unit circle, gain margins on the real axis."""
+    lagging = loop(replace(LAW, observer=OBSERVER, kappa=3000.0), LAGGING)
+    known = margins(lagging)
+    figure = margins_figure("a loop", "lag and observer", lagging)
+    panels: list[Any] = figure.axes
+    assert [axis.get_label_text() for panel in panels for axis in (panel.xaxis, panel.yaxis)] == [
+        "",
+        "Gain [dB]",
+        "Real part [1]",
+        "Imaginary part [1]",
+        "Frequency [rad/s]",
+        "Phase [deg]",
+    ]
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels[1].startswith(f"delay margin {known.delay:.4g} s, phase margin ")
+    assert labels[2].startswith(f"largest gain {known.high_gain:.4g} at ")
+    assert labels[3].startswith(f"smallest gain {known.low_gain:.4g} at ")
+    gains, values, phases = (
+        [tuple(line.get_xydata()[0]) for line in panel.lines if line.get_marker() in "o^v"]
+        for panel in panels
+    )
+    (crossover, unity), (_, high), (_, low) = gains
+    # of roots by brentq, whose tolerance is 2e-12 rad/s
+    assert unity == pytest.approx(0.0, abs=1e-9)
+    assert high == pytest.approx(-20.0 * math.log10(known.high_gain), abs=1e-9)
+    assert low == pytest.approx(-20.0 * math.log10(known.low_gain), abs=1e-9)
+    # a phase in radians is frequency times delay; the line is interpolated between 2,000 frequencies
+    margin = math.degrees(crossover * known.delay)
+    assert [angle for _, angle in phases] == pytest.approx([margin - 180.0, -180.0, -180.0], abs=0.01)
+    assert complex(*values[0]) == pytest.approx(-np.exp(1j * math.radians(margin)), abs=1e-9)
+    assert complex(*values[1]) == pytest.approx(-1.0 / known.high_gain, abs=1e-9)
+
+
+def test_an_unstable_loop_and_one_without_gain_margins_are_drawn_without_their_marks() -> None:
+    for gain, marks in ((-1.0, 1), (4.0, 2)):  # with the critical point
+        (legend,) = margins_figure("a loop", "ideal", integrator(gain)).legends
+        assert len(legend.get_texts()) == marks

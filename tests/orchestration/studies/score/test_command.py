@@ -11,6 +11,8 @@ import pytest
 import tomli_w
 from rich.console import Console
 
+from orchestration.cli import shared
+from orchestration.studies.score import command as score_command
 from orchestration.studies.score import score, score_rows
 from orchestration.studies.score.protocol import read_protocol
 from orchestration.studies.score.score import ScoreResult
@@ -52,7 +54,7 @@ def test_score_prints_tables_and_writes_a_document_and_a_page(
     options = ("--set", "controller.augmentation=pi", "--protocol", protocol_file)
     text = command("score", "L1DepthController", *options).stdout
     assert re.match(r"Protocol of a test, seed \d+\. The vehicle is simulated;", text)
-    assert "Nominal" in text
+    assert text.splitlines()[-3:] == ["Every case and metric:", "results/score.json", "results/score.html"]
     document = json.loads((tmp_path / "results" / "score.json").read_text(encoding="utf-8"))
     assert document["protocol"]["version"] == "of a test"
     (row,) = document["rows"]
@@ -151,6 +153,40 @@ def test_no_word_of_a_score_is_cut_on_a_terminal(width: int) -> None:
         with terminal.capture() as captured:
             terminal.print(table)
         assert "\N{HORIZONTAL ELLIPSIS}" not in captured.get()
+
+
+@pytest.mark.parametrize("failed", [0, 8, 9, 10, 20])
+@pytest.mark.parametrize("width", [80, 130])
+@pytest.mark.parametrize("controllers", [17, 34])
+def test_a_score_takes_at_most_40_lines_and_no_number_hides_one_reason(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    controllers: int,
+    width: int,
+    failed: int,
+) -> None:
+    """The rows of a comparison, with as many failed cases of the controller that is scored."""
+    document = Score.model_validate_json(COMPARISON.read_text(encoding="utf-8"))
+    del document.rows[controllers:]
+    scored = document.rows[0]
+    scored.scored, scored.unranked = True, []
+    for number, (name, case) in enumerate(scored.cases.items()):
+        case.failed = [f"late in {name}"] if number < failed else []
+    monkeypatch.setattr(shared, "console", lambda: Console(width=width))
+    score_command.print_score(document)
+    lines = [
+        line[i : i + width]
+        for line in capsys.readouterr().out.splitlines()
+        for i in range(0, max(len(line), 1), width)
+    ]
+    assert len(lines) <= 40 - len(("score.json", "score.html", "failed every case"))
+    text = "\n".join(lines)
+    shown = text.count("late in ")
+    hidden = re.search(r"and (\d+) more reasons", text)
+    assert shown + int(hidden[1] if hidden else 0) == failed
+    assert hidden is None or int(hidden[1]) > 1
+    more = re.search(r"and (\d+) more controllers", text)
+    assert (more is None) == (controllers == 17)
 
 
 @pytest.mark.slow
