@@ -216,8 +216,12 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
         (lambda v, _: v.causality not in ("local", "output"),
          "{name} is a continuous-time state and {causality}: expected local or output")),
     row("alias-units", _alias_sets,
-        (lambda alias, _: _several(v.get("unit") for v in alias.members),
+        (lambda alias, _: _several(v.get("unit") for v in alias.members if v.get("unit")),
          "{names}: expected one unit, got {value}")),
+    row("alias-units-are-complete", _alias_sets,
+        (lambda alias, _: len({v.get("unit") for v in alias.members} - {None}) == 1
+         and _several(v.get("unit") for v in alias.members),
+         "{names}: expected the unit for all or for none, got {value}")),
     row("alias-settable-once", _set_twice,
         (anything, "{names}: expected at most one that can be set or is independent")),
     row("alias-constants", lambda fmu: [alias for alias in _alias_sets(fmu) if _constants(alias)],
