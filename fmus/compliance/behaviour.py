@@ -12,7 +12,7 @@ from pathlib import Path
 from fmus.compliance.findings import counted
 from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE, ONLY_ONCE, BrokenMemberError, FmuFile
 from fmus.compliance.fmu_process import START_S
-from fmus.compliance.probe import NO_INSTANCE, Probe, Shared
+from fmus.compliance.probe import NO_INSTANCE, Probe, Shared, lacks_licence
 from fmus.compliance.rule import (
     CANNOT_LOAD,
     IS_BROKEN,
@@ -344,8 +344,9 @@ def _breach(result: Result) -> str:
     """Returns the reason why what needs a rule is not judged: it is broken, or is not judged itself."""
     if result.messages:
         return f"{result.rule.name}{IS_BROKEN}"
-    is_of_all = result.not_judged.startswith(CANNOT_LOAD) or result.not_judged.endswith((IS_BROKEN, RANDOM))
-    return result.not_judged if is_of_all else ""
+    reason = result.not_judged
+    is_of_all = reason.startswith(CANNOT_LOAD) or reason.endswith((IS_BROKEN, RANDOM))
+    return reason if is_of_all or lacks_licence(reason) else ""
 
 
 def _temporary_folder() -> tempfile.TemporaryDirectory[str]:

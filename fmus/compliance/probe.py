@@ -142,7 +142,7 @@ class Probe:
                 answers += self.process.calls([call for *_, call in turns[len(answers) :]])
         for (script, part, (method, *_)), answer in zip(turns, answers, strict=True):
             if method == "create" and not answer[0]:
-                raise _refused([Message(*message) for message in answer[1]])
+                raise refusal([Message(*message) for message in answer[1]])
             script.take(method, part, answer)
         all_scripts = [script for scripts in groups for script in scripts]
         for script in all_scripts:
@@ -156,10 +156,12 @@ class Probe:
         self.shared.failing[reply.function, reply.state] = rule
 
     def _judge_failure(self, script: Script, failure: Reply) -> None:
-        """Raises NotJudgedError for a call that is known to fail, which the rule of it has told, and for a
-        step that the FMU may refuse: it refuses those of the usual size, discards one of them, or is used
-        beyond the stop time of its default experiment.
+        """Raises NotJudgedError for a call that fails for a licence or is known to fail, and for a step that
+        the FMU may refuse: it refuses those of the usual size, discards one of them, or is used beyond the
+        stop time of its default experiment.
         """
+        if lacks_licence(failure.logged):
+            raise NotJudgedError(failure.problem)
         if rule := self.shared.failing.get((failure.function, failure.state)):
             raise NotJudgedError(f"{failure.function} fails, which {rule} tells")
         if failure.is_step:
@@ -235,15 +237,17 @@ class Probe:
         return [v for v in self.fmu.variables if v.causality == "output"]
 
 
-def _refused(messages: Sequence[Message]) -> Exception:
-    """Returns the error of an FMU that returns no instance; what lacks a licence now is not judged."""
-    text = refusal(messages)
-    return NotJudgedError(text) if _LICENCE.search(text) else CallError(text)
+def lacks_licence(text: str) -> bool:
+    """Whether a text speaks of a licence: a call that fails for one says nothing about the FMU's code."""
+    return _LICENCE.search(text) is not None
 
 
-def refusal(messages: Sequence[Message]) -> str:
-    """Returns the reason why fmi2Instantiate returned NULL, in the FMU's own words."""
+def refusal(messages: Sequence[Message]) -> Exception:
+    """Returns the error of fmi2Instantiate that returned NULL, with the FMU's messages; NotJudgedError if it
+    lacks a licence.
+    """
     text = "; ".join(filter(None, (message.text.strip() for message in messages)))
     cause = "the GUID of the library is another one" if "guid" in text.lower() else ""
     logged = f"the FMU logged: {text}" if text else "it logged nothing"
-    return "; ".join(filter(None, [f"{NO_INSTANCE}: expected an instance", cause, logged]))
+    reason = "; ".join(filter(None, [f"{NO_INSTANCE}: expected an instance", cause, logged]))
+    return NotJudgedError(reason) if lacks_licence(text) else CallError(reason)

@@ -247,6 +247,10 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
         refuse_instance(functions, name, "this process had its instance");
         return NULL;
     }
+    if (IS("no licence") || (IS("licences for 22 instances") && created++ > 22)) {
+        refuse_instance(functions, name, "The license file was not found");
+        return NULL;
+    }
     if (IS("no second life") && instances++) return NULL;
     if (IS("no instance after many others") && created++ > 22) return NULL;
     if (IS("an instance after others crashes") && instances++ > 15) abort();
@@ -334,6 +338,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2R
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
     Slave *s = c;
     NEEDS(INSTANTIATED);
+    if (IS("no licence to initialise")) return error(s, "the licence server does not answer");
     if (IS("initialising again leaks") && s->resets) s->callbacks.allocateMemory(1, 64);
     if (IS("another start value")) s->data.real[RATE] *= 1.5;
     if (IS("values set when instantiated are lost")) s->data.real[GAIN] = 2;

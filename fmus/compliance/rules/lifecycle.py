@@ -52,13 +52,12 @@ def is_of_the_machine(fmu: FmuFile, message: str) -> bool:
 
 
 @behaviour_rule("2.1.5")
-def instantiates_and_frees(probe: Probe) -> Iterator[str]:
+def instantiates_and_frees(probe: Probe) -> None:
     """An instance is created, freed, and created and freed again."""
     for _ in range(2):
         created, messages = probe.creates(logging=True)
         if not created:
-            yield refusal(messages)
-            return
+            raise refusal(messages)
 
 
 @behaviour_rule("2.1.4")

@@ -139,17 +139,20 @@ def test_findings_name_their_interface_unless_it_is_co_simulation_alone() -> Non
     assert joined(rule, reasons).not_applicable == "as ModelExchange"
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize("mutation", ["no licence", "no licence to initialise"])
+def test_a_refusal_for_a_licence_is_not_judged_by_any_rule(mutation: str, tmp_path: Path) -> None:
+    results = [r for r in examine(write_slave(tmp_path, mutation)) if r.rule.stage == "behaviour"]
+    assert [r.messages for r in results if r.messages] == []
+    needing_none = {"library-loads", "instantiates-and-frees"}
+    judged = {r.rule.name for r in results if not (r.not_judged or r.not_applicable)}
+    assert judged <= needing_none
+    reasons = {r.not_judged for r in results if r.not_judged}
+    assert all("licen" in reason for reason in reasons), reasons
+
+
 def test_an_instance_that_a_licence_refuses_after_others_is_tried_alone(tmp_path: Path) -> None:
-    begin = "(void)fmuResourceLocation, (void)visible;"
-    refusal = """
-    static int made;
-    if (++made > 20) {
-        functions->logger(functions->componentEnvironment, instanceName, fmi2Error, "", "no license");
-        return NULL;
-    }"""
     rules = ["instances-follow-each-other", "values-that-are-set-are-read"]
-    chosen = examine(patched({begin: begin + refusal}, tmp_path), names=rules)
+    chosen = examine(write_slave(tmp_path, "licences for 22 instances"), names=rules)
     results = {result.rule.name: result for result in chosen}
     assert [results[name].outcome for name in rules] == ["passed"] * 2, [results[name] for name in rules]
 
