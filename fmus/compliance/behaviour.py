@@ -26,6 +26,7 @@ from fmus.compliance.rule import (
     defect,
     messages_of,
     registered,
+    without_folders,
 )
 from fmus.compliance.script import KINDS, CallError, DefectError
 from fmus.errors import HostError, MissingExtraError
@@ -67,7 +68,7 @@ def judged(rule: Rule, subject: FmuFile | Probe, is_random: bool = False) -> Res
     except (TimeoutError, ProcessEndedError, MissingExtraError):
         raise
     except (NotJudgedError, DefectError) as reason:
-        return Result(rule, not_judged=str(reason))
+        return Result(rule, not_judged=without_folders(str(reason)))
     except NotApplicableError as reason:
         return Result(rule, not_applicable=str(reason))
     except (CallError, BrokenMemberError) as error:  # whatever an FMU answers is a finding
@@ -220,15 +221,14 @@ class _Judge:
         except HostError:
             raise
         except Exception as error:  # an archive that is damaged anywhere
-            return f"it cannot be unpacked: {error}"
+            return f"it cannot be unpacked: {without_folders(str(error))}"
         return ""
 
     def _judge_in_one_process(self, rules: Sequence[Rule]) -> None:
         """Judges rules up to the first that the process does not survive, or after which none will do."""
         is_alone = self._is_alone
         for result in self._results(rules, is_alone):
-            shown = (message.replace(f"{self._folder}/", "") for message in result.messages)
-            self.results[result.rule.name] = replace(result, messages=tuple(shown))
+            self.results[result.rule.name] = result
             if not is_alone:
                 self._judge_without_instances_before(result)
             if self._is_alone != is_alone:

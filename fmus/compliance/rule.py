@@ -1,6 +1,7 @@
 """Rules: each is one decorated function, or a row of data; all of them in their order."""
 
 import inspect
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -115,6 +116,12 @@ DEFECT = "the rule failed by a defect of this checker"
 OUTCOMES = ("passed", "not applicable", "not judged", *reversed(Level))
 RULES: dict[str, Rule] = {}  # by name, of the modules that are imported; `registered` imports all
 _MOST_MESSAGES, _LONGEST_MESSAGE = 100, 2000
+# names of temporary folders are random: a finding would be another one in each run
+_PREFIXES = "fmu-check-", "l1-depth-process-"
+_TEMPORARY = re.compile(
+    rf"(file:/*(?=/))?(?:[A-Za-z]:)?(?:[/\\]+[^/\\\s:'\"]+)*[/\\]+(?:{'|'.join(_PREFIXES)})\w{{8}}"
+    r"([/\\]+unpacked)?([/\\]+)?"
+)
 
 
 def always(_: Any) -> str:
@@ -180,9 +187,19 @@ def messages_of(check: Iterable[str]) -> tuple[str, ...]:
 
     What an FMU puts into one cannot move the cursor of a terminal, or begin a line of its own.
     """
-    messages = [_plain(" ".join(message[:_LONGEST_MESSAGE].split())) for message in check]
+    messages = [_plain(" ".join(without_folders(text)[:_LONGEST_MESSAGE].split())) for text in check]
     more = [f"{len(messages) - _MOST_MESSAGES} more of this kind"] if len(messages) > _MOST_MESSAGES else []
     return tuple(messages[:_MOST_MESSAGES] + more)
+
+
+def without_folders(text: str) -> str:
+    """Returns a text with paths relative to the unpacked FMU, and "..." for other temporary folders."""
+
+    def shown(match: re.Match[str]) -> str:
+        scheme, unpacked, end = match.groups("")
+        return "" if unpacked and end and not scheme else f"{scheme and scheme + '/'}...{end}"
+
+    return _TEMPORARY.sub(shown, text) if any(prefix in text for prefix in _PREFIXES) else text
 
 
 def _plain(text: str) -> str:

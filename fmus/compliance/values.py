@@ -7,7 +7,7 @@ from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Condition
+from fmus.compliance.rule import Condition, without_folders
 from fmus.compliance.script import Expected, Reading
 from fmus.compliance.variable import Variable
 
@@ -212,6 +212,7 @@ def differing(
             scale = max(scales.get(name, 0.0), min(nominals.get(name, 0.0), most))
             if name not in named and not same(value_expected, value_read, tolerance, scale):
                 named.add(name)
-                new, old = (text[:_LONGEST_TEXT] for text in texts(value_read, value_expected))
+                both = map(without_folders, texts(value_read, value_expected))
+                new, old = (text[:_LONGEST_TEXT] for text in both)
                 place = where[i] if where else f", step {i + 1}" if len(pairs) > 1 else ""
                 yield f"{name} is {new} {when}{place}: expected {again.format(old)}"

@@ -232,7 +232,9 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
                               const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging) {
     (void)visible;
     if (!read_mutation(location)) {
-        refuse_instance(functions, name, "the resources cannot be read");
+        char text[1100];
+        snprintf(text, sizeof text, "cannot read %s", location);
+        refuse_instance(functions, name, text);
         return NULL;
     }
     if (type != fmi2CoSimulation || (strcmp(guid, GUID) && !IS("any GUID")) || IS("no instance")) {
