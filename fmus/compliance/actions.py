@@ -2,7 +2,6 @@
 
 import itertools
 import math
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Concatenate, ParamSpec
 
@@ -16,7 +15,7 @@ from fmus.fmi.binding import ERROR
 MOST_VARIABLES = 50  # that are changed in a rule
 _MOST_LEAPT, LEAPS, _ROUGHNESS = 100, 8, 300.0  # steps, and times their tolerances
 _FEWEST_STEPS, _MEASURED_STEPS, _MOST_STEPS = 10, 40, 5_000  # of a run over the default experiment
-_LONGEST_RUN_S = 1.0
+_LONGEST_RUN_S = 1.0  # of CPU time
 P = ParamSpec("P")
 Pair = tuple[Variable, Any]
 
@@ -331,7 +330,7 @@ def played(probe: Probe, actions: Iterable[Action], **options: Any) -> Script:
 def over_the_experiment(probe: Probe) -> Script:
     """Returns a run with the stop time of the default experiment, if it has one, all variables read a few
     times and numbers among the outputs after each step; up to that time, or as far as steps take about a
-    second.
+    second of CPU time.
     """
     stop = probe.stop_time if math.isfinite(probe.stop_time) else None
     groups = itertools.groupby(comparable_outputs(probe), lambda v: v.base_kind)
@@ -348,7 +347,7 @@ def over_the_experiment(probe: Probe) -> Script:
 
 def steps_of_experiment(probe: Probe) -> int:
     """Returns the number of usual steps up to the stop time of the default experiment, or of those that take
-    about a second; measured once for all rules. Raises NotApplicableError where they are few.
+    about a second of CPU time; measured once for all rules. Raises NotApplicableError where they are few.
     """
 
     def measured() -> int:
@@ -357,14 +356,13 @@ def steps_of_experiment(probe: Probe) -> int:
         first = min(steps, _MEASURED_STEPS)
         if first < _FEWEST_STEPS:
             raise NotApplicableError("the default experiment has too few steps")
-        script = probe.script(begin, go_on(first))
-        start = time.monotonic()
+        script = probe.script(call("cpu_time"), begin, go_on(first), call("cpu_time"))
         probe.play_each([script])
-        seconds = (time.monotonic() - start) / first
         # for model exchange, the run of events reaches the stop time
         part = 4 if probe.fmu.is_model_exchange else 1
-        budget = min(_LONGEST_RUN_S / part, (probe.process.deadline - time.monotonic()) / 10)
-        return min(steps, _MOST_STEPS // part, max(first, int(budget / seconds)))
+        budget = min(_LONGEST_RUN_S / part, probe.process.limit / 10)
+        count = int(budget * first / script.cpu_time)
+        return min(steps, _MOST_STEPS // part, max(first, count))
 
     return probe.once("run of many steps", measured)
 

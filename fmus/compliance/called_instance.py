@@ -214,6 +214,10 @@ class CalledInstance(parts.StateSlots):
                     extreme[2:] = value, t
         return extremes if observed else ""
 
+    def cpu_time(self) -> float:
+        """Returns the CPU time of this process [s], which does not depend on the load of the machine."""
+        return time.process_time()
+
     def wait(self) -> None:
         """Waits until a pending step has ended; the time limit of the rule ends a wait without end."""
         status = ctypes.c_int(binding.PENDING)

@@ -1,7 +1,6 @@
 """Runs in which inputs and tunable parameters change: their values by lot, and where such runs lead."""
 
 import random
-import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -15,7 +14,7 @@ from fmus.compliance.rule import NotApplicableError, NotJudgedError
 from fmus.compliance.script import Action, CallError, Script
 from fmus.compliance.variable import Variable
 
-_MOST_RUNS, _MOST_VAIN, _LONGEST_S = 24, 4, 3.0  # runs; in a row that show nothing new; all
+_MOST_RUNS, _MOST_VAIN, _LONGEST_S = 24, 4, 3.0  # runs; in a row that show nothing new; CPU time of all
 _CHANGING, _SLIGHT = 0.5, 0.1  # share of values that change in a part, and part by which some do
 _LATE = range(4, 7)  # of eight parts of a run: some is left for what follows
 _KINDS = 3  # of runs: inputs that change slightly, or far; and parameters and the first states, too
@@ -93,9 +92,9 @@ def _runs(probe: Probe) -> list[_Run]:
     first = ways(do.accepted_together(probe, far_states, do.initialise), states)
     discrete = [v for v in probe.fmu.variables if v.variability == "discrete" and v.causality != "input"]
     read = do.read([v for v in discrete if v.kind != "Real"])
-    lots, lots_of_states, until = random.Random(1), random.Random(2), time.monotonic() + _LONGEST_S
+    lots, lots_of_states, cpu_time = random.Random(1), random.Random(2), 0.0
     runs, seen, vain = list[_Run](), set[_Case](), 0
-    while [*near, *others] and len(runs) < _MOST_RUNS and vain < _MOST_VAIN and time.monotonic() < until:
+    while [*near, *others] and len(runs) < _MOST_RUNS and vain < _MOST_VAIN and cpu_time < _LONGEST_S:
         kind = kinds[len(runs) % _KINDS]
         sets = [[lots.choice(way) for way in kind]]
         for _ in range(do.LEAPS - 1):
@@ -104,8 +103,10 @@ def _runs(probe: Probe) -> list[_Run]:
                 [new if changes else old for (new, changes), old in zip(drawn, sets[-1], strict=True)]
             )
         run = Excitation([lots_of_states.choice(way) for way in first if kind is kinds[-1]], sets)
-        script = probe.script(*run.begin, read, do.excite(sets, lambda _: read))
+        measure = do.call("cpu_time")
+        script = probe.script(measure, *run.begin, read, do.excite(sets, lambda _: read), measure)
         probe.play_each([script])
+        cpu_time += script.cpu_time
         met = sum(reply.is_step and reply.ok for reply in script.replies)
         places = [{*reading.values.items()} for reading in script.readings[: met + 1]]
         runs.append((run, places))

@@ -22,12 +22,12 @@ class FmuProcess:
     """The process that calls the FMU.
 
     library: the paths of library and resources, fmi2Type, and the functions that may be missing
-    deadline: of its answers, in `time.monotonic`; TimeoutError after that, ProcessEndedError after its end
+    limit: seconds from `allow` on until TimeoutError is raised; ProcessEndedError after its end
     one_instance: whether instances are created in a new process, but for others of the same calls
     """
 
     def __init__(self, library: tuple[Path, Path, int, list[str]], one_instance: bool) -> None:
-        self.deadline = time.monotonic() + START_S
+        self.allow(START_S)
         self._library, self.one_instance = library, one_instance
         self._start()
 
@@ -39,6 +39,10 @@ class FmuProcess:
         self._called = self._process.folder / CALLED
         self._process.send((self._process.folder, *self._library))
 
+    def allow(self, limit: float) -> None:
+        """Waits for the answers from now on no longer than some seconds."""
+        self.limit, self._deadline = limit, time.monotonic() + limit
+
     def calls(self, calls: Sequence[Call]) -> list[Any]:
         """Returns the results of calls of `LoadedFmu`. Raises CallError for the first that fails."""
         creates = any(method == "create" for method, *_ in calls)
@@ -47,7 +51,7 @@ class FmuProcess:
         self._has_created |= creates
         self._process.send(calls)
         try:
-            answer = self._process.receive(max(0.0, self.deadline - time.monotonic()))
+            answer = self._process.receive(max(0.0, self._deadline - time.monotonic()))
         except ValueError as error:
             answer = str(error)
         match answer:
@@ -59,12 +63,13 @@ class FmuProcess:
 
     def _start_anew(self) -> None:
         """Continues in a new process; its start takes no time of the deadline."""
-        left = self.deadline - time.monotonic()
+        limit, left = self.limit, self._deadline - time.monotonic()
         self.close()
-        self.deadline = time.monotonic() + START_S
+        self.allow(START_S)
         self._start()
         self.calls([])  # it has started
-        self.deadline = time.monotonic() + left
+        self.allow(left)
+        self.limit = limit
 
     @contextmanager
     def in_new_processes(self) -> Iterator[None]:

@@ -31,10 +31,10 @@ CALLED = "called"  # a file of the working folder: when the call that is under w
 BEGAN = struct.Struct("d")  # seconds since the epoch; 0 if none is under way
 _ANNOUNCED = 400  # bytes of that file
 _DEFECTS = (TypeError, LookupError, NameError, AssertionError, ctypes.ArgumentError)
-_EVENTS = "observed_events"  # which calls nothing
+_OWN = "observed_events", "cpu_time"  # which call nothing
 _AFTER_A_FAILURE = {  # status -> functions, and methods of `CalledInstance`, that FMI allows then
-    DISCARD: (_EVENTS, "free_state", "fmi2SetDebugLogging", "get", "status_of", "fmi2Terminate"),
-    ERROR: (_EVENTS, "free_state", "fmi2SetDebugLogging"),
+    DISCARD: (*_OWN, "free_state", "fmi2SetDebugLogging", "get", "status_of", "fmi2Terminate"),
+    ERROR: (*_OWN, "free_state", "fmi2SetDebugLogging"),
 }
 
 
@@ -103,6 +103,9 @@ class LoadedFmu:
         """Writes the call that is about to be made into the file `CALLED`, for the case of a crash."""
         content = call.encode()[: _ANNOUNCED - BEGAN.size - 1] + b"\0"
         self._announced[BEGAN.size : BEGAN.size + len(content)] = content
+        # a pending step is one call, however often its status is asked for
+        if not call.startswith("fmi2GetStatus("):
+            BEGAN.pack_into(self._announced, 0, time.time())
 
     def create(self, number: int, options: dict[str, Any]) -> list[Any]:
         """Creates an instance; returns whether the FMU did, messages, changed settings, bytes printed.
@@ -154,7 +157,6 @@ class LoadedFmu:
         if instance.watched:
             self._settings.flush()
             printed = self._printed.stat().st_size
-        BEGAN.pack_into(self._announced, 0, time.time())
         value = action()
         if not instance.watched:
             self._settings.restore_floating_point()

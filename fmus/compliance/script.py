@@ -17,6 +17,7 @@ VECTORS = (
     "fmi2GetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndicators",
     "fmi2GetNominalsOfContinuousStates",
 )  # fmt: skip
+_LEAST_CPU_TIME = 1e-6  # s, finer than any clock of a process
 UNWRITTEN = "values"  # among what a call changed: those that were asked for were not
 ARGUMENTS, PENDED = "arguments", "pending step"  # among what a call changed
 _STATES = {  # function -> state that it leads to; `actions` has those of other calls
@@ -265,6 +266,13 @@ class Script:
     def succeeded(self) -> bool:
         """Whether every call was made and none failed."""
         return all(reply.ok for reply in self.replies)
+
+    @property
+    def cpu_time(self) -> float:
+        """CPU time of the FMU's process [s] from the first to the last call "cpu_time"."""
+        asked = zip(self.calls, self.replies, strict=True)
+        times = [reply.value for (method, *_), reply in asked if method == "cpu_time" and reply.ok]
+        return max(times[-1] - times[0], _LEAST_CPU_TIME) if times else _LEAST_CPU_TIME
 
     @property
     def failure(self) -> Reply | None:

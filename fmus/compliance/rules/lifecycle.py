@@ -3,7 +3,6 @@ other instances.
 """
 
 import re
-import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import PurePath
@@ -201,10 +200,10 @@ def several_instances(probe: Probe) -> Iterator[Row]:
 @behaviour_rule("2.1.5", condition=values.if_not_claimed(ONLY_ONCE))
 def instances_follow_each_other(probe: Probe) -> None:
     """After some instances that were used and freed, fewer of a slow FMU, another one takes a step."""
-    half = (time.monotonic() + probe.process.deadline) / 2
+    cpu_time, measure = 0.0, do.call("cpu_time")
     for _ in range(_INSTANCES):
-        probe.script(do.begin, do.step()).play()
-        if time.monotonic() > half:
+        cpu_time += probe.script(measure, do.begin, do.step(), measure).play().cpu_time
+        if cpu_time > probe.process.limit / 2:
             break
 
 

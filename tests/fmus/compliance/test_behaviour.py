@@ -1,7 +1,7 @@
 """An FMU that behaves otherwise than it claims is caught: patched C of our own, and claims that are false."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from ctypes import c_double, c_int, c_uint
 from dataclasses import replace
 from pathlib import Path
@@ -10,12 +10,15 @@ from typing import Any, cast
 
 import pytest
 
+from fmus.compliance import actions as do
 from fmus.compliance import behaviour
 from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.instance_parts import array_of
+from fmus.compliance.probe import Probe, Shared
 from fmus.compliance.rule import Result, Stage, registered
 from fmus.compliance.values import unknown_reference
+from fmus.files import extract_archive
 from tests.described_fmus import members
 from tests.mutants.slaves import write_slave
 
@@ -62,6 +65,31 @@ def test_a_hang_is_a_finding_of_the_rule_that_it_stops(tmp_path: Path) -> None:
     (result,) = examine(fmu, timeout=2, names=["variable-step-size"])
     call = "fmi2DoStep(0.0035, 0.00025, 0) after fmi2DoStep"
     assert result.messages == (f"co-simulation: the FMU took more than 2 s in one call, in {call}",)
+
+
+@pytest.fixture
+def waiting(tmp_path: Path) -> Iterator[Probe]:
+    """The probe of an FMU whose steps take 20 ms of the clock and nearly no CPU time."""
+    fmu = FmuFile(write_slave(tmp_path, "waits in steps"))
+    extract_archive(fmu.path, tmp_path / "unpacked")
+    probe = Probe(fmu, tmp_path / "unpacked", Shared())
+    probe.process.calls([])  # it has started
+    probe.process.allow(30.0)
+    yield probe
+    probe.process.close()
+
+
+def test_the_number_of_steps_does_not_depend_on_the_clock(waiting: Probe) -> None:
+    """A second of the clock has 50 such steps, the default experiment 100."""
+    assert do.steps_of_experiment(waiting) == 100
+
+
+def test_many_short_calls_are_no_call_that_hangs(waiting: Probe) -> None:
+    script = waiting.script(do.begin, do.go_on(100))
+    waiting.process.allow(0.5)
+    with pytest.raises(TimeoutError):
+        waiting.play(script)
+    assert not waiting.process.hangs(0.5)
 
 
 @pytest.mark.slow
