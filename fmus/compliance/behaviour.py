@@ -44,7 +44,7 @@ DEFAULT_TIMEOUT_S = 30.0
 _RANDOM_RUNS = "runs-are-not-random"
 _STEPS = "steps-and-terminates"
 _FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs
-_AFTER_OTHERS = "instances-follow-each-other"
+_AFTER_OTHERS, SEVERAL = "instances-follow-each-other", "several-instances"
 # by what these find, others are not judged
 _OF_CALLS = "allowed-calls-succeed", "statuses-are-legal", "wrong-references-are-refused"
 _FIRST = *FUNDAMENTAL, _AFTER_OTHERS, *_OF_CALLS
@@ -85,15 +85,18 @@ def behaviour(
     timeout: seconds for one rule
     of_libraries: the results of the rules of libraries, which LIEF reads meanwhile; asked for when a
     process of the FMU has ended
-    names: of the rules that are judged, with those that they need; all by default
+    names: of the rules that are judged, with those that they need; all by default. A finding of one that
+    vanishes in a new process is one of `several-instances`, which is yielded too
     """
     rules = [rule for rule in registered(Stage.BEHAVIOUR) if names is None or rule.name in names]
     halves = {
         interface: _of_interface(fmu.judged_as(interface), rules, timeout, of_libraries)
         for interface in fmu.interfaces or [CO_SIMULATION]
     }
-    for rule in rules:
-        yield _joined(rule, {interface: results[rule.name] for interface, results in halves.items()})
+    for rule in registered(Stage.BEHAVIOUR):
+        of_rule = {kind: results[rule.name] for kind, results in halves.items() if rule.name in results}
+        if rule in rules or (rule.name == SEVERAL and any(half.messages for half in of_rule.values())):
+            yield _joined(rule, of_rule)
 
 
 def _of_interface(
@@ -143,10 +146,11 @@ def _clause(rule: Rule, interface: str) -> str:
 def _in_order(chosen: Sequence[Rule], applicable: Mapping[str, Rule]) -> list[Rule]:
     """Returns rules and those that they need, each after those, and the last ones at the end.
 
-    A rule that is judged last looks at the calls of all others.
+    A rule that is judged last looks at the calls of all others, and what others find may be a finding of
+    `several-instances`.
     """
     names = [rule.name for rule in chosen if rule.name in applicable]
-    if any(rule.last for rule in chosen):
+    if any(rule.last or rule.name == SEVERAL for rule in chosen):
         names = list(applicable)
     ordered: dict[str, Rule] = {}
 
@@ -186,6 +190,8 @@ class _Judge:
         self._folder = Path()
         self._is_alone = False  # whether each instance has a process of its own from now on
         self._shared = {False: Shared(), True: Shared()}  # by whether instances are alone
+        self._applicable = dict[str, Rule]()
+        self._vanished = list[Result]()  # errors that a new process does not show
         self.results: dict[str, Result] = {}
 
     def judge(self, chosen: Sequence[Rule]) -> None:
@@ -193,13 +199,28 @@ class _Judge:
 
         After a crash or a hang a new process goes on with the next rule.
         """
-        fmu, applicable = self._fmu, dict[str, Rule]()
+        fmu, applicable = self._fmu, self._applicable
         for rule in registered(Stage.BEHAVIOUR):
             if reason := _other_interface(rule, fmu) or rule.condition(fmu):
                 self.results[rule.name] = Result(rule, not_applicable=reason)
             else:
                 applicable[rule.name] = rule
         rules = _in_order(chosen, applicable)
+        self._judge_each(rules)
+        if self._vanished:
+            self.results[SEVERAL] = self._of_several_instances()
+
+    def _of_several_instances(self) -> Result:
+        """Returns the result of `several-instances` with the errors that vanished, as one finding."""
+        first, *others = self._vanished
+        found_by = f"found by {first.rule.name}"
+        more = f" and {len(others)} more rules" if others else ""
+        message = f"{first.messages[0]}; only after other instances in the process, {found_by}{more}"
+        before = self.results.get(SEVERAL)
+        return Result(self._applicable[SEVERAL], (*(before.messages if before else ()), message))
+
+    def _judge_each(self, rules: Sequence[Rule]) -> None:
+        """Judges rules in as many processes as it takes."""
         with host_errors(), _temporary_folder() as temporary:
             self._folder = Path(temporary, "unpacked")
             reason = self._unpack()
@@ -228,14 +249,16 @@ class _Judge:
         is_alone = self._is_alone
         for result in self._results(rules, is_alone):
             self.results[result.rule.name] = result
-            if not is_alone:
-                self._judge_without_instances_before(result)
+            if not is_alone and not self._judge_without_instances_before(result):
+                self._confirm(result)
             if self._is_alone != is_alone:
                 return
 
-    def _results(self, rules: Sequence[Rule], is_alone: bool = False) -> Iterator[Result]:
+    def _results(
+        self, rules: Sequence[Rule], is_alone: bool = False, shared: Shared | None = None
+    ) -> Iterator[Result]:
         """Yields results, up to the first rule that a new process does not survive, but one at least."""
-        probe = Probe(self._fmu, self._folder, self._shared[is_alone], is_alone)
+        probe = Probe(self._fmu, self._folder, shared or self._shared[is_alone], is_alone)
         rule, limit = rules[0], START_S
         try:
             probe.process.calls([])  # it has started
@@ -275,8 +298,25 @@ class _Judge:
             return Result(rule, not_judged=min(others))
         return judged(rule, probe, is_random=RANDOM in reasons and rule.name != _RANDOM_RUNS)
 
-    def _judge_without_instances_before(self, result: Result) -> None:
-        """Judges a rule again where no instance was before, as 4.3.1 lets an FMU ask for, if it may matter.
+    def _confirm(self, result: Result) -> None:
+        """Judges a broken rule again in a new process, with none of the runs before; that result counts.
+
+        An error that vanishes there follows from a state that instances share.
+        """
+        rule, shared = result.rule, self._shared[False]
+        of_instances = rule.name in (SEVERAL, _AFTER_OTHERS) or SEVERAL not in self._applicable
+        # nothing was played before the first rules; the last ones look at what all others played
+        if not result.messages or of_instances or rule.last or rule.name in FUNDAMENTAL[:2]:
+            return
+        confirmed = next(self._results([rule], shared=shared.for_a_new_process(rule.name)))
+        self.results[rule.name] = confirmed
+        if not confirmed.messages:
+            shared.failing = shared.for_a_new_process(rule.name).failing
+            self._vanished += [result] if rule.level is Level.ERROR else []
+
+    def _judge_without_instances_before(self, result: Result) -> bool:
+        """Judges a rule again where no instance was before, as 4.3.1 lets an FMU ask for, if it may matter;
+        returns whether it did.
 
         An instance that is refused, or crashes, because of others before it is a finding of one rule.
         """
@@ -286,7 +326,7 @@ class _Judge:
         only_once = self._fmu.claims(ONLY_ONCE)
         is_after_others = follow and not follow.not_judged and follow.rule is not rule
         if not (result.messages if only_once else refusal and is_after_others):
-            return
+            return False
         alone = self.results[rule.name] = next(self._results([rule], is_alone=True))
         self._is_alone = bool(refusal) and refusal not in (*alone.messages, alone.not_judged)
         is_error = rule.level is Level.ERROR  # others may have made calls that FMI forbids
@@ -295,6 +335,7 @@ class _Judge:
             self.results[_AFTER_OTHERS] = Result(
                 follow.rule, (f"{rule.name}, after other instances: {refusal}",)
             )
+        return True
 
     def _judge_formats_after_a_crash(self, rules: Sequence[Rule]) -> None:
         """Judges the rule of formats if the last rule ended the process: it may be the cause."""

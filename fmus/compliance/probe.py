@@ -51,6 +51,11 @@ class Shared:
     refused_steps: str = ""
     discards: str = ""
 
+    def for_a_new_process(self, rule: str) -> "Shared":
+        """Returns the calls that are known to fail by other rules, and the steps that are refused."""
+        failing = {call: name for call, name in self.failing.items() if name != rule}
+        return Shared(failing=failing, refused_steps=self.refused_steps, discards=self.discards)
+
 
 class DiscardedStepError(NotJudgedError):
     """A step that the FMU discards, as 4.2.2 lets it."""
