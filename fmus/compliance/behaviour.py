@@ -45,6 +45,7 @@ _RANDOM_RUNS = "runs-are-not-random"
 _STEPS = "steps-and-terminates"
 _FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs
 _AFTER_OTHERS, SEVERAL = "instances-follow-each-other", "several-instances"
+_OF_INSTANCES = SEVERAL, _AFTER_OTHERS
 # by what these find, others are not judged
 _OF_CALLS = "allowed-calls-succeed", "statuses-are-legal", "wrong-references-are-refused"
 _FIRST = *FUNDAMENTAL, _AFTER_OTHERS, *_OF_CALLS
@@ -146,11 +147,11 @@ def _clause(rule: Rule, interface: str) -> str:
 def _in_order(chosen: Sequence[Rule], applicable: Mapping[str, Rule]) -> list[Rule]:
     """Returns rules and those that they need, each after those, and the last ones at the end.
 
-    A rule that is judged last looks at the calls of all others, and what others find may be a finding of
-    `several-instances`.
+    A rule that is judged last looks at the calls of all others, and what others find may be a finding about
+    instances.
     """
     names = [rule.name for rule in chosen if rule.name in applicable]
-    if any(rule.last or rule.name == SEVERAL for rule in chosen):
+    if any(rule.last or rule.name in _OF_INSTANCES for rule in chosen):
         names = list(applicable)
     ordered: dict[str, Rule] = {}
 
@@ -304,7 +305,7 @@ class _Judge:
         An error that vanishes there follows from a state that instances share.
         """
         rule, shared = result.rule, self._shared[False]
-        of_instances = rule.name in (SEVERAL, _AFTER_OTHERS) or SEVERAL not in self._applicable
+        of_instances = rule.name in _OF_INSTANCES or SEVERAL not in self._applicable
         # nothing was played before the first rules; the last ones look at what all others played
         if not result.messages or of_instances or rule.last or rule.name in FUNDAMENTAL[:2]:
             return

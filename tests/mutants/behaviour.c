@@ -50,7 +50,7 @@ static char mutation[64];
 static int own_memory, asynchronous, finishes_all, one_step_size, discards_all, discards_late, warns, once, iterates, internal_steps, needs_rate,
     unusual, refuses_others, warm, reads_after_steps;
 static Data shared;
-static int instances, created, overwritten, ended;
+static int instances, created, overwritten, ended, all_steps;
 
 #define IS(name) (!strcmp(mutation, name))
 static const char *const CATEGORIES[] = {"logEvents", "logStatusWarning", "logStatusDiscard", "logStatusError"};
@@ -599,6 +599,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_re
         return fmi2Warning;
     }
     integrate(s, h);
+    if (IS("the process counts its steps") && ++all_steps > 3000) d->real[X] += 1e-4 * all_steps;
     d->real[TIME] = t + h;
     follow_time(d);
     d->last_successful_time = IS("another last successful time") ? t : t + h;

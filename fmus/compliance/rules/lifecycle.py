@@ -61,7 +61,8 @@ def instantiates_and_frees(probe: Probe) -> None:
 
 @behaviour_rule("2.1.4")
 def library_version(probe: Probe) -> Iterator[str]:
-    """fmi2GetVersion is 2.0, and fmi2GetTypesPlatform default, a static string."""
+    """fmi2GetVersion is 2.0, and fmi2GetTypesPlatform default, a static string, also after an instance."""
+    probe.creates()  # a library that serves several versions may choose one then
     for function, expected in (("GetVersion", "2.0"), ("GetTypesPlatform", "default")):
         got, is_static = probe.ask("text", f"fmi2{function}")
         if got != expected:

@@ -179,10 +179,9 @@ def test_a_refusal_for_a_licence_is_not_judged_by_any_rule(mutation: str, tmp_pa
 
 
 def test_an_instance_that_a_licence_refuses_after_others_is_tried_alone(tmp_path: Path) -> None:
-    rules = ["instances-follow-each-other", "values-that-are-set-are-read"]
-    chosen = examine(write_slave(tmp_path, "licences for 22 instances"), names=rules)
-    results = {result.rule.name: result for result in chosen}
-    assert [results[name].outcome for name in rules] == ["passed"] * 2, [results[name] for name in rules]
+    fmu = write_slave(tmp_path, "licences for 22 instances")
+    (result,) = examine(fmu, names=["values-that-are-set-are-read"])
+    assert result.outcome == "passed", result
 
 
 def test_an_instance_of_the_other_interface_changes_nothing(tmp_path: Path) -> None:
