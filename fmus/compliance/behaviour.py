@@ -44,8 +44,8 @@ DEFAULT_TIMEOUT_S = 30.0
 _RANDOM_RUNS = "runs-are-not-random"
 _STEPS = "steps-and-terminates"
 _FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs
-_AFTER_OTHERS, SEVERAL = "instances-follow-each-other", "several-instances"
-_OF_INSTANCES = SEVERAL, _AFTER_OTHERS
+OF_INSTANCES = _AFTER_OTHERS, _SEVERAL = "instances-follow-each-other", "several-instances"
+_HEAP = "memory-does-not-grow"  # of a new process it hides small leaks
 # by what these find, others are not judged
 _OF_CALLS = "allowed-calls-succeed", "statuses-are-legal", "wrong-references-are-refused"
 _FIRST = *FUNDAMENTAL, _AFTER_OTHERS, *_OF_CALLS
@@ -86,8 +86,8 @@ def behaviour(
     timeout: seconds for one rule
     of_libraries: the results of the rules of libraries, which LIEF reads meanwhile; asked for when a
     process of the FMU has ended
-    names: of the rules that are judged, with those that they need; all by default. A finding of one that
-    vanishes in a new process is one of `several-instances`, which is yielded too
+    names: of the rules that are judged, with those that they need; all by default. Broken ones of
+    `OF_INSTANCES` are yielded too
     """
     rules = [rule for rule in registered(Stage.BEHAVIOUR) if names is None or rule.name in names]
     halves = {
@@ -96,7 +96,7 @@ def behaviour(
     }
     for rule in registered(Stage.BEHAVIOUR):
         of_rule = {kind: results[rule.name] for kind, results in halves.items() if rule.name in results}
-        if rule in rules or (rule.name == SEVERAL and any(half.messages for half in of_rule.values())):
+        if rule in rules or (rule.name in OF_INSTANCES and any(half.messages for half in of_rule.values())):
             yield _joined(rule, of_rule)
 
 
@@ -151,7 +151,7 @@ def _in_order(chosen: Sequence[Rule], applicable: Mapping[str, Rule]) -> list[Ru
     instances.
     """
     names = [rule.name for rule in chosen if rule.name in applicable]
-    if any(rule.last or rule.name in _OF_INSTANCES for rule in chosen):
+    if any(rule.last or rule.name in OF_INSTANCES for rule in chosen):
         names = list(applicable)
     ordered: dict[str, Rule] = {}
 
@@ -192,7 +192,7 @@ class _Judge:
         self._is_alone = False  # whether each instance has a process of its own from now on
         self._shared = {False: Shared(), True: Shared()}  # by whether instances are alone
         self._applicable = dict[str, Rule]()
-        self._vanished = list[Result]()  # errors that a new process does not show
+        self._vanished = dict[str, list[Result]]()  # rule about instances -> errors that are its own
         self.results: dict[str, Result] = {}
 
     def judge(self, chosen: Sequence[Rule]) -> None:
@@ -208,17 +208,11 @@ class _Judge:
                 applicable[rule.name] = rule
         rules = _in_order(chosen, applicable)
         self._judge_each(rules)
-        if self._vanished:
-            self.results[SEVERAL] = self._of_several_instances()
-
-    def _of_several_instances(self) -> Result:
-        """Returns the result of `several-instances` with the errors that vanished, as one finding."""
-        first, *others = self._vanished
-        found_by = f"found by {first.rule.name}"
-        more = f" and {len(others)} more rules" if others else ""
-        message = f"{first.messages[0]}; only after other instances in the process, {found_by}{more}"
-        before = self.results.get(SEVERAL)
-        return Result(self._applicable[SEVERAL], (*(before.messages if before else ()), message))
+        for name, (first, *others) in self._vanished.items():
+            more = f" and {len(others)} more rules" if others else ""
+            words = f"only after other instances in the process, found by {first.rule.name}{more}"
+            if name not in self.results or not self.results[name].messages:
+                self.results[name] = Result(self._applicable[name], (f"{first.messages[0]}; {words}",))
 
     def _judge_each(self, rules: Sequence[Rule]) -> None:
         """Judges rules in as many processes as it takes."""
@@ -248,18 +242,15 @@ class _Judge:
     def _judge_in_one_process(self, rules: Sequence[Rule]) -> None:
         """Judges rules up to the first that the process does not survive, or after which none will do."""
         is_alone = self._is_alone
-        for result in self._results(rules, is_alone):
+        for result in self._results(rules, is_alone, self._shared[is_alone]):
             self.results[result.rule.name] = result
-            if not is_alone and not self._judge_without_instances_before(result):
-                self._confirm(result)
-            if self._is_alone != is_alone:
+            judge_again = self._judge_alone if self._fmu.claims(ONLY_ONCE) else self._confirm
+            if not is_alone and judge_again(result):
                 return
 
-    def _results(
-        self, rules: Sequence[Rule], is_alone: bool = False, shared: Shared | None = None
-    ) -> Iterator[Result]:
+    def _results(self, rules: Sequence[Rule], is_alone: bool, shared: Shared) -> Iterator[Result]:
         """Yields results, up to the first rule that a new process does not survive, but one at least."""
-        probe = Probe(self._fmu, self._folder, shared or self._shared[is_alone], is_alone)
+        probe = Probe(self._fmu, self._folder, shared, is_alone)
         rule, limit = rules[0], START_S
         try:
             probe.process.calls([])  # it has started
@@ -299,44 +290,39 @@ class _Judge:
             return Result(rule, not_judged=min(others))
         return judged(rule, probe, is_random=RANDOM in reasons and rule.name != _RANDOM_RUNS)
 
-    def _confirm(self, result: Result) -> None:
-        """Judges a broken rule again in a new process, with none of the runs before; that result counts.
-
-        An error that vanishes there follows from a state that instances share.
+    def _confirm(self, result: Result) -> bool:
+        """Judges a broken rule again with none of the runs before, and keeps that result; returns whether
+        another process goes on, as runs before have changed this one.
         """
-        rule, shared = result.rule, self._shared[False]
-        of_instances = rule.name in _OF_INSTANCES or SEVERAL not in self._applicable
+        rule, refusal = result.rule, _refusal(result)
         # nothing was played before the first rules; the last ones look at what all others played
-        if not result.messages or of_instances or rule.last or rule.name in FUNDAMENTAL[:2]:
-            return
-        confirmed = next(self._results([rule], shared=shared.for_a_new_process(rule.name)))
-        self.results[rule.name] = confirmed
-        if not confirmed.messages:
-            shared.failing = shared.for_a_new_process(rule.name).failing
-            self._vanished += [result] if rule.level is Level.ERROR else []
-
-    def _judge_without_instances_before(self, result: Result) -> bool:
-        """Judges a rule again where no instance was before, as 4.3.1 lets an FMU ask for, if it may matter;
-        returns whether it did.
-
-        An instance that is refused, or crashes, because of others before it is a finding of one rule.
-        """
-        rule, follow = result.rule, self.results.get(_AFTER_OTHERS)
-        texts = *result.messages, result.not_judged  # the latter where it speaks of a licence
-        refusal = next((text for text in texts if _gives_no_instance(text)), "")
-        only_once = self._fmu.claims(ONLY_ONCE)
-        is_after_others = follow and not follow.not_judged and follow.rule is not rule
-        if not (result.messages if only_once else refusal and is_after_others):
+        is_kept = rule.last or rule.name in (*FUNDAMENTAL[:2], *OF_INSTANCES, _HEAP)
+        if refusal:
+            is_kept = rule.name == _AFTER_OTHERS or _AFTER_OTHERS not in self.results
+        if is_kept or not (result.messages or refusal):
             return False
-        alone = self.results[rule.name] = next(self._results([rule], is_alone=True))
-        self._is_alone = bool(refusal) and refusal not in (*alone.messages, alone.not_judged)
-        is_error = rule.level is Level.ERROR  # others may have made calls that FMI forbids
-        is_told = only_once or refusal == result.not_judged
-        if self._is_alone and is_error and follow and not (is_told or follow.messages):
-            self.results[_AFTER_OTHERS] = Result(
-                follow.rule, (f"{rule.name}, after other instances: {refusal}",)
+        shared = self._shared[False].for_a_new_process(rule.name)
+        again = next(self._results([rule], False, shared))
+        if refusal and refusal == _refusal(again):
+            again = next(self._results([rule], True, self._shared[True]))
+        self.results[rule.name] = again
+        has_vanished = refusal != _refusal(again) if refusal else not again.messages
+        if has_vanished:
+            self._shared[False] = shared
+            if result.messages and rule.level is Level.ERROR:
+                self._vanished.setdefault(_AFTER_OTHERS if refusal else _SEVERAL, []).append(result)
+        return has_vanished
+
+    def _judge_alone(self, result: Result) -> bool:
+        """Judges a broken rule again with each instance in a process of its own, as 4.3.1 lets an FMU ask
+        for; returns whether all rules are judged so from now on, as instances are refused beside others.
+        """
+        if result.messages:
+            again = self.results[result.rule.name] = next(
+                self._results([result.rule], True, self._shared[True])
             )
-        return True
+            self._is_alone = _refusal(result) != _refusal(again)
+        return self._is_alone
 
     def _judge_formats_after_a_crash(self, rules: Sequence[Rule]) -> None:
         """Judges the rule of formats if the last rule ended the process: it may be the cause."""
@@ -345,7 +331,7 @@ class _Judge:
         if not formats or _FORMATS in self.results or not _has_ended(last):
             return
         del self.results[last.rule.name]
-        result = next(self._results([formats]))
+        result = next(self._results([formats], False, self._shared[False]))
         if result.messages and not _has_ended(result):
             self.results[_FORMATS] = result
             last = Result(last.rule, not_judged=f"{_FORMATS}{IS_BROKEN}")
@@ -373,8 +359,13 @@ class _Judge:
         return next((f"{name}{IS_BROKEN}" for name in gates if name in broken), "")
 
 
-def _gives_no_instance(text: str) -> bool:
-    return text.startswith(NO_INSTANCE) or (text.startswith(ENDED) and ", in fmi2Instantiate(" in text)
+def _refusal(result: Result) -> str:
+    """Returns the reason why there was no instance, also for a licence; "" if there was one."""
+
+    def is_refusal(text: str) -> bool:
+        return text.startswith(NO_INSTANCE) or (text.startswith(ENDED) and ", in fmi2Instantiate(" in text)
+
+    return next(filter(is_refusal, (*result.messages, result.not_judged)), "")
 
 
 def _has_ended(result: Result) -> bool:

@@ -5,7 +5,7 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, FUNDAMENTAL, SEVERAL, behaviour, judged
+from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, FUNDAMENTAL, OF_INSTANCES, behaviour, judged
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.library_reader import check_lief, close_reader, no_library, start_reading
 from fmus.compliance.rule import SCHEMA, Result, Stage, registered
@@ -20,8 +20,8 @@ def examine(
     """Returns one result for every rule, in the order of `all_rules`.
 
     timeout: seconds that one behaviour, or LIEF for one library, may take; names: of the rules that are
-    judged, all by default. Where one of these is not judged, broken ones of `GATES` are told too, and a
-    broken `several-instances` in any case. The process
+    judged, all by default. Where one of these is not judged, broken ones of `GATES` are told too, and of
+    `OF_INSTANCES` in any case. The process
     of LIEF stays for the next FMU until `close_reader`, or the end of this process. Raises OSError if there
     is no such file, MissingExtraError without LIEF.
     """
@@ -42,7 +42,7 @@ def examine(
         raise
     results = [*of_files, *of_libraries(), *of_behaviour]
     shown = {result.rule.name for result in results} if names is None else {*names}
-    told = (SEVERAL, *(GATES if any(r.not_judged for r in results if r.rule.name in shown) else ()))
+    told = (*OF_INSTANCES, *(GATES if any(r.not_judged for r in results if r.rule.name in shown) else ()))
     return [r for r in results if r.rule.name in shown or (r.rule.name in told and r.messages)]
 
 

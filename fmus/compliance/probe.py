@@ -52,9 +52,9 @@ class Shared:
     discards: str = ""
 
     def for_a_new_process(self, rule: str) -> "Shared":
-        """Returns the calls that are known to fail by other rules, and the steps that are refused."""
+        """Returns these without what was played, and without the calls that fail by a rule itself."""
         failing = {call: name for call, name in self.failing.items() if name != rule}
-        return Shared(failing=failing, refused_steps=self.refused_steps, discards=self.discards)
+        return replace(self, results={}, played={}, failing=failing)
 
 
 class DiscardedStepError(NotJudgedError):

@@ -53,6 +53,7 @@ FIRST_MESSAGES = {
     "states change where continuous time begins": "by fmi2EnterContinuousTimeMode",
     "a flag of an event is not written": "fmi2NewDiscreteStates returned ok and left a value unwritten",
     "states cannot be set by reference": "fmi2SetReal of x returned error",
+    "the process counts its steps": "; only after other instances in the process, found by ",
     "the start time is ignored": "time is 0 after initialisation with startTime 0.3 s: expected 0.3",
 }
 
