@@ -45,7 +45,6 @@ _RANDOM_RUNS = "runs-are-not-random"
 _STEPS = "steps-and-terminates"
 _FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs
 OF_INSTANCES = _AFTER_OTHERS, _SEVERAL = "instances-follow-each-other", "several-instances"
-_HEAP = "memory-does-not-grow"  # of a new process it hides small leaks
 # by what these find, others are not judged
 _OF_CALLS = "allowed-calls-succeed", "statuses-are-legal", "wrong-references-are-refused"
 _FIRST = *FUNDAMENTAL, _AFTER_OTHERS, *_OF_CALLS
@@ -296,7 +295,7 @@ class _Judge:
         """
         rule, refusal = result.rule, _refusal(result)
         # nothing was played before the first rules; the last ones look at what all others played
-        is_kept = rule.last or rule.name in (*FUNDAMENTAL[:2], *OF_INSTANCES, _HEAP)
+        is_kept = rule.last or rule.name in (*FUNDAMENTAL[:2], *OF_INSTANCES)
         if refusal:
             is_kept = rule.name == _AFTER_OTHERS or _AFTER_OTHERS not in self.results
         if is_kept or not (result.messages or refusal):

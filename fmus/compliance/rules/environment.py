@@ -122,7 +122,8 @@ def resources_are_freed(probe: Probe) -> Iterator[str]:
             yield f"{more} more {name} after {_CYCLES - 1} instances were created and freed: expected none"
 
 
-@behaviour_rule("2.1.5")
+# in a new process the heap keeps memory for reuse, which hides small leaks
+@behaviour_rule("2.1.5", last=True)
 def memory_does_not_grow(probe: Probe) -> Iterator[str]:
     """fmi2FreeInstance frees all memory: the heap does not grow with each instance that is created and
     freed.
