@@ -1,4 +1,4 @@
-"""Judge rules of behaviour in another process: a crash or a hang of the FMU is a finding."""
+"""Judge rules of behaviour in a process of the FMU: its crash or hang is a finding."""
 
 import errno
 import re
@@ -37,7 +37,7 @@ FUNDAMENTAL = (
     "library-loads", "instantiates-and-frees", "steps-and-terminates", "frees-in-every-state",
     "runs-are-repeatable",
 )  # fmt: skip
-"""Without these no behaviour is judged: what else would be found has the same cause."""
+"""Rules without which no behaviour is judged: further findings would have the same cause."""
 ENDED = "the FMU ended the process with"
 HUNG, SLOW = "the FMU took more than", "the FMU is slow: its calls took more than"
 DEFAULT_TIMEOUT_S = 30.0
@@ -45,7 +45,7 @@ _RANDOM_RUNS = "runs-are-not-random"
 _STEPS = "steps-and-terminates"
 _FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs
 OF_INSTANCES = _AFTER_OTHERS, _SEVERAL = "instances-follow-each-other", "several-instances"
-# by what these find, others are not judged
+# what these find keeps later rules from reporting it again
 _OF_CALLS = "allowed-calls-succeed", "statuses-are-legal", "wrong-references-are-refused"
 _FIRST = *FUNDAMENTAL, _AFTER_OTHERS, *_OF_CALLS
 _MOST_HANGS, _MOST_SLOW = 3, 20  # then the rest is not judged: it would take minutes
@@ -56,7 +56,7 @@ _OF_THE_HOST = ("ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EMFILE", "ENFILE", "EIO",
 def judged(rule: Rule, subject: FmuFile | Probe, is_random: bool = False) -> Result:
     """Returns the result of a rule on an FMU as a file, or in a process that calls it.
 
-    is_random: whether the outputs of the FMU are random, and only calls that fail or crash are told
+    is_random: whether the outputs of the FMU are random, so that only failed calls and crashes are findings
     """
     try:
         if isinstance(subject, FmuFile) and (reason := rule.condition(subject)):
@@ -137,7 +137,7 @@ def _joined(rule: Rule, halves: Mapping[str, Result]) -> Result:
 
 
 def _clause(rule: Rule, interface: str) -> str:
-    """Returns the sections that a rule names, less those of the chapter of the other interface."""
+    """Returns the sections that a rule names, without the chapter of the other interface."""
     sections = re.split(r", (?=\d\.)", rule.clause)
     other = "4." if interface == MODEL_EXCHANGE else "3."
     return ", ".join(s for s in sections if not s.startswith(other)) or rule.clause
@@ -174,7 +174,7 @@ def obstacle(fmu: FmuFile) -> str:
 
 
 def _unreadable_variable(fmu: FmuFile) -> str:
-    """Returns the variable that no function can read: rules of the description tell what is wrong with it."""
+    """Returns a variable that no function can read, for a reason that rules of the description report."""
     broken = (v for v in fmu.variables if v.reference is None or v.base_kind not in KINDS)
     return next((f"{v.name or 'a variable'} has no legal value reference or type" for v in broken), "")
 
@@ -188,7 +188,7 @@ class _Judge:
     def __init__(self, fmu: FmuFile, timeout: float, of_libraries: Callable[[], Sequence[Result]]) -> None:
         self._fmu, self._timeout, self._of_libraries = fmu, timeout, of_libraries
         self._folder = Path()
-        self._is_alone = False  # whether each instance has a process of its own from now on
+        self._is_alone = False  # whether each instance has its own process from now on
         self._shared = {False: Shared(), True: Shared()}  # by whether instances are alone
         self._applicable = dict[str, Rule]()
         self._vanished = dict[str, list[Result]]()  # rule about instances -> errors that are its own
@@ -228,7 +228,7 @@ class _Judge:
                 self._judge_formats_after_a_crash(remaining)
 
     def _unpack(self) -> str:
-        """Unpacks the FMU; returns the reason why it cannot be: `archive-is-zip` tells more."""
+        """Unpacks the FMU; returns the reason why it cannot be unpacked. `archive-is-zip` reports more."""
         try:
             with host_errors():
                 extract_archive(self._fmu.path, self._folder)  # zipfile keeps odd paths inside it
@@ -239,7 +239,7 @@ class _Judge:
         return ""
 
     def _judge_in_one_process(self, rules: Sequence[Rule]) -> None:
-        """Judges rules up to the first that the process does not survive, or after which none will do."""
+        """Judges rules up to the first that ends the process, or makes it unfit for others."""
         is_alone = self._is_alone
         for result in self._results(rules, is_alone, self._shared[is_alone]):
             self.results[result.rule.name] = result
@@ -268,8 +268,8 @@ class _Judge:
             probe.process.close()
 
     def _ended(self, rule: Rule, what: str, probe: Probe) -> Result:
-        """Returns the finding of a call that ends the process or the time, once: of the first of the rules
-        that are as severe.
+        """Returns the finding of a call that ends the process or exceeds the time limit. The same call is a
+        finding of the first rule alone, unless a later one is more severe.
         """
         follow = self.results.get(_AFTER_OTHERS)
         if what.startswith(ENDED) and follow and follow.messages and not probe.process.one_instance:
@@ -279,7 +279,7 @@ class _Judge:
         others = (r.rule for r in self.results.values() if message in r.messages and r.rule is not rule)
         severe = [o.name for o in others if severity.index(o.level) <= severity.index(rule.level)]
         if call and severe:
-            return Result(rule, not_judged=f"{call} does not return, which {severe[0]} tells")
+            return Result(rule, not_judged=f"{call} does not return, as {severe[0]} reports")
         return Result(rule, (message,))
 
     def _result(self, rule: Rule, probe: Probe) -> Result:
@@ -313,8 +313,8 @@ class _Judge:
         return has_vanished
 
     def _judge_alone(self, result: Result) -> bool:
-        """Judges a broken rule again with each instance in a process of its own, as 4.3.1 lets an FMU ask
-        for; returns whether all rules are judged so from now on, as instances are refused beside others.
+        """Judges a broken rule again with one instance per process, as 4.3.1 lets an FMU claim; returns
+        whether all rules are judged so from now on, as the FMU refuses instances after others.
         """
         if result.messages:
             again = self.results[result.rule.name] = next(
@@ -324,7 +324,7 @@ class _Judge:
         return self._is_alone
 
     def _judge_formats_after_a_crash(self, rules: Sequence[Rule]) -> None:
-        """Judges the rule of formats if the last rule ended the process: it may be the cause."""
+        """Judges the rule of formats if the last rule ended the process: a wrong format may be the cause."""
         last = list(self.results.values())[-1]
         formats = next((rule for rule in rules if rule.name == _FORMATS), None)
         if not formats or _FORMATS in self.results or not _has_ended(last):

@@ -149,7 +149,7 @@ def _refuse_outputs(outputs: Mapping[str, Path | None], inputs: Sequence[Path | 
         if path and path.is_dir():
             raise ValueError(f"{option} {path}: it is a folder: expected a file")
         if path and path.resolve() in used:
-            raise ValueError(f"{option} {path}: it is used otherwise: expected a file of its own")
+            raise ValueError(f"{option} {path}: it is another input or output: expected a separate file")
         used += [path.resolve()] if path else []
 
 

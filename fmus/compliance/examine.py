@@ -1,4 +1,4 @@
-"""Judge an FMU by every rule, stage after stage. Nothing that a file holds makes it raise."""
+"""Judge an FMU by every rule, stage after stage. No content of the file raises an error."""
 
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
@@ -31,7 +31,7 @@ def examine(
     of_archive = None if names is None else {*names, *GATES}
     runs = names is None or any(rule.name in names for rule in registered(Stage.BEHAVIOUR))
     try:
-        with suppress(Exception):  # which is told when its libraries are judged
+        with suppress(Exception):  # the rules of libraries report it
             if runs and not (_unread(fmu) or no_library(fmu)):
                 start_reading(fmu, timeout)
         of_files = list(static_results(fmu, (Stage.FILE, Stage.DESCRIPTION), of_archive))
@@ -49,7 +49,7 @@ def examine(
 def static_results(
     fmu: FmuFile, stages: Sequence[Stage] = _STATIC, names: Collection[str] | None = None
 ) -> Iterator[Result]:
-    """Yields one result for every rule of what the file holds: no code of the FMU runs.
+    """Yields one result for every rule of the file's contents, without running code of the FMU.
 
     names: of the rules that are judged, all by default
     """

@@ -1,4 +1,4 @@
-"""Runs in which inputs and tunable parameters change: their values by lot, and where such runs lead."""
+"""Runs in which inputs and tunable parameters have random values, and the states that they lead to."""
 
 import random
 from collections import Counter
@@ -20,7 +20,7 @@ _LATE = range(4, 7)  # of eight parts of a run: some is left for what follows
 _KINDS = 3  # of runs: inputs that change slightly, or far; and parameters and the first states, too
 _INSIDE = 0.9  # of the way to a far start value of a state, which may be a limit
 _CHOSEN = 6  # runs
-_MOST_VALUES = 8  # of a variable that tells cases apart, not one that counts
+_MOST_VALUES = 8  # of a variable that distinguishes cases; a counter has more
 Sets = Sequence[Sequence[do.Pair]]
 _Case = tuple[str, Any]  # name and value of a discrete variable
 
@@ -53,7 +53,7 @@ class Excitations(NamedTuple):
 
 def excitations(probe: Probe) -> Excitations:
     """Returns runs in which inputs and tunable parameters have values by lot: those at the start, and others
-    that the FMU accepts. There is none where there are no others, or where calls of usual runs fail.
+    that the FMU accepts. There are no runs without other values, or where calls of usual runs fail.
     """
 
     def chosen() -> Excitations:

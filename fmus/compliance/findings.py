@@ -86,7 +86,7 @@ def _lines(fmu: FmuFile) -> dict[str, int]:
 
 
 def line_of(message: str, lines: Mapping[str, int]) -> int:
-    """Returns the line that a message states, or that of the first element that it names; 0 without one."""
+    """Returns the line that a message states, or the line of the first element that it names, or 0."""
     if stated := _LINE.search(message):
         return int(stated[1])
     names = (quoted or plain for quoted, plain in _NAMED.findall(message))

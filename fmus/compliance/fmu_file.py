@@ -1,4 +1,4 @@
-"""An FMU as a file: members and parsed description. What is broken is told, never raised."""
+"""An FMU as a file: members and parsed description. Faults are reported as text, never raised."""
 
 import re
 import zipfile
@@ -55,7 +55,7 @@ def fmpy_problems(path: Path) -> list[str]:
 
 
 class BrokenMemberError(ValueError):
-    """A member has not the content that a rule needs, which is a finding of that rule."""
+    """A member without the content that a rule needs: a finding of that rule."""
 
 
 class FmuFile:
@@ -240,15 +240,15 @@ class FmuFile:
 
     @property
     def host_library(self) -> str:
-        """Path inside the archive of the library that this machine loads; empty if there is none."""
+        """Path inside the archive of the library that this machine loads, or ""."""
         identifier = self._attributes.get("modelIdentifier", "")
         return (library_member(self.names, identifier) or "") if C_IDENTIFIER.fullmatch(identifier) else ""
 
     def read(self, member: str, most: int = _LARGEST_MEMBER) -> bytes:
         """Returns the content of a member.
 
-        Raises NotJudgedError where it cannot be unpacked, which rules of the archive tell, BrokenMemberError
-        where there is none, or one of more than `most` bytes.
+        Raises NotJudgedError if it cannot be unpacked (rules of the archive report that), BrokenMemberError
+        if it is missing or has more than `most` bytes.
         """
         if self.too_large:
             raise NotJudgedError(self.too_large)
@@ -265,8 +265,8 @@ class FmuFile:
                 raise NotJudgedError(f"{member} cannot be unpacked: {error}") from error
 
     def parsed(self, member: str, most: int = _LARGEST_DESCRIPTION) -> Any:
-        """Returns the root element of an XML file. Raises what `read` does, and BrokenMemberError for what is
-        not well-formed, or has a document type declaration.
+        """Returns the root element of an XML file. Raises as `read`, and BrokenMemberError for XML that is
+        not well-formed or has a document type declaration.
         """
         content = self.read(member, most)
         parser = etree.XMLParser(

@@ -62,7 +62,7 @@ class FmuProcess:
         raise CallError(f"the process of the FMU sent {str(answer)[:100]!r}: expected results of the calls")
 
     def _start_anew(self) -> None:
-        """Continues in a new process; its start takes no time of the deadline."""
+        """Continues in a new process, whose start does not count for the limit."""
         limit, left = self.limit, self._deadline - time.monotonic()
         self.close()
         self.allow(START_S)
@@ -73,7 +73,7 @@ class FmuProcess:
 
     @contextmanager
     def in_new_processes(self) -> Iterator[None]:
-        """Yields a context in which each instance is the first one of its process."""
+        """Yields a context in which each instance is the first of its process."""
         before, self.one_instance, self._has_created = self.one_instance, True, True
         try:
             yield
@@ -81,7 +81,7 @@ class FmuProcess:
             self.one_instance = before
 
     def hangs(self, seconds: float) -> bool:
-        """Whether the call that is under way takes longer than that: if need be, this waits for its end."""
+        """Whether the call that is under way takes longer; this waits for its end if necessary."""
         began, _ = self._under_way()
         while began and time.time() - began < seconds:
             time.sleep(_POLL_S)
@@ -90,7 +90,7 @@ class FmuProcess:
         return began > 0
 
     def _under_way(self) -> tuple[float, bytes]:
-        """Returns when the call that is under way began, 0 if there is none, and which it is."""
+        """Returns the start time of the call that is under way, or 0, and its text."""
         from fmus.compliance.instance import BEGAN
 
         try:
@@ -101,7 +101,7 @@ class FmuProcess:
 
     @property
     def call_under_way(self) -> str:
-        """The call that is under way, with its arguments; empty if there is none."""
+        """The call that is under way, with its arguments, or ""."""
         began, call = self._under_way()
         text = call.split(b"\0", 1)[0].decode("utf-8", "replace").replace("None", "NULL") if began else ""
         return _DECIMALS.sub(lambda match: f"{float(match[0]):.9g}", text)

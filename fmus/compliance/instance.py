@@ -1,6 +1,6 @@
 """The process that loads an FMU and plays calls on its instances: statuses, messages, memory, settings.
 
-It judges nothing, and what it sends is not trusted: the FMU can do to it whatever it likes.
+It makes no judgement. Its messages are untrusted, because the FMU controls this process.
 """
 
 import ctypes
@@ -64,7 +64,7 @@ class LoadedFmu:
         self._instances: dict[int, CalledInstance] = {}
 
     def load(self) -> None:
-        """Does nothing: the library is loaded by now."""
+        """Does nothing, as the library is loaded already."""
 
     def text(self, function: str) -> tuple[str, bool]:
         """Returns the text of a function without arguments, and whether it has the same address twice."""
@@ -80,9 +80,7 @@ class LoadedFmu:
         return {"held": len(memory.held), "given": memory.given, "foreign frees": memory.foreign_frees}
 
     def resources_in_use(self) -> dict[str, int]:
-        """Returns open files and threads of the process, and bytes of its heap; what the system does not tell
-        is 0.
-        """
+        """Returns open files and threads of the process, and bytes of its heap, 0 if unknown."""
         return self._settings.resources_in_use()
 
     def link(self, name: str) -> str:
@@ -167,7 +165,7 @@ class LoadedFmu:
         return [value, instance.new_messages(), changed, printed]
 
     def free(self, number: int) -> list[Any]:
-        """Frees an instance, unless there is none or it is fatal: as `create`, without a value."""
+        """Frees an instance, unless it does not exist or is fatal; returns as `create`, without a value."""
         instance = self._instances.pop(number)
         observed = self._observed(instance, instance.free)
         self._settings.restore()
@@ -198,14 +196,14 @@ def call_fmu(parent: Parent) -> None:
             results.extend(getattr(fmu, method)(*values) for method, *values in calls)
         except _DEFECTS as exception:
             error = defect(exception)
-        except Exception as exception:  # whatever a foreign library makes of a call is a finding
+        except Exception as exception:  # any error of a foreign library is a finding
             error = str(exception) or type(exception).__name__
         BEGAN.pack_into(announced, 0, 0.0)
         parent.send_json([results, error])
 
 
 def _print_to(file: Path) -> Path:
-    """Lets standard output and standard error go to a file."""
+    """Redirects standard output and standard error to a file."""
     with file.open("wb") as stream:
         for standard in (sys.stdout, sys.stderr):
             os.dup2(stream.fileno(), standard.fileno())

@@ -1,7 +1,7 @@
-"""Reader of shared libraries: LIEF reads them, without loading them, in a process of its own.
+"""Reader of shared libraries: LIEF reads them in a separate process, without loading them.
 
-LIEF takes longer to import than all rules take, and may crash or hang on a library: it reads there, beside
-the behaviour of an FMU.
+LIEF takes longer to import than all rules take, and may crash or hang on a library. So it reads while the
+behaviour of the FMU is judged.
 """
 
 import atexit

@@ -1,4 +1,4 @@
-"""The FMU that behaviour rules examine: scripts of calls are played on its instances."""
+"""The FMU that behaviour rules examine, by scripts of calls on its instances."""
 
 import itertools
 import math
@@ -34,7 +34,7 @@ NO_INSTANCE = "fmi2Instantiate returned NULL"
 class Shared:
     """Observations that the rules share.
 
-    results: of `Probe.once`; played: scripts by their calls; failing: (function, state) -> rule that tells it
+    results: of `Probe.once`; played: scripts by their calls; failing: (function, state) -> reporting rule
     refusals: replies that were not ok to calls with logging, of scripts without calls that FMI forbids, one
       of each function and status, with and without messages; those of a script that a failed call ends, and
       after fmi2SetDebugLogging are left out
@@ -52,21 +52,21 @@ class Shared:
     discards: str = ""
 
     def for_a_new_process(self, rule: str) -> "Shared":
-        """Returns these without what was played, and without the calls that fail by a rule itself."""
+        """Returns these without played scripts and their results, and without the failing calls of a rule."""
         failing = {call: name for call, name in self.failing.items() if name != rule}
         return replace(self, results={}, played={}, failing=failing)
 
 
 class DiscardedStepError(NotJudgedError):
-    """A step that the FMU discards, as 4.2.2 lets it."""
+    """A step that the FMU discards, which 4.2.2 allows."""
 
 
 class Probe:
-    """An unpacked FMU in a process of its own.
+    """An unpacked FMU in its own process.
 
     one_instance: of `FmuProcess`
     start_time, stop_time, step_size: of the default experiment [s], infinite if it states no stop time;
-    states_step_size: whether it states one; tolerance: its own, relative, or the usual one
+    states_step_size: whether it states one; tolerance: relative, stated or the usual one
     """
 
     def __init__(self, fmu: FmuFile, folder: Path, shared: Shared, one_instance: bool = False) -> None:
@@ -99,7 +99,7 @@ class Probe:
         return self.process.calls([(method, *arguments)])[0]
 
     def script(self, *actions: Action, lead: Sequence[Action] = (), **options: Any) -> Script:
-        """Returns calls to be made on a new instance, those of some actions at first.
+        """Returns a script for a new instance, which begins with the calls of some actions.
 
         lead: see `Script`; options: of `CalledInstance`, but for the GUID of the description
         """
@@ -130,7 +130,7 @@ class Probe:
         self._play([[script] for script in scripts], keep_going=True)
 
     def _play(self, groups: Sequence[Sequence[Script]], keep_going: bool) -> None:
-        """Plays groups of scripts one after the other in one message, those of a group side by side."""
+        """Plays groups of scripts one after the other in one message, scripts of one group side by side."""
         turns = list[tuple[Script, int, Call]]()  # with the part of a script
         answers = list[Any]()
         for scripts in groups:
@@ -157,7 +157,7 @@ class Probe:
                 self._judge_failure(script, failure)
 
     def note_failure(self, reply: Reply, rule: str) -> None:
-        """Notes, for all rules, that a function fails in a state, which a rule tells."""
+        """Notes, for all rules, that a function fails in a state, as a rule reports."""
         self.shared.failing[reply.function, reply.state] = rule
 
     def _judge_failure(self, script: Script, failure: Reply) -> None:
@@ -168,7 +168,7 @@ class Probe:
         if lacks_licence(failure.logged):
             raise NotJudgedError(failure.problem)
         if rule := self.shared.failing.get((failure.function, failure.state)):
-            raise NotJudgedError(f"{failure.function} fails, which {rule} tells")
+            raise NotJudgedError(f"{failure.function} fails, as {rule} reports")
         if failure.is_step:
             _, t, h, *_ = script.calls[script.replies.index(failure)]
             is_beyond = t + h > self.stop_time + 1e-9 * max(abs(t), h)
@@ -219,8 +219,8 @@ class Probe:
     def once(self, name: str, make: Callable[[], T], *of: object) -> T:
         """Returns the result of `make`, made once for all rules; NotJudgedError for the next if it failed.
 
-        What cannot be judged, or is not there, is so for every rule. of: what tells it from others of its
-        name.
+        NotApplicableError and NotJudgedError are raised again for every rule. of: distinguishes results of
+        one name.
         """
         results, key = self.shared.results, f"{name} {of}"
         if key not in results:

@@ -30,7 +30,7 @@ class Level(StrEnum):
 
 
 class Stage(StrEnum):
-    """Stage at which a rule is judged, if what it looks at can be had."""
+    """Stage in which a rule is judged, by the part of the FMU that it needs."""
 
     FILE = "file"
     DESCRIPTION = "description"
@@ -40,9 +40,9 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True)
 class Rule:
-    """One rule: `check` yields a message for each time that an FMU breaks it; or what it does must succeed.
+    """One rule: `check` yields a message for each breach, or makes calls that must succeed.
 
-    interface: the element of the interface that it is of alone; empty for a rule of both
+    interface: the element of the only interface that it applies to; "" for both
     """
 
     name: str
@@ -77,11 +77,11 @@ RANDOM = "the outputs are random"
 
 
 class NotJudgedError(Exception):
-    """A rule that cannot be judged; the message says why."""
+    """A rule that cannot be judged, for the reason in the message."""
 
 
 class NotApplicableError(Exception):
-    """A rule for what an FMU does not have or do, as its `check` observes; the message says what."""
+    """A rule about a feature that its `check` does not find in the FMU; the message names the feature."""
 
 
 @dataclass(frozen=True)
@@ -104,9 +104,9 @@ class Result:
 
 
 def defect(error: Exception) -> str:
-    """Returns the reason why a rule with an error of its own is not judged: the FMU has no part in it."""
+    """Returns the reason why a rule that raises an error is not judged: the fault is not the FMU's."""
 
-    return f"{DEFECT} ({type(error).__name__}: {error}), which tells nothing of the FMU: please report it"
+    return f"{DEFECT} ({type(error).__name__}: {error}), not by the FMU: please report it"
 
 
 ALLOCATIONS = 50_000
@@ -163,7 +163,7 @@ def add_rule(added: Rule) -> None:
 
 
 def behaviour_rule(clause: str, condition: Condition = always, **options: Any) -> Callable[[Check], Check]:
-    """Makes a function a rule of behaviour; arguments as of `rule`."""
+    """Makes a function a rule of behaviour; arguments as in `rule`."""
     return rule(clause, Stage.BEHAVIOUR, condition, **options)
 
 
@@ -185,7 +185,7 @@ def rule_of(
 def messages_of(check: Iterable[str]) -> tuple[str, ...]:
     """Returns the messages of a check, each on one line: as many and as much of each as somebody may read.
 
-    What an FMU puts into one cannot move the cursor of a terminal, or begin a line of its own.
+    No text of an FMU in them can move the cursor of a terminal or begin a line.
     """
     messages = [_plain(" ".join(without_folders(text)[:_LONGEST_MESSAGE].split())) for text in check]
     more = [f"{len(messages) - _MOST_MESSAGES} more of this kind"] if len(messages) > _MOST_MESSAGES else []
@@ -209,7 +209,7 @@ def _plain(text: str) -> str:
 def repeated(names: Iterable[Any]) -> dict[Any, int]:
     """Returns the number of times that each name occurs, of those that occur more than once.
 
-    None is left out: the schema tells what has no name.
+    None is left out, as the schema reports a missing name.
     """
     return {name: count for name, count in Counter(names).items() if count > 1 and name is not None}
 
@@ -219,7 +219,7 @@ MODULES = (
     "lifecycle", "calls", "value", "setting", "step",
     "environment", "messages", "state", "derivatives", "effects", "events", "continuous_time",
 )  # fmt: skip
-"""Modules of `fmus.compliance.rules`, in the order in which their rules are judged and told."""
+"""Modules of `fmus.compliance.rules`, in the order in which their rules are judged and reported."""
 
 
 @cache

@@ -20,7 +20,7 @@ VECTORS = (
 _LEAST_CPU_TIME = 1e-6  # s, finer than any clock of a process
 UNWRITTEN = "values"  # among what a call changed: those that were asked for were not
 ARGUMENTS, PENDED = "arguments", "pending step"  # among what a call changed
-_STATES = {  # function -> state that it leads to; `actions` has those of other calls
+_STATES = {  # function -> state that it leads to; `actions` has the states of other calls
     "fmi2EnterInitializationMode": "initialization mode", "fmi2EnterEventMode": "event mode",
     "fmi2EnterContinuousTimeMode": "continuous-time mode", "fmi2Terminate": "terminated",
     "fmi2Reset": "instantiated",
@@ -41,7 +41,7 @@ class CallError(Exception):
 
 
 class DefectError(Exception):
-    """A call that this checker made wrongly: no finding of the FMU."""
+    """A call that this checker made wrongly, not the FMU."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class Script:
     creation, end: of the instance
     is_forbidden: whether it makes calls that FMI forbids, or with arguments that it forbids
     expected, observed: readings to be compared; the latter with words for when and where
-    ignored: calls whose failure tells nothing
+    ignored: calls whose failure is ignored
     errors: calls that return error, each with words for a finding if it does not, and what it may return
     lead: actions that lead `start` from the first communication point to where runs begin
     has_started: whether `start` was written
@@ -220,7 +220,7 @@ class Script:
 
     @property
     def time(self) -> float:
-        """Time at which the next step begins [s]."""
+        """Start time of the next step [s]."""
         return self.probe.point(self.next_step)
 
     # playing
@@ -231,7 +231,7 @@ class Script:
         return self
 
     def take(self, method: str, part: int, answers: Sequence[Any]) -> None:
-        """Takes what was observed while the instance was created, freed, or played a part of the calls."""
+        """Takes the observations while the instance was created, freed, or played a part of the calls."""
         if method != "play":
             reply = self.creation if method == "create" else self.end
             _, messages, reply.changed, reply.printed = answers
@@ -276,7 +276,7 @@ class Script:
 
     @property
     def failure(self) -> Reply | None:
-        """The first call that fails, but those that are ignored, or that return error."""
+        """The first failed call, except ignored calls and calls that should return error."""
         excused = {id(reply) for reply in (*self.ignored, *(reply for reply, *_ in self.errors))}
         failed = (reply for reply in self.replies if reply.status is not None and not reply.ok)
         return next((reply for reply in failed if id(reply) not in excused), None)

@@ -47,12 +47,12 @@ def archive_is_zip(fmu: FmuFile) -> Iterator[str]:
     """The file is a zip archive, and every member unpacks to what its checksum says."""
     if problem := fmu.archive_problem or fmu.too_large:
         yield problem
-    if problem or _last_part(fmu):  # the latter is a rule of its own
+    if problem or _last_part(fmu):  # `archive-is-one-file` reports the latter
         return
     with zipfile.ZipFile(fmu.path) as archive:
         for member in fmu.members:
             if member.flag_bits & _ENCRYPTED or member.compress_type not in _METHODS:
-                continue  # rules of their own
+                continue  # other rules report it
             try:
                 with archive.open(member) as stream:
                     while stream.read(1 << 20):
@@ -164,7 +164,7 @@ def runs_on_this_platform(fmu: FmuFile) -> Iterator[str]:
 
 
 def _missing_functions(library: Library, fmu: FmuFile) -> str:
-    """Returns the functions that the interfaces with the library's name as modelIdentifier have beside it."""
+    """Returns the missing functions of the interfaces whose modelIdentifier is the name of the library."""
     identifier = posixpath.basename(library.path).rpartition(".")[0]
     kinds = [kind for kind, stated in fmu.interfaces.items() if stated.get("modelIdentifier") == identifier]
     expected = {name for kind in kinds for name in signatures(_TYPES[kind])}

@@ -23,13 +23,13 @@ from fmus.compliance.script import VECTORS, Action, Script
 from fmus.fmi.binding import DISCARD
 
 _STATES, _DERIVATIVES, _INDICATORS, _NOMINALS = VECTORS
-_SOLVED = 1e-5  # relative, of large values: what an iterative solver in the FMU may change
-_FAR = 1e4  # times a state: what many would discard
+_SOLVED = 1e-5  # relative, of large values: an iterative solver in the FMU may change them as much
+_FAR = 1e4  # times a state: many FMUs discard it
 _MOST_STATES = 20  # that are moved alone
 _NOT_NEEDED = "completedIntegratorStepNotNeeded"
 _rule = partial(behaviour_rule, interface=MODEL_EXCHANGE)
 _rule_of_rows = partial(differential, interface=MODEL_EXCHANGE)
-_FOLLOWING = _DERIVATIVES, _INDICATORS  # what follows from time, states and inputs
+_FOLLOWING = _DERIVATIVES, _INDICATORS  # they follow from time, states and inputs
 _read = do.read_vectors(_FOLLOWING)
 
 
@@ -78,7 +78,7 @@ def _set_time(part: float) -> Action:
 def _move(part: float, alone: int | None = None) -> Action:
     """Sets states of a part of the step, and no time.
 
-    alone: index of a state, if the others are those of the part 0.3
+    alone: index of a state, if the others belong to the part 0.3
     """
 
     def action(script: Script) -> None:
@@ -112,9 +112,9 @@ def _row(
 
 @_rule("3.2.1")
 def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
-    """Derivatives and event indicators follow from time, states and inputs alone: setting time and states
-    back gives them again, and another time, or other states at the same time, give those of it. So do
-    continuous variables after another time, in whatever order they are read.
+    """Derivatives and event indicators depend only on time, states and inputs. They are the same again after
+    time and states are set back, and right after another time or other states. So are continuous variables,
+    in any reading order.
     """
     back = _go(0.3), do.expect(_read), _go(0.6), _ask, _go(0.3), _read, _read
     ways = [None, *range(min(probe.fmu.vector_length(_STATES), _MOST_STATES))]
@@ -174,7 +174,7 @@ def time_goes_back_in_continuous_time(probe: Probe) -> Iterator[Row]:
     as far as to the completed step before, or to the event before, and gives the derivatives of that time.
     """
     begin = _go(0.0), do.expect(_read), _go(0.3), _go(0.0), _read
-    yield _row("after time was set back to that of the event", begin, failing="back at the event's time")
+    yield _row("after time was set back to the event's time", begin, failing="back at the event's time")
     complete = [] if probe.fmu.claims(_NOT_NEEDED) else [do.call("complete_step")]
     first = _go(0.3), *complete, _go(0.5)
     yield _row("after a completed step without an event, in continuous-time mode still", (*first, _ask))

@@ -35,7 +35,7 @@ _RESERVED = re.compile(r"con|prn|aux|nul|(com|lpt)[1-9]", re.IGNORECASE)  # name
 _LONGEST_IDENTIFIER = 100  # with folders and extension below 260, the longest path of Windows
 _ROUNDED = 1e-4  # relative: tools write factors with as few as five digits, and wrong ones are far away
 _DEGREES, _TURNS = math.degrees(1.0), 30 / math.pi  # in a radian, and in a minute at 1 rad/s
-_DISPLAYED = {  # factor and offset of a display unit; what it shows is factor value + offset
+_DISPLAYED = {  # factor and offset of a display unit: it shows factor value + offset
     "degC of K": (1.0, -273.15), "degF of K": (1.8, -459.67), "deg of rad": (_DEGREES, 0.0),
     "deg/s of rad/s": (_DEGREES, 0.0), "rpm of rad/s": (_TURNS, 0.0), "rev/min of rad/s": (_TURNS, 0.0),
     "km/h of m/s": (3.6, 0.0), "mm of m": (1e3, 0.0), "cm of m": (1e2, 0.0), "km of m": (1e-3, 0.0),
@@ -127,11 +127,11 @@ def _display_unit_problem(v: Variable, fmu: FmuFile) -> str:
 
 
 def _wrong_display_unit(display: Any, _: FmuFile) -> str:
-    """Returns factor and offset of a display unit that its name tells to be others, with those."""
+    """Returns factor and offset of a display unit, and expected ones by its name, if they differ."""
     unit, pairs = display.getparent().get("name"), (("factor", "1"), ("offset", "0"))
     stated = [number(display.get(name, default)) or 0.0 for name, default in pairs]
     known = _DISPLAYED.get(f"{display.get('name')} of {unit}")
-    # a factor of 0 is a rule of its own
+    # `unit-factors` reports a factor of 0
     if not known or not stated[0] or all(map(partial(math.isclose, rel_tol=_ROUNDED), stated, known)):
         return ""
     got, expected = (f"factor {factor:g} and offset {offset:g}" for factor, offset in (stated, known))

@@ -1,6 +1,4 @@
-"""Effects of variables on others: what ModelStructure and directional derivatives say of them, beside finite
-differences.
-"""
+"""Dependencies of ModelStructure and directional derivatives, compared with finite differences."""
 
 import itertools
 import math
@@ -125,10 +123,9 @@ def _groups_at_first(fmu: FmuFile) -> Sequence[_Group]:
 
 @_partial_rule()
 def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
-    """The derivatives of continuous outputs and state derivatives in step mode lie near difference quotients:
-    for co-simulation after initialisation with other values, those of runs with other inputs and states at
-    first; for model exchange in continuous-time mode, beside other inputs and states there, and in event mode
-    as where that begins.
+    """The derivatives of continuous outputs and state derivatives lie near difference quotients: for
+    co-simulation after initialisation with other values, between runs with other inputs and initial states;
+    for model exchange in continuous-time mode, with other inputs and states. In event mode they are the same.
     """
     settable = [v for v in values.settable_in_initialization(probe.fmu) if v.kind == "Real"]
     states = _states(probe.fmu)
@@ -154,7 +151,7 @@ def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
         begin = do.begin, *lead, do.enter_continuous_time_mode
         (run,) = values_of(probe, [(*begin, do.read(knowns))])
         point = [(v, run[0][v.name]) for v in knowns if run]
-        # at a limit, where such a known stays, what is computed may be that of the side beyond
+        # a known at a limit stays there, and its derivative may belong to the side beyond
         inside = [v for v, x in point if v.low < x < v.high]
         here = [group for group in groups if group[0] in inside]
         yield from _beside_quotients(probe, (do.set_time,), here, point, begin)
@@ -175,7 +172,7 @@ def _beside_quotients(
     refused = next((reply for reply in replies if not reply.ok), None)
     if refused and not exit_mode:
         raise CallError(refused.problem)
-    # 4.2.4 lets only outputs and initial unknowns be read in initialization mode
+    # 4.2.4 allows reading only outputs and initial unknowns in initialization mode
     held = [*_states(probe.fmu), *discrete_variables(probe.fmu)] if exit_mode else []
     read = do.read({v.index: v for v in (*(v for _, group in judged for v in group), *held)}.values())
     knowns = list[tuple[Variable, Sequence[float]]]()

@@ -18,7 +18,7 @@ _OWN_MEMORY, _SAVES = "canNotUseMemoryManagementFunctions", "canGetAndSetFMUstat
 _NAME = "system.subsystem[2].'instance with a name of its own'.part"
 _CYCLES, _PARTS = 8, 4  # instances; parts of a second look, of as many
 LEAST_LEAK = 64  # bytes that each instance leaves
-_WARM_UP = 18  # instances before: what the heap keeps for reuse counts as used, and hides the first leaks
+_WARM_UP = 18  # instances before: memory that the heap keeps for reuse hides the first leaks
 
 
 def _with_a_state(probe: Probe) -> tuple[Action, ...]:
@@ -73,7 +73,7 @@ def memory_functions_may_be_null(probe: Probe) -> Iterator[str]:
 
 @behaviour_rule("4.3.1", condition=values.if_not_claimed(_OWN_MEMORY))
 def memory_is_freed(probe: Probe) -> Iterator[str]:
-    """An instance gives back by freeMemory what it took by allocateMemory, and nothing else, also if it is
+    """An instance frees all memory of allocateMemory by freeMemory, and no other memory, also if it is
     initialised again after fmi2Reset.
     """
     before = probe.ask("blocks")
@@ -136,10 +136,11 @@ def memory_does_not_grow(probe: Probe) -> Iterator[str]:
 
 
 def growth_of_the_heap(counts: list[dict[str, int]]) -> float:
-    """Returns bytes per count in the part of the counts that grows least, as a leak goes on where a process
-    that comes to hold more jumps at times: the median slope of all pairs, as it takes and frees by turns.
+    """Returns the heap growth per instance in bytes: the median slope within each part of the counts, then
+    the smallest part.
     """
 
+    # a leak grows in every part, a cache once; the median passes over memory that is taken and freed by turns
     def slope(part: list[dict[str, int]]) -> float:
         pairs = itertools.combinations(enumerate(count["heap"] for count in part), 2)
         return median((later - earlier) / (j - i) for (i, earlier), (j, later) in pairs)

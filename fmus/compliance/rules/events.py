@@ -20,7 +20,7 @@ from fmus.compliance.variable import Variable, is_true
 
 _STEPS, _FEW_STEPS = 50, 5  # of the run
 _NEAR = 1e-3  # of the run: solvers find events that time events follow at other times
-_SOLVED = 1e-6  # relative: what an iterative solver in the FMU may change
+_SOLVED = 1e-6  # relative: an iterative solver in the FMU may change values as much
 _JUMP = 0.01  # of an indicator of the order of one, in a millionth of a step
 _NO_EVENT = "communication point"
 _rule = partial(behaviour_rule, interface=MODEL_EXCHANGE)
@@ -100,7 +100,7 @@ class Event:
 def change(
     name: str, before: Sequence[float], after: Sequence[float], tolerance: float = 0.0, scale: float = 0.0
 ) -> str:
-    """Returns the first change of a vector in words, or nothing; tolerance and scale as of `same`."""
+    """Returns the first change of a vector in words, or nothing; tolerance and scale as in `same`."""
     for i, (a, b) in enumerate(zip(before, after, strict=False), 1):
         if not same(a, b, tolerance, scale):
             old, new = texts(a, b)
@@ -175,7 +175,7 @@ _event_rule = partial(rule_of, of_events, interface=MODEL_EXCHANGE)
 @_rule("2.2.8", condition=no_states)
 def vectors_have_the_order_of_the_description(probe: Probe) -> Iterator[str]:
     """States and derivatives as vectors have the values and the order of the variables of Derivatives, after
-    events, and where continuous-time mode ends; nominal values at the start are not those of other states.
+    events, and where continuous-time mode ends. Nominal values at the start have the order of the states.
     """
     of_vectors = elements_of_vectors(probe.fmu)
     if len(of_vectors[VECTORS[0]]) != probe.fmu.vector_length(VECTORS[0]):
@@ -297,8 +297,8 @@ def next_events_are_ahead(event: Event) -> Iterator[str]:
 
 @_rule("3.1")
 def changes_have_events(probe: Probe) -> Iterator[str]:
-    """Discrete variables change at time, state and step events, and where something is set, or a step after
-    it, not whenever event mode is entered, but for a Real one that follows a continuous one.
+    """Discrete variables change at time, state and step events, and within a step after something is set.
+    Entering event mode alone changes none, except a Real that follows a continuous variable.
     """
     variables, near = discrete_variables(probe.fmu), _NEAR * probe.step_size
 
@@ -315,7 +315,7 @@ def changes_have_events(probe: Probe) -> Iterator[str]:
         return () if same(*pair, _SOLVED) else pair
 
     def changes(events: Sequence[Event]) -> Iterator[str]:
-        # what changes at a communication point may make another change a step later
+        # a variable that changes at a communication point may change another a step later
         others = [v for v in variables if v.kind != "Real"]
         begun = {e.time for e in events if e.cause == _NO_EVENT and any(change_of(v, e) for v in others)}
         judged = [e for e in events if is_judged(e) and e.previous and e.previous.time not in begun]
@@ -331,8 +331,8 @@ def changes_have_events(probe: Probe) -> Iterator[str]:
 
 @_rule("3.1")
 def time_events_are_defined_anew(probe: Probe) -> Iterator[str]:
-    """Time events of a run with few communication points, at which event mode is entered, occur in one with
-    many: each event removes the next time event, which is defined anew.
+    """Time events of a run with few communication points occur in a run with many. Event mode is entered at
+    each point, which removes the next time event: the FMU has to define it anew.
     """
     (few, _), (many, _) = _run(probe, steps=_FEW_STEPS), _run(probe)
     times = [event.time for event in many]

@@ -20,7 +20,7 @@ _WRONG_GUID = "{00000000-0000-0000-0000-000000000000}"
 _NEW_STATES = "fmi2NewDiscreteStates"
 _STEPS, MANY_STEPS, _INSTANCES = 5, 30, 10
 _ELSEWHERE = "install what it needs, or check it on a machine that has it"
-# what the loaders of glibc, musl, macOS and Windows tell; undefined symbols are the library's own fault
+# messages of the loaders of glibc, musl, macOS and Windows; undefined symbols are the library's own fault
 _OF_THE_MACHINE = re.compile(
     r"(?P<name>[^\s:]+): cannot open shared object"
     r"|(?:Error loading shared library|Library not loaded:) (?P<other>[^\s:]+)"
@@ -139,7 +139,7 @@ def runs_are_not_random(probe: Probe) -> Iterator[str]:
 
 
 def _compared(probe: Probe) -> tuple[list[str], bool]:
-    """Returns how the outputs of a second instance differ, and whether they do so in an own process too."""
+    """Returns how the outputs of a second instance differ, and whether they also differ in a new process."""
 
     def compare() -> tuple[list[str], bool]:
         different = list(_differences(probe))
@@ -158,7 +158,7 @@ def _differences(probe: Probe) -> Iterator[str]:
 
 @behaviour_rule("2.1.5")
 def wrong_guid_is_refused(probe: Probe) -> Iterator[str]:
-    """fmi2Instantiate returns NULL for a GUID that is not the description's, also where it is nearly so."""
+    """fmi2Instantiate returns NULL for any GUID but the description's, also for a similar one."""
     guid = probe.fmu.root.get("guid", "")
     other = guid[:-2] + ("1" if guid[-2:-1] == "0" else "0") + guid[-1:]
     for wrong in dict.fromkeys([_WRONG_GUID, guid[:-1], f"{guid}0", other, guid.swapcase()]):
@@ -169,8 +169,8 @@ def wrong_guid_is_refused(probe: Probe) -> Iterator[str]:
 
 @differential("4.3.1", condition=values.if_not_claimed(ONLY_ONCE))
 def several_instances(probe: Probe) -> Iterator[Row]:
-    """Instances live side by side: values of one that are set or read, its steps and its end change nothing
-    in another.
+    """Instances share no state: setting and reading values, steps and the end of one change nothing in
+    another. An error of another rule that a new process does not show is a finding of this rule.
     """
     changed = do.set_others(values.settable_before(probe.fmu)), do.initialise
     moved = do.begin, do.set_others(values.settable_while_stepping(probe.fmu)), do.step()

@@ -130,7 +130,7 @@ def _changes(probe: Probe) -> Iterator[_Change]:
     told = set[tuple[str, str, str]]()
     for reply in (reply for script in scripts for reply in script.everything):
         for setting, before, after in reply.changed:
-            # of several calls the last one is told, which is not the cause
+            # a step is many calls, and its reply names the last one, which is not the cause
             if reply.is_step and (setting, before, after) in told:
                 continue
             told.add((setting, before, after))

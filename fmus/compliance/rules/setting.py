@@ -1,4 +1,4 @@
-"""Start values, setting variables, what is read then, and what fmi2Reset gives back."""
+"""Start values, setting and reading variables, and values after fmi2Reset."""
 
 from collections.abc import Iterable, Iterator
 from itertools import chain
@@ -67,8 +67,8 @@ def reset_gives_the_start_values(probe: Probe) -> Iterator[Row]:
 
 @differential("2.1.6")
 def set_up_can_be_repeated(probe: Probe) -> Iterator[Row]:
-    """fmi2SetupExperiment may be called at least once: the last call counts, for time and stop time, and what
-    was set before it stays.
+    """fmi2SetupExperiment may be called again: the last call counts for start and stop time, and values that
+    were set before stay.
     """
     another = do.call("set_up_experiment", probe.point(7), probe.point(8))
     yield Row("after a second fmi2SetupExperiment", (another, do.begin, do.run(2)))
@@ -76,8 +76,8 @@ def set_up_can_be_repeated(probe: Probe) -> Iterator[Row]:
 
 @behaviour_rule("4.1.2")
 def start_time_counts_at_once(probe: Probe) -> Iterator[str]:
-    """Continuous outputs that have the same values in initialization mode and after it, where the start time
-    is that of the default experiment, have so where it is another one.
+    """Continuous outputs that keep their values when initialization mode ends, with the start time of the
+    default experiment, also keep them with another start time.
     """
     outputs = values.continuous_reals(probe, "output")
     read, inputs = do.read(outputs), values.start_values(values.settable_while_stepping(probe.fmu))
@@ -100,9 +100,7 @@ def start_time_counts_at_once(probe: Probe) -> Iterator[str]:
 
 @differential("2.1.7")
 def values_are_set_together(probe: Probe) -> Iterator[Row]:
-    """Several variables that are set in one call have the values that they have if each is set in a call of
-    its own.
-    """
+    """Several variables that one call sets have the same values as if each were set in a separate call."""
     pairs = values.other_values(values.settable_in_initialization(probe.fmu))
     of_kinds = [[pair for pair in pairs if pair[0].base_kind == kind][: do.MOST_VARIABLES] for kind in KINDS]
     taken = do.accepted_together(probe, list(chain(*of_kinds)), do.initialise)
@@ -256,8 +254,8 @@ def _rows_of_what_follows(probe: Probe) -> Iterator[Row]:
 
 @differential("4.1.2")
 def setting_the_same_changes_nothing(probe: Probe) -> Iterator[Row]:
-    """Inputs and tunable parameters can be set at communication points; set to what they are, no state
-    is lost.
+    """Inputs and tunable parameters can be set at communication points; setting their present values loses
+    no state.
     """
     chosen = values.settable_while_stepping(probe.fmu)
     if not chosen:

@@ -1,4 +1,4 @@
-"""Steps: their times, their sizes, the stop time, what a step does, and steps that are pending."""
+"""Steps: their times and sizes, their effect, the stop time, and pending steps."""
 
 import itertools
 import math
@@ -46,7 +46,7 @@ def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[Row]:
 
 @differential("2.1.6")
 def undefined_arguments_are_ignored(probe: Probe) -> Iterator[Row]:
-    """A tolerance or a stop time that is not defined is not looked at."""
+    """A tolerance or a stop time that is not defined has no effect."""
     before, early = probe.start_time - 1.0, probe.point(1)
     for tolerance, stop_time, when, over in (
         (0.0, before, "where an undefined stop time lies before the start time", [do.run(2)]),
@@ -94,7 +94,7 @@ def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
 
 
 def _runs(probe: Probe, v: Variable) -> Iterator[tuple[Script, Sequence[tuple[float, str]]]]:
-    """Yields runs in which a variable is read, with the times at which it is, also in words."""
+    """Yields runs in which a variable is read, with the reading times as numbers and in words."""
     initialised, point = "after initialisation with startTime {:g} s", "at the communication point {:g} s"
     # a slave of fixed internal steps may be behind after a fraction
     exchanged = (1.0, 2.0, 0.30901699) if probe.fmu.is_model_exchange else (1.0, 1.0, 1.0)

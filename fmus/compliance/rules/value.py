@@ -1,4 +1,4 @@
-"""Values that are read: of their variables, in their ranges, finite, final, and constant if declared so."""
+"""Values that are read: right types and ranges, finite, final, and constant if declared so."""
 
 import itertools
 import math
@@ -88,7 +88,7 @@ def _wrong_values(
 ) -> Iterator[str]:
     """Yields values of variables that are wrong, also with other inputs, if so.
 
-    expected: what is expected of a value, if it is wrong
+    expected: returns the expectation for a wrong value, or ""
     """
     variables = {v.name: v for v in probe.fmu.variables}
     for when, name, value in (*_values(probe), *(_values_with_others(probe) if has_others else ())):
@@ -159,7 +159,7 @@ def values_belong_to_references(probe: Probe) -> Iterator[Row]:
 
 @differential("2.1.6")
 def final_values_after_terminate(probe: Probe) -> Iterator[Row]:
-    """After fmi2Terminate the final values can be read: those of the last step."""
+    """After fmi2Terminate the final values can be read; they are the values of the last step."""
     read = do.read(probe.fmu.variables)
     varied = do.start, do.step(2), do.expect(read), do.terminate, read
     yield Row("after fmi2Terminate", varied, ())

@@ -102,7 +102,7 @@ def _base(unit: Any) -> tuple[dict[str, float], float] | None:
 
 
 def _unit_of_a_derivative(v: Variable, fmu: FmuFile) -> str:
-    """Returns what is wrong with the unit of a derivative: its values are those of a variable per second."""
+    """Returns the wrong unit of a derivative and the expected one: the unit of its variable per second."""
     of = fmu.derivatives[v.index]
     got, base = (_base(fmu.units.get(x.get("unit") or "")) for x in (v, of))
     if got is None or base is None:
@@ -111,7 +111,7 @@ def _unit_of_a_derivative(v: Variable, fmu: FmuFile) -> str:
     exponents["s"] -= 1
     if got[0] == exponents and math.isclose(got[1], factor, rel_tol=_ROUNDED):
         return ""
-    return f"{v.get('unit')}: expected that of {of.name}, {of.get('unit')}, per second"
+    return f"{v.get('unit')}: expected the unit of {of.name}, {of.get('unit')}, per second"
 
 
 class _AliasSet(NamedTuple):

@@ -277,7 +277,7 @@ def test_a_call_that_ends_the_process_is_told_by_the_first_of_the_rules_that_are
     call = "fmi2FreeInstance(NULL)"
     assert first.messages[0].endswith(f", in {call}")
     assert severe.messages == first.messages
-    assert second.not_judged == f"{call} does not return, which free-of-null-is-ignored tells"
+    assert second.not_judged == f"{call} does not return, as free-of-null-is-ignored reports"
 
 
 @pytest.mark.slow
@@ -318,7 +318,7 @@ def test_a_call_that_fails_is_told_once_and_leaves_what_does_not_make_it_judged(
     results = [r for r in examine(write_slave(tmp_path, name)) if r.rule.stage == "behaviour"]
     assert [r.rule.name for r in results if r.messages] == ["allowed-calls-succeed"]
     reasons = {r.not_judged for r in results if r.not_judged}
-    assert all(reason.endswith("fails, which allowed-calls-succeed tells") for reason in reasons), reasons
+    assert all(reason.endswith("fails, as allowed-calls-succeed reports") for reason in reasons), reasons
     assert sum(bool(r.not_judged) for r in results) <= 10
 
 
