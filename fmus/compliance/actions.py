@@ -70,7 +70,8 @@ def _steps_of_leap(probe: Probe, is_whole: bool = False) -> int:
     """Returns the number of usual steps in a third of the default experiment, at most that of a leap."""
     most = _MOST_LEAPT // 2 if probe.fmu.is_model_exchange else _MOST_LEAPT
     third = steps_of_experiment(probe) // 3
-    if is_whole and probe.fmu.is_model_exchange:  # a rough step takes about as long as a usual one
+    # a rough step for model exchange takes about as long as a usual one
+    if is_whole and probe.fmu.is_model_exchange:
         return int(min((probe.stop_time - probe.start_time) / probe.step_size / 3 + 1e-6, LEAPS * third))
     return third if is_whole else min(third, most)
 

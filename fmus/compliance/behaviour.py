@@ -70,7 +70,8 @@ def judged(rule: Rule, subject: FmuFile | Probe, is_random: bool = False) -> Res
         return Result(rule, not_judged=without_folders(str(reason)))
     except NotApplicableError as reason:
         return Result(rule, not_applicable=str(reason))
-    except (CallError, BrokenMemberError) as error:  # whatever an FMU answers is a finding
+    except (CallError, BrokenMemberError) as error:
+        # no answer of an FMU may stop the check: it is a finding
         return Result(rule, messages_of([str(error)]))
     except Exception as error:
         return Result(rule, not_judged=defect(error))
@@ -231,10 +232,12 @@ class _Judge:
         """Unpacks the FMU; returns the reason why it cannot be unpacked. `archive-is-zip` reports more."""
         try:
             with host_errors():
-                extract_archive(self._fmu.path, self._folder)  # zipfile keeps odd paths inside it
+                # zipfile keeps odd paths inside the folder
+                extract_archive(self._fmu.path, self._folder)
         except HostError:
             raise
-        except Exception as error:  # an archive that is damaged anywhere
+        except Exception as error:
+            # zipfile raises many kinds of errors for a damaged archive
             return f"it cannot be unpacked: {without_folders(str(error))}"
         return ""
 
@@ -252,7 +255,8 @@ class _Judge:
         probe = Probe(self._fmu, self._folder, shared, is_alone)
         rule, limit = rules[0], START_S
         try:
-            probe.process.calls([])  # it has started
+            # the start of the interpreter does not count for the first rule
+            probe.process.calls([])
             limit = self._timeout
             for rule in rules:
                 probe.process.allow(limit)
@@ -383,7 +387,8 @@ def _breach(result: Result) -> str:
 def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
     try:
         return tempfile.TemporaryDirectory(prefix="fmu-check-", ignore_cleanup_errors=True)
-    except OSError as error:  # also FileNotFoundError, where no folder takes a file
+    except OSError as error:
+        # also FileNotFoundError, if no folder for temporary files can be written
         raise HostError(f"{error}: expected a folder for temporary files") from error
 
 

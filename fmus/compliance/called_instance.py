@@ -225,7 +225,8 @@ class CalledInstance(parts.StateSlots):
             time.sleep(0.001)
             self.call("fmi2GetStatus", binding.DO_STEP_STATUS, ctypes.byref(status))
             if self.last_status:
-                self.last_status = binding.ERROR  # there is no status, which is no discarded step
+                # without a status the step is not a discarded one
+                self.last_status = binding.ERROR
                 return
         self.last_status = status.value
 

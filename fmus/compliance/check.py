@@ -139,7 +139,8 @@ def _refuse_wrong_use(fmus: Sequence[Path], baseline: Path | None, write_baselin
         )
     for path in fmus:
         if not path.is_file():
-            describe(path)  # the error names the nearest FMU
+            # its error names the nearest FMU
+            describe(path)
 
 
 def _refuse_outputs(outputs: Mapping[str, Path | None], inputs: Sequence[Path | None]) -> None:

@@ -75,14 +75,16 @@ def differences(probe: Probe, rows: Iterable[Row]) -> Iterator[str]:
     for row in rows:
         try:
             written += _crossed(probe, row)
-        except NotJudgedError as reason:  # a call that it needs is not known
+        except NotJudgedError as reason:
+            # the row needs a call that is not known, such as one that returns error
             reasons.append(reason)
     count = len(written) + len(reasons)
     probe.play_once([usual for _, usual, _ in written if usual.calls])
     try:
         probe.play_once([plays[0] for row, _, plays in written if not row.beside])
     except CallError as error:
-        if not written[0][0].options:  # then it is the finding of another rule, or of all
+        # without options the same error is a finding of other rules
+        if not written[0][0].options:
             raise
         yield f"{_failing(written[0][0])}: {error}"
         return

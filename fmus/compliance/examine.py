@@ -31,14 +31,16 @@ def examine(
     of_archive = None if names is None else {*names, *GATES}
     runs = names is None or any(rule.name in names for rule in registered(Stage.BEHAVIOUR))
     try:
-        with suppress(Exception):  # the rules of libraries report it
+        # the rules of libraries report any error
+        with suppress(Exception):
             if runs and not (_unread(fmu) or no_library(fmu)):
                 start_reading(fmu, timeout)
         of_files = list(static_results(fmu, (Stage.FILE, Stage.DESCRIPTION), of_archive))
         of_libraries = cache(lambda: list(static_results(fmu, (Stage.LIBRARY,), None if runs else names)))
         of_behaviour = list(behaviour(fmu, timeout, of_libraries, of_archive if runs else names))
     except BaseException:
-        close_reader()  # its answers nobody will receive
+        # nobody will receive its answers
+        close_reader()
         raise
     results = [*of_files, *of_libraries(), *of_behaviour]
     shown = {result.rule.name for result in results} if names is None else {*names}

@@ -124,7 +124,8 @@ def _chosen(runs: Sequence[_Run]) -> Excitations:
         (sum(1 + rarities[case] for case in place - first), run.sets[:i])
         for number, (run, (first, *places)) in enumerate(runs)
         for i, place in enumerate(places, 1)
-        if i in _LATE and number % _KINDS < _KINDS - 1  # odd parameters are apt to be numerical trouble
+        # odd parameters often cause numerical trouble
+        if i in _LATE and number % _KINDS < _KINDS - 1
     ]
     lead = max(ends, key=lambda end: end[0], default=(0.0, []))[1]
     changes = [_changes(places, rarities) for _, places in runs]

@@ -126,7 +126,8 @@ def read_waivers(path: Path, rules: Iterable[str]) -> list[Waiver]:
     """Returns the waivers of a TOML file, [[waiver]] each. Raises ValueError, OSError if there is no file."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:  # also what is no UTF-8
+    except (ValueError, RecursionError) as error:
+        # also raised for text that is not UTF-8
         raise ValueError(f"{path}: {error}: expected TOML") from None
     known, entries = list(rules), content.pop("waiver", [])
     if content or not (isinstance(entries, list) and all(isinstance(entry, dict) for entry in entries)):

@@ -49,7 +49,8 @@ def fmpy_problems(path: Path) -> list[str]:
         read_model_description(path, validate_variable_names=True, validate_model_structure=True)
     except ValidationError as error:
         return error.problems
-    except Exception as error:  # its parser expects what no schema demands, such as references that exist
+    except Exception as error:
+        # its parser relies on more than the schema demands, such as existing references
         return [f"it cannot read the description ({type(error).__name__}: {error})"]
     return []
 
@@ -72,7 +73,8 @@ class FmuFile:
         try:
             with zipfile.ZipFile(path) as archive:
                 self.members = archive.infolist()
-        except Exception as error:  # zipfile raises half a dozen kinds for a damaged archive
+        except Exception as error:
+            # zipfile raises many kinds of errors for a damaged archive
             self.archive_problem = f"it cannot be read as a zip: {error}"
             self.description_problem = "the archive cannot be read"
         else:
@@ -87,7 +89,8 @@ class FmuFile:
         except (BrokenMemberError, NotJudgedError) as error:
             return str(error)
         for date in filter(None, [self.root.get("generationDateAndTime")]):
-            self.root.set("generationDateAndTime", date.strip())  # libxml2 does not collapse its blanks
+            # libxml2 does not collapse the blanks of a date
+            self.root.set("generationDateAndTime", date.strip())
         return ""
 
     @cached_property
@@ -261,7 +264,8 @@ class FmuFile:
                 raise BrokenMemberError(f"{member} has {size} bytes: expected at most {most}")
             try:
                 return archive.read(member)
-            except Exception as error:  # each way of compression has its own errors
+            except Exception as error:
+                # each compression method has its own errors
                 raise NotJudgedError(f"{member} cannot be unpacked: {error}") from error
 
     def parsed(self, member: str, most: int = _LARGEST_DESCRIPTION) -> Any:
@@ -276,6 +280,7 @@ class FmuFile:
             root = etree.fromstring(content, parser)
         except (etree.XMLSyntaxError, ValueError) as error:
             raise BrokenMemberError(f"{member} is not well-formed: {getattr(error, 'msg', error)}") from None
-        if root.getroottree().docinfo.doctype:  # its entities can be bombs
+        # its entities could expand to gigabytes
+        if root.getroottree().docinfo.doctype:
             raise BrokenMemberError(f"{member} has a document type declaration: expected none")
         return root

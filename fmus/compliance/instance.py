@@ -178,7 +178,8 @@ def call_fmu(parent: Parent) -> None:
     Sends [results, error]: results of the calls up to the first error, and that error, or null.
     """
     folder, *arguments = parent.receive()
-    os.chdir(folder)  # where the FMU writes files
+    # relative paths of the FMU lead there, and the folder is removed afterwards
+    os.chdir(folder)
     limit_process(MOST_MEMORY, MOST_OF_A_FILE)
     gc.set_threshold(ALLOCATIONS)
     printed = _print_to(Path(folder, "printed"))
@@ -196,7 +197,8 @@ def call_fmu(parent: Parent) -> None:
             results.extend(getattr(fmu, method)(*values) for method, *values in calls)
         except _DEFECTS as exception:
             error = defect(exception)
-        except Exception as exception:  # any error of a foreign library is a finding
+        except Exception as exception:
+            # any error of a foreign library is a finding, not an end of this process
             error = str(exception) or type(exception).__name__
         BEGAN.pack_into(announced, 0, 0.0)
         parent.send_json([results, error])

@@ -63,7 +63,8 @@ def shower(kind: type) -> Callable[[Any], Any] | None:
         return lambda argument: argument
     if not issubclass(kind, ctypes.Array):
         return None
-    is_text = kind._type_ in (ctypes.c_char, ctypes.c_char_p)  # the FMU may leave wrong addresses
+    # the FMU may leave wrong addresses of texts
+    is_text = kind._type_ in (ctypes.c_char, ctypes.c_char_p)
     return lambda argument: ... if is_text else argument[:_MOST_SHOWN]
 
 

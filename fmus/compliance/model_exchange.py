@@ -147,7 +147,8 @@ class ModelExchangeInstance(CalledInstance):
 
     def _advance(self, t: float, end: float, no_going_back: bool) -> None:
         self._time = t
-        self._handle_event("communication point")  # for what was set since
+        # inputs may have been set since the last step
+        self._handle_event("communication point")
         self._substeps = 0
         for _ in range(_MOST_EVENTS):
             self._checked(self.call, "fmi2EnterContinuousTimeMode")

@@ -188,7 +188,8 @@ class Probe:
             if reply.status and not reply.reason:
                 key = reply.function, reply.status, bool(reply.messages)
                 self.shared.refusals.setdefault(key, reply)
-            if reply.function == "fmi2SetDebugLogging":  # it may turn logging off
+            # logging may be off after it
+            if reply.function == "fmi2SetDebugLogging":
                 break
         log, name = self.shared.log, script.options.get("name", USUAL_NAME)
         is_usual = not {"callbacks", "overwritten"} & {*script.options}

@@ -52,7 +52,8 @@ class ProcessSettings:
         self._mathematics: Any = None
         with suppress(OSError):
             self._mathematics = linux and ctypes.CDLL("libm.so.6")
-        self._first_fenv = ctypes.create_string_buffer(64)  # more than any fenv_t has
+        # larger than fenv_t of any platform
+        self._first_fenv = ctypes.create_string_buffer(64)
         if self._mathematics:
             self._mathematics.fegetenv(self._first_fenv)
         self._environment: Any = None
@@ -144,7 +145,8 @@ class ProcessSettings:
         """Returns open files and threads of the process, and bytes of its heap, 0 if unknown."""
         gc.collect()
         if not gc.get_freeze_count():
-            gc.freeze()  # what is left stays: the next collections are short
+            # the remaining objects stay, so that later collections are short
+            gc.freeze()
         heap = self._heap().numbers if self._heap is not None else [0] * 10
         counts = {"heap": heap[_IN_USE] + heap[_IN_LARGE_BLOCKS]}
         for name, folder in (("open files", "fd"), ("threads", "task")):

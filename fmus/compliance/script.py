@@ -244,12 +244,14 @@ class Script:
             try:
                 status, reply.value, messages, changed, printed, function, mode = answer
                 reply.function = str(function)
-                if status and self.probe.fmu.is_model_exchange:  # a step is many calls
+                # a step for model exchange is many calls
+                if status and self.probe.fmu.is_model_exchange:
                     reply.state = _MODES.get(mode, reply.state)
                     reply.reason = reply.value if isinstance(reply.value, str) else ""
                 reply.status, reply.changed, reply.printed = int(status), changed or (), int(printed)
                 reply.messages = tuple(Message(*message) for message in messages)
-            except (TypeError, ValueError):  # the FMU can write to the process that answers
+            except (TypeError, ValueError):
+                # the FMU controls the process that answers
                 raise CallError(f"the process of the FMU answers {str(answer)[:100]!r}") from None
 
     @property

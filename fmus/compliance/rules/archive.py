@@ -47,17 +47,20 @@ def archive_is_zip(fmu: FmuFile) -> Iterator[str]:
     """The file is a zip archive, and every member unpacks to what its checksum says."""
     if problem := fmu.archive_problem or fmu.too_large:
         yield problem
-    if problem or _last_part(fmu):  # `archive-is-one-file` reports the latter
+    # `archive-is-one-file` reports a split archive
+    if problem or _last_part(fmu):
         return
     with zipfile.ZipFile(fmu.path) as archive:
         for member in fmu.members:
             if member.flag_bits & _ENCRYPTED or member.compress_type not in _METHODS:
-                continue  # other rules report it
+                # `archive-is-not-encrypted` and `archive-compression` report these
+                continue
             try:
                 with archive.open(member) as stream:
                     while stream.read(1 << 20):
                         pass
-            except Exception as error:  # each way of compression has its own errors
+            except Exception as error:
+                # each compression method has its own errors
                 yield f"{member.filename} is damaged: {error}"
 
 

@@ -44,7 +44,8 @@ def _log(probe: Probe, _: str) -> Iterator[Action]:
 
 def _save(probe: Probe, _: str) -> Iterator[Action]:
     def action(script: Script) -> None:
-        slot = len(script.calls)  # no other state is in it
+        # the number of the call is a slot that no other state has
+        slot = len(script.calls)
         for method in methods:
             script.call(method, slot)
 
@@ -68,7 +69,8 @@ def _get(probe: Probe, state: str) -> Iterator[Action]:
         at_first = values.readable_in_initialization(probe.fmu)
         variables = at_first if state == "M" else probe.fmu.variables
         yield from (do.glance(variables), do.glance(variables[::-1]))
-        for kind in KINDS if state == "K" else ():  # of which nothing else was read since the time was set
+        # each type is read first after the time is set, which may compute it alone
+        for kind in KINDS if state == "K" else ():
             yield from (do.set_time, do.glance([v for v in variables if v.base_kind == kind]))
 
 
@@ -154,7 +156,8 @@ def _tour(
     steps, enter = ((do.step(),), (*late, do.step())), (do.enter_continuous_time_mode,)
     states, later = "IMBCCT", (*steps, (do.step(), do.terminate))
     if probe.fmu.is_model_exchange:
-        iterated = do.step(), *enter  # the event of what was set is over
+        # the event of the settings before is over then
+        iterated = do.step(), *enter
         states, later = "IMEKEEEKT", (enter, (do.enter_event_mode,), *steps, iterated, (do.terminate,))
     script, rows = probe.script(name=NAME, logging=True, watched=True), dict[tuple[int, str], list[Reply]]()
     leads = (), initialise, (do.exit_initialization_mode,), *later

@@ -40,7 +40,8 @@ def allowed_calls_succeed(probe: Probe) -> Iterator[str]:
     """The functions that the FMU supports succeed in the states, instantiated to terminated, that allow
     them.
     """
-    for reply in table.tour(probe).failed:  # `statuses-are-legal` reports other statuses
+    # `statuses-are-legal` reports other statuses
+    for reply in table.tour(probe).failed:
         probe.note_failure(reply, "allowed-calls-succeed")
         yield f"in the state {reply.state!r}: {_cause(probe, reply)}"
 
@@ -62,7 +63,8 @@ def reset_in_every_state(probe: Probe) -> Iterator[Row]:
     """
     pairs = values.start_values(values.settable_before(probe.fmu)[: do.MOST_VARIABLES])
     taken = list[do.Pair]()
-    with suppress(NotJudgedError):  # a value that is refused is known
+    # the FMU may refuse start values, as another rule reports
+    with suppress(NotJudgedError):
         taken = do.accepted_together(probe, pairs)
     again = do.in_state("instantiated after fmi2Reset"), do.set_values(taken)
     return table.in_states(probe, "IMCEKTD", do.reset, *again, do.begin, do.step())

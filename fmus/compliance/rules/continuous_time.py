@@ -120,7 +120,8 @@ def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
     ways = [None, *range(min(probe.fmu.vector_length(_STATES), _MOST_STATES))]
     moved = chain(*((_move(0.3), _ask, _move(0.9, alone), _read) for alone in ways))
     fresh = chain(*((_move(0.9, alone), do.read_vectors(_FOLLOWING[::-1])) for alone in ways))
-    variables = sorted(follow_at_once(probe.fmu), key=lambda v: v.reference or 0)  # aliases side by side
+    # variables with one reference stand side by side, and so become a pair
+    variables = sorted(follow_at_once(probe.fmu), key=lambda v: v.reference or 0)
     follow, pairs = do.read(variables), [*pairwise(variables[: do.MOST_VARIABLES])]
     first, second = (
         chain(*((_go(part), do.read(pair[::order])) for part, pair in zip(cycle((0.3, 0.6)), pairs)))

@@ -132,7 +132,8 @@ class Slopes:
         """Returns a message if over half of the derivatives are wrong, and not 0."""
         pairs = zip(self._derivatives[1:-1], self._sides, strict=True)
         wrong = [(x, *sides) for x, sides in pairs if x and self._is_wrong(x, *sides)]
-        if len(wrong) <= (len(self._sides) + 1) // 2:  # a jump or an event is not a wrong derivative
+        # a jump or an event makes few derivatives differ
+        if len(wrong) <= (len(self._sides) + 1) // 2:
             return ""
         shown = values.texts(*wrong[0])
         return f"its derivative is {shown[0]}: expected about {shown[1]}..{shown[2]}, its slopes"
@@ -201,7 +202,8 @@ def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
             of += start.words
             if wrong and (not short or (name in short and short[name].wrong())):
                 yield f"{of}: {wrong}"
-            both = slopes, short.get(name, slopes)  # an event in a usual step hides it
+            # an event in a usual step may hide the error
+            both = slopes, short.get(name, slopes)
             if order == 1 and not wrong and any(series.are_late() for series in both):
                 yield f"{of}: its derivative is the slope at the step's begin: expected the slope at its end"
 
@@ -258,7 +260,8 @@ def _inputs_by_effect(probe: Probe) -> dict[str, list[Variable]]:
         held, raised, halfway, moving = (rows[0] for rows in runs) if all(runs) else ({},) * 4
         names = [
             name
-            for name, x in held.items()  # a solver that begins anew moves as much whatever is set
+            # a solver that begins anew moves outputs as much for any value
+            for name, x in held.items()
             if isinstance(x, float) and abs(raised[name] - halfway[name]) > _FELT * abs(raised[name] - x)
         ]
         pairs = [(raised[name] - held[name], moving[name] - held[name]) for name in names]

@@ -145,7 +145,8 @@ def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
             if not values.same(x, y, _AGREEMENT, NOISE / _AGREEMENT):
                 got = f"d {v.name} / d {known.name} is {x:.9g} in event mode"
                 yield f"{got}: expected {y:.9g}, as in continuous-time mode after it"
-    reals = [v for v in values.settable_while_stepping(probe.fmu) if v.kind == "Real"]  # no case is another
+    # Integers and Booleans would lead to other cases
+    reals = [v for v in values.settable_while_stepping(probe.fmu) if v.kind == "Real"]
     others = do.set_values(do.others_accepted(probe, reals, do.begin, do.step()))
     for lead in ((do.leap(2, True), others, do.step()), *(start.lead for start in starts(probe)[1:])):
         begin = do.begin, *lead, do.enter_continuous_time_mode
@@ -187,7 +188,8 @@ def _beside_quotients(
     for (known, unknowns), reply, column in zip(judged, replies, found, strict=True):
         if not reply.ok or column.xs[:1] != [point[known.index][1]] or len(column.xs) < 2:
             continue
-        if column.changed(0.0) & {v.name for v in held if v is not known}:  # they follow the known at once
+        # the difference quotient then crosses an event or moves a state
+        if column.changed(0.0) & {v.name for v in held if v is not known}:
             continue
         where = f" in the state {reply.state!r}" if exit_mode else ""
         for v, derivative in zip(unknowns, reply.value, strict=True):

@@ -166,7 +166,8 @@ def resource_location_is_decoded(probe: Probe) -> Iterator[Row]:
 def _link(probe: Probe, name: str) -> str:
     try:
         return probe.ask("link", name)
-    except CallError as error:  # an operating system without links
+    except CallError as error:
+        # the operating system may have no links
         raise NotJudgedError(str(error)) from error
 
 

@@ -130,7 +130,8 @@ def _run(probe: Probe, others: int = 0, steps: int = _STEPS, **options: Any) -> 
             script.write([do.set_values(begins.get(i, ()))])
             script.call("do_step", probe.start_time + i * size, size)
         observed = script.call("observed_events")
-        with suppress(NotJudgedError):  # a step that is discarded ends the run
+        # a discarded step ends the run
+        with suppress(NotJudgedError):
             script.play(keep_going=True)
         events = list[Event]()
         for fields in observed.value or []:
@@ -265,7 +266,8 @@ def events_come_to_an_end(probe: Probe) -> Iterator[str]:
     usual, *others = (reason for _, reason in _runs(probe))
     ends = [usual, *(f"with other inputs {reason}" for reason in others)]
     pairs = other_values(settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES])
-    reals = [pair for pair in pairs if pair[0].kind == "Real"]  # which have many values, and seldom cases
+    # Reals have many values and seldom distinguish cases, so one run sets all
+    reals = [pair for pair in pairs if pair[0].kind == "Real"]
     for some in (reals, *([pair] for pair in pairs if pair not in reals)):
         failure = do.played(probe, [do.begin, do.set_values(some), do.step()]).failure
         names = ", ".join(v.name for v, _ in some)
@@ -278,7 +280,8 @@ def events_come_to_an_end(probe: Probe) -> Iterator[str]:
 @_rule("advice: an importer of several FMUs calls it as often as one of them needs")
 def ended_events_stay_ended(probe: Probe) -> Iterator[str]:
     """One more call of fmi2NewDiscreteStates changes nothing where newDiscreteStatesNeeded is false."""
-    derivatives = {v.name for v in elements_of_vectors(probe.fmu)[VECTORS[1]]}  # near 0 they are roundings
+    # derivatives near 0 are rounding errors
+    derivatives = {v.name for v in elements_of_vectors(probe.fmu)[VECTORS[1]]}
     for event in _run(probe, again=True)[0]:
         for name, b in event.again.items():
             if name not in derivatives and not same(a := event.values[name], b, _SOLVED):
@@ -305,7 +308,8 @@ def changes_have_events(probe: Probe) -> Iterator[str]:
     def is_judged(event: Event) -> bool:
         before = event.previous
         if event.cause != _NO_EVENT or event.is_after_set or before is None or not before.left:
-            return False  # nothing was integrated before it
+            # nothing was integrated before the event
+            return False
         last = before.infos[-1] if before.infos else {}
         return not last.get("nextEventTimeDefined") or abs(last["nextEventTime"] - event.time) > near
 
@@ -322,7 +326,8 @@ def changes_have_events(probe: Probe) -> Iterator[str]:
         for v in variables:
             changed = [(event, pair) for event in judged if (pair := change_of(v, event))]
             if v.kind == "Real" and len(changed) > len(judged) / 2:
-                continue  # it follows a continuous one whenever event mode is entered
+                # it follows a continuous variable whenever event mode is entered
+                continue
             for event, (a, b) in changed:
                 yield f"{v.name} changes from {a!r} to {b!r} at {event.words}: expected a time or state event"
 

@@ -197,8 +197,10 @@ def library_names(fmu: FmuFile) -> Iterator[str]:
     identifier = f"(?:{'|'.join(map(re.escape, identifiers))})"
     for folder in fmu.platforms() if identifiers else ():
         extension, top = _extension(folder), f"binaries/{folder}/"
-        static = rf"{top}.+/(?:{identifier}\.(?:lib|a)|lib{identifier}\.a)"  # in a compiler's folder
-        case = "(?i)" if extension == ".dll" else ""  # Windows ignores case
+        # static libraries lie in a folder of the compiler
+        static = rf"{top}.+/(?:{identifier}\.(?:lib|a)|lib{identifier}\.a)"
+        # Windows ignores case
+        case = "(?i)" if extension == ".dll" else ""
         library = re.compile(rf"{case}{top}{identifier}{re.escape(extension)}|{static}")
         if extension and not any(map(library.fullmatch, fmu.names)):
             expected = " or ".join(f"{name}{extension}" for name in identifiers)

@@ -102,7 +102,8 @@ def steps_and_terminates(probe: Probe) -> Iterator[str]:
 def _find_discarded_step(probe: Probe) -> None:
     """Notes, for all rules, whether the FMU discards one of some equal steps of the usual size."""
     script = probe.script(do.begin, do.step(MANY_STEPS))
-    with suppress(NotJudgedError):  # a step beyond the stop time
+    # steps beyond the stop time may be refused
+    with suppress(NotJudgedError):
         probe.play_each([script])
     failure = script.failure
     if failure and failure.is_step and failure.status == DISCARD:
@@ -175,7 +176,8 @@ def several_instances(probe: Probe) -> Iterator[Row]:
     changed = do.set_others(values.settable_before(probe.fmu)), do.initialise
     moved = do.begin, do.set_others(values.settable_while_stepping(probe.fmu)), do.step()
     usual, another = (do.start, do.run(5)), (changed[0], *moved)
-    for beside in ((changed, another, usual), (usual, another)):  # the last one is made last, or begins last
+    # once it is created last, once it begins last
+    for beside in ((changed, another, usual), (usual, another)):
         varied = do.start, do.run(2), do.pause, do.run(3)
         yield Row("beside another instance", varied, usual, beside=beside)
     modes = [((do.initialise,), values.settable_in_initialization, values.readable_in_initialization)]
@@ -183,14 +185,16 @@ def several_instances(probe: Probe) -> Iterator[Row]:
         modes.append(((do.begin,), values.settable_while_stepping, lambda fmu: [*fmu.variables]))
     for begin, settable, readable in modes:
         glance, last = do.glance(readable(probe.fmu)), do.read(readable(probe.fmu))
-        with suppress(NotJudgedError):  # a value that is refused is known
+        # the FMU may refuse values, as another rule reports
+        with suppress(NotJudgedError):
             others = do.set_values(do.others_accepted(probe, settable(probe.fmu), *begin))
             for first in ((*begin, glance, others), (*begin, others, glance)):
                 varied, usual = (*first, do.pause, last), (*first, last)
                 yield Row("after another instance was read", varied, usual, beside=((*begin, glance),))
     varied = do.begin, do.run(1), do.pause, do.pause, do.run(2)
     identifiers = [stated.get("modelIdentifier") for stated in probe.fmu.interfaces.values()]
-    if len({*identifiers}) < len(identifiers):  # one library
+    # both interfaces are in one library
+    if len({*identifiers}) < len(identifiers):
         other = {"interface": CO_SIMULATION if probe.fmu.is_model_exchange else MODEL_EXCHANGE}
         run, beside = (do.begin, do.run(3)), ((do.set_debug_logging(False),),)
         yield Row("beside an instance of the other interface", run, run, options=other, beside=beside)

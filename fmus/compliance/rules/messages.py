@@ -71,7 +71,8 @@ def _formats(probe: Probe) -> list[Message]:
         options = {"name": _NAME_WITH_A_PERCENT_SIGN, "callbacks": "formats"}
         calls = do.begin, do.step(MANY_STEPS), do.glance_all, do.terminate, wrong
         scripts = [do.played(probe, calls, logging=True, **options)]
-        with suppress(rule.NotApplicableError):  # few steps
+        # the default experiment may have too few steps
+        with suppress(rule.NotApplicableError):
             scripts.append(do.played(probe, (do.begin, do.leap(3)), logging=True, **options))
         return [m for script in scripts for reply in script.everything for m in reply.messages]
 
@@ -92,7 +93,8 @@ def _undeclared(message: Message, probe: Probe) -> str:
 def _unknown_variable(message: Message, probe: Probe) -> str:
     found = _REFERENCE.findall(message.text.replace("##", ""))
     known = {(v.base_kind, v.reference) for v in probe.fmu.variables} if found else ()
-    asked = values.unknown_reference(probe.fmu) if found else 0  # the answer may name it
+    # the FMU may name a wrong reference that it was asked for
+    asked = values.unknown_reference(probe.fmu) if found else 0
     return next((f"#{k}{x}#" for k, x in found if int(x) != asked and (_KINDS[k], int(x)) not in known), "")
 
 
@@ -295,7 +297,8 @@ def _played_with_logging(probe: Probe) -> Iterator[_Run]:
         actions = do.pause, *settings, do.begin, *late, *_CALLS_THAT_LOG[1:], *(() if settings else again)
         scripts = [probe.script(*some, logging=logging) for some in (others, actions) if some]
         if len(scripts) == 1 or not probe.fmu.claims(ONLY_ONCE):
-            with suppress(CallError):  # no second instance
+            # the FMU may refuse a second instance
+            with suppress(CallError):
                 probe.play(*scripts, keep_going=True)
         if scripts[-1].succeeded:
             yield _Run(when, enabled, _sent(scripts[-1], declared))

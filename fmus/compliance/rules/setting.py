@@ -242,7 +242,8 @@ def _rows_of_what_follows(probe: Probe) -> Iterator[Row]:
             when = f"where it had been read in {mode} before {v.name} was set"
             varied = *first, do.glance(readable), *end
             yield Row(when, varied, (*first, *end), tolerance=_ROUNDED, may_fail=True)
-        if mode != "initialization mode":  # as if time had been set, which computes anew
+        # setting the time computes variables anew, so it gives the expected values
+        if mode != "initialization mode":
             # an event iteration ends first, after which relations that follow what is set are frozen
             iterate, into = ((), ()) if begin[1:] else ((do.call("new_discrete_states"),) * 3, (enter,))
             set_all = do.start, *begin[1:], do.glance(readable), do.set_values(values.other_values(settable))
@@ -288,7 +289,8 @@ def tunable_parameters_have_an_effect(probe: Probe) -> Iterator[str]:
     for v, x in tunable:
         change, step = do.set_values([(v, x)]), do.step()
         early, late = (do.initialise, change, do.exit_initialization_mode), (do.begin, change)
-        ends = step, do.leap(3, True)  # it may wait for an event
+        # the parameter may act from the next event on
+        ends = step, do.leap(3, True)
         if outputs & changed(v.name, early, step) and not any(changed(v.name, late, end) for end in ends):
             modes = "where it is set in initialization mode, and on nothing where it is set after it"
             yield f"{v.name} acts on outputs {modes}: expected the same effect"

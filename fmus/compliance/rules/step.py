@@ -82,7 +82,8 @@ def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
         raise NotJudgedError("no step size is stated, and an internal step may be longer than others")
     for script, times in _runs(probe, v):
         failure = script.failure
-        if failure and failure.status == DISCARD:  # then values are read of a time within the step
+        # a discarded step may leave values of a time within the step
+        if failure and failure.status == DISCARD:
             continue
         readings = zip(times, script.readings, strict=True)
         for (t, where), reading in itertools.takewhile(lambda row: row[1].ok, readings):
@@ -110,7 +111,8 @@ def _runs(probe: Probe, v: Variable) -> Iterator[tuple[Script, Sequence[tuple[fl
     # 4.2.4 does not list it among what is read
     at_first = do.forbidden, do.set_up(1000, start=3), do.enter_initialization_mode, do.read([v])
     yield do.played(probe, at_first), [(probe.point(3), "in initialization mode with startTime {:g} s")]
-    with suppress(NotApplicableError, NotJudgedError):  # then the times before are judged alone
+    # without a long run, only the times before are judged
+    with suppress(NotApplicableError, NotJudgedError):
         whole = do.over_the_experiment(probe)
         count, steps = len(whole.observed), do.steps_of_experiment(probe)
         yield whole, [(probe.point(steps * i // count), point) for i in range(1, count + 1)]

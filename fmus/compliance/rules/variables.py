@@ -64,7 +64,8 @@ def arrays_are_consecutive(fmu: FmuFile) -> Iterator[str]:
                 yield f"{name} stands between elements of {elements}: expected consecutive elements"
             last[match.groups()] = i
         if _STRUCTURED.fullmatch(v.name):
-            array = _INDEXED.sub(lambda match: "[]" if match[1] else match[0], v.name)  # of every level
+            # arrays of arrays have indices on each level
+            array = _INDEXED.sub(lambda match: "[]" if match[1] else match[0], v.name)
             indices = [int(index) for text in _INDEXED.findall(v.name) for index in re.findall(r"\d+", text)]
             least, other_name = greatest.get(array, (indices, v.name))
             if indices < least:
