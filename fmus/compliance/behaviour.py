@@ -275,9 +275,6 @@ class _Judge:
         """Returns the finding of a call that ends the process or exceeds the time limit. The same call is a
         finding of the first rule alone, unless a later one is more severe.
         """
-        follow = self.results.get(_AFTER_OTHERS)
-        if what.startswith(ENDED) and follow and follow.messages and not probe.process.one_instance:
-            return Result(rule, not_judged=f"{_AFTER_OTHERS}{IS_BROKEN}")
         call, severity = probe.process.call_under_way, list(Level)
         message = f"{what}, in {call}" if call else what
         others = (r.rule for r in self.results.values() if message in r.messages and r.rule is not rule)

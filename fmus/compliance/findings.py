@@ -109,17 +109,15 @@ class Waiver:
 
     def waives(self, finding: Finding, today: date) -> bool:
         """Whether the finding does not count today."""
-        return not self.is_expired(today) and self._matches(finding)
+        pattern = self.fmu.removeprefix("./")
+        names = finding.fmu.name, finding.fmu.as_posix()
+        is_fmu = pattern in names or any(fnmatchcase(name, pattern) for name in names)
+        is_rule = self.rule == finding.rule.name and self.message in finding.text
+        return is_fmu and is_rule and not self.is_expired(today)
 
     def is_expired(self, today: date) -> bool:
         """Whether the last day is over."""
         return self.until is not None and today > self.until
-
-    def _matches(self, finding: Finding) -> bool:
-        pattern = self.fmu.removeprefix("./")
-        names = finding.fmu.name, finding.fmu.as_posix()
-        is_fmu = pattern in names or any(fnmatchcase(name, pattern) for name in names)
-        return is_fmu and self.rule == finding.rule.name and self.message in finding.text
 
 
 def read_waivers(path: Path, rules: Iterable[str]) -> list[Waiver]:

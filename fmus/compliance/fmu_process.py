@@ -63,13 +63,12 @@ class FmuProcess:
 
     def _start_anew(self) -> None:
         """Continues in a new process, whose start does not count for the limit."""
-        limit, left = self.limit, self._deadline - time.monotonic()
+        left = self._deadline - time.monotonic()
         self.close()
-        self.allow(START_S)
+        self._deadline = time.monotonic() + START_S
         self._start()
         self.calls([])  # it has started
-        self.allow(left)
-        self.limit = limit
+        self._deadline = time.monotonic() + left
 
     @contextmanager
     def in_new_processes(self) -> Iterator[None]:

@@ -11,14 +11,7 @@ from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differ
 from fmus.compliance.fmu_file import MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
-from fmus.compliance.rules.events import (
-    Event,
-    change,
-    discrete_variables,
-    follow_at_once,
-    no_states,
-    of_events,
-)
+from fmus.compliance.rules import events
 from fmus.compliance.script import VECTORS, Action, Script
 from fmus.fmi.binding import DISCARD
 
@@ -121,7 +114,7 @@ def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
     moved = chain(*((_move(0.3), _ask, _move(0.9, alone), _read) for alone in ways))
     fresh = chain(*((_move(0.9, alone), do.read_vectors(_FOLLOWING[::-1])) for alone in ways))
     # variables with one reference stand side by side, and so become a pair
-    variables = sorted(follow_at_once(probe.fmu), key=lambda v: v.reference or 0)
+    variables = sorted(events.follow_at_once(probe.fmu), key=lambda v: v.reference or 0)
     follow, pairs = do.read(variables), [*pairwise(variables[: do.MOST_VARIABLES])]
     first, second = (
         chain(*((_go(part), do.read(pair[::order])) for part, pair in zip(cycle((0.3, 0.6)), pairs)))
@@ -139,17 +132,17 @@ def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
         _row("where another variable is read with it", [*first], [*second]),
     ]
 
-    def read_twice(event: Event) -> Iterator[str]:
+    def read_twice(event: events.Event) -> Iterator[str]:
         _, z, once_more = event.crossing
         scale = 1e-3 * max(map(abs, event.indicators), default=0.0)
-        if words := change("event indicator", z, once_more, _SOLVED, scale):
+        if words := events.change("event indicator", z, once_more, _SOLVED, scale):
             where = f"where the continuous-time mode after {event.words} ends"
             yield f"{words}, read once more {where}: expected the same value"
 
-    yield from [*of_events(probe, read_twice)] or differences(probe, rows)
+    yield from [*events.of_events(probe, read_twice)] or differences(probe, rows)
 
 
-@_rule("3.2.1, 3.2.2", condition=no_states)
+@_rule("3.2.1, 3.2.2", condition=events.no_states)
 def discarded_states_can_be_replaced(probe: Probe) -> Iterator[str]:
     """After states that the FMU discards, or whose derivatives it does, it takes the states before, and gives
     their derivatives.
@@ -195,11 +188,11 @@ def completed_step_without_need_has_no_effect(probe: Probe) -> Iterator[str]:
     if any(reply.value or ()):
         yield f"{reply.function} asks for event mode or an end of the simulation: expected neither"
 
-    def asked(event: Event) -> Iterator[str]:
+    def asked(event: events.Event) -> Iterator[str]:
         if event.cause == "step event":
             yield f"{reply.function} asks for {event.words}: expected that it need not be called"
 
-    yield from of_events(probe, asked, **options)
+    yield from events.of_events(probe, asked, **options)
     over = do.begin, *(do.leap(1, True), do.read_all()) * 3
     called = Row(f"where {reply.function} is called", over, over, tolerance=OF_EXPERIMENT, options=options)
     yield from differences(probe, [_row(f"after {reply.function}", (*first, read)), called])
@@ -208,7 +201,7 @@ def completed_step_without_need_has_no_effect(probe: Probe) -> Iterator[str]:
 @_rule("3.1")
 def discrete_variables_are_frozen(probe: Probe) -> Iterator[str]:
     """Discrete variables do not change in continuous-time mode, whatever time, states and inputs are."""
-    chosen = discrete_variables(probe.fmu)
+    chosen = events.discrete_variables(probe.fmu)
     read = do.read(chosen)
 
     def mirrored(sign: int) -> Action:
@@ -226,10 +219,10 @@ def discrete_variables_are_frozen(probe: Probe) -> Iterator[str]:
     varied = *first, *moved, _set_time(0.5), *moved, *chain(*((change, read) for change in sets))
     row = Row("in continuous-time mode", varied, (), may_fail=True)
 
-    def left(event: Event) -> Iterator[str]:
+    def left(event: events.Event) -> Iterator[str]:
         for v in chosen if event.left else ():
             if not values.same(a := event.values[v.name], b := event.left[v.name]):
                 mode = f"in continuous-time mode after {event.words}"
                 yield f"{v.name} changes from {a!r} to {b!r} {mode}: expected {a!r}"
 
-    yield from [*of_events(probe, left)] or differences(probe, [row])
+    yield from [*events.of_events(probe, left)] or differences(probe, [row])
