@@ -318,9 +318,8 @@ class _Judge:
         whether all rules are judged so from now on, as the FMU refuses instances after others.
         """
         if result.messages:
-            again = self.results[result.rule.name] = next(
-                self._results([result.rule], True, self._shared[True])
-            )
+            again = next(self._results([result.rule], True, self._shared[True]))
+            self.results[result.rule.name] = again
             self._is_alone = _refusal(result) != _refusal(again)
         return self._is_alone
 

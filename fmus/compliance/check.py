@@ -134,9 +134,7 @@ def _refuse_wrong_use(fmus: Sequence[Path], baseline: Path | None, write_baselin
     if baseline and not write_baseline and not baseline.is_file():
         raise ValueError(f"--baseline {baseline}: no such file: write it once with --write-baseline")
     if baseline and (names := repeated(path.name for path in fmus)):
-        raise ValueError(
-            f"--baseline: FMUs of one name, {', '.join(names)}: expected others, as it knows them"
-        )
+        raise ValueError(f"--baseline: FMUs of one name, {', '.join(names)}: expected different names")
     for path in fmus:
         if not path.is_file():
             # its error names the nearest FMU

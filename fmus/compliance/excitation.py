@@ -77,19 +77,15 @@ def _runs(probe: Probe) -> list[_Run]:
     others = [*chain(*far)]
 
     def ways(pairs: Sequence[do.Pair], variables: Sequence[Variable] = chosen) -> list[list[do.Pair]]:
-        return [
-            [(v, x), *(pair for pair in pairs if pair[0] is v)] for v, x in values.start_values(variables)
-        ]
+        return [[(v, x), *(p for p in pairs if p[0] is v)] for v, x in values.start_values(variables)]
 
     # what one FMU needs to get on is too much for another, and parameters may contradict others
     slight = [(v, values.other_value(v, _SLIGHT)) if v.kind == "Real" else (v, x) for v, x in near]
     inputs = ([way for way in ways(pairs) if way[0][0].causality == "input"] for pairs in (slight, others))
     kinds = *inputs, ways(others)
     states = [v for v in values.settable_in_initialization(probe.fmu) if v.index in probe.fmu.states]
-    far_states = [
-        (v, x + _INSIDE * (y - x)) for v, x in values.start_values(states) for y in values.far_values(v)
-    ]
-    first = ways(do.accepted_together(probe, far_states, do.initialise), states)
+    moved = [(v, x + _INSIDE * (y - x)) for v, x in values.start_values(states) for y in values.far_values(v)]
+    first = ways(do.accepted_together(probe, moved, do.initialise), states)
     discrete = [v for v in probe.fmu.variables if v.variability == "discrete" and v.causality != "input"]
     read = do.read([v for v in discrete if v.kind != "Real"])
     lots, lots_of_states, cpu_time = random.Random(1), random.Random(2), 0.0
@@ -99,9 +95,7 @@ def _runs(probe: Probe) -> list[_Run]:
         sets = [[lots.choice(way) for way in kind]]
         for _ in range(do.LEAPS - 1):
             drawn = [(lots.choice(way), lots.random() < _CHANGING) for way in kind]
-            sets.append(
-                [new if changes else old for (new, changes), old in zip(drawn, sets[-1], strict=True)]
-            )
+            sets.append([new if is_new else old for (new, is_new), old in zip(drawn, sets[-1], strict=True)])
         run = Excitation([lots_of_states.choice(way) for way in first if kind is kinds[-1]], sets)
         measure = do.call("cpu_time")
         script = probe.script(measure, *run.begin, read, do.excite(sets, lambda _: read), measure)

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from copy import copy
 from functools import cache, cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from fmus.compliance.rule import NotJudgedError
@@ -24,7 +23,6 @@ _LARGEST_DESCRIPTION = 100_000_000  # bytes; far beyond any that tools write, an
 _LARGEST_MEMBER = 8_000_000_000  # bytes unpacked
 CO_SIMULATION, MODEL_EXCHANGE = "CoSimulation", "ModelExchange"  # the elements of both interfaces
 C_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-_NOTHING: Mapping[str, str] = MappingProxyType({})
 
 
 @cache
@@ -147,7 +145,7 @@ class FmuFile:
 
     @property
     def _attributes(self) -> Mapping[str, str]:
-        return self.interfaces.get(self.interface, _NOTHING)
+        return self.interfaces.get(self.interface, {})
 
     def claims(self, capability: str) -> bool:
         """Whether a capability flag of the interface that is judged is true."""
@@ -235,9 +233,7 @@ class FmuFile:
 
         Others in the same folder are libraries that these need.
         """
-        identifiers = "|".join(
-            re.escape(kind.get("modelIdentifier", "")) for kind in self.interfaces.values()
-        )
+        identifiers = "|".join(re.escape(one.get("modelIdentifier", "")) for one in self.interfaces.values())
         library = re.compile(rf"binaries/([^/]+)/(?:{identifiers})\.(?:so|dll|dylib)")
         return {match.group(): match[1] for match in map(library.fullmatch, self.names) if match}
 

@@ -63,9 +63,6 @@ class LoadedFmu:
         self._settings = ProcessSettings()
         self._instances: dict[int, CalledInstance] = {}
 
-    def load(self) -> None:
-        """Does nothing, as the library is loaded already."""
-
     def text(self, function: str) -> tuple[str, bool]:
         """Returns the text of a function without arguments, and whether it has the same address twice."""
         address = ctypes.cast(getattr(self._library, function), ctypes.CFUNCTYPE(ctypes.c_void_p))
@@ -182,7 +179,10 @@ def call_fmu(parent: Parent) -> None:
     os.chdir(folder)
     limit_process(MOST_MEMORY, MOST_OF_A_FILE)
     gc.set_threshold(ALLOCATIONS)
-    printed = _print_to(Path(folder, "printed"))
+    printed = Path(folder, "printed")
+    with printed.open("wb") as stream:
+        for standard in (sys.stdout, sys.stderr):
+            os.dup2(stream.fileno(), standard.fileno())
     with Path(folder, CALLED).open("w+b") as file:
         file.truncate(_ANNOUNCED)
         announced = mmap.mmap(file.fileno(), _ANNOUNCED)
@@ -202,11 +202,3 @@ def call_fmu(parent: Parent) -> None:
             error = str(exception) or type(exception).__name__
         BEGAN.pack_into(announced, 0, 0.0)
         parent.send_json([results, error])
-
-
-def _print_to(file: Path) -> Path:
-    """Redirects standard output and standard error to a file."""
-    with file.open("wb") as stream:
-        for standard in (sys.stdout, sys.stderr):
-            os.dup2(stream.fileno(), standard.fileno())
-    return file

@@ -156,10 +156,6 @@ class Probe:
             if failure := script.failure:
                 self._judge_failure(script, failure)
 
-    def note_failure(self, reply: Reply, rule: str) -> None:
-        """Notes, for all rules, that a function fails in a state, as a rule reports."""
-        self.shared.failing[reply.function, reply.state] = rule
-
     def _judge_failure(self, script: Script, failure: Reply) -> None:
         """Raises NotJudgedError for a call that fails for a licence or is known to fail, and for a step that
         the FMU may refuse: it refuses those of the usual size, discards one of them, or is used beyond the

@@ -89,9 +89,8 @@ class Reply:
 
     @property
     def logged(self) -> str:
-        return (
-            "; ".join(dict.fromkeys(" ".join(m.text.split()) for m in self.messages)) or "it logged nothing"
-        )
+        texts = dict.fromkeys(" ".join(m.text.split()) for m in self.messages)
+        return "; ".join(texts) or "it logged nothing"
 
     @property
     def problem(self) -> str:
@@ -196,9 +195,7 @@ class Script:
         for v in variables:
             if v.base_kind in KINDS and v.reference is not None:
                 groups.setdefault(v.base_kind, []).append(v)
-        replies = {
-            kind: self.call("get", kind, [v.reference for v in members]) for kind, members in groups.items()
-        }
+        replies = {kind: self.call("get", kind, [v.reference for v in some]) for kind, some in groups.items()}
         for kind, members in groups.items():
             replies[kind].words = f" of {listed([str(v.name) for v in members], 1)}"
         return Reading(groups, replies)

@@ -174,18 +174,20 @@ def _missing_functions(library: Library, fmu: FmuFile) -> str:
     return ", ".join(sorted(expected - library.exports))
 
 
+def _needed(library: Library, fmu: FmuFile, is_inside: bool) -> list[str]:
+    """Returns the libraries that one needs, of those inside the FMU or of the others."""
+    folder = posixpath.dirname(library.path)
+    return [name for name in library.needed if (f"{folder}/{name}" in fmu.paths) is is_inside]
+
+
 def _missing_libraries(library: Library, fmu: FmuFile) -> str:
     is_documented = any(path.startswith("documentation/externalDependencies.") for path in fmu.names)
-    missing = [
-        name for name in library.needed if f"{posixpath.dirname(library.path)}/{name}" not in fmu.paths
-    ]
-    return "" if is_documented else ", ".join(missing)
+    return "" if is_documented else ", ".join(_needed(library, fmu, is_inside=False))
 
 
 def _unsought_libraries(library: Library, fmu: FmuFile) -> str:
     is_sought = any(path.startswith(("$ORIGIN", "${ORIGIN}")) for path in library.search_paths)
-    inside = [name for name in library.needed if f"{posixpath.dirname(library.path)}/{name}" in fmu.paths]
-    return "" if is_sought else ", ".join(inside)
+    return "" if is_sought else ", ".join(_needed(library, fmu, is_inside=True))
 
 
 def _own_memory(library: Library, fmu: FmuFile) -> str:
@@ -194,8 +196,7 @@ def _own_memory(library: Library, fmu: FmuFile) -> str:
 
 
 add_rows(__name__, Stage.LIBRARY, condition=no_library, rows=(
-    row("library-exports", _libraries,
-        (_missing_functions, "{path} does not export {value}")),
+    row("library-exports", _libraries, (_missing_functions, "{path} does not export {value}")),
     row("libraries-are-complete", _libraries, (_missing_libraries,
         "{path} needs {value}: expected it in the FMU, or documentation/externalDependencies.txt")),
     row("libraries-have-an-rpath", _libraries,

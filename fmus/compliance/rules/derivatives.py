@@ -67,9 +67,7 @@ class Column:
     def changed(self, tolerance: float = NOISE) -> set[str]:
         """Returns the names of the unknowns that differ between the first run and another."""
         first, *others = self.rows
-        return {
-            name for row in others for name, x in first.items() if not values.same(x, row[name], tolerance)
-        }
+        return {n for row in others for n, x in first.items() if not values.same(x, row[n], tolerance)}
 
 
 def columns(

@@ -15,9 +15,7 @@ from fmus.compliance.variable import Variable, integer, is_true, number
 from fmus.errors import nearest
 
 _DATE = re.compile(r"\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01])T([01]\d|2[0-3]):[0-5]\d:[0-5]\dZ")
-_UTF_8 = re.compile(
-    rb"(\xef\xbb\xbf)?<\?xml[^>\r\n]*[ \t]encoding[ \t]*=[ \t]*[\"']utf-8[\"']", re.IGNORECASE
-)
+_UTF_8 = re.compile(rb"(\xef\xbb\xbf)?<\?xml[^>\r\n]*[ \t]encoding[ \t]*=[ \t]*[\"']utf-8[\"']", re.I)
 _NOT_UTF_8 = (
     lambda file, _: not _UTF_8.match(file[1]) and file[1][:40],
     '{subject[0]} begins {value!r}: expected <?xml version="1.0" encoding="UTF-8"?>',
@@ -31,7 +29,7 @@ _STANDARD_CATEGORIES = (
     "logEvents", "logSingularLinearSystems", "logNonlinearSystems", "logDynamicStateSelection",
     "logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal", "logStatusPending", "logAll",
 )  # fmt: skip
-_RESERVED = re.compile(r"con|prn|aux|nul|(com|lpt)[1-9]", re.IGNORECASE)  # names of devices on Windows
+_RESERVED = re.compile(r"con|prn|aux|nul|(com|lpt)[1-9]", re.I)  # names of devices on Windows
 _LONGEST_IDENTIFIER = 100  # with folders and extension below 260, the longest path of Windows
 _ROUNDED = 1e-4  # relative: tools write factors with as few as five digits, and wrong ones are far away
 _DEGREES, _TURNS = math.degrees(1.0), 30 / math.pi  # in a radian, and in a minute at 1 rad/s
@@ -51,9 +49,7 @@ def description_is_readable(fmu: FmuFile) -> Iterable[str]:
     return {fmu.description_problem} - {"", fmu.NO_DESCRIPTION}
 
 
-@rule(
-    "2.2.1", Stage.FILE, condition=lambda fmu: fmu.description_problem and "there is no description to read"
-)
+@rule("2.2.1", Stage.FILE, condition=lambda fmu: fmu.description_problem and "no description can be read")
 def fmi_version(fmu: FmuFile) -> Iterable[str]:
     """fmiVersion is 2.0, or 3.0 for an FMU of that version."""
     is_known = fmu.version == "2.0" or fmu.is_fmi3

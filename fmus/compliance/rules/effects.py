@@ -75,12 +75,10 @@ def dependencies_are_declared(probe: Probe) -> Iterator[str]:
         (run,) = values_of(probe, [(*actions, read, *sets)])
         pairs = [*taken, *(pair for pair in pairs if pair not in taken)]
         for i, (known, value) in enumerate(pairs):
-            independent = [
-                u.variable for u in unknowns if not u.depends_on(known) and u.variable is not known
-            ]
-            names = {v.name for v in independent}
+            unlisted = [u.variable for u in unknowns if not u.depends_on(known) and u.variable is not known]
+            names = {v.name for v in unlisted}
             if i + 1 >= len(run) or any(run[0][name] != run[i + 1][name] for name in names):
-                changed = followers(probe, actions, known, value, [do.read(independent)])
+                changed = followers(probe, actions, known, value, [do.read(unlisted)])
                 for name in sorted(changed):
                     yield f"{name} changes with {known.name} in {mode}: {_TO_BE_LISTED}"
 
@@ -180,9 +178,8 @@ def _beside_quotients(
     for known, _ in judged:
         _, start = point[known.index]
         width = _DIFFERENCE * max(1.0, abs(start))
-        knowns.append(
-            (known, [start, *(x for x in (start - width, start + width) if known.low <= x <= known.high)])
-        )
+        sides = [x for x in (start - width, start + width) if known.low <= x <= known.high]
+        knowns.append((known, [start, *sides]))
     in_turn = begin != _INITIALIZATION
     found = columns(probe, begin, knowns, (*exit_mode, read), others, in_turn)
     for (known, unknowns), reply, column in zip(judged, replies, found, strict=True):

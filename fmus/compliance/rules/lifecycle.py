@@ -33,7 +33,8 @@ _OF_THE_MACHINE = re.compile(
 def library_loads(probe: Probe) -> None:
     """The library of this platform loads, and has every function of FMI 2.0 for co-simulation."""
     try:
-        probe.ask("load")
+        # the first question loads the library
+        probe.ask("resource_location")
     except CallError as error:
         if is_of_the_machine(probe.fmu, str(error)):
             raise NotJudgedError(f"{CANNOT_LOAD}: {error}; {_ELSEWHERE}") from error

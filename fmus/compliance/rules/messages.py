@@ -146,16 +146,13 @@ def _set_odd_parameters(probe: Probe) -> None:
     """Sets Real parameters to 0 and to another sign, within their limits, which the FMU may refuse, and a
     fixed one of each type at a communication point, which it does.
     """
-    parameters = [
-        v for v in values.settable_before(probe.fmu) if values.keeps_its_value(v) and v.kind == "Real"
-    ]
+    settable = values.settable_before(probe.fmu)
+    parameters = [v for v in settable if values.keeps_its_value(v) and v.kind == "Real"]
     starts = values.start_values(parameters[: do.MOST_VARIABLES])
     pairs = [(v, x) for v, start in starts for x in (0.0, -start) if x != start and v.low <= x <= v.high]
     ways = [(do.set_values([pair]),) for pair in pairs]
     fixed = [v for v in probe.fmu.variables if (v.causality, v.variability) == ("parameter", "fixed")]
-    late = {
-        v.base_kind: (do.begin, do.step(), do.set_values([(v, x)])) for v, x in values.start_values(fixed)
-    }
+    late = {p[0].base_kind: (do.begin, do.step(), do.set_values([p])) for p in values.start_values(fixed)}
     probe.play_once([probe.script(*way, logging=True) for way in (*ways, *late.values())])
 
 
@@ -175,7 +172,7 @@ def _illegal(reply: Reply, probe: Probe) -> str:
     is_wrong |= reply.status == PENDING and reply.function not in ("fmi2DoStep", "fmi2GetStatus")
     if reply.status is None or reply.reason or (OK <= reply.status <= PENDING and not is_wrong):
         return ""
-    probe.note_failure(reply, "statuses-are-legal")
+    probe.shared.failing[reply.function, reply.state] = "statuses-are-legal"
     legal = f": expected an fmi2Status, 0 to {PENDING}"
     return f", which it may not: {reply.logged}" if is_wrong else legal
 
@@ -183,8 +180,7 @@ def _illegal(reply: Reply, probe: Probe) -> str:
 _WRONG_STATUS = (_illegal, "{function} {status_name}{value}")
 _WRONG_CATEGORY = (_undeclared, "a message has the category {category!r}: expected {value}")
 add_rows(__name__, rule.Stage.BEHAVIOUR, rows=(
-    row("log-category-of-a-refusal-is-declared", _refusal,
-     _WRONG_CATEGORY),
+    row("log-category-of-a-refusal-is-declared", _refusal, _WRONG_CATEGORY),
     row("formats-of-messages-are-legal", _formats,
      (lambda m, _: _NAME_WITH_A_PERCENT_SIGN in m.text,
       f"the format {{text!r:.80}} holds the name {_NAME_WITH_A_PERCENT_SIGN!r}: expected its % doubled"),
@@ -223,8 +219,7 @@ add_rows(__name__, rule.Stage.BEHAVIOUR, last=True, rows=(
       "the logger was called without the componentEnvironment of its instance"),
      (lambda m, _: m.instance != m.given_name and ("NULL" if m.instance is None else repr(m.instance)),
       "a message carries the instance name {value}: expected {given_name!r}, its instance")),
-    row("log-categories-are-declared", _log,
-     _WRONG_CATEGORY),
+    row("log-categories-are-declared", _log, _WRONG_CATEGORY),
     row("messages-have-a-category", _log,
      (lambda m, probe: m.category is None and ", ".join(_declared(probe)),
       "a message has no category: expected one of {value}")),

@@ -104,9 +104,7 @@ def values_are_set_together(probe: Probe) -> Iterator[Row]:
     pairs = values.other_values(values.settable_in_initialization(probe.fmu))
     of_kinds = [[pair for pair in pairs if pair[0].base_kind == kind][: do.MOST_VARIABLES] for kind in KINDS]
     taken = do.accepted_together(probe, list(chain(*of_kinds)), do.initialise)
-    several = [
-        chosen for of_kind in of_kinds if len(chosen := [pair for pair in of_kind if pair in taken]) > 1
-    ]
+    several = [chosen for group in of_kinds if len(chosen := [pair for pair in group if pair in taken]) > 1]
     if not several:
         raise NotApplicableError("no two variables of one type take other values in initialization mode")
     for ordered in [*several, *(chosen[::-1] for chosen in several)]:
