@@ -67,7 +67,7 @@ def pause(script: Script) -> None:
 
 
 def _steps_of_leap(probe: Probe, is_whole: bool = False) -> int:
-    """Returns the number of usual steps in a third of the default experiment, at most that of a leap."""
+    """Returns the number of usual steps in a third of the default experiment, limited for a leap."""
     most = _MOST_LEAPT // 2 if probe.fmu.is_model_exchange else _MOST_LEAPT
     third = steps_of_experiment(probe) // 3
     # a rough step for model exchange takes about as long as a usual one

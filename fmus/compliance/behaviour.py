@@ -95,7 +95,7 @@ def behaviour(
         for interface in fmu.interfaces or [CO_SIMULATION]
     }
     for rule in registered(Stage.BEHAVIOUR):
-        of_rule = {kind: results[rule.name] for kind, results in halves.items() if rule.name in results}
+        of_rule = {kind: results.get(rule.name, Result(rule)) for kind, results in halves.items()}
         if rule in rules or (rule.name in OF_INSTANCES and any(half.messages for half in of_rule.values())):
             yield _joined(rule, of_rule)
 

@@ -19,11 +19,29 @@ def examine(
 ) -> list[Result]:
     """Returns one result for every rule, in the order of `all_rules`.
 
-    timeout: seconds that one behaviour, or LIEF for one library, may take; names: of the rules that are
-    judged, all by default. Where one of these is not judged, broken ones of `GATES` are told too, and of
-    `OF_INSTANCES` in any case. The process
-    of LIEF stays for the next FMU until `close_reader`, or the end of this process. Raises OSError if there
-    is no such file, MissingExtraError without LIEF.
+    The process of LIEF stays for the next FMU until `close_reader`, or the end of this process.
+
+    Parameters
+    ----------
+    path
+        The FMU.
+    timeout
+        Longest time [s] of one rule of behaviour, and of LIEF for one library.
+    names
+        Names of the rules to be judged, by default all.
+
+    Returns
+    -------
+    list of Result
+        Results of these rules, and broken rules of `OF_INSTANCES`; where a chosen rule is not judged, also
+        broken rules of `GATES`.
+
+    Raises
+    ------
+    OSError
+        If the file does not exist.
+    MissingExtraError
+        Without LIEF.
     """
     check_lief()
     with path.open("rb"):

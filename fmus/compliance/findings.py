@@ -97,7 +97,7 @@ def line_of(message: str, lines: Mapping[str, int]) -> int:
 class Waiver:
     """Findings that somebody accepts, with the reason.
 
-    fmu: file name or path of an FMU, or a pattern such as "plant*.fmu"; message: what the message contains;
+    fmu: file name or path of an FMU, or a pattern such as "plant*.fmu"; message: a part of the message;
     until: the last day on which it holds
     """
 

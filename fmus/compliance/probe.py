@@ -35,9 +35,8 @@ class Shared:
     """Observations that the rules share.
 
     results: of `Probe.once`; played: scripts by their calls; failing: (function, state) -> reporting rule
-    refusals: replies that were not ok to calls with logging, of scripts without calls that FMI forbids, one
-      of each function and status, with and without messages; those of a script that a failed call ends, and
-      after fmi2SetDebugLogging are left out
+    refusals: replies that were not ok to calls with logging, one of each function and status, with and
+      without messages; not of scripts with forbidden calls, nor after fmi2SetDebugLogging
     log: messages, each once, of all instances with logging, but of calls or arguments that FMI forbids
     refused_steps: reason why the FMU refuses steps of the usual size, if so
     discards: reason why it discards one of them
@@ -158,7 +157,7 @@ class Probe:
 
     def _judge_failure(self, script: Script, failure: Reply) -> None:
         """Raises NotJudgedError for a call that fails for a licence or is known to fail, and for a step that
-        the FMU may refuse: it refuses those of the usual size, discards one of them, or is used beyond the
+        the FMU may refuse: it refuses the usual size, discards one of them, or is used beyond the
         stop time of its default experiment.
         """
         if lacks_licence(failure.logged):
